@@ -1,0 +1,83 @@
+"""The plain data of a result, free of any file format."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from warp_plate.scene.model import Scene
+
+
+@dataclass(frozen=True)
+class Case:
+    """One drive and what the plate did under it.
+
+    drive: (actuators,) complex phasors Z [N/m²]; the load is Re(Z exp(iωt)), so magnitude |Z| and phase lag
+        −arg Z.
+    energy: kinetic energy averaged over the window [J], for each region by name.
+    displacement: (times, ny, nx) [m].
+    trace: (points, steps) displacement [m].
+    """
+
+    drive: np.ndarray
+    energy: Mapping[str, float]
+    displacement: np.ndarray
+    trace: np.ndarray
+
+    @property
+    def localization_factor(self) -> float:
+        """Share of the plate's kinetic energy in the target; equation (5) of the source paper."""
+        return self.energy["target"] / self.energy["plate"] if self.energy["plate"] > 0 else float("nan")
+
+    @property
+    def magnitude(self) -> np.ndarray:
+        """(actuators,) magnitudes w [N/m²]."""
+        return np.abs(self.drive)
+
+    @property
+    def phase(self) -> np.ndarray:
+        """(actuators,) phase lags φ [rad], 0 ≤ φ < 2π; 0 where the magnitude is 0."""
+        return np.where(self.drive == 0, 0.0, np.mod(-np.angle(self.drive), 2 * np.pi))
+
+
+@dataclass(frozen=True)
+class Result:
+    """Everything that ``localize`` or ``simulate`` found, with all that is needed to run it again.
+
+    cases: by name; ``localize`` has "equal", "single" and "best", ``simulate`` has "drive".
+    times: (times,) of the displacements [s]; trace_times: (steps,) of the traces [s].
+    bound: largest localization factor that any drive can reach; None where none is claimed.
+    history: for each iteration of the search, arrays "evaluations", "best", "mean" (localization factors).
+    seconds: "compile" and "solve".
+    node_steps: nodes updated × steps × plates.
+    """
+
+    command: str
+    source: str
+    scene: Scene
+    device: str
+    seed: int
+    effects: tuple[str, ...]
+    cases: Mapping[str, Case]
+    times: np.ndarray
+    trace_times: np.ndarray
+    seconds: Mapping[str, float]
+    node_steps: int
+    evaluations: int = 0
+    bound: float | None = None
+    history: Mapping[str, np.ndarray] = field(default_factory=dict)
+    evaluator: str = "direct"
+    interrupted: bool = False
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def x(self) -> np.ndarray:
+        """(nx,) positions of the nodes [m]."""
+        return np.linspace(0, self.scene.plate.size[0], self.scene.grid.nodes[0])
+
+    @property
+    def y(self) -> np.ndarray:
+        """(ny,) positions of the nodes [m]."""
+        return np.linspace(0, self.scene.plate.size[1], self.scene.grid.nodes[1])

@@ -1,0 +1,165 @@
+"""From a preset's name or a TOML file to a checked scene, and back to TOML."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from collections.abc import Iterable
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+_PRESETS = resources.files("warp_plate.scene.presets")
+
+
+def preset_names() -> list[str]:
+    """The names that ``Scene.load`` knows without a file."""
+    return sorted(item.name[: -len(".toml")] for item in _PRESETS.iterdir() if item.name.endswith(".toml"))
+
+
+def preset_text(name: str) -> str:
+    """The TOML of a preset, comments included.
+
+    Raises:
+        SceneError: no preset has this name.
+    """
+    if name not in preset_names():
+        raise SceneError(f"{name!r} is no preset; there are: {', '.join(preset_names())}")
+    return (_PRESETS / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def load_scene(source: str | Path) -> Scene:
+    """See :meth:`warp_plate.scene.Scene.load`."""
+    text = str(source)
+    if text in preset_names():
+        return parse_scene(preset_text(text), text)
+    path = Path(source)
+    if not path.is_file():
+        hint = " (a preset's name has no ending)" if path.stem in preset_names() else ""
+        raise SceneError(
+            f"{text}: no such preset or file{hint}; presets: {', '.join(preset_names())}; "
+            "'warp-plate init paper' writes one as a file to edit"
+        )
+    try:
+        return parse_scene(path.read_text(encoding="utf-8"), text)
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(f"{text}: cannot be read as UTF-8 text: {error}") from None
+
+
+def parse_scene(text: str, name: str) -> Scene:
+    """The scene in a TOML text; ``name`` stands at the head of an error's line.
+
+    Raises:
+        SceneError: not TOML, or a key that is unknown or wrong.
+    """
+    try:
+        return Scene.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"{name}: not TOML: {error}") from None
+    except ValidationError as error:
+        raise SceneError(f"{name}: {explain(error)}") from None
+
+
+def explain(error: ValidationError) -> str:
+    """The first fault of a validation as one line (key: value, what would be right), and how many more."""
+    faults = error.errors()
+    # Keys that do not exist come first: they are often the cause of the others ("is missing").
+    faults.sort(key=lambda fault: fault["type"] != "extra_forbidden")
+    fault = faults[0]
+    key = _dotted(fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        line = f"{key}: unknown key{_suggestion(fault['loc'])}"
+    elif fault["type"] == "missing":
+        line = f"{key}: is missing; it has no default"
+    elif fault["type"] == "value_error":
+        message = str(fault["ctx"]["error"])
+        line = f"{key}.{message}" if key else message
+    else:
+        line = f"{key} = {_short(fault['input'])}: {_lower(fault['msg'])}"
+    return line + (f" (and {len(faults) - 1} more)" if len(faults) > 1 else "")
+
+
+def dump_scene(scene: Scene) -> str:
+    """The resolved scene as TOML text that reads back to an equal scene."""
+    data = scene.model_dump(exclude_none=True)
+    actuators = data.pop("actuators")
+    lines = [f"title = {_toml(data.pop('title'))}"]
+    for table, keys in data.items():
+        lines += _table_lines(table, keys)
+    for actuator in actuators:
+        lines += ["", "[[actuators]]", *(f"{key} = {_toml(value)}" for key, value in actuator.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _table_lines(name: str, keys: dict[str, Any]) -> list[str]:
+    plain = [f"{key} = {_toml(value)}" for key, value in keys.items() if not isinstance(value, dict)]
+    nested = [
+        line
+        for key, value in keys.items()
+        if isinstance(value, dict)
+        for line in _table_lines(f"{name}.{key}", value)
+    ]
+    return (["", f"[{name}]", *plain] if plain or not nested else []) + nested
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        escaped = "".join(
+            f"\\u{ord(c):04x}" if ord(c) < 0x20 or ord(c) == 0x7F else "\\" + c if c in '"\\' else c for c in value
+        )
+        return f'"{escaped}"'
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml(item) for item in value)}]"
+    return repr(value)
+
+
+def _dotted(loc: Iterable[int | str]) -> str:
+    text = ""
+    for part in loc:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+    return text
+
+
+def _suggestion(loc: tuple[int | str, ...]) -> str:
+    """'; did you mean ...' or the keys that the table knows."""
+    model: type[BaseModel] | None = Scene
+    for part in loc[:-1]:
+        model = _table_of(model, part) if isinstance(part, str) else model
+    known = list(model.model_fields) if model else []
+    close = difflib.get_close_matches(str(loc[-1]), known, n=1)
+    if close:
+        return f"; did you mean {close[0]!r}?"
+    return f"; known here: {', '.join(known)}" if known else ""
+
+
+def _table_of(model: type[BaseModel] | None, key: str) -> type[BaseModel] | None:
+    """The model behind a field, looked for inside tuples and unions."""
+    field = model.model_fields.get(key) if model else None
+    pending = [field.annotation] if field else []
+    while pending:
+        kind = pending.pop()
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            return kind
+        pending += list(getattr(kind, "__args__", ()))
+    return None
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _lower(message: str) -> str:
+    return message[:1].lower() + message[1:]
