@@ -1,14 +1,14 @@
-"""Particle swarm search, as in the source paper, and the loop that runs it or any other search of the same shape.
+"""Particle swarm search, as in the source paper, and the loop that runs it or any search of the same shape.
 
-Source: Jo, Yang, Shin, J. Inf. Commun. Converg. Eng. 22(2), 2024, section II.C, equations (7) and (8). For every
-particle with position X, velocity V, own best position P, and with G the best position of all,
+Source: Jo, Yang, Shin, J. Inf. Commun. Converg. Eng. 22(2), 2024, section II.C, equations (7) and (8). For a
+particle with position X, velocity V and own best position P, and with G the best position of all,
 
     V(l+1) = w k^l V(l) + c1 U (P - X) + c2 U (G - X)        w inertia, k decay, c1 cognitive, c2 social
     X(l+1) = X(l) + V(l+1)                                   l = 1, 2, ...; U uniform in [0, 1)
 
-Where the paper is read otherwise than printed:
+Where the paper is read otherwise than printed, or leaves a choice:
 
-- (7) is printed without "- X". Particles would then be thrown away from the best positions, not drawn to them.
+- (7) is printed without "- X". Particles would then be thrown past the best positions, not drawn to them.
 - w = 4 with k = 0.99 keeps w k^l above 1 for all 80 iterations, and velocities grow without end. The default
   is 0.4; 4 may still be given.
 - The paper does not say whether U is one number for a particle or one for each component. The default is one
@@ -21,7 +21,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from numbers import Integral, Real
 from typing import Any, Protocol
 
 import numpy as np
@@ -29,6 +28,7 @@ from numpy.typing import ArrayLike
 
 STATE_FORMAT = "swarm 1"
 ARRAYS = ("positions", "velocities", "personal_positions", "personal_losses")
+HISTORY = ("best", "mean", "worst", "nonfinite")
 # Ranges and speeds end here, so that the positions of a swarm that flies apart stay finite numbers.
 LARGEST = 1e100
 
@@ -38,11 +38,11 @@ class SwarmSettings:
     """What a swarm search is told before it starts; all checked, and kept as plain numbers and tuples.
 
     `position_range` and `velocity_range` are the (lowest, highest) values that the first positions and
-    velocities are drawn from; `bounds` are the (lower, upper) limits of positions, infinite where there is none.
-    Each of the two is one number or `dimension` numbers, and so is `velocity_limit`, the largest size of a
-    velocity component. `start`, shape (up to `particles`, `dimension`), replaces the first drawn positions. The
-    search stops after `iterations`, or after `stall` of them in a row that together lower the best loss by no
-    more than `stall_tolerance`.
+    velocities are drawn from; `bounds` are the (lower, upper) limits of positions, infinite where there is
+    none. Each end is one number or `dimension` numbers, and so is `velocity_limit`, the largest size of a
+    velocity component. `start`, shape (up to `particles`, `dimension`), replaces the first drawn positions.
+    The search stops after `iterations`, or after `stall` of them in a row that together lower the best loss
+    by no more than `stall_tolerance`.
 
     Raises ValueError, one line with the setting's name, its value and what would be right.
     """
@@ -68,9 +68,8 @@ class SwarmSettings:
         for name, least in (("dimension", 1), ("particles", 1), ("iterations", 1), ("seed", 0), ("stall", 1)):
             if name != "stall" or self.stall is not None:
                 self._keep(name, _whole(name, getattr(self, name), least))
-        for name in ("inertia", "cognitive", "social", "stall_tolerance"):
-            self._keep(name, _real(name, getattr(self, name), 1e6))
-        self._keep("decay", _real("decay", self.decay, 1.0))
+        for name in ("inertia", "decay", "cognitive", "social", "stall_tolerance"):
+            self._keep(name, _real(name, getattr(self, name), 1.0 if name == "decay" else 1e6))
         if self.random_numbers not in ("component", "particle"):
             raise _refusal("random_numbers", self.random_numbers, "'component' or 'particle'")
         for name, largest in (("position_range", LARGEST), ("velocity_range", LARGEST), ("bounds", math.inf)):
@@ -79,7 +78,7 @@ class SwarmSettings:
         lower, upper = self.limits()
         lowest, highest = np.array(self.position_range)
         if np.any((lowest > upper) | (highest < lower)):
-            raise _refusal("position_range", self.position_range, "a range that meets the bounds")
+            raise _refusal("position_range", self.position_range, f"one that meets bounds = {self.bounds}")
         if self.velocity_limit is not None:
             limit = _numbers("velocity_limit", self.velocity_limit, self.dimension)
             if not np.all((limit > 0) & (limit <= LARGEST)):
@@ -112,10 +111,10 @@ class SwarmResult:
 
 
 class Swarm:
-    """The paper's particle swarm; it minimises. Names and arguments of the four entries are those of pycma.
+    """The paper's particle swarm; it minimises. `ask`, `tell`, `stop` and `result` are called as pycma's are.
 
-    `positions`, `velocities`, `personal_positions` have shape (particles, dimension), `personal_losses` (particles,).
-    `personal_losses` is infinite where a particle has not yet had a finite loss.
+    `positions`, `velocities` and `personal_positions` have shape (particles, dimension), `personal_losses`
+    (particles,); a personal loss is infinite until its particle has had a finite one.
     """
 
     def __init__(self, settings: SwarmSettings) -> None:
@@ -127,7 +126,7 @@ class Swarm:
             self.positions[: len(start)] = start
         self.personal_positions = self.positions.copy()
         self.personal_losses = np.full(settings.particles, np.inf)
-        self._history: dict[str, list] = {"best": [], "mean": [], "worst": [], "nonfinite": []}
+        self._history: list[list[float]] = []  # a row of HISTORY for each iteration
         self._asked = False
         self._improved_loss = math.inf
         self._improved_at = 0
@@ -135,14 +134,19 @@ class Swarm:
     @property
     def iterations(self) -> int:
         """How many times the swarm has been told its losses."""
-        return len(self._history["best"])
+        return len(self._history)
 
     @property
     def history(self) -> dict[str, np.ndarray]:
-        """One entry for each iteration: evaluations so far, best loss so far, and of the iteration itself the mean
-        and the worst of the finite losses (not a number where there are none) and the count of the others."""
-        arrays = {name: np.array(values) for name, values in self._history.items()}
-        return {"evaluations": self.settings.particles * np.arange(1, self.iterations + 1), **arrays}
+        """Arrays with one entry for each iteration.
+
+        `evaluations` so far; `best` loss so far; of the iteration itself the `mean` and `worst` of its finite
+        losses (nan if it has none) and `nonfinite`, the count of the others.
+        """
+        columns = np.array(self._history, dtype=float).reshape(-1, len(HISTORY)).T
+        history = dict(zip(HISTORY, columns, strict=True))
+        history["nonfinite"] = history["nonfinite"].astype(int)
+        return {"evaluations": self.settings.particles * np.arange(1, self.iterations + 1), **history}
 
     @property
     def result(self) -> SwarmResult:
@@ -150,8 +154,8 @@ class Swarm:
         best = int(np.argmin(self.personal_losses))
         loss = float(self.personal_losses[best])
         position = self.personal_positions[best].copy() if math.isfinite(loss) else None
-        evaluations = self.settings.particles * self.iterations
-        return SwarmResult(position, loss, evaluations, self.iterations, sum(self._history["nonfinite"]))
+        evaluations, nonfinite = self.settings.particles * self.iterations, self.history["nonfinite"].sum()
+        return SwarmResult(position, loss, evaluations, self.iterations, int(nonfinite))
 
     def ask(self) -> np.ndarray:
         """Positions to evaluate, shape (particles, dimension); the same ones until their losses are told."""
@@ -162,18 +166,18 @@ class Swarm:
         return self.positions.copy()
 
     def tell(self, solutions: ArrayLike, losses: ArrayLike) -> None:
-        """Take the losses, shape (particles,), of the positions that `ask` gave. Not finite counts as the worst.
+        """Take the losses, shape (particles,), of the positions that `ask` gave. Not finite counts as worst.
 
         Raises ValueError if `solutions` are not those positions or `losses` has another shape.
         """
         if not self._asked or not np.array_equal(np.asarray(solutions), self.positions):
-            raise ValueError("tell: solutions must be the positions that the last ask() gave")
+            raise ValueError("tell: solutions must be the positions that the last ask() gave, told once")
         told = np.array(losses, dtype=float)
         if told.shape != (self.settings.particles,):
-            raise ValueError(f"tell: losses of shape {told.shape}, must be ({self.settings.particles},)")
+            raise ValueError(f"tell: losses of shape {told.shape}: must be ({self.settings.particles},)")
         finite = np.isfinite(told)
         told[~finite] = np.inf
-        # A particle that has not had a finite loss keeps no place to return to: its own best is where it is.
+        # A particle without a finite loss yet has no place to return to: its own best is where it is.
         better = (told < self.personal_losses) | np.isinf(self.personal_losses)
         self.personal_positions[better] = self.positions[better]
         self.personal_losses[better] = told[better]
@@ -181,7 +185,7 @@ class Swarm:
         self._asked = False
 
     def stop(self) -> dict[str, int]:
-        """Why the search is over: {"iterations": n}, {"stall": iterations without improvement}; empty to go on."""
+        """Why to stop: {"iterations": how many}, {"stall": how many without improvement}; empty to go on."""
         reasons = {}
         if self.iterations >= self.settings.iterations:
             reasons["iterations"] = self.iterations
@@ -191,13 +195,13 @@ class Swarm:
         return reasons
 
     def _draw(self) -> None:
-        """Draw positions, then velocities, from their ranges. Positions: from the part that is within the bounds."""
+        """Draw positions, from the part of their range that is within the bounds, and then velocities."""
         settings = self.settings
         shape = (settings.particles, settings.dimension)
         lower, upper = settings.limits()
         lowest, highest = np.clip(np.array(settings.position_range), lower, upper)
         slowest, fastest = np.array(settings.velocity_range)
-        # The product may round up past the upper limit, so clip.
+        # The sum may round up past the upper limit, so clip once more.
         self.positions = np.clip(lowest + (highest - lowest) * self.random.random(shape), lower, upper)
         self.velocities = self._limited(slowest + (fastest - slowest) * self.random.random(shape))
 
@@ -206,14 +210,13 @@ class Swarm:
         settings = self.settings
         best = int(np.argmin(self.personal_losses))
         if math.isinf(self.personal_losses[best]):
-            # No finite loss yet, so nothing to be drawn to: look elsewhere.
+            # No finite loss so far, so nothing to be drawn to: look elsewhere.
             self._draw()
             return
         width = settings.dimension if settings.random_numbers == "component" else 1
         own, common = self.random.random((2, settings.particles, width))
-        weight = settings.inertia * settings.decay**self.iterations
         self.velocities = self._limited(
-            weight * self.velocities
+            settings.inertia * settings.decay**self.iterations * self.velocities
             + settings.cognitive * own * (self.personal_positions - self.positions)
             + settings.social * common * (self.personal_positions[best] - self.positions)
         )
@@ -227,20 +230,19 @@ class Swarm:
         return np.clip(velocities, -limit, limit)
 
     def _record(self, finite_losses: np.ndarray) -> None:
-        some = finite_losses.size > 0
         best = float(self.personal_losses.min())
-        with np.errstate(over="ignore"):
-            self._history["mean"].append(float(finite_losses.mean()) if some else math.nan)
-        self._history["best"].append(best)
-        self._history["worst"].append(float(finite_losses.max()) if some else math.nan)
-        self._history["nonfinite"].append(self.settings.particles - finite_losses.size)
+        mean = worst = math.nan
+        if finite_losses.size:
+            with np.errstate(over="ignore"):
+                mean, worst = float(finite_losses.mean()), float(finite_losses.max())
+        self._history.append([best, mean, worst, float(self.settings.particles - finite_losses.size)])
         # Compared with the last loss that counted, so that many small steps together do count.
         if best < self._improved_loss - self.settings.stall_tolerance:
             self._improved_loss = best
             self._improved_at = self.iterations
 
     def state(self) -> dict[str, Any]:
-        """Everything the search needs to go on, in strict JSON types; numbers that are not finite are text."""
+        """Everything the search needs to go on, in strict JSON types; numbers not finite are text ("inf")."""
         return {
             "format": STATE_FORMAT,
             "settings": _plain(asdict(self.settings)),
@@ -254,7 +256,7 @@ class Swarm:
 
     @classmethod
     def from_state(cls, state: dict[str, Any]) -> Swarm:
-        """The swarm that `state()` was taken from, to the last bit. Raises ValueError if it is not such a state."""
+        """The swarm that `state()` was taken from, bit for bit. Raises ValueError for anything else."""
         if state.get("format") != STATE_FORMAT:
             raise _refusal("swarm state: format", state.get("format"), repr(STATE_FORMAT))
         try:
@@ -263,11 +265,10 @@ class Swarm:
             for name in ARRAYS:
                 values, shape = np.array(state[name], dtype=float), getattr(swarm, name).shape
                 if values.shape != shape:
-                    raise _refusal(f"swarm state: {name}", f"shape {values.shape}", f"of shape {shape}")
+                    raise ValueError(f"swarm state: {name} of shape {values.shape}: must be {shape}")
                 setattr(swarm, name, values)
-            numbers = {"best": float, "mean": float, "worst": float, "nonfinite": int}
-            swarm._history = {name: [kind(value) for value in state["history"][name]] for name, kind in numbers.items()}
             swarm._asked = bool(state["asked"])
+            swarm._history = [[float(value) for value in row] for row in state["history"]]
             swarm._improved_loss = float(state["improved_loss"])
             swarm._improved_at = int(state["improved_at"])
         except (KeyError, TypeError) as error:
@@ -295,14 +296,14 @@ def optimize(
 ) -> Any:
     """Run a search until its `stop()` names a reason or `callback(searcher)` returns something true.
 
-    `objective` takes positions of shape (particles, dimension) and returns losses of shape (particles,), to be
-    minimised. `callback` is called after each iteration. Returns `searcher.result`; a search that a callback
-    stopped can be continued by calling again.
+    `objective` takes positions, shape (particles, dimension), and returns losses to minimise, shape
+    (particles,). `callback` is called after each iteration; a search that it ended goes on when this is
+    called again. Returns `searcher.result`.
     """
     while not searcher.stop():
-        positions = searcher.ask()
-        # A copy: the objective may change it.
-        searcher.tell(positions, objective(np.array(positions, dtype=float)))
+        solutions = searcher.ask()
+        # A copy, which the objective is free to change.
+        searcher.tell(solutions, objective(np.array(solutions, dtype=float)))
         if callback is not None and callback(searcher):
             break
     return searcher.result
@@ -326,13 +327,13 @@ def _refusal(name: str, value: object, right: str) -> ValueError:
 
 
 def _whole(name: str, value: Any, least: int) -> int:
-    if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
         raise _refusal(name, value, f"a whole number, at least {least}")
     return int(value)
 
 
 def _real(name: str, value: Any, most: float) -> float:
-    if not isinstance(value, Real) or isinstance(value, bool) or not 0 <= value <= most:
+    if not isinstance(value, (int, float, np.integer, np.floating)) or not 0 <= value <= most:
         raise _refusal(name, value, f"a number from 0 to {most:g}")
     return float(value)
 
@@ -344,12 +345,12 @@ def _numbers(name: str, value: Any, dimension: int) -> np.ndarray:
         raise _refusal(name, value, f"one number or {dimension} numbers") from None
 
 
-def _pair(name: str, value: Any, dimension: int, largest: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _pair(name: str, value: Any, dimension: int, largest: float) -> tuple[tuple[float, ...], ...]:
     if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != 2:
         raise _refusal(name, value, "a pair (lowest, highest)")
     lowest, highest = (_numbers(name, end, dimension) for end in value)
     if not np.all((-largest <= lowest) & (lowest <= highest) & (highest <= largest)):
-        raise _refusal(name, value, f"lowest up to highest, from {-largest:g} to {largest:g}")
+        raise _refusal(name, value, f"(lowest, highest) in this order, from {-largest:g} to {largest:g}")
     return tuple(lowest.tolist()), tuple(highest.tolist())
 
 
@@ -359,9 +360,7 @@ def _start(value: Any, particles: int, lower: np.ndarray, upper: np.ndarray) -> 
         start = np.array(value, dtype=float)
     except (TypeError, ValueError):
         raise _refusal("start", value, right) from None
-    if start.ndim != 2 or not 1 <= len(start) <= particles or start.shape[1] != len(lower):
+    shaped = start.ndim == 2 and 1 <= len(start) <= particles and start.shape[1] == len(lower)
+    if not shaped or not np.all(np.isfinite(start) & (start >= lower) & (start <= upper)):
         raise _refusal("start", value, right)
-    outside = ~np.all(np.isfinite(start) & (start >= lower) & (start <= upper), axis=1)
-    if outside.any():
-        raise _refusal("start", start[outside][0].tolist(), right)
-    return tuple(map(tuple, start.tolist()))
+    return tuple(tuple(row) for row in start.tolist())

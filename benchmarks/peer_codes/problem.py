@@ -1,0 +1,155 @@
+"""The work that every peer does, its inputs, and a plain float64 answer to check against.
+
+Everything is dimensionless. On every plate, for step m = 0 .. steps - 1, at the interior nodes
+
+    q  <-  decay q - stiffness B u + cos(omega m) in_phase + sin(omega m) quadrature
+    u  <-  u + q
+    squares  <-  squares + q^2         only when m >= first
+
+where B is the 13-point biharmonic with unit spacing (20, -8, 2, 1). The edge nodes stay at zero; the edges are
+clamped, so the ghost node outside an edge mirrors the first node inside it. The answer is
+
+    energy[plate, region] = sum over nodes of weights[region] squares
+
+Region 0 is the whole plate, region 1 the quadrant at the first corner.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Run = Callable[[], NDArray[np.float64]]
+"""Does the whole work from zero state; returns energies, shape (plates, 2), float64, on the host."""
+
+
+class PeerMissing(Exception):
+    """A peer cannot run here, for instance because no compiler or no GPU is there; the message says why."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A batch of clamped square plates; the same fields and seed give the same arrays."""
+
+    plates: int
+    nodes: int  # along a side, edges included
+    steps: int
+    precision: str = "float32"  # or "float64"
+    seed: int = 0
+    device: str = "cpu"  # or "cuda"
+
+    stiffness = 0.24**2  # (kappa dt / h^2)^2; 1/16 is the stability limit
+    decay = 0.98  # of the velocity in one step
+    omega = 2 * math.pi * 290 * 8e-5  # drive phase in one step, rad
+
+    def __post_init__(self) -> None:
+        """Refuse sizes for which the scheme has no meaning."""
+        if self.plates < 1 or self.nodes < 5 or self.steps < 2:
+            raise ValueError(f"need plates >= 1, nodes >= 5 and steps >= 2, got {self}")
+        if self.precision not in ("float32", "float64"):
+            raise ValueError(f"precision must be float32 or float64, not {self.precision!r}")
+
+    @property
+    def first(self) -> int:
+        """The first step that counts in the energy."""
+        return self.steps // 2
+
+    @property
+    def dtype(self) -> np.dtype:
+        """The NumPy type of the state and of the inputs."""
+        return np.dtype(self.precision)
+
+    @property
+    def node_steps(self) -> int:
+        """Interior nodes of all plates times steps: the unit in which times are given."""
+        return self.plates * (self.nodes - 2) ** 2 * self.steps
+
+    @property
+    def in_phase(self) -> NDArray:
+        """Load that goes with the cosine, shape (plates, nodes, nodes), zero on the edges; read-only."""
+        return _loads(self.plates, self.nodes, self.precision, self.seed)[0]
+
+    @property
+    def quadrature(self) -> NDArray:
+        """Load that goes with the sine, shape (plates, nodes, nodes), zero on the edges; read-only."""
+        return _loads(self.plates, self.nodes, self.precision, self.seed)[1]
+
+    @cached_property
+    def cosine(self) -> NDArray:
+        """cos(omega m), shape (steps,)."""
+        return np.cos(self.omega * np.arange(self.steps)).astype(self.dtype)
+
+    @cached_property
+    def sine(self) -> NDArray:
+        """sin(omega m), shape (steps,)."""
+        return np.sin(self.omega * np.arange(self.steps)).astype(self.dtype)
+
+    @cached_property
+    def weights(self) -> NDArray:
+        """Share of each node's cell that lies in each region, shape (2, nodes, nodes)."""
+        side = self.nodes - 1
+        centre = np.arange(self.nodes)
+        along = [
+            np.clip(np.minimum(centre + 0.5, end) - np.maximum(centre - 0.5, 0), 0, None) for end in (side, side / 2)
+        ]
+        return np.stack([np.outer(share, share) for share in along]).astype(self.dtype)
+
+    @cached_property
+    def edges_touched(self) -> NDArray:
+        """How many edges each interior node lies next to (0, 1 or 2), shape (nodes - 2, nodes - 2).
+
+        The ghost outside a clamped edge equals the node next to that edge, so with zeros outside the interior the
+        clamped biharmonic is the 13-point sum plus this count times the node's own displacement.
+        """
+        beside = np.zeros(self.nodes - 2)
+        beside[0] += 1
+        beside[-1] += 1
+        return (beside[:, None] + beside[None, :]).astype(self.dtype)
+
+
+@lru_cache(maxsize=1)
+def _loads(plates: int, nodes: int, precision: str, seed: int) -> NDArray:
+    """Random loads, shape (2, plates, nodes, nodes); plate p of a seed is the same in a smaller batch."""
+    loads = np.zeros((2, plates, nodes, nodes), precision)
+    inside = (nodes - 2, nodes - 2)
+    for plate in range(plates):
+        generator = np.random.default_rng((seed, plate))
+        loads[:, plate, 1:-1, 1:-1] = generator.standard_normal((2, *inside), dtype=np.dtype(precision).type)
+    loads.flags.writeable = False
+    return loads
+
+
+def reference(problem: Problem, plates: Sequence[int]) -> NDArray[np.float64]:
+    """Energies of some of the plates in float64, shape (len(plates), 2): the definition above, term by term."""
+    chosen = np.asarray(plates)
+    in_phase = problem.in_phase[chosen, 1:-1, 1:-1].astype(np.float64)
+    quadrature = problem.quadrature[chosen, 1:-1, 1:-1].astype(np.float64)
+    # node (j, i) is u[:, j + 1, i + 1]; the outermost ring holds the ghosts
+    u = np.zeros((len(chosen), problem.nodes + 2, problem.nodes + 2))
+    q = np.zeros_like(in_phase)
+    squares = np.zeros_like(in_phase)
+
+    def at(down: int, right: int) -> NDArray:
+        rows, columns = u.shape[1:]
+        return u[:, 2 + down : rows - 2 + down, 2 + right : columns - 2 + right]
+
+    for m in range(problem.steps):
+        u[:, 0], u[:, -1] = u[:, 2], u[:, -3]
+        u[:, :, 0], u[:, :, -1] = u[:, :, 2], u[:, :, -3]
+        biharmonic = (
+            20 * at(0, 0)
+            - 8 * (at(-1, 0) + at(1, 0) + at(0, -1) + at(0, 1))
+            + 2 * (at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1))
+            + (at(-2, 0) + at(2, 0) + at(0, -2) + at(0, 2))
+        )
+        load = math.cos(problem.omega * m) * in_phase + math.sin(problem.omega * m) * quadrature
+        q = problem.decay * q - problem.stiffness * biharmonic + load
+        at(0, 0)[...] += q
+        if m >= problem.first:
+            squares += q * q
+    return np.einsum("pji,rji->pr", squares, problem.weights[:, 1:-1, 1:-1].astype(np.float64))

@@ -1,0 +1,182 @@
+"""The paper's figures from a result: displacement surfaces (its figure 2), loss against iteration (its figure 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_plate.result.model import Case, Result
+from warp_plate.viz.availability import DrawingUnavailable, missing, missing_plots, off_screen
+from warp_plate.viz.scene3d import add_colour_bar, add_plate
+from warp_plate.viz.surface import caption, scale_over
+
+if TYPE_CHECKING:
+    import pyvista
+    from matplotlib.axes import Axes
+
+DRIVES = {
+    "equal": "equal drive",
+    "single": "single actuator",
+    "best": "best drive found",
+    "drive": "given drive",
+}
+# A row has at most this many pictures; of more times, some that lie evenly between first and last are drawn.
+COLUMNS = 6
+FONT_SIZE = 20
+ROW_HEIGHT = 460
+BAR_WIDTH = 140
+# The localization factor that the paper reports for its swarm, as a loss.
+PUBLISHED_LOSS = 0.28
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """written: the files made; problems: for each picture that could not be made, one sentence on why."""
+
+    written: tuple[Path, ...] = ()
+    problems: tuple[str, ...] = ()
+
+
+def draw_all(result: Result, stem: str | Path) -> Pictures:
+    """Draw what the result holds into ``<stem>-surfaces.png`` and ``<stem>-history.png``.
+
+    Nothing that is wrong with a library or a file ends the run: it becomes a sentence in ``problems``.
+    """
+    jobs = []
+    if result.times.size:
+        jobs.append((draw_surfaces, "surfaces", missing))
+    if result.history:
+        jobs.append((draw_history, "history", missing_plots))
+    written, problems = [], []
+    for draw, name, lacking in jobs:
+        path = Path(f"{stem}-{name}.png")
+        problem = lacking()
+        if problem is None:
+            try:
+                draw(result, path)
+            except (OSError, DrawingUnavailable) as error:
+                problem = f"{path}: cannot be written: {error}"
+        if problem is None:
+            written.append(path)
+        else:
+            problems.append(problem)
+    return Pictures(tuple(written), tuple(problems))
+
+
+def draw_surfaces(result: Result, path: str | Path) -> Path:
+    """Figure 2 of the paper as a PNG: a row for each drive, a column for each recorded time.
+
+    A row has its own colour limits and height factor, the same at all its times; the camera is everywhere
+    the same.
+
+    Raises:
+        ValueError: the result holds no displacement.
+        DrawingUnavailable: VTK cannot draw here; says what to install.
+        OSError: the file cannot be written.
+    """
+    if not result.times.size:
+        raise ValueError("the result holds no displacement: record.times of its scene is empty")
+    with off_screen():
+        return _draw_surfaces(result, Path(path))
+
+
+def draw_history(result: Result, path: str | Path) -> Path:
+    """Figure 3 of the paper: loss (1 − localization factor) against iteration; PNG, SVG or PDF by file ending.
+
+    The bound is a line where the result claims one; the published final loss stands beside it for the preset
+    "paper" only.
+
+    Raises:
+        ValueError: the result holds no history of a search, or Matplotlib does not know the ending.
+        OSError: the file cannot be written.
+    """
+    if not result.history:
+        raise ValueError("the result holds no history: only a search leaves one")
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with rc_context({"font.size": 9, "axes.linewidth": 0.8, "svg.hashsalt": "warp-plate"}):
+        figure = Figure(figsize=(5, 3.2), layout="constrained")
+        FigureCanvasAgg(figure)
+        _plot_history(figure.add_subplot(), result)
+        figure.savefig(path, dpi=320)
+    return Path(path)
+
+
+def _plot_history(axes: Axes, result: Result) -> None:
+    best = 1 - np.fmax.accumulate(_finite(result.history["best"]))
+    iteration = np.arange(1, best.size + 1)
+    marker = "." if best.size < 10 else None
+    if "mean" in result.history:
+        mean = 1 - _finite(result.history["mean"])
+        axes.plot(iteration, mean, color="#9ecae1", linewidth=1.0, marker=marker, label="swarm mean")
+    axes.plot(iteration, best, color="#08519c", linewidth=1.6, marker=marker, label="best so far")
+    if result.bound is not None:
+        loss = 1 - result.bound
+        axes.axhline(loss, color="#b2182b", linewidth=1.0, linestyle="--", label=f"bound: {loss:.4f}")
+    if result.source == "paper":
+        label = f"published: {PUBLISHED_LOSS:g}"
+        axes.axhline(PUBLISHED_LOSS, color="#8a8a8a", linewidth=1.0, linestyle=":", label=label)
+    axes.set_xlabel("iteration")
+    axes.set_ylabel("loss (1 − localization factor)")
+    axes.set_xlim(1, max(2, best.size))
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False)
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    """Gaps where a value is not finite: Matplotlib cannot scale an axis to infinity."""
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _draw_surfaces(result: Result, path: Path) -> Path:
+    import pyvista
+
+    cases = _ordered(result)
+    shown = _evenly(result.times.size, COLUMNS)
+    cell = max(480, (1600 - BAR_WIDTH) // len(shown))
+    plotter = pyvista.Plotter(
+        off_screen=True,
+        shape=(len(cases), len(shown) + 1),
+        col_weights=[cell] * len(shown) + [BAR_WIDTH],
+        border=False,
+        window_size=[cell * len(shown) + BAR_WIDTH, ROW_HEIGHT * len(cases)],
+        theme=pyvista.themes.DocumentTheme(),
+        lighting="none",
+    )
+    try:
+        for row, (name, case) in enumerate(cases):
+            letter = f"({chr(ord('a') + row)}) " if len(cases) > 1 else ""
+            _draw_row(plotter, row, result, letter + DRIVES.get(name, name), case, shown)
+        plotter.screenshot(str(path))
+    finally:
+        plotter.close()
+    return path
+
+
+def _draw_row(
+    plotter: pyvista.Plotter, row: int, result: Result, drive: str, case: Case, shown: list[int]
+) -> None:
+    scale = scale_over([case.displacement], result.scene.plate.size)
+    for column, index in enumerate(shown):
+        plotter.subplot(row, column)
+        text = caption(drive, float(result.times[index]), case.localization_factor)
+        add_plate(plotter, result.scene, case.displacement[index], scale, text, FONT_SIZE, bar=False)
+    plotter.subplot(row, len(shown))
+    add_colour_bar(plotter, scale, FONT_SIZE, left=0.1)
+
+
+def _ordered(result: Result) -> list[tuple[str, Case]]:
+    """The cases in the paper's order, then any others; a file gives them back by alphabet."""
+    names = [name for name in DRIVES if name in result.cases]
+    names += [name for name in result.cases if name not in DRIVES]
+    return [(name, result.cases[name]) for name in names]
+
+
+def _evenly(size: int, largest: int) -> list[int]:
+    """Indices of at most ``largest`` of ``size`` things, first and last among them, evenly between."""
+    return np.unique(np.linspace(0, size - 1, min(size, largest)).round().astype(int)).tolist()

@@ -1,0 +1,31 @@
+"""``warp-plate init NAME``: a preset as a file to edit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from warp_plate.scene.errors import SceneError
+
+
+def init(name: str, /, *, out: Path | None = None) -> None:
+    """Write a preset as a TOML file to edit.
+
+    Parameters
+    ----------
+    name
+        The preset: paper, paper-supported.
+    out
+        The file to write; NAME.toml in this folder when left out. An existing file is never overwritten.
+    """
+    from warp_plate.scene.load import preset_text
+
+    text = preset_text(name)
+    path = out or Path(f"{name}.toml")
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise SceneError(f"{path}: exists already; choose another name with --out") from None
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be written: {error}") from None
+    print(f"wrote {path}; run it with: warp-plate localize {path}")

@@ -1,0 +1,127 @@
+"""``warp-plate localize SCENE``: the search, its table and its files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from warp_plate.cli import output
+from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from warp_plate.result.model import Result
+
+MEANING = {
+    "equal": "all actuators alike",
+    "single": "best single actuator",
+    "best": "found by the swarm",
+    "bound": "bound: no drive passes it",
+}
+
+
+def localize(
+    scene: str,
+    /,
+    *,
+    device: str = "auto",
+    seed: int | None = None,
+    evaluator: Literal["direct", "response"] = "direct",
+    path: Literal["auto", "resident", "streaming"] = "auto",
+    out: Path | None = None,
+    pictures: bool = True,
+    json: bool = False,
+) -> None:
+    """Search the drive that puts most of the plate's kinetic energy into the target.
+
+    Parameters
+    ----------
+    scene
+        A preset's name (paper, paper-supported) or a TOML file.
+    device
+        cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
+    seed
+        Of the swarm; the scene's when left out.
+    evaluator
+        direct simulates a plate for each particle; response uses Gram matrices of unit responses instead.
+    path
+        How plates are stepped: resident (all steps in one launch) or streaming (a launch a step).
+    out
+        The result file (.h5); SCENE-localize.h5 in this folder when left out. Pictures are written beside it.
+    pictures
+        Draw the displacements and the search's history (needs the extra viz).
+    json
+        Print one JSON object instead of tables.
+    """
+    target = output.output_file(out, scene, "localize")
+    from warp_plate.scene import Scene
+
+    loaded = Scene.load(scene)
+    from warp_plate.search.localize import localize as search
+
+    with output.progress_bar("searching", shown=not json) as show:
+        result = search(
+            loaded, scene, device, seed, evaluator, path, lambda done, total, best: show(done, total, f"best {best:.4f}")
+        )
+    files, missing = output.write_files(result, target, pictures)
+    if json:
+        output.print_json(as_json(result, files))
+        return
+    _print(result, output.console())
+    for file in files:
+        print(f"wrote {file}")
+    if missing:
+        print(missing)
+
+
+def as_json(result: Result, files: list[Path]) -> dict[str, object]:
+    """The object that ``--json`` prints."""
+    best = result.cases["best"]
+    factors = {name: case.localization_factor for name, case in result.cases.items()}
+    history = {name: values.tolist() for name, values in result.history.items()}
+    return {
+        "scene": result.source,
+        "device": result.device,
+        "seed": result.seed,
+        "localization_factor": {**factors, "bound": result.bound},
+        "drive": [
+            {"actuator": actuator.name, "magnitude": magnitude, "phase": phase}
+            for actuator, magnitude, phase in zip(
+                result.scene.actuators, best.magnitude.tolist(), best.phase.tolist(), strict=True
+            )
+        ],
+        "evaluations": result.evaluations,
+        "node_steps": result.node_steps,
+        "seconds": dict(result.seconds),
+        "effects": list(result.effects),
+        "history": [dict(zip(history, row, strict=True)) for row in zip(*history.values(), strict=True)],
+        "evaluator": result.evaluator,
+        "interrupted": result.interrupted,
+        "files": [str(file) for file in files],
+    }
+
+
+def _print(result: Result, console: Console) -> None:
+    published = PUBLISHED if result.source == "paper" else {}
+    factors = {name: case.localization_factor for name, case in result.cases.items()}
+    headings = ("localization factor", "this run") + (("published",) if published else ())
+    made = output.table(*headings, title=result.scene.title or result.source)
+    for name, meaning in MEANING.items():
+        value = result.bound if name == "bound" else factors[name]
+        row = [meaning, "none claimed" if value is None else f"{value:.4f}"]
+        made.add_row(*row, *([f"{published[name]:.4f}" if name in published else ""] if published else []))
+    console.print(made)
+    console.print()
+    console.print(output.drive_table(result.cases["best"], [actuator.name for actuator in result.scene.actuators]))
+    console.print()
+    if result.interrupted:
+        console.print("Interrupted by Ctrl-C: the best so far is shown.")
+    if published:
+        console.print(NOT_REPRODUCED)
+    effects = ", ".join(result.effects) or "none"
+    console.print(
+        f"{result.evaluations} plates by the swarm ({result.evaluator}), {result.node_steps:.3g} node-steps in all on "
+        f"{result.device}: {result.seconds['solve']:.2f} s solving after {result.seconds['compile']:.2f} s compiling "
+        f"or loading kernels. Effects compiled in: {effects}."
+    )

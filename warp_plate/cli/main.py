@@ -1,0 +1,38 @@
+"""The command ``warp-plate``: one file a command beside this one, put together here."""
+
+from __future__ import annotations
+
+import sys
+
+import cyclopts
+
+import warp_plate
+from warp_plate.cli.init import init
+from warp_plate.cli.localize import localize
+from warp_plate.cli.simulate import simulate
+from warp_plate.scene.errors import SceneError
+
+app = cyclopts.App(
+    name="warp-plate",
+    help="Simulate thin vibrating panels, thousands at once, and find the drive that moves only the chosen part.",
+    version=warp_plate.__version__,
+    help_format="plaintext",
+)
+for command in (localize, simulate, init):
+    app.command(command)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run one command and leave the process: status 0; 2 after a line about bad input; 130 after Ctrl-C."""
+    try:
+        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+    except (SceneError, cyclopts.CycloptsError) as error:
+        line = " ".join(str(error).split())
+        print(f"warp-plate: {line}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("warp-plate: interrupted; nothing was written", file=sys.stderr)
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(0)

@@ -1,0 +1,97 @@
+"""What commands print: a table for people, one JSON object for programs, progress on standard error."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+from warp_plate.scene.errors import SceneError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from warp_plate.result.model import Case, Result
+
+
+def print_json(data: Mapping[str, object]) -> None:
+    """One JSON object and nothing else; numbers that are not finite become null, which JSON has."""
+    print(json.dumps(_finite(data), indent=2))
+
+
+def console() -> Console:
+    """Standard output, wrapped to the terminal's width and plain when it is a file."""
+    return Console(highlight=False)
+
+
+def table(*headings: str, title: str | None = None) -> Table:
+    """An empty table whose first column is text and whose other columns are numbers."""
+    made = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
+    for index, heading in enumerate(headings):
+        made.add_column(heading, justify="left" if index == 0 else "right")
+    return made
+
+
+@contextmanager
+def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int, str], None]]:
+    """A bar with time left on standard error; the yielded function takes (done, total, note)."""
+    if not shown:
+        yield lambda done, total, note: None
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(label), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(label, total=None, note="")
+        yield lambda done, total, note: progress.update(task, completed=done, total=total, note=note)
+
+
+def drive_table(case: Case, names: Sequence[str]) -> Table:
+    """A drive as the source paper's Table 1 gives it."""
+    made = table("actuator", "magnitude (N/m²)", "phase (rad)", "phase / π", title="Drive found")
+    for name, magnitude, phase in zip(names, case.magnitude, case.phase, strict=True):
+        made.add_row(name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}")
+    return made
+
+
+def output_file(out: Path | None, source: str, command: str) -> Path:
+    """Where the result goes: ``out``, or SCENE-COMMAND.h5 in this folder.
+
+    Raises:
+        SceneError: not an .h5 name, or its folder is missing; said before any work is done.
+    """
+    path = out or Path(f"{Path(source).stem}-{command}.h5")
+    if path.suffix != ".h5":
+        raise SceneError(f"--out {path}: must end in .h5")
+    if not path.parent.is_dir():
+        raise SceneError(f"--out {path}: no such folder: {path.parent}")
+    return path
+
+
+def write_files(result: Result, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
+    """Save the result and draw its pictures beside it; returns the files, and why a picture is missing."""
+    from warp_plate.result import save_result
+
+    files = [save_result(result, path)]
+    if not pictures:
+        return files, None
+    from warp_plate.viz import draw_all
+
+    drawn, missing = draw_all(result, path.with_suffix(""))
+    return files + drawn, missing
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return value

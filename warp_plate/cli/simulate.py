@@ -1,0 +1,85 @@
+"""``warp-plate simulate SCENE``: one plate under one drive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from warp_plate.cli import output
+
+
+def simulate(
+    scene: str,
+    /,
+    *,
+    drive: str = "scene",
+    device: str = "auto",
+    path: Literal["auto", "resident", "streaming"] = "auto",
+    out: Path | None = None,
+    pictures: bool = True,
+    json: bool = False,
+) -> None:
+    """Run one plate under one drive.
+
+    Parameters
+    ----------
+    scene
+        A preset's name (paper, paper-supported) or a TOML file.
+    drive
+        scene (the magnitudes and phases in the scene), equal, single (the best single actuator), or a result file
+        (.h5), whose best drive is taken.
+    device
+        cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
+    path
+        How plates are stepped: resident (all steps in one launch) or streaming (a launch a step).
+    out
+        The result file (.h5); SCENE-simulate.h5 in this folder when left out. Pictures are written beside it.
+    pictures
+        Draw the displacement at the recorded times (needs the extra viz).
+    json
+        Print one JSON object instead of tables.
+    """
+    target = output.output_file(out, scene, "simulate")
+    from warp_plate.scene import Scene
+
+    loaded = Scene.load(scene)
+    from warp_plate.search.simulate import simulate as run
+
+    with output.progress_bar("simulating", shown=not json) as show:
+        result = run(loaded, scene, drive, device, path, lambda done, total: show(done, total, f"{done:.2g} node-steps"))
+    case = result.cases["drive"]
+    files, missing = output.write_files(result, target, pictures)
+    peak = float(np.abs(case.displacement).max())
+    if json:
+        output.print_json(
+            {
+                "scene": result.source,
+                "device": result.device,
+                "localization_factor": case.localization_factor,
+                "energy": dict(case.energy),
+                "peak_displacement": peak,
+                "node_steps": result.node_steps,
+                "seconds": dict(result.seconds),
+                "effects": list(result.effects),
+                "files": [str(file) for file in files],
+            }
+        )
+        return
+    console = output.console()
+    made = output.table("quantity", "value", title=result.scene.title or result.source)
+    made.add_row("localization factor", f"{case.localization_factor:.4f}")
+    for region, energy in case.energy.items():
+        made.add_row(f"kinetic energy of the {region}, averaged over the window", f"{energy:.4g} J")
+    made.add_row("largest displacement at the recorded times", f"{peak:.4g} m")
+    console.print(made)
+    console.print(
+        f"{result.node_steps:.3g} node-steps on {result.device}: {result.seconds['solve']:.2f} s solving after "
+        f"{result.seconds['compile']:.2f} s compiling or loading kernels. Effects compiled in: "
+        f"{', '.join(result.effects) or 'none'}."
+    )
+    for file in files:
+        print(f"wrote {file}")
+    if missing:
+        print(missing)

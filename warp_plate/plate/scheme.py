@@ -1,0 +1,156 @@
+"""From a scene to the numbers of the difference scheme: rigidity, steps, coefficients and the stability limit.
+
+    ρH ü + c u̇ + D∇⁴u = f,   D = EH³ / 12(1 − ν²),   κ = √(D/ρH)
+
+in velocity form, with v at the half-steps and u at t_n = nΔt:
+
+    v⁺ = decay·v − gain·Δt·(D∇⁴u − f)/ρH,   u⁺ = u + Δt v⁺
+
+Centred damping: decay = (1 − a/2)/(1 + a/2), gain = 1/(1 + a/2), a = cΔt/ρH. Backward damping, equation (6) of the
+source paper with its signs mended: decay = 1 − a, gain = 1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+# A time step that the scene leaves out is this part of the stability limit.
+SAFETY = 0.9
+# Curvature factor of an edge's nodes: the mirror node of a clamped edge doubles it, a supported edge has none.
+EDGE_FACTOR = {"clamped": 2.0, "supported": 0.0}
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """The discretised plate, in SI units where not said otherwise.
+
+    nodes: (nx, ny); spacing: (hx, hy) [m]; rigidity D [N·m]; surface_density ρH [kg/m²]; kappa [m²/s];
+    time_step [s]; limit: largest stable time step [s]; steps: of the whole run;
+    window: first and last + 1 of the steps whose half-step lies inside the scene's window;
+    decay, gain: of the velocity form above (dimensionless);
+    factor_x (nx,), factor_y (ny,): factors on the curvature of the nodes (edges in, see EDGE_FACTOR).
+    """
+
+    nodes: tuple[int, int]
+    spacing: tuple[float, float]
+    rigidity: float
+    surface_density: float
+    kappa: float
+    time_step: float
+    limit: float
+    steps: int
+    window: tuple[int, int]
+    decay: float
+    gain: float
+    angular_frequency: float
+    factor_x: np.ndarray
+    factor_y: np.ndarray
+
+    @property
+    def stiffness(self) -> float:
+        """gain·(κΔt/hx²)², the kernels' dimensionless coefficient of ∇⁴ on unit spacing along x."""
+        return self.gain * (self.kappa * self.time_step / self.spacing[0] ** 2) ** 2
+
+    @property
+    def aspect(self) -> float:
+        """(hx/hy)²."""
+        return (self.spacing[0] / self.spacing[1]) ** 2
+
+    @property
+    def square_cells(self) -> bool:
+        """Whether hx = hy up to rounding."""
+        return math.isclose(self.spacing[0], self.spacing[1], rel_tol=1e-12)
+
+    @property
+    def load_scale(self) -> float:
+        """Displacement gained in a step under a pressure of one [m per N/m²]."""
+        return self.gain * self.time_step**2 / self.surface_density
+
+    def wave(self) -> np.ndarray:
+        """(steps, 2): cos ωt_n and sin ωt_n."""
+        angle = self.angular_frequency * self.time_step * np.arange(self.steps)
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+    def step_of(self, time: float) -> int:
+        """The step n whose t_n = nΔt lies nearest to ``time`` [s], within the run."""
+        return min(max(round(time / self.time_step), 0), self.steps)
+
+
+def make_scheme(scene: Scene) -> Scheme:
+    """The scheme of a scene.
+
+    Raises:
+        SceneError: the scene's time step is above the stability limit, or its window holds no half-step.
+    """
+    plate, grid = scene.plate, scene.grid
+    spacing = (plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1))
+    rigidity = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
+    surface_density = plate.density * plate.thickness
+    kappa = math.sqrt(rigidity / surface_density)
+    damping = scene.effects.damping
+    rate_of_loss = damping.viscous / surface_density if damping else 0.0
+    backward = damping is not None and damping.scheme == "backward"
+    limit = time_step_limit(kappa, spacing, rate_of_loss if backward else 0.0)
+    time_step = grid.time_step or scene.window.end / math.ceil(scene.window.end / (SAFETY * limit))
+    if time_step > limit * (1 + 1e-12):
+        raise SceneError(
+            f"grid.time_step = {time_step:g}: above the stability limit of {limit:.6g} s for {grid.nodes[0]} x "
+            f"{grid.nodes[1]} nodes; write a smaller one, or leave it out for {SAFETY:g} of the limit"
+        )
+    loss = rate_of_loss * time_step
+    first, last = _window(scene, time_step)
+    return Scheme(
+        nodes=grid.nodes,
+        spacing=spacing,
+        rigidity=rigidity,
+        surface_density=surface_density,
+        kappa=kappa,
+        time_step=time_step,
+        limit=limit,
+        steps=last,
+        window=(first, last),
+        decay=1 - loss if backward else (1 - loss / 2) / (1 + loss / 2),
+        gain=1.0 if backward else 1 / (1 + loss / 2),
+        angular_frequency=scene.drive_angular_frequency,
+        factor_x=_factors(grid.nodes[0], scene.edges.left, scene.edges.right),
+        factor_y=_factors(grid.nodes[1], scene.edges.bottom, scene.edges.top),
+    )
+
+
+def time_step_limit(kappa: float, spacing: tuple[float, float], backward_loss: float = 0.0) -> float:
+    """Largest stable time step [s]; κ [m²/s], spacing [m], c/ρH [1/s] where damping is taken backward.
+
+    The largest eigenvalue of the discrete κ²∇⁴ is at most Λ = κ²(4/hx² + 4/hy²)²: clamped and supported edges are
+    even and odd mirror images, so the plate is part of a periodic one, whose spectrum ends there. Undamped or with
+    centred damping the scheme is stable for Λ Δt² ≤ 4 (κΔt/h² ≤ 1/4 on square cells); with backward damping
+    for Λ Δt² ≤ 4 − 2cΔt/ρH.
+    """
+    largest = kappa**2 * (4 / spacing[0] ** 2 + 4 / spacing[1] ** 2) ** 2
+    # The positive root of Λ Δt² + 2 b Δt − 4 = 0, written so that it does not cancel for large b.
+    return 4 / (backward_loss + math.sqrt(backward_loss**2 + 4 * largest))
+
+
+def _window(scene: Scene, time_step: float) -> tuple[int, int]:
+    """First and last + 1 of the steps n with start < (n + ½)Δt < end."""
+    window = scene.window
+    slack = 1e-9  # steps: a half-step that falls on an end of the window up to rounding is outside
+    first = math.floor(window.start / time_step - 0.5 + slack) + 1
+    last = math.ceil(window.end / time_step - 0.5 - slack)
+    if last <= first:
+        raise SceneError(
+            f"window.end = {window.end:g}: no half-step of {time_step:g} s lies between it and "
+            f"window.start = {window.start:g}; widen the window or shorten grid.time_step"
+        )
+    return first, last
+
+
+def _factors(count: int, low: str, high: str) -> np.ndarray:
+    factors = np.ones(count)
+    factors[0], factors[-1] = EDGE_FACTOR[low], EDGE_FACTOR[high]
+    return factors

@@ -1,0 +1,67 @@
+"""How much of each node belongs to an area: weights for loads and for the regions of the energy.
+
+By overlap, a node's weight is the part of its cell (half a spacing to each side) that the area covers, so that
+errors fall as h² and a node on a mid-line counts half to each side. By nodes, as in the source paper, it is one for
+the nodes inside the area and zero for the others.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Area, Scene
+
+REGIONS = ("plate", "target")
+
+
+def overlap(positions: np.ndarray, low: float, high: float) -> np.ndarray:
+    """(nodes,) covered part of each node's cell along one axis, in units of the spacing [m → 1]."""
+    half = (positions[1] - positions[0]) / 2
+    left = np.maximum(positions - half, max(low, positions[0]))
+    right = np.minimum(positions + half, min(high, positions[-1]))
+    return np.maximum(right - left, 0) / (2 * half)
+
+
+def inside(positions: np.ndarray, low: float, high: float) -> np.ndarray:
+    """(nodes,) one for the nodes from ``low`` to ``high``, both included up to rounding, else zero."""
+    slack = 1e-9 * (positions[-1] - positions[0])
+    return ((positions >= low - slack) & (positions <= high + slack)).astype(float)
+
+
+def patches(scene: Scene) -> np.ndarray:
+    """(actuators, ny, nx): share of each node's cell on which each actuator presses; held nodes take none.
+
+    Raises:
+        SceneError: an actuator touches no node that can move.
+    """
+    weigh = {"overlap": overlap, "nodes": inside}[scene.grid.load]
+    x, y = _positions(scene)
+    fields = np.stack([_product(weigh, x, y, actuator.area) for actuator in scene.actuators])
+    fields[:, [0, -1], :] = 0
+    fields[:, :, [0, -1]] = 0
+    for index, field in enumerate(fields):
+        if not field.any():
+            raise SceneError(
+                f"actuators[{index}].area = {list(scene.actuators[index].area)}: covers no node that can move on "
+                f"a grid of {x.size} x {y.size} nodes; enlarge it, use more nodes, or load = \"overlap\""
+            )
+    return fields
+
+
+def region_weights(scene: Scene) -> np.ndarray:
+    """(regions, ny, nx) weights by overlap of the REGIONS, in cells; times hx·hy they are areas [m²]."""
+    x, y = _positions(scene)
+    width, height = scene.plate.size
+    areas = {"plate": (0.0, width, 0.0, height), "target": scene.target.area}
+    return np.stack([_product(overlap, x, y, areas[name]) for name in REGIONS])
+
+
+def _positions(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
+    return np.linspace(0, width, nx), np.linspace(0, height, ny)
+
+
+def _product(weigh, x: np.ndarray, y: np.ndarray, area: Area) -> np.ndarray:  # type: ignore[no-untyped-def]
+    x0, x1, y0, y1 = area
+    return np.outer(weigh(y, y0, y1), weigh(x, x0, x1))

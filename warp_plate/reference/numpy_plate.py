@@ -1,0 +1,83 @@
+"""The plate in plain NumPy float64, written from the equations and sharing no step with the kernels.
+
+The 13-point stencil in one piece with ghost nodes, the paper's two-step scheme instead of the velocity form, physical
+units instead of scaled ones: what agrees with this is right. It is slow, and meant for tests.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from warp_plate.plate.scheme import Scheme
+
+
+def biharmonic(u: np.ndarray, spacing: tuple[float, float]) -> np.ndarray:
+    """∇⁴u (..., ny − 4, nx − 4) [u/m⁴] from u (..., ny, nx), by the 13-point stencil; spacing (hx, hy) [m].
+
+    1, −4, 6, −4, 1 for u_xxxx: the paper, section II.B, prints u_ij twice.
+    """
+    hx, hy = spacing
+
+    def shifted(j: int, i: int) -> np.ndarray:
+        rows, columns = u.shape[-2], u.shape[-1]
+        return u[..., 2 + j : rows - 2 + j, 2 + i : columns - 2 + i]
+
+    along_x = shifted(0, -2) - 4 * shifted(0, -1) + 6 * shifted(0, 0) - 4 * shifted(0, 1) + shifted(0, 2)
+    along_y = shifted(-2, 0) - 4 * shifted(-1, 0) + 6 * shifted(0, 0) - 4 * shifted(1, 0) + shifted(2, 0)
+    mixed = (
+        (shifted(-1, -1) - 2 * shifted(-1, 0) + shifted(-1, 1))
+        - 2 * (shifted(0, -1) - 2 * shifted(0, 0) + shifted(0, 1))
+        + (shifted(1, -1) - 2 * shifted(1, 0) + shifted(1, 1))
+    )
+    return along_x / hx**4 + 2 * mixed / (hx * hy) ** 2 + along_y / hy**4
+
+
+def with_ghosts(u: np.ndarray, edges: tuple[str, str, str, str]) -> np.ndarray:
+    """u (..., ny, nx) with one ghost node beyond each edge; edges: left, bottom, right, top.
+
+    Clamped, ∂u/∂n = 0: the ghost equals the first inner node. Supported, ∂²u/∂n² = 0 with u = 0: its negative.
+    """
+    sign = {"clamped": 1.0, "supported": -1.0}
+    left, bottom, right, top = (sign[edge] for edge in edges)
+    ghosted = np.zeros((*u.shape[:-2], u.shape[-2] + 2, u.shape[-1] + 2))
+    ghosted[..., 1:-1, 1:-1] = u
+    ghosted[..., :, 0] = left * ghosted[..., :, 2]
+    ghosted[..., :, -1] = right * ghosted[..., :, -3]
+    ghosted[..., 0, :] = bottom * ghosted[..., 2, :]
+    ghosted[..., -1, :] = top * ghosted[..., -3, :]
+    return ghosted
+
+
+def run_plate(
+    scheme: Scheme,
+    edges: tuple[str, str, str, str],
+    viscous: float,
+    backward: bool,
+    patches: np.ndarray,
+    drives: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Displacements (plates, steps + 1, ny, nx) [m] and mean squared velocity (plates, ny, nx) [m²/s²].
+
+    drives: (plates, actuators) complex phasors [N/m²]; patches: (actuators, ny, nx); viscous: c [N·s/m³].
+    The two-step form: (ρH/Δt²)(u⁺ − 2u + u⁻) + c·(rate) + D∇⁴u = f, the rate from u⁺ − u⁻ (centred) or u − u⁻.
+    """
+    (nx, ny), dt = scheme.nodes, scheme.time_step
+    history = np.zeros((drives.shape[0], scheme.steps + 1, ny, nx))
+    load = np.einsum("pk,kyx->pyx", drives, patches)
+    loss = viscous * dt / scheme.surface_density
+    before = np.zeros((drives.shape[0], ny, nx))
+    for n in range(scheme.steps):
+        u = history[:, n]
+        f = (load * np.exp(1j * scheme.angular_frequency * dt * n)).real[:, 1:-1, 1:-1]
+        bending = scheme.rigidity * biharmonic(with_ghosts(u, edges), scheme.spacing)
+        push = dt**2 / scheme.surface_density * (f - bending)
+        inner, old = u[:, 1:-1, 1:-1], before[:, 1:-1, 1:-1]
+        if backward:
+            new = 2 * inner - old - loss * (inner - old) + push
+        else:
+            new = (2 * inner - (1 - loss / 2) * old + push) / (1 + loss / 2)
+        history[:, n + 1, 1:-1, 1:-1] = new
+        before = u
+    first, last = scheme.window
+    velocity = np.diff(history, axis=1)[:, first:last] / dt
+    return history, (velocity**2).mean(axis=1)

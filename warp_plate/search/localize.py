@@ -1,0 +1,169 @@
+"""The whole search: reference drives, the bound, the swarm, and the best drive run once more for its pictures."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+import warp as wp
+
+import warp_plate
+from warp_plate.result.model import Case, Result
+from warp_plate.scene.model import Record, Scene
+from warp_plate.search.objective import drives_of, localization_factor, loss
+from warp_plate.search.pso import Swarm, SwarmSettings, optimize
+from warp_plate.search.response import measure_response
+from warp_plate.solve.solver import PlateSolver, Run
+
+Evaluator = Literal["direct", "response"]
+Energies = Callable[[np.ndarray], np.ndarray]
+# Told after each iteration: iterations done, iterations in all, best localization factor so far.
+Told = Callable[[int, int, float], object]
+
+
+def localize(
+    scene: Scene,
+    source: str = "",
+    device: str = "auto",
+    seed: int | None = None,
+    evaluator: Evaluator = "direct",
+    path: str = "auto",
+    told: Told | None = None,
+) -> Result:
+    """Search the drive with the largest share of the plate's kinetic energy in the target.
+
+    Args:
+        scene: what to search; ``source``: its name, kept in the result.
+        device, path: see :class:`PlateSolver`.
+        seed: of the swarm; left out: the scene's.
+        evaluator: "direct" simulates a plate for each particle; "response" uses the Gram matrices instead.
+        told: called after each iteration.
+
+    Ctrl-C ends the search early; the result then holds the best so far and says that it was interrupted.
+
+    Raises:
+        SceneError: see :class:`PlateSolver`.
+    """
+    solver = PlateSolver(scene, device, path)
+    exact = solver if scene.grid.precision == "float64" else PlateSolver(_in_float64(scene), device, path)
+    compile_seconds = sum(one.compile_seconds for one in {solver, exact})
+    seed = scene.search.seed if seed is None else seed
+    started = time.perf_counter()
+    response = measure_response(exact)
+    energies: Energies = (lambda drives: solver.run(drives).energy) if evaluator == "direct" else response.energy
+    drives = reference_drives(len(scene.actuators), energies)
+    swarm, interrupted = _search(scene, seed, energies, told)
+    found = swarm.result.xbest if swarm is not None else None
+    drives["best"] = drives["single"] if found is None else drives_of(found[None])[0]
+    run = solver.run(np.array(list(drives.values())), record_times(scene), scene.record.points)
+    return Result(
+        command="localize",
+        source=source,
+        scene=scene,
+        device=device_name(solver.device),
+        seed=seed,
+        effects=solver.effects,
+        cases=cases_of(drives, run),
+        times=run.times,
+        trace_times=run.trace_times,
+        seconds={"compile": compile_seconds, "solve": time.perf_counter() - started},
+        bound=response.bound(),
+        history=_history(swarm),
+        evaluator=evaluator,
+        interrupted=interrupted,
+        versions=versions(),
+        node_steps=sum(one.node_steps for one in {solver, exact}),
+        evaluations=swarm.result.evaluations if swarm is not None else 0,
+    )
+
+
+def reference_drives(actuators: int, energies: Energies) -> dict[str, np.ndarray]:
+    """The drives that the search is compared with: all actuators alike, and the best single one."""
+    singles = np.eye(actuators, dtype=complex)
+    best = int(np.nanargmax(np.nan_to_num(localization_factor(energies(singles)), nan=-1.0)))
+    return {"equal": np.ones(actuators, dtype=complex), "single": singles[best]}
+
+
+def record_times(scene: Scene) -> tuple[float, ...]:
+    """The times [s] that the scene names, else the middle of the run and its end."""
+    return scene.record.times or (scene.window.end / 2, scene.window.end)
+
+
+def cases_of(drives: dict[str, np.ndarray], run: Run) -> dict[str, Case]:
+    """The plates of a run by the names of their drives."""
+    return {
+        name: Case(
+            drive=drive,
+            energy=dict(zip(run.regions, run.energy[index].tolist(), strict=True)),
+            displacement=run.displacement[index].astype(np.float32),
+            trace=run.trace[index].astype(np.float32),
+        )
+        for index, (name, drive) in enumerate(drives.items())
+    }
+
+
+def device_name(device: wp.Device) -> str:
+    """For people: Warp's name for the device, and the processor's."""
+    return f"{device.alias} ({device.name or platform.machine()})"
+
+
+def versions() -> dict[str, str]:
+    """Of everything that the numbers depend on."""
+    return {
+        "warp_plate": warp_plate.__version__,
+        "warp": wp.config.version,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
+
+
+def _in_float64(scene: Scene) -> Scene:
+    return scene.model_copy(update={"grid": scene.grid.model_copy(update={"precision": "float64"}), "record": Record()})
+
+
+def _search(
+    scene: Scene, seed: int, energies: Energies, told: Told | None
+) -> tuple[Swarm | None, bool]:
+    """The swarm after its search, and whether Ctrl-C ended it; no swarm where one actuator leaves no choice."""
+    search = scene.search
+    dimension = 2 * (len(scene.actuators) - 1)
+    if dimension == 0:
+        return None, False
+    swarm = Swarm(
+        SwarmSettings(
+            dimension=dimension,
+            particles=search.particles,
+            iterations=search.iterations,
+            inertia=search.inertia,
+            decay=search.decay,
+            cognitive=search.cognitive,
+            social=search.social,
+            velocity_limit=search.velocity_limit,
+            stall=search.stall,
+            seed=seed,
+        )
+    )
+
+    def after(swarm: Swarm) -> None:
+        if told is not None:
+            told(swarm.iterations, search.iterations, 1 - swarm.result.fbest)
+
+    try:
+        optimize(swarm, lambda positions: loss(energies(drives_of(positions))), after)
+    except KeyboardInterrupt:
+        return swarm, True
+    return swarm, False
+
+
+def _history(swarm: Swarm | None) -> dict[str, np.ndarray]:
+    if swarm is None:
+        return {}
+    history = swarm.history
+    return {
+        "evaluations": history["evaluations"],
+        "best": 1 - history["best"],
+        "mean": 1 - history["mean"],
+    }

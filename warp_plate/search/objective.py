@@ -1,0 +1,31 @@
+"""What the search is after: from positions of the swarm to drives, and from energies to losses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from warp_plate.plate.weights import REGIONS
+
+_PLATE, _TARGET = REGIONS.index("plate"), REGIONS.index("target")
+
+
+def drives_of(positions: np.ndarray) -> np.ndarray:
+    """(plates, actuators) phasors Z [N/m²] of positions (plates, 2·(actuators − 1)).
+
+    Section II.C of the source paper: a position is w₂ ... w_M, φ₂ ... φ_M, with w₁ = 1 and φ₁ = 0, because neither
+    a common factor nor a common phase changes the localization factor; Z = w exp(−iφ).
+    """
+    magnitude, phase = np.split(np.asarray(positions, dtype=float), 2, axis=1)
+    first = np.ones((len(magnitude), 1), dtype=complex)
+    return np.concatenate([first, magnitude * np.exp(-1j * phase)], axis=1)
+
+
+def localization_factor(energy: np.ndarray) -> np.ndarray:
+    """(plates,) share of the kinetic energy that lies in the target, equation (5); NaN for a plate at rest."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return energy[:, _TARGET] / energy[:, _PLATE]
+
+
+def loss(energy: np.ndarray) -> np.ndarray:
+    """(plates,) Λ = 1 − LF, Problem 2 of the source paper."""
+    return 1 - localization_factor(energy)

@@ -1,0 +1,81 @@
+"""One plate under one drive, as a result."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from warp_plate.result.model import Result
+from warp_plate.result.store import load_result
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+from warp_plate.search.localize import cases_of, device_name, record_times, reference_drives, versions
+from warp_plate.solve.solver import PlateSolver, Progress, as_phasors
+
+
+def simulate(
+    scene: Scene,
+    source: str = "",
+    drive: str = "scene",
+    device: str = "auto",
+    path: str = "auto",
+    progress: Progress | None = None,
+) -> Result:
+    """Run the scene under one drive and keep what it names under ``[record]``.
+
+    Args:
+        drive: "scene" (the magnitudes and phases of the scene's actuators), "equal", "single" (the best single
+            actuator), or the name of a result file, whose best drive is taken.
+        progress: called with (node-steps done, in all).
+
+    Raises:
+        SceneError: see :class:`PlateSolver`; a drive that is none of these or that has other actuators.
+    """
+    file_drive = None if drive in ("scene", "equal", "single") else drive_of_file(drive, len(scene.actuators))
+    solver = PlateSolver(scene, device, path)
+    started = time.perf_counter()
+    if file_drive is not None:
+        phasors = file_drive
+    elif drive == "scene":
+        phasors = scene_drive(scene)
+    else:
+        phasors = reference_drives(len(scene.actuators), lambda drives: solver.run(drives).energy)[drive]
+    run = solver.run(phasors[None], record_times(scene), scene.record.points, progress)
+    return Result(
+        command="simulate",
+        source=source,
+        scene=scene,
+        device=device_name(solver.device),
+        seed=scene.search.seed,
+        effects=solver.effects,
+        cases=cases_of({"drive": phasors}, run),
+        times=run.times,
+        trace_times=run.trace_times,
+        seconds={"compile": solver.compile_seconds, "solve": time.perf_counter() - started},
+        node_steps=solver.node_steps,
+        versions=versions(),
+    )
+
+
+def scene_drive(scene: Scene) -> np.ndarray:
+    """(actuators,) the phasors [N/m²] of the magnitudes and phases that the scene gives its actuators."""
+    magnitude = np.array([[actuator.magnitude for actuator in scene.actuators]])
+    phase = np.array([[actuator.phase for actuator in scene.actuators]])
+    return as_phasors((magnitude, phase), len(scene.actuators))[0]
+
+
+def drive_of_file(name: str, actuators: int) -> np.ndarray:
+    """(actuators,) the best drive [N/m²] of a result file.
+
+    Raises:
+        SceneError: not a drive's name or result file, or a result for another number of actuators.
+    """
+    if not name.endswith(".h5"):
+        raise SceneError(f"--drive {name}: is none of scene, equal, single and no result file (.h5)")
+    cases = load_result(Path(name)).cases
+    drive = (cases.get("best") or next(iter(cases.values()))).drive
+    if drive.shape != (actuators,):
+        raise SceneError(f"--drive {name}: holds {drive.size} actuators, the scene has {actuators}")
+    return drive

@@ -1,0 +1,92 @@
+"""Scene → compile key, scheme and the arrays that every path needs, on one device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from warp_plate.kernels.effects import Effects
+from warp_plate.kernels.update import make_parameters
+from warp_plate.plate.scheme import Scheme, make_scheme
+from warp_plate.plate.weights import patches, region_weights
+from warp_plate.scene.model import Scene
+
+# Rows are padded to whole cache lines, which are also whole vector registers.
+LINE_BYTES = 64
+
+
+@dataclass(frozen=True)
+class Specialized:
+    """A scene made ready for the kernels of one device; arrays in the layout of ``warp_plate.kernels``.
+
+    real: wp.float32 or wp.float64; rows = ny + 2; stride: columns with padding.
+    support: (covered nodes, 2), patches: (actuators, covered nodes), weights: (regions, rows, stride),
+    wave: (steps, 2), all on the device; parameters: the kernels' struct.
+    """
+
+    scene: Scene
+    scheme: Scheme
+    effects: Effects
+    real: type
+    rows: int
+    stride: int
+    device: wp.Device
+    parameters: object
+    support: wp.array
+    patches: wp.array
+    weights: wp.array
+    wave: wp.array
+
+    @property
+    def interior_nodes(self) -> int:
+        """Nodes that move."""
+        nx, ny = self.scheme.nodes
+        return (nx - 2) * (ny - 2)
+
+    def to_device(self, values: np.ndarray) -> wp.array:
+        """A copy on the device in the scene's precision."""
+        return wp.array(values, dtype=self.real, device=self.device)
+
+
+def effect_names(scene: Scene) -> tuple[str, ...]:
+    """The effects in the compiled kernel, for people and for results."""
+    damping = scene.effects.damping
+    return (f"viscous damping ({damping.scheme})",) if damping else ()
+
+
+def specialize(scene: Scene, device: wp.Device) -> Specialized:
+    """Make a scene ready for a device.
+
+    Raises:
+        SceneError: unstable time step, empty window, or an actuator that covers no node.
+    """
+    scheme = make_scheme(scene)
+    real = {"float32": wp.float32, "float64": wp.float64}[scene.grid.precision]
+    dtype = np.dtype(scene.grid.precision)
+    nx, ny = scheme.nodes
+    line = LINE_BYTES // dtype.itemsize
+    stride = -(-nx // line) * line
+    fields = patches(scene)
+    support = np.argwhere(fields.any(axis=0))
+    parameters = make_parameters(real)()
+    parameters.stiffness = scheme.stiffness
+    parameters.aspect = scheme.aspect
+    parameters.decay = scheme.decay
+    weights = np.zeros((len(region_weights(scene)), ny + 2, stride))
+    weights[:, 1:-1, :nx] = region_weights(scene)
+    return Specialized(
+        scene=scene,
+        scheme=scheme,
+        effects=Effects(damping=scene.effects.damping is not None, square_cells=scheme.square_cells),
+        real=real,
+        rows=ny + 2,
+        stride=stride,
+        device=device,
+        parameters=parameters,
+        support=wp.array((support + [1, 0]).astype(np.int32), dtype=int, device=device),
+        patches=wp.array(fields[:, support[:, 0], support[:, 1]].astype(dtype), dtype=real, device=device),
+        weights=wp.array(weights, dtype=wp.float64, device=device),
+        wave=wp.array(scheme.wave().astype(dtype), dtype=real, device=device),
+    )

@@ -1,0 +1,72 @@
+"""The batched grid tensors of one chunk of plates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from warp_plate.solve.specialize import Specialized
+
+# in_phase, quadrature, u, rate, squares, scratch
+FIELDS = 6
+
+
+@dataclass
+class State:
+    """Room for ``capacity`` plates; fields are (capacity, rows, stride) and hold zeros outside the plate.
+
+    scratch: the path's own field (curvature, or the next displacement). ``u`` and ``scratch`` may trade places
+    while a run goes on. nodes: (traced nodes, 2), row and column; trace: (capacity, traced nodes, steps).
+    """
+
+    capacity: int
+    drives: wp.array
+    in_phase: wp.array
+    quadrature: wp.array
+    u: wp.array
+    rate: wp.array
+    squares: wp.array
+    scratch: wp.array
+    nodes: wp.array
+    trace: wp.array
+    row_sums: wp.array
+    energy: wp.array
+
+    def clear(self) -> None:
+        """Back to rest at t = 0; the load fields stay."""
+        for field in (self.u, self.rate, self.squares, self.scratch):
+            field.zero_()
+
+
+def bytes_per_plate(specialized: Specialized, traced_nodes: int) -> int:
+    """Device memory that one plate takes."""
+    itemsize = wp.types.type_size_in_bytes(specialized.real)
+    regions, rows, stride = specialized.weights.shape
+    fields = FIELDS * rows * stride + traced_nodes * specialized.scheme.steps
+    return fields * itemsize + 8 * regions * (rows + 1)
+
+
+def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> State:
+    """Zeroed room for ``capacity`` plates on the device."""
+    device, real = specialized.device, specialized.real
+    regions = specialized.weights.shape[0]
+    actuators = specialized.patches.shape[0]
+
+    def field() -> wp.array:
+        return wp.zeros((capacity, specialized.rows, specialized.stride), dtype=real, device=device)
+
+    return State(
+        capacity=capacity,
+        drives=wp.zeros((capacity, 2, actuators), dtype=real, device=device),
+        in_phase=field(),
+        quadrature=field(),
+        u=field(),
+        rate=field(),
+        squares=field(),
+        scratch=field(),
+        nodes=nodes,
+        trace=wp.zeros((capacity, nodes.shape[0], specialized.scheme.steps), dtype=real, device=device),
+        row_sums=wp.zeros((capacity, regions, specialized.rows), dtype=wp.float64, device=device),
+        energy=wp.zeros((capacity, regions), dtype=wp.float64, device=device),
+    )
