@@ -1,8 +1,7 @@
-"""Streaming path: one launch a step, a thread a node, any size of plate, any device.
+"""Streaming path in its plainest form: one launch a step, a thread a node, any size of plate, any device.
 
 Each thread gathers the 13 nodes around its own from the batched tensor. The displacement lies in two buffers that
-take turns, because neighbours still read the old one. ``clock`` counts steps on the device, so that a captured
-CUDA graph of many steps can be replayed: a launch adds its own offset to it.
+take turns, because neighbours still read the old one. CUDA has a faster form in ``streaming_march``.
 """
 
 from functools import lru_cache
@@ -31,8 +30,7 @@ def make_step(effects, real):
         factor_y: wp.array[real],
         wave: wp.array2d[real],
         window: wp.vec2i,
-        clock: wp.array[int],
-        offset: int,
+        n: int,
         in_phase: wp.array3d[real],
         quadrature: wp.array3d[real],
         u: wp.array3d[real],
@@ -43,7 +41,6 @@ def make_step(effects, real):
         k, j, i = wp.tid()
         x = i + 1
         y = j + 2  # one row of zeros lies below the plate
-        n = clock[0] + offset
 
         #                 nn
         #            nw   n    ne
@@ -83,24 +80,18 @@ def make_step(effects, real):
     return step
 
 
-@wp.kernel(module="unique", enable_backward=False)
-def advance_clock(clock: wp.array[int], steps: int):
-    clock[0] = clock[0] + steps
-
-
 @lru_cache(maxsize=None)
 def make_record(real):
     """Copies the displacement of single nodes into the trace; launch over (plates, nodes)."""
 
     @wp.kernel(module="unique", enable_backward=False)
     def record(
-        clock: wp.array[int],
-        offset: int,
+        n: int,
         nodes: wp.array2d[int],
         u: wp.array3d[real],
         trace: wp.array3d[real],
     ):
         k, m = wp.tid()
-        trace[k, m, clock[0] + offset] = u[k, nodes[m, 0], nodes[m, 1]]
+        trace[k, m, n] = u[k, nodes[m, 0], nodes[m, 1]]
 
     return record

@@ -32,9 +32,10 @@ def make_update(effects, real):
 
     @wp.func
     def update(rate: real, biharmonic: real, load: real, stiffness: real, p: Parameters):
-        kept = rate
+        # From the left, each step is one fused multiply-add.
         if wp.static(effects.damping):
-            kept = p.decay * rate
-        return kept - stiffness * biharmonic + load
+            return load + p.decay * rate - stiffness * biharmonic
+        else:
+            return load + rate - stiffness * biharmonic
 
     return update

@@ -1,9 +1,10 @@
 """Whether pictures can be drawn off screen here, found out without risk, and what to install if not.
 
-VTK's Linux wheels (9.5 and later) link against no graphics library. They look for one when a window is made:
-libX11 and libGL, then libEGL.so.1, then libOSMesa.so.8. Where the last one is missing too, or where there is a
-libEGL.so.1 but no driver behind it, VTK does not raise: the process ends with a segmentation fault. So the first
-drawing is tried in a process of its own, and VTK is then told by name which kind of window worked there.
+VTK's Linux wheels (9.6 and later) link against no graphics library: they look for one when a window is made.
+With a display that is libX11 and libGL; without, libEGL.so.1 and then libOSMesa.so.8, of which one is enough.
+Where neither is found, or libEGL.so.1 has no driver behind it, VTK does not raise: the process ends with a
+segmentation fault. So the first drawing is tried in a process of its own, and VTK is then told by name which
+kind of window worked there.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import importlib.util
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,11 +22,12 @@ from dataclasses import dataclass
 WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
 EXTRA = "pip install 'warp-plate[viz]'"
 SYSTEM = (
-    "on Debian or Ubuntu 'apt-get install libegl1 libgl1-mesa-dri' (as root) brings what is needed; on Fedora "
-    "'dnf install mesa-libEGL mesa-dri-drivers'"
+    "'apt-get install libegl1 libgl1-mesa-dri' (Debian, Ubuntu) or "
+    "'dnf install mesa-libEGL mesa-dri-drivers' (Fedora) brings what is needed"
 )
 # A probe takes about half a second; reading VTK from a slow disk for the first time can take many.
 PATIENCE = 60.0
+_ONE_AT_A_TIME = threading.Lock()
 
 # Draws a triangle that fills the window; prints the kind of window, and whether the triangle can be seen.
 PROBE = """
@@ -81,7 +84,7 @@ def missing() -> str | None:
 def missing_plots() -> str | None:
     """The same for plots of curves, which need Matplotlib only."""
     if importlib.util.find_spec("matplotlib") is None:
-        return f"plots need Matplotlib: {EXTRA}"
+        return f"curves cannot be plotted without Matplotlib: {EXTRA}"
     return None
 
 
@@ -102,9 +105,14 @@ def off_screen() -> Iterator[None]:
         settings[WINDOW] = found.window
     before = {name: os.environ.get(name) for name in settings}
     os.environ.update(settings)
+    from vtkmodules.vtkCommonCore import vtkLogger
+
+    # Warnings tell of libraries that VTK would have liked better; what matters here raises or was tried.
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
     try:
         yield
     finally:
+        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_INFO)
         for name, value in before.items():
             if value is None:
                 del os.environ[name]
@@ -112,20 +120,31 @@ def off_screen() -> Iterator[None]:
                 os.environ[name] = value
 
 
-@functools.cache
+def prepare() -> None:
+    """Start the trial drawing beside other work, so that nobody waits for it later."""
+    threading.Thread(target=probe, name="trial drawing", daemon=True).start()
+
+
 def probe() -> Probe:
+    """What the trial drawing found; it is made once in a process."""
+    with _ONE_AT_A_TIME:
+        return _probe()
+
+
+@functools.cache
+def _probe() -> Probe:
     """Try the kinds of window one after the other, each in a process of its own, until one draws."""
     for module in ("pyvista", "vtkmodules"):
         if importlib.util.find_spec(module) is None:
-            return Probe(None, f"pictures of the plate need PyVista: {EXTRA}")
-    first = None
+            return Probe(None, f"the plate cannot be drawn without PyVista: {EXTRA}")
+    complaints = ""
     for window in _windows():
-        trial = _try_window(window)
-        if trial.problem is None:
-            return trial
-        first = first or trial
-    assert first is not None
-    return first
+        drawn, answer = _try_window(window)
+        if drawn:
+            # VTK may have fallen back to another kind; asked for by name, that one comes without warnings.
+            return Probe(None if window is None else answer, None)
+        complaints += f"{answer}\n"
+    return Probe(None, _reason(complaints))
 
 
 def _windows() -> list[str | None]:
@@ -135,12 +154,13 @@ def _windows() -> list[str | None]:
         return [chosen]
     if not sys.platform.startswith("linux"):
         return [None]
-    # EGL also comes first where there is a display: it needs no connection to it, and draws on the GPU's own.
-    windows: list[str | None] = ["vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"]
-    return [*windows, "vtkXOpenGLRenderWindow"] if os.environ.get("DISPLAY") else windows
+    without_display: list[str | None] = ["vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"]
+    # With a display the X kind comes first, as for a window on the screen: GLX and EGL in one process clash.
+    return ["vtkXOpenGLRenderWindow", *without_display] if os.environ.get("DISPLAY") else without_display
 
 
-def _try_window(window: str | None) -> Probe:
+def _try_window(window: str | None) -> tuple[bool, str]:
+    """Whether a trial drawing can be seen, and the kind of its window or what its process complained of."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     if window is not None:
         environment[WINDOW] = window
@@ -153,25 +173,27 @@ def _try_window(window: str | None) -> Probe:
             errors="replace",
             timeout=PATIENCE,
         )
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return Probe(None, f"pictures of the plate: the trial drawing failed: {' '.join(str(error).split())[-200:]}")
+    except subprocess.TimeoutExpired:
+        return False, f"no answer in {PATIENCE:g} s"
     answer = trial.stdout.split()
     if trial.returncode == 0 and answer[-1:] == ["True"]:
-        # VTK may have fallen back to another kind by itself; asked for by name, it comes without warnings.
-        return Probe(answer[-2] if window is not None else None, None)
-    return Probe(None, _reason(trial.stderr))
+        return True, answer[-2]
+    return False, trial.stderr.strip()
 
 
-def _reason(stderr: str) -> str:
-    """One sentence on why the trial drawing failed."""
-    last = stderr.strip().rpartition("\n")[2]
+def _reason(complaints: str) -> str:
+    """One sentence on why no trial drawing could be seen."""
+    last = complaints.strip().rpartition("\n")[2]
     if last.startswith("ImportError") and ".so" in last:
-        library = next((word.rstrip(":") for word in last.split() if ".so" in word), last)
-        return f"pictures of the plate: the system library {library} is missing; {SYSTEM}"
+        library = next(word.rstrip(":") for word in last.split() if ".so" in word)
+        return (
+            f"the plate cannot be drawn: the system library {library} is missing, which VTK 9.6 and later do "
+            "without: pip install --upgrade vtk"
+        )
     if last.startswith(("ImportError", "ModuleNotFoundError")):
-        return f"pictures of the plate: VTK cannot be imported ({last}); {EXTRA}"
+        return f"the plate cannot be drawn: VTK cannot be imported ({last}); {EXTRA}"
     if not sys.platform.startswith("linux"):
-        return "pictures of the plate: VTK cannot open an off-screen OpenGL window on this machine"
-    if "Failed to load EGL" in stderr:
-        return f"pictures of the plate: neither libEGL.so.1 nor libOSMesa.so.8 is installed; {SYSTEM}"
-    return f"pictures of the plate: no EGL or OSMesa driver works for off-screen drawing; {SYSTEM}"
+        return "the plate cannot be drawn: VTK opens no off-screen OpenGL window on this machine"
+    if "Failed to load EGL" in complaints:
+        return f"the plate cannot be drawn: neither libEGL.so.1 nor libOSMesa.so.8 is installed; {SYSTEM}"
+    return f"the plate cannot be drawn: no EGL or OSMesa driver works for off-screen drawing; {SYSTEM}"

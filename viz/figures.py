@@ -1,17 +1,17 @@
-"""The paper's figures from a result: displacement surfaces (its figure 2), loss against iteration (its figure 3)."""
+"""The paper's figures from a result: displacement surfaces (figure 2), loss against iteration (figure 3)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from warp_plate.viz.availability import missing, missing_plots, off_screen, prepare
+from warp_plate.viz.scene3d import add_colour_bar, add_key, add_plate
+from warp_plate.viz.surface import caption, scale_over
 
 from warp_plate.result.model import Case, Result
-from warp_plate.viz.availability import DrawingUnavailable, missing, missing_plots, off_screen
-from warp_plate.viz.scene3d import add_colour_bar, add_plate
-from warp_plate.viz.surface import caption, scale_over
 
 if TYPE_CHECKING:
     import pyvista
@@ -25,45 +25,42 @@ DRIVES = {
 }
 # A row has at most this many pictures; of more times, some that lie evenly between first and last are drawn.
 COLUMNS = 6
+# Drawn so many times larger and averaged: VTK's own smoothing (SSAA) garbles subplots in VTK 9.4.
+SMOOTHING = 2
+# In pixels.
 FONT_SIZE = 20
-ROW_HEIGHT = 460
-BAR_WIDTH = 140
+ROW_HEIGHT = 480
+BAR_WIDTH = 180
 # The localization factor that the paper reports for its swarm, as a loss.
 PUBLISHED_LOSS = 0.28
 
 
-@dataclass(frozen=True)
-class Pictures:
-    """written: the files made; problems: for each picture that could not be made, one sentence on why."""
+def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
+    """Draw what the result holds into ``<stem>-history.png`` and ``<stem>-surfaces.png``.
 
-    written: tuple[Path, ...] = ()
-    problems: tuple[str, ...] = ()
+    Nothing that is wrong with a library or a file ends the run.
 
-
-def draw_all(result: Result, stem: str | Path) -> Pictures:
-    """Draw what the result holds into ``<stem>-surfaces.png`` and ``<stem>-history.png``.
-
-    Nothing that is wrong with a library or a file ends the run: it becomes a sentence in ``problems``.
+    Returns:
+        The files written, and None or why others are missing: a sentence for each, joined by "; ".
     """
-    jobs = []
-    if result.times.size:
-        jobs.append((draw_surfaces, "surfaces", missing))
+    jobs: list[tuple[Callable[[Result, Path], Path], str, Callable[[], str | None]]] = []
     if result.history:
         jobs.append((draw_history, "history", missing_plots))
+    if result.times.size:
+        prepare()
+        jobs.append((draw_surfaces, "surfaces", missing))
     written, problems = [], []
     for draw, name, lacking in jobs:
         path = Path(f"{stem}-{name}.png")
         problem = lacking()
         if problem is None:
             try:
-                draw(result, path)
-            except (OSError, DrawingUnavailable) as error:
+                written.append(draw(result, path))
+            except OSError as error:
                 problem = f"{path}: cannot be written: {error}"
-        if problem is None:
-            written.append(path)
-        else:
+        if problem is not None:
             problems.append(problem)
-    return Pictures(tuple(written), tuple(problems))
+    return written, "; ".join(problems) or None
 
 
 def draw_surfaces(result: Result, path: str | Path) -> Path:
@@ -84,7 +81,7 @@ def draw_surfaces(result: Result, path: str | Path) -> Path:
 
 
 def draw_history(result: Result, path: str | Path) -> Path:
-    """Figure 3 of the paper: loss (1 − localization factor) against iteration; PNG, SVG or PDF by file ending.
+    """Figure 3 of the paper: loss (1 − localization factor) against iteration; PNG, SVG or PDF by ending.
 
     The bound is a line where the result claims one; the published final loss stands beside it for the preset
     "paper" only.
@@ -108,6 +105,8 @@ def draw_history(result: Result, path: str | Path) -> Path:
 
 
 def _plot_history(axes: Axes, result: Result) -> None:
+    from matplotlib.ticker import MaxNLocator
+
     best = 1 - np.fmax.accumulate(_finite(result.history["best"]))
     iteration = np.arange(1, best.size + 1)
     marker = "." if best.size < 10 else None
@@ -123,7 +122,8 @@ def _plot_history(axes: Axes, result: Result) -> None:
         axes.axhline(PUBLISHED_LOSS, color="#8a8a8a", linewidth=1.0, linestyle=":", label=label)
     axes.set_xlabel("iteration")
     axes.set_ylabel("loss (1 − localization factor)")
-    axes.set_xlim(1, max(2, best.size))
+    axes.set_xlim((1, best.size) if best.size > 1 else (0, 2))
+    axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False)
 
@@ -135,16 +135,18 @@ def _finite(values: np.ndarray) -> np.ndarray:
 
 def _draw_surfaces(result: Result, path: Path) -> Path:
     import pyvista
+    from PIL import Image
 
     cases = _ordered(result)
     shown = _evenly(result.times.size, COLUMNS)
-    cell = max(480, (1600 - BAR_WIDTH) // len(shown))
+    cell = min(730, max(520, (1600 - BAR_WIDTH) // len(shown)))
+    width, height = cell * len(shown) + BAR_WIDTH, ROW_HEIGHT * len(cases)
     plotter = pyvista.Plotter(
         off_screen=True,
         shape=(len(cases), len(shown) + 1),
         col_weights=[cell] * len(shown) + [BAR_WIDTH],
         border=False,
-        window_size=[cell * len(shown) + BAR_WIDTH, ROW_HEIGHT * len(cases)],
+        window_size=[SMOOTHING * width, SMOOTHING * height],
         theme=pyvista.themes.DocumentTheme(),
         lighting="none",
     )
@@ -152,22 +154,27 @@ def _draw_surfaces(result: Result, path: Path) -> Path:
         for row, (name, case) in enumerate(cases):
             letter = f"({chr(ord('a') + row)}) " if len(cases) > 1 else ""
             _draw_row(plotter, row, result, letter + DRIVES.get(name, name), case, shown)
-        plotter.screenshot(str(path))
+        # With VTK's smoothing, wide lines are broken here and there.
+        plotter.disable_anti_aliasing()
+        large = plotter.screenshot(return_img=True)
     finally:
         plotter.close()
+    Image.fromarray(np.asarray(large)).reduce(SMOOTHING).save(path, format="PNG")
     return path
 
 
 def _draw_row(
     plotter: pyvista.Plotter, row: int, result: Result, drive: str, case: Case, shown: list[int]
 ) -> None:
+    font_size = SMOOTHING * FONT_SIZE
     scale = scale_over([case.displacement], result.scene.plate.size)
     for column, index in enumerate(shown):
         plotter.subplot(row, column)
         text = caption(drive, float(result.times[index]), case.localization_factor)
-        add_plate(plotter, result.scene, case.displacement[index], scale, text, FONT_SIZE, bar=False)
+        add_plate(plotter, result.scene, case.displacement[index], scale, text, font_size, bar=False)
     plotter.subplot(row, len(shown))
-    add_colour_bar(plotter, scale, FONT_SIZE, left=0.1)
+    add_colour_bar(plotter, scale, font_size, left=0.1)
+    add_key(plotter, font_size, left=0.1)
 
 
 def _ordered(result: Result) -> list[tuple[str, Case]]:

@@ -55,10 +55,10 @@ class PlateMeshes:
     """The parts of one picture.
 
     surface: one point a node, x fastest, with point data "displacement" in the colour bar's unit.
-    lines: grid lines; rim: the edge of the plate; target, actuators: their outlines. All lie on the surface.
+    lines: grid lines inside the plate; rim: its edge; target, actuators: outlines. All lie on the surface.
     """
 
-    surface: pyvista.StructuredGrid
+    surface: pyvista.PolyData
     lines: pyvista.PolyData
     rim: pyvista.PolyData
     target: pyvista.PolyData
@@ -68,9 +68,9 @@ class PlateMeshes:
 def scale_over(displacements: Iterable[np.ndarray], size: tuple[float, float]) -> Scale:
     """The scale that holds for all the fields given: those of one case over its times, or of several cases.
 
-    displacements: arrays of any shape [m]; size: sides of the plate [m]. Values that are not finite are passed
-    over; where nothing moves, the scale is 1 µm and heights are true. The limit is the largest displacement,
-    rounded up to two digits so that the colour bar has short numbers.
+    displacements: arrays of any shape [m]; size: sides of the plate [m]. The limit is the largest
+    displacement, rounded up to two digits so that the colour bar has short numbers. Values that are not
+    finite are passed over; where nothing moves, the scale is 1 µm and heights are true.
     """
     limit = max((_largest(field) for field in displacements), default=0.0)
     if limit == 0:
@@ -101,7 +101,11 @@ def caption(drive: str, time: float, localization_factor: float) -> str:
 
 @dataclass(frozen=True)
 class _Sheet:
-    """A field on its grid, drawn with exaggerated heights; bilinear between nodes."""
+    """A field on its grid, drawn with exaggerated heights.
+
+    Each cell is two flat triangles, split from its lower left to its upper right node, so that it is certain
+    where a line on the surface runs.
+    """
 
     size: tuple[float, float]
     displacement: np.ndarray
@@ -116,48 +120,75 @@ class _Sheet:
         return np.linspace(0, self.size[1], self.displacement.shape[0])
 
     @property
-    def heights(self) -> np.ndarray:
-        """(ny, nx) heights [m]; zero where the field is not finite, which VTK could not place."""
-        return np.where(np.isfinite(self.displacement), self.displacement, 0.0) * self.factor
+    def nodes(self) -> np.ndarray:
+        """(ny, nx, 3) where the nodes are drawn; at rest where u is not finite, which VTK could not place."""
+        x, y = np.meshgrid(self.x, self.y)
+        heights = np.where(np.isfinite(self.displacement), self.displacement, 0) * self.factor
+        return np.stack([x, y, heights], -1)
+
+    @property
+    def triangles(self) -> np.ndarray:
+        """(triangles, 3) indices of nodes, x fastest."""
+        index = np.arange(self.displacement.size).reshape(self.displacement.shape)
+        corner, right, up, across = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+        lower, upper = np.stack([corner, right, across], -1), np.stack([corner, across, up], -1)
+        return np.concatenate([lower.reshape(-1, 3), upper.reshape(-1, 3)])
 
     def outline(self, area: Area) -> np.ndarray:
-        """(points, 3) closed way around a rectangle, with a point wherever it crosses a grid line."""
+        """(points, 3) closed way around a rectangle, with a point wherever it crosses a triangle's side."""
         x0, x1, y0, y1 = area
-        x = np.array([x0, *self.x[(self.x > x0) & (self.x < x1)], x1])
-        y = np.array([y0, *self.y[(self.y > y0) & (self.y < y1)], y1])
-        way_x = [x, np.full(y.size, x1), x[::-1], np.full(y.size, x0)]
-        way_y = [np.full(x.size, y0), y, np.full(x.size, y1), y[::-1]]
-        at = np.column_stack([np.concatenate(way_x), np.concatenate(way_y)])
-        return np.column_stack([at, self._heights_at(at[:, 0], at[:, 1])])
+        bottom, top = (_crossings(x0, x1, self.x, _offset(y, self.y)) for y in (y0, y1))
+        left, right = (_crossings(y0, y1, self.y, _offset(x, self.x)) for x in (x0, x1))
+        sides = [
+            (bottom, np.full(bottom.size, y0)),
+            (np.full(right.size, x1), right),
+            (top[::-1], np.full(top.size, y1)),
+            (np.full(left.size, x0), left[::-1]),
+        ]
+        x, y = (np.concatenate(way) for way in zip(*sides, strict=True))
+        return np.column_stack([x, y, self._heights_at(x, y)])
 
     def _heights_at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Bilinear interpolation of the heights."""
-        ny, nx = self.displacement.shape
-        column = np.clip(x / self.size[0], 0, 1) * (nx - 1)
-        row = np.clip(y / self.size[1], 0, 1) * (ny - 1)
-        j, i = np.minimum(column.astype(int), nx - 2), np.minimum(row.astype(int), ny - 2)
-        right, up, heights = column - j, row - i, self.heights
-        below = (1 - right) * heights[i, j] + right * heights[i, j + 1]
-        above = (1 - right) * heights[i + 1, j] + right * heights[i + 1, j + 1]
-        return (1 - up) * below + up * above
+        """Heights of the triangles at the points x, y."""
+        j, right = _cell(x, self.x)
+        i, up = _cell(y, self.y)
+        heights = self.nodes[..., 2]
+        corner, across = heights[i, j], heights[i + 1, j + 1]
+        side = np.where(right >= up, heights[i, j + 1], heights[i + 1, j])
+        first, second = np.maximum(right, up), np.minimum(right, up)
+        return corner + first * (side - corner) + second * (across - side)
 
 
-def _surface(sheet: _Sheet, per_metre: float) -> pyvista.StructuredGrid:
+def _cell(at: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """For points along one axis: the cells that hold them and how far into the cell they are, 0 to 1."""
+    position = np.clip(at / nodes[-1], 0, 1) * (nodes.size - 1)
+    cell = np.minimum(position.astype(int), nodes.size - 2)
+    return cell, position - cell
+
+
+def _offset(at: float, nodes: np.ndarray) -> float:
+    """How far into its cell a point is, as a share of the cell."""
+    return float(_cell(np.array([at]), nodes)[1][0])
+
+
+def _crossings(start: float, end: float, nodes: np.ndarray, offset: float) -> np.ndarray:
+    """Where a line along this axis crosses grid lines and, the share ``offset`` behind them, diagonals."""
+    sides = np.concatenate([nodes, nodes[:-1] + offset * nodes[1]])
+    return np.array([start, *np.unique(sides[(sides > start) & (sides < end)]), end])
+
+
+def _surface(sheet: _Sheet, per_metre: float) -> pyvista.PolyData:
     import pyvista
 
-    x, y = np.meshgrid(sheet.x, sheet.y)
-    mesh = pyvista.StructuredGrid()
-    mesh.points = np.column_stack([x.ravel(), y.ravel(), sheet.heights.ravel()])
-    mesh.dimensions = (x.shape[1], x.shape[0], 1)
+    mesh = pyvista.PolyData.from_regular_faces(sheet.nodes.reshape(-1, 3), sheet.triangles)
     mesh.point_data[FIELD] = np.asarray(sheet.displacement, dtype=float).ravel() * per_metre
     return mesh
 
 
 def _grid_lines(sheet: _Sheet) -> list[np.ndarray]:
-    x, y = np.meshgrid(sheet.x, sheet.y)
-    nodes = np.stack([x, y, sheet.heights], axis=-1)
-    step_y, step_x = (max(1, round((n - 1) / LINES)) for n in x.shape)
-    return [*nodes[::step_y], *nodes[:, ::step_x].swapaxes(0, 1)]
+    nodes = sheet.nodes
+    step_y, step_x = (max(1, round((n - 1) / LINES)) for n in nodes.shape[:2])
+    return [*nodes[step_y:-1:step_y], *nodes[:, step_x:-1:step_x].swapaxes(0, 1)]
 
 
 def _polylines(ways: list[np.ndarray]) -> pyvista.PolyData:

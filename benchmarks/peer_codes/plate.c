@@ -1,12 +1,12 @@
 /* Clamped square plates, all steps of a plate in one go; problem.py states the work.
  *
- * Compiled for one grid and one precision: -DNODES=27 -DREAL=float. Three ways, chosen by c_plate.py and run():
- *   a batch of plates          a plate at a time, its state in the first-level cache, plates dealt out to threads
- *   a large batch              LANES plates side by side, the plate index innermost: no lane idle, no load unaligned
+ * Compiled for one grid and one precision: -DNODES=27 -DREAL=float. Three ways:
+ *   a batch of plates          a plate at a time, its state in near cache, plates dealt out to threads
+ *   a large batch              LANES plates side by side, the plate index innermost: no load is unaligned
  *   fewer plates than threads  each plate cut into slabs of rows, a slab a thread, one barrier a step
  *
- * The biharmonic is the Laplacian applied twice. On a clamped edge u = 0 and the ghost equals the first node inside, so
- * there the Laplacian is twice that node, and that is all the second application needs to know about the edge.
+ * The biharmonic is the Laplacian applied twice. On a clamped edge u = 0 and the ghost equals the first node
+ * inside, so there the Laplacian is twice that node; the second Laplacian needs to know no more of the edge.
  */
 #include <pthread.h>
 #include <sched.h>
@@ -21,9 +21,7 @@ enum {
     STRIDE = (NODES + LANES - 1) / LANES * LANES, /* a row, padded to whole vectors; node i is column i */
     PLANE = NODES * STRIDE,
     ROWS = NODES - 2,                             /* rows that move: 1 .. NODES - 2 */
-#ifndef BAND
-    BAND = STRIDE <= 64 ? ROWS : 16,              /* rows between the two Laplacians, so that they stay in near cache */
-#endif
+    BAND = ROWS <= 32 ? ROWS : 8,                 /* rows from one Laplacian to the next, to stay in cache */
     LINE = NODES * LANES,                         /* a row of LANES plates side by side */
     GROUP = NODES * LINE,
     MOST_THREADS = 256
@@ -101,9 +99,10 @@ INLINE void laplacian_row(const real *restrict u, int row, const real *restrict 
 }
 
 /* One step of rows start .. stop - 1. u_next may be u: a row is written only after its last reading. */
-INLINE void step_rows(int start, int stop, int measured, real cosine, real sine, const struct tables *restrict tables,
-                      const real *u, real *u_next, real *restrict q, real *restrict squares,
-                      const real *restrict in_phase, const real *restrict quadrature, real *restrict laplacian)
+INLINE void step_rows(int start, int stop, int measured, real cosine, real sine,
+                      const struct tables *restrict tables, const real *u, real *u_next, real *restrict q,
+                      real *restrict squares, const real *restrict in_phase, const real *restrict quadrature,
+                      real *restrict laplacian)
 {
     for (int from = start; from < stop; from += BAND) {
         int to = from + BAND < stop ? from + BAND : stop; /* laplacian is to hold rows from - 1 .. to */
@@ -150,13 +149,13 @@ static void plates(struct work *work)
         const real *in_phase = work->in_phase + (size_t)plate * PLANE;
         const real *quadrature = work->quadrature + (size_t)plate * PLANE;
         memset(u, 0, 3 * (size_t)PLANE * sizeof(real));
-        int m = 0;
-        for (; m < work->first; m++)
-            step_rows(1, NODES - 1, 0, work->cosine[m], work->sine[m], &tables, u, u, q, squares, in_phase, quadrature,
-                      laplacian);
-        for (; m < work->steps; m++)
-            step_rows(1, NODES - 1, 1, work->cosine[m], work->sine[m], &tables, u, u, q, squares, in_phase, quadrature,
-                      laplacian);
+        for (int m = 0; m < work->steps; m++) {
+            const real c = work->cosine[m], s = work->sine[m];
+            if (m < work->first)
+                step_rows(1, NODES - 1, 0, c, s, &tables, u, u, q, squares, in_phase, quadrature, laplacian);
+            else
+                step_rows(1, NODES - 1, 1, c, s, &tables, u, u, q, squares, in_phase, quadrature, laplacian);
+        }
         for (int region = 0; region < 2; region++)
             work->energy[2 * plate + region] =
                 energy_of_rows(squares, 1, NODES - 1, work->weights + region * NODES * NODES);
@@ -172,7 +171,7 @@ static void slabs(struct work *work, int thread)
     fill_tables(&tables);
     const int start = 1 + ROWS * thread / work->threads, stop = 1 + ROWS * (thread + 1) / work->threads;
     const size_t begin = (size_t)start * STRIDE, bytes = (size_t)(stop - start) * STRIDE * sizeof(real);
-    real *q = work->q, *squares = work->squares, *laplacian = zeros((BAND + 2) * STRIDE);
+    real *q = work->q, *squares = work->squares, *lap = zeros((BAND + 2) * STRIDE);
     for (int plate = 0; plate < work->plates; plate++) {
         const real *in_phase = work->in_phase + (size_t)plate * PLANE;
         const real *quadrature = work->quadrature + (size_t)plate * PLANE;
@@ -181,21 +180,19 @@ static void slabs(struct work *work, int thread)
         memset(squares + begin, 0, bytes);
         wait_for_all(work);
         for (int m = 0; m < work->steps; m++) {
-            const real *now = work->u[m % 2];
+            const real c = work->cosine[m], s = work->sine[m], *u = work->u[m % 2];
             real *next = work->u[(m + 1) % 2];
             if (m < work->first)
-                step_rows(start, stop, 0, work->cosine[m], work->sine[m], &tables, now, next, q, squares, in_phase,
-                          quadrature, laplacian);
+                step_rows(start, stop, 0, c, s, &tables, u, next, q, squares, in_phase, quadrature, lap);
             else
-                step_rows(start, stop, 1, work->cosine[m], work->sine[m], &tables, now, next, q, squares, in_phase,
-                          quadrature, laplacian);
+                step_rows(start, stop, 1, c, s, &tables, u, next, q, squares, in_phase, quadrature, lap);
             wait_for_all(work);
         }
-        for (int region = 0; region < 2; region++) /* [thread][plate][region]: c_plate.py adds the threads up */
+        for (int region = 0; region < 2; region++) /* c_plate.py adds the threads up */
             work->energy[2 * (thread * work->plates + plate) + region] =
                 energy_of_rows(squares, start, stop, work->weights + region * NODES * NODES);
     }
-    free(laplacian);
+    free(lap);
 }
 
 /* ---- LANES plates side by side: a node is LANES numbers ---- */
@@ -217,10 +214,11 @@ INLINE void laplacian_line(const real *restrict u, int row, real *restrict out)
     }
 }
 
-INLINE void step_group(int measured, real cosine, real sine, real *restrict u, real *restrict q, real *restrict squares,
-                       const real *restrict in_phase, const real *restrict quadrature, real *restrict lines)
+INLINE void step_group(int measured, real cosine, real sine, real *restrict u, real *restrict q,
+                       real *restrict squares, const real *restrict in_phase,
+                       const real *restrict quadrature, real *restrict lines)
 {
-    real *below = lines, *l = lines + LINE, *above = lines + 2 * LINE; /* Laplacian of rows row - 1, row, row + 1 */
+    real *below = lines, *l = lines + LINE, *above = lines + 2 * LINE; /* Laplacians of three rows */
     laplacian_line(u, 0, below);
     laplacian_line(u, 1, l);
     for (int row = 1; row < NODES - 1; row++) {
@@ -251,11 +249,13 @@ static void groups(struct work *work)
         const real *quadrature = work->quadrature + (size_t)group * GROUP;
         double *energy = work->energy + (size_t)group * 2 * LANES;
         memset(u, 0, 3 * (size_t)GROUP * sizeof(real));
-        int m = 0;
-        for (; m < work->first; m++)
-            step_group(0, work->cosine[m], work->sine[m], u, q, squares, in_phase, quadrature, lines);
-        for (; m < work->steps; m++)
-            step_group(1, work->cosine[m], work->sine[m], u, q, squares, in_phase, quadrature, lines);
+        for (int m = 0; m < work->steps; m++) {
+            const real c = work->cosine[m], s = work->sine[m];
+            if (m < work->first)
+                step_group(0, c, s, u, q, squares, in_phase, quadrature, lines);
+            else
+                step_group(1, c, s, u, q, squares, in_phase, quadrature, lines);
+        }
         for (int region = 0; region < 2; region++)
             for (int node = 0; node < NODES * NODES; node++)
                 for (int lane = 0; lane < LANES; lane++)
@@ -280,10 +280,11 @@ static void *member_run(void *argument)
     return NULL;
 }
 
-/* Loads are (groups, NODES, NODES, LANES) where groups > 0, else (plates, NODES, STRIDE). energy starts at zero; it is
- * (groups * LANES, 2), or (plates, 2), or (threads, plates, 2) where plates < threads <= MOST_THREADS. */
-void run(int plate_count, int group_count, int steps, int first, int threads, const real *cosine, const real *sine,
-         const real *in_phase, const real *quadrature, const real *weights, double *energy)
+/* Loads are (groups, NODES, NODES, LANES) where groups > 0, else (plates, NODES, STRIDE), from a 64-byte
+ * boundary. energy starts at zero; it is (groups * LANES, 2), or (plates, 2), or (threads, plates, 2) where
+ * there are fewer plates than threads. threads <= MOST_THREADS. */
+void run(int plate_count, int group_count, int steps, int first, int threads, const real *cosine,
+         const real *sine, const real *in_phase, const real *quadrature, const real *weights, double *energy)
 {
     struct work work = {.plates = plate_count, .groups = group_count, .steps = steps, .first = first,
                         .threads = threads, .cosine = cosine, .sine = sine, .in_phase = in_phase,
@@ -298,9 +299,10 @@ void run(int plate_count, int group_count, int steps, int first, int threads, co
         work.q = shared + 2 * PLANE;
         work.squares = shared + 3 * PLANE;
     }
-    for (int thread = 0; thread < threads; thread++) {
+    members[0] = (struct member){&work, 0};
+    for (int thread = 1; thread < threads; thread++) {
         members[thread] = (struct member){&work, thread};
-        if (thread && pthread_create(&started[thread], NULL, member_run, &members[thread]))
+        if (pthread_create(&started[thread], NULL, member_run, &members[thread]))
             abort(); /* the others would wait for it for ever */
     }
     member_run(&members[0]);

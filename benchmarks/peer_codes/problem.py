@@ -6,8 +6,8 @@ Everything is dimensionless. On every plate, for step m = 0 .. steps - 1, at the
     u  <-  u + q
     squares  <-  squares + q^2         only when m >= first
 
-where B is the 13-point biharmonic with unit spacing (20, -8, 2, 1). The edge nodes stay at zero; the edges are
-clamped, so the ghost node outside an edge mirrors the first node inside it. The answer is
+where B is the 13-point biharmonic with unit spacing (20, -8, 2, 1). The edge nodes stay at zero; the edges
+are clamped, so the ghost node outside an edge mirrors the first node inside it. The answer is
 
     energy[plate, region] = sum over nodes of weights[region] squares
 
@@ -92,19 +92,19 @@ class Problem:
     @cached_property
     def weights(self) -> NDArray:
         """Share of each node's cell that lies in each region, shape (2, nodes, nodes)."""
-        side = self.nodes - 1
         centre = np.arange(self.nodes)
-        along = [
-            np.clip(np.minimum(centre + 0.5, end) - np.maximum(centre - 0.5, 0), 0, None) for end in (side, side / 2)
-        ]
-        return np.stack([np.outer(share, share) for share in along]).astype(self.dtype)
+        shares = []
+        for end in (self.nodes - 1, (self.nodes - 1) / 2):
+            along = np.minimum(centre + 0.5, end) - np.maximum(centre - 0.5, 0)
+            shares.append(np.outer(along.clip(0), along.clip(0)))
+        return np.stack(shares).astype(self.dtype)
 
     @cached_property
     def edges_touched(self) -> NDArray:
         """How many edges each interior node lies next to (0, 1 or 2), shape (nodes - 2, nodes - 2).
 
-        The ghost outside a clamped edge equals the node next to that edge, so with zeros outside the interior the
-        clamped biharmonic is the 13-point sum plus this count times the node's own displacement.
+        The ghost outside a clamped edge equals the node next to that edge, so with zeros outside the interior
+        the clamped biharmonic is the 13-point sum plus this count times the node's own displacement.
         """
         beside = np.zeros(self.nodes - 2)
         beside[0] += 1
@@ -125,7 +125,7 @@ def _loads(plates: int, nodes: int, precision: str, seed: int) -> NDArray:
 
 
 def reference(problem: Problem, plates: Sequence[int]) -> NDArray[np.float64]:
-    """Energies of some of the plates in float64, shape (len(plates), 2): the definition above, term by term."""
+    """Energies of some of the plates in float64, shape (len(plates), 2): the work above, term by term."""
     chosen = np.asarray(plates)
     in_phase = problem.in_phase[chosen, 1:-1, 1:-1].astype(np.float64)
     quadrature = problem.quadrature[chosen, 1:-1, 1:-1].astype(np.float64)

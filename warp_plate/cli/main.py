@@ -17,6 +17,7 @@ app = cyclopts.App(
     help="Simulate thin vibrating panels, thousands at once, and find the drive that moves only the chosen part.",
     version=warp_plate.__version__,
     help_format="plaintext",
+    suppress_keyboard_interrupt=False,
 )
 for command in (localize, simulate, init):
     app.command(command)

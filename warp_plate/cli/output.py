@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -40,8 +41,8 @@ def table(*headings: str, title: str | None = None) -> Table:
 
 @contextmanager
 def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int, str], None]]:
-    """A bar with time left on standard error; the yielded function takes (done, total, note)."""
-    if not shown:
+    """A bar with time left where standard error is a terminal; the yielded function takes (done, total, note)."""
+    if not shown or not sys.stderr.isatty():
         yield lambda done, total, note: None
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn

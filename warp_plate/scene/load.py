@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import sys
 from collections.abc import Iterable
 from importlib import resources
@@ -51,7 +52,7 @@ def load_scene(source: str | Path) -> Scene:
             "'warp-plate init paper' writes one as a file to edit"
         )
     try:
-        return parse_scene(path.read_text(encoding="utf-8"), text)
+        return parse_scene(path.read_text(encoding="utf-8-sig"), text)
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{text}: cannot be read as UTF-8 text: {error}") from None
 
@@ -128,7 +129,8 @@ def _toml(value: object) -> str:
 def _dotted(loc: Iterable[int | str]) -> str:
     text = ""
     for part in loc:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+        name = part if isinstance(part, int) or re.fullmatch(r"[\w-]+", part) else repr(part)
+        text += f"[{name}]" if isinstance(part, int) else f".{name}" if text else str(name)
     return text
 
 

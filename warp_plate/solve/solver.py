@@ -17,7 +17,7 @@ from warp_plate.kernels.load import make_spread_drives
 from warp_plate.plate.weights import REGIONS
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.paths import PATHS, choose_path, load
+from warp_plate.solve.paths import choose_path, load, paths_of
 from warp_plate.solve.specialize import Specialized, effect_names, specialize
 from warp_plate.solve.state import State, bytes_per_plate, make_state
 
@@ -71,11 +71,11 @@ class PlateSolver:
         started = time.perf_counter()
         self.scene = scene
         self.device = find_device(device)
-        self.path = choose_path(path, self.device)
-        if self.path not in PATHS or (self.path == "resident" and self.device.is_cuda):
-            raise SceneError(f"path = {path!r}: not on {self.device.alias}; write 'auto' or 'streaming'")
         self._specialized = specialize(scene, self.device)
-        self._advance = PATHS[self.path](self._specialized)
+        self.path = choose_path(self._specialized) if path == "auto" else path
+        if self.path not in paths_of(self.device):
+            raise SceneError(f"path = {path!r}: no such path; there are: auto, {', '.join(paths_of(self.device))}")
+        self._advance = paths_of(self.device)[self.path](self._specialized)
         self._spread_drives = make_spread_drives(self._specialized.real)
         self._sum_along_rows = energy_kernels.make_sum_along_rows(self._specialized.real)
         self._sum_rows = energy_kernels.make_sum_rows()
@@ -123,6 +123,13 @@ class PlateSolver:
         phasors = as_phasors(drives, len(self.scene.actuators))
         specialized, scheme = self._specialized, self._specialized.scheme
         plates, (nx, ny) = len(phasors), scheme.nodes
+        if points and self.device.is_cuda and self.path == "resident":
+            # A plate that stays in registers shows nothing between launches: traces are streamed.
+            streaming = PlateSolver(self.scene, self.device.alias, "streaming", self._chunk)
+            self.compile_seconds += streaming.compile_seconds
+            traced = streaming.run(drives, times, points, progress)
+            self.node_steps += traced.node_steps
+            return traced
         snapshots = [scheme.step_of(t) for t in times]
         corners, shares = _bilinear(points, scheme.nodes, self.scene.plate.size)
         nodes = wp.array(corners.reshape(-1, 2) + np.array([1, 0], np.int32), dtype=int, device=self.device)

@@ -8,16 +8,16 @@ import warp as wp
 
 from warp_plate.solve.specialize import Specialized
 
-# in_phase, quadrature, u, rate, squares, scratch
-FIELDS = 6
+# in_phase, quadrature, u, rate, squares, u_next, rate_next
+FIELDS = 7
 
 
 @dataclass
 class State:
     """Room for ``capacity`` plates; fields are (capacity, rows, stride) and hold zeros outside the plate.
 
-    scratch: the path's own field (curvature, or the next displacement). ``u`` and ``scratch`` may trade places
-    while a run goes on. nodes: (traced nodes, 2), row and column; trace: (capacity, traced nodes, steps).
+    u_next, rate_next: the buffers that take turns with u and rate on the streaming paths; the resident path on CPU
+    keeps the curvature in u_next. nodes: (traced nodes, 2), row and column; trace: (capacity, traced nodes, steps).
     """
 
     capacity: int
@@ -27,7 +27,8 @@ class State:
     u: wp.array
     rate: wp.array
     squares: wp.array
-    scratch: wp.array
+    u_next: wp.array
+    rate_next: wp.array
     nodes: wp.array
     trace: wp.array
     row_sums: wp.array
@@ -35,7 +36,7 @@ class State:
 
     def clear(self) -> None:
         """Back to rest at t = 0; the load fields stay."""
-        for field in (self.u, self.rate, self.squares, self.scratch):
+        for field in (self.u, self.rate, self.squares, self.u_next, self.rate_next):
             field.zero_()
 
 
@@ -64,7 +65,8 @@ def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> Stat
         u=field(),
         rate=field(),
         squares=field(),
-        scratch=field(),
+        u_next=field(),
+        rate_next=field(),
         nodes=nodes,
         trace=wp.zeros((capacity, nodes.shape[0], specialized.scheme.steps), dtype=real, device=device),
         row_sums=wp.zeros((capacity, regions, specialized.rows), dtype=wp.float64, device=device),

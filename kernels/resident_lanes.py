@@ -1,0 +1,139 @@
+"""Resident path on CUDA for plates of at most 32 × 32 nodes: a warp owns a plate, a lane owns a column.
+
+All of a column's numbers lie in the lane's registers from the first step to the last, and a neighbour's value comes
+from the neighbour's lane: no shared memory, no barrier, and no traffic but the loads at the start and the stores at
+the end. Rows are walked upwards with the curvatures of three rows in hand; a row's displacement is overwritten as
+soon as the curvature of the row above, the last to need it, is known.
+
+Edges along x: the lane of an edge column holds zeros (its stiffness is zero), and its curvature is the sum of its two
+neighbours. A clamped edge takes the inner lane for both, the mirror image; a supported edge takes itself.
+"""
+
+from functools import lru_cache
+
+import warp as wp
+
+from warp_plate.kernels.stencil import make_laplacian
+from warp_plate.kernels.update import make_parameters, make_update
+from warp_plate.kernels.cuda import LANES, make_from_lane
+
+
+
+def fits(nx, ny):
+    """Whether plates of this size can take the path."""
+    return nx <= LANES and ny <= LANES
+
+
+@lru_cache(maxsize=None)
+def make_run(effects, real, ny, loaded, summed, registers=None):
+    """Steps ``start`` ... ``stop`` − 1; launch over (32 × plates,) threads.
+
+    loaded: bit j is set where row j + 1 of the plate has a loaded node; the others take no registers for it;
+    summed: whether these steps lie in the window, where rate² is summed;
+    registers: at most so many a thread; the compiler orders a step for speed alone where it has many.
+    factor_x: (nx,), factor_y: (ny,) factors on the curvature, 2 or 0 at the ends; wave: (steps, 2).
+    """
+    laplacian = make_laplacian(effects.square_cells, real)
+    update = make_update(effects, real)
+    from_lane = make_from_lane(real)
+    Parameters = make_parameters(real)
+    moving = ny - 2
+    column_of = wp.types.vector(length=moving, dtype=real)
+
+    @wp.kernel(
+        module="unique",
+        enable_backward=False,
+        grid_stride=False,
+        cuda_max_registers=registers,
+        module_options={"max_unroll": LANES},
+    )
+    def run(
+        p: Parameters,
+        factor_x: wp.array[real],
+        factor_y: wp.array[real],
+        wave: wp.array2d[real],
+        start: int,
+        stop: int,
+        in_phase: wp.array3d[real],
+        quadrature: wp.array3d[real],
+        u: wp.array3d[real],
+        rate: wp.array3d[real],
+        squares: wp.array3d[real],
+    ):
+        k = wp.tid() // LANES
+        lane = wp.tid() % LANES
+        nx = factor_x.shape[0]
+
+        west = lane
+        east = lane
+        stiffness = real(0.0)
+        if lane > 0 and lane < nx - 1:
+            west = lane - 1
+            east = lane + 1
+            stiffness = p.stiffness
+        elif lane == 0 and factor_x[0] > real(0.0):
+            west = 1
+            east = 1
+        elif lane == nx - 1 and factor_x[nx - 1] > real(0.0):
+            west = nx - 2
+            east = nx - 2
+
+        displacement = column_of()
+        speed = column_of()
+        cosine = column_of()
+        sine = column_of()
+        squared = column_of()
+        if lane < nx:
+            for j in range(wp.static(moving)):
+                displacement[j] = u[k, j + 2, lane]
+                speed[j] = rate[k, j + 2, lane]
+                if wp.static(loaded >> j & 1):
+                    cosine[j] = in_phase[k, j + 2, lane]
+                    sine[j] = quadrature[k, j + 2, lane]
+                if wp.static(summed):
+                    squared[j] = squares[k, j + 2, lane]
+
+        bottom = factor_y[0]
+        top = factor_y[wp.static(ny - 1)]
+        for n in range(start, stop):
+            wave_cosine = wave[n, 0]
+            wave_sine = wave[n, 1]
+            below = bottom * displacement[0]
+            here = laplacian(
+                displacement[0], from_lane(displacement[0], west), from_lane(displacement[0], east),
+                real(0.0), displacement[1], p.aspect,
+            )
+            for j in range(wp.static(moving)):
+                above = real(0.0)
+                if wp.static(j == moving - 1):
+                    above = top * displacement[j]
+                elif wp.static(j == moving - 2):
+                    above = laplacian(
+                        displacement[j + 1], from_lane(displacement[j + 1], west), from_lane(displacement[j + 1], east),
+                        displacement[j], real(0.0), p.aspect,
+                    )
+                else:
+                    above = laplacian(
+                        displacement[j + 1], from_lane(displacement[j + 1], west), from_lane(displacement[j + 1], east),
+                        displacement[j], displacement[j + 2], p.aspect,
+                    )
+                biharmonic = laplacian(here, from_lane(here, west), from_lane(here, east), below, above, p.aspect)
+                load = real(0.0)
+                if wp.static(loaded >> j & 1):
+                    load = wave_cosine * cosine[j] + wave_sine * sine[j]
+                new = update(speed[j], biharmonic, load, stiffness, p)
+                speed[j] = new
+                displacement[j] = displacement[j] + new
+                if wp.static(summed):
+                    squared[j] = squared[j] + new * new
+                below = here
+                here = above
+
+        if lane < nx:
+            for j in range(wp.static(moving)):
+                u[k, j + 2, lane] = displacement[j]
+                rate[k, j + 2, lane] = speed[j]
+                if wp.static(summed):
+                    squares[k, j + 2, lane] = squared[j]
+
+    return run

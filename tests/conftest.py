@@ -1,0 +1,214 @@
+"""What the tests share: small scenes, the devices and paths of this machine, fresh random numbers, the
+operator."""
+
+import itertools
+import math
+import os
+import secrets
+from functools import lru_cache
+
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import settings
+
+from warp_plate import PlateSolver, Scene, SceneError
+from warp_plate.plate.scheme import make_scheme, time_step_limit
+from warp_plate.solve.paths import paths_of
+from warp_plate.solve.solver import find_device
+
+# Shared machines are slow at times: an example may take as long as it takes.
+settings.register_profile("no deadline", deadline=None)
+settings.load_profile("no deadline")
+
+# The panel of the source paper.
+MATERIAL = {"thickness": 5e-4, "young_modulus": 1e9, "poisson_ratio": 0.33, "density": 1000.0}
+SIDES = ("left", "bottom", "right", "top")
+# Actuators as shares of the plate's sides, x0, x1, y0, y1, alike in nothing.
+THREE_PATCHES = ((0.15, 0.3, 0.2, 0.35), (0.6, 0.85, 0.15, 0.4), (0.25, 0.65, 0.55, 0.8))
+# A quarter turn a step: the load is cos(0) = 1 at the first step and cos(π/2) = 6e-17 at the second.
+STEPS_A_PERIOD = 4
+
+
+def scene_of(
+    nodes=(13, 13),
+    size=(0.2, 0.2),
+    edges=("clamped",) * 4,
+    damping=None,
+    scheme="centred",
+    precision="float64",
+    window=(0.004, 0.012),
+    actuators=None,
+    load="overlap",
+    time_step=None,
+    frequency=290.0,
+    **tables,
+):
+    """A small scene of the paper's material; edges: left, bottom, right, top; actuators: areas on it."""
+    if actuators is None:
+        actuators = [tuple(np.array(shares) * np.repeat(size, 2)) for shares in THREE_PATCHES]
+    grid = {"nodes": nodes, "load": load, "precision": precision, "time_step": time_step}
+    return Scene.model_validate(
+        {
+            "plate": {"size": size, **MATERIAL},
+            "edges": dict(zip(SIDES, edges, strict=True)),
+            "grid": grid,
+            "window": {"start": window[0], "end": window[1]},
+            "drive": {"frequency": frequency},
+            "target": {"area": (0.0, size[0] / 2, 0.0, size[1] / 2)},
+            "effects": {} if damping is None else {"damping": {"viscous": damping, "scheme": scheme}},
+            "actuators": [{"name": str(index), "area": area} for index, area in enumerate(actuators)],
+            **tables,
+        }
+    )
+
+
+def all_edges():
+    """The 16 ways to hold the four sides."""
+    return list(itertools.product(("clamped", "supported"), repeat=4))
+
+
+def edges_id(edges):
+    """CSCC for clamped, supported, clamped, clamped."""
+    return "".join(edge[0].upper() for edge in edges)
+
+
+@lru_cache(maxsize=1)
+def device_paths():
+    """All (device, path) pairs of this machine; CUDA ones only where there is a CUDA device."""
+    find_device("cpu")
+    devices = ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
+    return [(device, path) for device in devices for path in paths_of(wp.get_device(device))]
+
+
+def pytest_generate_tests(metafunc):
+    """A test that takes ``device`` and ``path`` runs for every pair; one that takes ``edges`` for all 16
+    ways."""
+    if {"device", "path"} <= set(metafunc.fixturenames):
+        metafunc.parametrize(
+            ("device", "path"), device_paths(), ids=["-".join(pair) for pair in device_paths()]
+        )
+    if "edges" in metafunc.fixturenames:
+        metafunc.parametrize("edges", all_edges(), ids=edges_id)
+
+
+@pytest.fixture
+def pairs():
+    """All (device, path) pairs of this machine."""
+    return device_paths()
+
+
+@pytest.fixture
+def scene():
+    """The factory of small scenes, see :func:`scene_of`."""
+    return scene_of
+
+
+@pytest.fixture
+def random():
+    """Other numbers every time; a failing test prints the seed, and WARP_PLATE_TEST_SEED repeats them."""
+    seed = int(os.environ.get("WARP_PLATE_TEST_SEED", secrets.randbits(32)))
+    print(f"WARP_PLATE_TEST_SEED={seed}")
+    return np.random.default_rng(seed)
+
+
+@pytest.fixture
+def phasors(random):
+    """Random complex drives (plates, actuators)."""
+
+    def draw(plates, actuators):
+        return random.normal(size=(plates, actuators)) + 1j * random.normal(size=(plates, actuators))
+
+    return draw
+
+
+@pytest.fixture
+def fitting_solver():
+    """PlateSolver(scene, device, path), skipping the test where this path has no room for so large a
+    plate."""
+
+    def make(scene, device, path, **options):
+        try:
+            return PlateSolver(scene, device, path, **options)
+        except SceneError as error:
+            if device.startswith("cuda") and "do not fit" in str(error):
+                pytest.skip(str(error))
+            raise
+
+    return make
+
+
+@pytest.fixture
+def point_scene():
+    """A scene with an actuator on every inner node, row by row, so that any field can be a load."""
+    return point_scene_of
+
+
+def point_scene_of(nodes, size=(0.2, 0.2), edges=("clamped",) * 4, precision="float64", **changes):
+    """Undamped unless ``changes`` say so, and two steps long unless they give a window and a frequency."""
+    x, y = (np.linspace(0, length, count)[1:-1] for length, count in zip(size, nodes, strict=True))
+    half_x, half_y = (length / (count - 1) / 4 for length, count in zip(size, nodes, strict=True))
+    areas = [(i - half_x, i + half_x, j - half_y, j + half_y) for j in y for i in x]
+    rigidity = (
+        MATERIAL["young_modulus"] * MATERIAL["thickness"] ** 3 / 12 / (1 - MATERIAL["poisson_ratio"] ** 2)
+    )
+    kappa = math.sqrt(rigidity / (MATERIAL["density"] * MATERIAL["thickness"]))
+    step = 0.95 * time_step_limit(kappa, (4 * half_x, 4 * half_y))
+    two_steps = {"time_step": step, "window": (0.0, 2 * step), "frequency": 1 / (STEPS_A_PERIOD * step)}
+    return scene_of(
+        nodes, size, edges, precision=precision, load="nodes", actuators=areas, **{**two_steps, **changes}
+    )
+
+
+@pytest.fixture
+def apply_biharmonic():
+    """∇⁴u as a path computes it, through nothing but ``run``."""
+    return biharmonic_by_running
+
+
+def biharmonic_by_running(solver, fields):
+    """u and ∇⁴u, both (plates, ny, nx) and (plates, ny − 2, nx − 2) [u/m⁴], of loads shaped like ``fields``.
+
+    For a two-step ``point_scene``. The plate rests at t = 0, so u(Δt) has the shape of the load, and no load
+    acts at the second step: u(2Δt) − u(Δt) = u(Δt) − (κΔt)²∇⁴u(Δt), which is solved for ∇⁴u.
+    """
+    scheme = make_scheme(solver.scene)
+    drives = fields[:, 1:-1, 1:-1].reshape(len(fields), -1)
+    run = solver.run(drives, times=(scheme.time_step, 2 * scheme.time_step))
+    first, second = run.displacement[:, 0], run.displacement[:, 1]
+    return first, ((2 * first - second) / (scheme.kappa * scheme.time_step) ** 2)[:, 1:-1, 1:-1]
+
+
+@pytest.fixture
+def discrete_operator():
+    """The matrix of ∇⁴ on the inner nodes, row by row, as the default path of ``device`` computes it."""
+    return operator_by_running
+
+
+def operator_by_running(scene, device="cpu"):
+    """(inner nodes, inner nodes) sparse matrix [1/m⁴] of a two-step ``point_scene``.
+
+    The stencil reaches two nodes far, so unit loads five nodes apart do not meet: 25 plates hold all columns.
+    """
+    from scipy.sparse import coo_array
+
+    nx, ny = scene.grid.nodes
+    row, column = np.mgrid[:ny, :nx]
+    offsets = list(itertools.product(range(5), repeat=2))
+    inside = (row > 0) & (row < ny - 1) & (column > 0) & (column < nx - 1)
+    fields = np.array([inside & (row % 5 == j) & (column % 5 == i) for j, i in offsets], dtype=float)
+    unit, response = biharmonic_by_running(PlateSolver(scene, device), fields)
+    number = np.where(inside, np.cumsum(inside).reshape(ny, nx) - 1, -1)
+    entries = []
+    for (j, i), field, answer in zip(offsets, unit, response, strict=True):
+        # The node of this colour within two rows and columns of each node, if it is an inner one.
+        source_row = row + (j - row + 2) % 5 - 2
+        source_column = column + (i - column + 2) % 5 - 2
+        known = (
+            inside & (source_row > 0) & (source_row < ny - 1) & (source_column > 0) & (source_column < nx - 1)
+        )
+        source = (source_row[known], source_column[known])
+        value = answer[known[1:-1, 1:-1]] / field[source]
+        entries.append((value, number[known], number[source]))
+    value, to, source = (np.concatenate(part) for part in zip(*entries, strict=True))
+    return coo_array((value, (to, source)), shape=(inside.sum(), inside.sum())).tocsr()

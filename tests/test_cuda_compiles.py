@@ -1,0 +1,112 @@
+"""Every CUDA kernel compiles to machine code of sm_90, with no driver and no GPU in the machine."""
+
+import ast
+import itertools
+from pathlib import Path
+
+import pytest
+import warp as wp
+from warp_plate.kernels import energy, load, resident_lanes, resident_strips, streaming_march
+from warp_plate.kernels.effects import Effects
+
+KERNELS = Path(__file__).parents[1] / "kernels"
+# Vectorised through sub-arrays for LLVM, or a thread a node: launched on CPU only.
+CPU_ONLY = {"resident_cpu.make_run", "streaming.make_step", "streaming.make_record"}
+# Nodes and padded columns of the plates that the sized kernels are made for.
+SMALL, LARGE, STRIDE = (27, 27), (41, 43), 48
+
+
+def cuda_kernels(effects, real):
+    """Every kernel that is launched on CUDA, by its module and factory; a new one is added here."""
+    strips = resident_strips.plan(*LARGE, real) or resident_strips.Strips(columns=2, rows=6, warps=8)
+    yield "load.make_spread_drives", load.make_spread_drives(real)
+    yield "energy.make_sum_along_rows", energy.make_sum_along_rows(real)
+    yield "energy.make_sum_rows", energy.make_sum_rows()
+    yield "streaming_march.advance_clock", streaming_march.advance_clock
+    yield "streaming_march.make_record", streaming_march.make_record(real)
+    for summed in (False, True):
+        yield (
+            "resident_lanes.make_run",
+            resident_lanes.make_run(effects, real, SMALL[1], 0b1100110000, summed),
+        )
+        yield (
+            "resident_strips.make_run",
+            resident_strips.make_run(effects, real, *LARGE, STRIDE, strips, summed),
+        )
+        for levels in (1, 4):
+            march = streaming_march.make_march(effects, real, *LARGE, STRIDE, 2, levels, summed, None)
+            yield "streaming_march.make_march", march
+
+
+def compile_all(effects, real, folder):
+    """The names of the kernels compiled; each leaves a CUDA binary, which is an ELF file."""
+    compiled = set()
+    for index, (name, kernel) in enumerate(cuda_kernels(effects, real)):
+        made = wp.compile_aot_module(
+            kernel.module, device=None, arch=90, module_dir=folder / str(index), use_ptx=False
+        )
+        assert [path.name.endswith(".sm90.cubin") for path in made] == [True]
+        assert made[0].read_bytes().startswith(b"\x7fELF")
+        compiled.add(name)
+    return compiled
+
+
+# The two differ in every choice; all eight mixtures are compiled in the slow run.
+TWO = [
+    (Effects(damping=True, square_cells=True), wp.float32),
+    (Effects(damping=False, square_cells=False), wp.float64),
+]
+ALL = [
+    (Effects(damping=damping, square_cells=square), real)
+    for damping, square, real in itertools.product((False, True), (False, True), (wp.float32, wp.float64))
+]
+
+
+def choice_id(value):
+    if isinstance(value, Effects):
+        return f"{'damped' if value.damping else 'undamped'}-{'square' if value.square_cells else 'oblong'}"
+    return value.__name__
+
+
+@pytest.mark.parametrize(("effects", "real"), TWO, ids=choice_id)
+def test_kernels_compile(effects, real, tmp_path):
+    assert compile_all(effects, real, tmp_path) == factories() - CPU_ONLY
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effects", "real"), [mixture for mixture in ALL if mixture not in TWO], ids=choice_id
+)
+def test_kernels_compile_in_all_mixtures(effects, real, tmp_path):
+    assert compile_all(effects, real, tmp_path) == factories() - CPU_ONLY
+
+
+def factories():
+    """module.function of everything in kernels/ that makes a kernel or is one, by reading the code."""
+    found = set()
+    for path in KERNELS.glob("*.py"):
+        for function in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(function, ast.FunctionDef):
+                decorators = [
+                    ast.unparse(decorator)
+                    for inner in ast.walk(function)
+                    if isinstance(inner, ast.FunctionDef)
+                    for decorator in inner.decorator_list
+                ]
+                if any(decorator.startswith("wp.kernel") for decorator in decorators):
+                    found.add(f"{path.stem}.{function.name}")
+    return found
+
+
+def test_a_fault_in_cuda_code_is_found(tmp_path):
+    """What this file relies on: code that CUDA's compiler refuses raises, driver or not."""
+
+    @wp.func_native("\nreturn no_such_function(value);\n")
+    def broken(value: float) -> float: ...
+
+    @wp.kernel(module="unique")
+    def kernel(values: wp.array[float]):
+        values[0] = broken(values[0])
+
+    with pytest.raises(Exception, match="CUDA kernel build failed"):
+        wp.compile_aot_module(kernel.module, device=None, arch=90, module_dir=tmp_path, use_ptx=False)

@@ -1,0 +1,130 @@
+"""Ctrl-C at any moment: what was found is kept, nothing half-written stays, and no thread goes on unseen."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from warp_plate import PlateSolver, load_result
+from warp_plate.scene.load import dump_scene
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT to send to oneself")
+
+ROOT = Path(__file__).parents[1]
+# Runs a command, and calls ``on_loss(calls so far)`` each time that the search turns energies into losses.
+DRIVER = """
+import os, signal, sys, threading
+import warp_plate.search.localize as search
+from warp_plate.cli.main import main
+
+def interrupt():
+    os.kill(os.getpid(), signal.SIGINT)
+
+loss, calls = search.loss, []
+
+def watched(energy):
+    calls.append(1)
+    on_loss(len(calls))
+    return loss(energy)
+
+search.loss = watched
+{watch}
+main(sys.argv[1:])
+"""
+AFTER_THREE = """
+def on_loss(calls):
+    # A little after the third iteration, amid whatever is going on then.
+    if calls == 3:
+        threading.Timer(0.05, interrupt).start()
+"""
+BEFORE_ANY = """
+search.measure_response = lambda solver: interrupt()
+"""
+
+
+@pytest.fixture
+def panel(tmp_path, monkeypatch, scene):
+    """A small scene whose search goes on for ever, in a file of the working folder."""
+    monkeypatch.chdir(tmp_path)
+    made = scene(damping=88.5, precision="float32", search={"particles": 6, "iterations": 10**6})
+    Path("panel.toml").write_text(dump_scene(made), encoding="utf-8")
+    return made
+
+
+def interrupted(watch):
+    """``warp-plate localize panel.toml --json`` in a process of its own that sends itself Ctrl-C."""
+    Path("driver.py").write_text(DRIVER.format(watch=watch), encoding="utf-8")
+    command = ["localize", "panel.toml", "--json", "--device", "cpu", "--no-pictures"]
+    return subprocess.run(
+        [sys.executable, "driver.py", *command],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        timeout=300,
+        check=False,
+    )
+
+
+def test_the_command_ends_with_the_best_so_far(panel):
+    """Saved and printed as if the search had come to its end there."""
+    answer = interrupted(AFTER_THREE)
+    assert (answer.returncode, answer.stderr) == (0, "")
+    found = json.loads(answer.stdout)
+    assert found["interrupted"] is True
+    assert found["evaluations"] >= 18
+    assert found["evaluations"] == 6 * len(found["history"])
+    result = load_result("panel-localize.h5")
+    assert result.interrupted
+    best = result.cases["best"].localization_factor
+    assert best == found["localization_factor"]["best"]
+    # What was found is what it says: the last run of its drive gives the share that the search saw, in
+    # float32.
+    assert best == pytest.approx(found["history"][-1]["best"], abs=2e-6)
+    assert not list(Path().rglob("*.part"))
+
+
+def test_before_anything_is_found(panel):
+    """Status 130 and one line, no traceback, no file."""
+    answer = interrupted(BEFORE_ANY)
+    assert answer.returncode == 128 + signal.SIGINT
+    assert answer.stdout == ""
+    assert len(answer.stderr.splitlines()) == 1
+    assert sorted(path.name for path in Path().iterdir()) == ["driver.py", "panel.toml"]
+
+
+def test_progress_that_raises_leaves_a_usable_solver(device, path, scene, phasors):
+    made = scene()
+    drives = phasors(5, 3)
+    expected = PlateSolver(made, device, path).run(drives).energy
+    solver = PlateSolver(made, device, path, 2)
+
+    def stop(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solver.run(drives, progress=stop)
+    np.testing.assert_array_equal(solver.run(drives).energy, expected)
+
+
+@pytest.mark.parametrize("after", [0.004, 0.012, 0.02])
+def test_amid_a_launch_leaves_a_usable_solver(after, device, path, scene, phasors):
+    """The next run starts only when the interrupted one has let go of the plates."""
+    made = scene(precision="float32", window=(0.01, 3.0))
+    solver = PlateSolver(made, device, path)
+    drives, others = phasors(2, 3).repeat(10, axis=0), phasors(20, 3)
+    expected = solver.run(drives).energy
+    timer = threading.Timer(after, signal.pthread_kill, [threading.main_thread().ident, signal.SIGINT])
+    try:
+        timer.start()
+        for _ in range(1000):
+            solver.run(others)
+    except KeyboardInterrupt:
+        np.testing.assert_array_equal(solver.run(drives).energy, expected)
+    else:
+        pytest.fail("1000 runs were over before Ctrl-C came")

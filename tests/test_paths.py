@@ -1,0 +1,153 @@
+"""Every path against the plain NumPy float64 reference: energies, displacements and traces.
+
+Tolerances are relative to the largest number of the run. float64: both sides round a few times 1e-16 a step,
+which a thousand steps of sums in another order make 1e-11 at most. float32: ε = 6e-8 a rounding, and a run of
+n steps near the stability limit gathers some √n to n of them in the fastest modes; 1e-4 is kept for a few
+hundred steps.
+"""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+import warp as wp
+
+from warp_plate import PlateSolver
+from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.weights import patches, region_weights
+from warp_plate.reference.numpy_plate import run_plate
+
+TOLERANCE = {"float32": 1e-4, "float64": 1e-11}
+DAMPING = {"undamped": (None, "centred"), "centred": (88.5, "centred"), "backward": (88.5, "backward")}
+MIXED = ("supported", "clamped", "clamped", "supported")
+# (nodes, sides): odd, even, the smallest, more columns than a warp has lanes, rows without padding, long and
+# high.
+GRIDS = {
+    "smallest": ((5, 5), (0.2, 0.2)),
+    "even": ((12, 12), (0.2, 0.2)),
+    "no padding, oblong cells": ((16, 9), (0.2, 0.2)),
+    "two whole lines": ((32, 7), (0.2, 0.0387096774193548)),
+    "a column over": ((33, 6), (0.2, 0.1)),
+    "wide": ((41, 8), (0.2, 0.05)),
+    "high": ((7, 43), (0.05, 0.35)),
+    "row by row": ((71, 63), (0.07, 0.062)),
+}
+TIMES = (0.0, 0.004, 0.0071, 0.012)
+
+
+def reference(scene, drives):
+    """(energy, displacement history (plates, steps + 1, ny, nx)) by :func:`run_plate`."""
+    scheme, edges, damping = make_scheme(scene), scene.edges, scene.effects.damping
+    history, squared_velocity = run_plate(
+        scheme,
+        (edges.left, edges.bottom, edges.right, edges.top),
+        damping.viscous if damping else 0.0,
+        damping is not None and damping.scheme == "backward",
+        patches(scene),
+        drives,
+    )
+    cells = scheme.spacing[0] * scheme.spacing[1] * region_weights(scene)
+    energy = 0.5 * scheme.surface_density * np.einsum("ryx,pyx->pr", cells, squared_velocity)
+    return energy, history
+
+
+def check_equal(run, scene, drives, points=()):
+    """All that a run returns, against the reference."""
+    scheme, tolerance = make_scheme(scene), TOLERANCE[scene.grid.precision]
+    energy, history = reference(scene, drives)
+    np.testing.assert_allclose(run.energy, energy, rtol=tolerance)
+    largest = np.abs(history).max()
+    steps = np.rint(run.times / scheme.time_step).astype(int)
+    np.testing.assert_allclose(run.displacement, history[:, steps], rtol=0, atol=tolerance * largest)
+    for trace, (x, y) in zip(run.trace.swapaxes(0, 1), points, strict=True):
+        expected = bilinear(history[:, 1:], x / scheme.spacing[0], y / scheme.spacing[1])
+        np.testing.assert_allclose(trace, expected, rtol=0, atol=tolerance * largest)
+
+
+def bilinear(history, i, j):
+    """The displacement at i nodes from the left and j from below."""
+    column, row = (min(int(at), count - 2) for at, count in zip((i, j), history.shape[:1:-1], strict=True))
+    i, j = i - column, j - row
+    corner = history[..., row : row + 2, column : column + 2]
+    return np.einsum("...yx,y,x->...", corner, [1 - j, j], [1 - i, i])
+
+
+def random_areas(random, size, count=3):
+    """Rectangles inside the plate; each is wide enough to cover a node that can move, on any grid here."""
+    low = random.uniform(0.05, 0.5, (count, 2)) * size
+    high = low + random.uniform(0.3, 0.45, (count, 2)) * size
+    return [(x0, x1, y0, y1) for (x0, y0), (x1, y1) in zip(low.tolist(), high.tolist(), strict=True)]
+
+
+@pytest.mark.parametrize("precision", TOLERANCE)
+@pytest.mark.parametrize("damping", DAMPING)
+@pytest.mark.parametrize("nodes", [(13, 13), (17, 9)], ids=["square", "oblong"])
+def test_all_edges_and_dampings(device, path, edges, damping, nodes, precision, scene, random, phasors):
+    viscous, scheme = DAMPING[damping]
+    size = (0.2, 0.2) if nodes == (13, 13) else (0.2, 0.16)
+    areas = random_areas(random, size)
+    made = scene(nodes, size, edges, viscous, scheme, precision, actuators=areas)
+    drives = phasors(2, len(areas))
+    check_equal(PlateSolver(made, device, path).run(drives, TIMES), made, drives)
+
+
+@pytest.mark.parametrize("precision", TOLERANCE)
+@pytest.mark.parametrize("grid", GRIDS)
+def test_all_sizes(device, path, grid, precision, scene, fitting_solver, random, phasors):
+    nodes, size = GRIDS[grid]
+    areas = random_areas(random, size)
+    # As many steps on every grid, for the stability limit is far shorter on the fine ones.
+    step = 0.8 * make_scheme(scene(nodes, size)).limit
+    times, points = (0.0, 40 * step, 120 * step), (random.uniform(0, 1, (3, 2)) * size).tolist()
+    made = scene(
+        nodes, size, MIXED, 88.5, "centred", precision, (50 * step, 200 * step), areas, time_step=step,
+        frequency=0.03 / step,
+    )  # fmt: skip
+    drives = phasors(3, len(areas))
+    run = fitting_solver(made, device, path).run(drives, times, points)
+    check_equal(run, made, drives, points)
+
+
+@pytest.mark.parametrize("nodes", [(13, 13), (71, 63)], ids=["small", "row by row"])
+def test_numbers_left_in_memory_do_not_matter(device, path, nodes, scene, fitting_solver, phasors):
+    """A run is the same, bit for bit, after all that it should write anew was filled with NaN."""
+    size = (0.2, 0.2) if nodes == (13, 13) else (0.07, 0.062)
+    step = 0.9 * make_scheme(scene(nodes, size)).limit
+    made = scene(nodes, size, MIXED, 88.5, window=(20 * step, 90 * step), time_step=step)
+    solver = fitting_solver(made, device, path)
+    drives = phasors(4, len(made.actuators))
+    first = solver.run(drives, (60 * step,))
+    poisoned = poison(solver._state)
+    assert {"u", "rate", "squares"} <= poisoned
+    second = solver.run(drives, (60 * step,))
+    np.testing.assert_array_equal(second.energy, first.energy)
+    np.testing.assert_array_equal(second.displacement, first.displacement)
+
+
+def poison(state):
+    """Fill with NaN every array of numbers but the load fields, which hold zero where no actuator is."""
+    poisoned = set()
+    for field in dataclasses.fields(state):
+        values = getattr(state, field.name)
+        numbers = isinstance(values, wp.array) and values.dtype in (wp.float32, wp.float64)
+        if numbers and field.name not in ("in_phase", "quadrature"):
+            values.fill_(float("nan"))
+            poisoned.add(field.name)
+    return poisoned
+
+
+def test_every_path_is_tested(pairs):
+    """The pairs of this machine hold at least both CPU paths, so that no refusal hides one."""
+    assert {("cpu", "resident"), ("cpu", "streaming")} <= set(pairs)
+
+
+def test_recording_on_the_same_solver(device, path, scene, phasors):
+    """With and without traces by turns, with other points and numbers of plates: no run sees another's
+    memory."""
+    made = scene(damping=88.5)
+    solver = PlateSolver(made, device, path)
+    asked = itertools.product((5, 2), ((), ((0.11, 0.07),), ((0.03, 0.17), (0.15, 0.02))), ((), (0.007,)))
+    for plates, points, times in asked:
+        drives = phasors(plates, len(made.actuators))
+        check_equal(solver.run(drives, times, points), made, drives, points)
