@@ -6,6 +6,9 @@ sub-arrays made from pointers; the padding takes part and stays zero, because it
 
 A step is two passes: the curvature of every node from u, then the rate and u in place from the curvature. In place
 is safe: the second pass reads u at no node but its own.
+
+A plate too large for one core is shared by a crew: as many launches, from as many Python threads, each walk their
+own band of rows of the same plate, and meet after each pass.
 """
 
 from functools import lru_cache
@@ -18,6 +21,16 @@ from warp_plate.kernels.update import make_parameters, make_update
 # Above this many nodes in a pass, passes go row by row: two planes of factors would no longer stay in L1.
 FLAT_NODES = 4096
 
+_MEET = """
+__atomic_add_fetch(&arrived.data[0], 1, __ATOMIC_ACQ_REL); while (__atomic_load_n(&arrived.data[0], __ATOMIC_ACQUIRE) < goal) {}
+"""
+
+
+@wp.func_native(_MEET)
+def meet(arrived: wp.array[int], goal: int):
+    """Counts the caller in and waits until ``goal`` have come; launches run at the same time on CPU threads."""
+    ...
+
 
 def rows_per_block(ny, stride):
     """(curvature pass, update pass): how many rows one flat range covers."""
@@ -27,6 +40,8 @@ def rows_per_block(ny, stride):
 @lru_cache(maxsize=None)
 def make_run(effects, real, ny, stride, compiler_flags):
     """Steps ``start`` ... ``stop`` − 1 of the plates from ``first`` on; launch over (plates,).
+
+    crew: launches that share one plate, 1 for none; member: which of them this is; arrived: zero before the first.
 
     factor: curvature factors of the block's nodes, one block or the bottom, inner and top one;
     stiffness: of the nodes of an update block, zero where a node is held or padding;
@@ -125,6 +140,9 @@ def make_run(effects, real, ny, stride, compiler_flags):
         start: int,
         stop: int,
         first: int,
+        crew: int,
+        member: int,
+        arrived: wp.array[int],
         nodes: wp.array2d[int],
         in_phase: wp.array3d[real],
         quadrature: wp.array3d[real],
@@ -136,17 +154,28 @@ def make_run(effects, real, ny, stride, compiler_flags):
     ):
         k = first + wp.tid()
         plane = wp.uint64(k) * wp.uint64(wp.static((ny + 2) * stride * size))
+        curved_low = member * wp.static(curved_blocks) // crew
+        curved_high = (member + 1) * wp.static(curved_blocks) // crew
+        moved_low = member * wp.static(moved_blocks) // crew
+        moved_high = (member + 1) * wp.static(moved_blocks) // crew
+        goal = int(0)
         for n in range(start, stop):
-            for block in range(wp.static(curved_blocks)):
+            for block in range(curved_low, curved_high):
                 bend(u.ptr + plane, curvature.ptr + plane, factor.ptr, block, p.aspect)
+            if crew > 1:
+                goal += crew
+                meet(arrived, goal)
             summed = n >= window[0] and n < window[1]
-            for block in range(wp.static(moved_blocks)):
+            for block in range(moved_low, moved_high):
                 move(
                     p, stiffness.ptr, wave[n, 0], wave[n, 1], summed, curvature.ptr + plane,
                     in_phase.ptr + plane, quadrature.ptr + plane, u.ptr + plane, rate.ptr + plane,
                     squares.ptr + plane, block,
                 )
-            for m in range(nodes.shape[0]):
+            if crew > 1:
+                goal += crew
+                meet(arrived, goal)
+            for m in range(member, nodes.shape[0], crew):
                 trace[k, m, n] = u[k, nodes[m, 0], nodes[m, 1]]
 
     return run

@@ -6,12 +6,12 @@ queued on the device's stream on CUDA, when it returns.
 
 from __future__ import annotations
 
-import os
 import platform
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,8 @@ from warp_plate.solve.state import State
 
 Advance = Callable[[State, int, int, int], None]
 
+# A single plate with at least so many nodes is worth a crew of CPU threads, which meet twice a step.
+CREW_NODES = 8192
 # Threads a block where each warp has its own plate. Up to so many plates a multiprocessor, a plate's own speed counts
 # and the compiler may take as many registers as pay; beyond, what counts is how many plates run side by side.
 LANES_BLOCK = 32
@@ -60,16 +62,13 @@ def compiler_flags() -> str:
     return "-march=native -ffp-contract=fast" + wide
 
 
-def cpu_threads() -> int:
-    """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+@lru_cache(maxsize=None)
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max_workers=threads, thread_name_prefix="warp-plate")
 
 
-@lru_cache(maxsize=1)
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(max_workers=cpu_threads(), thread_name_prefix="warp-plate")
+# One crew at a time: its members wait for each other, so that all must run at once.
+_CREW = threading.Lock()
 
 
 def load(kernel: wp.Kernel, device: wp.Device) -> None:
@@ -79,30 +78,40 @@ def load(kernel: wp.Kernel, device: wp.Device) -> None:
 
 def resident_cpu_path(specialized: Specialized) -> Advance:
     """All steps in one launch, plates shared among the cores by Python threads (Warp frees Python's lock)."""
-    nx, ny = specialized.scheme.nodes
-    stride = specialized.stride
+    ny = specialized.scheme.nodes[1]
+    stride, threads, device = specialized.stride, specialized.threads, specialized.device
     kernel = resident_cpu.make_run(specialized.effects, specialized.real, ny, stride, compiler_flags())
-    load(kernel, specialized.device)
+    load(kernel, device)
     factor, stiffness = _resident_cpu_fields(specialized)
     window = wp.vec2i(*specialized.scheme.window)
-
-    def launch(state: State, first: int, count: int, start: int, stop: int) -> None:
-        inputs: list[Any] = [specialized.parameters, factor, stiffness, specialized.wave, window, start, stop]
-        inputs += [first, state.nodes, state.in_phase, state.quadrature]
-        outputs = [state.u, state.rate, state.squares, state.u_next, state.trace]
-        wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=specialized.device)
+    shared: list[Any] = [specialized.parameters, factor, stiffness, specialized.wave, window]
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
-        cuts = np.linspace(0, plates, min(cpu_threads(), plates) + 1).astype(int)
-        if len(cuts) == 2:
-            launch(state, 0, plates, start, stop)
-            return
-        slices = zip(cuts[:-1].tolist(), np.diff(cuts).tolist(), strict=True)
-        pending = [_pool().submit(launch, state, first, count, start, stop) for first, count in slices]
-        for future in pending:
-            future.result()
+        arrived = wp.zeros(1, dtype=int, device=device)
+
+        def launch(first: int, count: int, crew: int = 1, member: int = 0) -> None:
+            inputs = [*shared, start, stop, first, crew, member, arrived, state.nodes, state.in_phase, state.quadrature]
+            outputs = [state.u, state.rate, state.squares, state.u_next, state.trace]
+            wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=device)
+
+        if plates < threads and ny * stride >= CREW_NODES:
+            with _CREW:
+                for plate in range(plates):
+                    arrived.zero_()
+                    _at_once([partial(launch, plate, 1, threads, member) for member in range(threads)])
+        else:
+            cuts = np.linspace(0, plates, min(threads, plates) + 1).astype(int).tolist()
+            _at_once([partial(launch, low, high - low) for low, high in zip(cuts[:-1], cuts[1:], strict=True)])
 
     return advance
+
+
+def _at_once(calls: list[Callable[[], None]]) -> None:
+    """Make the calls side by side, the last of them here."""
+    pending = [_pool(len(calls) - 1).submit(call) for call in calls[:-1]]
+    calls[-1]()
+    for future in pending:
+        future.result()
 
 
 def _resident_cpu_fields(specialized: Specialized) -> tuple[wp.array, wp.array]:

@@ -62,16 +62,24 @@ class PlateSolver:
         device: "cpu", "cuda", "cuda:1", ..., or "auto" for the first CUDA device, else the CPU.
         path: "auto", "resident" (all steps in one launch) or "streaming" (a launch a step).
         chunk: plates that run at once; left out: as many as memory holds.
+        threads: of the CPU; left out: as many as it has.
 
     Raises:
         SceneError: unstable time step, an actuator that covers no node, no such device or path.
     """
 
-    def __init__(self, scene: Scene, device: str = "auto", path: str = "auto", chunk: int | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        device: str = "auto",
+        path: str = "auto",
+        chunk: int | None = None,
+        threads: int | None = None,
+    ) -> None:
         started = time.perf_counter()
         self.scene = scene
         self.device = find_device(device)
-        self._specialized = specialize(scene, self.device)
+        self._specialized = specialize(scene, self.device, threads)
         self.path = choose_path(self._specialized) if path == "auto" else path
         if self.path not in paths_of(self.device):
             raise SceneError(f"path = {path!r}: no such path; there are: auto, {', '.join(paths_of(self.device))}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from warp_plate.kernels.effects import Effects
 from warp_plate.kernels.update import make_parameters
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.weights import patches, region_weights
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 # Rows are padded to whole cache lines, which are also whole vector registers.
@@ -21,7 +23,7 @@ LINE_BYTES = 64
 class Specialized:
     """A scene made ready for the kernels of one device; arrays in the layout of ``warp_plate.kernels``.
 
-    real: wp.float32 or wp.float64; rows = ny + 2; stride: columns with padding.
+    real: wp.float32 or wp.float64; rows = ny + 2; stride: columns with padding; threads: of the CPU to use.
     support: (covered nodes, 2), patches: (actuators, covered nodes), weights: (regions, rows, stride),
     wave: (steps, 2), all on the device; parameters: the kernels' struct.
     """
@@ -33,6 +35,7 @@ class Specialized:
     rows: int
     stride: int
     device: wp.Device
+    threads: int
     parameters: object
     support: wp.array
     patches: wp.array
@@ -56,8 +59,20 @@ def effect_names(scene: Scene) -> tuple[str, ...]:
     return (f"viscous damping ({damping.scheme})",) if damping else ()
 
 
-def specialize(scene: Scene, device: wp.Device) -> Specialized:
-    """Make a scene ready for a device.
+def cpu_threads() -> int:
+    """Cores that this process may use; the environment variable WARP_PLATE_THREADS sets another number."""
+    told = os.environ.get("WARP_PLATE_THREADS", "")
+    if told:
+        if not told.isdecimal() or int(told) < 1:
+            raise SceneError(f"WARP_PLATE_THREADS = {told!r}: must be a whole number, at least 1")
+        return int(told)
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def specialize(scene: Scene, device: wp.Device, threads: int | None = None) -> Specialized:
+    """Make a scene ready for a device; ``threads`` of the CPU, or as many as it has.
 
     Raises:
         SceneError: unstable time step, empty window, or an actuator that covers no node.
@@ -84,6 +99,7 @@ def specialize(scene: Scene, device: wp.Device) -> Specialized:
         rows=ny + 2,
         stride=stride,
         device=device,
+        threads=threads or cpu_threads(),
         parameters=parameters,
         support=wp.array((support + [1, 0]).astype(np.int32), dtype=int, device=device),
         patches=wp.array(fields[:, support[:, 0], support[:, 1]].astype(dtype), dtype=real, device=device),
