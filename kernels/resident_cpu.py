@@ -8,7 +8,8 @@ A step is two passes: the curvature of every node from u, then the rate and u in
 is safe: the second pass reads u at no node but its own.
 
 A plate too large for one core is shared by a crew: as many launches, from as many Python threads, each walk their
-own band of rows of the same plate, and meet after each pass.
+own band of rows of the same plate, and meet after each pass. Many small plates go faster in groups: see
+``resident_cpu_groups``, which uses the same two passes.
 """
 
 from functools import lru_cache
@@ -21,110 +22,146 @@ from warp_plate.kernels.update import make_parameters, make_update
 # Above this many nodes in a pass, passes go row by row: two planes of factors would no longer stay in L1.
 FLAT_NODES = 4096
 
+# Waiting first spins, for a meeting takes less than a microsecond. Where another program holds the core that the late
+# one needs, it then lets that one run, through the system's own call.
 _MEET = """
-__atomic_add_fetch(&arrived.data[0], 1, __ATOMIC_ACQ_REL); while (__atomic_load_n(&arrived.data[0], __ATOMIC_ACQUIRE) < goal) {}
+__atomic_add_fetch(&arrived.data[0], 1, __ATOMIC_ACQ_REL);
+for (int spins = 0; __atomic_load_n(&arrived.data[0], __ATOMIC_ACQUIRE) < goal; ++spins)
+    if (spins > 4000) ((void (*)(void))let_others_run)();
 """
 
 
 @wp.func_native(_MEET)
-def meet(arrived: wp.array[int], goal: int):
-    """Counts the caller in and waits until ``goal`` have come; launches run at the same time on CPU threads."""
+def meet(arrived: wp.array[int], goal: int, let_others_run: wp.uint64):
+    """Counts the caller in and waits until ``goal`` have come; launches run at the same time on CPU threads.
+
+    let_others_run: address of the C function that gives up the core for a while, sched_yield for one.
+    """
     ...
 
 
-def rows_per_block(ny, stride):
-    """(curvature pass, update pass): how many rows one flat range covers."""
-    return (ny, ny - 2) if ny * stride <= FLAT_NODES else (1, 1)
+def rows_per_block(ny, row):
+    """(curvature pass, update pass): how many rows one flat range covers; ``row``: numbers a row."""
+    return (ny, ny - 2) if ny * row <= FLAT_NODES else (1, 1)
+
+
+@lru_cache(maxsize=None)
+def make_passes(effects, real, row, beside, curved, moved, held):
+    """The two passes as functions (bend, move) of addresses; each walks one flat range.
+
+    row: numbers a row; beside: numbers from a node to its neighbour along x; curved, moved: lengths of the ranges;
+    held: whether some nodes of the second range are held, as their stiffness says; else all have the same stiffness.
+    """
+    laplacian = make_laplacian(effects.square_cells, real)
+    update = make_update(effects, real)
+    Parameters = make_parameters(real)
+    wave_of = wp.types.vector(length=2, dtype=real)
+    longest = curved + 2 * row
+
+    @wp.func
+    def numbers(address: wp.uint64):
+        return wp.array(ptr=address, shape=(wp.static(longest),), dtype=real)
+
+    @wp.func
+    def bend(u_south: wp.uint64, factors: wp.uint64, curvatures: wp.uint64, aspect: real):
+        """Curvature from u; ``u_south``: address of the node a row below the range's first."""
+        # One window, with neighbours at fixed distances in it: the fewer pointers, the fewer overlaps LLVM checks.
+        u = numbers(u_south)
+        factor = numbers(factors)
+        curvature = numbers(curvatures)
+        for i in range(wp.static(curved)):
+            curvature[i] = factor[i] * laplacian(
+                u[i + wp.static(row)],
+                u[i + wp.static(row - beside)],
+                u[i + wp.static(row + beside)],
+                u[i],
+                u[i + wp.static(2 * row)],
+                aspect,
+            )
+
+    @wp.func
+    def move(
+        p: Parameters,
+        stiffnesses: wp.uint64,
+        wave: wave_of,
+        summed: bool,
+        south_curvatures: wp.uint64,
+        curvatures: wp.uint64,
+        north_curvatures: wp.uint64,
+        in_phases: wp.uint64,
+        quadratures: wp.uint64,
+        displacements: wp.uint64,
+        rates: wp.uint64,
+        squared_sums: wp.uint64,
+    ):
+        """Rate and displacement half a step and a step later."""
+        stiffness = numbers(stiffnesses)
+        south = numbers(south_curvatures)
+        centre = numbers(curvatures - wp.uint64(wp.static(beside * wp.types.type_size_in_bytes(real))))
+        north = numbers(north_curvatures)
+        in_phase = numbers(in_phases)
+        quadrature = numbers(quadratures)
+        u = numbers(displacements)
+        rate = numbers(rates)
+        squares = numbers(squared_sums)
+        cosine = wave[0]
+        sine = wave[1]
+        # Two loops, not one with a test inside: a loop with a branch on ``summed`` is slower by a third.
+        if summed:
+            for i in range(wp.static(moved)):
+                biharmonic = laplacian(
+                    centre[i + wp.static(beside)], centre[i], centre[i + wp.static(2 * beside)], south[i], north[i],
+                    p.aspect,
+                )
+                hold = p.stiffness
+                if wp.static(held):
+                    hold = stiffness[i]
+                new = update(rate[i], biharmonic, cosine * in_phase[i] + sine * quadrature[i], hold, p)
+                rate[i] = new
+                u[i] = u[i] + new
+                squares[i] = squares[i] + new * new
+        else:
+            for i in range(wp.static(moved)):
+                biharmonic = laplacian(
+                    centre[i + wp.static(beside)], centre[i], centre[i + wp.static(2 * beside)], south[i], north[i],
+                    p.aspect,
+                )
+                hold = p.stiffness
+                if wp.static(held):
+                    hold = stiffness[i]
+                new = update(rate[i], biharmonic, cosine * in_phase[i] + sine * quadrature[i], hold, p)
+                rate[i] = new
+                u[i] = u[i] + new
+
+    return bend, move
 
 
 @lru_cache(maxsize=None)
 def make_run(effects, real, ny, stride, compiler_flags):
     """Steps ``start`` ... ``stop`` − 1 of the plates from ``first`` on; launch over (plates,).
 
-    crew: launches that share one plate, 1 for none; member: which of them this is; arrived: zero before the first.
-
+    crew: launches that share one plate, 1 for none; member: which of them this is; arrived: zero before the first;
+    let_others_run: see ``meet``.
     factor: curvature factors of the block's nodes, one block or the bottom, inner and top one;
     stiffness: of the nodes of an update block, zero where a node is held or padding;
     wave: (steps, 2), cos and sin ωt; window: first and last + 1 of the steps whose rate² is summed;
     nodes: (traced nodes, 2), row and column; trace: (plates, traced nodes, steps).
     """
-    laplacian = make_laplacian(effects.square_cells, real)
-    update = make_update(effects, real)
     Parameters = make_parameters(real)
-    size = 4 if real is wp.float32 else 8
     curved_rows, moved_rows = rows_per_block(ny, stride)
-    curved, moved = curved_rows * stride, moved_rows * stride
+    bend, move = make_passes(effects, real, stride, 1, curved_rows * stride, moved_rows * stride, True)
+    wave_of = wp.types.vector(length=2, dtype=real)
+    row_bytes = stride * wp.types.type_size_in_bytes(real)
     curved_blocks, moved_blocks = ny // curved_rows, (ny - 2) // moved_rows
 
     @wp.func
-    def curved_span(base: wp.uint64, start: int):
-        return wp.array(ptr=base + wp.uint64(start * wp.static(size)), shape=(wp.static(curved),), dtype=real)
-
-    @wp.func
-    def moved_span(base: wp.uint64, start: int):
-        return wp.array(ptr=base + wp.uint64(start * wp.static(size)), shape=(wp.static(moved),), dtype=real)
-
-    @wp.func
-    def bend(u_plane: wp.uint64, curvature_plane: wp.uint64, factors: wp.uint64, block: int, aspect: real):
-        """Curvature of one block of rows."""
-        at = (1 + block * wp.static(curved_rows)) * wp.static(stride)
+    def bend_block(u_plane: wp.uint64, factors: wp.uint64, curvature_plane: wp.uint64, block: int, aspect: real):
+        at = wp.uint64(block * wp.static(curved_rows * row_bytes))
         pattern = int(0)
         if wp.static(curved_blocks > 1):
             pattern = wp.where(block == 0, 0, wp.where(block == wp.static(curved_blocks - 1), 2, 1))
-        factor = curved_span(factors, pattern * wp.static(curved))
-        centre = curved_span(u_plane, at)
-        west = curved_span(u_plane, at - 1)
-        east = curved_span(u_plane, at + 1)
-        south = curved_span(u_plane, at - wp.static(stride))
-        north = curved_span(u_plane, at + wp.static(stride))
-        curvature = curved_span(curvature_plane, at)
-        for i in range(wp.static(curved)):
-            curvature[i] = factor[i] * laplacian(centre[i], west[i], east[i], south[i], north[i], aspect)
-
-    @wp.func
-    def move(
-        p: Parameters,
-        stiffnesses: wp.uint64,
-        cosine: real,
-        sine: real,
-        summed: bool,
-        curvature_plane: wp.uint64,
-        in_phase_plane: wp.uint64,
-        quadrature_plane: wp.uint64,
-        u_plane: wp.uint64,
-        rate_plane: wp.uint64,
-        squares_plane: wp.uint64,
-        block: int,
-    ):
-        """Rate and displacement of one block of rows, half a step and a step later."""
-        at = (2 + block * wp.static(moved_rows)) * wp.static(stride)
-        centre = moved_span(curvature_plane, at)
-        west = moved_span(curvature_plane, at - 1)
-        east = moved_span(curvature_plane, at + 1)
-        south = moved_span(curvature_plane, at - wp.static(stride))
-        north = moved_span(curvature_plane, at + wp.static(stride))
-        stiffness = moved_span(stiffnesses, 0)
-        in_phase = moved_span(in_phase_plane, at)
-        quadrature = moved_span(quadrature_plane, at)
-        u = moved_span(u_plane, at)
-        rate = moved_span(rate_plane, at)
-        squares = moved_span(squares_plane, at)
-        # Two loops, not one with a test inside: a loop with a branch on ``summed`` is slower by a third.
-        if summed:
-            for i in range(wp.static(moved)):
-                biharmonic = laplacian(centre[i], west[i], east[i], south[i], north[i], p.aspect)
-                load = cosine * in_phase[i] + sine * quadrature[i]
-                new = update(rate[i], biharmonic, load, stiffness[i], p)
-                rate[i] = new
-                u[i] = u[i] + new
-                squares[i] = squares[i] + new * new
-        else:
-            for i in range(wp.static(moved)):
-                biharmonic = laplacian(centre[i], west[i], east[i], south[i], north[i], p.aspect)
-                load = cosine * in_phase[i] + sine * quadrature[i]
-                new = update(rate[i], biharmonic, load, stiffness[i], p)
-                rate[i] = new
-                u[i] = u[i] + new
+        factor = factors + wp.uint64(pattern * wp.static(curved_rows * row_bytes))
+        bend(u_plane + at, factor, curvature_plane + at + wp.uint64(wp.static(row_bytes)), aspect)
 
     @wp.kernel(
         module="unique",
@@ -143,6 +180,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
         crew: int,
         member: int,
         arrived: wp.array[int],
+        let_others_run: wp.uint64,
         nodes: wp.array2d[int],
         in_phase: wp.array3d[real],
         quadrature: wp.array3d[real],
@@ -153,28 +191,42 @@ def make_run(effects, real, ny, stride, compiler_flags):
         trace: wp.array3d[real],
     ):
         k = first + wp.tid()
-        plane = wp.uint64(k) * wp.uint64(wp.static((ny + 2) * stride * size))
-        curved_low = member * wp.static(curved_blocks) // crew
-        curved_high = (member + 1) * wp.static(curved_blocks) // crew
-        moved_low = member * wp.static(moved_blocks) // crew
-        moved_high = (member + 1) * wp.static(moved_blocks) // crew
+        plane = wp.uint64(k) * wp.uint64(wp.static((ny + 2) * row_bytes))
+        u_plane = u.ptr + plane
+        bent = curvature.ptr + plane
+        low = member * wp.static(moved_blocks) // crew
+        high = (member + 1) * wp.static(moved_blocks) // crew
         goal = int(0)
         for n in range(start, stop):
-            for block in range(curved_low, curved_high):
-                bend(u.ptr + plane, curvature.ptr + plane, factor.ptr, block, p.aspect)
+            summed = n >= window[0] and n < window[1]
+            waves = wave_of(wave[n, 0], wave[n, 1])
+            if wp.static(curved_blocks == 1):
+                bend_block(u_plane, factor.ptr, bent, 0, p.aspect)
+            else:
+                # The curvatures of the band's outermost rows, before a neighbour moves the rows that they rest on.
+                if low == 0:
+                    bend_block(u_plane, factor.ptr, bent, 0, p.aspect)
+                if high == wp.static(moved_blocks):
+                    bend_block(u_plane, factor.ptr, bent, wp.static(curved_blocks - 1), p.aspect)
+                bend_block(u_plane, factor.ptr, bent, low + 1, p.aspect)
+                bend_block(u_plane, factor.ptr, bent, high, p.aspect)
             if crew > 1:
                 goal += crew
-                meet(arrived, goal)
-            summed = n >= window[0] and n < window[1]
-            for block in range(moved_low, moved_high):
+                meet(arrived, goal, let_others_run)
+            for block in range(low, high):
+                # Row block + 1 moves once the curvature of the row above it is known.
+                if block + 2 < high:
+                    bend_block(u_plane, factor.ptr, bent, block + 2, p.aspect)
+                at = wp.uint64(block * wp.static(moved_rows * row_bytes) + wp.static(2 * row_bytes))
+                above = wp.uint64(wp.static(row_bytes))
                 move(
-                    p, stiffness.ptr, wave[n, 0], wave[n, 1], summed, curvature.ptr + plane,
-                    in_phase.ptr + plane, quadrature.ptr + plane, u.ptr + plane, rate.ptr + plane,
-                    squares.ptr + plane, block,
+                    p, stiffness.ptr, waves, summed, bent + at - above, bent + at, bent + at + above,
+                    in_phase.ptr + plane + at, quadrature.ptr + plane + at,
+                    u_plane + at, rate.ptr + plane + at, squares.ptr + plane + at,
                 )
             if crew > 1:
                 goal += crew
-                meet(arrived, goal)
+                meet(arrived, goal, let_others_run)
             for m in range(member, nodes.shape[0], crew):
                 trace[k, m, n] = u[k, nodes[m, 0], nodes[m, 1]]
 

@@ -14,8 +14,8 @@ from hypothesis import settings
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.scheme import make_scheme, time_step_limit
+from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import paths_of
-from warp_plate.solve.solver import find_device
 
 # Shared machines are slow at times: an example may take as long as it takes.
 settings.register_profile("no deadline", deadline=None)

@@ -108,19 +108,23 @@ def test_actuators_of_unlike_size_count_alike(scene):
     assert slivers.bound() == pytest.approx(whole.bound(), abs=1e-6)
 
 
-@pytest.mark.parametrize("rank", [6, 4, 1])
+@pytest.mark.parametrize("rank", range(1, 7))
 def test_bound_of_random_matrices(rank, random):
     """The largest eigenvalue of A z = λ B z on the drives that B does not cancel, whatever the rank of B.
 
-    A drive that B nearly cancels has a ratio of rounding errors: of 20000, the worst lose some 1e-8."""
-    target, plate = random_gram(random, 6, rank)
-    response = quadratic((target, plate))
-    z = random.normal(size=(20000, 6))
-    ratios = np.einsum("pa,ab,pb->p", z, target, z) / np.einsum("pa,ab,pb->p", z, plate, z)
-    assert ratios.max() <= response.bound() + 1e-6
-    best = response.best_drive()
-    assert localization_factor(response.energy(best[None]))[0] == pytest.approx(response.bound(), abs=1e-7)
-    assert 0 < response.bound() < 1
+    The ratio of a drive that B nearly cancels is one of rounding errors, and is left out: what keeps a
+    millionth of the energy keeps ten digits of the ratio.
+    """
+    for _ in range(20):
+        target, plate = random_gram(random, 6, rank)
+        response = quadratic((target, plate))
+        z = random.normal(size=(2000, 6))
+        in_target, in_plate = (np.einsum("pa,ab,pb->p", z, matrix, z) for matrix in (target, plate))
+        clear = in_plate > 1e-6 * in_plate.max()
+        assert (in_target / in_plate)[clear].max() <= response.bound() + 1e-8
+        reached = localization_factor(response.energy(response.best_drive()[None]))[0]
+        assert reached == pytest.approx(response.bound(), abs=1e-7)
+        assert 0 < response.bound() < 1
 
 
 def test_known_matrices():

@@ -233,13 +233,14 @@ def test_node_masks_of_the_paper():
 
 
 def test_nodes_on_a_patch_s_rim_belong_to_it(scene):
-    """Rounding does not decide: every multiple of the spacing counts as inside, on both rims."""
-    for cells in (10, 12, 26, 30, 44):
-        h = 0.2 / cells
-        made = scene((cells + 1, cells + 1), load="nodes", actuators=[(3 * h, 7 * h, 2 * h, 5 * h)])
-        expected = np.zeros((cells + 1, cells + 1))
-        expected[2:6, 3:8] = 1
-        np.testing.assert_array_equal(patches(made)[0], expected)
+    """Rounding does not decide: sides written as decimals lie on the nodes that they name."""
+    for cells in (10, 16, 20, 25, 40, 50):
+        for low, high in ((1, 3), (3, 6), (3, 7), (6, 9)):
+            x0, x1 = (round(index * 0.3 / cells, 10) for index in (low, high))
+            made = scene((cells + 1, cells + 1), (0.3, 0.3), load="nodes", actuators=[(x0, x1, x0, x1)])
+            expected = np.zeros((cells + 1, cells + 1))
+            expected[low : high + 1, low : high + 1] = 1
+            np.testing.assert_array_equal(patches(made)[0], expected)
 
 
 @pytest.mark.parametrize("load", ["nodes", "overlap"])

@@ -64,20 +64,45 @@ def test_load_is_the_real_part_of_a_rotating_phasor(device, path, scene):
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_a_plate_does_not_depend_on_its_batch(device, path, precision, scene, phasors):
-    """Alone, at any place of a batch, in chunks of any size: the same bits."""
+    """Alone, at any place of a batch, in chunks of any size: the same bits.
+
+    The counts are enough for every way of putting plates side by side, and are no multiple of anything. A
+    trace is asked for on CPU only, for on CUDA it would turn the resident path into the streaming one.
+    """
     made = scene(damping=88.5, precision=precision)
-    drives = phasors(23, len(made.actuators))
-    points = ((0.05, 0.11),)
+    count, points = (71, ((0.05, 0.11),)) if device == "cpu" else (3571, ())
+    drives = phasors(count, len(made.actuators))
     whole = PlateSolver(made, device, path).run(drives, (0.009,), points)
     alone = PlateSolver(made, device, path)
-    for plate in (0, 7, 22):
+    for plate in (0, 7, 16, count - 1):
         check_same_plates(alone.run(drives[[plate]], (0.009,), points), whole, [plate])
-    for chunk in (1, 2, 5, 22, 23, 1000):
-        check_same_plates(
-            PlateSolver(made, device, path, chunk).run(drives, (0.009,), points), whole, range(23)
-        )
-    order = np.roll(np.arange(23)[::-1], 4)
-    check_same_plates(PlateSolver(made, device, path, 9).run(drives[order], (0.009,), points), whole, order)
+    for chunk in (1, 5, 16, 33, 70) if device == "cpu" else (100, 2999):
+        run = PlateSolver(made, device, path, chunk).run(drives, (0.009,), points)
+        check_same_plates(run, whole, range(count))
+    order = np.roll(np.arange(count)[::-1], 4)
+    run = PlateSolver(made, device, path, 40 * count // 71).run(drives[order], (0.009,), points)
+    check_same_plates(run, whole, order)
+
+
+@pytest.mark.parametrize(
+    ("nodes", "size", "plates"),
+    [((13, 13), (0.2, 0.2), 40), ((97, 89), (0.096, 0.088), 1), ((97, 89), (0.096, 0.088), 4)],
+    ids=["small plates", "one large plate", "large plates"],
+)
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_any_number_of_threads(nodes, size, plates, precision, scene, phasors):
+    """Plates shared among threads, or threads sharing one plate, more of them than cores: the same bits."""
+    step = 0.9 * make_scheme(scene(nodes, size)).limit
+    made = scene(
+        nodes, size, damping=88.5, precision=precision, window=(10 * step, 60 * step), time_step=step
+    )
+    drives = phasors(plates, len(made.actuators))
+    points = [(0.3 * size[0], 0.4 * size[1])]
+    alone = PlateSolver(made, "cpu", threads=1).run(drives, (30 * step,), points)
+    assert alone.energy.min() > 0
+    for threads in (2, 3, 5):
+        run = PlateSolver(made, "cpu", threads=threads).run(drives, (30 * step,), points)
+        check_same_plates(run, alone, range(plates))
 
 
 def check_same_plates(run, whole, plates):

@@ -7,6 +7,8 @@ the nodes inside the area and zero for the others.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
 from warp_plate.scene.errors import SceneError
@@ -57,11 +59,25 @@ def region_weights(scene: Scene) -> np.ndarray:
     return np.stack([_product(overlap, x, y, areas[name]) for name in REGIONS])
 
 
+def bilinear(
+    points: Sequence[tuple[float, float]], nodes: tuple[int, int], size: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """(points, 4, 2) row and column of the nodes around each point (x, y) [m], and (points, 4) their shares."""
+    where = np.asarray(points, dtype=float).reshape(-1, 2) / size * (np.array(nodes) - 1)
+    low = np.clip(np.floor(where).astype(int), 0, np.array(nodes) - 2)
+    part = where - low
+    steps = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # (row, column)
+    corners = low[:, None, ::-1] + steps
+    across = np.where(steps[:, 1] == 1, part[:, None, 0], 1 - part[:, None, 0])
+    along = np.where(steps[:, 0] == 1, part[:, None, 1], 1 - part[:, None, 1])
+    return corners.astype(np.int32), across * along
+
+
 def _positions(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
     return np.linspace(0, width, nx), np.linspace(0, height, ny)
 
 
-def _product(weigh, x: np.ndarray, y: np.ndarray, area: Area) -> np.ndarray:  # type: ignore[no-untyped-def]
+def _product(weigh: Callable[..., np.ndarray], x: np.ndarray, y: np.ndarray, area: Area) -> np.ndarray:
     x0, x1, y0, y1 = area
     return np.outer(weigh(y, y0, y1), weigh(x, x0, x1))

@@ -6,7 +6,9 @@ queued on the device's stream on CUDA, when it returns.
 
 from __future__ import annotations
 
+import ctypes
 import platform
+import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -17,16 +19,20 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels import resident_cpu, resident_lanes, resident_strips, streaming, streaming_march
+from warp_plate.kernels import resident_cpu, resident_cpu_groups, resident_lanes, resident_strips, streaming, streaming_march
 from warp_plate.kernels.cuda import LANES
 from warp_plate.scene.errors import SceneError
-from warp_plate.solve.specialize import Specialized
+from warp_plate.solve.specialize import LINE_BYTES, Specialized
 from warp_plate.solve.state import State
 
 Advance = Callable[[State, int, int, int], None]
 
 # A single plate with at least so many nodes is worth a crew of CPU threads, which meet twice a step.
 CREW_NODES = 8192
+# CPU groups of plates pay while one group's room stays in a core's second-level cache, and from this share of a group
+# on (measured: a group of 16 takes 13 times as long as one plate of 27 × 27).
+GROUP_BYTES = 2**20
+GROUP_FILL = 0.85
 # Threads a block where each warp has its own plate. Up to so many plates a multiprocessor, a plate's own speed counts
 # and the compiler may take as many registers as pay; beyond, what counts is how many plates run side by side.
 LANES_BLOCK = 32
@@ -59,7 +65,7 @@ class March:
 def compiler_flags() -> str:
     """How LLVM compiles the CPU kernels: whole vectors and fused multiply-adds."""
     wide = " -mprefer-vector-width=512" if platform.machine().lower() in ("x86_64", "amd64") else ""
-    return "-march=native -ffp-contract=fast" + wide
+    return "-march=native -ffp-contract=fast -mllvm=-force-vector-interleave=4" + wide
 
 
 @lru_cache(maxsize=None)
@@ -71,6 +77,15 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 _CREW = threading.Lock()
 
 
+def _yield_address() -> int:
+    """Address of the C function with which a thread gives up its core for a while."""
+    function = ctypes.windll.kernel32.SwitchToThread if sys.platform == "win32" else ctypes.CDLL(None).sched_yield
+    return ctypes.cast(function, ctypes.c_void_p).value or 0
+
+
+_YIELD = _yield_address()
+
+
 def load(kernel: wp.Kernel, device: wp.Device) -> None:
     """Compile now, or read from Warp's cache, so that no launch pays for it."""
     wp.load_module(module=kernel.module, device=device)
@@ -78,32 +93,82 @@ def load(kernel: wp.Kernel, device: wp.Device) -> None:
 
 def resident_cpu_path(specialized: Specialized) -> Advance:
     """All steps in one launch, plates shared among the cores by Python threads (Warp frees Python's lock)."""
-    ny = specialized.scheme.nodes[1]
-    stride, threads, device = specialized.stride, specialized.threads, specialized.device
-    kernel = resident_cpu.make_run(specialized.effects, specialized.real, ny, stride, compiler_flags())
-    load(kernel, device)
-    factor, stiffness = _resident_cpu_fields(specialized)
-    window = wp.vec2i(*specialized.scheme.window)
-    shared: list[Any] = [specialized.parameters, factor, stiffness, specialized.wave, window]
+    ny, stride, threads = specialized.scheme.nodes[1], specialized.stride, specialized.threads
+    singly, by_groups = _cpu_singly(specialized), _cpu_by_groups(specialized)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
-        arrived = wp.zeros(1, dtype=int, device=device)
-
-        def launch(first: int, count: int, crew: int = 1, member: int = 0) -> None:
-            inputs = [*shared, start, stop, first, crew, member, arrived, state.nodes, state.in_phase, state.quadrature]
-            outputs = [state.u, state.rate, state.squares, state.u_next, state.trace]
-            wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=device)
-
         if plates < threads and ny * stride >= CREW_NODES:
             with _CREW:
                 for plate in range(plates):
-                    arrived.zero_()
-                    _at_once([partial(launch, plate, 1, threads, member) for member in range(threads)])
-        else:
-            cuts = np.linspace(0, plates, min(threads, plates) + 1).astype(int).tolist()
-            _at_once([partial(launch, low, high - low) for low, high in zip(cuts[:-1], cuts[1:], strict=True)])
+                    arrived = wp.zeros(1, dtype=int, device=specialized.device)
+                    crew = [(threads, member, arrived) for member in range(threads)]
+                    _at_once([partial(singly, state, plate, plate + 1, start, stop, one) for one in crew])
+            return
+        cuts = np.linspace(0, plates, min(threads, plates) + 1).astype(int).tolist()
+        calls: list[Callable[[], None]] = []
+        for thread, (low, high) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
+            calls.append(partial(_cpu_share, singly, by_groups, state, thread, low, high, start, stop))
+        _at_once(calls)
 
     return advance
+
+
+def _cpu_share(
+    singly: Any, by_groups: Any, state: State, thread: int, low: int, high: int, start: int, stop: int
+) -> None:
+    """Plates ``low`` ... ``high`` − 1 on one thread: in groups as long as these are full enough, the rest singly."""
+    grouped = low
+    if by_groups is not None:
+        launch, lanes = by_groups
+        groups, rest = divmod(high - low, lanes)
+        grouped = high if rest >= GROUP_FILL * lanes else low + groups * lanes
+        if grouped > low:
+            launch(state, thread, low, grouped, start, stop)
+    if high > grouped:
+        singly(state, grouped, high, start, stop)
+
+
+def _cpu_singly(specialized: Specialized) -> Callable[..., None]:
+    """Launches ``resident_cpu`` on plates first ... last − 1; ``crew``: members, which one, and their meeting."""
+    device, stride, ny = specialized.device, specialized.stride, specialized.scheme.nodes[1]
+    kernel = resident_cpu.make_run(specialized.effects, specialized.real, ny, stride, compiler_flags())
+    load(kernel, device)
+    factor, stiffness = _resident_cpu_fields(specialized)
+    shared: list[Any] = [specialized.parameters, factor, stiffness, specialized.wave]
+    shared += [wp.vec2i(*specialized.scheme.window)]
+    alone = (1, 0, wp.zeros(1, dtype=int, device=device))
+
+    def launch(state: State, first: int, last: int, start: int, stop: int, crew: tuple[Any, ...] = alone) -> None:
+        inputs = [*shared, start, stop, first, *crew, _YIELD, state.nodes, state.in_phase, state.quadrature]
+        outputs = [state.u, state.rate, state.squares, state.u_next, state.trace]
+        wp.launch(kernel, dim=last - first, inputs=inputs, outputs=outputs, device=device)
+
+    return launch
+
+
+def _cpu_by_groups(specialized: Specialized) -> tuple[Callable[..., None], int] | None:
+    """Launches ``resident_cpu_groups``, and plates a group; None for plates whose groups would leave the cache."""
+    device, scheme = specialized.device, specialized.scheme
+    itemsize = wp.types.type_size_in_bytes(specialized.real)
+    lanes = LINE_BYTES // itemsize
+    room = resident_cpu_groups.room_of(*scheme.nodes, lanes)
+    if room * itemsize > GROUP_BYTES:
+        return None
+    kernel = resident_cpu_groups.make_run_groups(
+        specialized.effects, specialized.real, *scheme.nodes, specialized.stride, lanes, compiler_flags()
+    )
+    load(kernel, device)
+    factor = np.outer(scheme.factor_y[[0, 1, -1]], np.repeat(scheme.factor_x, lanes))
+    shared = [specialized.parameters, specialized.to_device(factor.ravel()), specialized.wave]
+    shared += [wp.vec2i(*scheme.window)]
+    rooms = wp.zeros((specialized.threads, room), dtype=specialized.real, device=device)
+
+    def launch(state: State, thread: int, first: int, last: int, start: int, stop: int) -> None:
+        inputs = [*shared, start, stop, first, last, thread, state.nodes, state.in_phase, state.quadrature]
+        outputs = [rooms, state.u, state.rate, state.squares, state.trace]
+        wp.launch(kernel, dim=-(-(last - first) // lanes), inputs=inputs, outputs=outputs, device=device)
+
+    return launch, lanes
 
 
 def _at_once(calls: list[Callable[[], None]]) -> None:
@@ -123,7 +188,7 @@ def _resident_cpu_fields(specialized: Specialized) -> tuple[wp.array, wp.array]:
     factor = np.zeros((factor_y.size, stride))
     factor[:, :nx] = np.outer(factor_y, scheme.factor_x)
     stiffness = np.zeros((moved_rows, stride))
-    stiffness[:, 1 : nx - 1] = scheme.stiffness
+    stiffness[:, 1 : nx - 1] = specialized.parameters.stiffness
     return specialized.to_device(factor.ravel()), specialized.to_device(stiffness.ravel())
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -12,8 +12,8 @@ from warp_plate.kernels.effects import Effects
 from warp_plate.kernels.update import make_parameters
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.weights import patches, region_weights
-from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.solve.devices import cpu_threads
 
 # Rows are padded to whole cache lines, which are also whole vector registers.
 LINE_BYTES = 64
@@ -36,7 +36,7 @@ class Specialized:
     stride: int
     device: wp.Device
     threads: int
-    parameters: object
+    parameters: Any
     support: wp.array
     patches: wp.array
     weights: wp.array
@@ -57,18 +57,6 @@ def effect_names(scene: Scene) -> tuple[str, ...]:
     """The effects in the compiled kernel, for people and for results."""
     damping = scene.effects.damping
     return (f"viscous damping ({damping.scheme})",) if damping else ()
-
-
-def cpu_threads() -> int:
-    """Cores that this process may use; the environment variable WARP_PLATE_THREADS sets another number."""
-    told = os.environ.get("WARP_PLATE_THREADS", "")
-    if told:
-        if not told.isdecimal() or int(told) < 1:
-            raise SceneError(f"WARP_PLATE_THREADS = {told!r}: must be a whole number, at least 1")
-        return int(told)
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def specialize(scene: Scene, device: wp.Device, threads: int | None = None) -> Specialized:

@@ -1,0 +1,61 @@
+"""warp-plate on the path that it chooses for the size of plate, driven just below its scenes: the work loads every
+node, where the actuators of a scene load a few."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from peer_codes.problem import PeerMissing, Problem, Run
+from warp_plate import Scene
+from warp_plate.solve.devices import find_device
+from warp_plate.solve.engine import make_engine, region_sums
+from warp_plate.solve.specialize import Specialized, specialize
+from warp_plate.solve.state import make_state
+
+NOTHING_TRACED = np.zeros((0, 2), dtype=np.int32)
+
+
+def make(problem: Problem, threads: int) -> Run:
+    """On the CPU with so many threads, or on the GPU; raises PeerMissing where there is none."""
+    if problem.device == "cuda" and not wp.is_cuda_available():
+        raise PeerMissing("Warp finds no GPU")
+    specialized = specialize_as(problem, threads)
+    device, inner = specialized.device, np.s_[:, 1:-1, : problem.nodes]
+    engine = make_engine(specialized)
+    state = make_state(specialized, problem.plates, wp.array(NOTHING_TRACED, dtype=int, device=device))
+    for field, load in ((state.in_phase, problem.in_phase), (state.quadrature, problem.quadrature)):
+        padded = np.zeros(field.shape, dtype=problem.dtype)
+        padded[inner] = load
+        field.assign(padded)
+
+    def run() -> NDArray[np.float64]:
+        state.clear()
+        engine.advance(state, problem.plates, 0, problem.steps)
+        return region_sums(engine, state, problem.plates).astype(np.float64)
+
+    return run
+
+
+def specialize_as(problem: Problem, threads: int) -> Specialized:
+    """A clamped, damped scene of the problem's size, with the problem's numbers put in their places."""
+    scene = Scene.load("paper").model_dump()
+    scene["grid"] |= {"nodes": (problem.nodes,) * 2, "precision": problem.precision, "time_step": None}
+    scene["grid"]["load"] = "overlap"
+    device = find_device(problem.device)
+    made = specialize(Scene.model_validate(scene), device, threads)
+    made.parameters.stiffness = problem.stiffness
+    made.parameters.decay = problem.decay
+    everywhere = np.argwhere(np.ones((problem.nodes - 2,) * 2)) + [2, 1]
+    weights = np.zeros(made.weights.shape)
+    weights[:, 1:-1, : problem.nodes] = problem.weights
+    return replace(
+        made,
+        scheme=replace(made.scheme, steps=problem.steps, window=(problem.first, problem.steps)),
+        support=wp.array(everywhere.astype(np.int32), dtype=int, device=device),
+        weights=wp.array(weights, dtype=wp.float64, device=device),
+        wave=made.to_device(np.stack([problem.cosine, problem.sine], axis=1)),
+    )

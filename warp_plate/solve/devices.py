@@ -1,0 +1,58 @@
+"""Which device to run on, and how many cores of the CPU."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+
+import warp as wp
+
+from warp_plate.scene.errors import SceneError
+
+
+def find_device(name: str) -> wp.Device:
+    """The Warp device of a name; "auto" is the first CUDA device, else the CPU.
+
+    Raises:
+        SceneError: Warp knows no such device here.
+    """
+    wp.config.log_level = max(wp.config.log_level, wp.LOG_ERROR)  # Warp greets on standard output otherwise
+    with _quiet_standard_error():
+        wp.init()
+    try:
+        return wp.get_device(("cuda:0" if wp.is_cuda_available() else "cpu") if name == "auto" else name)
+    except (ValueError, RuntimeError):
+        known = ", ".join(["auto", *(device.alias for device in wp.get_devices())])
+        raise SceneError(f"device = {name!r}: not on this machine; there are: {known}") from None
+
+
+def cpu_threads() -> int:
+    """Cores that this process may use; the environment variable WARP_PLATE_THREADS sets another number.
+
+    Raises:
+        SceneError: the variable is no whole number from 1 on.
+    """
+    told = os.environ.get("WARP_PLATE_THREADS", "")
+    if told:
+        if not told.isdecimal() or int(told) < 1:
+            raise SceneError(f"WARP_PLATE_THREADS = {told!r}: must be a whole number, at least 1")
+        return int(told)
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@contextlib.contextmanager
+def _quiet_standard_error() -> Iterator[None]:
+    """Drop what Warp's C++ side says where there is no CUDA driver: on most machines that is no fault."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)

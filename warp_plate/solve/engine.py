@@ -1,0 +1,78 @@
+"""A scene's kernels on one device, ready to run: put drives in, step plates, take sums out.
+
+Everything here is in the kernels' scaled numbers; ``solver`` turns them into SI units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from warp_plate.kernels.energy import make_sum_along_rows, make_sum_rows
+from warp_plate.kernels.load import make_spread_drives
+from warp_plate.scene.errors import SceneError
+from warp_plate.solve.paths import Advance, choose_path, load, paths_of
+from warp_plate.solve.specialize import Specialized
+from warp_plate.solve.state import State
+
+
+@dataclass(frozen=True)
+class Engine:
+    """The compiled kernels of a specialized scene; ``advance(state, plates, start, stop)`` steps plates."""
+
+    specialized: Specialized
+    path: str
+    advance: Advance
+    spread_drives: wp.Kernel
+    sum_along_rows: wp.Kernel
+    sum_rows: wp.Kernel
+
+
+def make_engine(specialized: Specialized, path: str = "auto") -> Engine:
+    """Compile, or read from Warp's cache, all that a run needs.
+
+    Raises:
+        SceneError: no such path on this device, or the plate does not fit it.
+    """
+    device = specialized.device
+    path = choose_path(specialized) if path == "auto" else path
+    if path not in paths_of(device):
+        raise SceneError(f"path = {path!r}: no such path; there are: auto, {', '.join(paths_of(device))}")
+    kernels = (make_spread_drives(specialized.real), make_sum_along_rows(specialized.real), make_sum_rows())
+    for kernel in kernels:
+        load(kernel, device)
+    return Engine(specialized, path, paths_of(device)[path](specialized), *kernels)
+
+
+def load_drives(engine: Engine, state: State, drives: np.ndarray) -> None:
+    """Turn phasors (plates, actuators) into the load fields of the first plates; the others stay as they are."""
+    specialized = engine.specialized
+    parts = np.zeros(state.drives.shape, dtype=specialized.scene.grid.precision)
+    parts[: len(drives)] = np.stack([drives.real, -drives.imag], axis=1)
+    state.drives.assign(parts)
+    wp.launch(
+        engine.spread_drives,
+        dim=(len(drives), specialized.support.shape[0]),
+        inputs=[state.drives, specialized.support, specialized.patches],
+        outputs=[state.in_phase, state.quadrature],
+        device=specialized.device,
+    )
+
+
+def region_sums(engine: Engine, state: State, plates: int) -> np.ndarray:
+    """(plates, regions) weighted sums of rate² over the window, for the first plates."""
+    specialized = engine.specialized
+    regions, rows, _ = specialized.weights.shape
+    wp.launch(
+        engine.sum_along_rows,
+        dim=(plates, regions, rows),
+        inputs=[state.squares, specialized.weights],
+        outputs=[state.row_sums],
+        device=specialized.device,
+    )
+    inputs, outputs = [state.row_sums], [state.energy]
+    wp.launch(engine.sum_rows, dim=(plates, regions), inputs=inputs, outputs=outputs, device=specialized.device)
+    sums: np.ndarray = state.energy.numpy()[:plates]
+    return sums
