@@ -3,7 +3,7 @@
 They exist on CUDA only: a kernel that calls one of them must never be launched on CPU.
 """
 
-from functools import lru_cache
+from functools import cache
 
 import warp as wp
 
@@ -14,7 +14,7 @@ _SHARED_MEMORY = "\nextern __shared__ char dynamic_smem_base[]; return (wp::uint
 LANES = 32
 
 
-@lru_cache(maxsize=None)
+@cache
 def make_from_lane(real):
     """The value that ``lane`` of the same warp passes in; all 32 lanes must call together."""
 

@@ -6,12 +6,12 @@ Rows first, then the rows of a plate, each by one thread from left to right: the
 the result's last bit, depends on nothing but the grid.
 """
 
-from functools import lru_cache
+from functools import cache
 
 import warp as wp
 
 
-@lru_cache(maxsize=None)
+@cache
 def make_sum_along_rows(real):
     """squares: (plates, rows, columns); weights: (regions, rows, columns); row_sums: (plates, regions, rows)."""
 
@@ -28,7 +28,7 @@ def make_sum_along_rows(real):
     return sum_along_rows
 
 
-@lru_cache(maxsize=None)
+@cache
 def make_sum_rows():
     """row_sums: (plates, regions, rows); energy: (plates, regions)."""
 

@@ -3,12 +3,12 @@
     load(t) = in_phase·cos ωt + quadrature·sin ωt,   in_phase − i·quadrature = Σ patch·Z
 """
 
-from functools import lru_cache
+from functools import cache
 
 import warp as wp
 
 
-@lru_cache(maxsize=None)
+@cache
 def make_spread_drives(real):
     """Writes the load fields at the nodes that some actuator covers; all others hold zero already.
 

@@ -12,10 +12,9 @@ own band of rows of the same plate, and meet after each pass. Many small plates 
 ``resident_cpu_groups``, which uses the same two passes.
 """
 
-from functools import lru_cache
+from functools import cache
 
 import warp as wp
-
 from warp_plate.kernels.stencil import make_laplacian
 from warp_plate.kernels.update import make_parameters, make_update
 
@@ -45,7 +44,7 @@ def rows_per_block(ny, row):
     return (ny, ny - 2) if ny * row <= FLAT_NODES else (1, 1)
 
 
-@lru_cache(maxsize=None)
+@cache
 def make_passes(effects, real, row, beside, curved, moved, held):
     """The two passes as functions (bend, move) of addresses; each walks one flat range.
 
@@ -136,7 +135,7 @@ def make_passes(effects, real, row, beside, curved, moved, held):
     return bend, move
 
 
-@lru_cache(maxsize=None)
+@cache
 def make_run(effects, real, ny, stride, compiler_flags):
     """Steps ``start`` ... ``stop`` − 1 of the plates from ``first`` on; launch over (plates,).
 
@@ -157,7 +156,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
     @wp.func
     def bend_block(u_plane: wp.uint64, factors: wp.uint64, curvature_plane: wp.uint64, block: int, aspect: real):
         at = wp.uint64(block * wp.static(curved_rows * row_bytes))
-        pattern = int(0)
+        pattern = 0
         if wp.static(curved_blocks > 1):
             pattern = wp.where(block == 0, 0, wp.where(block == wp.static(curved_blocks - 1), 2, 1))
         factor = factors + wp.uint64(pattern * wp.static(curved_rows * row_bytes))
@@ -196,7 +195,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
         bent = curvature.ptr + plane
         low = member * wp.static(moved_blocks) // crew
         high = (member + 1) * wp.static(moved_blocks) // crew
-        goal = int(0)
+        goal = 0
         for n in range(start, stop):
             summed = n >= window[0] and n < window[1]
             waves = wave_of(wave[n, 0], wave[n, 1])

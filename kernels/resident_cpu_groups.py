@@ -2,14 +2,13 @@
 
 In a group, node i of plate k lies at i·lanes + k, so that a vector holds the same node of several plates: neighbours
 along x lie whole vectors apart, no number is padding, and a plate's width does not matter. To the two passes of
-``resident_cpu`` it is one plate with rows ``lanes`` times as long, of which they take one at a time. The batched tensors keep their layout: a launch
-copies a group in, runs all steps, and copies it out.
+``resident_cpu`` it is one plate with rows ``lanes`` times as long, of which they take one at a time. The batched
+tensors keep their layout: a launch copies a group in, runs all steps, and copies it out.
 """
 
-from functools import lru_cache
+from functools import cache
 
 import warp as wp
-
 from warp_plate.kernels.resident_cpu import make_passes
 from warp_plate.kernels.update import make_parameters
 
@@ -22,7 +21,7 @@ def room_of(nx, ny, lanes):
     return (PLANES * (ny + 2) + CURVED_ROWS) * nx * lanes
 
 
-@lru_cache(maxsize=None)
+@cache
 def make_run_groups(effects, real, nx, ny, stride, lanes, compiler_flags):
     """Steps ``start`` ... ``stop`` − 1 of ``lanes`` plates at a time; launch over (groups,), from plate ``first`` on.
 

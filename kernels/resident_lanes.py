@@ -9,14 +9,12 @@ Edges along x: the lane of an edge column holds zeros (its stiffness is zero), a
 neighbours. A clamped edge takes the inner lane for both, the mirror image; a supported edge takes itself.
 """
 
-from functools import lru_cache
+from functools import cache
 
 import warp as wp
-
+from warp_plate.kernels.cuda import LANES, make_from_lane
 from warp_plate.kernels.stencil import make_laplacian
 from warp_plate.kernels.update import make_parameters, make_update
-from warp_plate.kernels.cuda import LANES, make_from_lane
-
 
 
 def fits(nx, ny):
@@ -24,7 +22,7 @@ def fits(nx, ny):
     return nx <= LANES and ny <= LANES
 
 
-@lru_cache(maxsize=None)
+@cache
 def make_run(effects, real, ny, loaded, summed, registers=None):
     """Steps ``start`` ... ``stop`` − 1; launch over (32 × plates,) threads.
 

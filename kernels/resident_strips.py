@@ -10,10 +10,9 @@ Loads are read where a row has any (few rows do), from the cache.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 
 import warp as wp
-
 from warp_plate.kernels.cuda import LANES, barrier, make_from_lane, shared_memory
 from warp_plate.kernels.stencil import make_laplacian
 from warp_plate.kernels.update import make_parameters, make_update
@@ -58,7 +57,7 @@ def plan(nx, ny, real):
     return None
 
 
-@lru_cache(maxsize=None)
+@cache
 def make_run(effects, real, nx, ny, stride, strips, summed):
     """Steps ``start`` ... ``stop`` − 1; launch over (plates × threads,) with blocks of 32 × warps threads.
 
@@ -151,7 +150,7 @@ def make_run(effects, real, nx, ny, stride, strips, summed):
         speed = strip_of()
         squared = squares_of()
         stiffness = row_of()
-        loads = int(0)
+        loads = 0
         for c in range(wp.static(columns)):
             if lane < wp.static(last_lane + (c <= last_column)):
                 stiffness[c] = p.stiffness

@@ -6,12 +6,12 @@ mirror node doubles the curvature, on a simply supported edge the curvature is z
 the curvature of its nodes, 2 or 0 (1 inside), and no path needs a special case for it.
 """
 
-from functools import lru_cache
+from functools import cache
 
 import warp as wp
 
 
-@lru_cache(maxsize=None)
+@cache
 def make_laplacian(square_cells, real):
     """∇²u from the five nodes of the cross; ``real`` is wp.float32 or wp.float64."""
 

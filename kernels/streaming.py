@@ -4,15 +4,14 @@ Each thread gathers the 13 nodes around its own from the batched tensor. The dis
 take turns, because neighbours still read the old one. CUDA has a faster form in ``streaming_march``.
 """
 
-from functools import lru_cache
+from functools import cache
 
 import warp as wp
-
 from warp_plate.kernels.stencil import make_laplacian
 from warp_plate.kernels.update import make_parameters, make_update
 
 
-@lru_cache(maxsize=None)
+@cache
 def make_step(effects, real):
     """One step of all plates; launch over (plates, ny − 2, nx − 2).
 
@@ -78,20 +77,3 @@ def make_step(effects, real):
             squares[k, y, x] += new * new
 
     return step
-
-
-@lru_cache(maxsize=None)
-def make_record(real):
-    """Copies the displacement of single nodes into the trace; launch over (plates, nodes)."""
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def record(
-        n: int,
-        nodes: wp.array2d[int],
-        u: wp.array3d[real],
-        trace: wp.array3d[real],
-    ):
-        k, m = wp.tid()
-        trace[k, m, n] = u[k, nodes[m, 0], nodes[m, 1]]
-
-    return record

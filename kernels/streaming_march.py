@@ -10,10 +10,9 @@ Displacement and rate lie in two buffers that take turns, because the neighbours
 counts steps on the device, so that a captured CUDA graph can be replayed: a launch adds its own offset to it.
 """
 
-from functools import lru_cache
+from functools import cache
 
 import warp as wp
-
 from warp_plate.kernels.cuda import LANES, make_from_lane
 from warp_plate.kernels.stencil import make_laplacian
 from warp_plate.kernels.update import make_parameters, make_update
@@ -24,7 +23,7 @@ def useful_columns(columns, levels):
     return LANES * columns - 4 * levels
 
 
-@lru_cache(maxsize=None)
+@cache
 def make_march(effects, real, nx, ny, stride, columns, levels, summed, registers=None):
     """``levels`` steps; launch over (plates · strips · tiles · 32,), strips along x and tiles of ``tile_rows`` rows.
 
@@ -98,8 +97,8 @@ def make_march(effects, real, nx, ny, stride, columns, levels, summed, registers
         high = wp.min(low + tile_rows, wp.static(ny))
 
         # A lane beside the plate reads the row of zeros below it over and over.
-        pitch = int(0)
-        column = int(0)
+        pitch = 0
+        column = 0
         stiffness = row_of()
         factor = row_of()
         if x0 + wp.static(columns - 1) >= 0 and x0 < wp.static(nx):
@@ -137,7 +136,7 @@ def make_march(effects, real, nx, ny, stride, columns, levels, summed, registers
         rate_2 = levels_of()
         sum_1 = levels_of()
         sum_2 = levels_of()
-        load_bits = int(0)  # bit b: row y − 2 − b is loaded
+        load_bits = 0  # bit b: row y − 2 − b is loaded
 
         first = low - wp.static(margin)
         rounds = (high - first + wp.static(margin) + 2) // 3
@@ -237,27 +236,3 @@ def make_march(effects, real, nx, ny, stride, columns, levels, summed, registers
                                 lane_squares[done * pitch + c] = total[c]
 
     return march
-
-
-@wp.kernel(module="unique", enable_backward=False)
-def advance_clock(clock: wp.array[int], steps: int):
-    """The steps of a run of launches are done."""
-    clock[0] = clock[0] + steps
-
-
-@lru_cache(maxsize=None)
-def make_record(real):
-    """Copies the displacement of single nodes into the trace; launch over (plates, nodes)."""
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def record(
-        clock: wp.array[int],
-        offset: int,
-        nodes: wp.array2d[int],
-        u: wp.array3d[real],
-        trace: wp.array3d[real],
-    ):
-        k, m = wp.tid()
-        trace[k, m, clock[0] + offset] = u[k, nodes[m, 0], nodes[m, 1]]
-
-    return record

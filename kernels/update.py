@@ -7,12 +7,12 @@ measured in units of the plate's largest drive × Δt²/ρH, so that all numbers
 ``stiffness`` = (κΔt/h²)² and ``load`` ≤ 1, both divided by 1 + cΔt/2ρH where damping is centred in time.
 """
 
-from functools import lru_cache
+from functools import cache
 
 import warp as wp
 
 
-@lru_cache(maxsize=None)
+@cache
 def make_parameters(real):
     """The struct of run-time numbers, equal for all plates and nodes, in the precision ``real``."""
 
@@ -25,7 +25,7 @@ def make_parameters(real):
     return Parameters
 
 
-@lru_cache(maxsize=None)
+@cache
 def make_update(effects, real):
     """The rate half a step later from the rate, ∇⁴u, the load and the stiffness at one node."""
     Parameters = make_parameters(real)

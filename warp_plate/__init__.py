@@ -27,7 +27,7 @@ _HOME = {
     "load_result": "warp_plate.result",
     "save_result": "warp_plate.result",
 }
-__all__ = ["__version__", *sorted(_HOME)]  # noqa: PLE0604
+__all__ = ["__version__", *sorted(_HOME)]
 
 
 def __getattr__(name: str) -> object:

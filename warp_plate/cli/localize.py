@@ -61,9 +61,11 @@ def localize(
     from warp_plate.search.localize import localize as search
 
     with output.progress_bar("searching", shown=not json) as show:
-        result = search(
-            loaded, scene, device, seed, evaluator, path, lambda done, total, best: show(done, total, f"best {best:.4f}")
-        )
+
+        def told(done: int, total: int, best: float) -> None:
+            show(done, total, f"best {best:.4f}")
+
+        result = search(loaded, scene, device, seed, evaluator, path, told)
     files, missing = output.write_files(result, target, pictures)
     if json:
         output.print_json(as_json(result, files))

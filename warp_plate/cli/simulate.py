@@ -48,7 +48,11 @@ def simulate(
     from warp_plate.search.simulate import simulate as run
 
     with output.progress_bar("simulating", shown=not json) as show:
-        result = run(loaded, scene, drive, device, path, lambda done, total: show(done, total, f"{done:.2g} node-steps"))
+
+        def told(done: int, total: int) -> None:
+            show(done, total, f"{done:.2g} node-steps")
+
+        result = run(loaded, scene, drive, device, path, told)
     case = result.cases["drive"]
     files, missing = output.write_files(result, target, pictures)
     peak = float(np.abs(case.displacement).max())

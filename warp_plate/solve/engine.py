@@ -13,9 +13,9 @@ import warp as wp
 from warp_plate.kernels.energy import make_sum_along_rows, make_sum_rows
 from warp_plate.kernels.load import make_spread_drives
 from warp_plate.scene.errors import SceneError
-from warp_plate.solve.paths import Advance, choose_path, load, paths_of
+from warp_plate.solve.paths import choose_path, paths_of
 from warp_plate.solve.specialize import Specialized
-from warp_plate.solve.state import State
+from warp_plate.solve.state import Advance, State
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def make_engine(specialized: Specialized, path: str = "auto") -> Engine:
         raise SceneError(f"path = {path!r}: no such path; there are: auto, {', '.join(paths_of(device))}")
     kernels = (make_spread_drives(specialized.real), make_sum_along_rows(specialized.real), make_sum_rows())
     for kernel in kernels:
-        load(kernel, device)
+        wp.load_module(module=kernel.module, device=device)
     return Engine(specialized, path, paths_of(device)[path](specialized), *kernels)
 
 

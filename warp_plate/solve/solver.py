@@ -129,7 +129,7 @@ class PlateSolver:
             return traced
         snapshots = [scheme.step_of(t) for t in times]
         corners, shares = bilinear(points, scheme.nodes, self.scene.plate.size)
-        nodes = wp.array(corners.reshape(-1, 2) + np.array([1, 0], np.int32), dtype=int, device=self.device)
+        nodes: wp.array = wp.array(corners.reshape(-1, 2) + np.array([1, 0], np.int32), dtype=int, device=self.device)
         energy = np.empty((plates, len(REGIONS)))
         displacement = np.empty((plates, len(snapshots), ny, nx))
         trace = np.empty((plates, len(points), scheme.steps))

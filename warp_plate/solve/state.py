@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import warp as wp
@@ -17,7 +18,8 @@ class State:
     """Room for ``capacity`` plates; fields are (capacity, rows, stride) and hold zeros outside the plate.
 
     u_next, rate_next: the buffers that take turns with u and rate on the streaming paths; the resident path on CPU
-    keeps the curvature in u_next. nodes: (traced nodes, 2), row and column; trace: (capacity, traced nodes, steps).
+    keeps the curvature in u_next. nodes: (traced nodes, 2), row and column; trace: (capacity, traced nodes,
+    steps).
     """
 
     capacity: int
@@ -38,6 +40,11 @@ class State:
         """Back to rest at t = 0; the load fields stay."""
         for field in (self.u, self.rate, self.squares, self.u_next, self.rate_next):
             field.zero_()
+
+
+# A path, called as advance(state, plates, start, stop): takes the first ``plates`` plates of a state from step ``start``
+# to step ``stop``. It has finished on CPU, or is queued on the device's stream on CUDA, when it returns.
+Advance = Callable[[State, int, int, int], None]
 
 
 def bytes_per_plate(specialized: Specialized, traced_nodes: int) -> int:

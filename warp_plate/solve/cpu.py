@@ -1,0 +1,186 @@
+"""The paths of the CPU: plates in the cache of the cores, shared among them by Python threads."""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+import sys
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warp_plate.kernels import record, resident_cpu, resident_cpu_groups, streaming
+from warp_plate.solve.specialize import LINE_BYTES, Specialized
+from warp_plate.solve.state import Advance, State
+
+# A single plate with at least so many nodes is worth a crew of threads, which meet twice a step.
+CREW_NODES = 8192
+# Groups of plates pay while one group's room stays in a core's second-level cache, and from this share of a group on
+# (measured: a group of 16 takes 13 times as long as one plate of 27 × 27).
+GROUP_BYTES = 2**20
+GROUP_FILL = 0.85
+
+
+def compiler_flags() -> str:
+    """How LLVM compiles the CPU kernels: whole vectors and fused multiply-adds."""
+    wide = " -mprefer-vector-width=512" if platform.machine().lower() in ("x86_64", "amd64") else ""
+    return "-march=native -ffp-contract=fast -mllvm=-force-vector-interleave=4" + wide
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max_workers=threads, thread_name_prefix="warp-plate")
+
+
+# One crew at a time: its members wait for each other, so that all must run at once.
+_CREW = threading.Lock()
+
+
+def _yield_address() -> int:
+    """Address of the C function with which a thread gives up its core for a while."""
+    if sys.platform == "win32":
+        function = ctypes.windll.kernel32.SwitchToThread
+    else:
+        function = ctypes.CDLL(None).sched_yield
+    return ctypes.cast(function, ctypes.c_void_p).value or 0
+
+
+_YIELD = _yield_address()
+
+
+def resident_path(specialized: Specialized) -> Advance:
+    """All steps in one launch, plates shared among the cores by Python threads (Warp frees Python's lock)."""
+    ny, stride, threads = specialized.scheme.nodes[1], specialized.stride, specialized.threads
+    singly, by_groups = _cpu_singly(specialized), _cpu_by_groups(specialized)
+
+    def advance(state: State, plates: int, start: int, stop: int) -> None:
+        if plates < threads and ny * stride >= CREW_NODES:
+            with _CREW:
+                for plate in range(plates):
+                    arrived = wp.zeros(1, dtype=int, device=specialized.device)
+                    crew = [(threads, member, arrived) for member in range(threads)]
+                    _at_once([partial(singly, state, plate, plate + 1, start, stop, one) for one in crew])
+            return
+        cuts = np.linspace(0, plates, min(threads, plates) + 1).astype(int).tolist()
+        calls: list[Callable[[], None]] = []
+        for thread, (low, high) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
+            calls.append(partial(_cpu_share, singly, by_groups, state, thread, low, high, start, stop))
+        _at_once(calls)
+
+    return advance
+
+
+def _cpu_share(
+    singly: Any, by_groups: Any, state: State, thread: int, low: int, high: int, start: int, stop: int
+) -> None:
+    """Plates ``low`` ... ``high`` − 1 on one thread: in groups as long as these are full enough, the rest singly."""
+    grouped = low
+    if by_groups is not None:
+        launch, lanes = by_groups
+        groups, rest = divmod(high - low, lanes)
+        grouped = high if rest >= GROUP_FILL * lanes else low + groups * lanes
+        if grouped > low:
+            launch(state, thread, low, grouped, start, stop)
+    if high > grouped:
+        singly(state, grouped, high, start, stop)
+
+
+def _cpu_singly(specialized: Specialized) -> Callable[..., None]:
+    """Launches ``resident_cpu`` on plates first ... last − 1; ``crew``: members, which one, and their meeting."""
+    device, stride, ny = specialized.device, specialized.stride, specialized.scheme.nodes[1]
+    kernel = resident_cpu.make_run(specialized.effects, specialized.real, ny, stride, compiler_flags())
+    wp.load_module(module=kernel.module, device=device)
+    factor, stiffness = _resident_cpu_fields(specialized)
+    shared: list[Any] = [specialized.parameters, factor, stiffness, specialized.wave]
+    shared += [wp.vec2i(*specialized.scheme.window)]
+    alone = (1, 0, wp.zeros(1, dtype=int, device=device))
+
+    def launch(state: State, first: int, last: int, start: int, stop: int, crew: tuple[Any, ...] = alone) -> None:
+        inputs = [*shared, start, stop, first, *crew, _YIELD, state.nodes, state.in_phase, state.quadrature]
+        outputs = [state.u, state.rate, state.squares, state.u_next, state.trace]
+        wp.launch(kernel, dim=last - first, inputs=inputs, outputs=outputs, device=device)
+
+    return launch
+
+
+def _cpu_by_groups(specialized: Specialized) -> tuple[Callable[..., None], int] | None:
+    """Launches ``resident_cpu_groups``, and plates a group; None for plates whose groups would leave the cache."""
+    device, scheme = specialized.device, specialized.scheme
+    itemsize = wp.types.type_size_in_bytes(specialized.real)
+    lanes = LINE_BYTES // itemsize
+    room = resident_cpu_groups.room_of(*scheme.nodes, lanes)
+    if room * itemsize > GROUP_BYTES:
+        return None
+    kernel = resident_cpu_groups.make_run_groups(
+        specialized.effects, specialized.real, *scheme.nodes, specialized.stride, lanes, compiler_flags()
+    )
+    wp.load_module(module=kernel.module, device=device)
+    factor = np.outer(scheme.factor_y[[0, 1, -1]], np.repeat(scheme.factor_x, lanes))
+    shared = [specialized.parameters, specialized.to_device(factor.ravel()), specialized.wave]
+    shared += [wp.vec2i(*scheme.window)]
+    rooms = wp.zeros((specialized.threads, room), dtype=specialized.real, device=device)
+
+    def launch(state: State, thread: int, first: int, last: int, start: int, stop: int) -> None:
+        inputs = [*shared, start, stop, first, last, thread, state.nodes, state.in_phase, state.quadrature]
+        outputs = [rooms, state.u, state.rate, state.squares, state.trace]
+        wp.launch(kernel, dim=-(-(last - first) // lanes), inputs=inputs, outputs=outputs, device=device)
+
+    return launch, lanes
+
+
+def _at_once(calls: list[Callable[[], None]]) -> None:
+    """Make the calls side by side, the last of them here."""
+    pending = [_pool(len(calls) - 1).submit(call) for call in calls[:-1]]
+    calls[-1]()
+    for future in pending:
+        future.result()
+
+
+def _resident_cpu_fields(specialized: Specialized) -> tuple[wp.array, wp.array]:
+    """Curvature factors and stiffnesses in the blocks that ``resident_cpu`` walks."""
+    scheme, stride = specialized.scheme, specialized.stride
+    nx, ny = scheme.nodes
+    curved_rows, moved_rows = resident_cpu.rows_per_block(ny, stride)
+    factor_y = scheme.factor_y if curved_rows > 1 else scheme.factor_y[[0, 1, -1]]
+    factor = np.zeros((factor_y.size, stride))
+    factor[:, :nx] = np.outer(factor_y, scheme.factor_x)
+    stiffness = np.zeros((moved_rows, stride))
+    stiffness[:, 1 : nx - 1] = specialized.parameters.stiffness
+    return specialized.to_device(factor.ravel()), specialized.to_device(stiffness.ravel())
+
+
+def streaming_path(specialized: Specialized) -> Advance:
+    """A launch a step, a thread a node: slow, and the plainest of the paths."""
+    device, real = specialized.device, specialized.real
+    step = streaming.make_step(specialized.effects, real)
+    keep = record.make_record(real)
+    for kernel in (step, keep):
+        wp.load_module(module=kernel.module, device=device)
+    nx, ny = specialized.scheme.nodes
+    factors = [specialized.to_device(specialized.scheme.factor_x), specialized.to_device(specialized.scheme.factor_y)]
+    window = wp.vec2i(*specialized.scheme.window)
+
+    clock = wp.zeros(1, dtype=int, device=device)
+    shared = [specialized.parameters, *factors, specialized.wave, window]
+
+    def advance(state: State, plates: int, start: int, stop: int) -> None:
+        clock.fill_(start)
+        for n in range(start, stop):
+            wp.launch(
+                step,
+                dim=(plates, ny - 2, nx - 2),
+                inputs=[*shared, n, state.in_phase, state.quadrature, state.u],
+                outputs=[state.u_next, state.rate, state.squares],
+                device=device,
+            )
+            state.u, state.u_next = state.u_next, state.u
+            if state.nodes.shape[0]:
+                inputs, outputs = [clock, n - start, state.nodes, state.u], [state.trace]
+                wp.launch(keep, dim=(plates, state.nodes.shape[0]), inputs=inputs, outputs=outputs, device=device)
+
+    return advance
