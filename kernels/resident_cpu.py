@@ -156,7 +156,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
     @wp.func
     def bend_block(u_plane: wp.uint64, factors: wp.uint64, curvature_plane: wp.uint64, block: int, aspect: real):
         at = wp.uint64(block * wp.static(curved_rows * row_bytes))
-        pattern = 0
+        pattern = int(0)
         if wp.static(curved_blocks > 1):
             pattern = wp.where(block == 0, 0, wp.where(block == wp.static(curved_blocks - 1), 2, 1))
         factor = factors + wp.uint64(pattern * wp.static(curved_rows * row_bytes))
@@ -195,7 +195,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
         bent = curvature.ptr + plane
         low = member * wp.static(moved_blocks) // crew
         high = (member + 1) * wp.static(moved_blocks) // crew
-        goal = 0
+        goal = int(0)
         for n in range(start, stop):
             summed = n >= window[0] and n < window[1]
             waves = wave_of(wave[n, 0], wave[n, 1])

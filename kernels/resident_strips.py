@@ -150,7 +150,7 @@ def make_run(effects, real, nx, ny, stride, strips, summed):
         speed = strip_of()
         squared = squares_of()
         stiffness = row_of()
-        loads = 0
+        loads = int(0)
         for c in range(wp.static(columns)):
             if lane < wp.static(last_lane + (c <= last_column)):
                 stiffness[c] = p.stiffness
@@ -164,7 +164,7 @@ def make_run(effects, real, nx, ny, stride, strips, summed):
                         if wp.static(squares_registers):
                             squared[j, c] = own_squares[wp.static(j * stride + c)]
         if lane > wp.static(last_lane):
-            loads = 0
+            loads = int(0)
         if wp.static(summed and strips.squares_shared):
             for m in range(wp.static(rows * columns)):
                 shared[wp.static(2 * buffer + m * threads) + thread] = real(0.0)

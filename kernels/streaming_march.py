@@ -97,8 +97,8 @@ def make_march(effects, real, nx, ny, stride, columns, levels, summed, registers
         high = wp.min(low + tile_rows, wp.static(ny))
 
         # A lane beside the plate reads the row of zeros below it over and over.
-        pitch = 0
-        column = 0
+        pitch = int(0)
+        column = int(0)
         stiffness = row_of()
         factor = row_of()
         if x0 + wp.static(columns - 1) >= 0 and x0 < wp.static(nx):
@@ -136,7 +136,7 @@ def make_march(effects, real, nx, ny, stride, columns, levels, summed, registers
         rate_2 = levels_of()
         sum_1 = levels_of()
         sum_2 = levels_of()
-        load_bits = 0  # bit b: row y − 2 − b is loaded
+        load_bits = int(0)  # bit b: row y − 2 − b is loaded
 
         first = low - wp.static(margin)
         rounds = (high - first + wp.static(margin) + 2) // 3

@@ -6,35 +6,31 @@ from pathlib import Path
 
 import pytest
 import warp as wp
-from warp_plate.kernels import energy, load, resident_lanes, resident_strips, streaming_march
+from warp_plate.kernels import energy, load, record, resident_lanes, resident_strips, streaming_march
 from warp_plate.kernels.effects import Effects
 
 KERNELS = Path(__file__).parents[1] / "kernels"
 # Made for LLVM, or a thread a node: launched on CPU only.
 CPU_MODULES = ("resident_cpu", "streaming.")
-# Nodes and padded columns of the plates that the sized kernels are made for.
-SMALL, LARGE, STRIDE = (27, 27), (41, 43), 48
+# Plates for a warp, for a block, and for a block that keeps the sums in shared memory; each with its padded columns.
+SMALL, LARGE, LARGEST = (27, 27, 32), (41, 43, 48), (97, 89, 112)
 
 
 def cuda_kernels(effects, real):
     """Every kernel that is launched on CUDA, by its module and factory; a new one is added here."""
-    strips = resident_strips.plan(*LARGE, real) or resident_strips.Strips(columns=2, rows=6, warps=8)
     yield "load.make_spread_drives", load.make_spread_drives(real)
     yield "energy.make_sum_along_rows", energy.make_sum_along_rows(real)
     yield "energy.make_sum_rows", energy.make_sum_rows()
-    yield "streaming_march.advance_clock", streaming_march.advance_clock
-    yield "streaming_march.make_record", streaming_march.make_record(real)
+    yield "record.advance_clock", record.advance_clock
+    yield "record.make_record", record.make_record(real)
     for summed in (False, True):
-        yield (
-            "resident_lanes.make_run",
-            resident_lanes.make_run(effects, real, SMALL[1], 0b1100110000, summed),
-        )
-        yield (
-            "resident_strips.make_run",
-            resident_strips.make_run(effects, real, *LARGE, STRIDE, strips, summed),
-        )
+        lanes = resident_lanes.make_run(effects, real, SMALL[1], 0b1100110000, summed)
+        yield "resident_lanes.make_run", lanes
+        for nx, ny, stride in (LARGE, LARGEST):
+            strips = resident_strips.plan(nx, ny, real)
+            yield "resident_strips.make_run", resident_strips.make_run(effects, real, nx, ny, stride, strips, summed)
         for levels in (1, 4):
-            march = streaming_march.make_march(effects, real, *LARGE, STRIDE, 2, levels, summed, None)
+            march = streaming_march.make_march(effects, real, *LARGE, 2, levels, summed, None)
             yield "streaming_march.make_march", march
 
 

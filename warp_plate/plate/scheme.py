@@ -73,9 +73,15 @@ class Scheme:
         return self.gain * self.time_step**2 / self.surface_density
 
     def wave(self) -> np.ndarray:
-        """(steps, 2): cos ωt_n and sin ωt_n."""
+        """(steps, 2): cos ωt_n and sin ωt_n, the first of them halved.
+
+        The plate is at rest at t = 0, when the load sets in; half a step later its velocity is half of Δt·f/ρH. A whole
+        first load would be an error of first order.
+        """
         angle = self.angular_frequency * self.time_step * np.arange(self.steps)
-        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        wave = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        wave[0] /= 2
+        return wave
 
     def step_of(self, time: float) -> int:
         """The step n whose t_n = nΔt lies nearest to ``time`` [s], within the run."""

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from warp_plate.scene.effects import Effects, Table
 
 Positive = Annotated[float, Field(gt=0)]
+Weight = Annotated[float, Field(ge=0, le=1e6)]
 Area = tuple[float, float, float, float]
 Edge = Literal["clamped", "supported"]
 
@@ -90,13 +91,13 @@ class Search(Table):
 
     particles: Annotated[int, Field(ge=2, le=10_000_000)] = 20
     iterations: Annotated[int, Field(ge=1)] = 80
-    inertia: Annotated[float, Field(ge=0)] = 0.4
+    inertia: Weight = 0.4
     decay: Annotated[float, Field(gt=0, le=1)] = 0.99
-    cognitive: Annotated[float, Field(ge=0)] = 2.0
-    social: Annotated[float, Field(ge=0)] = 2.0
-    velocity_limit: Positive | None = None
+    cognitive: Weight = 2.0
+    social: Weight = 2.0
+    velocity_limit: Annotated[float, Field(gt=0, le=1e100)] | None = None
     stall: Annotated[int, Field(ge=1)] | None = None
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
 
 
 class Actuator(Table):

@@ -12,6 +12,7 @@ import warp as wp
 
 import warp_plate
 from warp_plate.result.model import Case, Result
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
 from warp_plate.search.objective import drives_of, localization_factor, loss
 from warp_plate.search.pso import Swarm, SwarmSettings, optimize
@@ -47,10 +48,12 @@ def localize(
     Raises:
         SceneError: see :class:`PlateSolver`.
     """
+    seed = scene.search.seed if seed is None else seed
+    if not 0 <= seed < 2**63:
+        raise SceneError(f"seed = {seed}: must be a whole number from 0 to 2^63 - 1")
     solver = PlateSolver(scene, device, path)
     exact = solver if scene.grid.precision == "float64" else PlateSolver(_in_float64(scene), device, path)
     compile_seconds = sum(one.compile_seconds for one in {solver, exact})
-    seed = scene.search.seed if seed is None else seed
     started = time.perf_counter()
     response = measure_response(exact)
     energies: Energies = (lambda drives: solver.run(drives).energy) if evaluator == "direct" else response.energy

@@ -7,8 +7,9 @@ import platform
 import sys
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache, partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,7 @@ def resident_path(specialized: Specialized) -> Advance:
             return
         cuts = np.linspace(0, plates, min(threads, plates) + 1).astype(int).tolist()
         calls: list[Callable[[], None]] = []
-        for thread, (low, high) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
+        for thread, (low, high) in enumerate(pairwise(cuts)):
             calls.append(partial(_cpu_share, singly, by_groups, state, thread, low, high, start, stop))
         _at_once(calls)
 
@@ -134,9 +135,12 @@ def _cpu_by_groups(specialized: Specialized) -> tuple[Callable[..., None], int] 
 
 
 def _at_once(calls: list[Callable[[], None]]) -> None:
-    """Make the calls side by side, the last of them here."""
+    """Make the calls side by side, the last of them here; none runs on when this returns or is interrupted."""
     pending = [_pool(len(calls) - 1).submit(call) for call in calls[:-1]]
-    calls[-1]()
+    try:
+        calls[-1]()
+    finally:
+        wait(pending)
     for future in pending:
         future.result()
 

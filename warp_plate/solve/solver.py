@@ -58,7 +58,7 @@ class PlateSolver:
         scene: what to simulate.
         device: "cpu", "cuda", "cuda:1", ..., or "auto" for the first CUDA device, else the CPU.
         path: "auto", "resident" (all steps in one launch) or "streaming" (a launch a step).
-        chunk: plates that run at once; left out: as many as memory holds.
+        chunk: plates that run at once, at least 1; left out: as many as memory holds.
         threads: of the CPU; left out: as many as it has.
 
     Raises:
@@ -74,6 +74,8 @@ class PlateSolver:
         threads: int | None = None,
     ) -> None:
         started = time.perf_counter()
+        if chunk is not None and chunk < 1:
+            raise SceneError(f"chunk = {chunk}: must be at least 1 plate")
         self.scene = scene
         self.device = find_device(device)
         self.engine = make_engine(specialize(scene, self.device, threads), path)
@@ -115,10 +117,11 @@ class PlateSolver:
             progress: called with (node-steps done, node-steps in all) between launches.
 
         Raises:
-            SceneError: drives of another shape.
+            SceneError: drives of another shape, a time outside the run, a point off the plate.
         """
         phasors = as_phasors(drives, len(self.scene.actuators))
         scheme = self.specialized.scheme
+        self._check(times, points)
         plates, (nx, ny) = len(phasors), scheme.nodes
         if points and self.device.is_cuda and self.path == "resident":
             # A plate that stays in registers shows nothing between launches: traces are streamed.
@@ -133,7 +136,7 @@ class PlateSolver:
         energy = np.empty((plates, len(REGIONS)))
         displacement = np.empty((plates, len(snapshots), ny, nx))
         trace = np.empty((plates, len(points), scheme.steps))
-        chunk = self._plates_at_once(plates, nodes.shape[0])
+        chunk = self._plates_at_once(max(plates, 1), nodes.shape[0])
         total = plates * self.node_steps_per_plate
         for first in range(0, plates, chunk):
             some = slice(first, min(first + chunk, plates))
@@ -146,11 +149,13 @@ class PlateSolver:
 
             self._march(state, count, snapshots, displacement[some], tell)
             unit = scale * scheme.load_scale
-            energy[some] = region_sums(self.engine, state, count) * kinetic_energy_unit(scheme) * scale[:, None] ** 2
-            displacement[some] *= unit[:, None, None, None]
-            if points:
-                corner_traces = state.trace.numpy()[:count].reshape(count, len(points), 4, -1).astype(float)
-                trace[some] = np.einsum("mpcn,pc->mpn", corner_traces, shares) * unit[:, None, None]
+            with np.errstate(invalid="ignore", over="ignore"):  # of plates that left the finite numbers
+                sums = region_sums(self.engine, state, count)
+                energy[some] = sums * kinetic_energy_unit(scheme) * scale[:, None] ** 2
+                displacement[some] *= unit[:, None, None, None]
+                if points:
+                    corner_traces = state.trace.numpy()[:count].reshape(count, len(points), 4, -1).astype(float)
+                    trace[some] = np.einsum("mpcn,pc->mpn", corner_traces, shares) * unit[:, None, None]
         self.node_steps += total
         return Run(
             energy=energy,
@@ -161,6 +166,16 @@ class PlateSolver:
             trace_times=scheme.time_step * np.arange(1, scheme.steps + 1) if points else np.empty(0),
             node_steps=total,
         )
+
+    def _check(self, times: Sequence[float], points: Sequence[tuple[float, float]]) -> None:
+        end = self.specialized.scheme.steps * self.specialized.scheme.time_step
+        for time_asked in times:
+            if not 0 <= time_asked <= self.scene.window.end * (1 + 1e-9):
+                raise SceneError(f"times: {time_asked:g} s is outside the run, which goes from 0 to {end:g} s")
+        width, height = self.scene.plate.size
+        for x, y in points:
+            if not (0 <= x <= width and 0 <= y <= height):
+                raise SceneError(f"points: {[x, y]} is off the plate of {[width, height]} m")
 
     def _plates_at_once(self, plates: int, traced_nodes: int) -> int:
         if self._chunk is not None:
