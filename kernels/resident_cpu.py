@@ -15,6 +15,7 @@ own band of rows of the same plate, and meet after each pass. Many small plates 
 from functools import cache
 
 import warp as wp
+
 from warp_plate.kernels.stencil import make_laplacian
 from warp_plate.kernels.update import make_parameters, make_update
 

@@ -9,6 +9,7 @@ tensors keep their layout: a launch copies a group in, runs all steps, and copie
 from functools import cache
 
 import warp as wp
+
 from warp_plate.kernels.resident_cpu import make_passes
 from warp_plate.kernels.update import make_parameters
 

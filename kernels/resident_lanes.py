@@ -12,6 +12,7 @@ neighbours. A clamped edge takes the inner lane for both, the mirror image; a su
 from functools import cache
 
 import warp as wp
+
 from warp_plate.kernels.cuda import LANES, make_from_lane
 from warp_plate.kernels.stencil import make_laplacian
 from warp_plate.kernels.update import make_parameters, make_update

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import warp as wp
+
 from warp_plate.kernels.cuda import LANES, barrier, make_from_lane, shared_memory
 from warp_plate.kernels.stencil import make_laplacian
 from warp_plate.kernels.update import make_parameters, make_update

@@ -7,6 +7,7 @@ take turns, because neighbours still read the old one. CUDA has a faster form in
 from functools import cache
 
 import warp as wp
+
 from warp_plate.kernels.stencil import make_laplacian
 from warp_plate.kernels.update import make_parameters, make_update
 

@@ -13,6 +13,7 @@ counts steps on the device, so that a captured CUDA graph can be replayed: a lau
 from functools import cache
 
 import warp as wp
+
 from warp_plate.kernels.cuda import LANES, make_from_lane
 from warp_plate.kernels.stencil import make_laplacian
 from warp_plate.kernels.update import make_parameters, make_update

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 import warp as wp
-from warp_plate.kernels import energy, load, record, resident_lanes, resident_strips, streaming_march
+
+from warp_plate.kernels import energy, limits, load, record, resident_lanes, resident_strips, streaming_march
 from warp_plate.kernels.effects import Effects
 
 KERNELS = Path(__file__).parents[1] / "kernels"
@@ -21,6 +22,7 @@ def cuda_kernels(effects, real):
     yield "load.make_spread_drives", load.make_spread_drives(real)
     yield "energy.make_sum_along_rows", energy.make_sum_along_rows(real)
     yield "energy.make_sum_rows", energy.make_sum_rows()
+    yield "limits.make_multiply_adds", limits.make_multiply_adds(real, 1, 100, "")
     yield "record.advance_clock", record.advance_clock
     yield "record.make_record", record.make_record(real)
     for summed in (False, True):

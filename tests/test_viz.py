@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from warp_plate.viz import availability
-from warp_plate.viz.figures import _evenly
-from warp_plate.viz.surface import FIELD, Scale, caption, plate_meshes, scale_over
 
 from warp_plate import viz
 from warp_plate.result import Case, Result
 from warp_plate.scene import Scene
+from warp_plate.viz import availability
+from warp_plate.viz.figures import _evenly
+from warp_plate.viz.surface import FIELD, Scale, caption, plate_meshes, scale_over
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
 

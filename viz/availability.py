@@ -10,6 +10,7 @@ kind of window worked there.
 from __future__ import annotations
 
 import functools
+import importlib
 import importlib.util
 import os
 import subprocess
@@ -121,8 +122,15 @@ def off_screen() -> Iterator[None]:
 
 
 def prepare() -> None:
-    """Start the trial drawing beside other work, so that nobody waits for it later."""
-    threading.Thread(target=probe, name="trial drawing", daemon=True).start()
+    """Start the trial drawing and read the drawing libraries beside other work, so that nobody waits for it later."""
+    threading.Thread(target=_prepare, name="trial drawing", daemon=True).start()
+
+
+def _prepare() -> None:
+    if probe().problem is None:
+        importlib.import_module("pyvista")
+    if missing_plots() is None:
+        importlib.import_module("matplotlib.figure")
 
 
 def probe() -> Probe:

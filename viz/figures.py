@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from warp_plate.result.model import Case, Result
 from warp_plate.viz.availability import missing, missing_plots, off_screen, prepare
 from warp_plate.viz.scene3d import add_colour_bar, add_key, add_plate
 from warp_plate.viz.surface import caption, scale_over
-
-from warp_plate.result.model import Case, Result
 
 if TYPE_CHECKING:
     import pyvista

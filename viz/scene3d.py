@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from warp_plate.viz.surface import FIELD, TALLEST, PlateMeshes, Scale, plate_meshes
 
 from warp_plate.scene.model import Scene
+from warp_plate.viz.surface import FIELD, TALLEST, PlateMeshes, Scale, plate_meshes
 
 if TYPE_CHECKING:
     import pyvista

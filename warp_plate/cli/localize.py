@@ -58,6 +58,7 @@ def localize(
     from warp_plate.scene import Scene
 
     loaded = Scene.load(scene)
+    output.prepare_pictures(pictures)
     from warp_plate.search.localize import localize as search
 
     with output.progress_bar("searching", shown=not json) as show:
@@ -108,7 +109,8 @@ def _print(result: Result, console: Console) -> None:
     published = PUBLISHED if result.source == "paper" else {}
     factors = {name: case.localization_factor for name, case in result.cases.items()}
     headings = ("localization factor", "this run") + (("published",) if published else ())
-    made = output.table(*headings, title=result.scene.title or result.source)
+    console.print(result.scene.title or result.source)
+    made = output.table(*headings)
     for name, meaning in MEANING.items():
         value = result.bound if name == "bound" else factors[name]
         row = [meaning, "none claimed" if value is None else f"{value:.4f}"]

@@ -75,6 +75,14 @@ def output_file(out: Path | None, source: str, command: str) -> Path:
     return path
 
 
+def prepare_pictures(pictures: bool) -> None:
+    """Let what drawing needs get ready beside the run."""
+    if pictures:
+        from warp_plate.viz import prepare
+
+        prepare()
+
+
 def write_files(result: Result, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """Save the result and draw its pictures beside it; returns the files, and why a picture is missing."""
     from warp_plate.result import save_result

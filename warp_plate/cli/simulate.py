@@ -45,6 +45,7 @@ def simulate(
     from warp_plate.scene import Scene
 
     loaded = Scene.load(scene)
+    output.prepare_pictures(pictures)
     from warp_plate.search.simulate import simulate as run
 
     with output.progress_bar("simulating", shown=not json) as show:
@@ -72,7 +73,8 @@ def simulate(
         )
         return
     console = output.console()
-    made = output.table("quantity", "value", title=result.scene.title or result.source)
+    console.print(result.scene.title or result.source)
+    made = output.table("quantity", "value")
     made.add_row("localization factor", f"{case.localization_factor:.4f}")
     for region, energy in case.energy.items():
         made.add_row(f"kinetic energy of the {region}, averaged over the window", f"{energy:.4g} J")

@@ -139,10 +139,10 @@ def _at_once(calls: list[Callable[[], None]]) -> None:
     pending = [_pool(len(calls) - 1).submit(call) for call in calls[:-1]]
     try:
         calls[-1]()
+        for future in pending:
+            future.result()
     finally:
         wait(pending)
-    for future in pending:
-        future.result()
 
 
 def _resident_cpu_fields(specialized: Specialized) -> tuple[wp.array, wp.array]:

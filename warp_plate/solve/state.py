@@ -42,8 +42,8 @@ class State:
             field.zero_()
 
 
-# A path, called as advance(state, plates, start, stop): takes the first ``plates`` plates of a state from step ``start`` to
-# ``stop``. It has finished on CPU, or is queued on the device's stream on CUDA, when it returns.
+# A path, called as advance(state, plates, start, stop): takes the first ``plates`` plates of a state from step
+# ``start`` to ``stop``. It has finished on CPU, or is queued on the device's stream on CUDA, when it returns.
 Advance = Callable[[State, int, int, int], None]
 
 
