@@ -30,7 +30,8 @@ def make_run(effects, real, ny, loaded, summed, registers=None):
     loaded: bit j is set where row j + 1 of the plate has a loaded node; the others take no registers for it;
     summed: whether these steps lie in the window, where rate² is summed;
     registers: at most so many a thread; the compiler orders a step for speed alone where it has many.
-    factor_x: (nx,), factor_y: (ny,) factors on the curvature, 2 or 0 at the ends; wave: (steps, 2).
+    factor_x: (nx,), factor_y: (ny,) factors on the curvature, 2 or 0 at the ends, the latter times ``aspect``;
+    wave: (steps, 2).
     """
     laplacian = make_laplacian(effects.square_cells, real)
     update = make_update(effects, real)

@@ -63,7 +63,7 @@ def make_run(effects, real, nx, ny, stride, strips, summed):
     """Steps ``start`` ... ``stop`` − 1; launch over (plates × threads,) with blocks of 32 × warps threads.
 
     summed: whether these steps lie in the window, where rate² is summed.
-    factor_x: (nx,), factor_y: (ny,) factors on the curvature; wave: (steps, 2);
+    factor_x: (nx,), factor_y: (ny,) factors on the curvature, the latter times ``aspect``; wave: (steps, 2);
     loaded: (ny + 2,) one for the rows of the tensor in which some node is loaded, else zero.
     """
     laplacian = make_laplacian(effects.square_cells, real)

@@ -22,7 +22,7 @@ def cuda_kernels(effects, real):
     yield "load.make_spread_drives", load.make_spread_drives(real)
     yield "energy.make_sum_along_rows", energy.make_sum_along_rows(real)
     yield "energy.make_sum_rows", energy.make_sum_rows()
-    yield "limits.make_multiply_adds", limits.make_multiply_adds(real, 1, 100, "")
+    yield "limits.make_multiply_adds", limits.make_multiply_adds(real, block=1, depth=64, rounds=100, compiler_flags="")
     yield "record.advance_clock", record.advance_clock
     yield "record.make_record", record.make_record(real)
     for summed in (False, True):

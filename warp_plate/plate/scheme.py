@@ -22,6 +22,8 @@ from warp_plate.scene.model import Scene
 
 # A time step that the scene leaves out is this part of the stability limit.
 SAFETY = 0.9
+# Longer runs are mistakes in a unit: this is hours on any device.
+MOST_STEPS = 10**8
 # Curvature factor of an edge's nodes: the mirror node of a clamped edge doubles it, a supported edge has none.
 EDGE_FACTOR = {"clamped": 2.0, "supported": 0.0}
 
@@ -92,7 +94,8 @@ def make_scheme(scene: Scene) -> Scheme:
     """The scheme of a scene.
 
     Raises:
-        SceneError: the scene's time step is above the stability limit, or its window holds no half-step.
+        SceneError: the scene's time step is above the stability limit, its window holds no half-step, or its run is
+            longer than MOST_STEPS.
     """
     plate, grid = scene.plate, scene.grid
     spacing = (plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1))
@@ -108,6 +111,11 @@ def make_scheme(scene: Scene) -> Scheme:
         raise SceneError(
             f"grid.time_step = {time_step:g}: above the stability limit of {limit:.6g} s for {grid.nodes[0]} x "
             f"{grid.nodes[1]} nodes; write a smaller one, or leave it out for {SAFETY:g} of the limit"
+        )
+    if scene.window.end / time_step > MOST_STEPS:
+        raise SceneError(
+            f"window.end = {scene.window.end:g}: takes {scene.window.end / time_step:.3g} steps of {time_step:g} s; "
+            f"at most {MOST_STEPS:.3g} are possible: end earlier or use fewer nodes"
         )
     loss = rate_of_loss * time_step
     first, last = _window(scene, time_step)

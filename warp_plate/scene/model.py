@@ -11,6 +11,8 @@ from pydantic import Field, model_validator
 from warp_plate.scene.effects import Effects, Table
 
 Positive = Annotated[float, Field(gt=0)]
+# HDF5 cannot keep a text with a NUL in it.
+Text = Annotated[str, Field(pattern=r"^[^\x00]*\Z")]
 Weight = Annotated[float, Field(ge=0, le=1e6)]
 Area = tuple[float, float, float, float]
 Edge = Literal["clamped", "supported"]
@@ -91,10 +93,16 @@ class Search(Table):
 
     particles: Annotated[int, Field(ge=2, le=10_000_000)] = 20
     iterations: Annotated[int, Field(ge=1)] = 80
-    inertia: Weight = 0.4
+    inertia: # HDF5 cannot keep a text with a NUL in it.
+Text = Annotated[str, Field(pattern=r"^[^\x00]*\Z")]
+Weight = 0.4
     decay: Annotated[float, Field(gt=0, le=1)] = 0.99
-    cognitive: Weight = 2.0
-    social: Weight = 2.0
+    cognitive: # HDF5 cannot keep a text with a NUL in it.
+Text = Annotated[str, Field(pattern=r"^[^\x00]*\Z")]
+Weight = 2.0
+    social: # HDF5 cannot keep a text with a NUL in it.
+Text = Annotated[str, Field(pattern=r"^[^\x00]*\Z")]
+Weight = 2.0
     velocity_limit: Annotated[float, Field(gt=0, le=1e100)] | None = None
     stall: Annotated[int, Field(ge=1)] | None = None
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
@@ -103,7 +111,7 @@ class Search(Table):
 class Actuator(Table):
     """A patch that presses on the plate: area x0, x1, y0, y1 [m], magnitude [N/m²], phase lag [rad]."""
 
-    name: str = Field(min_length=1)
+    name: Annotated[Text, Field(min_length=1)]
     area: Area
     magnitude: float = 1.0
     phase: float = 0.0
@@ -125,7 +133,7 @@ def _check_area(key: str, area: Area, size: tuple[float, float]) -> None:
 class Scene(Table):
     """Everything that a run needs, in SI units, checked; read one with :meth:`load`."""
 
-    title: str = ""
+    title: Text = ""
     plate: Plate
     edges: Edges = Edges()
     grid: Grid = Grid()

@@ -12,8 +12,9 @@ _PLATE, _TARGET = REGIONS.index("plate"), REGIONS.index("target")
 def drives_of(positions: np.ndarray) -> np.ndarray:
     """(plates, actuators) phasors Z [N/m²] of positions (plates, 2·(actuators − 1)).
 
-    Section II.C of the source paper: a position is w₂ ... w_M, φ₂ ... φ_M, with w₁ = 1 and φ₁ = 0, because neither
-    a common factor nor a common phase changes the localization factor; Z = w exp(−iφ).
+    Section II.C of the source paper: a position is w₂ ... w_M, φ₂ ... φ_M, with w₁ = 1 and φ₁ = 0, because a common
+    factor does not change the localization factor, nor does a common phase once the plate vibrates steadily (in the
+    scene ``paper`` what is left of the start moves it by 4e-5); Z = w exp(−iφ).
     """
     magnitude, phase = np.split(np.asarray(positions, dtype=float), 2, axis=1)
     first = np.ones((len(magnitude), 1), dtype=complex)

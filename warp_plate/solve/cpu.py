@@ -6,8 +6,8 @@ import ctypes
 import platform
 import sys
 import threading
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import cache, partial
 from itertools import pairwise
 from typing import Any
@@ -21,6 +21,8 @@ from warp_plate.solve.state import Advance, State
 
 # A single plate with at least so many nodes is worth a crew of threads, which meet twice a step.
 CREW_NODES = 8192
+# More members than ever come to a meeting: lets all who wait go on.
+EVERYBODY = 2**30
 # Groups of plates pay while one group's room stays in a core's second-level cache, and from this share of a group on
 # (measured: a group of 16 takes 13 times as long as one plate of 27 × 27).
 GROUP_BYTES = 2**20
@@ -65,21 +67,22 @@ def resident_path(specialized: Specialized) -> Advance:
                 for plate in range(plates):
                     arrived = wp.zeros(1, dtype=int, device=specialized.device)
                     crew = [(threads, member, arrived) for member in range(threads)]
-                    _at_once([partial(singly, state, plate, plate + 1, start, stop, one) for one in crew])
+                    calls = [partial(singly, state, plate, plate + 1, start, stop, one) for one in crew]
+                    # Should a member fail, the others must not wait for it for ever.
+                    _at_once(calls, lambda arrived=arrived: arrived.fill_(EVERYBODY))
             return
         cuts = np.linspace(0, plates, min(threads, plates) + 1).astype(int).tolist()
-        calls: list[Callable[[], None]] = []
-        for thread, (low, high) in enumerate(pairwise(cuts)):
-            calls.append(partial(_cpu_share, singly, by_groups, state, thread, low, high, start, stop))
-        _at_once(calls)
+        shares = enumerate(pairwise(cuts))
+        _at_once([partial(_cpu_share, singly, by_groups, state, *share, start, stop) for share in shares])
 
     return advance
 
 
 def _cpu_share(
-    singly: Any, by_groups: Any, state: State, thread: int, low: int, high: int, start: int, stop: int
+    singly: Any, by_groups: Any, state: State, thread: int, plates: tuple[int, int], start: int, stop: int
 ) -> None:
-    """Plates ``low`` ... ``high`` − 1 on one thread: in groups as long as these are full enough, the rest singly."""
+    """Plates first ... last − 1 on one thread: in groups as long as these are full enough, the rest singly."""
+    low, high = plates
     grouped = low
     if by_groups is not None:
         launch, lanes = by_groups
@@ -134,13 +137,18 @@ def _cpu_by_groups(specialized: Specialized) -> tuple[Callable[..., None], int] 
     return launch, lanes
 
 
-def _at_once(calls: list[Callable[[], None]]) -> None:
+def _at_once(calls: Sequence[Callable[[], None]], on_failure: Callable[[], object] = lambda: None) -> None:
     """Make the calls side by side, the last of them here; none runs on when this returns or is interrupted."""
-    pending = [_pool(len(calls) - 1).submit(call) for call in calls[:-1]]
+    pending: list[Future[None]] = []
     try:
+        for call in calls[:-1]:
+            pending.append(_pool(len(calls) - 1).submit(call))
         calls[-1]()
         for future in pending:
             future.result()
+    except BaseException:
+        on_failure()
+        raise
     finally:
         wait(pending)
 

@@ -102,8 +102,9 @@ def _cuda_advance(
     device, scheme = specialized.device, specialized.scheme
     for kernel in kernels.values():
         wp.load_module(module=kernel.module, device=device, block_dim=block_dim)
-    inputs = [specialized.parameters, specialized.to_device(scheme.factor_x), specialized.to_device(scheme.factor_y)]
-    inputs += [specialized.wave, *extra]
+    # Along y these kernels take the curvature of an edge from its inner neighbour alone: ∇²u there is aspect·u.
+    edges = [specialized.to_device(factor) for factor in (scheme.factor_x, scheme.aspect * scheme.factor_y)]
+    inputs = [specialized.parameters, *edges, specialized.wave, *extra]
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         for low, high, summed in _cut_at_window(specialized, start, stop):
@@ -141,7 +142,7 @@ def streaming_path(specialized: Specialized, march: March | None = None) -> Adva
     shared = [specialized.parameters, specialized.to_device(scheme.factor_x), specialized.to_device(scheme.factor_y)]
     shared += [specialized.wave, loaded]
     clock = wp.zeros(1, dtype=int, device=device)
-    graphs: dict[tuple[int, int, bool], wp.Graph] = {}
+    graphs: dict[tuple[int, ...], wp.Graph] = {}
 
     def launches(state: State, plates: int, count: int, levels: int, summed: bool) -> None:
         strips = -(-(nx - 2) // streaming_march.useful_columns(march.columns, levels))
@@ -165,8 +166,9 @@ def streaming_path(specialized: Specialized, march: March | None = None) -> Adva
         wp.launch(record.advance_clock, dim=1, inputs=[clock, count * levels], device=device)
 
     def replay(state: State, plates: int, levels: int, summed: bool) -> None:
-        # A graph holds addresses: it serves one number of plates and one order of the two buffers.
-        key = (plates, state.u.ptr, summed)
+        # A graph holds addresses: it serves one number of plates, one state, and one order of the two buffers.
+        arrays = (state.u, state.u_next, state.rate, state.squares, state.in_phase, state.nodes, state.trace)
+        key = (plates, levels, int(summed), *(array.ptr or 0 for array in arrays))
         if key not in graphs:
             with wp.ScopedCapture(device=device) as capture:
                 launches(state, plates, GRAPH_LAUNCHES, levels, summed)

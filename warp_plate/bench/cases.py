@@ -1,0 +1,82 @@
+"""What ``warp-plate bench`` measures: which devices, precisions, sizes of plate and numbers of plates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import warp as wp
+
+from warp_plate.solve.devices import cpu_threads, find_device
+
+PAPER_NODES = 27
+PLATES = (1, 20, 256, 1024, 8192, 65536)
+NODES = (17, 27, 53, 105, 161, 257, 513, 1025)
+QUICK_PLATES = (1, 20, 256)
+QUICK_NODES = (53, 257)
+# Plates of the paper's size that keep a CPU thread, or the largest GPU of today, busy; of other sizes, as many nodes.
+FILLING_A_THREAD, FILLING_A_GPU = 128, 65536
+
+
+@dataclass(frozen=True)
+class Case:
+    """One thing to measure; nodes: of each side; path: "auto" or one of the device's."""
+
+    device: str
+    precision: str
+    nodes: int
+    plates: int
+    path: str = "auto"
+
+
+def all_devices() -> list[str]:
+    """The CPU and every CUDA device."""
+    find_device("cpu")
+    return [device.alias for device in wp.get_devices()]
+
+
+def filling_plates(device: str, nodes: int) -> int:
+    """So many plates of ``nodes`` × ``nodes`` that no core and no multiprocessor waits for work."""
+    share = (PAPER_NODES - 2) ** 2 / (nodes - 2) ** 2
+    if find_device(device).is_cuda:
+        return max(1, round(FILLING_A_GPU * share))
+    return cpu_threads() * max(1, round(FILLING_A_THREAD * share))
+
+
+def make_cases(
+    devices: Sequence[str],
+    precisions: Sequence[str],
+    plates: Sequence[int] | None = None,
+    nodes: Sequence[int] | None = None,
+    path: str = "auto",
+    quick: bool = False,
+) -> list[Case]:
+    """Every device with every precision, and for each of them
+
+    - neither plates nor nodes given: numbers of plates at the paper's size, then sizes that fill the device;
+    - plates: these, at the paper's size; nodes: these, with plates that fill the device;
+    - both: each with each.
+
+    Raises:
+        SceneError: no such device.
+    """
+    cases: dict[Case, None] = {}  # each once, in order
+    for device in devices:
+        for precision in precisions:
+            for size, count in _sizes(device, plates, nodes, quick):
+                cases[Case(device, precision, size, count, path)] = None
+    return list(cases)
+
+
+def _sizes(
+    device: str, plates: Sequence[int] | None, nodes: Sequence[int] | None, quick: bool
+) -> list[tuple[int, int]]:
+    """(nodes, plates) pairs."""
+    if plates and nodes:
+        return [(size, count) for size in nodes for count in plates]
+    if not nodes:
+        few = [(PAPER_NODES, count) for count in plates or (QUICK_PLATES if quick else PLATES)]
+        if plates:
+            return few
+        return few + _sizes(device, None, QUICK_NODES if quick else NODES, quick)
+    return [(size, filling_plates(device, size)) for size in nodes]
