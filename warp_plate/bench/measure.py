@@ -205,8 +205,8 @@ def choose_steps(ready: Ready, seconds: float) -> int:
 def prepare(case: Case) -> Ready:
     """Compile the case and load random drives.
 
-    Plates start from noise instead of from rest: a wave front that runs into a resting plate passes through numbers so
-    small (denormal) that a CPU takes a hundred times as long, which would count for much in a short run.
+    Plates start from noise instead of from rest: a wave front that runs into a resting plate passes through denormal
+    numbers, with which a CPU is slow; short runs of large plates took up to twice as long (measured).
 
     Raises:
         SceneError: no such device, or the path cannot take this size.

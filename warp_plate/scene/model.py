@@ -12,7 +12,7 @@ from warp_plate.scene.effects import Effects, Table
 
 Positive = Annotated[float, Field(gt=0)]
 # HDF5 cannot keep a text with a NUL in it.
-Text = Annotated[str, Field(pattern=r"^[^\x00]*\Z")]
+Text = Annotated[str, Field(pattern=r"^[^\x00]*$")]
 Weight = Annotated[float, Field(ge=0, le=1e6)]
 Area = tuple[float, float, float, float]
 Edge = Literal["clamped", "supported"]
@@ -93,16 +93,10 @@ class Search(Table):
 
     particles: Annotated[int, Field(ge=2, le=10_000_000)] = 20
     iterations: Annotated[int, Field(ge=1)] = 80
-    inertia: # HDF5 cannot keep a text with a NUL in it.
-Text = Annotated[str, Field(pattern=r"^[^\x00]*\Z")]
-Weight = 0.4
+    inertia: Weight = 0.4
     decay: Annotated[float, Field(gt=0, le=1)] = 0.99
-    cognitive: # HDF5 cannot keep a text with a NUL in it.
-Text = Annotated[str, Field(pattern=r"^[^\x00]*\Z")]
-Weight = 2.0
-    social: # HDF5 cannot keep a text with a NUL in it.
-Text = Annotated[str, Field(pattern=r"^[^\x00]*\Z")]
-Weight = 2.0
+    cognitive: Weight = 2.0
+    social: Weight = 2.0
     velocity_limit: Annotated[float, Field(gt=0, le=1e100)] | None = None
     stall: Annotated[int, Field(ge=1)] | None = None
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0

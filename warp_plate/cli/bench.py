@@ -1,0 +1,152 @@
+"""``warp-plate bench``: how fast this machine steps plates, and how near that is to what it can do at most."""
+
+from __future__ import annotations
+
+import json as json_format
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from warp_plate.cli import output
+from warp_plate.scene.errors import SceneError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from warp_plate.bench.measure import Report, Row
+
+HEADINGS = ("device", "precision", "nodes", "plates", "steps", "path", "ns a node-step", "10⁹ node-steps/s")
+HEADINGS += ("swarm (s)", "bytes a plate", "of limit")
+LEGEND = (
+    "swarm: all plates over the paper's 1250 steps. of limit: of copy bandwidth at the least bytes that one launch a step "
+    "moves (streaming; several steps a launch can pass it), or of arithmetic at the fewest operations (resident)."
+)
+
+
+def bench(
+    *,
+    plates: str | None = None,
+    nodes: str | None = None,
+    precision: Literal["float32", "float64"] | None = None,
+    device: str = "all",
+    path: Literal["auto", "resident", "streaming"] = "auto",
+    quick: bool = False,
+    out: Path | None = None,
+    pictures: bool = True,
+    json: bool = False,
+) -> None:
+    """Measure the speed of this machine over numbers and sizes of plates.
+
+    Parameters
+    ----------
+    plates
+        Numbers of plates, such as 1,20,256; without --nodes at the paper's 27 x 27 nodes.
+    nodes
+        Nodes of a side, such as 27,105; without --plates with as many plates as keep the device busy.
+    precision
+        float32 or float64; both when left out (with --quick, float32).
+    device
+        Where to measure, such as cpu or cpu,cuda:0; all devices of this machine when left out.
+    path
+        How plates are stepped: resident (all steps in one launch) or streaming (a launch a few steps).
+    quick
+        A few cases and short runs.
+    out
+        The file of figures (.json); bench.json in this folder when left out. Pictures are written beside it.
+    pictures
+        Plot cost against plates and against nodes (needs the extra viz).
+    json
+        Print one JSON object instead of a table.
+    """
+    target = _target(out)
+    counts, sizes = _whole_numbers("--plates", plates, 1, 10**7), _whole_numbers("--nodes", nodes, 5, 8193)
+    from warp_plate.bench.cases import all_devices, make_cases
+    from warp_plate.bench.machine import busy
+    from warp_plate.bench.measure import FULL, QUICK, measure_all
+
+    devices = all_devices() if device == "all" else [name.strip() for name in device.split(",")]
+    precisions = [precision] if precision else ["float32"] if quick else ["float32", "float64"]
+    cases = make_cases(devices, precisions, counts, sizes, path, quick)
+    warning = busy()
+    if warning:
+        print(f"warp-plate: {warning}", file=sys.stderr)
+    with output.progress_bar("measuring", shown=not json) as show:
+
+        def tell(done: int, case: object) -> None:
+            show(done, len(cases), str(case))
+
+        report = measure_all(cases, QUICK if quick else FULL, tell)
+    files, missing = _write(report, target, pictures)
+    if json:
+        output.print_json({**report.as_json(), "files": [str(file) for file in files]})
+        return
+    _print(report, output.console())
+    for file in files:
+        print(f"wrote {file}")
+    if missing:
+        print(missing)
+
+
+def _target(out: Path | None) -> Path:
+    path = out or Path("bench.json")
+    if path.suffix != ".json":
+        raise SceneError(f"--out {path}: must end in .json")
+    if not path.parent.is_dir():
+        raise SceneError(f"--out {path}: no such folder: {path.parent}")
+    return path
+
+
+def _whole_numbers(option: str, text: str | None, least: int, most: int) -> list[int] | None:
+    """'1,20' as [1, 20].
+
+    Raises:
+        SceneError: something else than whole numbers from ``least`` to ``most`` with commas between.
+    """
+    if text is None:
+        return None
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdecimal() and least <= int(part) <= most for part in parts):
+        raise SceneError(f"{option} {text}: must be whole numbers from {least} to {most}, such as 27,105")
+    return [int(part) for part in parts]
+
+
+def _write(report: Report, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
+    """The figures as JSON and their pictures; returns the files, and why a picture is missing."""
+    try:
+        path.write_text(json_format.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise SceneError(f"--out {path}: cannot be written: {error}") from None
+    if not pictures:
+        return [path], None
+    from warp_plate.viz.bench_plot import draw_bench_beside
+
+    drawn, missing = draw_bench_beside(report.as_json(), path)
+    return [path, *drawn], missing
+
+
+def _print(report: Report, console: Console) -> None:
+    machine = report.machine
+    title = f"{machine['processor']}, {machine['threads']} threads"
+    made = output.table(*HEADINGS, title=title)
+    for row in report.rows:
+        if row.measured:
+            made.add_row(*_cells(row))
+    console.print(made)
+    console.print()
+    for device, limits in report.limits.items():
+        arithmetic = ", ".join(f"{value / 1e9:.4g} GFLOP/s {name}" for name, value in limits.flops.items())
+        console.print(f"limits of {device}: copy {limits.copy_bytes_per_second / 1e9:.4g} GB/s, {arithmetic}")
+    console.print(LEGEND)
+    for row in report.rows:
+        if not row.measured:
+            console.print(f"{row.device}, {row.precision}, {row.plates} plates of {row.nodes} nodes: {row.status}")
+    if report.interrupted:
+        console.print("Interrupted by Ctrl-C: what was measured until then is shown.")
+
+
+def _cells(row: Row) -> list[str]:
+    """A measured row as the table shows it."""
+    rate = (row.node_steps_per_second or 0) / 1e9
+    head = [row.device, row.precision, str(row.nodes), str(row.plates), str(row.steps), str(row.path)]
+    figures = [f"{row.nanoseconds_per_node_step:.3g}", f"{rate:.4g}", f"{row.swarm_seconds:.3g}"]
+    return [*head, *figures, str(row.bytes_per_plate), f"{100 * (row.share or 0):.0f} % {row.limit}"]
