@@ -25,11 +25,12 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "reference": ({"reference", "plate", "scene"}, SCIENCE),
     "result": ({"result", "plate", "scene"}, {*SCIENCE, "h5py"}),
     "solve": ({"solve", "kernels", "plate", "scene"}, {*SCIENCE, "warp"}),
+    "bench": ({"bench", "solve", "kernels", "plate", "scene", ""}, {*SCIENCE, "warp"}),
     "search": ({"search", "solve", "result", "plate", "scene", ""}, {*SCIENCE, "warp"}),
     "search.pso": (set(), SCIENCE),
     "viz": ({"viz", "result", "scene"}, {*SCIENCE, "pyvista", "vtkmodules", "matplotlib", "PIL"}),
     "cli": (
-        {"cli", "search", "solve", "result", "plate", "scene", "viz", ""},
+        {"cli", "bench", "search", "solve", "result", "plate", "scene", "viz", ""},
         {*SCIENCE, "cyclopts", "rich"},
     ),
     "__main__": ({"cli"}, set()),
@@ -49,13 +50,14 @@ def sources():
 
 
 def imports(path):
-    """(module, whether inside a function) of every import of a file, ``from x import y`` as x and x.y."""
+    """(module, whether late: in a function, or for type checkers only) of every import of a file."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     inner = {
         id(node)
-        for function in ast.walk(tree)
-        if isinstance(function, ast.FunctionDef)
-        for node in ast.walk(function)
+        for outer in ast.walk(tree)
+        if isinstance(outer, ast.FunctionDef)
+        or (isinstance(outer, ast.If) and ast.unparse(outer.test) == "TYPE_CHECKING")
+        for node in ast.walk(outer)
     }
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -102,7 +104,7 @@ def test_top_folders_are_no_top_imports():
 def test_pictures_are_imported_only_when_drawn():
     """Commands start quickly and run where no graphics library is: viz, PyVista and Warp come inside
     functions."""
-    late = re.compile(r"(warp|pyvista|matplotlib|vtkmodules|warp_plate\.(viz|solve|search|kernels))(\.|$)")
+    late = re.compile(r"(warp|pyvista|matplotlib|vtkmodules|warp_plate\.(viz|solve|search|bench|kernels))(\.|$)")
     for path, module in sources():
         if room_of(module) in ("cli", "__main__", ""):
             assert not [name for name, inner in imports(path) if not inner and late.match(name)], path

@@ -60,12 +60,13 @@ def draw_bench(record: Mapping[str, Any], path: str | Path) -> Path:
         FigureCanvasAgg(figure)
         against_plates, against_nodes = figure.subplots(1, 2, sharey=True)
         size = commonest_size(rows)
-        _plot(against_plates, [row for row in rows if row["nodes"] == size], "plates")
+        devices = sorted({row["device"] for row in rows})
+        _plot(against_plates, [row for row in rows if row["nodes"] == size], "plates", devices)
         against_plates.set_xlabel(f"plates of {size} × {size} nodes")
         against_plates.set_ylabel("ns for a node and a step")
-        _plot(against_nodes, fastest_of_each_size(rows), "nodes")
+        _plot(against_nodes, fastest_of_each_size(rows), "nodes", devices)
         against_nodes.set_xlabel("nodes of a side")
-        _plot_copy_limits(against_nodes, record["limits"], _devices(rows))
+        _plot_copy_limits(against_nodes, record["limits"], devices)
         # The right-hand plot has every line of the left-hand one, and the limits.
         figure.legend(*against_nodes.get_legend_handles_labels(), loc="outside right upper", frameon=False)
         figure.savefig(path, dpi=200)
@@ -86,15 +87,11 @@ def fastest_of_each_size(rows: Iterable[Mapping[str, Any]]) -> list[Mapping[str,
     return list(found.values())
 
 
-def _devices(rows: Iterable[Mapping[str, Any]]) -> list[str]:
-    return list(dict.fromkeys(sorted(row["device"] for row in rows)))
+def _plot(axes: Axes, rows: Sequence[Mapping[str, Any]], along: str, devices: Sequence[str]) -> None:
+    """A line for each device and precision; ``along`` is "plates" or "nodes"."""
+    from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
 
-
-def _plot(axes: Axes, rows: Sequence[Mapping[str, Any]], along: str) -> None:
-    """A line for each device and precision."""
-    from matplotlib.ticker import FixedLocator, NullLocator, ScalarFormatter
-
-    for index, device in enumerate(_devices(rows)):
+    for index, device in enumerate(devices):
         for precision, style in STYLES.items():
             points = sorted(
                 (row[along], row["nanoseconds_per_node_step"])
@@ -113,12 +110,14 @@ def _plot(axes: Axes, rows: Sequence[Mapping[str, Any]], along: str) -> None:
                 )
     axes.set_xscale("log")
     axes.set_yscale("log")
-    # Ticks at what was measured, written out in full.
-    axes.xaxis.set_major_locator(FixedLocator(sorted({row[along] for row in rows})))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(ScalarFormatter())
+    # Ticks along x at what was measured; all of them written out in full.
+    measured = sorted({row[along] for row in rows})
+    for axis, ticks in ((axes.xaxis, FixedLocator(measured)), (axes.yaxis, LogLocator(subs=(1, 2, 5)))):
+        axis.set_major_locator(ticks)
+        axis.set_minor_locator(NullLocator())
+        axis.set_major_formatter("{x:g}")
     axes.tick_params(axis="x", labelrotation=45)
-    axes.grid(True, which="both", axis="y", linewidth=0.3, color="#cccccc")
+    axes.grid(True, axis="y", linewidth=0.3, color="#cccccc")
     axes.spines[["top", "right"]].set_visible(False)
 
 

@@ -28,6 +28,9 @@ class Case:
     plates: int
     path: str = "auto"
 
+    def __str__(self) -> str:
+        return f"{self.device}, {self.precision}, {self.plates} × {self.nodes}²"
+
 
 def all_devices() -> list[str]:
     """The CPU and every CUDA device."""

@@ -13,7 +13,7 @@ that no actuator covers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -58,9 +58,8 @@ def measure_limits(device: wp.Device, precisions: Iterable[str]) -> Limits:
         SceneError: WARP_PLATE_THREADS is no number of threads.
     """
     threads = cpu_threads() if device.is_cpu else 1
-    with ThreadPoolExecutor(threads) as pool:
-        copied = _copy_bytes_per_second(device, threads, pool)
-        return Limits(copied, {name: _flops(device, REALS[name], threads, pool) for name in precisions})
+    copied = _copy_bytes_per_second(device, threads)
+    return Limits(copied, {name: _flops(device, REALS[name], threads) for name in precisions})
 
 
 def share_of_limit(specialized: Specialized, path: str, rate: float, limits: Limits) -> tuple[str, float]:
@@ -80,7 +79,7 @@ def operations_a_node_step(specialized: Specialized) -> float:
     return LAPLACIANS + UPDATE + LOAD * loaded + SUM * summed
 
 
-def _copy_bytes_per_second(device: wp.Device, threads: int, pool: ThreadPoolExecutor) -> float:
+def _copy_bytes_per_second(device: wp.Device, threads: int) -> float:
     kind = "cuda" if device.is_cuda else "cpu"
     size = min(COPY_BYTES[kind], device.free_memory // 4) if device.is_cuda else COPY_BYTES[kind]
     count = size // 4 // threads
@@ -89,11 +88,11 @@ def _copy_bytes_per_second(device: wp.Device, threads: int, pool: ThreadPoolExec
         partial(wp.copy, target, source, dest_offset=part * count, src_offset=part * count, count=count)
         for part in range(threads)
     ]
-    seconds = _fastest(parts * COPIES[kind], device, pool)
+    seconds = _fastest(parts * COPIES[kind], device)
     return 2 * 4 * count * threads * COPIES[kind] / seconds
 
 
-def _flops(device: wp.Device, real: type, threads: int, pool: ThreadPoolExecutor) -> float:
+def _flops(device: wp.Device, real: type, threads: int) -> float:
     if device.is_cuda:
         rows, block, depth, rounds, passes = device.sm_count * CUDA_THREADS, 1, CUDA_DEPTH, CUDA_ROUNDS, 1
     else:
@@ -103,18 +102,21 @@ def _flops(device: wp.Device, real: type, threads: int, pool: ThreadPoolExecutor
     numbers = [wp.zeros((rows, block), dtype=real, device=device) for _ in range(threads)]
     # 2 is where x ← x/2 + 1 comes to rest: neither too large nor too small for a number.
     inputs = [0.5, 1.0, passes]
-    calls = [
-        partial(wp.launch, kernel, dim=rows, inputs=inputs, outputs=[own], device=device) for own in numbers
-    ]
-    return 2 * depth * rounds * passes * block * rows * threads / _fastest(calls, device, pool)
+    calls = [partial(wp.launch, kernel, dim=rows, inputs=inputs, outputs=[own], device=device) for own in numbers]
+    return 2 * depth * rounds * passes * block * rows * threads / _fastest(calls, device)
 
 
-def _fastest(calls: list[Callable[[], object]], device: wp.Device, pool: ThreadPoolExecutor) -> float:
-    """Seconds for all calls, the threads side by side; on CUDA one thread queues them."""
+def _fastest(calls: Sequence[Callable[[], object]], device: wp.Device) -> float:
+    """Seconds for all calls: on CPU side by side, a thread each; on CUDA queued one after another."""
+    with ThreadPoolExecutor(len(calls)) as pool:
 
-    def work() -> None:
-        for future in [pool.submit(call) for call in calls]:
-            future.result()
+        def work() -> None:
+            if device.is_cuda:
+                for call in calls:
+                    call()
+            else:
+                for future in [pool.submit(call) for call in calls]:
+                    future.result()
 
-    work()
-    return min(seconds_of(work, device) for _ in range(RUNS))
+        work()
+        return min(seconds_of(work, device) for _ in range(RUNS))

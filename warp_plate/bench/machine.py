@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
@@ -17,25 +18,48 @@ from warp_plate.solve.devices import cpu_threads, find_device
 QUIET = 0.3
 
 
-def describe_machine(devices: Sequence[str]) -> dict[str, object]:
-    """Operating system, processor, cores, threads used, load average (None where unknown), and devices by name."""
-    return {
-        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "threads": cpu_threads(),
-        "load": _load_average(),
-        "devices": {name: find_device(name).name for name in devices},
-    }
+@dataclass(frozen=True)
+class Machine:
+    """What the figures belong to.
+
+    system: operating system; cores: of the CPU, and threads that are used; load: average of the minute before the
+    measurement, None on systems that keep none; devices: models by Warp's name.
+    """
+
+    system: str
+    cores: int
+    threads: int
+    load: float | None
+    devices: Mapping[str, str]
+
+
+def describe_machine(devices: Sequence[str]) -> Machine:
+    """The machine as it is now.
+
+    Raises:
+        SceneError: no such device, or WARP_PLATE_THREADS is no number of threads.
+    """
+    threads = cpu_threads()
+    models = {name: find_device(name) for name in devices}
+    return Machine(
+        system=f"{platform.system()} {platform.release()} {platform.machine()}",
+        cores=os.cpu_count() or 1,
+        threads=threads,
+        load=_load_average(),
+        devices={
+            name: model.name if model.is_cuda else f"{_processor()}, {threads} threads"
+            for name, model in models.items()
+        },
+    )
 
 
 def describe_versions() -> dict[str, str]:
     """Python, this program, Warp and what compiles and runs its kernels."""
     found = {"python": platform.python_version(), "warp-plate": __version__}
     found |= {package: metadata.version(package) for package in ("warp-lang", "numpy")}
-    if wp.is_cuda_available():
-        found["cuda toolkit"] = ".".join(map(str, wp.get_cuda_toolkit_version()))
-        found["cuda driver"] = ".".join(map(str, wp.get_cuda_driver_version()))
+    for name, version in (("toolkit", wp.get_cuda_toolkit_version()), ("driver", wp.get_cuda_driver_version())):
+        if wp.is_cuda_available() and version:
+            found[f"cuda {name}"] = ".".join(map(str, version))
     return found
 
 
@@ -48,7 +72,6 @@ def busy() -> str | None:
 
 
 def _load_average() -> float | None:
-    """Of the last minute; None on systems that keep none."""
     return round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None
 
 

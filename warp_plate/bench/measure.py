@@ -14,7 +14,7 @@ import warp as wp
 from warp_plate.bench.cases import Case
 from warp_plate.bench.clock import seconds_of
 from warp_plate.bench.limits import Limits, measure_limits, share_of_limit
-from warp_plate.bench.machine import describe_machine, describe_versions
+from warp_plate.bench.machine import Machine, describe_machine, describe_versions
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -80,7 +80,7 @@ class Row:
 class Report:
     """Everything that one call of the benchmark found; limits: by device."""
 
-    machine: Mapping[str, object]
+    machine: Machine
     versions: Mapping[str, str]
     limits: Mapping[str, Limits]
     rows: Sequence[Row]

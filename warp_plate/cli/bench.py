@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
     from warp_plate.bench.measure import Report, Row
 
-HEADINGS = ("device", "precision", "nodes", "plates", "steps", "path", "ns a node-step", "10⁹ node-steps/s")
-HEADINGS += ("swarm (s)", "bytes a plate", "of limit")
+HEADINGS = ("path", "nodes", "plates", "steps", "ns", "10⁹/s", "swarm (s)", "KiB", "of limit")
 LEGEND = (
-    "swarm: all plates over the paper's 1250 steps. of limit: of copy bandwidth at the least bytes that one launch a step "
-    "moves (streaming; several steps a launch can pass it), or of arithmetic at the fewest operations (resident)."
+    "ns, 10⁹/s: time for a node-step, and node-steps a second. swarm: all plates over the paper's 1250 steps. KiB: "
+    "of device memory a plate. of limit: share of copy bandwidth at the least bytes that one launch a step moves "
+    "(several steps a launch can pass it), or of arithmetic at the fewest operations that a node-step needs."
 )
 
 
@@ -125,21 +125,21 @@ def _write(report: Report, path: Path, pictures: bool) -> tuple[list[Path], str 
 
 
 def _print(report: Report, console: Console) -> None:
-    machine = report.machine
-    title = f"{machine['processor']}, {machine['threads']} threads"
-    made = output.table(*HEADINGS, title=title)
-    for row in report.rows:
-        if row.measured:
-            made.add_row(*_cells(row))
-    console.print(made)
-    console.print()
-    for device, limits in report.limits.items():
-        arithmetic = ", ".join(f"{value / 1e9:.4g} GFLOP/s {name}" for name, value in limits.flops.items())
-        console.print(f"limits of {device}: copy {limits.copy_bytes_per_second / 1e9:.4g} GB/s, {arithmetic}")
-    console.print(LEGEND)
+    groups = dict.fromkeys((row.device, row.precision) for row in report.rows if row.measured)
+    for device, precision in groups:
+        limits = report.limits[device]
+        copied, arithmetic = limits.copy_bytes_per_second / 1e9, limits.flops[precision] / 1e9
+        made = output.table(*HEADINGS, title=f"{report.machine.devices[device]}, {precision}")
+        for row in report.rows:
+            if row.measured and (row.device, row.precision) == (device, precision):
+                made.add_row(*_cells(row))
+        console.print(made)
+        console.print(f"limits: copying {copied:.4g} GB/s, arithmetic {arithmetic:.4g} GFLOP/s\n")
+    if groups:
+        console.print(LEGEND)
     for row in report.rows:
         if not row.measured:
-            console.print(f"{row.device}, {row.precision}, {row.plates} plates of {row.nodes} nodes: {row.status}")
+            console.print(f"{row.device}, {row.precision}, {row.plates} × {row.nodes}²: {row.status}")
     if report.interrupted:
         console.print("Interrupted by Ctrl-C: what was measured until then is shown.")
 
@@ -147,6 +147,6 @@ def _print(report: Report, console: Console) -> None:
 def _cells(row: Row) -> list[str]:
     """A measured row as the table shows it."""
     rate = (row.node_steps_per_second or 0) / 1e9
-    head = [row.device, row.precision, str(row.nodes), str(row.plates), str(row.steps), str(row.path)]
+    head = [str(row.path), str(row.nodes), str(row.plates), str(row.steps)]
     figures = [f"{row.nanoseconds_per_node_step:.3g}", f"{rate:.4g}", f"{row.swarm_seconds:.3g}"]
-    return [*head, *figures, str(row.bytes_per_plate), f"{100 * (row.share or 0):.0f} % {row.limit}"]
+    return [*head, *figures, f"{(row.bytes_per_plate or 0) / 1024:.0f}", f"{100 * (row.share or 0):.0f} % {row.limit}"]

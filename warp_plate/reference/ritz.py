@@ -1,0 +1,207 @@
+"""Natural modes of rectangular plates with any mix of clamped, supported and free edges, by the Ritz method.
+
+The modes make the elastic energy stationary against the kinetic one,
+
+    U = D/2 ∫ u_xx² + u_yy² + 2ν u_xx u_yy + 2(1 − ν) u_xy² dA,   T = ρH/2 ∫ u̇² dA,   u = Σ q_ij φ_i(x) ψ_j(y),
+
+the problem of A. W. Leissa, The free vibration of rectangular plates, J. Sound Vib. 31 (1973) 257-293. Only what
+holds an edge must be built into the functions (u = 0 on a supported edge, u = u_n = 0 on a clamped one); moments and
+forces of supported and free edges follow from U. Along one side, s = −1 ... 1, with p = 0, 1, 2 conditions at the low
+end (free, supported, clamped) and q at the high one,
+
+    φ_i(s) = (1 + s)^p (1 − s)^q P_i^(2q, 2p)(s) / norm,   i = 0, 1, ...,
+
+P the Jacobi polynomials, which are orthogonal under the weight (1 − s)^2q (1 + s)^2p. So the φ_i are orthonormal
+polynomials, the ones that Gram and Schmidt's process would make of (1 + s)^p (1 − s)^q s^i: the method of R. B. Bhat,
+J. Sound Vib. 102 (1985) 493-499, in closed form. They are kept as sums of Legendre polynomials, as N. S. Bardell's
+functions are (J. Sound Vib. 151 (1991) 263-289). The mass matrix is ρH times one; the stiffness matrix is a sum of
+Kronecker products of one-dimensional integrals, and Gauss's rule gives those without error.
+
+Natural frequencies come from above and converge faster than any power of the number of functions, unless a free
+corner or the end of a free edge slows them; the motion under a patch, whose load has a jump, converges like a power.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.special
+from numpy.polynomial import legendre
+
+from warp_plate.reference.thin_plate import ThinPlate
+from warp_plate.scene.model import Area
+
+# Conditions that an edge puts on the functions: on the displacement, and on the slope.
+CONDITIONS = {"free": 0, "supported": 1, "clamped": 2}
+
+
+@dataclass(frozen=True)
+class Line:
+    """Orthonormal functions along one side: ∫ φ_i φ_j dx = δ_ij.
+
+    length [m]; coefficients (functions, degree + 1) of Legendre polynomials in s = 2x/length − 1 [1/√m];
+    even: whether both ends are held alike, so that φ_i is even or odd about the middle as i is.
+    """
+
+    length: float
+    coefficients: np.ndarray
+    even: bool
+
+    @property
+    def functions(self) -> int:
+        """How many there are."""
+        return len(self.coefficients)
+
+    def values(self, x: np.ndarray, derivative: int = 0) -> np.ndarray:
+        """(functions, points) values of the derivative of that order at x [m]."""
+        coefficients = self.coefficients
+        if derivative:
+            coefficients = legendre.legder(coefficients, derivative, scl=2 / self.length, axis=1)
+        s = 2 * np.asarray(x, dtype=float) / self.length - 1
+        values: np.ndarray = coefficients @ legendre.legvander(s, coefficients.shape[1] - 1).T
+        return values
+
+    def products(self, low: float, high: float, first: int = 0, second: int = 0) -> np.ndarray:
+        """(functions, functions) integrals from low to high [m] of the derivatives of these orders, row times column."""
+        x, weights = _gauss(self.coefficients.shape[1], low, high)
+        products: np.ndarray = (self.values(x, first) * weights) @ self.values(x, second).T
+        return products
+
+    def integrals(self, low: float, high: float) -> np.ndarray:
+        """(functions,) integrals from low to high [m]."""
+        x, weights = _gauss(self.coefficients.shape[1], low, high)
+        integrals: np.ndarray = self.values(x) @ weights
+        return integrals
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Natural modes of a plate, as many as there are functions, by rising frequency.
+
+    angular_frequencies: (modes,) ω [rad/s], zero for rigid motions; vectors: (modes, functions of y, functions of
+    x), so that the shapes Φ have ∫ Φ_m Φ_n dA = δ_mn (shapes in 1/m, amplitudes in m²). The lowest are the plate's;
+    the highest are only there to make the functions complete.
+    """
+
+    plate: ThinPlate
+    along_x: Line
+    along_y: Line
+    angular_frequencies: np.ndarray
+    vectors: np.ndarray
+
+    @property
+    def rigid(self) -> int:
+        """How many of the first modes do not bend the plate: 3 without any held edge, 1 with one supported edge."""
+        left, bottom, right, top = (CONDITIONS[edge] for edge in self.plate.edges)
+        held = left + bottom + right + top
+        return {0: 3, 1: 1}.get(held, 0)
+
+    def shapes(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """(modes, points of y, points of x) shapes Φ [1/m] on the grid of x and y [m]."""
+        shapes: np.ndarray = self.along_y.values(y).T @ self.vectors @ self.along_x.values(x)
+        return shapes
+
+    def patch_forces(self, areas: Sequence[Area]) -> np.ndarray:
+        """(areas, modes) ∫ Φ dA [m] over rectangles x0, x1, y0, y1 [m]: modal forces of a pressure of one."""
+        along_x = np.array([self.along_x.integrals(x0, x1) for x0, x1, _, _ in areas])
+        along_y = np.array([self.along_y.integrals(y0, y1) for _, _, y0, y1 in areas])
+        return np.einsum("mji,pj,pi->pm", self.vectors, along_y, along_x, optimize=True)
+
+    def point_forces(self, points: Sequence[tuple[float, float]]) -> np.ndarray:
+        """(points, modes) Φ [1/m] at (x, y) [m]: modal forces of a force of one."""
+        x, y = np.array(points, dtype=float).T
+        along_x, along_y = self.along_x.values(x), self.along_y.values(y)
+        return np.einsum("mji,jp,ip->pm", self.vectors, along_y, along_x, optimize=True)
+
+    def overlaps(self, area: Area) -> np.ndarray:
+        """(modes, modes) ∫ Φ_m Φ_n dA over the rectangle: the Gram matrix of a region."""
+        x0, x1, y0, y1 = area
+        inside = self.along_y.products(y0, y1) @ self.vectors @ self.along_x.products(x0, x1)
+        count = len(self.vectors)
+        overlaps: np.ndarray = inside.reshape(count, -1) @ self.vectors.reshape(count, -1).T
+        return overlaps
+
+    def static_deflection(self, forces: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """(loads, points of y, points of x) deflection [m] under constant modal forces (loads, modes).
+
+        Raises:
+            ValueError: a plate that nothing holds against a rigid motion.
+        """
+        if self.rigid:
+            raise ValueError(f"edges = {list(self.plate.edges)}: the plate can move without bending; hold it somewhere")
+        amplitudes = forces / (self.plate.surface_density * self.angular_frequencies**2)
+        return np.einsum("lm,mji->lji", amplitudes, self.shapes(x, y), optimize=True)
+
+
+def solve_modes(plate: ThinPlate, functions: int = 32) -> Modes:
+    """The modes of a plate from ``functions`` × ``functions`` products.
+
+    Where both ends of a direction are held alike, even and odd functions do not mix, and are solved for apart.
+
+    Raises:
+        ValueError: fewer than 4 functions (a rigid motion and what bends least need them).
+    """
+    if functions < 4:
+        raise ValueError(f"functions = {functions}: must be at least 4")
+    left, bottom, right, top = plate.edges
+    along_x = make_line(plate.size[0], left, right, functions)
+    along_y = make_line(plate.size[1], bottom, top, functions)
+    matrix = stiffness_matrix(along_x, along_y, plate.poisson_ratio)
+    parity = np.arange(functions) % 2
+    family = 2 * (parity * along_y.even)[:, None] + parity * along_x.even
+    values, vectors = np.empty(0), np.empty((0, functions**2))
+    for member in np.unique(family):
+        mine = np.flatnonzero(family == member)
+        own_values, own_vectors = scipy.linalg.eigh(matrix[np.ix_(mine, mine)])
+        rows = np.zeros((mine.size, functions**2))
+        rows[:, mine] = own_vectors.T
+        values, vectors = np.concatenate([values, own_values]), np.concatenate([vectors, rows])
+    order = np.argsort(values, kind="stable")
+    modes = Modes(
+        plate=plate,
+        along_x=along_x,
+        along_y=along_y,
+        angular_frequencies=np.sqrt(plate.rigidity / plate.surface_density * np.maximum(values[order], 0)),
+        vectors=vectors[order].reshape(-1, functions, functions),
+    )
+    modes.angular_frequencies[: modes.rigid] = 0  # what is left there is rounding
+    return modes
+
+
+def make_line(length: float, low: str, high: str, functions: int) -> Line:
+    """The functions of one direction, with the edge conditions at its low and high end built in."""
+    p, q = CONDITIONS[low], CONDITIONS[high]
+    degrees = np.arange(functions + p + q)
+    s, weights = legendre.leggauss(degrees.size)
+    order = np.arange(functions)[:, None]
+    values = (1 + s) ** p * (1 - s) ** q * scipy.special.eval_jacobi(order, 2 * q, 2 * p, s)
+    values /= np.sqrt((values**2 * weights).sum(axis=1))[:, None]
+    # Gauss's rule with degree + 1 points is exact for products of two of these polynomials.
+    coefficients = (values * weights) @ legendre.legvander(s, degrees[-1]) * (degrees + 0.5)
+    return Line(length=length, coefficients=coefficients * np.sqrt(2 / length), even=p == q)
+
+
+def stiffness_matrix(along_x: Line, along_y: Line, poisson_ratio: float) -> np.ndarray:
+    """(functions², functions²) stiffness over D [1/m⁴], the functions of x counting fastest."""
+
+    def of(line: Line, first: int, second: int) -> np.ndarray:
+        return line.products(0, line.length, first, second)
+
+    coupled = np.kron(of(along_y, 0, 2), of(along_x, 2, 0))
+    one_x, one_y = np.eye(along_x.functions), np.eye(along_y.functions)
+    matrix: np.ndarray = (
+        np.kron(one_y, of(along_x, 2, 2))
+        + np.kron(of(along_y, 2, 2), one_x)
+        + poisson_ratio * (coupled + coupled.T)
+        + 2 * (1 - poisson_ratio) * np.kron(of(along_y, 1, 1), of(along_x, 1, 1))
+    )
+    return matrix
+
+
+def _gauss(count: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points and weights from low to high, exact up to degree 2·count − 1."""
+    s, weights = legendre.leggauss(count)
+    return (low + high) / 2 + (high - low) / 2 * s, (high - low) / 2 * weights

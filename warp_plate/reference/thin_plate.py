@@ -1,0 +1,50 @@
+"""The continuous plate of a scene, without a grid: what the exact and the Ritz references start from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+EDGES = ("clamped", "supported", "free")
+
+
+@dataclass(frozen=True)
+class ThinPlate:
+    """A rectangular Kirchhoff-Love plate, ρH ü + c u̇ + D∇⁴u = f.
+
+    size: (a, b) [m]; edges: left, bottom, right, top, each of EDGES; rigidity: D = EH³ / 12(1 − ν²) [N·m];
+    poisson_ratio: ν, which matters only where an edge is free; surface_density: ρH [kg/m²]; viscous: c [N·s/m³].
+    """
+
+    size: tuple[float, float]
+    edges: tuple[str, str, str, str]
+    rigidity: float
+    poisson_ratio: float
+    surface_density: float
+    viscous: float = 0.0
+
+
+def thin_plate(scene: Scene) -> ThinPlate:
+    """The plate of a scene; what the scene says of grids and of time steps plays no part.
+
+    Raises:
+        SceneError: an edge or an effect that the references do not know.
+    """
+    edges = (scene.edges.left, scene.edges.bottom, scene.edges.right, scene.edges.top)
+    for side, edge in zip(("left", "bottom", "right", "top"), edges, strict=True):
+        if edge not in EDGES:
+            raise SceneError(f"edges.{side} = {edge}: the reference solutions know {', '.join(EDGES)}")
+    for effect, table in scene.effects:
+        if effect != "damping" and table is not None:
+            raise SceneError(f"effects.{effect}: the reference solutions know viscous damping and no other effect")
+    plate, damping = scene.plate, scene.effects.damping
+    return ThinPlate(
+        size=plate.size,
+        edges=edges,
+        rigidity=plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2)),
+        poisson_ratio=plate.poisson_ratio,
+        surface_density=plate.density * plate.thickness,
+        viscous=damping.viscous if damping else 0.0,
+    )
