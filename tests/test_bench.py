@@ -126,11 +126,12 @@ def test_operations_are_those_of_the_equation(scene):
     assert limits.operations_a_node_step(specialize(everywhere, device)) == pytest.approx(11 + 2 + 1)
 
 
-@pytest.mark.parametrize("nodes", [5, 17, 27, 161])
+@pytest.mark.parametrize("nodes", [5, 17, 27, 161, 1025, 8193])
 def test_the_scene_is_the_papers_on_another_grid(nodes):
     made = make_scheme(paper_like(nodes, "float64"))
     assert (made.nodes, made.steps, made.window) == ((nodes, nodes), 1250, (625, 1250))
-    assert 0.85 * made.limit < made.time_step <= 0.9 * made.limit * (1 + 1e-12)
+    assert made.time_step < 0.9 * made.limit
+    assert made.angular_frequency * made.time_step == pytest.approx(2 * np.pi * 290 * 8e-5)
 
 
 def test_plates_start_from_noise_inside_the_plate(device, path):

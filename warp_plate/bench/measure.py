@@ -15,7 +15,6 @@ from warp_plate.bench.cases import Case
 from warp_plate.bench.clock import seconds_of
 from warp_plate.bench.limits import Limits, measure_limits, share_of_limit
 from warp_plate.bench.machine import Machine, describe_machine, describe_versions
-from warp_plate.plate.scheme import make_scheme
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
@@ -231,14 +230,16 @@ def prepare(case: Case) -> Ready:
 
 
 def paper_like(nodes: int, precision: str) -> Scene:
-    """The paper's panel on another grid: 1250 steps of 0.9 of the stability limit, the second half in the window."""
+    """The paper's panel on another grid, its times scaled as the stability limit is: again 1250 steps, half of them in
+    the window, each as far below the limit and through as much of the drive's period as in the paper."""
     scene = Scene.load("paper").model_dump()
-    scene["grid"] |= {"nodes": (nodes, nodes), "precision": precision, "load": "overlap", "time_step": None}
+    scale = ((scene["grid"]["nodes"][0] - 1) / (nodes - 1)) ** 2
+    scene["grid"] |= {"nodes": (nodes, nodes), "precision": precision, "load": "overlap"}
+    scene["grid"]["time_step"] *= scale
+    scene["window"] = {end: time * scale for end, time in scene["window"].items()}
+    scene["drive"]["frequency"] /= scale
     scene["effects"]["damping"]["scheme"] = "centred"
     scene["record"]["times"] = ()
-    time_step = make_scheme(Scene.model_validate(scene)).time_step
-    scene["grid"]["time_step"] = time_step
-    scene["window"] = {"start": PAPER_STEPS // 2 * time_step, "end": PAPER_STEPS * time_step}
     return Scene.model_validate(scene)
 
 

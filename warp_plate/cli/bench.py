@@ -5,7 +5,9 @@ from __future__ import annotations
 import json as json_format
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import cyclopts
 
 from warp_plate.cli import output
 from warp_plate.scene.errors import SceneError
@@ -30,10 +32,10 @@ def bench(
     precision: Literal["float32", "float64"] | None = None,
     device: str = "all",
     path: Literal["auto", "resident", "streaming"] = "auto",
-    quick: bool = False,
+    quick: Annotated[bool, cyclopts.Parameter(negative="")] = False,
     out: Path | None = None,
     pictures: bool = True,
-    json: bool = False,
+    json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
 ) -> None:
     """Measure the speed of this machine over numbers and sizes of plates.
 
@@ -48,7 +50,7 @@ def bench(
     device
         Where to measure, such as cpu or cpu,cuda:0; all devices of this machine when left out.
     path
-        How plates are stepped: resident (all steps in one launch) or streaming (a launch a few steps).
+        How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch).
     quick
         A few cases and short runs.
     out

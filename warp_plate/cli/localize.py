@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import cyclopts
 
 from warp_plate.cli import output
 from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
 
     from warp_plate.result.model import Result
 
+TRIED = {"direct": "plates simulated for the swarm", "response": "drives tried by the swarm on the Gram matrices"}
 MEANING = {
     "equal": "all actuators alike",
     "single": "best single actuator",
@@ -31,9 +34,12 @@ def localize(
     path: Literal["auto", "resident", "streaming"] = "auto",
     out: Path | None = None,
     pictures: bool = True,
-    json: bool = False,
+    json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
 ) -> None:
     """Search the drive that puts most of the plate's kinetic energy into the target.
+
+    Every actuator's magnitude and phase is searched, with the first actuator's held at 1 and 0; those that the scene
+    gives are for simulate.
 
     Parameters
     ----------
@@ -46,7 +52,7 @@ def localize(
     evaluator
         direct simulates a plate for each particle; response uses Gram matrices of unit responses instead.
     path
-        How plates are stepped: resident (all steps in one launch) or streaming (a launch a step).
+        How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch).
     out
         The result file (.h5); SCENE-localize.h5 in this folder when left out. Pictures are written beside it.
     pictures
@@ -55,9 +61,7 @@ def localize(
         Print one JSON object instead of tables.
     """
     target = output.output_file(out, scene, "localize")
-    from warp_plate.scene import Scene
-
-    loaded = Scene.load(scene)
+    loaded = output.load_scene(scene)
     output.prepare_pictures(pictures)
     from warp_plate.search.localize import localize as search
 
@@ -125,7 +129,7 @@ def _print(result: Result, console: Console) -> None:
         console.print(NOT_REPRODUCED)
     effects = ", ".join(result.effects) or "none"
     console.print(
-        f"{result.evaluations} plates by the swarm ({result.evaluator}), {result.node_steps:.3g} node-steps in all on "
+        f"{result.evaluations} {TRIED[result.evaluator]}, {result.node_steps:.3g} node-steps in all on "
         f"{result.device}: {result.seconds['solve']:.2f} s solving after {result.seconds['compile']:.2f} s compiling "
         f"or loading kernels. Effects compiled in: {effects}."
     )

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from warp_plate.result.model import Case, Result
+    from warp_plate.scene.model import Scene
 
 
 def print_json(data: Mapping[str, object]) -> None:
@@ -73,6 +74,25 @@ def output_file(out: Path | None, source: str, command: str) -> Path:
     if not path.parent.is_dir():
         raise SceneError(f"--out {path}: no such folder: {path.parent}")
     return path
+
+
+def load_scene(source: str) -> Scene:
+    """The scene, with the checks that need its grid already made, so that their errors name the file as well.
+
+    Raises:
+        SceneError: see ``Scene.load``, ``make_scheme`` and ``patches``.
+    """
+    from warp_plate.plate.scheme import make_scheme
+    from warp_plate.plate.weights import patches
+    from warp_plate.scene import Scene
+
+    scene = Scene.load(source)
+    try:
+        make_scheme(scene)
+        patches(scene)
+    except SceneError as error:
+        raise SceneError(f"{source}: {error}") from None
+    return scene
 
 
 def prepare_pictures(pictures: bool) -> None:

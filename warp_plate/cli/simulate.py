@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
+import cyclopts
 import numpy as np
 
 from warp_plate.cli import output
@@ -19,7 +20,7 @@ def simulate(
     path: Literal["auto", "resident", "streaming"] = "auto",
     out: Path | None = None,
     pictures: bool = True,
-    json: bool = False,
+    json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
 ) -> None:
     """Run one plate under one drive.
 
@@ -33,7 +34,7 @@ def simulate(
     device
         cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
     path
-        How plates are stepped: resident (all steps in one launch) or streaming (a launch a step).
+        How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch).
     out
         The result file (.h5); SCENE-simulate.h5 in this folder when left out. Pictures are written beside it.
     pictures
@@ -42,9 +43,7 @@ def simulate(
         Print one JSON object instead of tables.
     """
     target = output.output_file(out, scene, "simulate")
-    from warp_plate.scene import Scene
-
-    loaded = Scene.load(scene)
+    loaded = output.load_scene(scene)
     output.prepare_pictures(pictures)
     from warp_plate.search.simulate import simulate as run
 

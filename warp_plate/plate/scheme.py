@@ -20,8 +20,9 @@ import numpy as np
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# A time step that the scene leaves out is this part of the stability limit.
+# A time step that the scene leaves out is this part of the stability limit, and carries the drive with so many steps.
 SAFETY = 0.9
+STEPS_A_PERIOD = 20
 # Longer runs are mistakes in a unit: this is hours on any device.
 MOST_STEPS = 10**8
 # Curvature factor of an edge's nodes: the mirror node of a clamped edge doubles it, a supported edge has none.
@@ -94,8 +95,8 @@ def make_scheme(scene: Scene) -> Scheme:
     """The scheme of a scene.
 
     Raises:
-        SceneError: the scene's time step is above the stability limit, its window holds no half-step, or its run is
-            longer than MOST_STEPS.
+        SceneError: the scene's time step is above the stability limit or too long for the drive's frequency, its
+            window holds no half-step, or its run is longer than MOST_STEPS.
     """
     plate, grid = scene.plate, scene.grid
     spacing = (plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1))
@@ -106,11 +107,17 @@ def make_scheme(scene: Scene) -> Scheme:
     rate_of_loss = damping.viscous / surface_density if damping else 0.0
     backward = damping is not None and damping.scheme == "backward"
     limit = time_step_limit(kappa, spacing, rate_of_loss if backward else 0.0)
-    time_step = grid.time_step or scene.window.end / math.ceil(scene.window.end / (SAFETY * limit))
+    longest = min(SAFETY * limit, 1 / (STEPS_A_PERIOD * scene.drive.frequency))
+    time_step = grid.time_step or scene.window.end / math.ceil(scene.window.end / longest)
     if time_step > limit * (1 + 1e-12):
         raise SceneError(
             f"grid.time_step = {time_step:g}: above the stability limit of {limit:.6g} s for {grid.nodes[0]} x "
             f"{grid.nodes[1]} nodes; write a smaller one, or leave it out for {SAFETY:g} of the limit"
+        )
+    if scene.drive.frequency >= 0.5 / time_step:
+        raise SceneError(
+            f"drive.frequency = {scene.drive.frequency:g}: a step of {time_step:g} s carries less than "
+            f"{0.5 / time_step:.6g} Hz; lower it, or write a smaller grid.time_step"
         )
     if scene.window.end / time_step > MOST_STEPS:
         raise SceneError(

@@ -33,7 +33,7 @@ SMALLEST_SPLIT = 1e-5
 # Drives with less than this part of the largest plate energy cancel out; no ratio of what is left means anything.
 RANK_TOLERANCE = 1e-10
 # The numbers of functions a side that show how the references converge.
-COUNTS = (16, 20, 24, 28, 32, 36, 40)
+COUNTS = (16, 24, 32, 40, 44, 48)
 
 
 @dataclass(frozen=True)
@@ -151,16 +151,16 @@ def bound(matrices: np.ndarray) -> tuple[float, np.ndarray]:
 class Converged:
     """What one number of functions gives.
 
-    functions: a side; angular_frequencies: the first [rad/s]; localization_factors: (drives,); bound; change:
-    largest change of a localization factor or of the bound from the row before, which is the estimate of this row's
-    error, NaN in the first.
+    functions: in each direction; angular_frequencies: the first [rad/s]; localization_factors: (drives,); bound;
+    error: estimate of the error of both, the largest change from either of the two rows before. One change alone may
+    be small by chance, for the errors of successive rows differ in sign. NaN in the first two rows.
     """
 
     functions: int
     angular_frequencies: np.ndarray
     localization_factors: np.ndarray
     bound: float
-    change: float
+    error: float
 
 
 def converge(
@@ -168,21 +168,21 @@ def converge(
 ) -> list[Converged]:
     """Localization factors of drives (drives, actuators) and their bound, for growing numbers of functions.
 
-    steady: of the steady vibration instead of the scene's window.
+    steady: of the steady vibration instead of the scene's window; frequencies: how many of them to keep.
 
     Raises:
         SceneError: an edge or an effect that the references do not know; see :func:`thin_plate`.
     """
+    plate = thin_plate(scene)
     rows: list[Converged] = []
-    before = np.full(len(drives) + 1, math.nan)
+    found = np.full((2, len(drives) + 1), math.nan)
     for count in counts:
-        modes = solve_modes(thin_plate(scene), count)
+        modes = solve_modes(plate, count)
         matrices = (steady_matrices if steady else transient_matrices)(modes, scene)
         factors, largest = localization_factors(matrices, drives), bound(matrices)[0]
-        now = np.append(factors, largest)
-        change = float(np.abs(now - before).max())
-        rows.append(Converged(count, modes.angular_frequencies[:frequencies], factors, largest, change))
-        before = now
+        found = np.vstack([found, [*factors, largest]])
+        error = float(np.abs(found[-1] - found[-3:-1]).max())
+        rows.append(Converged(count, modes.angular_frequencies[:frequencies], factors, largest, error))
     return rows
 
 

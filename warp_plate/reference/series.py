@@ -8,13 +8,31 @@ Under the load of one mode only that mode moves, and its amplitude q is a damped
 
     q(t) = Re(Q exp(iωt)) + exp(−γt)·(A cos νt + B sin νt),   Q = Z / (D k⁴ − ρHω² + icω),   γ = c/2ρH,
     ν² = D k⁴/ρH − γ²,   A = −Re Q,   B = (ω Im Q − γ Re Q)/ν
+
+A patch x0 ... x1, y0 ... y1 that presses with Re(p exp(iωt)) loads the mode with
+
+    Z = 4p/ab · ∫ sin(mπx/a) dx ∫ sin(nπy/b) dy,   |Z| ≤ 16|p| / (π²mn),
+
+and the plate's motion is the sum over all modes (Navier's series). Here it is cut off at m, n ≤ terms;
+:func:`truncation` bounds what is left out.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.polynomial import legendre
+
+from warp_plate.reference.thin_plate import ThinPlate, thin_plate
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+# A span of time in which the fastest v² turns by this [rad] takes so many of Gauss's points: exact to rounding.
+PANEL_TURN, PANEL_POINTS = 16.0, 16
+# Amplitudes of this many modes and times are held at once.
+AMPLITUDES_AT_ONCE = 2_000_000
 
 
 def mode_shape(mode: tuple[int, int], size: tuple[float, float], x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -41,30 +59,203 @@ def grid_wavenumber_squared(
 
 def mode_amplitude(
     time: np.ndarray,
-    stiffness: float,
+    stiffness: float | np.ndarray,
     surface_density: float,
     viscous: float,
-    pressure: complex,
+    pressure: complex | np.ndarray,
     frequency: float,
+    derivative: int = 0,
 ) -> np.ndarray:
     """q [m] of the equations above at ``time`` [s], from rest under Re(pressure · exp(iωt)) times the mode.
 
     Args:
         stiffness: D k⁴ [N/m³]; surface_density: ρH [kg/m²]; viscous: c [N·s/m³]; pressure: Z [N/m²];
-        frequency: ω/2π [Hz].
+        frequency: ω/2π [Hz]; derivative: 1 for q̇ [m/s]. Times, stiffnesses and pressures are broadcast.
 
     Raises:
-        ValueError: damping so strong that the mode does not vibrate.
+        ValueError: damping so strong that a mode does not vibrate.
     """
     omega = 2 * math.pi * frequency
     gamma = viscous / (2 * surface_density)
-    own_squared = stiffness / surface_density - gamma**2
-    if own_squared <= 0:
-        critical = 2 * math.sqrt(stiffness * surface_density)
+    own_squared = np.asarray(stiffness) / surface_density - gamma**2
+    if np.any(own_squared <= 0):
+        critical = 2 * math.sqrt(np.min(stiffness) * surface_density)
         raise ValueError(f"viscous = {viscous:g}: the mode does not vibrate; must be below {critical:g}")
-    own = math.sqrt(own_squared)
+    own = np.sqrt(own_squared)
     steady = pressure / (stiffness - surface_density * omega**2 + 1j * viscous * omega)
     cosine = -steady.real
     sine = (omega * steady.imag - gamma * steady.real) / own
+    if derivative:
+        steady, cosine, sine = 1j * omega * steady, own * sine - gamma * cosine, -gamma * sine - own * cosine
     transient = np.exp(-gamma * time) * (cosine * np.cos(own * time) + sine * np.sin(own * time))
-    return (steady * np.exp(1j * omega * time)).real + transient
+    motion: np.ndarray = (steady * np.exp(1j * omega * time)).real + transient
+    return motion
+
+
+def patch_pressures(scene: Scene, drive: np.ndarray, terms: int) -> np.ndarray:
+    """(terms, terms) complex Z [N/m²] of the modes, n by row and m by column, under drive (actuators,) [N/m²]."""
+    (width, height), orders = scene.plate.size, np.arange(1, terms + 1)
+    pressures = np.zeros((terms, terms), dtype=complex)
+    for phasor, actuator in zip(drive, scene.actuators, strict=True):
+        x0, x1, y0, y1 = actuator.area
+        along = _sine_integral(orders * math.pi / width, x0, x1)
+        across = _sine_integral(orders * math.pi / height, y0, y1)
+        pressures += 4 * phasor / (width * height) * np.outer(across, along)
+    return pressures
+
+
+def displacement(
+    scene: Scene, drive: np.ndarray, times: Sequence[float], x: np.ndarray, y: np.ndarray, terms: int = 100
+) -> np.ndarray:
+    """(times, points of y, points of x) displacement [m] at times [s], from rest at t = 0.
+
+    drive: (actuators,) phasors Z [N/m²], the load being Re(Z exp(iωt)) on each patch; x, y [m].
+
+    Raises:
+        SceneError: an edge that is not supported, or an effect other than viscous damping.
+    """
+    return _field(scene, drive, times, x, y, terms, derivative=0)
+
+
+def velocity(
+    scene: Scene, drive: np.ndarray, times: Sequence[float], x: np.ndarray, y: np.ndarray, terms: int = 100
+) -> np.ndarray:
+    """(times, points of y, points of x) velocity [m/s]; see :func:`displacement`."""
+    return _field(scene, drive, times, x, y, terms, derivative=1)
+
+
+def mean_square_velocity(
+    scene: Scene, drive: np.ndarray, x: np.ndarray, y: np.ndarray, terms: int = 32
+) -> np.ndarray:
+    """(points of y, points of x) v² [m²/s²] averaged over the scene's window.
+
+    The average over time is exact to rounding for the modes that are kept. With v the velocity of those and δ the
+    bound of :func:`truncation`, what is left out changes it by no more than the average of 2|v|δ + δ².
+    """
+    along, across = _shapes(scene.plate.size, x, y, terms)
+    mean = np.zeros((np.size(y), np.size(x)))
+    for rates, shares in _window_rates(scene, drive, terms):
+        mean += np.einsum("t,tji->ji", shares, (across.T @ rates @ along) ** 2)
+    return mean
+
+
+def kinetic_energies(scene: Scene, drive: np.ndarray, terms: int = 32) -> np.ndarray:
+    """(2,) kinetic energies of plate and target averaged over the scene's window [J].
+
+    The average over time is exact to rounding for the modes that are kept; the plate's energy comes from below.
+    """
+    (width, height), (x0, x1, y0, y1) = scene.plate.size, scene.target.area
+    along, across = _sine_products(width, x0, x1, terms), _sine_products(height, y0, y1, terms)
+    sums = np.zeros(2)
+    for rates, shares in _window_rates(scene, drive, terms):
+        sums[0] += width * height / 4 * np.einsum("t,tnm,tnm->", shares, rates, rates)
+        sums[1] += np.einsum("t,tnm,tnm->", shares, across @ rates @ along, rates)
+    return 0.5 * thin_plate(scene).surface_density * sums
+
+
+def truncation(scene: Scene, drive: np.ndarray, terms: int) -> tuple[float, float]:
+    """Bounds on the displacement [m] and the velocity [m/s] of the modes left out, at any point and time.
+
+    With ν ≥ ω + γ, the equations above give |q| ≤ 3|Q| and |q̇| ≤ 4ν|Q|. In |Q| ≤ s·16P/(π²mn D k⁴), P is the sum of
+    the |Z| of the drive and s = 1/(1 − ρHω²/Dk⁴) that of the slowest mode left out. The sums over m > terms and
+    all n, and the other way round, use (α² + β²)² ≥ 16/(3√3) α³β, α² + β² ≥ 4/3^¾ α^³⸍² β^½ and integrals.
+
+    Raises:
+        ValueError: so few terms that a mode left out is not above the drive and the damping.
+    """
+    plate = _supported_plate(scene)
+    (width, height), omega = plate.size, scene.drive_angular_frequency
+    gamma = plate.viscous / (2 * plate.surface_density)
+    slowest = min(wavenumber_squared(mode, plate.size) for mode in ((terms + 1, 1), (1, terms + 1)))
+    own = math.sqrt(max(plate.rigidity / plate.surface_density * slowest**2 - gamma**2, 0))
+    if own < omega + gamma:
+        raise ValueError(f"terms = {terms}: a mode left out is as slow as the drive or the damping; take more")
+    above = 1 / (1 - plate.surface_density * omega**2 / (plate.rigidity * slowest**2))
+    load = above * 16 / math.pi**2 * float(np.abs(drive).sum())
+    # Σ 1/m⁴ over m > terms is at most 1/(3 terms³), Σ 1/n² = π²/6; Σ m^(−5/2) and Σ n^(−3/2) likewise.
+    pairs = width * height * (width**2 + height**2) / math.pi**4 * 3 * math.sqrt(3) / 16
+    slow_pairs = math.sqrt(width * height) * (width + height) / math.pi**2 * 3**0.75 / 4
+    of_displacement = 3 * load / plate.rigidity * pairs / (3 * terms**3) * math.pi**2 / 6
+    impedance = math.sqrt(plate.rigidity * plate.surface_density)
+    of_velocity = 4 * load / impedance * slow_pairs * 2 / (3 * terms**1.5) * 2.6124
+    return of_displacement, of_velocity
+
+
+def _supported_plate(scene: Scene) -> ThinPlate:
+    plate = thin_plate(scene)
+    if set(plate.edges) != {"supported"}:
+        raise SceneError(f"edges = {list(plate.edges)}: the sine series needs all four supported")
+    return plate
+
+
+def _amplitudes(scene: Scene, drive: np.ndarray, times: np.ndarray, terms: int, derivative: int) -> np.ndarray:
+    """(times, terms, terms) q [m] or q̇ [m/s] of the modes, n by row and m by column."""
+    plate, orders = _supported_plate(scene), np.arange(1, terms + 1)
+    squared = (orders * math.pi / plate.size[0]) ** 2 + (orders[:, None] * math.pi / plate.size[1]) ** 2
+    return mode_amplitude(
+        np.asarray(times, dtype=float)[:, None, None],
+        plate.rigidity * squared**2,
+        plate.surface_density,
+        plate.viscous,
+        patch_pressures(scene, drive, terms),
+        scene.drive.frequency,
+        derivative,
+    )
+
+
+def _field(
+    scene: Scene,
+    drive: np.ndarray,
+    times: Sequence[float],
+    x: np.ndarray,
+    y: np.ndarray,
+    terms: int,
+    derivative: int,
+) -> np.ndarray:
+    along, across = _shapes(scene.plate.size, x, y, terms)
+    field: np.ndarray = across.T @ _amplitudes(scene, drive, np.asarray(times), terms, derivative) @ along
+    return field
+
+
+def _window_rates(scene: Scene, drive: np.ndarray, terms: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Chunks of (times, terms, terms) q̇ [m/s] and (times,) shares of the window, by Gauss's rule in panels."""
+    plate = _supported_plate(scene)
+    start, end = scene.window.start, scene.window.end
+    fastest = math.sqrt(plate.rigidity / plate.surface_density) * wavenumber_squared((terms, terms), plate.size)
+    turn = 2 * max(fastest, scene.drive_angular_frequency) * (end - start)
+    panels = max(1, math.ceil(turn / PANEL_TURN))
+    s, weights = legendre.leggauss(PANEL_POINTS)
+    offsets, shares = (s + 1) / 2 * (end - start) / panels, weights / 2 / panels
+    chunk = max(1, AMPLITUDES_AT_ONCE // (terms**2 * PANEL_POINTS))
+    for first in range(0, panels, chunk):
+        starts = start + (end - start) / panels * np.arange(first, min(first + chunk, panels))
+        times = (starts[:, None] + offsets).ravel()
+        yield _amplitudes(scene, drive, times, terms, derivative=1), np.tile(shares, starts.size)
+
+
+def _shapes(size: tuple[float, float], x: np.ndarray, y: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
+    """(terms, points) sines along x and along y."""
+    orders = np.arange(1, terms + 1)
+    return np.sin(np.outer(orders * math.pi / size[0], x)), np.sin(np.outer(orders * math.pi / size[1], y))
+
+
+def _sine_integral(wavenumber: np.ndarray, low: float, high: float) -> np.ndarray:
+    """∫ sin(kx) dx from low to high, as a product that does not cancel on a narrow patch."""
+    integral: np.ndarray = 2 / wavenumber * np.sin(wavenumber * (low + high) / 2) * np.sin(wavenumber * (high - low) / 2)
+    return integral
+
+
+def _sine_products(length: float, low: float, high: float, terms: int) -> np.ndarray:
+    """(terms, terms) ∫ sin(kx) sin(lx) dx from low to high, k and l = π/length, 2π/length, ..."""
+    orders = np.arange(1, terms + 1)
+    difference, total = orders[:, None] - orders, orders[:, None] + orders
+    products: np.ndarray = (_cosine_integral(difference, length, low, high) - _cosine_integral(total, length, low, high))
+    return products / 2
+
+
+def _cosine_integral(order: np.ndarray, length: float, low: float, high: float) -> np.ndarray:
+    """∫ cos(order·πx/length) dx from low to high."""
+    k = order * math.pi / length
+    middle, half = (low + high) / 2, (high - low) / 2
+    integral: np.ndarray = 2 * half * np.cos(k * middle) * np.sinc(k * half / math.pi)
+    return integral

@@ -22,6 +22,11 @@ from warp_plate.result.model import Case, Result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
 
+HISTORY = {
+    "evaluations": "drives tried so far",
+    "best": "largest localization factor so far",
+    "mean": "mean localization factor of the swarm",
+}
 FORMAT = "warp-plate result 1"
 
 
@@ -101,8 +106,7 @@ def _write(file: h5py.File, result: Result) -> None:
     if result.bound is not None:
         _dataset(file, "localization_factor/bound", result.bound, "1", "largest that any drive can reach")
     for name, values in result.history.items():
-        unit, meaning = ("1", "localization factor") if name != "evaluations" else ("1", "plates simulated so far")
-        _dataset(file, f"history/{name}", values, unit, f"{meaning}, after each iteration")
+        _dataset(file, f"history/{name}", values, "1", f"{HISTORY.get(name, name)}, after each iteration")
 
 
 def _write_case(file: h5py.File, at: str, case: Case) -> None:

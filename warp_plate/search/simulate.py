@@ -40,6 +40,8 @@ def simulate(
         phasors = file_drive
     elif drive == "scene":
         phasors = scene_drive(scene)
+    elif drive == "equal":
+        phasors = np.ones(len(scene.actuators), dtype=complex)
     else:
         phasors = reference_drives(len(scene.actuators), lambda drives: solver.run(drives).energy)[drive]
     run = solver.run(phasors[None], record_times(scene), scene.record.points, progress)

@@ -69,7 +69,7 @@ def resident_path(specialized: Specialized) -> Advance:
                     crew = [(threads, member, arrived) for member in range(threads)]
                     calls = [partial(singly, state, plate, plate + 1, start, stop, one) for one in crew]
                     # Should a member fail, the others must not wait for it for ever.
-                    _at_once(calls, lambda arrived=arrived: arrived.fill_(EVERYBODY))
+                    _at_once(calls, partial(arrived.fill_, EVERYBODY))
             return
         cuts = np.linspace(0, plates, min(threads, plates) + 1).astype(int).tolist()
         shares = enumerate(pairwise(cuts))

@@ -19,10 +19,10 @@ def find_device(name: str) -> wp.Device:
         SceneError: Warp knows no such device here.
     """
     wp.config.log_level = max(wp.config.log_level, wp.LOG_ERROR)  # Warp greets on standard output otherwise
-    with _quiet_standard_error():
-        wp.init()
     try:
-        return wp.get_device(("cuda:0" if wp.is_cuda_available() else "cpu") if name == "auto" else name)
+        with _quiet_standard_error():
+            wp.init()
+            return wp.get_device(("cuda:0" if wp.is_cuda_available() else "cpu") if name == "auto" else name)
     except (ValueError, RuntimeError):
         known = ", ".join(["auto", *(device.alias for device in wp.get_devices())])
         raise SceneError(f"device = {name!r}: not on this machine; there are: {known}") from None
