@@ -20,8 +20,8 @@ SMALL, LARGE, LARGEST = (27, 27, 32), (41, 43, 48), (97, 89, 112)
 def cuda_kernels(effects, real):
     """Every kernel that is launched on CUDA, by its module and factory; a new one is added here."""
     yield "load.make_spread_drives", load.make_spread_drives(real)
-    yield "energy.make_sum_along_rows", energy.make_sum_along_rows(real)
-    yield "energy.make_sum_rows", energy.make_sum_rows()
+    yield "energy.make_sum_along_columns", energy.make_sum_along_columns(real)
+    yield "energy.make_sum_columns", energy.make_sum_columns()
     yield "limits.make_multiply_adds", limits.make_multiply_adds(real, block=1, depth=64, rounds=100, compiler_flags="")
     yield "record.advance_clock", record.advance_clock
     yield "record.make_record", record.make_record(real)

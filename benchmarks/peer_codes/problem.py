@@ -11,7 +11,9 @@ are clamped, so the ghost node outside an edge mirrors the first node inside it.
 
     energy[plate, region] = sum over nodes of weights[region] squares
 
-Region 0 is the whole plate, region 1 the quadrant at the first corner.
+Region 0 is the whole plate, region 1 the quadrant at the first corner. The loads are those of four actuators where the
+paper has them, each with random numbers of its own at its nodes: most nodes carry none, as in every scene. warp-plate
+knows from the scene which rows those are; the other programs here treat all nodes alike.
 """
 
 from __future__ import annotations
@@ -112,14 +114,24 @@ class Problem:
         return (beside[:, None] + beside[None, :]).astype(self.dtype)
 
 
+def loaded_nodes(nodes: int) -> NDArray[np.int64]:
+    """Row and column of the nodes under the four actuators, shape (count, 2): 0.15 to 0.21 of a side from each edge."""
+    place = np.arange(nodes) / (nodes - 1)
+    along = ((place > 0.14) & (place < 0.22)) | ((place > 0.78) & (place < 0.86))
+    along[[nodes // 5, -1 - nodes // 5]] = True  # on the smallest grids too
+    along[[0, -1]] = False
+    return np.argwhere(np.outer(along, along))
+
+
 @lru_cache(maxsize=1)
 def _loads(plates: int, nodes: int, precision: str, seed: int) -> NDArray:
     """Random loads, shape (2, plates, nodes, nodes); plate p of a seed is the same in a smaller batch."""
     loads = np.zeros((2, plates, nodes, nodes), precision)
-    inside = (nodes - 2, nodes - 2)
+    covered = loaded_nodes(nodes)
     for plate in range(plates):
         generator = np.random.default_rng((seed, plate))
-        loads[:, plate, 1:-1, 1:-1] = generator.standard_normal((2, *inside), dtype=np.dtype(precision).type)
+        numbers = generator.standard_normal((2, len(covered)), dtype=np.dtype(precision).type)
+        loads[:, plate, covered[:, 0], covered[:, 1]] = numbers
     loads.flags.writeable = False
     return loads
 

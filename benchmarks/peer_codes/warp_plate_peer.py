@@ -1,5 +1,4 @@
-"""warp-plate on the path that it chooses for the size of plate, driven just below its scenes: the work loads every
-node, where the actuators of a scene load a few."""
+"""warp-plate on the path that it chooses for the size of plate, driven just below its scenes by the work's numbers."""
 
 from __future__ import annotations
 
@@ -9,7 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from peer_codes.problem import PeerMissing, Problem, Run
+from peer_codes.problem import PeerMissing, Problem, Run, loaded_nodes
 from warp_plate import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import make_engine, region_sums
@@ -21,6 +20,7 @@ NOTHING_TRACED = np.zeros((0, 2), dtype=np.int32)
 
 def make(problem: Problem, threads: int) -> Run:
     """On the CPU with so many threads, or on the GPU; raises PeerMissing where there is none."""
+    find_device("cpu")  # starts Warp without its greeting
     if problem.device == "cuda" and not wp.is_cuda_available():
         raise PeerMissing("Warp finds no GPU")
     specialized = specialize_as(problem, threads)
@@ -49,13 +49,13 @@ def specialize_as(problem: Problem, threads: int) -> Specialized:
     made = specialize(Scene.model_validate(scene), device, threads)
     made.parameters.stiffness = problem.stiffness
     made.parameters.decay = problem.decay
-    everywhere = np.argwhere(np.ones((problem.nodes - 2,) * 2)) + [2, 1]
+    covered = loaded_nodes(problem.nodes) + [1, 0]
     weights = np.zeros(made.weights.shape)
     weights[:, 1:-1, : problem.nodes] = problem.weights
     return replace(
         made,
         scheme=replace(made.scheme, steps=problem.steps, window=(problem.first, problem.steps)),
-        support=wp.array(everywhere.astype(np.int32), dtype=int, device=device),
+        support=wp.array(covered.astype(np.int32), dtype=int, device=device),
         weights=wp.array(weights, dtype=wp.float64, device=device),
         wave=made.to_device(np.stack([problem.cosine, problem.sine], axis=1)),
     )

@@ -17,8 +17,9 @@ J. Sound Vib. 102 (1985) 493-499, in closed form. They are kept as sums of Legen
 functions are (J. Sound Vib. 151 (1991) 263-289). The mass matrix is ρH times one; the stiffness matrix is a sum of
 Kronecker products of one-dimensional integrals, and Gauss's rule gives those without error.
 
-Natural frequencies come from above and converge faster than any power of the number of functions, unless a free
-corner or the end of a free edge slows them; the motion under a patch, whose load has a jump, converges like a power.
+Natural frequencies come from above and converge fast, slowed only by what happens in corners. Motion under a patch,
+whose load has jumps, converges like a power of the number of functions; quadratic results, such as energies, have
+about the square of its error.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ class Line:
         return values
 
     def products(self, low: float, high: float, first: int = 0, second: int = 0) -> np.ndarray:
-        """(functions, functions) integrals from low to high [m] of the derivatives of these orders, row times column."""
+        """(functions, functions) ∫ of the derivatives of these orders, row times column, from low to high [m]."""
         x, weights = _gauss(self.coefficients.shape[1], low, high)
         products: np.ndarray = (self.values(x, first) * weights) @ self.values(x, second).T
         return products

@@ -9,7 +9,8 @@ Under the load of one mode only that mode moves, and its amplitude q is a damped
     q(t) = Re(Q exp(iωt)) + exp(−γt)·(A cos νt + B sin νt),   Q = Z / (D k⁴ − ρHω² + icω),   γ = c/2ρH,
     ν² = D k⁴/ρH − γ²,   A = −Re Q,   B = (ω Im Q − γ Re Q)/ν
 
-A patch x0 ... x1, y0 ... y1 that presses with Re(p exp(iωt)) loads the mode with
+with cosh and sinh for cos and sin where damping is stronger than critical, ν² < 0. A patch x0 ... x1, y0 ... y1
+that presses with Re(p exp(iωt)) loads the mode with
 
     Z = 4p/ab · ∫ sin(mπx/a) dx ∫ sin(nπy/b) dy,   |Z| ≤ 16|p| / (π²mn),
 
@@ -73,23 +74,50 @@ def mode_amplitude(
         frequency: ω/2π [Hz]; derivative: 1 for q̇ [m/s]. Times, stiffnesses and pressures are broadcast.
 
     Raises:
-        ValueError: damping so strong that a mode does not vibrate.
+        ValueError: damping so strong that a mode does not vibrate; :func:`damped_motion` allows it.
     """
+    gamma = viscous / (2 * surface_density)
+    if np.any(np.asarray(stiffness) / surface_density <= gamma**2):
+        critical = 2 * math.sqrt(np.min(stiffness) * surface_density)
+        raise ValueError(f"viscous = {viscous:g}: the mode does not vibrate; must be below {critical:g}")
+    return damped_motion(time, stiffness, surface_density, viscous, pressure, frequency, derivative)
+
+
+def damped_motion(
+    time: np.ndarray,
+    stiffness: float | np.ndarray,
+    surface_density: float,
+    viscous: float,
+    pressure: complex | np.ndarray,
+    frequency: float,
+    derivative: int = 0,
+) -> np.ndarray:
+    """As :func:`mode_amplitude`, with any damping."""
     omega = 2 * math.pi * frequency
     gamma = viscous / (2 * surface_density)
     own_squared = np.asarray(stiffness) / surface_density - gamma**2
-    if np.any(own_squared <= 0):
-        critical = 2 * math.sqrt(np.min(stiffness) * surface_density)
-        raise ValueError(f"viscous = {viscous:g}: the mode does not vibrate; must be below {critical:g}")
-    own = np.sqrt(own_squared)
     steady = pressure / (stiffness - surface_density * omega**2 + 1j * viscous * omega)
-    cosine = -steady.real
-    sine = (omega * steady.imag - gamma * steady.real) / own
+    start, speed = -steady.real, omega * steady.imag - gamma * steady.real  # A and νB
     if derivative:
-        steady, cosine, sine = 1j * omega * steady, own * sine - gamma * cosine, -gamma * sine - own * cosine
-    transient = np.exp(-gamma * time) * (cosine * np.cos(own * time) + sine * np.sin(own * time))
-    motion: np.ndarray = (steady * np.exp(1j * omega * time)).real + transient
+        steady, start, speed = 1j * omega * steady, speed - gamma * start, -gamma * speed - own_squared * start
+    cosine, sine = _decays(np.asarray(time), own_squared, gamma)
+    motion: np.ndarray = (steady * np.exp(1j * omega * time)).real + start * cosine + speed * sine
     return motion
+
+
+def _decays(time: np.ndarray, own_squared: np.ndarray, gamma: float) -> tuple[np.ndarray, np.ndarray]:
+    """exp(−γt) cos νt and exp(−γt) sin(νt)/ν [s] of ν² [1/s²]."""
+    rate = np.sqrt(np.abs(own_squared))
+    turn, decay = rate * time, np.exp(-gamma * time)
+    cosine, sine = decay * np.cos(turn), decay * time * np.sinc(turn / math.pi)
+    strong = own_squared < 0
+    if np.any(strong):
+        rate = np.where(strong, rate, 1)
+        grown = np.exp(np.where(strong, rate - gamma, 0) * time)
+        lost = -np.expm1(-2 * rate * time)
+        cosine = np.where(strong, (1 - lost / 2) * grown, cosine)
+        sine = np.where(strong, lost / (2 * rate) * grown, sine)
+    return cosine, sine
 
 
 def patch_pressures(scene: Scene, drive: np.ndarray, terms: int) -> np.ndarray:
@@ -192,7 +220,7 @@ def _amplitudes(scene: Scene, drive: np.ndarray, times: np.ndarray, terms: int, 
     """(times, terms, terms) q [m] or q̇ [m/s] of the modes, n by row and m by column."""
     plate, orders = _supported_plate(scene), np.arange(1, terms + 1)
     squared = (orders * math.pi / plate.size[0]) ** 2 + (orders[:, None] * math.pi / plate.size[1]) ** 2
-    return mode_amplitude(
+    return damped_motion(
         np.asarray(times, dtype=float)[:, None, None],
         plate.rigidity * squared**2,
         plate.surface_density,
@@ -241,7 +269,8 @@ def _shapes(size: tuple[float, float], x: np.ndarray, y: np.ndarray, terms: int)
 
 def _sine_integral(wavenumber: np.ndarray, low: float, high: float) -> np.ndarray:
     """∫ sin(kx) dx from low to high, as a product that does not cancel on a narrow patch."""
-    integral: np.ndarray = 2 / wavenumber * np.sin(wavenumber * (low + high) / 2) * np.sin(wavenumber * (high - low) / 2)
+    middle, half = (low + high) / 2, (high - low) / 2
+    integral: np.ndarray = 2 / wavenumber * np.sin(wavenumber * middle) * np.sin(wavenumber * half)
     return integral
 
 
@@ -249,8 +278,9 @@ def _sine_products(length: float, low: float, high: float, terms: int) -> np.nda
     """(terms, terms) ∫ sin(kx) sin(lx) dx from low to high, k and l = π/length, 2π/length, ..."""
     orders = np.arange(1, terms + 1)
     difference, total = orders[:, None] - orders, orders[:, None] + orders
-    products: np.ndarray = (_cosine_integral(difference, length, low, high) - _cosine_integral(total, length, low, high))
-    return products / 2
+    of_difference, of_total = (_cosine_integral(order, length, low, high) for order in (difference, total))
+    products: np.ndarray = (of_difference - of_total) / 2
+    return products
 
 
 def _cosine_integral(order: np.ndarray, length: float, low: float, high: float) -> np.ndarray:

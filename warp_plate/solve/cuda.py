@@ -17,7 +17,7 @@ from warp_plate.solve.state import Advance, State
 # Threads a block where each warp has its own plate. Up to so many plates a multiprocessor, a plate's own speed counts
 # and the compiler may take as many registers as pay; beyond, what counts is how many plates run side by side.
 LANES_BLOCK = 32
-FEW_PLATES, FEW_REGISTERS = 12, 160
+FEW_PLATES, FEW_REGISTERS, FEW_LOADED_ROWS = 12, 160, 16
 # Launches in one captured graph; even, so that buffers that take turns end where they began.
 GRAPH_LAUNCHES = 16
 # Threads a block on the streaming path, whose warps know nothing of each other.
@@ -71,8 +71,8 @@ def _lanes_path(specialized: Specialized) -> Advance:
         }
         return _cuda_advance(specialized, kernels, [], LANES, LANES_BLOCK)
 
-    if real is wp.float64:
-        return compiled(None)
+    if real is wp.float64 or loaded.bit_count() > FEW_LOADED_ROWS:
+        return compiled(None)  # the numbers that stay in registers leave no choice
     few, many = compiled(FEW_REGISTERS), compiled(None)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels.energy import make_sum_along_rows, make_sum_rows
+from warp_plate.kernels.energy import make_sum_along_columns, make_sum_columns
 from warp_plate.kernels.load import make_spread_drives
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.paths import choose_path, paths_of
@@ -26,8 +26,8 @@ class Engine:
     path: str
     advance: Advance
     spread_drives: wp.Kernel
-    sum_along_rows: wp.Kernel
-    sum_rows: wp.Kernel
+    sum_along_columns: wp.Kernel
+    sum_columns: wp.Kernel
 
 
 def make_engine(specialized: Specialized, path: str = "auto") -> Engine:
@@ -40,7 +40,7 @@ def make_engine(specialized: Specialized, path: str = "auto") -> Engine:
     path = choose_path(specialized) if path == "auto" else path
     if path not in paths_of(device):
         raise SceneError(f"path = {path!r}: no such path; there are: auto, {', '.join(paths_of(device))}")
-    kernels = (make_spread_drives(specialized.real), make_sum_along_rows(specialized.real), make_sum_rows())
+    kernels = (make_spread_drives(specialized.real), make_sum_along_columns(specialized.real), make_sum_columns())
     for kernel in kernels:
         wp.load_module(module=kernel.module, device=device)
     return Engine(specialized, path, paths_of(device)[path](specialized), *kernels)
@@ -64,15 +64,15 @@ def load_drives(engine: Engine, state: State, drives: np.ndarray) -> None:
 def region_sums(engine: Engine, state: State, plates: int) -> np.ndarray:
     """(plates, regions) weighted sums of rate² over the window, for the first plates."""
     specialized = engine.specialized
-    regions, rows, _ = specialized.weights.shape
+    regions, _, columns = specialized.weights.shape
     wp.launch(
-        engine.sum_along_rows,
-        dim=(plates, regions, rows),
+        engine.sum_along_columns,
+        dim=(plates, regions, columns),
         inputs=[state.squares, specialized.weights],
-        outputs=[state.row_sums],
+        outputs=[state.column_sums],
         device=specialized.device,
     )
-    inputs, outputs = [state.row_sums], [state.energy]
-    wp.launch(engine.sum_rows, dim=(plates, regions), inputs=inputs, outputs=outputs, device=specialized.device)
+    inputs, outputs = [state.column_sums], [state.energy]
+    wp.launch(engine.sum_columns, dim=(plates, regions), inputs=inputs, outputs=outputs, device=specialized.device)
     sums: np.ndarray = state.energy.numpy()[:plates]
     return sums

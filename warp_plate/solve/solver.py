@@ -18,11 +18,13 @@ from warp_plate.solve.engine import load_drives, make_engine, region_sums
 from warp_plate.solve.specialize import Specialized, effect_names, specialize
 from warp_plate.solve.state import State, bytes_per_plate, make_state
 
-# One chunk of plates takes at most this many bytes on CPU, and this part of the free memory of a CUDA device.
-CPU_CHUNK_BYTES = 256 * 2**20
-CUDA_CHUNK_SHARE = 0.6
 # A launch does about this much work, so that progress is shown and Ctrl-C is heard.
-SEGMENT_NODE_STEPS = {"cpu": 2e8, "cuda": 5e10}
+SEGMENT_NODE_STEPS = {"cpu": 1e9, "cuda": 5e10}
+# One chunk of plates takes at most this part of the free memory of a CUDA device. On CPU it takes this many bytes, and
+# no more plates than one launch can take to the end of the run: a launch copies plates into the cache and out again.
+CUDA_CHUNK_SHARE = 0.6
+CPU_CHUNK_BYTES = 256 * 2**20
+FEWEST_PLATES = 64
 
 Progress = Callable[[int, int], None]
 
@@ -183,7 +185,10 @@ class PlateSolver:
         budget = CUDA_CHUNK_SHARE * self.device.free_memory if self.device.is_cuda else CPU_CHUNK_BYTES
         if self._state is not None and self.device.is_cuda:
             budget += self._state.capacity * bytes_per_plate(self.specialized, self._state.nodes.shape[0])
-        return max(1, min(plates, int(budget / bytes_per_plate(self.specialized, traced_nodes))))
+        most = int(budget / bytes_per_plate(self.specialized, traced_nodes))
+        if self.device.is_cpu:
+            most = min(most, max(FEWEST_PLATES, int(SEGMENT_NODE_STEPS["cpu"] / self.node_steps_per_plate)))
+        return max(1, min(plates, most))
 
     def _start(self, phasors: np.ndarray, capacity: int, nodes: wp.array) -> tuple[State, np.ndarray]:
         """Plates at rest under their loads, and (plates,) the drive [N/m²] that each is scaled by."""

@@ -33,7 +33,7 @@ class State:
     rate_next: wp.array
     nodes: wp.array
     trace: wp.array
-    row_sums: wp.array
+    column_sums: wp.array
     energy: wp.array
 
     def clear(self) -> None:
@@ -52,7 +52,7 @@ def bytes_per_plate(specialized: Specialized, traced_nodes: int) -> int:
     itemsize = wp.types.type_size_in_bytes(specialized.real)
     regions, rows, stride = specialized.weights.shape
     fields = FIELDS * rows * stride + traced_nodes * specialized.scheme.steps
-    return fields * itemsize + 8 * regions * (rows + 1)
+    return fields * itemsize + 8 * regions * (stride + 1)
 
 
 def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> State:
@@ -76,6 +76,6 @@ def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> Stat
         rate_next=field(),
         nodes=nodes,
         trace=wp.zeros((capacity, nodes.shape[0], specialized.scheme.steps), dtype=real, device=device),
-        row_sums=wp.zeros((capacity, regions, specialized.rows), dtype=wp.float64, device=device),
+        column_sums=wp.zeros((capacity, regions, specialized.stride), dtype=wp.float64, device=device),
         energy=wp.zeros((capacity, regions), dtype=wp.float64, device=device),
     )
