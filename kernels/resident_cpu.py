@@ -47,7 +47,9 @@ def rows_per_block(ny, row):
 
 @cache
 def make_passes(effects, real, row, beside, curved, moved, held):
-    """The two passes as functions (bend, move) of addresses; each walks one flat range.
+    """The two passes as functions of addresses, each of which walks one flat range: bend, move, move_unloaded.
+
+    The third is the second for nodes without load.
 
     row: numbers a row; beside: numbers from a node to its neighbour along x; curved, moved: lengths of the ranges;
     held: whether some nodes of the second range are held, as their stiffness says; else all have the same stiffness.
@@ -79,61 +81,72 @@ def make_passes(effects, real, row, beside, curved, moved, held):
                 aspect,
             )
 
-    @wp.func
-    def move(
-        p: Parameters,
-        stiffnesses: wp.uint64,
-        wave: wave_of,
-        summed: bool,
-        south_curvatures: wp.uint64,
-        curvatures: wp.uint64,
-        north_curvatures: wp.uint64,
-        in_phases: wp.uint64,
-        quadratures: wp.uint64,
-        displacements: wp.uint64,
-        rates: wp.uint64,
-        squared_sums: wp.uint64,
-    ):
-        """Rate and displacement half a step and a step later."""
-        stiffness = numbers(stiffnesses)
-        south = numbers(south_curvatures)
-        centre = numbers(curvatures - wp.uint64(wp.static(beside * wp.types.type_size_in_bytes(real))))
-        north = numbers(north_curvatures)
-        in_phase = numbers(in_phases)
-        quadrature = numbers(quadratures)
-        u = numbers(displacements)
-        rate = numbers(rates)
-        squares = numbers(squared_sums)
-        cosine = wave[0]
-        sine = wave[1]
-        # Two loops, not one with a test inside: a loop with a branch on ``summed`` is slower by a third.
-        if summed:
-            for i in range(wp.static(moved)):
-                biharmonic = laplacian(
-                    centre[i + wp.static(beside)], centre[i], centre[i + wp.static(2 * beside)], south[i], north[i],
-                    p.aspect,
-                )
-                hold = p.stiffness
-                if wp.static(held):
-                    hold = stiffness[i]
-                new = update(rate[i], biharmonic, cosine * in_phase[i] + sine * quadrature[i], hold, p)
-                rate[i] = new
-                u[i] = u[i] + new
-                squares[i] = squares[i] + new * new
-        else:
-            for i in range(wp.static(moved)):
-                biharmonic = laplacian(
-                    centre[i + wp.static(beside)], centre[i], centre[i + wp.static(2 * beside)], south[i], north[i],
-                    p.aspect,
-                )
-                hold = p.stiffness
-                if wp.static(held):
-                    hold = stiffness[i]
-                new = update(rate[i], biharmonic, cosine * in_phase[i] + sine * quadrature[i], hold, p)
-                rate[i] = new
-                u[i] = u[i] + new
+    def make_move(loaded):
+        @wp.func
+        def rate_after(
+            p: Parameters,
+            stiffness: wp.array[real],
+            waves: wave_of,
+            south: wp.array[real],
+            centre: wp.array[real],
+            north: wp.array[real],
+            in_phase: wp.array[real],
+            quadrature: wp.array[real],
+            rate: wp.array[real],
+            i: int,
+        ):
+            west = centre[i]
+            east = centre[i + wp.static(2 * beside)]
+            biharmonic = laplacian(centre[i + wp.static(beside)], west, east, south[i], north[i], p.aspect)
+            load = real(0.0)
+            if wp.static(loaded):
+                load = waves[0] * in_phase[i] + waves[1] * quadrature[i]
+            hold = p.stiffness
+            if wp.static(held):
+                hold = stiffness[i]
+            return update(rate[i], biharmonic, load, hold, p)
 
-    return bend, move
+        @wp.func
+        def move(
+            p: Parameters,
+            stiffnesses: wp.uint64,
+            waves: wave_of,
+            summed: bool,
+            south_curvatures: wp.uint64,
+            curvatures: wp.uint64,
+            north_curvatures: wp.uint64,
+            in_phases: wp.uint64,
+            quadratures: wp.uint64,
+            displacements: wp.uint64,
+            rates: wp.uint64,
+            squared_sums: wp.uint64,
+        ):
+            """Rate and displacement half a step and a step later."""
+            stiffness = numbers(stiffnesses)
+            south = numbers(south_curvatures)
+            centre = numbers(curvatures - wp.uint64(wp.static(beside * wp.types.type_size_in_bytes(real))))
+            north = numbers(north_curvatures)
+            in_phase = numbers(in_phases)
+            quadrature = numbers(quadratures)
+            u = numbers(displacements)
+            rate = numbers(rates)
+            squares = numbers(squared_sums)
+            # Two loops, not one with a test inside: a loop with a branch on ``summed`` is slower by a third.
+            if summed:
+                for i in range(wp.static(moved)):
+                    new = rate_after(p, stiffness, waves, south, centre, north, in_phase, quadrature, rate, i)
+                    rate[i] = new
+                    u[i] = u[i] + new
+                    squares[i] = squares[i] + new * new
+            else:
+                for i in range(wp.static(moved)):
+                    new = rate_after(p, stiffness, waves, south, centre, north, in_phase, quadrature, rate, i)
+                    rate[i] = new
+                    u[i] = u[i] + new
+
+        return move
+
+    return bend, make_move(True), make_move(False)
 
 
 @cache
@@ -149,7 +162,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
     """
     Parameters = make_parameters(real)
     curved_rows, moved_rows = rows_per_block(ny, stride)
-    bend, move = make_passes(effects, real, stride, 1, curved_rows * stride, moved_rows * stride, True)
+    bend, move, _ = make_passes(effects, real, stride, 1, curved_rows * stride, moved_rows * stride, True)
     wave_of = wp.types.vector(length=2, dtype=real)
     row_bytes = stride * wp.types.type_size_in_bytes(real)
     curved_blocks, moved_blocks = ny // curved_rows, (ny - 2) // moved_rows

@@ -28,11 +28,12 @@ def make_run_groups(effects, real, nx, ny, stride, lanes, compiler_flags):
 
     Plates from ``last`` on are not there: their lanes run empty. room: (threads, room_of(nx, ny, lanes)), of which the
     launch uses line ``thread``. factor: curvature factors of the bottom, an inner and the top row, repeated for each
-    lane; wave, window, nodes, trace: as in ``resident_cpu``.
+    lane; loaded: (ny + 2,) one for the rows of the tensor in which some node is loaded, else zero; wave, window,
+    nodes, trace: as in ``resident_cpu``.
     """
     Parameters = make_parameters(real)
     row = nx * lanes
-    bend, move = make_passes(effects, real, row, lanes, row, row - 2 * lanes, False)
+    bend, move, move_unloaded = make_passes(effects, real, row, lanes, row, row - 2 * lanes, False)
     wave_of = wp.types.vector(length=2, dtype=real)
     size = wp.types.type_size_in_bytes(real)
     row_bytes, node_bytes = row * size, lanes * size
@@ -66,6 +67,7 @@ def make_run_groups(effects, real, nx, ny, stride, lanes, compiler_flags):
     def run_groups(
         p: Parameters,
         factor: wp.array[real],
+        loaded: wp.array[int],
         wave: wp.array2d[real],
         window: wp.vec2i,
         start: int,
@@ -109,13 +111,18 @@ def make_run_groups(effects, real, nx, ny, stride, lanes, compiler_flags):
                 bend(in_u + wp.uint64((r + 1) * wp.static(row_bytes)), above_factor, above, p.aspect)
                 at = wp.uint64((r + 1) * wp.static(row_bytes) + wp.static(node_bytes))
                 node = wp.uint64(wp.static(node_bytes))
-                move(
-                    p, factor.ptr, waves, summed,
-                    bent + wp.uint64((r - 1) % 3 * wp.static(row_bytes)) + node,
-                    bent + wp.uint64(r % 3 * wp.static(row_bytes)) + node,
-                    above + node,
-                    in_cosine + at, in_sine + at, in_u + at, in_rate + at, in_squares + at,
-                )
+                south = bent + wp.uint64((r - 1) % 3 * wp.static(row_bytes)) + node
+                centre = bent + wp.uint64(r % 3 * wp.static(row_bytes)) + node
+                if loaded[r + 1] != 0:
+                    move(
+                        p, factor.ptr, waves, summed, south, centre, above + node,
+                        in_cosine + at, in_sine + at, in_u + at, in_rate + at, in_squares + at,
+                    )
+                else:
+                    move_unloaded(
+                        p, factor.ptr, waves, summed, south, centre, above + node,
+                        in_cosine + at, in_sine + at, in_u + at, in_rate + at, in_squares + at,
+                    )
             for m in range(nodes.shape[0]):
                 node_at = (nodes[m, 0] * wp.static(nx) + nodes[m, 1]) * wp.static(lanes)
                 inside = wp.array(ptr=in_u, shape=(wp.static((ny + 2) * row),), dtype=real)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import os
 import platform
 import sys
 import threading
@@ -10,6 +12,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import cache, partial
 from itertools import pairwise
+from queue import Empty, SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -37,7 +40,20 @@ def compiler_flags() -> str:
 
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(max_workers=threads, thread_name_prefix="warp-plate")
+    """Threads that stay; where they are as many as the cores, each on a core of its own.
+
+    Left to itself, Linux wakes a thread on the core that called it, and needs longer than a short run to part the two.
+    """
+    cores: SimpleQueue[int] = SimpleQueue()
+    if hasattr(os, "sched_getaffinity") and len(os.sched_getaffinity(0)) == threads:
+        for core in sorted(os.sched_getaffinity(0)):
+            cores.put(core)
+
+    def settle() -> None:
+        with contextlib.suppress(Empty):
+            os.sched_setaffinity(0, {cores.get_nowait()})
+
+    return ThreadPoolExecutor(max_workers=threads, thread_name_prefix="warp-plate", initializer=settle)
 
 
 # One crew at a time: its members wait for each other, so that all must run at once.
@@ -125,7 +141,8 @@ def _cpu_by_groups(specialized: Specialized) -> tuple[Callable[..., None], int] 
     )
     wp.load_module(module=kernel.module, device=device)
     factor = np.outer(scheme.factor_y[[0, 1, -1]], np.repeat(scheme.factor_x, lanes))
-    shared = [specialized.parameters, specialized.to_device(factor.ravel()), specialized.wave]
+    loaded: wp.array = wp.array(specialized.loaded_rows, dtype=int, device=device)
+    shared = [specialized.parameters, specialized.to_device(factor.ravel()), loaded, specialized.wave]
     shared += [wp.vec2i(*scheme.window)]
     rooms = wp.zeros((specialized.threads, room), dtype=specialized.real, device=device)
 
@@ -138,12 +155,14 @@ def _cpu_by_groups(specialized: Specialized) -> tuple[Callable[..., None], int] 
 
 
 def _at_once(calls: Sequence[Callable[[], None]], on_failure: Callable[[], object] = lambda: None) -> None:
-    """Make the calls side by side, the last of them here; none runs on when this returns or is interrupted."""
+    """Make the calls side by side; none runs on when this returns or is interrupted."""
+    if len(calls) == 1:
+        calls[0]()
+        return
     pending: list[Future[None]] = []
     try:
-        for call in calls[:-1]:
-            pending.append(_pool(len(calls) - 1).submit(call))
-        calls[-1]()
+        for call in calls:
+            pending.append(_pool(len(calls)).submit(call))
         for future in pending:
             future.result()
     except BaseException:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import warp as wp
 
 from warp_plate.kernels import record, resident_lanes, resident_strips, streaming_march
@@ -63,7 +62,7 @@ def resident_path(specialized: Specialized) -> Advance:
 def _lanes_path(specialized: Specialized) -> Advance:
     """A warp a plate: compiled twice, with many registers for few plates and with few for many plates at a time."""
     effects, real, ny = specialized.effects, specialized.real, specialized.scheme.nodes[1]
-    loaded = sum(1 << j for j, row in enumerate(_loaded_rows(specialized)[2:-2]) if row)
+    loaded = sum(1 << j for j, row in enumerate(specialized.loaded_rows[2:-2]) if row)
 
     def compiled(registers: int | None) -> Advance:
         kernels = {
@@ -90,7 +89,7 @@ def strips_path(specialized: Specialized, strips: resident_strips.Strips) -> Adv
         )
         for summed in (False, True)
     }
-    loaded: wp.array = wp.array(_loaded_rows(specialized), dtype=int, device=specialized.device)
+    loaded: wp.array = wp.array(specialized.loaded_rows, dtype=int, device=specialized.device)
     threads = LANES * strips.warps
     return _cuda_advance(specialized, kernels, [loaded], threads, threads)
 
@@ -138,7 +137,7 @@ def streaming_path(specialized: Specialized, march: March | None = None) -> Adva
         wp.load_module(module=kernel.module, device=device, block_dim=MARCH_BLOCK)
     for kernel in (keep, record.advance_clock):
         wp.load_module(module=kernel.module, device=device)
-    loaded: wp.array = wp.array(_loaded_rows(specialized), dtype=int, device=device)
+    loaded: wp.array = wp.array(specialized.loaded_rows, dtype=int, device=device)
     shared = [specialized.parameters, specialized.to_device(scheme.factor_x), specialized.to_device(scheme.factor_y)]
     shared += [specialized.wave, loaded]
     clock = wp.zeros(1, dtype=int, device=device)
@@ -196,10 +195,3 @@ def _cut_at_window(specialized: Specialized, start: int, stop: int) -> list[tupl
     first, last = (min(max(cut, start), stop) for cut in specialized.scheme.window)
     cuts = ((start, first, False), (first, last, True), (last, stop, False))
     return [cut for cut in cuts if cut[1] > cut[0]]
-
-
-def _loaded_rows(specialized: Specialized) -> np.ndarray:
-    """(rows,) one for the rows of the tensor in which some node is loaded."""
-    loaded = np.zeros(specialized.rows, dtype=np.int32)
-    loaded[np.unique(specialized.support.numpy()[:, 0])] = 1
-    return loaded

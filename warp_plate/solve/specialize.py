@@ -48,6 +48,13 @@ class Specialized:
         nx, ny = self.scheme.nodes
         return (nx - 2) * (ny - 2)
 
+    @property
+    def loaded_rows(self) -> np.ndarray:
+        """(rows,) one for the rows of the tensor in which some node is loaded, else zero."""
+        loaded = np.zeros(self.rows, dtype=np.int32)
+        loaded[np.unique(self.support.numpy()[:, 0])] = 1
+        return loaded
+
     def to_device(self, values: np.ndarray) -> wp.array:
         """A copy on the device in the scene's precision."""
         return wp.array(values, dtype=self.real, device=self.device)
