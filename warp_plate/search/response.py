@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 
 from warp_plate.plate.weights import REGIONS
 from warp_plate.solve.solver import PlateSolver, Progress
@@ -75,10 +74,10 @@ def _largest_ratio(matrices: np.ndarray) -> tuple[float, np.ndarray]:
     target, plate = matrices[REGIONS.index("target")], matrices[REGIONS.index("plate")]
     # Actuators of very different size must not make each other look like rounding: units of equal energy first.
     size = np.sqrt(np.where(np.diag(plate) > 0, np.diag(plate), 1))
-    values, vectors = scipy.linalg.eigh(plate / np.outer(size, size))
+    values, vectors = np.linalg.eigh(plate / np.outer(size, size))
     kept = values > RANK_TOLERANCE * values[-1]
     if values[-1] <= 0 or not kept.any():
         return float("nan"), np.zeros(len(plate))
     basis = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
-    ratios, directions = scipy.linalg.eigh(basis.T @ target @ basis)
+    ratios, directions = np.linalg.eigh(basis.T @ target @ basis)
     return float(ratios[-1]), basis @ directions[:, -1]
