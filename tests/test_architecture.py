@@ -14,13 +14,13 @@ else:
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("warp_plate", "kernels", "viz")
-# Beside Python's own library. What is imported only while drawing or reading old Pythons' TOML counts too.
+# Beside Python's own library. What is imported only while drawing counts too.
 SCIENCE = {"numpy", "scipy"}
 # room: (rooms of warp_plate that it may import, libraries); a file's own room, "warp_plate.scene.model" for a
 # single module, is found by the longest name that fits.
 RULES: dict[str, tuple[set[str], set[str]]] = {
     "kernels": ({"kernels"}, {"warp"}),
-    "scene": ({"scene"}, {*SCIENCE, "pydantic", "tomli"}),
+    "scene": ({"scene"}, {*SCIENCE, "pydantic", "tomli", "tomllib"}),  # tomllib is Python's own from 3.11 on
     "plate": ({"plate", "scene"}, SCIENCE),
     "reference": ({"reference", "plate", "scene"}, SCIENCE),
     "result": ({"result", "plate", "scene"}, {*SCIENCE, "h5py"}),
