@@ -100,8 +100,6 @@ def prepare_pictures(pictures: bool) -> None:
     if pictures:
         from warp_plate.viz import prepare
 
-        # The run needs Python for a moment only, but often: it must not wait 5 ms for each.
-        sys.setswitchinterval(2e-4)
         prepare()
 
 

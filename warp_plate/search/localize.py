@@ -86,7 +86,7 @@ def localize(
 def reference_drives(actuators: int, energies: Energies) -> dict[str, np.ndarray]:
     """The drives that the search is compared with: all actuators alike, and the best single one."""
     singles = np.eye(actuators, dtype=complex)
-    best = int(np.nanargmax(np.nan_to_num(localization_factor(energies(singles)), nan=-1.0)))
+    best = int(np.argmax(np.nan_to_num(localization_factor(energies(singles)), nan=-1.0)))
     return {"equal": np.ones(actuators, dtype=complex), "single": singles[best]}
 
 

@@ -84,8 +84,9 @@ def specialize(scene: Scene, device: wp.Device, threads: int | None = None) -> S
     parameters.stiffness = scheme.stiffness
     parameters.aspect = scheme.aspect
     parameters.decay = scheme.decay
-    weights = np.zeros((len(region_weights(scene)), ny + 2, stride))
-    weights[:, 1:-1, :nx] = region_weights(scene)
+    regions = region_weights(scene)
+    weights = np.zeros((len(regions), ny + 2, stride))
+    weights[:, 1:-1, :nx] = regions
     return Specialized(
         scene=scene,
         scheme=scheme,
