@@ -1,11 +1,7 @@
 """Resident path on CPU: one launch runs all steps, a plate at a time, so that a plate stays in the cache.
 
-LLVM turns a loop into vector instructions only where it sees plain memory and a fixed count. So each pass walks one
-flat range of nodes of compile-time length (all rows with their padding, one row where the plate is large), through
-sub-arrays made from pointers; the padding takes part and stays zero, because its stiffness is zero.
-
-A step is two passes: the curvature of every node from u, then the rate and u in place from the curvature. In place
-is safe: the second pass reads u at no node but its own.
+A small plate is walked in as few ranges as there are different taps along y; a large one row by row, each row moved
+as soon as the curvatures around it are known.
 
 A plate too large for one core is shared by a crew: as many launches, from as many Python threads, each walk their
 own band of rows of the same plate, and meet after each pass. Many small plates go faster in groups: see
@@ -16,10 +12,10 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.stencil import make_laplacian
-from warp_plate.kernels.update import make_parameters, make_update
+from warp_plate.kernels.resident_cpu_passes import make_passes, taps_along_y
+from warp_plate.kernels.update import make_parameters
 
-# Above this many nodes in a pass, passes go row by row: two planes of factors would no longer stay in L1.
+# Above this many nodes in a plate, passes go row by row: two planes of factors would no longer stay in L1.
 FLAT_NODES = 4096
 
 # Waiting first spins, for a meeting takes less than a microsecond. Where another program holds the core that the late
@@ -40,113 +36,23 @@ def meet(arrived: wp.array[int], goal: int, let_others_run: wp.uint64):
     ...
 
 
-def rows_per_block(ny, row):
-    """(curvature pass, update pass): how many rows one flat range covers; ``row``: numbers a row."""
-    return (ny, ny - 2) if ny * row <= FLAT_NODES else (1, 1)
+def ranges(ny, row, order):
+    """(first row, rows) of the ranges that each pass walks, or None where it goes row by row.
 
-
-@cache
-def make_passes(effects, real, row, beside, curved, moved, held):
-    """The two passes as functions of addresses, each of which walks one flat range: bend, move, move_unloaded.
-
-    The third is the second for nodes without load.
-
-    row: numbers a row; beside: numbers from a node to its neighbour along x; curved, moved: lengths of the ranges;
-    held: whether some nodes of the second range are held, as their stiffness says; else all have the same stiffness.
+    row: numbers a row. Of fourth order, the rows next to an edge have taps of their own.
     """
-    laplacian = make_laplacian(effects.square_cells, real)
-    update = make_update(effects, real)
-    Parameters = make_parameters(real)
-    wave_of = wp.types.vector(length=2, dtype=real)
-    longest = curved + 2 * row
+    if ny * row > FLAT_NODES:
+        return None
+    if order == 2:
+        return [(0, ny)], [(1, ny - 2)]
+    bend = [(0, 1), (1, 1), (2, ny - 4), (ny - 2, 1), (ny - 1, 1)]
+    move = [(1, 1), (2, 1), (3, ny - 6), (ny - 3, 1), (ny - 2, 1)]
+    return bend, move
 
-    @wp.func
-    def numbers(address: wp.uint64):
-        return wp.array(ptr=address, shape=(wp.static(longest),), dtype=real)
 
-    @wp.func
-    def bend(u_south: wp.uint64, factors: wp.uint64, curvatures: wp.uint64, aspect: real):
-        """Curvature from u; ``u_south``: address of the node a row below the range's first."""
-        # One window, with neighbours at fixed distances in it: the fewer pointers, the fewer overlaps LLVM checks.
-        u = numbers(u_south)
-        factor = numbers(factors)
-        curvature = numbers(curvatures)
-        for i in range(wp.static(curved)):
-            curvature[i] = factor[i] * laplacian(
-                u[i + wp.static(row)],
-                u[i + wp.static(row - beside)],
-                u[i + wp.static(row + beside)],
-                u[i],
-                u[i + wp.static(2 * row)],
-                aspect,
-            )
-
-    def make_move(loaded):
-        @wp.func
-        def rate_after(
-            p: Parameters,
-            stiffness: wp.array[real],
-            waves: wave_of,
-            south: wp.array[real],
-            centre: wp.array[real],
-            north: wp.array[real],
-            in_phase: wp.array[real],
-            quadrature: wp.array[real],
-            rate: wp.array[real],
-            i: int,
-        ):
-            west = centre[i]
-            east = centre[i + wp.static(2 * beside)]
-            biharmonic = laplacian(centre[i + wp.static(beside)], west, east, south[i], north[i], p.aspect)
-            load = real(0.0)
-            if wp.static(loaded):
-                load = waves[0] * in_phase[i] + waves[1] * quadrature[i]
-            hold = p.stiffness
-            if wp.static(held):
-                hold = stiffness[i]
-            return update(rate[i], biharmonic, load, hold, p)
-
-        @wp.func
-        def move(
-            p: Parameters,
-            stiffnesses: wp.uint64,
-            waves: wave_of,
-            summed: bool,
-            south_curvatures: wp.uint64,
-            curvatures: wp.uint64,
-            north_curvatures: wp.uint64,
-            in_phases: wp.uint64,
-            quadratures: wp.uint64,
-            displacements: wp.uint64,
-            rates: wp.uint64,
-            squared_sums: wp.uint64,
-        ):
-            """Rate and displacement half a step and a step later."""
-            stiffness = numbers(stiffnesses)
-            south = numbers(south_curvatures)
-            centre = numbers(curvatures - wp.uint64(wp.static(beside * wp.types.type_size_in_bytes(real))))
-            north = numbers(north_curvatures)
-            in_phase = numbers(in_phases)
-            quadrature = numbers(quadratures)
-            u = numbers(displacements)
-            rate = numbers(rates)
-            squares = numbers(squared_sums)
-            # Two loops, not one with a test inside: a loop with a branch on ``summed`` is slower by a third.
-            if summed:
-                for i in range(wp.static(moved)):
-                    new = rate_after(p, stiffness, waves, south, centre, north, in_phase, quadrature, rate, i)
-                    rate[i] = new
-                    u[i] = u[i] + new
-                    squares[i] = squares[i] + new * new
-            else:
-                for i in range(wp.static(moved)):
-                    new = rate_after(p, stiffness, waves, south, centre, north, in_phase, quadrature, rate, i)
-                    rate[i] = new
-                    u[i] = u[i] + new
-
-        return move
-
-    return bend, make_move(True), make_move(False)
+def line_of(ny, row, order):
+    """Numbers in a line of taps along x: as many as the longest range has nodes."""
+    return row if order == 2 or ny * row > FLAT_NODES else (ny - 4) * row
 
 
 @cache
@@ -155,35 +61,73 @@ def make_run(effects, real, ny, stride, compiler_flags):
 
     crew: launches that share one plate, 1 for none; member: which of them this is; arrived: zero before the first;
     let_others_run: see ``meet``.
-    factor: curvature factors of the block's nodes, one block or the bottom, inner and top one;
-    stiffness: of the nodes of an update block, zero where a node is held or padding;
+    bend_x: of second order, curvature factors of all rows, or of the bottom, an inner and the top one where it goes row
+    by row; of fourth order five lines of ``line_of`` taps, and move_x the same for the second pass;
+    bend_y, move_y: (1, 1) the aspect, or (ny, 5) taps, where the two edges' rows weigh the five rows inside them;
+    stiffness: of the nodes of the longest range of the second pass, zero where a node is held or padding;
     wave: (steps, 2), cos and sin ωt; window: first and last + 1 of the steps whose rate² is summed;
     nodes: (traced nodes, 2), row and column; trace: (plates, traced nodes, steps).
     """
     Parameters = make_parameters(real)
-    curved_rows, moved_rows = rows_per_block(ny, stride)
-    bend, move, _ = make_passes(effects, real, stride, 1, curved_rows * stride, moved_rows * stride, True)
+    order, reach = effects.order, effects.order // 2
+    line = line_of(ny, stride, order)
+    whole = ranges(ny, stride, order)
+    bends, moves = whole or ([], [])
+    rows_bent, rows_moved = (max(count for _, count in walk) for walk in whole or ([(0, 1)], [(1, 1)]))
+    bend_row, move_row, _ = make_passes(effects, real, stride, 1, stride, stride, True, line)
+    bend_many, move_many, _ = make_passes(effects, real, stride, 1, rows_bent * stride, rows_moved * stride, True, line)
     wave_of = wp.types.vector(length=2, dtype=real)
+    rows_of = wp.types.vector(length=taps_along_y(order), dtype=real)
+    places_of = wp.types.vector(length=order + 1, dtype=wp.uint64)
     row_bytes = stride * wp.types.type_size_in_bytes(real)
-    curved_blocks, moved_blocks = ny // curved_rows, (ny - 2) // moved_rows
 
     @wp.func
-    def bend_block(u_plane: wp.uint64, factors: wp.uint64, curvature_plane: wp.uint64, block: int, aspect: real):
-        at = wp.uint64(block * wp.static(curved_rows * row_bytes))
-        pattern = int(0)
-        if wp.static(curved_blocks > 1):
-            pattern = wp.where(block == 0, 0, wp.where(block == wp.static(curved_blocks - 1), 2, 1))
-        factor = factors + wp.uint64(pattern * wp.static(curved_rows * row_bytes))
-        bend(u_plane + at, factor, curvature_plane + at + wp.uint64(wp.static(row_bytes)), aspect)
+    def row_at(plane: wp.uint64, row: int):
+        """Address of a row of the tensor."""
+        return plane + wp.uint64(row) * wp.uint64(wp.static(row_bytes))
+
+    @wp.func
+    def taps_of_row(taps: wp.array2d[real], j: int):
+        rows = rows_of()
+        for tap in range(wp.static(taps_along_y(order))):
+            rows[tap] = taps[wp.where(wp.static(order == 2), 0, j), tap]
+        return rows
+
+    @wp.func
+    def lowest_row(j: int):
+        """Row of the tensor where the window of node row j begins: those of the edges end with the tensor."""
+        return wp.min(wp.max(j + 1 - wp.static(reach), 0), wp.static(ny + 1 - 2 * reach))
+
+    @wp.func
+    def bend_one(
+        u_plane: wp.uint64, columns: wp.uint64, taps: wp.array2d[real], curvature_plane: wp.uint64, j: int
+    ):
+        """Curvature of node row j, which lies in row j + 1 of the tensor."""
+        factors = columns
+        if wp.static(order == 2):
+            pattern = wp.where(j == 0, 0, wp.where(j == wp.static(ny - 1), 2, 1))
+            factors = row_at(columns, pattern)
+        low = row_at(u_plane, lowest_row(j))
+        bend_row(low, row_at(u_plane, j + 1), factors, taps_of_row(taps, j), row_at(curvature_plane, j + 1))
+
+    @wp.func
+    def around(curvature_plane: wp.uint64, j: int):
+        places = places_of()
+        for place in range(wp.static(order + 1)):
+            places[place] = row_at(curvature_plane, j + 1 - wp.static(reach) + place)
+        return places
 
     @wp.kernel(
         module="unique",
         enable_backward=False,
-        module_options={"cpu_compiler_flags": compiler_flags, "max_unroll": 1},
+        module_options={"cpu_compiler_flags": compiler_flags, "max_unroll": 5},
     )
     def run(
         p: Parameters,
-        factor: wp.array[real],
+        bend_x: wp.array[real],
+        move_x: wp.array[real],
+        bend_y: wp.array2d[real],
+        move_y: wp.array2d[real],
         stiffness: wp.array[real],
         wave: wp.array2d[real],
         window: wp.vec2i,
@@ -207,39 +151,65 @@ def make_run(effects, real, ny, stride, compiler_flags):
         plane = wp.uint64(k) * wp.uint64(wp.static((ny + 2) * row_bytes))
         u_plane = u.ptr + plane
         bent = curvature.ptr + plane
-        low = member * wp.static(moved_blocks) // crew
-        high = (member + 1) * wp.static(moved_blocks) // crew
+        cosine = in_phase.ptr + plane
+        sine = quadrature.ptr + plane
+        rates = rate.ptr + plane
+        sums = squares.ptr + plane
+        # Node rows low + 1 ... high are the member's to move.
+        low = member * wp.static(ny - 2) // crew
+        high = (member + 1) * wp.static(ny - 2) // crew
         goal = int(0)
         for n in range(start, stop):
             summed = n >= window[0] and n < window[1]
             waves = wave_of(wave[n, 0], wave[n, 1])
-            if wp.static(curved_blocks == 1):
-                bend_block(u_plane, factor.ptr, bent, 0, p.aspect)
+            if wp.static(whole is not None):
+                for walk in range(wp.static(len(bends))):
+                    if wp.static(bends[walk][1] == rows_bent):
+                        j = wp.static(bends[walk][0])
+                        bend_many(
+                            row_at(u_plane, lowest_row(j)), row_at(u_plane, j + 1), bend_x.ptr,
+                            taps_of_row(bend_y, j), row_at(bent, j + 1),
+                        )
+                    else:
+                        bend_one(u_plane, bend_x.ptr, bend_y, bent, wp.static(bends[walk][0]))
+                for walk in range(wp.static(len(moves))):
+                    j = wp.static(moves[walk][0])
+                    if wp.static(moves[walk][1] == rows_moved):
+                        move_many(
+                            p, stiffness.ptr, move_x.ptr, taps_of_row(move_y, j), waves, summed, around(bent, j),
+                            row_at(cosine, j + 1), row_at(sine, j + 1),
+                            row_at(u_plane, j + 1), row_at(rates, j + 1), row_at(sums, j + 1),
+                        )
+                    else:
+                        move_row(
+                            p, stiffness.ptr, move_x.ptr, taps_of_row(move_y, j), waves, summed, around(bent, j),
+                            row_at(cosine, j + 1), row_at(sine, j + 1),
+                            row_at(u_plane, j + 1), row_at(rates, j + 1), row_at(sums, j + 1),
+                        )
             else:
                 # The curvatures of the band's outermost rows, before a neighbour moves the rows that they rest on.
                 if low == 0:
-                    bend_block(u_plane, factor.ptr, bent, 0, p.aspect)
-                if high == wp.static(moved_blocks):
-                    bend_block(u_plane, factor.ptr, bent, wp.static(curved_blocks - 1), p.aspect)
-                bend_block(u_plane, factor.ptr, bent, low + 1, p.aspect)
-                bend_block(u_plane, factor.ptr, bent, high, p.aspect)
-            if crew > 1:
-                goal += crew
-                meet(arrived, goal, let_others_run)
-            for block in range(low, high):
-                # Row block + 1 moves once the curvature of the row above it is known.
-                if block + 2 < high:
-                    bend_block(u_plane, factor.ptr, bent, block + 2, p.aspect)
-                at = wp.uint64(block * wp.static(moved_rows * row_bytes) + wp.static(2 * row_bytes))
-                above = wp.uint64(wp.static(row_bytes))
-                move(
-                    p, stiffness.ptr, waves, summed, bent + at - above, bent + at, bent + at + above,
-                    in_phase.ptr + plane + at, quadrature.ptr + plane + at,
-                    u_plane + at, rate.ptr + plane + at, squares.ptr + plane + at,
-                )
-            if crew > 1:
-                goal += crew
-                meet(arrived, goal, let_others_run)
+                    bend_one(u_plane, bend_x.ptr, bend_y, bent, 0)
+                if high == wp.static(ny - 2):
+                    bend_one(u_plane, bend_x.ptr, bend_y, bent, wp.static(ny - 1))
+                for depth in range(wp.static(reach)):
+                    bend_one(u_plane, bend_x.ptr, bend_y, bent, wp.min(low + 1 + depth, wp.static(ny - 2)))
+                    bend_one(u_plane, bend_x.ptr, bend_y, bent, wp.max(high - depth, 1))
+                if crew > 1:
+                    goal += crew
+                    meet(arrived, goal, let_others_run)
+                for j in range(low + 1, high + 1):
+                    # Row j moves once the curvatures of the rows above it are known.
+                    if j + wp.static(2 * reach) <= high:
+                        bend_one(u_plane, bend_x.ptr, bend_y, bent, j + wp.static(reach))
+                    move_row(
+                        p, stiffness.ptr, move_x.ptr, taps_of_row(move_y, j), waves, summed, around(bent, j),
+                        row_at(cosine, j + 1), row_at(sine, j + 1),
+                        row_at(u_plane, j + 1), row_at(rates, j + 1), row_at(sums, j + 1),
+                    )
+                if crew > 1:
+                    goal += crew
+                    meet(arrived, goal, let_others_run)
             for m in range(member, nodes.shape[0], crew):
                 trace[k, m, n] = u[k, nodes[m, 0], nodes[m, 1]]
 

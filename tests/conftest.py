@@ -42,12 +42,13 @@ def scene_of(
     load="overlap",
     time_step=None,
     frequency=290.0,
+    order=2,
     **tables,
 ):
     """A small scene of the paper's material; edges: left, bottom, right, top; actuators: areas on it."""
     if actuators is None:
         actuators = [tuple(np.array(shares) * np.repeat(size, 2)) for shares in THREE_PATCHES]
-    grid = {"nodes": nodes, "load": load, "precision": precision, "time_step": time_step}
+    grid = {"nodes": nodes, "order": order, "load": load, "precision": precision, "time_step": time_step}
     return Scene.model_validate(
         {
             "plate": {"size": size, **MATERIAL},
@@ -144,7 +145,7 @@ def point_scene():
     return point_scene_of
 
 
-def point_scene_of(nodes, size=(0.2, 0.2), edges=("clamped",) * 4, precision="float64", **changes):
+def point_scene_of(nodes, size=(0.2, 0.2), edges=("clamped",) * 4, precision="float64", order=2, **changes):
     """Undamped unless ``changes`` say so, and two steps long unless they give a window and a frequency."""
     x, y = (np.linspace(0, length, count)[1:-1] for length, count in zip(size, nodes, strict=True))
     half_x, half_y = (length / (count - 1) / 4 for length, count in zip(size, nodes, strict=True))
@@ -153,11 +154,12 @@ def point_scene_of(nodes, size=(0.2, 0.2), edges=("clamped",) * 4, precision="fl
         MATERIAL["young_modulus"] * MATERIAL["thickness"] ** 3 / 12 / (1 - MATERIAL["poisson_ratio"] ** 2)
     )
     kappa = math.sqrt(rigidity / (MATERIAL["density"] * MATERIAL["thickness"]))
-    step = 0.95 * time_step_limit(kappa, (4 * half_x, 4 * half_y))
+    step = 0.95 * time_step_limit(kappa, (4 * half_x, 4 * half_y), order=order)
     two_steps = {"time_step": step, "window": (0.0, 2 * step), "frequency": 1 / (STEPS_A_PERIOD * step)}
     return scene_of(
-        nodes, size, edges, precision=precision, load="nodes", actuators=areas, **{**two_steps, **changes}
-    )
+        nodes, size, edges, precision=precision, order=order, load="nodes", actuators=areas,
+        **{**two_steps, **changes},
+    )  # fmt: skip
 
 
 @pytest.fixture
@@ -188,22 +190,24 @@ def discrete_operator():
 def operator_by_running(scene, device="cpu"):
     """(inner nodes, inner nodes) sparse matrix [1/m⁴] of a two-step ``point_scene``.
 
-    The stencil reaches two nodes far, so unit loads five nodes apart do not meet: 25 plates hold all columns.
+    The stencil reaches as many nodes far as its order, two or four, so unit loads five or nine nodes apart do not
+    meet: 25 or 81 plates hold all columns.
     """
     from scipy.sparse import coo_array
 
-    nx, ny = scene.grid.nodes
+    (nx, ny), reach = scene.grid.nodes, scene.grid.order
+    apart = 2 * reach + 1
     row, column = np.mgrid[:ny, :nx]
-    offsets = list(itertools.product(range(5), repeat=2))
+    offsets = list(itertools.product(range(apart), repeat=2))
     inside = (row > 0) & (row < ny - 1) & (column > 0) & (column < nx - 1)
-    fields = np.array([inside & (row % 5 == j) & (column % 5 == i) for j, i in offsets], dtype=float)
+    fields = np.array([inside & (row % apart == j) & (column % apart == i) for j, i in offsets], dtype=float)
     unit, response = biharmonic_by_running(PlateSolver(scene, device), fields)
     number = np.where(inside, np.cumsum(inside).reshape(ny, nx) - 1, -1)
     entries = []
     for (j, i), field, answer in zip(offsets, unit, response, strict=True):
-        # The node of this colour within two rows and columns of each node, if it is an inner one.
-        source_row = row + (j - row + 2) % 5 - 2
-        source_column = column + (i - column + 2) % 5 - 2
+        # The node of this colour within reach of each node, if it is an inner one.
+        source_row = row + (j - row + reach) % apart - reach
+        source_column = column + (i - column + reach) % apart - reach
         known = (
             inside & (source_row > 0) & (source_row < ny - 1) & (source_column > 0) & (source_column < nx - 1)
         )

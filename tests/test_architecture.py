@@ -26,11 +26,12 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "result": ({"result", "plate", "scene"}, {*SCIENCE, "h5py"}),
     "solve": ({"solve", "kernels", "plate", "scene"}, {*SCIENCE, "warp"}),
     "bench": ({"bench", "solve", "kernels", "plate", "scene", ""}, {*SCIENCE, "warp"}),
-    "search": ({"search", "solve", "result", "plate", "scene", ""}, {*SCIENCE, "warp"}),
+    "accuracy": ({"accuracy", "solve", "reference", "plate", "scene", ""}, {*SCIENCE, "pydantic", "warp"}),
+    "search": ({"search", "accuracy", "solve", "result", "plate", "scene", ""}, {*SCIENCE, "warp"}),
     "search.pso": (set(), SCIENCE),
     "viz": ({"viz", "result", "scene"}, {*SCIENCE, "pyvista", "vtkmodules", "matplotlib", "PIL"}),
     "cli": (
-        {"cli", "bench", "search", "solve", "result", "plate", "scene", "viz", ""},
+        {"cli", "accuracy", "bench", "search", "solve", "result", "plate", "scene", "viz", ""},
         {*SCIENCE, "cyclopts", "rich"},
     ),
     "__main__": ({"cli"}, set()),
@@ -104,7 +105,8 @@ def test_top_folders_are_no_top_imports():
 def test_pictures_are_imported_only_when_drawn():
     """Commands start quickly and run where no graphics library is: viz, PyVista and Warp come inside
     functions."""
-    late = re.compile(r"(warp|pyvista|matplotlib|vtkmodules|warp_plate\.(viz|solve|search|bench|kernels))(\.|$)")
+    rooms = "viz|solve|search|accuracy|bench|kernels"
+    late = re.compile(rf"(warp|pyvista|matplotlib|vtkmodules|warp_plate\.({rooms}))(\.|$)")
     for path, module in sources():
         if room_of(module) in ("cli", "__main__", ""):
             assert not [name for name, inner in imports(path) if not inner and late.match(name)], path

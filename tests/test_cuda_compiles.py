@@ -7,12 +7,24 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-from warp_plate.kernels import energy, limits, load, record, resident_lanes, resident_strips, streaming_march
+from warp_plate.kernels import (
+    energy,
+    limits,
+    load,
+    record,
+    resident_lanes,
+    resident_strips,
+    resident_wide,
+    streaming,
+    streaming_march,
+)
 from warp_plate.kernels.effects import Effects
 
 KERNELS = Path(__file__).parents[1] / "kernels"
-# Made for LLVM, or a thread a node: launched on CPU only.
-CPU_MODULES = ("resident_cpu", "streaming.")
+# Made for LLVM: launched on CPU only.
+CPU_MODULES = ("resident_cpu",)
+# Kernels of one order alone.
+ORDER_OF = {"resident_lanes": 2, "resident_strips": 2, "streaming_march": 2, "resident_wide": 4}
 # Plates for a warp, for a block, and for a block that keeps the sums in shared memory; each with its padded columns.
 SMALL, LARGE, LARGEST = (27, 27, 32), (41, 43, 48), (97, 89, 112)
 
@@ -25,7 +37,14 @@ def cuda_kernels(effects, real):
     yield "limits.make_multiply_adds", limits.make_multiply_adds(real, block=1, depth=64, rounds=100, compiler_flags="")
     yield "record.advance_clock", record.advance_clock
     yield "record.make_record", record.make_record(real)
+    yield "streaming.make_bend", streaming.make_bend(effects, real)
+    yield "streaming.make_move", streaming.make_move(effects, real)
     for summed in (False, True):
+        if effects.order == 4:
+            for nx, ny, stride in (SMALL, LARGE):
+                wide = resident_wide.plan(nx, ny, real)
+                yield "resident_wide.make_run", resident_wide.make_run(effects, real, nx, ny, stride, wide, summed)
+            continue
         lanes = resident_lanes.make_run(effects, real, SMALL[1], 0b1100110000, summed)
         yield "resident_lanes.make_run", lanes
         for nx, ny, stride in (LARGE, LARGEST):
@@ -49,37 +68,41 @@ def compile_all(effects, real, folder):
     return compiled
 
 
-# The two differ in every choice; all eight mixtures are compiled in the slow run.
-TWO = [
+# Of second order two that differ in every choice; all mixtures are compiled in the slow run.
+FEW = [
     (Effects(damping=True, square_cells=True), wp.float32),
     (Effects(damping=False, square_cells=False), wp.float64),
+    (Effects(damping=True, order=4), wp.float32),
 ]
 ALL = [
-    (Effects(damping=damping, square_cells=square), real)
-    for damping, square, real in itertools.product((False, True), (False, True), (wp.float32, wp.float64))
+    (Effects(damping, square, order), real)
+    for damping, (square, order), real in itertools.product(
+        (False, True), ((False, 2), (True, 2), (True, 4)), (wp.float32, wp.float64)
+    )
 ]
 
 
 def choice_id(value):
     if isinstance(value, Effects):
-        return f"{'damped' if value.damping else 'undamped'}-{'square' if value.square_cells else 'oblong'}"
+        cells = "square" if value.square_cells else "oblong"
+        return f"{'damped' if value.damping else 'undamped'}-{cells if value.order == 2 else 'fourth order'}"
     return value.__name__
 
 
-@pytest.mark.parametrize(("effects", "real"), TWO, ids=choice_id)
+@pytest.mark.parametrize(("effects", "real"), FEW, ids=choice_id)
 def test_kernels_compile(effects, real, tmp_path):
-    assert compile_all(effects, real, tmp_path) == factories()
+    assert compile_all(effects, real, tmp_path) == factories(effects.order)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("effects", "real"), [mixture for mixture in ALL if mixture not in TWO], ids=choice_id
+    ("effects", "real"), [mixture for mixture in ALL if mixture not in FEW], ids=choice_id
 )
 def test_kernels_compile_in_all_mixtures(effects, real, tmp_path):
-    assert compile_all(effects, real, tmp_path) == factories()
+    assert compile_all(effects, real, tmp_path) == factories(effects.order)
 
 
-def factories():
+def factories(order):
     """module.function of all in kernels/ that makes a kernel for CUDA or is one, by reading the code."""
     found = set()
     for path in KERNELS.glob("*.py"):
@@ -93,7 +116,8 @@ def factories():
                 ]
                 if any(decorator.startswith("wp.kernel") for decorator in decorators):
                     found.add(f"{path.stem}.{function.name}")
-    return {name for name in found if not name.startswith(CPU_MODULES)}
+    of_order = {name for name in found if ORDER_OF.get(name.split(".")[0], order) == order}
+    return {name for name in of_order if not name.startswith(CPU_MODULES)}
 
 
 def test_a_fault_in_cuda_code_is_found(tmp_path):

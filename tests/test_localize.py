@@ -53,7 +53,7 @@ def test_what_a_search_leaves(device, path, evaluator, scene):
     assert [done for done, _, _ in told] == list(range(1, 13))
     assert {whole for _, whole, _ in told} == {12}
     np.testing.assert_array_equal([best for _, _, best in told], result.history["best"])
-    assert set(result.seconds) == {"compile", "solve"}
+    assert set(result.seconds) == {"compile", "solve", "estimate"}
     assert result.effects == ("viscous damping (centred)",)
     assert (result.evaluator, result.interrupted) == (evaluator, False)
     for case in result.cases.values():

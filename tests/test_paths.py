@@ -34,6 +34,16 @@ GRIDS = {
     "row by row": ((71, 63), (0.07, 0.062)),
     "threads share a plate": ((97, 89), (0.096, 0.088)),
 }
+# Those that fourth order can take, and in place of the others the like with nine rows or columns.
+GRIDS_OF_FOURTH_ORDER = {
+    **{name: grid for name, grid in GRIDS.items() if min(grid[0]) >= 9},
+    "smallest": ((9, 9), (0.2, 0.2)),
+    "two whole lines": ((32, 11), (0.2, 0.0645161290322581)),
+    "a column over": ((33, 10), (0.2, 0.1)),
+    "wide": ((41, 9), (0.2, 0.05)),
+    "high": ((9, 43), (0.05, 0.35)),
+}
+SIZES = [(2, *grid) for grid in GRIDS.items()] + [(4, *grid) for grid in GRIDS_OF_FOURTH_ORDER.items()]
 TIMES = (0.0, 0.004, 0.0071, 0.012)
 
 
@@ -94,16 +104,33 @@ def test_all_edges_and_dampings(device, path, edges, damping, nodes, precision, 
 
 
 @pytest.mark.parametrize("precision", TOLERANCE)
-@pytest.mark.parametrize("grid", GRIDS)
-def test_all_sizes(device, path, grid, precision, scene, fitting_solver, random, phasors):
-    nodes, size = GRIDS[grid]
+@pytest.mark.parametrize("damping", DAMPING)
+def test_all_edges_and_dampings_of_fourth_order(
+    device, path, edges, damping, precision, scene, random, phasors
+):
+    """Oblong cells, loads by moments, and enough plates for every way to run many at once."""
+    size = (0.2, 0.16)
+    areas = random_areas(random, size)
+    made = scene((16, 11), size, edges, *DAMPING[damping], precision, actuators=areas, order=4, load="moments")
+    drives = phasors(35, len(areas))
+    check_equal(PlateSolver(made, device, path).run(drives, TIMES), made, drives)
+
+
+@pytest.mark.parametrize("precision", TOLERANCE)
+@pytest.mark.parametrize(
+    ("order", "nodes", "size"),
+    [(order, *grid) for order, _, grid in SIZES],
+    ids=[f"{order}-{name}" for order, name, _ in SIZES],
+)
+def test_all_sizes(device, path, order, nodes, size, precision, scene, fitting_solver, random, phasors):
     areas = random_areas(random, size)
     # As many steps on every grid, for the stability limit is far shorter on the fine ones.
-    step = 0.8 * make_scheme(scene(nodes, size)).limit
+    load = {2: "overlap", 4: "moments"}[order]
+    step = 0.8 * make_scheme(scene(nodes, size, order=order)).limit
     times, points = (0.0, 40 * step, 120 * step), (random.uniform(0, 1, (3, 2)) * size).tolist()
     made = scene(
-        nodes, size, MIXED, 88.5, "centred", precision, (50 * step, 200 * step), areas, time_step=step,
-        frequency=0.03 / step,
+        nodes, size, MIXED, 88.5, "centred", precision, (50 * step, 200 * step), areas, load, step,
+        frequency=0.03 / step, order=order,
     )  # fmt: skip
     drives = phasors(3, len(areas))
     solver = fitting_solver(made, device, path)
@@ -112,12 +139,13 @@ def test_all_sizes(device, path, grid, precision, scene, fitting_solver, random,
     check_equal(solver.run(drives, times, points), made, drives, points)
 
 
+@pytest.mark.parametrize("order", [2, 4])
 @pytest.mark.parametrize("nodes", [(13, 13), (71, 63)], ids=["small", "row by row"])
-def test_numbers_left_in_memory_do_not_matter(device, path, nodes, scene, fitting_solver, phasors):
+def test_numbers_left_in_memory_do_not_matter(device, path, nodes, order, scene, fitting_solver, phasors):
     """A run is the same, bit for bit, after all that it should write anew was filled with NaN."""
     size = (0.2, 0.2) if nodes == (13, 13) else (0.07, 0.062)
-    step = 0.9 * make_scheme(scene(nodes, size)).limit
-    made = scene(nodes, size, MIXED, 88.5, window=(20 * step, 90 * step), time_step=step)
+    step = 0.9 * make_scheme(scene(nodes, size, order=order)).limit
+    made = scene(nodes, size, MIXED, 88.5, window=(20 * step, 90 * step), time_step=step, order=order)
     solver = fitting_solver(made, device, path)
     drives = phasors(4, len(made.actuators))
     first = solver.run(drives, (60 * step,))
@@ -145,10 +173,11 @@ def test_every_path_is_tested(pairs):
     assert {("cpu", "resident"), ("cpu", "streaming")} <= set(pairs)
 
 
-def test_recording_on_the_same_solver(device, path, scene, phasors):
+@pytest.mark.parametrize("order", [2, 4])
+def test_recording_on_the_same_solver(device, path, order, scene, phasors):
     """With and without traces by turns, with other points and numbers of plates: no run sees another's
     memory."""
-    made = scene(damping=88.5)
+    made = scene(damping=88.5, order=order)
     solver = PlateSolver(made, device, path)
     asked = itertools.product((5, 2), ((), ((0.11, 0.07),), ((0.03, 0.17), (0.15, 0.02))), ((), (0.007,)))
     for plates, points, times in asked:

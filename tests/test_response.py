@@ -7,9 +7,9 @@ import pytest
 import scipy.optimize
 
 from warp_plate import PlateSolver
-from warp_plate.plate.weights import REGIONS
-from warp_plate.search.objective import drives_of, localization_factor, loss
-from warp_plate.search.response import Response, measure_response, unit_drives
+from warp_plate.plate.weights import REGIONS, localization_factor
+from warp_plate.search.objective import drives_of, loss
+from warp_plate.solve.response import Response, measure_response, unit_drives
 
 PATCHES = [(0.03, 0.06, 0.04, 0.07), (0.12, 0.17, 0.03, 0.08), (0.05, 0.13, 0.11, 0.16)]
 

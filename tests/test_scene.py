@@ -64,7 +64,7 @@ def refusal(text):
         ("grid", "nodes", "27", "grid.nodes = 27", ""),
         ("grid", "nodes", "[27, 99999999]", "grid.nodes[1]", "8193"),
         ("grid", "order", "3", "grid.order = 3", "2"),
-        ("grid", "load", '"point"', "grid.load = 'point'", "'overlap' or 'nodes'"),
+        ("grid", "load", '"point"', "grid.load = 'point'", "'overlap', 'nodes' or 'moments'"),
         ("grid", "time_step", "0.0", "grid.time_step = 0.0", "greater than 0"),
         ("grid", "precision", '"float16"', "grid.precision = 'float16'", "'float32' or 'float64'"),
         ("window", "end", "0.05", "window.end", "later than start = 0.05"),

@@ -32,6 +32,8 @@ def localize(
     seed: int | None = None,
     evaluator: Literal["direct", "response"] = "direct",
     path: Literal["auto", "resident", "streaming"] = "auto",
+    accuracy: str | None = None,
+    estimate: bool = True,
     out: Path | None = None,
     pictures: bool = True,
     json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
@@ -53,6 +55,10 @@ def localize(
         direct simulates a plate for each particle; response uses Gram matrices of unit responses instead.
     path
         How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch).
+    accuracy
+        Such as 1% or 0.01: the relative error that localization factors may have, instead of the scene's grid.
+    estimate
+        End with an estimate of the result's error.
     out
         The result file (.h5); SCENE-localize.h5 in this folder when left out. Pictures are written beside it.
     pictures
@@ -61,7 +67,7 @@ def localize(
         Print one JSON object instead of tables.
     """
     target = output.output_file(out, scene, "localize")
-    loaded = output.load_scene(scene)
+    loaded = output.load_scene(scene, accuracy)
     output.prepare_pictures(pictures)
     from warp_plate.search.localize import localize as search
 
@@ -70,7 +76,7 @@ def localize(
         def told(done: int, total: int, best: float) -> None:
             show(done, total, f"best {best:.4f}")
 
-        result = search(loaded, scene, device, seed, evaluator, path, told)
+        result = search(loaded, scene, device, seed, evaluator, path, told, estimate)
     files, missing = output.write_files(result, target, pictures)
     if json:
         output.print_json(as_json(result, files))
@@ -104,6 +110,7 @@ def as_json(result: Result, files: list[Path]) -> dict[str, object]:
         "effects": list(result.effects),
         "history": [dict(zip(history, row, strict=True)) for row in zip(*history.values(), strict=True)],
         "evaluator": result.evaluator,
+        "accuracy": dict(result.accuracy),
         "interrupted": result.interrupted,
         "files": [str(file) for file in files],
     }
@@ -133,3 +140,4 @@ def _print(result: Result, console: Console) -> None:
         f"{result.device}: {result.seconds['solve']:.2f} s solving after {result.seconds['compile']:.2f} s compiling "
         f"or loading kernels. Effects compiled in: {effects}."
     )
+    output.print_accuracy(result, console)

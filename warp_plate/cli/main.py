@@ -7,6 +7,7 @@ import sys
 import cyclopts
 
 import warp_plate
+from warp_plate.cli.accuracy import accuracy
 from warp_plate.cli.bench import bench
 from warp_plate.cli.init import init
 from warp_plate.cli.localize import localize
@@ -20,7 +21,7 @@ app = cyclopts.App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (localize, simulate, init, bench):
+for command in (localize, simulate, accuracy, init, bench):
     app.command(command)
 
 

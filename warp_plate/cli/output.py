@@ -76,23 +76,52 @@ def output_file(out: Path | None, source: str, command: str) -> Path:
     return path
 
 
-def load_scene(source: str) -> Scene:
+def load_scene(source: str, accuracy: str | None = None) -> Scene:
     """The scene, with the checks that need its grid already made, so that their errors name the file as well.
 
+    accuracy: what ``--accuracy`` says; it takes the place of the scene's grid.
+
     Raises:
-        SceneError: see ``Scene.load``, ``make_scheme`` and ``patches``.
+        SceneError: see ``Scene.load``, ``make_scheme`` and ``patches``; or no accuracy.
     """
     from warp_plate.plate.scheme import make_scheme
     from warp_plate.plate.weights import patches
     from warp_plate.scene import Scene
+    from warp_plate.scene.load import with_accuracy
 
     scene = Scene.load(source)
+    if accuracy is not None:
+        scene = with_accuracy(scene, _accuracy_of(accuracy))
+    if scene.grid.accuracy is not None:
+        return scene
     try:
         make_scheme(scene)
         patches(scene)
     except SceneError as error:
         raise SceneError(f"{source}: {error}") from None
     return scene
+
+
+def _accuracy_of(text: str) -> float:
+    """What ``--accuracy`` asks for, 1% or 0.01.
+
+    Raises:
+        SceneError: neither a number nor a percentage.
+    """
+    number = text.strip().removesuffix("%")
+    try:
+        return float(number) / (100 if text.strip().endswith("%") else 1)
+    except ValueError:
+        raise SceneError(f"--accuracy {text}: must be a number or a percentage, such as 0.01 or 1%") from None
+
+
+def print_accuracy(result: Result, console: Console) -> None:
+    """Why the grid was chosen, if it was, and the estimate of the result's error."""
+    known = result.accuracy
+    if "reason" in known:
+        console.print(f"grid chosen for {known['reason']}")
+    if "estimate" in known:
+        console.print(known["estimate"]["line"])
 
 
 def prepare_pictures(pictures: bool) -> None:

@@ -18,6 +18,8 @@ def simulate(
     drive: str = "scene",
     device: str = "auto",
     path: Literal["auto", "resident", "streaming"] = "auto",
+    accuracy: str | None = None,
+    estimate: bool = True,
     out: Path | None = None,
     pictures: bool = True,
     json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
@@ -35,6 +37,10 @@ def simulate(
         cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
     path
         How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch).
+    accuracy
+        Such as 1% or 0.01: the relative error that localization factors may have, instead of the scene's grid.
+    estimate
+        End with an estimate of the result's error.
     out
         The result file (.h5); SCENE-simulate.h5 in this folder when left out. Pictures are written beside it.
     pictures
@@ -43,7 +49,7 @@ def simulate(
         Print one JSON object instead of tables.
     """
     target = output.output_file(out, scene, "simulate")
-    loaded = output.load_scene(scene)
+    loaded = output.load_scene(scene, accuracy)
     output.prepare_pictures(pictures)
     from warp_plate.search.simulate import simulate as run
 
@@ -52,7 +58,7 @@ def simulate(
         def told(done: int, total: int) -> None:
             show(done, total, f"{done:.2g} node-steps")
 
-        result = run(loaded, scene, drive, device, path, told)
+        result = run(loaded, scene, drive, device, path, told, estimate)
     case = result.cases["drive"]
     files, missing = output.write_files(result, target, pictures)
     peak = float(np.abs(case.displacement).max())
@@ -67,6 +73,7 @@ def simulate(
                 "node_steps": result.node_steps,
                 "seconds": dict(result.seconds),
                 "effects": list(result.effects),
+                "accuracy": dict(result.accuracy),
                 "files": [str(file) for file in files],
             }
         )
@@ -84,6 +91,7 @@ def simulate(
         f"{result.seconds['compile']:.2f} s compiling or loading kernels. Effects compiled in: "
         f"{', '.join(result.effects) or 'none'}."
     )
+    output.print_accuracy(result, console)
     for file in files:
         print(f"wrote {file}")
     if missing:

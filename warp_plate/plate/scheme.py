@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.plate.operator import DIVISOR, LARGEST, Taps, make_taps
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -25,8 +26,6 @@ SAFETY = 0.9
 STEPS_A_PERIOD = 20
 # Longer runs are mistakes in a unit: this is hours on any device.
 MOST_STEPS = 10**8
-# Curvature factor of an edge's nodes: the mirror node of a clamped edge doubles it, a supported edge has none.
-EDGE_FACTOR = {"clamped": 2.0, "supported": 0.0}
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ class Scheme:
     time_step [s]; limit: largest stable time step [s]; steps: of the whole run;
     window: first and last + 1 of the steps whose half-step lies inside the scene's window;
     decay, gain: of the velocity form above (dimensionless);
-    factor_x (nx,), factor_y (ny,): factors on the curvature of the nodes (edges in, see EDGE_FACTOR).
+    order: of the differences in space; taps_x, taps_y: these differences, the edges in them (see ``operator``).
     """
 
     nodes: tuple[int, int]
@@ -52,13 +51,14 @@ class Scheme:
     decay: float
     gain: float
     angular_frequency: float
-    factor_x: np.ndarray
-    factor_y: np.ndarray
+    order: int
+    taps_x: Taps
+    taps_y: Taps
 
     @property
     def stiffness(self) -> float:
-        """gain·(κΔt/hx²)², the kernels' dimensionless coefficient of ∇⁴ on unit spacing along x."""
-        return self.gain * (self.kappa * self.time_step / self.spacing[0] ** 2) ** 2
+        """gain·(κΔt/hx²)², the kernels' dimensionless coefficient of ∇⁴ as the taps give it."""
+        return self.gain * (self.kappa * self.time_step / self.spacing[0] ** 2 / DIVISOR[self.order]) ** 2
 
     @property
     def aspect(self) -> float:
@@ -95,10 +95,15 @@ def make_scheme(scene: Scene) -> Scheme:
     """The scheme of a scene.
 
     Raises:
-        SceneError: the scene's time step is above the stability limit or too long for the drive's frequency, its
-            window holds no half-step, or its run is longer than MOST_STEPS.
+        SceneError: the scene asks for an accuracy instead of a grid; its time step is above the stability limit or too
+            long for the drive's frequency, its window holds no half-step, or its run is longer than MOST_STEPS.
     """
     plate, grid = scene.plate, scene.grid
+    if grid.accuracy is not None:
+        raise SceneError(
+            f"grid.accuracy = {grid.accuracy:g}: no grid is chosen yet; warp_plate.accuracy.choose(scene, "
+            f"{grid.accuracy:g}).scene has one"
+        )
     spacing = (plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1))
     rigidity = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
     surface_density = plate.density * plate.thickness
@@ -106,7 +111,7 @@ def make_scheme(scene: Scene) -> Scheme:
     damping = scene.effects.damping
     rate_of_loss = damping.viscous / surface_density if damping else 0.0
     backward = damping is not None and damping.scheme == "backward"
-    limit = time_step_limit(kappa, spacing, rate_of_loss if backward else 0.0)
+    limit = time_step_limit(kappa, spacing, rate_of_loss if backward else 0.0, grid.order)
     longest = min(SAFETY * limit, 1 / (STEPS_A_PERIOD * scene.drive.frequency))
     time_step = grid.time_step or scene.window.end / math.ceil(scene.window.end / longest)
     if time_step > limit * (1 + 1e-12):
@@ -139,20 +144,23 @@ def make_scheme(scene: Scene) -> Scheme:
         decay=1 - loss if backward else (1 - loss / 2) / (1 + loss / 2),
         gain=1.0 if backward else 1 / (1 + loss / 2),
         angular_frequency=scene.drive_angular_frequency,
-        factor_x=_factors(grid.nodes[0], scene.edges.left, scene.edges.right),
-        factor_y=_factors(grid.nodes[1], scene.edges.bottom, scene.edges.top),
+        order=grid.order,
+        taps_x=make_taps(grid.nodes[0], scene.edges.left, scene.edges.right, grid.order),
+        taps_y=make_taps(grid.nodes[1], scene.edges.bottom, scene.edges.top, grid.order),
     )
 
 
-def time_step_limit(kappa: float, spacing: tuple[float, float], backward_loss: float = 0.0) -> float:
+def time_step_limit(
+    kappa: float, spacing: tuple[float, float], backward_loss: float = 0.0, order: int = 2
+) -> float:
     """Largest stable time step [s]; κ [m²/s], spacing [m], c/ρH [1/s] where damping is taken backward.
 
-    The largest eigenvalue of the discrete κ²∇⁴ is at most Λ = κ²(4/hx² + 4/hy²)²: clamped and supported edges are
-    even and odd mirror images, so the plate is part of a periodic one, whose spectrum ends there. Undamped or with
-    centred damping the scheme is stable for Λ Δt² ≤ 4 (κΔt/h² ≤ 1/4 on square cells); with backward damping
-    for Λ Δt² ≤ 4 − 2cΔt/ρH.
+    The largest eigenvalue of the discrete κ²∇⁴ is at most Λ = κ²(s/hx² + s/hy²)², s = 4 for second order and 16/3 for
+    fourth: there the spectrum of a periodic plate ends, and edges only lower it (of second order they are even and odd
+    mirror images; of fourth see tests/test_operator.py). Undamped or with centred damping the scheme is stable for
+    Λ Δt² ≤ 4 (κΔt/h² ≤ 1/4 or 3/16 on square cells); with backward damping for Λ Δt² ≤ 4 − 2cΔt/ρH.
     """
-    largest = kappa**2 * (4 / spacing[0] ** 2 + 4 / spacing[1] ** 2) ** 2
+    largest = kappa**2 * (LARGEST[order] / spacing[0] ** 2 + LARGEST[order] / spacing[1] ** 2) ** 2
     # The positive root of Λ Δt² + 2 b Δt − 4 = 0, written so that it does not cancel for large b.
     return 4 / (backward_loss + math.sqrt(backward_loss**2 + 4 * largest))
 
@@ -169,9 +177,3 @@ def _window(scene: Scene, time_step: float) -> tuple[int, int]:
             f"window.start = {window.start:g}; widen the window or shorten grid.time_step"
         )
     return first, last
-
-
-def _factors(count: int, low: str, high: str) -> np.ndarray:
-    factors = np.ones(count)
-    factors[0], factors[-1] = EDGE_FACTOR[low], EDGE_FACTOR[high]
-    return factors

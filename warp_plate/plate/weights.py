@@ -1,8 +1,9 @@
 """How much of each node belongs to an area: weights for loads and for the regions of the energy.
 
 By overlap, a node's weight is the part of its cell (half a spacing to each side) that the area covers, so that
-errors fall as h² and a node on a mid-line counts half to each side. By nodes, as in the source paper, it is one for
-the nodes inside the area and zero for the others.
+errors fall as h² and a node on a mid-line counts half to each side. By moments, it is the integral over the area of
+the node's Lagrange polynomial through four nodes: the weights keep the area's moments up to the third, and errors fall
+as h⁴. By nodes, as in the source paper, it is one for the nodes inside the area and zero for the others.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Area, Scene
 
 REGIONS = ("plate", "target")
+_PLATE, _TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
 
 def overlap(positions: np.ndarray, low: float, high: float) -> np.ndarray:
@@ -31,13 +33,35 @@ def inside(positions: np.ndarray, low: float, high: float) -> np.ndarray:
     return ((positions >= low - slack) & (positions <= high + slack)).astype(float)
 
 
+def moments(positions: np.ndarray, low: float, high: float) -> np.ndarray:
+    """(nodes,) integral from ``low`` to ``high`` of what is one at a node and zero at the others, in spacings [m → 1].
+
+    Between two nodes it is the cubic through these and the next on each side; in the first and last interval through
+    the four outermost. So Σ weights · g(node) · spacing is the integral of g, exactly for cubics.
+    """
+    spacing = positions[1] - positions[0]
+    ends = np.clip((np.array([low, high]) - positions[0]) / spacing, 0, positions.size - 1)
+    weights = np.zeros(positions.size)
+    for interval in range(int(ends[0]), min(int(np.ceil(ends[1])), positions.size - 1)):
+        first = min(max(interval - 1, 0), positions.size - 4)
+        # In the middle of the four nodes' span the polynomials are best conditioned.
+        start, stop = np.clip(ends, interval, interval + 1) - first - 1.5
+        powers = np.arange(1, 5)
+        weights[first : first + 4] += np.linalg.solve(_CUBICS, (stop**powers - start**powers) / powers)
+    return weights
+
+
+# Row k holds x^k at the four nodes: weights w keep moments m when _CUBICS @ w = m.
+_CUBICS = np.vander([-1.5, -0.5, 0.5, 1.5], 4, increasing=True).T
+
+
 def patches(scene: Scene) -> np.ndarray:
     """(actuators, ny, nx): share of each node's cell on which each actuator presses; held nodes take none.
 
     Raises:
         SceneError: an actuator touches no node that can move.
     """
-    weigh = {"overlap": overlap, "nodes": inside}[scene.grid.load]
+    weigh = {"overlap": overlap, "nodes": inside, "moments": moments}[scene.grid.load]
     x, y = _positions(scene)
     fields = np.stack([_product(weigh, x, y, actuator.area) for actuator in scene.actuators])
     fields[:, [0, -1], :] = 0
@@ -52,11 +76,21 @@ def patches(scene: Scene) -> np.ndarray:
 
 
 def region_weights(scene: Scene) -> np.ndarray:
-    """(regions, ny, nx) weights by overlap of the REGIONS, in cells; times hx·hy they are areas [m²]."""
+    """(regions, ny, nx) weights of the REGIONS, in cells; times hx·hy they are areas [m²].
+
+    By moments where loads are weighed so, else by overlap.
+    """
+    weigh = moments if scene.grid.load == "moments" else overlap
     x, y = _positions(scene)
     width, height = scene.plate.size
     areas = {"plate": (0.0, width, 0.0, height), "target": scene.target.area}
-    return np.stack([_product(overlap, x, y, areas[name]) for name in REGIONS])
+    return np.stack([_product(weigh, x, y, areas[name]) for name in REGIONS])
+
+
+def localization_factor(energy: np.ndarray) -> np.ndarray:
+    """(plates,) share of the kinetic energy (plates, regions) in the target, equation (5); NaN for a plate at rest."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return energy[:, _TARGET] / energy[:, _PLATE]
 
 
 def bilinear(

@@ -1,13 +1,15 @@
 """The plate in plain NumPy float64, written from the equations and sharing no step with the kernels.
 
-The 13-point stencil in one piece with ghost nodes, the paper's two-step scheme instead of the velocity form, physical
-units instead of scaled ones: what agrees with this is right. It is slow, and meant for tests.
+Of second order the 13-point stencil in one piece with ghost nodes, of fourth order whole matrices of one-dimensional
+differences; the paper's two-step scheme instead of the velocity form, physical units instead of scaled ones: what
+agrees with this is right. It is slow, and meant for tests.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from warp_plate.plate.operator import clamped_rows
 from warp_plate.plate.scheme import Scheme
 
 
@@ -48,6 +50,35 @@ def with_ghosts(u: np.ndarray, edges: tuple[str, str, str, str]) -> np.ndarray:
     return ghosted
 
 
+def curvature_matrix(nodes: int, spacing: float, low: str, high: str) -> np.ndarray:
+    """(nodes, nodes) matrix of ∂² of fourth order [1/m²], for u = 0 at both ends; spacing [m].
+
+    Inside (−1, 16, −30, 16, −1)/12, with the ghost −u₁ beyond a supported end and no curvature on it; at a clamped end
+    the rows of nodes 0 and 1 that ``plate.operator`` derives.
+    """
+    matrix = np.zeros((nodes, nodes))
+    for node in range(2, nodes - 2):
+        matrix[node, node - 2 : node + 3] = np.array([-1, 16, -30, 16, -1]) / 12
+    for first_rows, edge in ((matrix, low), (matrix[::-1, ::-1], high)):
+        if edge == "supported":
+            first_rows[1, 1:4] = np.array([-30 + 1, 16, -1]) / 12
+        else:
+            first_rows[0, 1:3], first_rows[1, 1:4] = clamped_rows()
+    matrix[:, [0, -1]] = 0
+    return matrix / spacing**2
+
+
+def biharmonic_of_fourth_order(
+    u: np.ndarray, spacing: tuple[float, float], edges: tuple[str, str, str, str]
+) -> np.ndarray:
+    """∇⁴u (..., ny − 2, nx − 2) [u/m⁴] from u (..., ny, nx) with its edge nodes at zero, as BᵀBu."""
+    left, bottom, right, top = edges
+    along_x = curvature_matrix(u.shape[-1], spacing[0], left, right)
+    along_y = curvature_matrix(u.shape[-2], spacing[1], bottom, top)
+    curvature = u @ along_x.T + along_y @ u
+    return (curvature @ along_x + along_y.T @ curvature)[..., 1:-1, 1:-1]
+
+
 def run_plate(
     scheme: Scheme,
     edges: tuple[str, str, str, str],
@@ -71,8 +102,11 @@ def run_plate(
         f = (load * np.exp(1j * scheme.angular_frequency * dt * n)).real[:, 1:-1, 1:-1]
         if n == 0:
             f = f / 2  # u(−Δt) = u(Δt) for a plate at rest, while the first step below takes u(−Δt) = 0
-        bending = scheme.rigidity * biharmonic(with_ghosts(u, edges), scheme.spacing)
-        push = dt**2 / scheme.surface_density * (f - bending)
+        if scheme.order == 2:
+            bent = biharmonic(with_ghosts(u, edges), scheme.spacing)
+        else:
+            bent = biharmonic_of_fourth_order(u, scheme.spacing, edges)
+        push = dt**2 / scheme.surface_density * (f - scheme.rigidity * bent)
         inner, old = u[:, 1:-1, 1:-1], before[:, 1:-1, 1:-1]
         if backward:
             new = 2 * inner - old - loss * (inner - old) + push

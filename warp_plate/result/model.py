@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -50,7 +51,9 @@ class Result:
     times: (times,) of the displacements [s]; trace_times: (steps,) of the traces [s].
     bound: largest localization factor that any drive can reach; None where none is claimed.
     history: for each iteration of the search, arrays "evaluations", "best", "mean" (localization factors).
-    seconds: "compile" and "solve".
+    seconds: "compile" and "solve", and "choose" and "estimate" where these were done.
+    accuracy: what is known of the result's errors, of numbers and texts only: "asked" and "reason" where the scene
+        asked for an accuracy instead of a grid, "estimate" of the localization factors.
     node_steps: nodes updated × steps × plates.
     """
 
@@ -71,6 +74,7 @@ class Result:
     evaluator: str = "direct"
     interrupted: bool = False
     versions: Mapping[str, str] = field(default_factory=dict)
+    accuracy: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def x(self) -> np.ndarray:

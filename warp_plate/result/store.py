@@ -89,6 +89,7 @@ def _write(file: h5py.File, result: Result) -> None:
         "effects": json.dumps(list(result.effects)),
         "versions": json.dumps(dict(result.versions)),
         "seconds": json.dumps(dict(result.seconds)),
+        "accuracy": json.dumps(dict(result.accuracy)),
     }
     file.attrs.update(plain)
     file.attrs["seed"] = result.seed
@@ -145,6 +146,7 @@ def _read(file: h5py.File, name: str) -> Result:
         history={key: values[()] for key, values in history.items()},
         interrupted=bool(file.attrs["interrupted"]),
         versions=json.loads(str(file.attrs["versions"])),
+        accuracy=json.loads(str(file.attrs.get("accuracy", "{}"))),
     )
 
 

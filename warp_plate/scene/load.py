@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Grid, Scene
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -71,6 +71,18 @@ def parse_scene(text: str, name: str) -> Scene:
         raise SceneError(f"{name}: {explain(error)}") from None
 
 
+def with_accuracy(scene: Scene, accuracy: float) -> Scene:
+    """The scene with an accuracy asked for instead of its grid.
+
+    Raises:
+        SceneError: an accuracy out of range.
+    """
+    try:
+        return scene.model_copy(update={"grid": Grid(accuracy=accuracy)})
+    except ValidationError as error:
+        raise SceneError(f"grid.{explain(error)}") from None
+
+
 def explain(error: ValidationError) -> str:
     """The first fault of a validation as one line (key: value, what would be right), and how many more."""
     faults = error.errors()
@@ -93,6 +105,8 @@ def explain(error: ValidationError) -> str:
 def dump_scene(scene: Scene) -> str:
     """The resolved scene as TOML text that reads back to an equal scene."""
     data = scene.model_dump(exclude_none=True)
+    if scene.grid.accuracy is not None:
+        data["grid"] = {"accuracy": scene.grid.accuracy}
     actuators = data.pop("actuators")
     lines = [f"title = {_toml(data.pop('title'))}"]
     for table, keys in data.items():

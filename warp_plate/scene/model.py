@@ -47,13 +47,29 @@ class Edges(Table):
 
 
 class Grid(Table):
-    """Nodes along x and y with the edges included, spatial order, how loads are weighed, step, precision."""
+    """Nodes along x and y with the edges included, spatial order, how loads are weighed, step, precision.
+
+    Or ``accuracy``, the relative error that the localization factors may have, which chooses all of these.
+    """
 
     nodes: tuple[Annotated[int, Field(ge=5, le=8193)], Annotated[int, Field(ge=5, le=8193)]] = (27, 27)
-    order: Literal[2] = 2
-    load: Literal["overlap", "nodes"] = "overlap"
+    order: Literal[2, 4] = 2
+    load: Literal["overlap", "nodes", "moments"] = "overlap"
     time_step: Positive | None = None
     precision: Literal["float32", "float64"] = "float32"
+    accuracy: Annotated[float, Field(ge=1e-4, le=0.5)] | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Grid:
+        if self.order == 4 and min(self.nodes) < 9:
+            raise ValueError(f"nodes: {list(self.nodes)} are too few for order = 4, which takes 9 or more a side")
+        chosen = self.model_fields_set & {"nodes", "order", "load", "time_step", "precision"}
+        if self.accuracy is not None and chosen:
+            raise ValueError(
+                f"accuracy: {self.accuracy:g} chooses nodes, order, load, time_step and precision; delete it, or "
+                f"delete {', '.join(sorted(chosen))}"
+            )
+        return self
 
 
 class Window(Table):

@@ -5,18 +5,21 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import warp as wp
 
 import warp_plate
+from warp_plate.accuracy.choose import choose
+from warp_plate.accuracy.estimate import estimate as estimate_errors
+from warp_plate.plate.weights import localization_factor
 from warp_plate.result.model import Case, Result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
-from warp_plate.search.objective import drives_of, localization_factor, loss
+from warp_plate.search.objective import drives_of, loss
 from warp_plate.search.pso import Swarm, SwarmSettings, optimize
-from warp_plate.search.response import measure_response
+from warp_plate.solve.response import measure_response
 from warp_plate.solve.solver import PlateSolver, Run
 
 Evaluator = Literal["direct", "response"]
@@ -33,6 +36,7 @@ def localize(
     evaluator: Evaluator = "direct",
     path: str = "auto",
     told: Told | None = None,
+    estimate: bool = True,
 ) -> Result:
     """Search the drive with the largest share of the plate's kinetic energy in the target.
 
@@ -42,8 +46,10 @@ def localize(
         seed: of the swarm; left out: the scene's.
         evaluator: "direct" simulates a plate for each particle; "response" uses the Gram matrices instead.
         told: called after each iteration.
+        estimate: whether to estimate the errors of the localization factors at the end.
 
-    Ctrl-C ends the search early; the result then holds the best so far and says that it was interrupted.
+    A scene with ``grid.accuracy`` gets the grid that keeps it first. Ctrl-C ends the search early; the result then
+    holds the best so far and says that it was interrupted.
 
     Raises:
         SceneError: see :class:`PlateSolver`.
@@ -51,6 +57,7 @@ def localize(
     seed = scene.search.seed if seed is None else seed
     if not 0 <= seed < 2**63:
         raise SceneError(f"seed = {seed}: must be a whole number from 0 to 2^63 - 1")
+    scene, accuracy, seconds = resolve(scene, device)
     solver = PlateSolver(scene, device, path)
     exact = solver if scene.grid.precision == "float64" else PlateSolver(_in_float64(scene), device, path)
     compile_seconds = sum(one.compile_seconds for one in {solver, exact})
@@ -62,6 +69,9 @@ def localize(
     found = swarm.result.xbest if swarm is not None else None
     drives["best"] = drives["single"] if found is None else drives_of(found[None])[0]
     run = solver.run(np.array(list(drives.values())), record_times(scene), scene.record.points)
+    seconds |= {"compile": compile_seconds, "solve": time.perf_counter() - started}
+    if estimate:
+        accuracy |= estimated(scene, drives, run, seconds, device)
     return Result(
         command="localize",
         source=source,
@@ -72,7 +82,7 @@ def localize(
         cases=cases_of(drives, run),
         times=run.times,
         trace_times=run.trace_times,
-        seconds={"compile": compile_seconds, "solve": time.perf_counter() - started},
+        seconds=seconds,
         bound=response.bound(),
         history=_history(swarm),
         evaluator=evaluator,
@@ -80,7 +90,35 @@ def localize(
         versions=versions(),
         node_steps=sum(one.node_steps for one in {solver, exact}),
         evaluations=swarm.result.evaluations if swarm is not None else 0,
+        accuracy=accuracy,
     )
+
+
+def resolve(scene: Scene, device: str) -> tuple[Scene, dict[str, Any], dict[str, float]]:
+    """The scene with a grid, what is to be kept of its choice, and the seconds that it took.
+
+    Raises:
+        SceneError: no grid keeps the accuracy asked for.
+    """
+    if scene.grid.accuracy is None:
+        return scene, {}, {}
+    started = time.perf_counter()
+    choice = choose(scene, scene.grid.accuracy, device)
+    kept = {"asked": choice.asked, "expected": choice.error, "reason": choice.reason}
+    return choice.scene, kept, {"choose": time.perf_counter() - started}
+
+
+def estimated(
+    scene: Scene, drives: dict[str, np.ndarray], run: Run, seconds: dict[str, float], device: str
+) -> dict[str, Any]:
+    """The estimate of a run's errors, with its line for people; nothing where Ctrl-C came first. Adds its seconds."""
+    try:
+        factors = localization_factor(run.energy)
+        found = estimate_errors(scene, np.array(list(drives.values())), factors, seconds["solve"], device)
+    except KeyboardInterrupt:
+        return {}
+    seconds["estimate"] = found.seconds
+    return {"estimate": {"cases": list(drives), **found.as_json(), "line": found.line()}}
 
 
 def reference_drives(actuators: int, energies: Energies) -> dict[str, np.ndarray]:

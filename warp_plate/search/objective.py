@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from warp_plate.plate.weights import REGIONS
-
-_PLATE, _TARGET = REGIONS.index("plate"), REGIONS.index("target")
+from warp_plate.plate.weights import localization_factor
 
 
 def drives_of(positions: np.ndarray) -> np.ndarray:
@@ -19,12 +17,6 @@ def drives_of(positions: np.ndarray) -> np.ndarray:
     magnitude, phase = np.split(np.asarray(positions, dtype=float), 2, axis=1)
     first = np.ones((len(magnitude), 1), dtype=complex)
     return np.concatenate([first, magnitude * np.exp(-1j * phase)], axis=1)
-
-
-def localization_factor(energy: np.ndarray) -> np.ndarray:
-    """(plates,) share of the kinetic energy that lies in the target, equation (5); NaN for a plate at rest."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return energy[:, _TARGET] / energy[:, _PLATE]
 
 
 def loss(energy: np.ndarray) -> np.ndarray:

@@ -11,7 +11,15 @@ from warp_plate.result.model import Result
 from warp_plate.result.store import load_result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.search.localize import cases_of, device_name, record_times, reference_drives, versions
+from warp_plate.search.localize import (
+    cases_of,
+    device_name,
+    estimated,
+    record_times,
+    reference_drives,
+    resolve,
+    versions,
+)
 from warp_plate.solve.solver import PlateSolver, Progress, as_phasors
 
 
@@ -22,6 +30,7 @@ def simulate(
     device: str = "auto",
     path: str = "auto",
     progress: Progress | None = None,
+    estimate: bool = True,
 ) -> Result:
     """Run the scene under one drive and keep what it names under ``[record]``.
 
@@ -29,11 +38,15 @@ def simulate(
         drive: "scene" (the magnitudes and phases of the scene's actuators), "equal", "single" (the best single
             actuator), or the name of a result file, whose best drive is taken.
         progress: called with (node-steps done, in all).
+        estimate: whether to estimate the error of the localization factor at the end.
+
+    A scene with ``grid.accuracy`` gets the grid that keeps it first.
 
     Raises:
         SceneError: see :class:`PlateSolver`; a drive that is none of these or that has other actuators.
     """
     file_drive = None if drive in ("scene", "equal", "single") else drive_of_file(drive, len(scene.actuators))
+    scene, accuracy, seconds = resolve(scene, device)
     solver = PlateSolver(scene, device, path)
     started = time.perf_counter()
     if file_drive is not None:
@@ -45,6 +58,10 @@ def simulate(
     else:
         phasors = reference_drives(len(scene.actuators), lambda drives: solver.run(drives).energy)[drive]
     run = solver.run(phasors[None], record_times(scene), scene.record.points, progress)
+    seconds |= {"compile": solver.compile_seconds, "solve": time.perf_counter() - started}
+    drives = {"drive": phasors}
+    if estimate:
+        accuracy |= estimated(scene, drives, run, seconds, device)
     return Result(
         command="simulate",
         source=source,
@@ -52,12 +69,13 @@ def simulate(
         device=device_name(solver.device),
         seed=scene.search.seed,
         effects=solver.effects,
-        cases=cases_of({"drive": phasors}, run),
+        cases=cases_of(drives, run),
         times=run.times,
         trace_times=run.trace_times,
-        seconds={"compile": solver.compile_seconds, "solve": time.perf_counter() - started},
+        seconds=seconds,
         node_steps=solver.node_steps,
         versions=versions(),
+        accuracy=accuracy,
     )
 
 

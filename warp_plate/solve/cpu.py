@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels import record, resident_cpu, resident_cpu_groups, streaming
+from warp_plate.kernels import resident_cpu, resident_cpu_groups
 from warp_plate.solve.specialize import LINE_BYTES, Specialized
 from warp_plate.solve.state import Advance, State
 
@@ -27,9 +27,9 @@ CREW_NODES = 8192
 # More members than ever come to a meeting: lets all who wait go on.
 EVERYBODY = 2**30
 # Groups of plates pay while one group's room stays in a core's second-level cache, and from this share of a group on
-# (measured: a group of 16 takes 13 times as long as one plate of 27 × 27).
+# (measured: a group of 16 takes as long as 13 single plates of 27 × 27, of fourth order as 8).
 GROUP_BYTES = 2**20
-GROUP_FILL = 0.85
+GROUP_FILL = {2: 0.85, 4: 0.5}
 
 
 def compiler_flags() -> str:
@@ -101,9 +101,9 @@ def _cpu_share(
     low, high = plates
     grouped = low
     if by_groups is not None:
-        launch, lanes = by_groups
+        launch, lanes, fill = by_groups
         groups, rest = divmod(high - low, lanes)
-        grouped = high if rest >= GROUP_FILL * lanes else low + groups * lanes
+        grouped = high if rest >= fill * lanes else low + groups * lanes
         if grouped > low:
             launch(state, thread, low, grouped, start, stop)
     if high > grouped:
@@ -115,9 +115,8 @@ def _cpu_singly(specialized: Specialized) -> Callable[..., None]:
     device, stride, ny = specialized.device, specialized.stride, specialized.scheme.nodes[1]
     kernel = resident_cpu.make_run(specialized.effects, specialized.real, ny, stride, compiler_flags())
     wp.load_module(module=kernel.module, device=device)
-    factor, stiffness = _resident_cpu_fields(specialized)
-    shared: list[Any] = [specialized.parameters, factor, stiffness, specialized.wave]
-    shared += [wp.vec2i(*specialized.scheme.window)]
+    shared: list[Any] = [specialized.parameters, *_taps_along_x(specialized), *_taps_along_y(specialized)]
+    shared += [_stiffnesses(specialized), specialized.wave, wp.vec2i(*specialized.scheme.window)]
     alone = (1, 0, wp.zeros(1, dtype=int, device=device))
 
     def launch(state: State, first: int, last: int, start: int, stop: int, crew: tuple[Any, ...] = alone) -> None:
@@ -128,22 +127,21 @@ def _cpu_singly(specialized: Specialized) -> Callable[..., None]:
     return launch
 
 
-def _cpu_by_groups(specialized: Specialized) -> tuple[Callable[..., None], int] | None:
-    """Launches ``resident_cpu_groups``, and plates a group; None for plates whose groups would leave the cache."""
+def _cpu_by_groups(specialized: Specialized) -> tuple[Callable[..., None], int, float] | None:
+    """Launches ``resident_cpu_groups``; plates a group; the share of one that pays. None where a group is too large."""
     device, scheme = specialized.device, specialized.scheme
     itemsize = wp.types.type_size_in_bytes(specialized.real)
     lanes = LINE_BYTES // itemsize
-    room = resident_cpu_groups.room_of(*scheme.nodes, lanes)
+    room = resident_cpu_groups.room_of(*scheme.nodes, lanes, scheme.order)
     if room * itemsize > GROUP_BYTES:
         return None
     kernel = resident_cpu_groups.make_run_groups(
         specialized.effects, specialized.real, *scheme.nodes, specialized.stride, lanes, compiler_flags()
     )
     wp.load_module(module=kernel.module, device=device)
-    factor = np.outer(scheme.factor_y[[0, 1, -1]], np.repeat(scheme.factor_x, lanes))
     loaded: wp.array = wp.array(specialized.loaded_rows, dtype=int, device=device)
-    shared = [specialized.parameters, specialized.to_device(factor.ravel()), loaded, specialized.wave]
-    shared += [wp.vec2i(*scheme.window)]
+    shared = [specialized.parameters, *_taps_along_x(specialized, lanes), *_taps_along_y(specialized)]
+    shared += [loaded, specialized.wave, wp.vec2i(*scheme.window)]
     rooms = wp.zeros((specialized.threads, room), dtype=specialized.real, device=device)
 
     def launch(state: State, thread: int, first: int, last: int, start: int, stop: int) -> None:
@@ -151,7 +149,7 @@ def _cpu_by_groups(specialized: Specialized) -> tuple[Callable[..., None], int] 
         outputs = [rooms, state.u, state.rate, state.squares, state.trace]
         wp.launch(kernel, dim=-(-(last - first) // lanes), inputs=inputs, outputs=outputs, device=device)
 
-    return launch, lanes
+    return launch, lanes, GROUP_FILL[scheme.order]
 
 
 def _at_once(calls: Sequence[Callable[[], None]], on_failure: Callable[[], object] = lambda: None) -> None:
@@ -172,46 +170,43 @@ def _at_once(calls: Sequence[Callable[[], None]], on_failure: Callable[[], objec
         wait(pending)
 
 
-def _resident_cpu_fields(specialized: Specialized) -> tuple[wp.array, wp.array]:
-    """Curvature factors and stiffnesses in the blocks that ``resident_cpu`` walks."""
+def _taps_along_x(specialized: Specialized, lanes: int | None = None) -> tuple[wp.array, wp.array]:
+    """What both passes read along x, for the ranges of ``resident_cpu`` or for a row with each node ``lanes`` times.
+
+    Of second order factors on the curvature, and nothing; of fourth order five lines of taps.
+    """
     scheme, stride = specialized.scheme, specialized.stride
     nx, ny = scheme.nodes
-    curved_rows, moved_rows = resident_cpu.rows_per_block(ny, stride)
-    factor_y = scheme.factor_y if curved_rows > 1 else scheme.factor_y[[0, 1, -1]]
-    factor = np.zeros((factor_y.size, stride))
-    factor[:, :nx] = np.outer(factor_y, scheme.factor_x)
-    stiffness = np.zeros((moved_rows, stride))
+
+    def lines(values: np.ndarray, rows: int = 1) -> wp.array:
+        if lanes is not None:
+            return specialized.to_device(np.repeat(values, lanes, axis=1).ravel())
+        return specialized.to_device(np.tile(np.pad(values, ((0, 0), (0, stride - nx))), rows).ravel())
+
+    if scheme.order == 4:
+        rows = resident_cpu.line_of(ny, stride, scheme.order) // stride
+        return lines(scheme.taps_x.bend.T, rows), lines(scheme.taps_x.move.T, rows)
+    whole = lanes is None and resident_cpu.ranges(ny, stride, scheme.order) is not None
+    factor_y = scheme.taps_y.factors if whole else scheme.taps_y.factors[[0, 1, -1]]
+    return lines(np.outer(factor_y, scheme.taps_x.factors)), specialized.to_device(np.zeros(1))
+
+
+def _taps_along_y(specialized: Specialized) -> tuple[wp.array, wp.array]:
+    """What both passes read along y: the aspect, or a row of taps for every row of the plate."""
+    scheme = specialized.scheme
+    if scheme.order == 2:
+        aspect = specialized.to_device(np.full((1, 1), scheme.aspect))
+        return aspect, aspect
+    bend = scheme.aspect * scheme.taps_y.bend
+    # The window of an edge's row ends with the tensor, one row beyond the edge.
+    bend[0], bend[-1] = np.roll(bend[0], -1), np.roll(bend[-1], 1)
+    return specialized.to_device(bend), specialized.to_device(scheme.aspect * scheme.taps_y.move)
+
+
+def _stiffnesses(specialized: Specialized) -> wp.array:
+    """(rows of the longest range · stride,) stiffness of the nodes, zero where one is held or padding."""
+    (nx, ny), stride = specialized.scheme.nodes, specialized.stride
+    whole = resident_cpu.ranges(ny, stride, specialized.scheme.order)
+    stiffness = np.zeros((max(rows for _, rows in whole[1]) if whole else 1, stride))
     stiffness[:, 1 : nx - 1] = specialized.parameters.stiffness
-    return specialized.to_device(factor.ravel()), specialized.to_device(stiffness.ravel())
-
-
-def streaming_path(specialized: Specialized) -> Advance:
-    """A launch a step, a thread a node: slow, and the plainest of the paths."""
-    device, real = specialized.device, specialized.real
-    step = streaming.make_step(specialized.effects, real)
-    keep = record.make_record(real)
-    for kernel in (step, keep):
-        wp.load_module(module=kernel.module, device=device)
-    nx, ny = specialized.scheme.nodes
-    factors = [specialized.to_device(specialized.scheme.factor_x), specialized.to_device(specialized.scheme.factor_y)]
-    window = wp.vec2i(*specialized.scheme.window)
-
-    clock = wp.zeros(1, dtype=int, device=device)
-    shared = [specialized.parameters, *factors, specialized.wave, window]
-
-    def advance(state: State, plates: int, start: int, stop: int) -> None:
-        clock.fill_(start)
-        for n in range(start, stop):
-            wp.launch(
-                step,
-                dim=(plates, ny - 2, nx - 2),
-                inputs=[*shared, n, state.in_phase, state.quadrature, state.u],
-                outputs=[state.u_next, state.rate, state.squares],
-                device=device,
-            )
-            state.u, state.u_next = state.u_next, state.u
-            if state.nodes.shape[0]:
-                inputs, outputs = [clock, n - start, state.nodes, state.u], [state.trace]
-                wp.launch(keep, dim=(plates, state.nodes.shape[0]), inputs=inputs, outputs=outputs, device=device)
-
-    return advance
+    return specialized.to_device(stiffness.ravel())

@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import warp as wp
 
-from warp_plate.kernels import record, resident_lanes, resident_strips, streaming_march
+from warp_plate.kernels import record, resident_lanes, resident_strips, resident_wide, streaming_march
 from warp_plate.kernels.cuda import LANES
+from warp_plate.plate.operator import INSIDE
 from warp_plate.scene.errors import SceneError
+from warp_plate.solve import streaming
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
 
@@ -45,18 +48,41 @@ class March:
 def fits_on_chip(specialized: Specialized) -> bool:
     """Whether the resident path can take plates of this size."""
     nx, ny = specialized.scheme.nodes
+    if specialized.scheme.order == 4:
+        return resident_wide.plan(nx, ny, specialized.real) is not None
     return resident_lanes.fits(nx, ny) or resident_strips.plan(nx, ny, specialized.real) is not None
 
 
 def resident_path(specialized: Specialized) -> Advance:
-    """All steps in one launch, the plate in the registers of a warp or, beyond 32 nodes a side, of a block."""
+    """All steps in one launch, the plate in the registers of a warp or of a block."""
     nx, ny = specialized.scheme.nodes
+    if not fits_on_chip(specialized):
+        raise SceneError(f"path = 'resident': {nx} x {ny} nodes do not fit on one multiprocessor; write 'streaming'")
+    if specialized.scheme.order == 4:
+        return wide_path(specialized, resident_wide.plan(nx, ny, specialized.real))
     if resident_lanes.fits(nx, ny):
         return _lanes_path(specialized)
-    strips = resident_strips.plan(nx, ny, specialized.real)
-    if strips is None:
-        raise SceneError(f"path = 'resident': {nx} x {ny} nodes do not fit on one multiprocessor; write 'streaming'")
-    return strips_path(specialized, strips)
+    return strips_path(specialized, resident_strips.plan(nx, ny, specialized.real))
+
+
+def wide_path(specialized: Specialized, wide: resident_wide.Wide) -> Advance:
+    """Fourth order: a block a plate, cut as ``wide`` says."""
+    effects, real, scheme = specialized.effects, specialized.real, specialized.scheme
+    kernels = {
+        summed: resident_wide.make_run(effects, real, *scheme.nodes, specialized.stride, wide, summed)
+        for summed in (False, True)
+    }
+    closures = resident_wide.make_closures(real)()
+    y, special = scheme.taps_y, resident_wide.SPECIAL
+    closures.inside = scheme.aspect * np.array(INSIDE[4])
+    closures.bend_low, closures.move_low = scheme.aspect * y.bend[:special], scheme.aspect * y.move[:special]
+    closures.bend_high = scheme.aspect * y.bend[: -special - 1 : -1]
+    closures.move_high = scheme.aspect * y.move[: -special - 1 : -1]
+    bend_x, _, move_x, _ = specialized.taps
+    loaded: wp.array = wp.array(specialized.loaded_rows, dtype=int, device=specialized.device)
+    inputs = [specialized.parameters, closures, bend_x, move_x, specialized.wave, loaded]
+    threads = LANES * wide.warps
+    return _cuda_advance(specialized, kernels, inputs, threads, threads)
 
 
 def _lanes_path(specialized: Specialized) -> Advance:
@@ -68,7 +94,7 @@ def _lanes_path(specialized: Specialized) -> Advance:
         kernels = {
             summed: resident_lanes.make_run(effects, real, ny, loaded, summed, registers) for summed in (False, True)
         }
-        return _cuda_advance(specialized, kernels, [], LANES, LANES_BLOCK)
+        return _cuda_advance(specialized, kernels, _edges(specialized), LANES, LANES_BLOCK)
 
     if real is wp.float64 or loaded.bit_count() > FEW_LOADED_ROWS:
         return compiled(None)  # the numbers that stay in registers leave no choice
@@ -91,19 +117,24 @@ def strips_path(specialized: Specialized, strips: resident_strips.Strips) -> Adv
     }
     loaded: wp.array = wp.array(specialized.loaded_rows, dtype=int, device=specialized.device)
     threads = LANES * strips.warps
-    return _cuda_advance(specialized, kernels, [loaded], threads, threads)
+    return _cuda_advance(specialized, kernels, [*_edges(specialized), loaded], threads, threads)
+
+
+def _edges(specialized: Specialized) -> list[Any]:
+    """The first arguments of the resident kernels of second order: parameters, factors of the edges, wave."""
+    scheme = specialized.scheme
+    # Along y these kernels take the curvature of an edge from its inner neighbour alone: ∇²u there is aspect·u.
+    edges = [specialized.to_device(f) for f in (scheme.taps_x.factors, scheme.aspect * scheme.taps_y.factors)]
+    return [specialized.parameters, *edges, specialized.wave]
 
 
 def _cuda_advance(
-    specialized: Specialized, kernels: dict[bool, wp.Kernel], extra: list[Any], threads: int, block_dim: int
+    specialized: Specialized, kernels: dict[bool, wp.Kernel], inputs: list[Any], threads: int, block_dim: int
 ) -> Advance:
     """Launches of a resident CUDA kernel, cut where the window begins and ends: the sums cost nothing outside it."""
-    device, scheme = specialized.device, specialized.scheme
+    device = specialized.device
     for kernel in kernels.values():
         wp.load_module(module=kernel.module, device=device, block_dim=block_dim)
-    # Along y these kernels take the curvature of an edge from its inner neighbour alone: ∇²u there is aspect·u.
-    edges = [specialized.to_device(factor) for factor in (scheme.factor_x, scheme.aspect * scheme.factor_y)]
-    inputs = [specialized.parameters, *edges, specialized.wave, *extra]
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         for low, high, summed in _cut_at_window(specialized, start, stop):
@@ -121,6 +152,8 @@ def _cuda_advance(
 
 def streaming_path(specialized: Specialized, march: March | None = None) -> Advance:
     """Several steps a launch; runs of GRAPH_LAUNCHES launches are captured once as a CUDA graph and replayed."""
+    if specialized.scheme.order == 4:
+        return streaming.streaming_path(specialized)
     march = march or March()
     device, scheme = specialized.device, specialized.scheme
     nx, ny = scheme.nodes
@@ -138,8 +171,8 @@ def streaming_path(specialized: Specialized, march: March | None = None) -> Adva
     for kernel in (keep, record.advance_clock):
         wp.load_module(module=kernel.module, device=device)
     loaded: wp.array = wp.array(specialized.loaded_rows, dtype=int, device=device)
-    shared = [specialized.parameters, specialized.to_device(scheme.factor_x), specialized.to_device(scheme.factor_y)]
-    shared += [specialized.wave, loaded]
+    factors = [specialized.to_device(taps.factors) for taps in (scheme.taps_x, scheme.taps_y)]
+    shared = [specialized.parameters, *factors, specialized.wave, loaded]
     clock = wp.zeros(1, dtype=int, device=device)
     graphs: dict[tuple[int, ...], wp.Graph] = {}
 

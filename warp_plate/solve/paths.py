@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 import warp as wp
 
-from warp_plate.solve import cpu, cuda
+from warp_plate.solve import cpu, cuda, streaming
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance
 
 MakePath = Callable[[Specialized], Advance]
 
 PATHS: dict[str, dict[str, MakePath]] = {
-    "cpu": {"resident": cpu.resident_path, "streaming": cpu.streaming_path},
+    "cpu": {"resident": cpu.resident_path, "streaming": streaming.streaming_path},
     "cuda": {"resident": cuda.resident_path, "streaming": cuda.streaming_path},
 }
 

@@ -55,6 +55,13 @@ class Specialized:
         loaded[np.unique(self.support.numpy()[:, 0])] = 1
         return loaded
 
+    @property
+    def taps(self) -> tuple[wp.array, wp.array, wp.array, wp.array]:
+        """bend_x, bend_y, move_x, move_y on the device, those of y times ``aspect``; see ``plate.operator``."""
+        x, y, aspect = self.scheme.taps_x, self.scheme.taps_y, self.scheme.aspect
+        bend_x, bend_y, move_x, move_y = map(self.to_device, (x.bend, aspect * y.bend, x.move, aspect * y.move))
+        return bend_x, bend_y, move_x, move_y
+
     def to_device(self, values: np.ndarray) -> wp.array:
         """A copy on the device in the scene's precision."""
         return wp.array(values, dtype=self.real, device=self.device)
@@ -90,7 +97,11 @@ def specialize(scene: Scene, device: wp.Device, threads: int | None = None) -> S
     return Specialized(
         scene=scene,
         scheme=scheme,
-        effects=Effects(damping=scene.effects.damping is not None, square_cells=scheme.square_cells),
+        effects=Effects(
+            damping=scene.effects.damping is not None,
+            square_cells=scheme.square_cells or scheme.order == 4,
+            order=scheme.order,
+        ),
         real=real,
         rows=ny + 2,
         stride=stride,

@@ -1,0 +1,121 @@
+"""The whole family of a scene: every configuration from cheap to dear, within a budget of seconds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+
+from warp_plate.accuracy.choose import choose
+from warp_plate.accuracy.family import Configuration, make_family
+from warp_plate.accuracy.fit import Law, Recommendation, fit_laws, pareto_front, recommend
+from warp_plate.accuracy.measure import Bench, Row, cost_order, measure, speeds_json
+from warp_plate.accuracy.trial import PATH
+from warp_plate.accuracy.truth import Truth, find_truth
+from warp_plate.scene.model import Scene
+
+# The reference may take this part of the budget; its error is to be far below the smallest tolerance.
+REFERENCE_SHARE, REFERENCE_ERROR = 0.15, 1e-5
+# A row may take this part of what is left, so that the dearest does not eat what the others need.
+SHARE_OF_REST = 0.5
+
+
+@dataclass(frozen=True)
+class Report:
+    """scene: its name; device; path; truth; rows; laws; front: indices of the rows on the Pareto front; recommended;
+    speeds [ns a node-step]; seconds that all took; interrupted by Ctrl-C."""
+
+    scene: str
+    device: str
+    path: str
+    truth: Truth
+    particles: int
+    iterations: int
+    rows: Sequence[Row]
+    laws: Sequence[Law]
+    front: Sequence[int]
+    recommended: Sequence[Recommendation]
+    speeds: dict[str, float]
+    seconds: float
+    interrupted: bool
+
+    def as_json(self) -> dict[str, object]:
+        """Of numbers, texts, lists and mappings only; ``localization_factor`` is the best single actuator's."""
+        truth = self.truth
+        return {
+            "scene": self.scene,
+            "device": self.device,
+            "path": self.path,
+            "particles": self.particles,
+            "iterations": self.iterations,
+            "reference": {
+                "kind": truth.kind,
+                "localization_factor": truth.localization_factors["single"],
+                "bound": truth.bound,
+                "uncertainty": truth.uncertainty,
+                "frequencies": truth.frequencies.tolist(),
+            },
+            "rows": [asdict(row) for row in self.rows],
+            "orders": [asdict(law) for law in self.laws],
+            "front": list(self.front),
+            "recommended": [asdict(one) for one in self.recommended],
+            "nanoseconds_per_node_step": self.speeds,
+            "seconds": self.seconds,
+            "interrupted": self.interrupted,
+        }
+
+
+def measure_family(
+    scene: Scene,
+    source: str = "",
+    device: str = "auto",
+    path: str = PATH,
+    budget: float = 120.0,
+    told: Callable[[int, int, str], object] | None = None,
+) -> Report:
+    """The scene as written and all of its family.
+
+    Args:
+        budget: seconds for all; what would take longer is a row marked so.
+        told: called before each row with the rows done, all rows, and the next one's name.
+
+    Ctrl-C ends it with what is measured.
+
+    Raises:
+        SceneError: see ``PlateSolver``.
+        KeyboardInterrupt: nothing has been measured yet.
+    """
+    started = time.perf_counter()
+    truth = find_truth(scene, "auto", device, REFERENCE_ERROR, REFERENCE_SHARE * budget)
+    if scene.grid.accuracy is not None:
+        scene = choose(scene, scene.grid.accuracy, device).scene
+    bench = Bench(scene, truth, device, path)
+    wanted: list[Configuration | None] = [None, *sorted(make_family(scene), key=lambda one: cost_order(scene, one))]
+    rows: list[Row] = []
+    interrupted = False
+    try:
+        for configuration in wanted:
+            if told is not None:
+                told(len(rows), len(wanted), str(configuration or "the scene as written"))
+            left = budget - (time.perf_counter() - started)
+            rows.append(measure(bench, configuration, SHARE_OF_REST * left))
+    except KeyboardInterrupt:
+        if not rows:
+            raise
+        interrupted = True
+    plates = scene.search.particles * scene.search.iterations
+    return Report(
+        scene=source,
+        device=device,
+        path=path,
+        truth=truth,
+        particles=scene.search.particles,
+        iterations=scene.search.iterations,
+        rows=tuple(rows),
+        laws=fit_laws(rows, truth.uncertainty),
+        front=pareto_front(rows),
+        recommended=recommend(rows, truth.uncertainty, plates),
+        speeds=speeds_json(bench.speeds),
+        seconds=time.perf_counter() - started,
+        interrupted=interrupted,
+    )

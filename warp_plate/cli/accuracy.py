@@ -1,0 +1,189 @@
+"""``warp-plate accuracy SCENE``: what accuracy costs in time, measured over a family of grids, orders and steps."""
+
+from __future__ import annotations
+
+import json as json_format
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import cyclopts
+
+from warp_plate.cli import output
+from warp_plate.scene.errors import SceneError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rich.console import Console
+
+    from warp_plate.accuracy.measure import Row
+    from warp_plate.accuracy.report import Report
+
+HEADINGS = ("nodes", "Δt (s)", "bits", "single", "bound", "error", "u", "modes", "a plate", "")
+LEGEND = (
+    "single, bound: localization factor of the best single actuator, and the largest of any drive. error: the largest "
+    "relative one of single, best drive and bound; u: of the displacement under the best drive (L2 over plate and "
+    "window); modes: of the first natural frequencies. a plate: time that it takes among those of a swarm. * no other "
+    "row beats it in both error and time; ~ not measured, for it would take too long."
+)
+
+
+def accuracy(
+    scene: str,
+    /,
+    *,
+    device: str = "auto",
+    budget: float = 120.0,
+    path: Literal["auto", "resident", "streaming"] = "auto",
+    out: Path | None = None,
+    pictures: bool = True,
+    json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+) -> None:
+    """Show what accuracy costs in time for a scene, and which grid to take for 10 % ... 0.1 %.
+
+    Grids, spatial orders, time steps and precisions are run from cheap to dear and held against a reference solution.
+    The rest of the scene stays as written.
+
+    Parameters
+    ----------
+    scene
+        A preset's name (paper, paper-supported) or a TOML file.
+    device
+        cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
+    budget
+        Seconds for all; what would take longer is listed as skipped.
+    path
+        How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch).
+    out
+        The file of figures (.json); SCENE-accuracy.json in this folder when left out. Pictures are written beside it.
+    pictures
+        Plot seconds a plate against error (needs the extra viz).
+    json
+        Print one JSON object instead of a table.
+    """
+    target = _target(out, scene)
+    if not 0 < budget < float("inf"):
+        raise SceneError(f"--budget {budget:g}: must be a number of seconds above zero")
+    loaded = output.load_scene(scene)
+    from warp_plate.accuracy.report import measure_family
+    from warp_plate.bench.machine import describe_machine, describe_versions
+    from warp_plate.solve.devices import find_device
+
+    name = find_device(device).alias
+    machine = describe_machine([name])
+    with output.progress_bar("measuring", shown=not json) as show:
+        report = measure_family(loaded, scene, name, path, budget, show)
+    record = {**report.as_json(), "machine": vars(machine), "versions": describe_versions()}
+    files, missing = _write(record, target, pictures)
+    if json:
+        output.print_json({**record, "files": [str(file) for file in files]})
+        return
+    _print(report, machine.devices[name], output.console())
+    for file in files:
+        print(f"wrote {file}")
+    if missing:
+        print(missing)
+
+
+def _target(out: Path | None, scene: str) -> Path:
+    path = out or Path(f"{Path(scene).stem}-accuracy.json")
+    if path.suffix != ".json":
+        raise SceneError(f"--out {path}: must end in .json")
+    if not path.parent.is_dir():
+        raise SceneError(f"--out {path}: no such folder: {path.parent}")
+    return path
+
+
+def _write(record: Mapping[str, object], path: Path, pictures: bool) -> tuple[list[Path], str | None]:
+    """The figures as JSON and their picture; returns the files, and why a picture is missing."""
+    try:
+        path.write_text(json_format.dumps(record, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise SceneError(f"--out {path}: cannot be written: {error}") from None
+    if not pictures:
+        return [path], None
+    from warp_plate.viz.accuracy_plot import draw_accuracy_beside
+
+    drawn, missing = draw_accuracy_beside(record, path)
+    return [path, *drawn], missing
+
+
+def _print(report: Report, device: str, console: Console) -> None:
+    truth = report.truth
+    console.print(f"{report.scene} on {device}\n")
+    for kind in dict.fromkeys(map(_kind, report.rows)):
+        made = output.table(*HEADINGS, title=kind)
+        for index, row in enumerate(report.rows):
+            if _kind(row) == kind and not row.status.startswith("skipped"):
+                made.add_row(*_cells(row, index in report.front))
+        if made.row_count:
+            console.print(made)
+            console.print()
+    console.print(LEGEND + "\n")
+    console.print(
+        f"Reference ({truth.kind}): best single actuator {truth.localization_factors['single']:.5f}, bound "
+        f"{truth.bound:.5f}, known to {truth.uncertainty:.1g}.\n"
+    )
+    laws = output.table("measured laws", "error ∝ h^", "u ∝ h^", "modes ∝ h^", "s ∝ n^")
+    for law in report.laws:
+        powers = (law.order, law.order_displacement, law.order_frequencies, law.cost_exponent)
+        laws.add_row(law.family, *("–" if power is None else f"{power:.2f}" for power in powers))
+    console.print(laws)
+    console.print()
+    console.print(_recommendations(report))
+    console.print()
+    _print_missing(report, console)
+    if report.interrupted:
+        console.print("Interrupted by Ctrl-C: what was measured until then is shown.")
+
+
+def _recommendations(report: Report) -> object:
+    from warp_plate.accuracy.text import percent, seconds_text
+
+    swarm = f"{report.particles} × {report.iterations} plates"
+    made = output.table("for", "use", "error", "a plate", swarm)
+    made.columns[1].justify = "left"
+    for one in report.recommended:
+        if one.row is None:
+            made.add_row(percent(one.tolerance), "none within the budget")
+            continue
+        row = report.rows[one.row]
+        use = f"{_size(row)}, order {row.order}, {row.load}, {row.time_step:.2g} s, {row.precision}"
+        error, seconds = percent(row.error or 0.0), seconds_text(row.seconds_per_plate or 0.0)
+        made.add_row(percent(one.tolerance), use, error, seconds, seconds_text(one.seconds or 0.0))
+    return made
+
+
+def _print_missing(report: Report, console: Console) -> None:
+    """Every refusal in full; of what was skipped, grids and times."""
+    skipped: dict[str, list[str]] = {}
+    for row in report.rows:
+        kind, reason = f"{_kind(row)}, {row.precision}", row.status.partition(": ")[2]
+        if row.status.startswith("skipped"):
+            skipped.setdefault(kind, []).append(f"{_size(row)} ({reason.removeprefix('would take ')})")
+        elif not row.measured:
+            console.print(f"{kind}, {_size(row)}: {row.status}")
+    for kind, sizes in skipped.items():
+        console.print(f"{kind}: skipped, for it would take too long: {', '.join(sizes)}")
+
+
+def _kind(row: Row) -> str:
+    kind = f"order {row.order}, {row.load}"
+    return f"as written: {kind}, {row.damping or 'no'} damping" if row.as_written else kind
+
+
+def _size(row: Row) -> str:
+    return f"{row.nodes[0]} × {row.nodes[1]}"
+
+
+def _cells(row: Row, on_front: bool) -> list[str]:
+    from warp_plate.accuracy.text import percent, seconds_text
+
+    step = "" if row.time_step is None else f"{row.time_step:.2g}"
+    head = [_size(row), step, row.precision.removeprefix("float")]
+    if not row.measured:
+        return [*head, *[""] * 6, row.status.partition(":")[0]]
+    factors = [f"{row.localization_factor:.4f}", "~" if row.bound is None else f"{row.bound:.4f}"]
+    errors = (row.error, row.error_displacement, row.error_frequencies)
+    shown = ["~" if error is None else percent(error) for error in errors]
+    return [*head, *factors, *shown, seconds_text(row.seconds_per_plate or 0.0), "*" if on_front else ""]

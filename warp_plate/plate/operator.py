@@ -1,0 +1,113 @@
+"""The biharmonic as two passes of one-dimensional taps: curvature from displacement, force from curvature.
+
+    curvature = (Bx ⊗ I + I ⊗ By) u,   ∇⁴u ≈ (Bxᵀ ⊗ I + I ⊗ Byᵀ) curvature / spacing⁴
+
+B is a second difference from the nodes that move to all nodes, the two edge nodes included. That the second pass is
+the transposed of the first makes the operator symmetric and never negative, whatever holds the edges: its spectrum is
+real, and a lossless plate cannot grow below the stability limit.
+
+Fourth order. Inside, 12·h²·u_xx = −u₋₂ + 16u₋₁ − 30u₀ + 16u₁ − u₂. A supported edge continues u and the curvature as
+odd functions. At a clamped edge, where u = x²(…), the rows of nodes 0 and 1 are
+
+    B₀ = (p, q) on nodes 1, 2,      B₁ = (r, s, −1/12) on nodes 1, 2, 3      [× 1/h²]
+
+found from the weak form: the sums over nodes of (Bu)(Bv) and of (Bu)v must equal ∫u''v'' and ∫u''v up to h⁴ for all
+smooth u and v. By the Euler-Maclaurin formula of functions x^a, x^b that is one equation for each of
+(a, b) = (2, 2), (2, 3), (2, 4), (3, 3) in the first sum, and for (2, 2) in the second:
+
+    β₂² + γ₂² = 6,   β₂β₃ + γ₂γ₃ = 13,   β₂β₄ + γ₂γ₄ = 24,   β₃² + γ₃² = 36,   γ₂ = 2,
+
+β_k = p + 2^k q and γ_k = r + 2^k s − 3^k/12 being what B₀ and B₁ make of x^k. (The edge node counts half in an
+integral, so that β₂ = √2 where u'' = 2.) Errors then fall as h⁴.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+# By order: the taps inside, from order/2 nodes to one side to as many to the other, what they are divided by, and the
+# fewest nodes on which the closures of two edges keep apart.
+INSIDE = {2: (1.0, -2.0, 1.0), 4: (-1.0, 16.0, -30.0, 16.0, -1.0)}
+DIVISOR = {2: 1.0, 4: 12.0}
+FEWEST_NODES = {2: 5, 4: 9}
+# The largest eigenvalue of −h²·(second difference): the end of the spectrum of the periodic plate.
+LARGEST = {2: 4.0, 4: 16.0 / 3.0}
+
+
+def clamped_rows() -> tuple[tuple[float, float], tuple[float, float, float]]:
+    """(p, q) and (r, s, −1/12): the fourth-order rows of nodes 0 and 1 of a clamped edge, from the equations above."""
+    third = (13 * math.sqrt(2) - 2 * math.sqrt(47)) / 6  # β₃; β₂ = √2
+    q = (third - math.sqrt(2)) / 4
+    p = math.sqrt(2) - 4 * q
+    s = ((13 - math.sqrt(2) * third) / 2 - 0.5) / 4
+    r = 2.75 - 4 * s
+    return (p, q), (r, s, -1 / 12)
+
+
+@dataclass(frozen=True)
+class Taps:
+    """Both passes along one axis, in units of spacing² / DIVISOR.
+
+    bend, move: (nodes, 2·reach + 1), the weights with which each node takes its neighbours from −reach to
+    reach = order/2; zero for neighbours beyond the edges. bend reads displacements and has a row for every node; move
+    reads curvatures, and its rows for the two edge nodes are zero, because these do not move.
+    """
+
+    bend: np.ndarray
+    move: np.ndarray
+
+    @property
+    def factors(self) -> np.ndarray:
+        """(nodes,) second order only: the taps inside, with zeros beyond the edges, times this are ``bend``."""
+        factors = np.ones(len(self.bend))
+        factors[0], factors[-1] = self.bend[0, -1], self.bend[-1, 0]
+        return factors
+
+
+def make_taps(nodes: int, low: str, high: str, order: int) -> Taps:
+    """The taps along an axis of so many nodes, edges included, held by ``low`` and ``high`` at its ends."""
+    bend = _bend_matrix(nodes, low, high, order)
+    move = bend.T.copy()
+    move[[0, -1]] = 0
+    if order == 2:
+        # Edge nodes count half; their weight is moved whole into the first pass, which leaves the second plain.
+        bend[[0, -1]] *= 2
+        move[1, 0], move[-2, -1] = 1, 1
+    return Taps(_bands(bend, order // 2), _bands(move, order // 2))
+
+
+def _bend_matrix(nodes: int, low: str, high: str, order: int) -> np.ndarray:
+    """(nodes, nodes) matrix B · DIVISOR; its columns for the edge nodes do not matter, for these rest."""
+    reach = order // 2
+    matrix = sum(
+        tap * np.eye(nodes, k=offset) for offset, tap in zip(range(-reach, reach + 1), INSIDE[order], strict=True)
+    )
+    matrix = np.array(matrix)
+    for rows, edge in ((matrix, low), (matrix[::-1, ::-1], high)):
+        _close(rows, edge, order)
+    return matrix
+
+
+def _close(rows: np.ndarray, edge: str, order: int) -> None:
+    """Write the first rows of the matrix for the edge at its low end."""
+    rows[0] = 0
+    if edge == "supported":
+        if order == 4:
+            rows[1, 1] += 1  # u₋₁ = −u₁
+    elif order == 2:
+        rows[0, 1] = 1  # half of the 2u₁ that the mirror node makes
+    else:
+        first, second = clamped_rows()
+        rows[0, 1:3] = np.multiply(first, DIVISOR[order])
+        rows[1] = 0
+        rows[1, 1:4] = np.multiply(second, DIVISOR[order])
+
+
+def _bands(matrix: np.ndarray, reach: int) -> np.ndarray:
+    """(nodes, 2·reach + 1) of a banded matrix, a row a node."""
+    nodes = len(matrix)
+    padded = np.pad(matrix, ((0, 0), (reach, reach)))
+    return np.stack([padded[node, node : node + 2 * reach + 1] for node in range(nodes)])
