@@ -10,8 +10,26 @@ class Effects:
     damping: the rate decays by ``Parameters.decay`` a step.
     square_cells: equal spacing along x and y, which saves an operation in each Laplacian of second order.
     order: of the differences in space, 2 or 4.
+
+    The rest is for the general paths alone (see ``general``). moments: bending varies over the plate, or an edge is
+    free or elastic; material_damping, tension, foundation (with elastic edges), stretching, oscillators, moving_load;
+    terms: of the load in time, two for a single frequency.
     """
 
     damping: bool = False
     square_cells: bool = True
     order: int = 2
+    moments: bool = False
+    material_damping: bool = False
+    tension: bool = False
+    foundation: bool = False
+    stretching: bool = False
+    oscillators: bool = False
+    moving_load: bool = False
+    terms: int = 2
+
+    @property
+    def plain(self) -> bool:
+        """Whether the paths of the uniform plate with clamped and supported edges can take it."""
+        rest = (self.moments, self.material_damping, self.tension, self.foundation, self.stretching, self.oscillators)
+        return not any(rest) and not self.moving_load and self.terms == 2

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Area = tuple[float, float, float, float]
+# HDF5 cannot keep a text with a NUL in it.
+Name = Annotated[str, Field(pattern=r"^[^\x00]*$", min_length=1)]
 
 
 class Table(BaseModel):
@@ -21,11 +27,97 @@ class Damping(Table):
     source paper prints it in equation (6) (first order; lowers the limit).
     """
 
-    viscous: float = Field(ge=0)
+    viscous: NotNegative
     scheme: Literal["centred", "backward"] = "centred"
 
 
+class MaterialDamping(Table):
+    """Kelvin-Voigt damping of the plate's material: bending moments follow u + time·u̇ instead of u.
+
+    ``time`` is the retardation time [s]; a mode of angular frequency ω has the loss factor time·ω.
+    """
+
+    time: NotNegative
+
+
+class Tension(Table):
+    """In-plane forces per length [N/m] along x and y, positive where they pull: −(Tx u_xx + Ty u_yy) on the left."""
+
+    x: float = 0.0
+    y: float = 0.0
+
+
+class Foundation(Table):
+    """An elastic bed under the whole plate, k u + c u̇ on the left: k [N/m³], c [N·s/m³]."""
+
+    stiffness: NotNegative
+    damping: NotNegative = 0.0
+
+
+class Orthotropic(Table):
+    """Rigidities of an orthotropic plate [N·m], in place of EH³/12(1 − ν²): Mx = Dx u_xx + D1 u_yy, My = D1 u_xx +
+    Dy u_yy, Mxy = 2 Dxy u_xy. An isotropic plate has Dx = Dy = D, D1 = νD, Dxy = (1 − ν)D/2."""
+
+    Dx: Positive
+    Dy: Positive
+    D1: float
+    Dxy: Positive
+
+    @model_validator(mode="after")
+    def _definite(self) -> Orthotropic:
+        if self.D1**2 >= self.Dx * self.Dy:
+            raise ValueError(
+                f"D1: {self.D1:g} N·m gives negative energies; its size must be below √(Dx Dy) = "
+                f"{(self.Dx * self.Dy) ** 0.5:g}"
+            )
+        return self
+
+
+class Layer(Table):
+    """Material bonded to the plate over a rectangle: a stiffener, a foil, an actuator's body.
+
+    ``both``: on both faces, each of this thickness; else on one, where it moves the neutral plane. Poisson's ratio is
+    the plate's.
+    """
+
+    area: Area
+    thickness: Positive
+    young_modulus: NotNegative
+    density: NotNegative
+    both: bool = False
+
+
+class Oscillator(Table):
+    """A mass that hangs on a patch by a spring and a damper: a fingertip, a foam pad.
+
+    mass [kg]; stiffness [N/m]; damping [N·s/m]. Without a mass the spring stands on the ground.
+    """
+
+    area: Area
+    mass: NotNegative = 0.0
+    stiffness: NotNegative = 0.0
+    damping: NotNegative = 0.0
+
+    @model_validator(mode="after")
+    def _something(self) -> Oscillator:
+        if self.stiffness == 0 and self.damping == 0:
+            raise ValueError("stiffness: an oscillator needs a stiffness or a damping to hold on to the plate")
+        return self
+
+
+class Stretching(Table):
+    """Stretching at large amplitude after Berger: the mean slope pulls the plate with
+    N = 6D/(H² area) ∫ |∇u|² dA, −N∇²u on the left. Its edges do not move in the plane."""
+
+
 class Effects(Table):
-    """The effects that a scene names; ``None`` means that the effect is not in the compiled kernel."""
+    """The effects that a scene names; ``None`` or nothing means that the effect is not in the compiled kernel."""
 
     damping: Damping | None = None
+    material_damping: MaterialDamping | None = None
+    tension: Tension | None = None
+    foundation: Foundation | None = None
+    orthotropic: Orthotropic | None = None
+    layers: tuple[Layer, ...] = ()
+    oscillators: tuple[Oscillator, ...] = ()
+    stretching: Stretching | None = None

@@ -1,0 +1,177 @@
+"""The plate as moments: rigidity, mass and springs of every node, with the edges, layers and effects of a scene in them.
+
+Bending stores ½∫ Dx u_xx² + 2 D1 u_xx u_yy + Dy u_yy² + 4 Dxy u_xy² dA; on the grid, curvatures and moments belong to
+nodes, twists to cells, and a node on an edge has half a cell (a quarter at a corner). There the curvature across the
+edge is the mirror image's, 2(u₁ − u₀)/h², in series with what holds the edge: a rotational spring of stiffness r per
+length adds the compliance 2/(r h) to that of the plate,
+
+    C = (D⁻¹ + diag(2/(rx hx), 2/(ry hy)))⁻¹,
+
+which is D for a clamped edge (r = ∞) and leaves no moment across a supported or free one (r = 0). So the operator comes
+from an energy: it is symmetric in the nodes' masses, and never negative.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+
+from warp_plate.plate.weights import overlap
+from warp_plate.scene.model import ElasticEdge, Scene
+
+SIDES = ("left", "bottom", "right", "top")
+# Edges that are held: u = 0.
+HELD = ("clamped", "supported")
+
+
+@dataclass(frozen=True)
+class Bending:
+    """Fields over the nodes, (ny, nx), in SI units.
+
+    spacing: (hx, hy) [m]; bend_xx, bend_xy, bend_yy: C above [N·m]; twist: (ny − 1, nx − 1) 4Dxy of the cells [N·m];
+    mass: per area [kg/m²]; weight: share of each node's cell on the plate, 1, ½ or ¼; spring: per area, of the bed and
+    of elastic edges [N/m³]; moves: whether the node does; tension: (x, y) [N/m].
+    """
+
+    spacing: tuple[float, float]
+    bend_xx: np.ndarray
+    bend_xy: np.ndarray
+    bend_yy: np.ndarray
+    twist: np.ndarray
+    mass: np.ndarray
+    weight: np.ndarray
+    spring: np.ndarray
+    moves: np.ndarray
+    tension: tuple[float, float]
+
+
+def make_bending(scene: Scene) -> Bending:
+    """The fields of a scene on its grid."""
+    plate, effects, (nx, ny) = scene.plate, scene.effects, scene.grid.nodes
+    hx, hy = plate.size[0] / (nx - 1), plate.size[1] / (ny - 1)
+    rigidity, added, mass = _layers(scene)
+    base = rigidity if effects.orthotropic is None else None
+    ratio = plate.poisson_ratio
+    own = effects.orthotropic
+    stiff_x = added + (base if base is not None else own.Dx)
+    stiff_y = added + (base if base is not None else own.Dy)
+    coupling = ratio * added + (ratio * base if base is not None else own.D1)
+    twisting = (1 - ratio) / 2 * added + ((1 - ratio) / 2 * base if base is not None else own.Dxy)
+    yielding_x, yielding_y = np.zeros((ny, nx)), np.zeros((ny, nx))
+    spring, moves = np.zeros((ny, nx)), np.ones((ny, nx), dtype=bool)
+    if effects.foundation is not None:
+        spring += effects.foundation.stiffness
+    for side in SIDES:
+        edge = getattr(scene.edges, side)
+        line = {"left": np.s_[:, 0], "right": np.s_[:, -1], "bottom": np.s_[0], "top": np.s_[-1]}[side]
+        across, yielding = (hx, yielding_x) if side in ("left", "right") else (hy, yielding_y)
+        rotation = {"clamped": math.inf, "supported": 0.0, "free": 0.0}.get(edge, 0.0) if isinstance(edge, str) else (
+            edge.rotation
+        )
+        yielding[line] = math.inf if rotation == 0 else 2 / (rotation * across)
+        if isinstance(edge, ElasticEdge):
+            spring[line] += 2 * edge.translation / across
+        elif edge in HELD:
+            moves[line] = False
+    bend_xx, bend_xy, bend_yy = _in_series(stiff_x, coupling, stiff_y, yielding_x, yielding_y)
+    half_x, half_y = np.ones(nx), np.ones(ny)
+    half_x[[0, -1]] = half_y[[0, -1]] = 0.5
+    tension = (effects.tension.x, effects.tension.y) if effects.tension else (0.0, 0.0)
+    cells = (twisting[:-1, :-1] + twisting[1:, :-1] + twisting[:-1, 1:] + twisting[1:, 1:]) / 4
+    return Bending(
+        (hx, hy), bend_xx, bend_xy, bend_yy, 4 * cells, mass, np.outer(half_y, half_x), spring, moves, tension
+    )
+
+
+def stiffness_matrix(bending: Bending) -> scipy.sparse.csr_array:
+    """(nodes, nodes) symmetric matrix K [N/m] of all nodes, row by row, edges included: ½uᵀKu is the energy stored."""
+    (hx, hy), (ny, nx) = bending.spacing, bending.mass.shape
+    across, along = (_mirrored_second_difference(count) for count in (nx, ny))
+    curve_x = scipy.sparse.kron(scipy.sparse.eye_array(ny), across) / hx**2
+    curve_y = scipy.sparse.kron(along, scipy.sparse.eye_array(nx)) / hy**2
+    cells = scipy.sparse.kron(_difference(ny), _difference(nx)) / (hx * hy)
+    weight = bending.weight
+
+    def diagonal(values: np.ndarray) -> scipy.sparse.dia_array:
+        return scipy.sparse.diags_array(np.ravel(values))
+
+    stiffness = (
+        curve_x.T @ diagonal(weight * bending.bend_xx) @ curve_x
+        + curve_x.T @ diagonal(weight * bending.bend_xy) @ curve_y
+        + curve_y.T @ diagonal(weight * bending.bend_xy) @ curve_x
+        + curve_y.T @ diagonal(weight * bending.bend_yy) @ curve_y
+        + cells.T @ diagonal(bending.twist) @ cells
+        + diagonal(weight * bending.spring)
+        - bending.tension[0] * diagonal(weight) @ curve_x
+        - bending.tension[1] * diagonal(weight) @ curve_y
+    )
+    return scipy.sparse.csr_array(hx * hy * stiffness)
+
+
+def mass_matrix(bending: Bending) -> np.ndarray:
+    """(nodes,) masses [kg] of the nodes, row by row."""
+    masses: np.ndarray = (bending.spacing[0] * bending.spacing[1] * bending.weight * bending.mass).ravel()
+    return masses
+
+
+def _in_series(
+    stiff_x: np.ndarray, coupling: np.ndarray, stiff_y: np.ndarray, yielding_x: np.ndarray, yielding_y: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cxx, Cxy, Cyy of the docstring; a yielding (compliance) may be infinite."""
+    determinant = stiff_x * stiff_y - coupling**2
+    soft_x, soft_y, mixed = stiff_y / determinant + yielding_x, stiff_x / determinant + yielding_y, -coupling / determinant
+    with np.errstate(invalid="ignore", divide="ignore"):
+        whole = soft_x * soft_y - mixed**2
+        both = np.isfinite(soft_x) & np.isfinite(soft_y)
+        bend_xx = np.where(both, soft_y / whole, np.where(np.isfinite(soft_x), 1 / soft_x, 0.0))
+        bend_yy = np.where(both, soft_x / whole, np.where(np.isfinite(soft_y), 1 / soft_y, 0.0))
+        bend_xy = np.where(both, -mixed / whole, 0.0)
+    return bend_xx, bend_xy, bend_yy
+
+
+def _layers(scene: Scene) -> tuple[float, np.ndarray, np.ndarray]:
+    """Rigidity of the bare plate [N·m], what layers add to it at each node, and the mass per area [kg/m²].
+
+    A laminate bends about its own neutral plane z₀ = ΣE t z / ΣE t: D = ΣE (t³/12 + t (z − z₀)²) / (1 − ν²). Where a
+    layer covers part of a node's cell, it counts with so much less E and ρ.
+    """
+    plate, (nx, ny) = scene.plate, scene.grid.nodes
+    x, y = np.linspace(0, plate.size[0], nx), np.linspace(0, plate.size[1], ny)
+    half_x, half_y = overlap(x, 0, plate.size[0]), overlap(y, 0, plate.size[1])
+    plane = 1 / (1 - plate.poisson_ratio**2)
+    mass = np.full((ny, nx), plate.density * plate.thickness)
+    # Of each sheet: E [Pa], its thickness and the height of its middle [m].
+    sheets = [(np.full((ny, nx), plate.young_modulus), np.full((ny, nx), plate.thickness), np.zeros((ny, nx)))]
+    top = {1: np.full((ny, nx), plate.thickness / 2), -1: np.full((ny, nx), plate.thickness / 2)}
+    for layer in scene.effects.layers:
+        x0, x1, y0, y1 = layer.area
+        covered = np.outer(overlap(y, y0, y1) / half_y, overlap(x, x0, x1) / half_x)
+        for face in (1, -1) if layer.both else (1,):
+            height = np.where(covered > 0, layer.thickness, 0.0)
+            sheets.append((covered * layer.young_modulus, height, face * (top[face] + height / 2)))
+            top[face] = top[face] + height
+            mass += covered * layer.density * layer.thickness
+    axial = sum(modulus * height for modulus, height, _ in sheets)
+    neutral = sum(modulus * height * middle for modulus, height, middle in sheets) / axial
+    whole = plane * sum(
+        modulus * (height**3 / 12 + height * (middle - neutral) ** 2) for modulus, height, middle in sheets
+    )
+    bare = plane * plate.young_modulus * plate.thickness**3 / 12
+    return bare, whole - bare, mass
+
+
+def _mirrored_second_difference(count: int) -> scipy.sparse.csr_array:
+    matrix = scipy.sparse.diags_array(
+        [np.ones(count - 1), np.full(count, -2.0), np.ones(count - 1)], offsets=[-1, 0, 1]
+    ).tolil()
+    matrix[0, 1] = matrix[count - 1, count - 2] = 2
+    return scipy.sparse.csr_array(matrix)
+
+
+def _difference(count: int) -> scipy.sparse.csr_array:
+    return scipy.sparse.csr_array(
+        scipy.sparse.diags_array([-np.ones(count - 1), np.ones(count - 1)], offsets=[0, 1], shape=(count - 1, count))
+    )
