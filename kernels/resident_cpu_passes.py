@@ -15,6 +15,7 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.fused import make_fused
 from warp_plate.kernels.stencil import make_laplacian, make_weighed
 from warp_plate.kernels.update import make_parameters, make_update
 
@@ -38,6 +39,7 @@ def make_passes(effects, real, row, beside, curved, moved, held, line=0):
     laplacian = make_laplacian(effects.square_cells, real)
     weighed = make_weighed(real)
     update = make_update(effects, real)
+    fused = make_fused(real)
     Parameters = make_parameters(real)
     wave_of = wp.types.vector(length=2, dtype=real)
     taps_of = wp.types.vector(length=5, dtype=real)
@@ -178,7 +180,7 @@ def make_passes(effects, real, row, beside, curved, moved, held, line=0):
                     )
                     rate[i] = new
                     u[i] = u[i] + new
-                    squares[i] = squares[i] + new * new
+                    squares[i] = fused(new, new, squares[i])
             else:
                 for i in range(wp.static(moved)):
                     new = rate_after(

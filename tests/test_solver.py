@@ -62,14 +62,15 @@ def test_load_is_the_real_part_of_a_rotating_phasor(device, path, scene):
     assert run.displacement[1, 1].max() > 0
 
 
+@pytest.mark.parametrize("order", [2, 4])
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_a_plate_does_not_depend_on_its_batch(device, path, precision, scene, phasors):
+def test_a_plate_does_not_depend_on_its_batch(device, path, precision, order, scene, phasors):
     """Alone, at any place of a batch, in chunks of any size: the same bits.
 
     The counts are enough for every way of putting plates side by side, and are no multiple of anything. A
     trace is asked for on CPU only, for on CUDA it would turn the resident path into the streaming one.
     """
-    made = scene(damping=88.5, precision=precision)
+    made = scene(damping=88.5, precision=precision, order=order)
     count, points = (71, ((0.05, 0.11),)) if device == "cpu" else (3571, ())
     drives = phasors(count, len(made.actuators))
     whole = PlateSolver(made, device, path).run(drives, (0.009,), points)
@@ -82,6 +83,21 @@ def test_a_plate_does_not_depend_on_its_batch(device, path, precision, scene, ph
     order = np.roll(np.arange(count)[::-1], 4)
     run = PlateSolver(made, device, path, 40 * count // 71).run(drives[order], (0.009,), points)
     check_same_plates(run, whole, order)
+
+
+@pytest.mark.parametrize("nodes", [27, 41, 53])
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_alone_or_in_a_group(nodes, precision, scene, phasors):
+    """The CPU compiles different loops for a plate alone and for a group, and for each size: the same bits."""
+    step = 0.9 * make_scheme(scene((nodes, nodes), order=4)).limit
+    made = scene(
+        (nodes, nodes), damping=88.5, order=4, load="moments", precision=precision, time_step=step,
+        window=(40 * step, 120 * step),
+    )  # fmt: skip
+    drives = phasors(16, len(made.actuators))
+    group = PlateSolver(made, "cpu", threads=1).run(drives, (90 * step,))
+    alone = PlateSolver(made, "cpu", chunk=1, threads=1).run(drives, (90 * step,))
+    check_same_plates(alone, group, range(16))
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +20,7 @@ from warp_plate.accuracy.family import (
 )
 from warp_plate.accuracy.text import percent, two_digits
 from warp_plate.accuracy.trial import Trial, cost_of_run, try_out
-from warp_plate.accuracy.truth import grow
+from warp_plate.accuracy.truth import Stage, grow, ritz_field
 from warp_plate.accuracy.walk import finer
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.reference.forced import localization_factors as factors_of
@@ -55,7 +56,8 @@ class Estimate:
 
     configuration: of the run; localization_factors: (cases,) found; references: (cases,) what they should be;
     uncertainty: relative, of the references; errors: (cases,) relative, |difference| + uncertainty, NaN for plates at
-    rest; error: the largest; kind: of the reference; seconds: that the estimate took; price: of the next better
+    rest; error: the largest; displacement_errors: (cases,) relative L2 differences over the plate and the times kept,
+    NaN where they are not known; kind: of the reference; seconds: that the estimate took; price: of the next better
     tolerance, None where the run keeps all of them.
     """
 
@@ -67,6 +69,7 @@ class Estimate:
     kind: str
     seconds: float
     price: Price | None
+    displacement_errors: np.ndarray
 
     @property
     def error(self) -> float:
@@ -80,8 +83,11 @@ class Estimate:
         grid = f"{nx} × {ny}, order {self.configuration.order}, {self.configuration.load}"
         if not math.isfinite(bar):
             return f"{grid}: no localization factor, so no error estimate"
+        moved = float(self.displacement_errors[case])
+        displacement = f", displacement ± {percent(moved)}" if math.isfinite(moved) else ""
         digits = max(3, 1 - math.floor(math.log10(bar))) if bar > 0 else 6
-        return f"{grid}: localization factor {value:.{min(digits, 8)}f} ± {two_digits(bar)}" + self.price_line()
+        found = f"localization factor {value:.{min(digits, 8)}f} ± {two_digits(bar)}{displacement}"
+        return f"{grid}: {found}{self.price_line()}"
 
     def price_line(self) -> str:
         """ "; 1 % costs 3 times as much (27 × 27, order 4, moments)", or nothing."""
@@ -99,6 +105,7 @@ class Estimate:
         return {
             "error": self.error,
             "errors": self.errors.tolist(),
+            "displacement_errors": self.displacement_errors.tolist(),
             "references": self.references.tolist(),
             "uncertainty": self.uncertainty,
             "reference": self.kind,
@@ -115,7 +122,13 @@ class Estimate:
 
 
 def estimate(
-    scene: Scene, drives: np.ndarray, localization_factors: np.ndarray, seconds: float, device: str = "auto"
+    scene: Scene,
+    drives: np.ndarray,
+    localization_factors: np.ndarray,
+    seconds: float,
+    device: str = "auto",
+    times: Sequence[float] | np.ndarray = (),
+    displacement: np.ndarray | None = None,
 ) -> Estimate:
     """How far the localization factors of a run are from the right ones, at a tenth of its price or less.
 
@@ -125,6 +138,7 @@ def estimate(
         localization_factors: (cases,) found.
         seconds: that the run took.
         device: for the plates that price fourth order.
+        times, displacement: (cases, times, ny, nx) [m] of the run at times [s].
 
     The reference grows until its own error is well below the one that it shows, or until time is up; what is left of
     its error is added.
@@ -136,7 +150,7 @@ def estimate(
     kept = np.isfinite(found) & np.any(drives != 0, axis=1)
     if not kept.any():
         nothing = np.full(found.shape, math.nan)
-        return Estimate(configuration_of(scene), found, nothing, math.nan, nothing, "none", 0.0, None)
+        return Estimate(configuration_of(scene), found, nothing, math.nan, nothing, "none", 0.0, None, nothing)
 
     def enough(matrices: np.ndarray) -> float:
         difference = np.abs(found[kept] / factors_of(matrices, drives[kept]) - 1).max()
@@ -148,8 +162,35 @@ def estimate(
     errors = np.abs(found / references - 1) + stage.uncertainty
     worst = float(np.nanmax(errors))
     price = _price(scene, worst, drives[kept], references[kept], device, budget)
+    moved = _displacement_errors(stage, scene, drives, times, displacement)
     took = time.perf_counter() - started
-    return Estimate(configuration_of(scene), found, references, stage.uncertainty, errors, stage.kind, took, price)
+    return Estimate(
+        configuration=configuration_of(scene),
+        localization_factors=found,
+        references=references,
+        uncertainty=stage.uncertainty,
+        errors=errors,
+        kind=stage.kind,
+        seconds=took,
+        price=price,
+        displacement_errors=moved,
+    )
+
+
+def _displacement_errors(
+    stage: Stage, scene: Scene, drives: np.ndarray, times: Sequence[float] | np.ndarray, displacement: np.ndarray | None
+) -> np.ndarray:
+    """(cases,) relative L2 differences over the nodes and times, where the reference knows displacements at once."""
+    errors = np.full(len(drives), math.nan)
+    if displacement is None or stage.modes is None or not len(times):
+        return errors
+    (nx, ny), (width, height) = scene.grid.nodes, scene.plate.size
+    for case, (drive, found) in enumerate(zip(drives, displacement, strict=True)):
+        right = ritz_field(stage.modes, scene, drive)(times, np.linspace(0, width, nx), np.linspace(0, height, ny))
+        size = np.linalg.norm(right)
+        if size > 0:
+            errors[case] = np.linalg.norm(found - right) / size
+    return errors
 
 
 def _price(

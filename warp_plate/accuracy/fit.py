@@ -23,7 +23,7 @@ FEWEST_ROWS, MOST_ROWS = 3, 4
 class Law:
     """A family's laws: error ∝ spacing^order, seconds ∝ (nodes a side)^cost_exponent; None where rows are too few.
 
-    order is of all errors together, order_displacement and order_frequencies of these alone.
+    order is of the localization factors, order_displacement and order_frequencies of these.
     """
 
     family: str
@@ -56,13 +56,15 @@ def fit_laws(rows: Sequence[Row], uncertainty: float) -> list[Law]:
         if not mine:
             continue
         floor = max(ABOVE_UNCERTAINTY * uncertainty, ROUNDING[mine[0].precision])
+        # The reference's displacement is less exact than its energies, whose error is about the square.
+        field_floor = max(floor, math.sqrt(uncertainty))
         sides = [(1 / row.spacing, row.seconds_per_plate) for row in mine]
         laws.append(
             Law(
                 family=name,
                 rows=len(mine),
                 order=_order([(row.spacing, row.error) for row in mine], floor),
-                order_displacement=_order([(row.spacing, row.error_displacement) for row in mine], floor),
+                order_displacement=_order([(row.spacing, row.error_displacement) for row in mine], field_floor),
                 order_frequencies=_order([(row.spacing, row.error_frequencies) for row in mine], 1e-7),
                 cost_exponent=slope(sides[-MOST_ROWS:]),
             )

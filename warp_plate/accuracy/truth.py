@@ -38,13 +38,13 @@ from warp_plate.solve.solver import PlateSolver
 
 Kind = Literal["ritz", "richardson"]
 # Times, points of x and points of y → (times, points of y, points of x) displacement [m].
-Field = Callable[[Sequence[float], np.ndarray, np.ndarray], np.ndarray]
+Field = Callable[[Sequence[float] | np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 # Numbers of functions a side, and the seconds that each takes on two quiet cores: what may be done within a time is
 # decided by these, so that the same call gives the same answer on a busy machine.
 RITZ_SECONDS = {10: 0.01, 12: 0.015, 14: 0.02, 16: 0.04, 20: 0.08, 24: 0.18, 32: 0.5, 40: 1.4, 48: 3.0}
-# On a machine so busy that the work takes so many times longer, it ends where it is.
-PATIENCE = 2.0
+# On a machine so busy that the work takes so many times longer, and so many seconds more, it ends where it is.
+PATIENCE, PATIENCE_SECONDS = 2.0, 5.0
 SIDES = (19, 27, 37, 53, 75, 105, 149)
 FREQUENCIES = 6
 # The error of an extrapolated value: so many times the last change, and at least this part of what it added (measured
@@ -124,7 +124,7 @@ def find_truth(
         bound=largest,
         uncertainty=stage.uncertainty,
         frequencies=_frequencies(stage),
-        field=_ritz_field(stage.modes, scene, best) if stage.modes else _grid_field(stage.scenes[-1], device, best),
+        field=ritz_field(stage.modes, scene, best) if stage.modes else _grid_field(stage.scenes[-1], device, best),
     )
 
 
@@ -148,7 +148,7 @@ def grow(
     while last.uncertainty > (wanted(last.matrices) if callable(wanted) else wanted):
         if math.isfinite(last.uncertainty) and spent + last.next_seconds > seconds:
             break
-        if math.isfinite(last.uncertainty) and time.perf_counter() - started > PATIENCE * seconds:
+        if math.isfinite(last.uncertainty) and time.perf_counter() - started > PATIENCE * seconds + PATIENCE_SECONDS:
             break
         following = next(stages, None)
         if following is None:
@@ -253,8 +253,10 @@ def _frequencies(stage: Stage) -> np.ndarray:
     return found
 
 
-def _ritz_field(modes: Modes, scene: Scene, drive: np.ndarray) -> Field:
-    def field(times: Sequence[float], x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def ritz_field(modes: Modes, scene: Scene, drive: np.ndarray) -> Field:
+    """The displacement under a drive (actuators,) by Ritz's method."""
+
+    def field(times: Sequence[float] | np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         when = np.asarray(times, dtype=float)
         force = drive @ modes.patch_forces([actuator.area for actuator in scene.actuators])
         motion = motion_from_rest(modes, scene.drive.frequency, max(scene.window.end, when.max()))
@@ -267,8 +269,8 @@ def _ritz_field(modes: Modes, scene: Scene, drive: np.ndarray) -> Field:
 
 
 def _grid_field(scene: Scene, device: str, drive: np.ndarray) -> Field:
-    def field(times: Sequence[float], x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        run = PlateSolver(scene, device, PATH).run(drive[None], times)
+    def field(times: Sequence[float] | np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        run = PlateSolver(scene, device, PATH).run(drive[None], list(times))
         width, height = scene.plate.size
         own_x, own_y = np.linspace(0, width, scene.grid.nodes[0]), np.linspace(0, height, scene.grid.nodes[1])
         return np.array([RectBivariateSpline(own_y, own_x, frame)(y, x) for frame in run.displacement[0]])

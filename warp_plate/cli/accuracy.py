@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from warp_plate.accuracy.measure import Row
     from warp_plate.accuracy.report import Report
 
-HEADINGS = ("nodes", "Δt (s)", "bits", "single", "bound", "error", "u", "modes", "a plate", "")
+HEADINGS = ("nodes", "Δt (s)", "bits", "single", "bound", "error %", "u %", "modes %", "a plate", "")
 LEGEND = (
     "single, bound: localization factor of the best single actuator, and the largest of any drive. error: the largest "
     "relative one of single, best drive and bound; u: of the displacement under the best drive (L2 over plate and "
@@ -182,8 +182,8 @@ def _cells(row: Row, on_front: bool) -> list[str]:
     step = "" if row.time_step is None else f"{row.time_step:.2g}"
     head = [_size(row), step, row.precision.removeprefix("float")]
     if not row.measured:
-        return [*head, *[""] * 6, row.status.partition(":")[0]]
+        return [*head, *[""] * 5, row.status.partition(":")[0], ""]
     factors = [f"{row.localization_factor:.4f}", "~" if row.bound is None else f"{row.bound:.4f}"]
     errors = (row.error, row.error_displacement, row.error_frequencies)
-    shown = ["~" if error is None else percent(error) for error in errors]
+    shown = ["~" if error is None else percent(error).removesuffix(" %") for error in errors]
     return [*head, *factors, *shown, seconds_text(row.seconds_per_plate or 0.0), "*" if on_front else ""]

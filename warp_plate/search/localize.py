@@ -114,7 +114,9 @@ def estimated(
     """The estimate of a run's errors, with its line for people; nothing where Ctrl-C came first. Adds its seconds."""
     try:
         factors = localization_factor(run.energy)
-        found = estimate_errors(scene, np.array(list(drives.values())), factors, seconds["solve"], device)
+        found = estimate_errors(
+            scene, np.array(list(drives.values())), factors, seconds["solve"], device, run.times, run.displacement
+        )
     except KeyboardInterrupt:
         return {}
     seconds["estimate"] = found.seconds
