@@ -12,8 +12,7 @@ class Effects:
     order: of the differences in space, 2 or 4.
 
     The rest is for the general paths alone (see ``general``). moments: bending varies over the plate, or an edge is
-    free or elastic; material_damping, tension, foundation (with elastic edges), stretching, oscillators, moving_load;
-    terms: of the load in time, two for a single frequency.
+    free or elastic; material_damping, tension, foundation (elastic edges too), stretching, oscillators.
     """
 
     damping: bool = False
@@ -25,11 +24,9 @@ class Effects:
     foundation: bool = False
     stretching: bool = False
     oscillators: bool = False
-    moving_load: bool = False
-    terms: int = 2
 
     @property
     def plain(self) -> bool:
         """Whether the paths of the uniform plate with clamped and supported edges can take it."""
         rest = (self.moments, self.material_damping, self.tension, self.foundation, self.stretching, self.oscillators)
-        return not any(rest) and not self.moving_load and self.terms == 2
+        return not any(rest)

@@ -25,12 +25,11 @@ def make_structs(real):
 
     Material: bend_xx, bend_xy, bend_yy (ny, nx), twist (ny − 1, nx − 1): the C above; mobility: one over the mass of a
     node, zero where it is held; decay; spring: of the bed and of elastic edges; weight: share of a node's cell that is
-    on the plate; wave: (steps, terms) of the loads; holds: (oscillators, ny, nx) share of each node in an oscillator's
-    patch; oscillators: (oscillators, 4) stiffness, damping, one over the mass, 0; moving_wave (steps,), moving_x (steps,
-    nx), moving_y (steps, ny): the load that moves, wave · y · x; aspect: (hx/hy)², and its root; tension_x, tension_y;
-    retardation: in steps; stretching: tension per Σ weight · (−u ∇²u), in SI displacements.
+    on the plate; wave: (steps, 2), cos and sin ωt; holds: (oscillators, ny, nx) share of each node in an oscillator's
+    patch; oscillators: (oscillators, 4) stiffness, damping, one over the mass, 0; aspect: (hx/hy)², and its root;
+    tension_x, tension_y; retardation: in steps; stretching: tension per Σ weight · (−u ∇²u), in SI displacements.
 
-    Fields: loads (plates, terms, ny, nx); u, rate, squares, mx, my, mxy, pull (plates, ny, nx); units: (plates,)
+    Fields: in_phase, quadrature, u, rate, squares, mx, my, mxy, pull (plates, ny, nx); units: (plates,)
     displacements that one stands for [m]; row_sums (plates, sums, 2, ny); tension: (plates,); hung: (plates,
     oscillators, 2) displacement and rate of the masses; push: (plates, oscillators) on the plate.
     """
@@ -48,9 +47,6 @@ def make_structs(real):
         wave: wp.array2d[real]
         holds: wp.array3d[real]
         oscillators: wp.array2d[real]
-        moving_wave: wp.array[real]
-        moving_x: wp.array2d[real]
-        moving_y: wp.array2d[real]
         aspect: real
         root_aspect: real
         tension_x: real
@@ -60,7 +56,8 @@ def make_structs(real):
 
     @wp.struct
     class Fields:
-        loads: wp.array4d[real]
+        in_phase: wp.array3d[real]
+        quadrature: wp.array3d[real]
         u: wp.array3d[real]
         rate: wp.array3d[real]
         squares: wp.array3d[real]
@@ -216,9 +213,7 @@ def make_move_node(effects, real):
             bending += m.root_aspect * (sign_high * upper + sign_low * lower)
 
             here = f.u[k, j, i]
-            load = real(0.0)
-            for term in range(f.loads.shape[1]):
-                load += m.wave[n, term] * f.loads[k, term, j, i]
+            load = m.wave[n, 0] * f.in_phase[k, j, i] + m.wave[n, 1] * f.quadrature[k, j, i]
             if wp.static(effects.foundation):
                 load -= mobility * m.spring[j, i] * here
             if wp.static(effects.stretching):
@@ -226,8 +221,6 @@ def make_move_node(effects, real):
             if wp.static(effects.oscillators):
                 for o in range(m.holds.shape[0]):
                     load += mobility / m.weight[j, i] * m.holds[o, j, i] * f.push[k, o]
-            if wp.static(effects.moving_load):
-                load += mobility / f.units[k] * m.moving_wave[n] * m.moving_y[n, j] * m.moving_x[n, i]
             p = Parameters()
             p.decay = m.decay[j, i]
             new = update(f.rate[k, j, i], bending, load, mobility, p)

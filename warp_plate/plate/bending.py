@@ -18,13 +18,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
+import scipy.sparse.linalg
 
-from warp_plate.plate.weights import overlap
+from warp_plate.plate.weights import moving_nodes, overlap
 from warp_plate.scene.model import ElasticEdge, Scene
 
+# Relative, of the largest eigenvalue.
+LANCZOS_TOLERANCE = 1e-3
 SIDES = ("left", "bottom", "right", "top")
-# Edges that are held: u = 0.
-HELD = ("clamped", "supported")
 
 
 @dataclass(frozen=True)
@@ -61,28 +62,26 @@ def make_bending(scene: Scene) -> Bending:
     coupling = ratio * added + (ratio * base if base is not None else own.D1)
     twisting = (1 - ratio) / 2 * added + ((1 - ratio) / 2 * base if base is not None else own.Dxy)
     yielding_x, yielding_y = np.zeros((ny, nx)), np.zeros((ny, nx))
-    spring, moves = np.zeros((ny, nx)), np.ones((ny, nx), dtype=bool)
+    spring = np.zeros((ny, nx))
     if effects.foundation is not None:
         spring += effects.foundation.stiffness
     for side in SIDES:
         edge = getattr(scene.edges, side)
         line = {"left": np.s_[:, 0], "right": np.s_[:, -1], "bottom": np.s_[0], "top": np.s_[-1]}[side]
         across, yielding = (hx, yielding_x) if side in ("left", "right") else (hy, yielding_y)
-        rotation = {"clamped": math.inf, "supported": 0.0, "free": 0.0}.get(edge, 0.0) if isinstance(edge, str) else (
-            edge.rotation
-        )
-        yielding[line] = math.inf if rotation == 0 else 2 / (rotation * across)
         if isinstance(edge, ElasticEdge):
+            yielding[line] = 2 / (edge.rotation * across) if edge.rotation > 0 else math.inf
             spring[line] += 2 * edge.translation / across
-        elif edge in HELD:
-            moves[line] = False
+        else:
+            yielding[line] = 0 if edge == "clamped" else math.inf
     bend_xx, bend_xy, bend_yy = _in_series(stiff_x, coupling, stiff_y, yielding_x, yielding_y)
     half_x, half_y = np.ones(nx), np.ones(ny)
     half_x[[0, -1]] = half_y[[0, -1]] = 0.5
     tension = (effects.tension.x, effects.tension.y) if effects.tension else (0.0, 0.0)
     cells = (twisting[:-1, :-1] + twisting[1:, :-1] + twisting[:-1, 1:] + twisting[1:, 1:]) / 4
     return Bending(
-        (hx, hy), bend_xx, bend_xy, bend_yy, 4 * cells, mass, np.outer(half_y, half_x), spring, moves, tension
+        (hx, hy), bend_xx, bend_xy, bend_yy, 4 * cells, mass, np.outer(half_y, half_x), spring,
+        moving_nodes(scene), tension,
     )
 
 
@@ -109,6 +108,59 @@ def stiffness_matrix(bending: Bending) -> scipy.sparse.csr_array:
         - bending.tension[1] * diagonal(weight) @ curve_y
     )
     return scipy.sparse.csr_array(hx * hy * stiffness)
+
+
+def largest_eigenvalue(scene: Scene, bending: Bending) -> float:
+    """An upper bound of the operator's largest eigenvalue [1/s²], with all springs and oscillators.
+
+    For a plate that is the same everywhere, where the spectrum of the periodic one ends; else by Lanczos' method, and
+    so much more as its tolerance.
+    """
+    (hx, hy), (tension_x, tension_y) = bending.spacing, bending.tension
+    if not scene.effects.layers and not scene.effects.oscillators:
+        inner = bending.mass.shape[0] // 2, bending.mass.shape[1] // 2
+        mixed = bending.bend_xy[inner] + bending.twist.max() / 2  # D1 + 2Dxy
+        stiff = 16 * (bending.bend_xx[inner] / hx**4 + 2 * mixed / (hx * hy) ** 2 + bending.bend_yy[inner] / hy**4)
+        pull = 4 * (max(tension_x, 0) / hx**2 + max(tension_y, 0) / hy**2)
+        return float((stiff + pull + bending.spring.max()) / bending.mass.min())
+    stiffness, masses = system(scene, bending)
+    root = scipy.sparse.diags_array(1 / np.sqrt(masses))
+    largest = scipy.sparse.linalg.eigsh(
+        root @ stiffness @ root, k=1, which="LM", tol=LANCZOS_TOLERANCE, v0=np.ones(len(masses)), return_eigenvectors=False
+    )
+    return float(largest[0]) * (1 + 3 * LANCZOS_TOLERANCE)
+
+
+def system(scene: Scene, bending: Bending) -> tuple[scipy.sparse.csr_array, np.ndarray]:
+    """Stiffness [N/m] and masses [kg] of what moves: the plate's moving nodes row by row, then the oscillators' masses.
+    """
+    moves = bending.moves.ravel()
+    stiffness = stiffness_matrix(bending)[moves][:, moves]
+    masses = mass_matrix(bending)[moves]
+    shares = oscillator_shares(scene)
+    if not len(shares):
+        return stiffness, masses
+    hung = [index for index, one in enumerate(scene.effects.oscillators) if one.mass > 0]
+    springs = np.array([one.stiffness for one in scene.effects.oscillators])
+    on_plate = scipy.sparse.csr_array(shares.reshape(len(shares), -1)[:, moves])
+    plate = stiffness + on_plate.T @ scipy.sparse.diags_array(springs) @ on_plate
+    own = scipy.sparse.diags_array(springs[hung])
+    between = -scipy.sparse.diags_array(springs) @ on_plate
+    whole = scipy.sparse.block_array([[plate, between[hung].T], [between[hung], own]]) if hung else plate
+    own_masses = [one.mass for one in scene.effects.oscillators if one.mass > 0]
+    return scipy.sparse.csr_array(whole), np.concatenate([masses, own_masses])
+
+
+def oscillator_shares(scene: Scene) -> np.ndarray:
+    """(oscillators, ny, nx) share of each node in the mean displacement of each oscillator's patch; sums of one."""
+    (nx, ny), (width, height) = scene.grid.nodes, scene.plate.size
+    x, y = np.linspace(0, width, nx), np.linspace(0, height, ny)
+    shares = np.zeros((len(scene.effects.oscillators), ny, nx))
+    for share, oscillator in zip(shares, scene.effects.oscillators, strict=True):
+        x0, x1, y0, y1 = oscillator.area
+        share[:] = np.outer(overlap(y, y0, y1), overlap(x, x0, x1))
+        share /= share.sum()
+    return shares
 
 
 def mass_matrix(bending: Bending) -> np.ndarray:

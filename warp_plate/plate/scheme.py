@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.plate.bending import Bending, largest_eigenvalue, make_bending, oscillator_shares
 from warp_plate.plate.operator import DIVISOR, LARGEST, Taps, make_taps
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -54,6 +55,9 @@ class Scheme:
     order: int
     taps_x: Taps
     taps_y: Taps
+    bending: Bending | None
+    viscous: float
+    backward: bool
 
     @property
     def stiffness(self) -> float:
@@ -109,9 +113,27 @@ def make_scheme(scene: Scene) -> Scheme:
     surface_density = plate.density * plate.thickness
     kappa = math.sqrt(rigidity / surface_density)
     damping = scene.effects.damping
-    rate_of_loss = damping.viscous / surface_density if damping else 0.0
+    viscous = (damping.viscous if damping else 0.0) + (scene.effects.foundation.damping if scene.effects.foundation else 0.0)
+    rate_of_loss = viscous / surface_density
     backward = damping is not None and damping.scheme == "backward"
-    limit = time_step_limit(kappa, spacing, rate_of_loss if backward else 0.0, grid.order)
+    effects = scene.effects
+    bending = None
+    if needs_moments(scene):
+        if grid.order == 4:
+            raise SceneError(
+                "grid.order = 4: knows an isotropic plate, the same everywhere, with clamped and supported edges, and "
+                "viscous damping; write 2 for other edges and effects"
+            )
+        bending = make_bending(scene)
+        largest = largest_eigenvalue(scene, bending)
+        late = effects.material_damping.time * largest if effects.material_damping else 0.0
+        late += sum(
+            one.damping * ((share**2 / bending.weight).sum() / (bending.mass.min() * spacing[0] * spacing[1]) + (1 / one.mass if one.mass else 0))
+            for one, share in zip(effects.oscillators, oscillator_shares(scene), strict=True)
+        )
+        limit = _limit(largest, late + (rate_of_loss if backward else 0.0))
+    else:
+        limit = time_step_limit(kappa, spacing, rate_of_loss if backward else 0.0, grid.order)
     longest = min(SAFETY * limit, 1 / (STEPS_A_PERIOD * scene.drive.frequency))
     time_step = grid.time_step or scene.window.end / math.ceil(scene.window.end / longest)
     if time_step > limit * (1 + 1e-12):
@@ -142,11 +164,14 @@ def make_scheme(scene: Scene) -> Scheme:
         steps=last,
         window=(first, last),
         decay=1 - loss if backward else (1 - loss / 2) / (1 + loss / 2),
-        gain=1.0 if backward else 1 / (1 + loss / 2),
+        gain=1.0 if backward or bending else 1 / (1 + loss / 2),
         angular_frequency=scene.drive_angular_frequency,
         order=grid.order,
-        taps_x=make_taps(grid.nodes[0], scene.edges.left, scene.edges.right, grid.order),
-        taps_y=make_taps(grid.nodes[1], scene.edges.bottom, scene.edges.top, grid.order),
+        taps_x=make_taps(grid.nodes[0], *_words(scene.edges.left, scene.edges.right), grid.order),
+        taps_y=make_taps(grid.nodes[1], *_words(scene.edges.bottom, scene.edges.top), grid.order),
+        bending=bending,
+        viscous=viscous,
+        backward=backward,
     )
 
 
@@ -161,8 +186,24 @@ def time_step_limit(
     Λ Δt² ≤ 4 (κΔt/h² ≤ 1/4 or 3/16 on square cells); with backward damping for Λ Δt² ≤ 4 − 2cΔt/ρH.
     """
     largest = kappa**2 * (LARGEST[order] / spacing[0] ** 2 + LARGEST[order] / spacing[1] ** 2) ** 2
-    # The positive root of Λ Δt² + 2 b Δt − 4 = 0, written so that it does not cancel for large b.
-    return 4 / (backward_loss + math.sqrt(backward_loss**2 + 4 * largest))
+    return _limit(largest, backward_loss)
+
+
+def _limit(largest: float, late_loss: float) -> float:
+    """The positive root of Λ Δt² + 2 b Δt − 4 = 0, written so that it does not cancel for large b."""
+    return 4 / (late_loss + math.sqrt(late_loss**2 + 4 * largest))
+
+
+def needs_moments(scene: Scene) -> bool:
+    """Whether a scene asks for more than a plain plate with viscous damping, and goes the general way."""
+    effects = scene.effects
+    rest = (effects.material_damping, effects.tension, effects.foundation, effects.stretching)
+    return not scene.uniform or any(table is not None for table in rest) or bool(effects.oscillators)
+
+
+def _words(*edges: object) -> list[str]:
+    """Edges of the plain plate; where others are, its taps are not used."""
+    return [edge if edge in ("clamped", "supported") else "supported" for edge in edges]
 
 
 def _window(scene: Scene, time_step: float) -> tuple[int, int]:

@@ -56,7 +56,7 @@ _CUBICS = np.vander([-1.5, -0.5, 0.5, 1.5], 4, increasing=True).T
 
 
 def patches(scene: Scene) -> np.ndarray:
-    """(actuators, ny, nx): share of each node's cell on which each actuator presses; held nodes take none.
+    """(actuators, ny, nx): share of each node's whole cell on which each actuator presses; held nodes take none.
 
     Raises:
         SceneError: an actuator touches no node that can move.
@@ -64,8 +64,7 @@ def patches(scene: Scene) -> np.ndarray:
     weigh = {"overlap": overlap, "nodes": inside, "moments": moments}[scene.grid.load]
     x, y = _positions(scene)
     fields = np.stack([_product(weigh, x, y, actuator.area) for actuator in scene.actuators])
-    fields[:, [0, -1], :] = 0
-    fields[:, :, [0, -1]] = 0
+    fields[:, ~moving_nodes(scene)] = 0
     for index, field in enumerate(fields):
         if not field.any():
             raise SceneError(
@@ -73,6 +72,16 @@ def patches(scene: Scene) -> np.ndarray:
                 f"a grid of {x.size} x {y.size} nodes; enlarge it, use more nodes, or load = \"overlap\""
             )
     return fields
+
+
+def moving_nodes(scene: Scene) -> np.ndarray:
+    """(ny, nx) whether a node moves: all but those on clamped and supported edges."""
+    moves = np.ones(scene.grid.nodes[::-1], dtype=bool)
+    lines = {"left": np.s_[:, 0], "right": np.s_[:, -1], "bottom": np.s_[0], "top": np.s_[-1]}
+    for side, line in lines.items():
+        if getattr(scene.edges, side) in ("clamped", "supported"):
+            moves[line] = False
+    return moves
 
 
 def region_weights(scene: Scene) -> np.ndarray:

@@ -89,7 +89,7 @@ def explain(error: ValidationError) -> str:
     # Keys that do not exist come first: they are often the cause of the others ("is missing").
     faults.sort(key=lambda fault: fault["type"] != "extra_forbidden")
     fault = faults[0]
-    key = _dotted(fault["loc"])
+    key = _dotted(part for part in fault["loc"] if part not in ("word", "springs"))  # the two kinds of an edge
     if fault["type"] == "extra_forbidden":
         line = f"{key}: unknown key{_suggestion(fault['loc'])}"
     elif fault["type"] == "missing":
@@ -117,14 +117,26 @@ def dump_scene(scene: Scene) -> str:
 
 
 def _table_lines(name: str, keys: dict[str, Any]) -> list[str]:
-    plain = [f"{key} = {_toml(value)}" for key, value in keys.items() if not isinstance(value, dict)]
+    plain = [
+        f"{key} = {_toml(value)}"
+        for key, value in keys.items()
+        if not isinstance(value, dict) and not _is_tables(value) and value != ()
+    ]
     nested = [
         line
         for key, value in keys.items()
         if isinstance(value, dict)
         for line in _table_lines(f"{name}.{key}", value)
     ]
+    for key, value in keys.items():
+        if _is_tables(value):
+            for item in value:
+                nested += ["", f"[[{name}.{key}]]", *(f"{inner} = {_toml(one)}" for inner, one in item.items())]
     return (["", f"[{name}]", *plain] if plain or not nested else []) + nested
+
+
+def _is_tables(value: object) -> bool:
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(item, dict) for item in value)
 
 
 def _toml(value: object) -> str:

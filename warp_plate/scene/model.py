@@ -6,16 +6,26 @@ import math
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
-from warp_plate.scene.effects import Effects, Table
+from warp_plate.scene.effects import Area, Effects, NotNegative, Positive, Table
 
-Positive = Annotated[float, Field(gt=0)]
 # HDF5 cannot keep a text with a NUL in it.
 Text = Annotated[str, Field(pattern=r"^[^\x00]*$")]
 Weight = Annotated[float, Field(ge=0, le=1e6)]
-Area = tuple[float, float, float, float]
-Edge = Literal["clamped", "supported"]
+
+
+class ElasticEdge(Table):
+    """An edge on springs: translation [N/m²] against displacement, rotation [N·m/(rad·m)] against slope, per length."""
+
+    translation: NotNegative = 0.0
+    rotation: NotNegative = 0.0
+
+
+Edge = Annotated[
+    Annotated[Literal["clamped", "supported", "free"], Tag("word")] | Annotated[ElasticEdge, Tag("springs")],
+    Discriminator(lambda value: "springs" if isinstance(value, dict | ElasticEdge) else "word"),
+]
 
 
 class Plate(Table):
@@ -38,7 +48,8 @@ class Plate(Table):
 
 
 class Edges(Table):
-    """What holds each side: "clamped" (u = 0, no slope) or "supported" (u = 0, no bending moment)."""
+    """What holds each side: "clamped" (u = 0, no slope), "supported" (u = 0, no bending moment), "free" (no moment, no
+    shear force) or springs."""
 
     left: Edge = "clamped"
     bottom: Edge = "clamped"
@@ -176,6 +187,10 @@ class Scene(Table):
             if name in names[:index]:
                 raise ValueError(f"actuators[{index}].name: {name!r} is taken; give each actuator its own")
         _check_area("target.area", self.target.area, size)
+        for index, layer in enumerate(self.effects.layers):
+            _check_area(f"effects.layers[{index}].area", layer.area, size)
+        for index, oscillator in enumerate(self.effects.oscillators):
+            _check_area(f"effects.oscillators[{index}].area", oscillator.area, size)
         for index, time in enumerate(self.record.times):
             if time > self.window.end * (1 + 1e-9):
                 raise ValueError(
@@ -189,6 +204,12 @@ class Scene(Table):
                     "write x, y inside it"
                 )
         return self
+
+    @property
+    def uniform(self) -> bool:
+        """Whether the plate is isotropic, the same everywhere, and clamped or supported all around."""
+        words = all(edge in ("clamped", "supported") for _, edge in self.edges)
+        return words and self.effects.orthotropic is None and not self.effects.layers
 
     @property
     def drive_angular_frequency(self) -> float:

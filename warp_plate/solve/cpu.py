@@ -87,11 +87,20 @@ def resident_path(specialized: Specialized) -> Advance:
                     # Should a member fail, the others must not wait for it for ever.
                     _at_once(calls, partial(arrived.fill_, EVERYBODY))
             return
-        cuts = np.linspace(0, plates, min(threads, plates) + 1).astype(int).tolist()
-        shares = enumerate(pairwise(cuts))
+        shares = enumerate(_shares(threads, plates))
         _at_once([partial(_cpu_share, singly, by_groups, state, *share, start, stop) for share in shares])
 
     return advance
+
+
+def _shares(threads: int, plates: int) -> list[tuple[int, int]]:
+    """(first, last + 1) of the plates of each thread."""
+    return list(pairwise(np.linspace(0, plates, min(threads, plates) + 1).astype(int).tolist()))
+
+
+def shared_among_threads(threads: int, plates: int, share: Callable[[int, int], Callable[[], None]]) -> None:
+    """Run share(first, last + 1) on each thread."""
+    _at_once([share(first, last) for first, last in _shares(threads, plates)])
 
 
 def _cpu_share(

@@ -43,7 +43,7 @@ def make_engine(specialized: Specialized, path: str = "auto") -> Engine:
     kernels = (make_spread_drives(specialized.real), make_sum_along_columns(specialized.real), make_sum_columns())
     for kernel in kernels:
         wp.load_module(module=kernel.module, device=device)
-    return Engine(specialized, path, paths_of(device)[path](specialized), *kernels)
+    return Engine(specialized, path, paths_of(device, specialized.effects.plain)[path](specialized), *kernels)
 
 
 def load_drives(engine: Engine, state: State, drives: np.ndarray) -> None:

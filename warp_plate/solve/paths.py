@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import warp as wp
 
-from warp_plate.solve import cpu, cuda, streaming
+from warp_plate.solve import cpu, cuda, general, streaming
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance
 
@@ -18,11 +18,17 @@ PATHS: dict[str, dict[str, MakePath]] = {
 }
 
 
-def paths_of(device: wp.Device) -> dict[str, MakePath]:
-    """The paths that a device has, by name."""
-    return PATHS["cuda" if device.is_cuda else "cpu"]
+# Of scenes that ask for more than the plain plate.
+GENERAL: dict[str, MakePath] = {"resident": general.resident_path, "streaming": general.streaming_path}
+
+
+def paths_of(device: wp.Device, plain: bool = True) -> dict[str, MakePath]:
+    """The paths that a device has, by name; ``plain``: for a plain plate."""
+    return PATHS["cuda" if device.is_cuda else "cpu"] if plain else GENERAL
 
 
 def choose_path(specialized: Specialized) -> str:
     """The fastest path: resident wherever the plate fits on the chip."""
+    if not specialized.effects.plain:
+        return "resident"
     return "resident" if specialized.device.is_cpu or cuda.fits_on_chip(specialized) else "streaming"

@@ -70,7 +70,30 @@ class Specialized:
 def effect_names(scene: Scene) -> tuple[str, ...]:
     """The effects in the compiled kernel, for people and for results."""
     damping = scene.effects.damping
-    return (f"viscous damping ({damping.scheme})",) if damping else ()
+    named = {
+        f"viscous damping ({damping.scheme})" if damping else "": damping,
+        "bending by moments": not scene.uniform,
+        "material damping": scene.effects.material_damping,
+        "tension": scene.effects.tension,
+        "foundation": scene.effects.foundation,
+        "oscillators": scene.effects.oscillators,
+        "stretching": scene.effects.stretching,
+    }
+    return tuple(name for name, table in named.items() if table)
+
+
+def general_effects(scene: Scene) -> dict[str, bool]:
+    """The part of the compile key that is off for a plain plate."""
+    effects = scene.effects
+    elastic = any(not isinstance(edge, str) for _, edge in scene.edges)
+    found = {
+        "material_damping": effects.material_damping is not None,
+        "tension": effects.tension is not None,
+        "foundation": effects.foundation is not None or elastic,
+        "stretching": effects.stretching is not None,
+        "oscillators": bool(effects.oscillators),
+    }
+    return {"moments": not scene.uniform or any(found.values()), **found}
 
 
 def specialize(scene: Scene, device: wp.Device, threads: int | None = None) -> Specialized:
@@ -86,21 +109,28 @@ def specialize(scene: Scene, device: wp.Device, threads: int | None = None) -> S
     line = LINE_BYTES // dtype.itemsize
     stride = -(-nx // line) * line
     fields = patches(scene)
+    regions = region_weights(scene)
+    if scheme.bending is not None:
+        # A pressure moves a node by its share of what the node's own part of the cell weighs.
+        loss = 0.0 if scheme.backward else scheme.viscous * scheme.time_step / scheme.bending.mass
+        ratio = scheme.bending.mass / scheme.surface_density
+        fields = fields / (scheme.bending.weight * ratio * (1 + loss / 2))
+        regions = regions * ratio
     support = np.argwhere(fields.any(axis=0))
     parameters = make_parameters(real)()
     parameters.stiffness = scheme.stiffness
     parameters.aspect = scheme.aspect
     parameters.decay = scheme.decay
-    regions = region_weights(scene)
     weights = np.zeros((len(regions), ny + 2, stride))
     weights[:, 1:-1, :nx] = regions
     return Specialized(
         scene=scene,
         scheme=scheme,
         effects=Effects(
-            damping=scene.effects.damping is not None,
+            damping=scene.effects.damping is not None or scheme.viscous > 0,
             square_cells=scheme.square_cells or scheme.order == 4,
             order=scheme.order,
+            **general_effects(scene),
         ),
         real=real,
         rows=ny + 2,

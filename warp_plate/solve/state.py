@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import warp as wp
 
 from warp_plate.solve.specialize import Specialized
@@ -18,7 +19,8 @@ class State:
     """Room for ``capacity`` plates; fields are (capacity, rows, stride) and hold zeros outside the plate.
 
     u_next, rate_next: the buffers that take turns with u and rate on the streaming paths; the resident path on CPU
-    keeps the curvature in u_next. nodes: (traced nodes, 2), row and column; trace: (capacity, traced nodes,
+    keeps the curvature in u_next. units: (capacity,) displacement that one stands for [m];
+    nodes: (traced nodes, 2), row of the tensor and column; inner_nodes: the same with the row of the plate; trace: (capacity, traced nodes,
     steps).
     """
 
@@ -31,7 +33,9 @@ class State:
     squares: wp.array
     u_next: wp.array
     rate_next: wp.array
+    units: wp.array
     nodes: wp.array
+    inner_nodes: wp.array
     trace: wp.array
     column_sums: wp.array
     energy: wp.array
@@ -74,7 +78,9 @@ def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> Stat
         squares=field(),
         u_next=field(),
         rate_next=field(),
+        units=wp.zeros(capacity, dtype=real, device=device),
         nodes=nodes,
+        inner_nodes=wp.array(nodes.numpy() - np.array([1, 0], np.int32), dtype=int, device=device),
         trace=wp.zeros((capacity, nodes.shape[0], specialized.scheme.steps), dtype=real, device=device),
         column_sums=wp.zeros((capacity, regions, specialized.stride), dtype=wp.float64, device=device),
         energy=wp.zeros((capacity, regions), dtype=wp.float64, device=device),

@@ -1,0 +1,165 @@
+"""The paths of scenes that ask for more than the plain plate: all effects, on every device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warp_plate.kernels import general_paths, record
+from warp_plate.kernels.general import make_structs
+from warp_plate.plate.bending import oscillator_shares
+from warp_plate.solve.specialize import Specialized
+from warp_plate.solve.state import Advance, State
+
+# Threads that share a plate on CUDA.
+BLOCK = 256
+
+
+def material_of(specialized: Specialized) -> Any:
+    """What all plates share, in the kernels' scaled numbers."""
+    scene, scheme, device = specialized.scene, specialized.scheme, specialized.device
+    bending, (hx, hy), step = scheme.bending, scheme.spacing, scheme.time_step
+    assert bending is not None
+    effects = scene.effects
+    unit = step**2 / scheme.surface_density  # acceleration's part of a step, per pressure
+    loss = scheme.viscous * step / bending.mass
+    ratio = bending.mass / scheme.surface_density
+    gain = np.ones_like(loss) if scheme.backward else 1 / (1 + loss / 2)
+    shares = oscillator_shares(scene)
+    on_plate = unit / (hx * hy)
+    oscillators = [
+        (
+            one.stiffness * on_plate,
+            one.damping * on_plate / step,
+            scheme.surface_density * hx * hy / one.mass if one.mass else 0.0,
+            0.0,
+        )
+        for one in effects.oscillators
+    ]
+    material = make_structs(specialized.real)[0]()
+    arrays = {
+        "bend_xx": bending.bend_xx * unit / hx**4,
+        "bend_xy": bending.bend_xy * unit / hx**4,
+        "bend_yy": bending.bend_yy * unit / hx**4,
+        "twist": bending.twist * unit / hx**4,
+        "mobility": bending.moves * gain / ratio,
+        "decay": 1 - loss if scheme.backward else (1 - loss / 2) / (1 + loss / 2),
+        "spring": bending.spring * unit,
+        "weight": bending.weight,
+        "holds": shares,
+        "oscillators": np.array(oscillators).reshape(-1, 4),
+    }
+    for name, values in arrays.items():
+        setattr(material, name, specialized.to_device(values))
+    material.wave = specialized.wave
+    material.aspect = scheme.aspect
+    material.root_aspect = hx / hy
+    material.tension_x, material.tension_y = (pull * unit / hx**2 for pull in bending.tension)
+    material.retardation = effects.material_damping.time / step if effects.material_damping else 0.0
+    area = scene.plate.size[0] * scene.plate.size[1]
+    slope = 6 * scheme.rigidity / (scene.plate.thickness**2 * area) * (hy / hx)
+    material.stretching = slope * unit / hx**2
+    return material
+
+
+class Rooms:
+    """The general paths' own tensors beside those of a state, made once for each."""
+
+    def __init__(self, specialized: Specialized) -> None:
+        self._specialized = specialized
+        self._state: State | None = None
+        self._fields: Any = None
+
+    def fields(self, state: State, start: int) -> Any:
+        """The struct of all fields of a state; at step 0 what hangs on the plates is at rest."""
+        if state is not self._state:
+            self._state, self._fields = state, self._make(state)
+        if start == 0:
+            self._fields.hung.zero_()
+            self._fields.push.zero_()
+        self._fields.units = state.units
+        return self._fields
+
+    def _make(self, state: State) -> Any:
+        specialized, effects = self._specialized, self._specialized.effects
+        (nx, ny), device, real = specialized.scheme.nodes, specialized.device, specialized.real
+        hanging = len(specialized.scene.effects.oscillators)
+        sums = hanging + int(effects.stretching)
+
+        def zeros(*shape: int) -> wp.array:
+            return wp.zeros((state.capacity, *shape), dtype=real, device=device)
+
+        fields = make_structs(real)[1]()
+        for name in ("in_phase", "quadrature", "u", "rate", "squares"):
+            setattr(fields, name, getattr(state, name)[:, 1 : ny + 1, :nx])
+        fields.mx, fields.my, fields.mxy = (zeros(ny, nx) for _ in range(3))
+        fields.pull = zeros(ny, nx) if effects.stretching else zeros(1, 1)
+        fields.row_sums = zeros(sums, 2, ny)
+        fields.tension, fields.push, fields.hung = zeros(), zeros(hanging), zeros(hanging, 2)
+        return fields
+
+
+def streaming_path(specialized: Specialized) -> Advance:
+    """A launch for each pass of a step."""
+    device, effects = specialized.device, specialized.effects
+    bend, sum_rows, finish_sums, move = general_paths.make_passes(effects, specialized.real)
+    keep = record.make_record(specialized.real)
+    for kernel in (bend, sum_rows, finish_sums, move, keep):
+        wp.load_module(module=kernel.module, device=device)
+    (nx, ny), window = specialized.scheme.nodes, wp.vec2i(*specialized.scheme.window)
+    material, rooms = material_of(specialized), Rooms(specialized)
+    clock = wp.zeros(1, dtype=int, device=device)
+
+    def advance(state: State, plates: int, start: int, stop: int) -> None:
+        fields = rooms.fields(state, start)
+        sums = fields.row_sums.shape[1]
+        for step in range(start, stop):
+            clock.fill_(step)
+            wp.launch(bend, dim=(plates, ny, nx), inputs=[fields, material], device=device)
+            if sums:
+                wp.launch(sum_rows, dim=(plates, sums, ny), inputs=[fields, material], device=device)
+                wp.launch(finish_sums, dim=(plates, sums), inputs=[fields, material], device=device)
+            wp.launch(move, dim=(plates, ny, nx), inputs=[fields, material, window, clock, 0], device=device)
+            if state.nodes.shape[0]:
+                inputs, outputs = [clock, 0, state.nodes, state.u], [state.trace]
+                wp.launch(keep, dim=(plates, state.nodes.shape[0]), inputs=inputs, outputs=outputs, device=device)
+
+    return advance
+
+
+def resident_path(specialized: Specialized) -> Advance:
+    """All steps in one launch: a thread a plate on CPU, shared among the cores; a block a plate on CUDA."""
+    from warp_plate.solve.cpu import shared_among_threads
+
+    device, effects = specialized.device, specialized.effects
+    threads = BLOCK if device.is_cuda else 1
+    kernel = general_paths.make_run(effects, specialized.real, threads)
+    wp.load_module(module=kernel.module, device=device, block_dim=threads if device.is_cuda else None)
+    material, rooms = material_of(specialized), Rooms(specialized)
+    window = wp.vec2i(*specialized.scheme.window)
+    # Rows of traced nodes count the row of zeros below the plate, those of the fields do not.
+
+    def launch(state: State, fields: Any, first: int, last: int, start: int, stop: int) -> None:
+        wp.launch(
+            kernel,
+            dim=(last - first) * threads,
+            inputs=[fields, material, window, first, start, stop, state.inner_nodes, state.trace],
+            device=device,
+            **({"block_dim": threads} if device.is_cuda else {}),
+        )
+
+    def advance(state: State, plates: int, start: int, stop: int) -> None:
+        fields = rooms.fields(state, start)
+        if device.is_cuda:
+            launch(state, fields, 0, plates, start, stop)
+            return
+
+        def share(first: int, last: int) -> Callable[[], None]:
+            return lambda: launch(state, fields, first, last, start, stop)
+
+        shared_among_threads(specialized.threads, plates, share)
+
+    return advance
