@@ -183,11 +183,28 @@ def make_finish_sum(effects, real):
 
 
 @cache
+def make_other_forces(effects, real):
+    """The load at a node, and with it what the bed and stretching do there: −k u + N∇²u."""
+
+    @wp.func
+    def other_forces(load: real, mobility: real, spring: real, here: real, tension: real, pull: real):
+        total = load
+        if wp.static(effects.foundation):
+            total -= mobility * (spring * here)
+        if wp.static(effects.stretching):
+            total += mobility * (tension * pull)
+        return total
+
+    return other_forces
+
+
+@cache
 def make_move_node(effects, real):
     """Rate and displacement of a node half a step and a step later."""
     Material, Fields = make_structs(real)
     Parameters = make_parameters(real)
     update = make_update(effects, real)
+    other_forces = make_other_forces(effects, real)
 
     @wp.func
     def move_node(f: Fields, m: Material, window: wp.vec2i, n: int, k: int, j: int, i: int):
@@ -214,10 +231,10 @@ def make_move_node(effects, real):
 
             here = f.u[k, j, i]
             load = m.wave[n, 0] * f.in_phase[k, j, i] + m.wave[n, 1] * f.quadrature[k, j, i]
-            if wp.static(effects.foundation):
-                load -= mobility * m.spring[j, i] * here
             if wp.static(effects.stretching):
-                load += mobility * f.tension[k] * f.pull[k, j, i]
+                load = other_forces(load, mobility, m.spring[j, i], here, f.tension[k], f.pull[k, j, i])
+            else:
+                load = other_forces(load, mobility, m.spring[j, i], here, real(0.0), real(0.0))
             if wp.static(effects.oscillators):
                 for o in range(m.holds.shape[0]):
                     load += mobility / m.weight[j, i] * m.holds[o, j, i] * f.push[k, o]

@@ -98,9 +98,9 @@ def _shares(threads: int, plates: int) -> list[tuple[int, int]]:
     return list(pairwise(np.linspace(0, plates, min(threads, plates) + 1).astype(int).tolist()))
 
 
-def shared_among_threads(threads: int, plates: int, share: Callable[[int, int], Callable[[], None]]) -> None:
-    """Run share(first, last + 1) on each thread."""
-    _at_once([share(first, last) for first, last in _shares(threads, plates)])
+def shared_among_threads(threads: int, plates: int, share: Callable[[int, int, int], Callable[[], None]]) -> None:
+    """Make the calls share(thread, first, last + 1) side by side."""
+    _at_once([share(thread, first, last) for thread, (first, last) in enumerate(_shares(threads, plates))])
 
 
 def _cpu_share(

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels import general_paths, record
+from warp_plate.kernels import general_cpu, general_paths, record
 from warp_plate.kernels.general import make_structs
 from warp_plate.plate.bending import oscillator_shares
+from warp_plate.solve.cpu import compiler_flags, shared_among_threads
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
 
@@ -131,35 +132,75 @@ def streaming_path(specialized: Specialized) -> Advance:
 
 
 def resident_path(specialized: Specialized) -> Advance:
-    """All steps in one launch: a thread a plate on CPU, shared among the cores; a block a plate on CUDA."""
-    from warp_plate.solve.cpu import shared_among_threads
+    """All steps in one launch: plates shared among the cores on CPU, a block a plate on CUDA."""
+    return _blocks(specialized) if specialized.device.is_cuda else _threads(specialized)
 
-    device, effects = specialized.device, specialized.effects
-    threads = BLOCK if device.is_cuda else 1
-    kernel = general_paths.make_run(effects, specialized.real, threads)
-    wp.load_module(module=kernel.module, device=device, block_dim=threads if device.is_cuda else None)
+
+def _blocks(specialized: Specialized) -> Advance:
+    device = specialized.device
+    kernel = general_paths.make_run(specialized.effects, specialized.real, BLOCK)
+    wp.load_module(module=kernel.module, device=device, block_dim=BLOCK)
     material, rooms = material_of(specialized), Rooms(specialized)
     window = wp.vec2i(*specialized.scheme.window)
-    # Rows of traced nodes count the row of zeros below the plate, those of the fields do not.
 
-    def launch(state: State, fields: Any, first: int, last: int, start: int, stop: int) -> None:
-        wp.launch(
-            kernel,
-            dim=(last - first) * threads,
-            inputs=[fields, material, window, first, start, stop, state.inner_nodes, state.trace],
-            device=device,
-            **({"block_dim": threads} if device.is_cuda else {}),
-        )
+    def advance(state: State, plates: int, start: int, stop: int) -> None:
+        inputs = [rooms.fields(state, start), material, window, 0, start, stop, state.inner_nodes, state.trace]
+        wp.launch(kernel, dim=plates * BLOCK, inputs=inputs, device=device, block_dim=BLOCK)
+
+    return advance
+
+
+def _threads(specialized: Specialized) -> Advance:
+    device, real, rows, stride = specialized.device, specialized.real, specialized.rows, specialized.stride
+    ny = specialized.scheme.nodes[1]
+    kernel = general_cpu.make_run(specialized.effects, real, ny, stride, compiler_flags())
+    wp.load_module(module=kernel.module, device=device)
+    material, rooms = material_of(specialized), Rooms(specialized)
+    numbers = [material.aspect, material.root_aspect, material.tension_x, material.tension_y]
+    numbers += [material.retardation, material.stretching]
+    shared = [_planes(specialized, material), specialized.wave, wp.vec2i(*specialized.scheme.window), *numbers]
+    holds = specialized.to_device(np.stack([_padded(specialized, one) for one in material.holds.numpy()]) if material.holds.shape[0] else np.zeros((0, rows, stride)))
+    shared += [material.oscillators, holds]
+    # A pass reads a node beyond the last row of its plane.
+    room = wp.zeros((specialized.threads + 1, len(general_cpu.ROOM), rows, stride), dtype=real, device=device)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         fields = rooms.fields(state, start)
-        if device.is_cuda:
-            launch(state, fields, 0, plates, start, stop)
-            return
 
-        def share(first: int, last: int) -> Callable[[], None]:
-            return lambda: launch(state, fields, first, last, start, stop)
+        def share(thread: int, first: int, last: int) -> Callable[[], None]:
+            inputs = [*shared, state.units, start, stop, first, thread, state.nodes, state.in_phase, state.quadrature]
+            outputs = [room, state.u, state.rate, state.squares, fields.hung, state.trace]
+            return lambda: wp.launch(kernel, dim=last - first, inputs=inputs, outputs=outputs, device=device)
 
         shared_among_threads(specialized.threads, plates, share)
 
     return advance
+
+
+def _padded(specialized: Specialized, values: np.ndarray) -> np.ndarray:
+    """(rows, stride) of (ny, nx) or less, zeros around."""
+    plane = np.zeros((specialized.rows, specialized.stride))
+    plane[1 : 1 + values.shape[0], : values.shape[1]] = values
+    return plane
+
+
+def _planes(specialized: Specialized, material: Any) -> wp.array:
+    """(len(SHARED), rows, stride) what ``general_cpu`` reads for each node."""
+    nx, ny = specialized.scheme.nodes
+    inner_x, inner_y = (np.ones(count) for count in (nx, ny))
+    low_x, high_x, low_y, high_y = inner_x.copy(), inner_x.copy(), inner_y.copy(), inner_y.copy()
+    for low, high in ((low_x, high_x), (low_y, high_y)):
+        low[[0, -1]], high[[0, -1]] = (0, 2), (2, 0)
+    twice_x, twice_y = inner_x.copy(), inner_y.copy()
+    twice_x[[0, -1]] = twice_y[[0, -1]] = 2
+    own = {name: getattr(material, name).numpy() for name in ("mobility", "weight")}
+    planes = {
+        "west": np.outer(inner_y, low_x),
+        "east": np.outer(inner_y, high_x),
+        "south": material.aspect * np.outer(low_y, inner_x),
+        "north": material.aspect * np.outer(high_y, inner_x),
+        "cells": np.outer(twice_y, twice_x),
+        "press": own["mobility"] / own["weight"],
+    }
+    values = [planes[name] if name in planes else getattr(material, name).numpy() for name in general_cpu.SHARED]
+    return specialized.to_device(np.stack([_padded(specialized, plane) for plane in values]))

@@ -65,8 +65,11 @@ def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> Stat
     regions = specialized.weights.shape[0]
     actuators = specialized.patches.shape[0]
 
+    # The general passes on CPU read a number beyond the last plate; it must be zero.
+    spare = 0 if specialized.effects.plain else 1
+
     def field() -> wp.array:
-        return wp.zeros((capacity, specialized.rows, specialized.stride), dtype=real, device=device)
+        return wp.zeros((capacity + spare, specialized.rows, specialized.stride), dtype=real, device=device)
 
     return State(
         capacity=capacity,

@@ -1,0 +1,270 @@
+"""The general plate on CPU: all steps in one launch, a plate a thread, over flat ranges of memory.
+
+The same equations as ``general``, which see, in the form that LLVM turns into vector instructions (see
+``resident_cpu_passes``). A pass walks all rows of the plate at once, padding included. Beyond an edge the tensors hold
+zeros, and mirror images are factors: on an edge the inner neighbour counts twice and the outer one not at all. So each
+node has four factors for its neighbours and one for its cells, planes of numbers like its rigidities.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from warp_plate.kernels.fused import make_fused
+from warp_plate.kernels.general import make_other_forces
+from warp_plate.kernels.update import make_parameters, make_update
+
+# Planes of a plate's own room: mx, my, mxy, ∇²u, what strains, and what oscillators press with.
+ROOM = ("mx", "my", "mxy", "pull", "strained", "pressed")
+# Planes that all plates share, in this order in one array.
+SHARED = (
+    "west", "east", "south", "north", "cells", "bend_xx", "bend_xy", "bend_yy", "twist",
+    "mobility", "decay", "spring", "weight", "press",
+)  # fmt: skip
+
+
+@cache
+def make_run(effects, real, ny, stride, compiler_flags):
+    """Steps ``start`` ... ``stop`` − 1 of the plates from ``first`` on; launch over (plates,).
+
+    shared: (len(SHARED), rows, stride) planes; west ... north factors of the neighbours, those along y times (hx/hy)²;
+    cells: of the cells around a node; press: mobility / weight; room: (threads, len(ROOM), rows, stride), of which the
+    launch uses line ``thread``; holds: (oscillators, rows, stride); oscillators: (oscillators, 4) as in ``general``;
+    wave, window, nodes, trace: as in ``resident_cpu``; tension_x ... stretching: as in ``general``.
+    """
+    update = make_update(effects, real)
+    other_forces = make_other_forces(effects, real)
+    fused = make_fused(real)
+    Parameters = make_parameters(real)
+    size = wp.types.type_size_in_bytes(real)
+    count = ny * stride
+    plane_bytes = (ny + 2) * stride * size
+    row_bytes = stride * size
+    longest = count + 2 * stride + 2
+
+    @wp.func
+    def numbers(address: wp.uint64):
+        return wp.array(ptr=address, shape=(wp.static(longest),), dtype=real)
+
+    @wp.func
+    def shared_plane(base: wp.uint64, index: int):
+        return numbers(base + wp.uint64(index) * wp.uint64(wp.static(plane_bytes)) + wp.uint64(wp.static(row_bytes)))
+
+    @wp.func
+    def strain(u_at: wp.uint64, rate_at: wp.uint64, strained_at: wp.uint64, retardation: real):
+        u = numbers(u_at)
+        rate = numbers(rate_at)
+        strained = numbers(strained_at)
+        for i in range(wp.static(count)):
+            strained[i] = u[i] + retardation * rate[i]
+
+    @wp.func
+    def bend(
+        s: wp.uint64, u_at: wp.uint64, strained_at: wp.uint64, mx_at: wp.uint64, my_at: wp.uint64, mxy_at: wp.uint64,
+        aspect: real, root_aspect: real, tension_x: real, tension_y: real,
+    ):
+        """Moments and twists; the addresses are those of the first row, and ``strained`` may be u itself."""
+        west = shared_plane(s, 0)
+        east = shared_plane(s, 1)
+        south = shared_plane(s, 2)
+        north = shared_plane(s, 3)
+        bend_xx = shared_plane(s, 5)
+        bend_xy = shared_plane(s, 6)
+        bend_yy = shared_plane(s, 7)
+        twist = shared_plane(s, 8)
+        u = numbers(u_at)
+        # From the lowest neighbour on, so that all lie at positive distances.
+        v = numbers(strained_at - wp.uint64(wp.static((stride + 1) * size)))
+        mx = numbers(mx_at)
+        my = numbers(my_at)
+        mxy = numbers(mxy_at)
+        for i in range(wp.static(count)):
+            c = v[i + wp.static(stride + 1)]
+            e = v[i + wp.static(stride + 2)]
+            n = v[i + wp.static(2 * stride + 1)]
+            along_x = west[i] * v[i + wp.static(stride)] + (east[i] * e - real(2.0) * c)
+            along_y = south[i] * v[i + 1] + (north[i] * n - real(2.0) * aspect * c)
+            if wp.static(effects.tension):
+                mx[i] = bend_xx[i] * along_x + bend_xy[i] * along_y - tension_x * u[i]
+                my[i] = bend_xy[i] * along_x + bend_yy[i] * along_y - tension_y * u[i]
+            else:
+                mx[i] = bend_xx[i] * along_x + bend_xy[i] * along_y
+                my[i] = bend_xy[i] * along_x + bend_yy[i] * along_y
+            mxy[i] = twist[i] * root_aspect * ((v[i + wp.static(2 * stride + 2)] - e) - (n - c))
+
+    @wp.func
+    def pull_of(s: wp.uint64, u_at: wp.uint64, pull_at: wp.uint64, aspect: real):
+        west = shared_plane(s, 0)
+        east = shared_plane(s, 1)
+        south = shared_plane(s, 2)
+        north = shared_plane(s, 3)
+        u = numbers(u_at - wp.uint64(wp.static((stride + 1) * size)))
+        pull = numbers(pull_at)
+        for i in range(wp.static(count)):
+            c = u[i + wp.static(stride + 1)]
+            along_x = west[i] * u[i + wp.static(stride)] + (east[i] * u[i + wp.static(stride + 2)] - real(2.0) * c)
+            along_y = south[i] * u[i + 1] + (north[i] * u[i + wp.static(2 * stride + 1)] - real(2.0) * aspect * c)
+            pull[i] = along_x + along_y
+
+    @wp.func
+    def sum_of_products(a_at: wp.uint64, b_at: wp.uint64, columns_at: wp.uint64):
+        """Σ a·b over the plate, columns first."""
+        columns = numbers(columns_at)
+        for i in range(wp.static(stride)):
+            columns[i] = real(0.0)
+        for row in range(wp.static(ny)):
+            a = numbers(a_at + wp.uint64(row) * wp.uint64(wp.static(row_bytes)))
+            b = numbers(b_at + wp.uint64(row) * wp.uint64(wp.static(row_bytes)))
+            for i in range(wp.static(stride)):
+                columns[i] = columns[i] + a[i] * b[i]
+        total = real(0.0)
+        for i in range(wp.static(stride)):
+            total += columns[i]
+        return total
+
+    @wp.func
+    def products(a_at: wp.uint64, b_at: wp.uint64, out_at: wp.uint64):
+        a = numbers(a_at)
+        b = numbers(b_at)
+        out = numbers(out_at)
+        for i in range(wp.static(count)):
+            out[i] = a[i] * b[i]
+
+    @wp.func
+    def press_with(hold_at: wp.uint64, pressed_at: wp.uint64, push: real):
+        hold = numbers(hold_at)
+        pressed = numbers(pressed_at)
+        for i in range(wp.static(count)):
+            pressed[i] = pressed[i] + push * hold[i]
+
+    @wp.func
+    def clear(at: wp.uint64):
+        values = numbers(at)
+        for i in range(wp.static(count)):
+            values[i] = real(0.0)
+
+    @wp.func
+    def move(
+        s: wp.uint64, mx_at: wp.uint64, my_at: wp.uint64, mxy_at: wp.uint64, pull_at: wp.uint64, pressed_at: wp.uint64,
+        cosine_at: wp.uint64, sine_at: wp.uint64, u_at: wp.uint64, rate_at: wp.uint64, squares_at: wp.uint64,
+        wave_cosine: real, wave_sine: real, summed: real, tension: real, aspect: real, root_aspect: real,
+    ):
+        """Rate and displacement half a step and a step later; summed: one in the window, else zero."""
+        west = shared_plane(s, 0)
+        east = shared_plane(s, 1)
+        south = shared_plane(s, 2)
+        north = shared_plane(s, 3)
+        cells = shared_plane(s, 4)
+        mobility = shared_plane(s, 9)
+        decay = shared_plane(s, 10)
+        spring = shared_plane(s, 11)
+        press = shared_plane(s, 13)
+        mx = numbers(mx_at - wp.uint64(wp.static(size)))
+        my = numbers(my_at - wp.uint64(wp.static(stride * size)))
+        mxy = numbers(mxy_at - wp.uint64(wp.static((stride + 1) * size)))
+        pull = numbers(pull_at)
+        pressed = numbers(pressed_at)
+        cosine = numbers(cosine_at)
+        sine = numbers(sine_at)
+        u = numbers(u_at)
+        rate = numbers(rate_at)
+        squares = numbers(squares_at)
+        p = Parameters()
+        for i in range(wp.static(count)):
+            bending = west[i] * mx[i] + (east[i] * mx[i + 2] - real(2.0) * mx[i + 1])
+            bending += south[i] * my[i] + (
+                north[i] * my[i + wp.static(2 * stride)] - real(2.0) * aspect * my[i + wp.static(stride)]
+            )
+            twisting = (mxy[i + wp.static(stride + 1)] - mxy[i + wp.static(stride)]) - (mxy[i + 1] - mxy[i])
+            bending += cells[i] * root_aspect * twisting
+            here = u[i]
+            load = wave_cosine * cosine[i] + wave_sine * sine[i]
+            load = other_forces(load, mobility[i], spring[i], here, tension, pull[i])
+            if wp.static(effects.oscillators):
+                load += press[i] * pressed[i]
+            p.decay = decay[i]
+            new = update(rate[i], bending, load, mobility[i], p)
+            rate[i] = new
+            u[i] = here + new
+            squares[i] = fused(summed * new, new, squares[i])
+
+    @wp.kernel(
+        module="unique",
+        enable_backward=False,
+        module_options={"cpu_compiler_flags": compiler_flags, "max_unroll": 1},
+    )
+    def run(
+        shared: wp.array3d[real],
+        wave: wp.array2d[real],
+        window: wp.vec2i,
+        aspect: real,
+        root_aspect: real,
+        tension_x: real,
+        tension_y: real,
+        retardation: real,
+        stretching: real,
+        oscillators: wp.array2d[real],
+        holds: wp.array3d[real],
+        units: wp.array[real],
+        start: int,
+        stop: int,
+        first: int,
+        thread: int,
+        nodes: wp.array2d[int],
+        in_phase: wp.array3d[real],
+        quadrature: wp.array3d[real],
+        room: wp.array4d[real],
+        u: wp.array3d[real],
+        rate: wp.array3d[real],
+        squares: wp.array3d[real],
+        hung: wp.array3d[real],
+        trace: wp.array3d[real],
+    ):
+        k = first + wp.tid()
+        row = wp.uint64(wp.static(row_bytes))
+        plane = wp.uint64(k) * wp.uint64(wp.static(plane_bytes)) + row
+        own = room.ptr + wp.uint64(thread) * wp.uint64(wp.static(len(ROOM) * plane_bytes)) + row
+        step = wp.uint64(wp.static(plane_bytes))
+        mx = own
+        my = mx + step
+        mxy = my + step
+        pull = mxy + step
+        strained = pull + step
+        pressed = strained + step
+        u_at = u.ptr + plane
+        rate_at = rate.ptr + plane
+        tension = real(0.0)
+        for n in range(start, stop):
+            strained_at = u_at
+            if wp.static(effects.material_damping):
+                strain(u_at, rate_at, strained, retardation)
+                strained_at = strained
+            bend(shared.ptr, u_at, strained_at, mx, my, mxy, aspect, root_aspect, tension_x, tension_y)
+            if wp.static(effects.stretching):
+                pull_of(shared.ptr, u_at, pull, aspect)
+                weighed = shared.ptr + wp.uint64(wp.static(12 * plane_bytes)) + row
+                # pressed is free until the oscillators press: it holds weight · u for a moment.
+                products(weighed, u_at, pressed)
+                tension = -stretching * units[k] * units[k] * sum_of_products(pressed, pull, strained)
+            if wp.static(effects.oscillators):
+                clear(pressed)
+                for o in range(oscillators.shape[0]):
+                    hold = holds.ptr + wp.uint64(o) * step + row
+                    total = sum_of_products(hold, u_at, strained)
+                    speed = sum_of_products(hold, rate_at, strained)
+                    push = oscillators[o, 0] * (hung[k, o, 0] - total) + oscillators[o, 1] * (hung[k, o, 1] - speed)
+                    pace = hung[k, o, 1] - oscillators[o, 2] * push
+                    hung[k, o, 0] = hung[k, o, 0] + pace
+                    hung[k, o, 1] = pace
+                    press_with(hold, pressed, push)
+            summed = real(0.0)
+            if n >= window[0] and n < window[1]:
+                summed = real(1.0)
+            move(
+                shared.ptr, mx, my, mxy, pull, pressed, in_phase.ptr + plane, quadrature.ptr + plane,
+                u_at, rate_at, squares.ptr + plane, wave[n, 0], wave[n, 1], summed, tension, aspect, root_aspect,
+            )
+            for m in range(nodes.shape[0]):
+                trace[k, m, n] = u[k, nodes[m, 0], nodes[m, 1]]
+
+    return run
