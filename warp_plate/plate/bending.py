@@ -14,7 +14,7 @@ from an energy: it is symmetric in the nodes' masses, and never negative.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse
@@ -149,6 +149,23 @@ def system(scene: Scene, bending: Bending) -> tuple[scipy.sparse.csr_array, np.n
     whole = scipy.sparse.block_array([[plate, between[hung].T], [between[hung], own]]) if hung else plate
     own_masses = [one.mass for one in scene.effects.oscillators if one.mass > 0]
     return scipy.sparse.csr_array(whole), np.concatenate([masses, own_masses])
+
+
+def buckling_factor(scene: Scene, bending: Bending) -> float:
+    """By how much the in-plane forces can grow until the plate buckles; infinite where they never press on it.
+
+    The smallest μ with (K₀ + μG)u = 0, K₀ being the stiffness without in-plane forces and G their part of it.
+    """
+    relaxed = replace(bending, tension=(0.0, 0.0))
+    moves = bending.moves.ravel()
+    rest = stiffness_matrix(relaxed)[moves][:, moves]
+    pull = stiffness_matrix(bending)[moves][:, moves] - rest
+    # Rigid motion of a plate that nothing holds is no buckling: it gets a stiffness of rounding's size.
+    held = rest + scipy.sparse.diags_array(np.full(rest.shape[0], 1e-9 * rest.diagonal().max()))
+    largest = scipy.sparse.linalg.eigsh(
+        -pull, k=1, M=held.tocsc(), which="LA", v0=np.ones(rest.shape[0]), return_eigenvectors=False
+    )
+    return math.inf if largest[0] <= 0 else 1 / float(largest[0])
 
 
 def oscillator_shares(scene: Scene) -> np.ndarray:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.plate.bending import Bending, largest_eigenvalue, make_bending, oscillator_shares
+from warp_plate.plate.bending import Bending, buckling_factor, largest_eigenvalue, make_bending, oscillator_shares
 from warp_plate.plate.operator import DIVISOR, LARGEST, Taps, make_taps
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -125,6 +125,7 @@ def make_scheme(scene: Scene) -> Scheme:
                 "viscous damping; write 2 for other edges and effects"
             )
         bending = make_bending(scene)
+        _refuse_buckling(scene, bending)
         largest = largest_eigenvalue(scene, bending)
         late = effects.material_damping.time * largest if effects.material_damping else 0.0
         late += sum(
@@ -192,6 +193,18 @@ def time_step_limit(
 def _limit(largest: float, late_loss: float) -> float:
     """The positive root of Λ Δt² + 2 b Δt − 4 = 0, written so that it does not cancel for large b."""
     return 4 / (late_loss + math.sqrt(late_loss**2 + 4 * largest))
+
+
+def _refuse_buckling(scene: Scene, bending: Bending) -> None:
+    if min(bending.tension) >= 0:
+        return
+    factor = buckling_factor(scene, bending)
+    if factor <= 1:
+        x, y = (factor * pull for pull in bending.tension)
+        raise SceneError(
+            f"effects.tension = {{x = {bending.tension[0]:g}, y = {bending.tension[1]:g}}}: the plate buckles; the "
+            f"critical load is x = {x:.4g}, y = {y:.4g} N/m, {factor:.3g} of this one"
+        )
 
 
 def needs_moments(scene: Scene) -> bool:
