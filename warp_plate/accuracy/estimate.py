@@ -82,7 +82,7 @@ class Estimate:
         value, bar = float(self.localization_factors[case]), float(self.errors[case] * self.localization_factors[case])
         grid = f"{nx} × {ny}, order {self.configuration.order}, {self.configuration.load}"
         if not math.isfinite(bar):
-            return f"{grid}: no localization factor, so no error estimate"
+            return f"{grid}: no error estimate (the plate is at rest, or not linear in its drives)"
         moved = float(self.displacement_errors[case])
         displacement = f", displacement ± {percent(moved)}" if math.isfinite(moved) else ""
         digits = max(3, 1 - math.floor(math.log10(bar))) if bar > 0 else 6
@@ -147,7 +147,8 @@ def estimate(
     budget = min(max(SHARE * seconds, LEAST_SECONDS), MOST_SECONDS)
     found = np.asarray(localization_factors, dtype=float)
     drives = np.asarray(drives, dtype=complex)
-    kept = np.isfinite(found) & np.any(drives != 0, axis=1)
+    # The reference is one of Gram matrices, which a plate that stretches does not have.
+    kept = np.isfinite(found) & np.any(drives != 0, axis=1) & scene.linear
     if not kept.any():
         nothing = np.full(found.shape, math.nan)
         return Estimate(configuration_of(scene), found, nothing, math.nan, nothing, "none", 0.0, None, nothing)

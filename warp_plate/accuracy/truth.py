@@ -141,6 +141,8 @@ def grow(
     wanted: a number, or a function of the stage's matrices; drives: (drives, actuators) whose localization factors are
     to stand still; left out: the best single actuator and the bound.
     """
+    if not scene.linear:
+        raise SceneError("effects.stretching: not linear in the drives, which the references for accuracy rest on")
     stages = _stages(scene, kind, device, drives)
     started = time.perf_counter()
     last = next(stages)

@@ -37,7 +37,7 @@ def thin_plate(scene: Scene) -> ThinPlate:
         if edge not in EDGES:
             raise SceneError(f"edges.{side} = {edge}: the reference solutions know {', '.join(EDGES)}")
     for effect, table in scene.effects:
-        if effect != "damping" and table is not None:
+        if effect != "damping" and table:
             raise SceneError(f"effects.{effect}: the reference solutions know viscous damping and no other effect")
     plate, damping = scene.plate, scene.effects.damping
     return ThinPlate(

@@ -212,6 +212,11 @@ class Scene(Table):
         return words and self.effects.orthotropic is None and not self.effects.layers
 
     @property
+    def linear(self) -> bool:
+        """Whether displacements are linear in the drives: all effects but stretching."""
+        return self.effects.stretching is None
+
+    @property
     def drive_angular_frequency(self) -> float:
         """2πf [rad/s]."""
         return 2 * math.pi * self.drive.frequency

@@ -57,13 +57,18 @@ def localize(
     seed = scene.search.seed if seed is None else seed
     if not 0 <= seed < 2**63:
         raise SceneError(f"seed = {seed}: must be a whole number from 0 to 2^63 - 1")
+    if evaluator == "response" and not scene.linear:
+        raise SceneError("evaluator = 'response': effects.stretching is not linear in the drives; write 'direct'")
     scene, accuracy, seconds = resolve(scene, device)
     solver = PlateSolver(scene, device, path)
-    exact = solver if scene.grid.precision == "float64" else PlateSolver(_in_float64(scene), device, path)
+    needs_exact = scene.linear and scene.grid.precision != "float64"
+    exact = PlateSolver(_in_float64(scene), device, path) if needs_exact else solver
     compile_seconds = sum(one.compile_seconds for one in {solver, exact})
     started = time.perf_counter()
-    response = measure_response(exact)
-    energies: Energies = (lambda drives: solver.run(drives).energy) if evaluator == "direct" else response.energy
+    response = measure_response(exact) if scene.linear else None
+    energies: Energies = lambda drives: solver.run(drives).energy  # noqa: E731
+    if response is not None and evaluator == "response":
+        energies = response.energy
     drives = reference_drives(len(scene.actuators), energies)
     swarm, interrupted = _search(scene, seed, energies, told)
     found = swarm.result.xbest if swarm is not None else None
@@ -83,7 +88,7 @@ def localize(
         times=run.times,
         trace_times=run.trace_times,
         seconds=seconds,
-        bound=response.bound(),
+        bound=response.bound() if response is not None else None,
         history=_history(swarm),
         evaluator=evaluator,
         interrupted=interrupted,
