@@ -9,6 +9,7 @@ import warp as wp
 
 from warp_plate.kernels import (
     energy,
+    general_paths,
     limits,
     load,
     record,
@@ -22,7 +23,7 @@ from warp_plate.kernels.effects import Effects
 
 KERNELS = Path(__file__).parents[1] / "kernels"
 # Made for LLVM: launched on CPU only.
-CPU_MODULES = ("resident_cpu",)
+CPU_MODULES = ("resident_cpu", "general_cpu")
 # Kernels of one order alone.
 ORDER_OF = {"resident_lanes": 2, "resident_strips": 2, "streaming_march": 2, "resident_wide": 4}
 # Plates for a warp, for a block, and for a block that keeps the sums in shared memory; each with its padded columns.
@@ -37,6 +38,11 @@ def cuda_kernels(effects, real):
     yield "limits.make_multiply_adds", limits.make_multiply_adds(real, block=1, depth=64, rounds=100, compiler_flags="")
     yield "record.advance_clock", record.advance_clock
     yield "record.make_record", record.make_record(real)
+    if not effects.plain:
+        for kernel in general_paths.make_passes(effects, real):
+            yield "general_paths.make_passes", kernel
+        yield "general_paths.make_run", general_paths.make_run(effects, real, 256)
+        return
     yield "streaming.make_bend", streaming.make_bend(effects, real)
     yield "streaming.make_move", streaming.make_move(effects, real)
     for summed in (False, True):
@@ -73,17 +79,25 @@ FEW = [
     (Effects(damping=True, square_cells=True), wp.float32),
     (Effects(damping=False, square_cells=False), wp.float64),
     (Effects(damping=True, order=4), wp.float32),
+    (Effects(True, True, 2, *[True] * 6), wp.float64),
 ]
 ALL = [
     (Effects(damping, square, order), real)
     for damping, (square, order), real in itertools.product(
         (False, True), ((False, 2), (True, 2), (True, 4)), (wp.float32, wp.float64)
     )
+] + [
+    # Each effect of the general plate alone.
+    (Effects(moments=True, **{name: True}), real)
+    for name in ("material_damping", "tension", "foundation", "stretching", "oscillators")
+    for real in (wp.float32, wp.float64)
 ]
 
 
 def choice_id(value):
     if isinstance(value, Effects):
+        if not value.plain:
+            return "general-" + "-".join(name for name, on in vars(value).items() if on is True)
         cells = "square" if value.square_cells else "oblong"
         return f"{'damped' if value.damping else 'undamped'}-{cells if value.order == 2 else 'fourth order'}"
     return value.__name__
@@ -91,7 +105,7 @@ def choice_id(value):
 
 @pytest.mark.parametrize(("effects", "real"), FEW, ids=choice_id)
 def test_kernels_compile(effects, real, tmp_path):
-    assert compile_all(effects, real, tmp_path) == factories(effects.order)
+    assert compile_all(effects, real, tmp_path) == factories(effects)
 
 
 @pytest.mark.slow
@@ -99,10 +113,10 @@ def test_kernels_compile(effects, real, tmp_path):
     ("effects", "real"), [mixture for mixture in ALL if mixture not in FEW], ids=choice_id
 )
 def test_kernels_compile_in_all_mixtures(effects, real, tmp_path):
-    assert compile_all(effects, real, tmp_path) == factories(effects.order)
+    assert compile_all(effects, real, tmp_path) == factories(effects)
 
 
-def factories(order):
+def factories(effects):
     """module.function of all in kernels/ that makes a kernel for CUDA or is one, by reading the code."""
     found = set()
     for path in KERNELS.glob("*.py"):
@@ -116,8 +130,12 @@ def factories(order):
                 ]
                 if any(decorator.startswith("wp.kernel") for decorator in decorators):
                     found.add(f"{path.stem}.{function.name}")
-    of_order = {name for name in found if ORDER_OF.get(name.split(".")[0], order) == order}
-    return {name for name in of_order if not name.startswith(CPU_MODULES)}
+    made = {name for name in found if not name.startswith(CPU_MODULES)}
+    if not effects.plain:
+        own = ("streaming.", "streaming_march.", "resident_")
+        return {name for name in made if not name.startswith(own)}
+    of_order = {name for name in made if ORDER_OF.get(name.split(".")[0], effects.order) == effects.order}
+    return {name for name in of_order if not name.startswith("general_paths.")}
 
 
 def test_a_fault_in_cuda_code_is_found(tmp_path):

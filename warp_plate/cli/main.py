@@ -11,6 +11,7 @@ from warp_plate.cli.accuracy import accuracy
 from warp_plate.cli.bench import bench
 from warp_plate.cli.init import init
 from warp_plate.cli.localize import localize
+from warp_plate.cli.modes import modes
 from warp_plate.cli.simulate import simulate
 from warp_plate.scene.errors import SceneError
 
@@ -21,7 +22,7 @@ app = cyclopts.App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (localize, simulate, accuracy, init, bench):
+for command in (localize, simulate, modes, accuracy, init, bench):
     app.command(command)
 
 

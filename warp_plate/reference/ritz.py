@@ -1,4 +1,4 @@
-"""Natural modes of rectangular plates with any mix of clamped, supported and free edges, by the Ritz method.
+"""Natural modes of rectangular plates with clamped, supported, free and sprung edges in any mix, by the Ritz method.
 
 The modes make the elastic energy stationary against the kinetic one,
 
@@ -6,7 +6,8 @@ The modes make the elastic energy stationary against the kinetic one,
 
 the problem of A. W. Leissa, The free vibration of rectangular plates, J. Sound Vib. 31 (1973) 257-293. Only what
 holds an edge must be built into the functions (u = 0 on a supported edge, u = u_n = 0 on a clamped one); moments and
-forces of supported and free edges follow from U. Along one side, s = −1 ... 1, with p = 0, 1, 2 conditions at the low
+forces of supported and free edges follow from U. An edge on springs is a free one whose energy ½∮ k u² + r u_n² ds is
+added to U, with k [N/m²] and r [N] per length. Along one side, s = −1 ... 1, with p = 0, 1, 2 conditions at the low
 end (free, supported, clamped) and q at the high one,
 
     φ_i(s) = (1 + s)^p (1 − s)^q P_i^(2q, 2p)(s) / norm,   i = 0, 1, ...,
@@ -32,10 +33,10 @@ import scipy.linalg
 import scipy.special
 from numpy.polynomial import legendre
 
-from warp_plate.reference.thin_plate import ThinPlate
-from warp_plate.scene.model import Area
+from warp_plate.reference.thin_plate import Held, ThinPlate
+from warp_plate.scene.model import Area, ElasticEdge
 
-# Conditions that an edge puts on the functions: on the displacement, and on the slope.
+# Conditions that an edge puts on the functions: on the displacement, and on the slope. Springs put none.
 CONDITIONS = {"free": 0, "supported": 1, "clamped": 2}
 
 
@@ -96,9 +97,16 @@ class Modes:
     @property
     def rigid(self) -> int:
         """How many of the first modes do not bend the plate: 3 without any held edge, 1 with one supported edge."""
-        left, bottom, right, top = (CONDITIONS[edge] for edge in self.plate.edges)
-        held = left + bottom + right + top
-        return {0: 3, 1: 1}.get(held, 0)
+        left, bottom, right, top = self.plate.edges
+        # Of the motions 1, x/width and y/height: displacements of the corners of held edges, slopes across these.
+        held = [np.zeros((1, 3))]
+        for edge, x in ((left, 0.0), (right, 1.0)):
+            held.append(_holds(edge)[0] * np.array([[1, x, 0], [1, x, 1]]))
+            held.append(_holds(edge)[1] * np.array([[0, 1, 0]]))
+        for edge, y in ((bottom, 0.0), (top, 1.0)):
+            held.append(_holds(edge)[0] * np.array([[1, 0, y], [1, 1, y]]))
+            held.append(_holds(edge)[1] * np.array([[0, 0, 1]]))
+        return 3 - int(np.linalg.matrix_rank(np.concatenate(held)))
 
     def shapes(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """(modes, points of y, points of x) shapes Φ [1/m] on the grid of x and y [m]."""
@@ -154,6 +162,8 @@ def solve_modes(plate: ThinPlate, functions: int | tuple[int, int] = 32) -> Mode
     along_x = make_line(plate.size[0], left, right, columns)
     along_y = make_line(plate.size[1], bottom, top, rows)
     matrix = stiffness_matrix(along_x, along_y, plate.poisson_ratio)
+    matrix += np.kron(np.eye(rows), _springs(along_x, left, right) / plate.rigidity)
+    matrix += np.kron(_springs(along_y, bottom, top) / plate.rigidity, np.eye(columns))
     family = 2 * (np.arange(rows) % 2 * along_y.even)[:, None] + np.arange(columns) % 2 * along_x.even
     values, vectors = np.empty(0), np.empty((0, rows * columns))
     for member in np.unique(family):
@@ -174,9 +184,9 @@ def solve_modes(plate: ThinPlate, functions: int | tuple[int, int] = 32) -> Mode
     return modes
 
 
-def make_line(length: float, low: str, high: str, functions: int) -> Line:
+def make_line(length: float, low: Held, high: Held, functions: int) -> Line:
     """The functions of one direction, with the edge conditions at its low and high end built in."""
-    p, q = CONDITIONS[low], CONDITIONS[high]
+    p, q = (0 if isinstance(edge, ElasticEdge) else CONDITIONS[edge] for edge in (low, high))
     degrees = np.arange(functions + p + q)
     s, weights = legendre.leggauss(degrees.size)
     order = np.arange(functions)[:, None]
@@ -184,7 +194,7 @@ def make_line(length: float, low: str, high: str, functions: int) -> Line:
     values /= np.sqrt((values**2 * weights).sum(axis=1))[:, None]
     # Gauss's rule with degree + 1 points is exact for products of two of these polynomials.
     coefficients = (values * weights) @ legendre.legvander(s, degrees[-1]) * (degrees + 0.5)
-    return Line(length=length, coefficients=coefficients * np.sqrt(2 / length), even=p == q)
+    return Line(length=length, coefficients=coefficients * np.sqrt(2 / length), even=low == high)
 
 
 def stiffness_matrix(along_x: Line, along_y: Line, poisson_ratio: float) -> np.ndarray:
@@ -202,6 +212,23 @@ def stiffness_matrix(along_x: Line, along_y: Line, poisson_ratio: float) -> np.n
         + 2 * (1 - poisson_ratio) * np.kron(of(along_y, 1, 1), of(along_x, 1, 1))
     )
     return matrix
+
+
+def _springs(line: Line, low: Held, high: Held) -> np.ndarray:
+    """(functions, functions) stiffness [N/m³] of the springs at both ends: k φ_i φ_j + r φ_i' φ_j'."""
+    matrix = np.zeros((line.functions, line.functions))
+    for edge, place in ((low, 0.0), (high, line.length)):
+        if isinstance(edge, ElasticEdge):
+            value, slope = (line.values(np.array([place]), derivative)[:, 0] for derivative in (0, 1))
+            matrix += edge.translation * np.outer(value, value) + edge.rotation * np.outer(slope, slope)
+    return matrix
+
+
+def _holds(edge: Held) -> tuple[bool, bool]:
+    """Whether an edge resists displacement, and slope across it."""
+    if isinstance(edge, ElasticEdge):
+        return edge.translation > 0, edge.rotation > 0
+    return CONDITIONS[edge] >= 1, CONDITIONS[edge] == 2
 
 
 def _gauss(count: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:

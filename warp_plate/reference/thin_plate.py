@@ -5,21 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import ElasticEdge, Scene
 
 EDGES = ("clamped", "supported", "free")
+# One of these words, or springs.
+Held = str | ElasticEdge
 
 
 @dataclass(frozen=True)
 class ThinPlate:
     """A rectangular Kirchhoff-Love plate, ρH ü + c u̇ + D∇⁴u = f.
 
-    size: (a, b) [m]; edges: left, bottom, right, top, each of EDGES; rigidity: D = EH³ / 12(1 − ν²) [N·m];
-    poisson_ratio: ν, which matters only where an edge is free; surface_density: ρH [kg/m²]; viscous: c [N·s/m³].
+    size: (a, b) [m]; edges: left, bottom, right, top, each of EDGES or springs; rigidity: D = EH³ / 12(1 − ν²) [N·m];
+    poisson_ratio: ν, which matters only where an edge is free or on springs; surface_density: ρH [kg/m²];
+    viscous: c [N·s/m³].
     """
 
     size: tuple[float, float]
-    edges: tuple[str, str, str, str]
+    edges: tuple[Held, Held, Held, Held]
     rigidity: float
     poisson_ratio: float
     surface_density: float
@@ -34,8 +37,8 @@ def thin_plate(scene: Scene) -> ThinPlate:
     """
     edges = (scene.edges.left, scene.edges.bottom, scene.edges.right, scene.edges.top)
     for side, edge in zip(("left", "bottom", "right", "top"), edges, strict=True):
-        if edge not in EDGES:
-            raise SceneError(f"edges.{side} = {edge}: the reference solutions know {', '.join(EDGES)}")
+        if edge not in EDGES and not isinstance(edge, ElasticEdge):
+            raise SceneError(f"edges.{side} = {edge}: the reference solutions know {', '.join(EDGES)}, springs")
     for effect, table in scene.effects:
         if effect != "damping" and table:
             raise SceneError(f"effects.{effect}: the reference solutions know viscous damping and no other effect")

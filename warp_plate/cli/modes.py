@@ -1,0 +1,158 @@
+"""``warp-plate modes SCENE``: natural frequencies and shapes of the plate as the kernels have it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import cyclopts
+
+from warp_plate.cli import output
+from warp_plate.scene.errors import SceneError
+
+if TYPE_CHECKING:
+    from warp_plate.plate.modes import NaturalModes
+    from warp_plate.scene.model import Scene
+
+# The factorised matrix takes some 10 kB a node.
+MOST_NODES = 400_000
+ENDINGS = (".png", ".svg", ".pdf")
+
+
+def modes(
+    scene: str,
+    /,
+    *,
+    count: int = 6,
+    accuracy: str | None = None,
+    out: Path | None = None,
+    pictures: bool = True,
+    json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+) -> None:
+    """Show the natural frequencies and shapes of a plate, with its edges and its linear effects.
+
+    Parameters
+    ----------
+    scene
+        A preset's name (paper, paper-supported) or a TOML file.
+    count
+        How many modes, from the lowest.
+    accuracy
+        Such as 1% or 0.01: take the grid that keeps localization factors to it, instead of the scene's.
+    out
+        The picture of the shapes (.png, .svg or .pdf); SCENE-modes.png in this folder when left out.
+    pictures
+        Draw the shapes with their nodal lines (needs the extra viz).
+    json
+        Print one JSON object instead of a table.
+    """
+    target = _target(out, scene)
+    if count < 1:
+        raise SceneError(f"--count {count}: must be at least 1")
+    loaded = _with_grid(output.load_scene(scene, accuracy))
+    nodes = math.prod(loaded.grid.nodes)
+    if nodes > MOST_NODES:
+        raise SceneError(
+            f"{scene}: grid.nodes = {list(loaded.grid.nodes)}: {nodes} are too many for their modes; write at most "
+            f"{MOST_NODES} (the error of a frequency falls with the square of the spacing, or the fourth power)"
+        )
+    from warp_plate.plate.modes import natural_modes
+
+    found = natural_modes(loaded, count)
+    files, missing = _draw(loaded, found, target) if pictures else ([], None)
+    if json:
+        output.print_json(_record(scene, loaded, found, files))
+        return
+    _print(scene, loaded, found)
+    for file in files:
+        print(f"wrote {file}")
+    if missing:
+        print(missing)
+
+
+def _target(out: Path | None, scene: str) -> Path:
+    path = out or Path(f"{Path(scene).stem}-modes.png")
+    if path.suffix not in ENDINGS:
+        raise SceneError(f"--out {path}: must end in .png, .svg or .pdf")
+    if not path.parent.is_dir():
+        raise SceneError(f"--out {path}: no such folder: {path.parent}")
+    return path
+
+
+def _with_grid(scene: Scene) -> Scene:
+    """The scene with the grid that its accuracy asks for, if it does."""
+    if scene.grid.accuracy is None:
+        return scene
+    from warp_plate.search.localize import resolve
+
+    return resolve(scene, "auto")[0]
+
+
+def _draw(scene: Scene, found: NaturalModes, path: Path) -> tuple[list[Path], str | None]:
+    """The files written, and None or why none was."""
+    from warp_plate.viz.availability import missing_plots
+    from warp_plate.viz.modes_plot import draw_modes
+
+    problem = missing_plots()
+    if problem is not None:
+        return [], problem
+    try:
+        return [draw_modes(scene, found.frequencies, found.shapes, path)], None
+    except OSError as error:
+        return [], f"{path}: cannot be written: {error}"
+
+
+def _left_out(scene: Scene) -> list[str]:
+    """Effects that the scene names and natural modes know nothing of."""
+    effects = scene.effects
+    lossy = {
+        "damping": effects.damping is not None,
+        "material damping": effects.material_damping is not None,
+        "damping of the foundation": effects.foundation is not None and effects.foundation.damping > 0,
+        "damping of oscillators": any(one.damping > 0 for one in effects.oscillators),
+        "stretching": effects.stretching is not None,
+    }
+    return [name for name, named in lossy.items() if named]
+
+
+def _record(name: str, scene: Scene, found: NaturalModes, files: list[Path]) -> dict[str, object]:
+    return {
+        "scene": name,
+        "nodes": list(scene.grid.nodes),
+        "order": scene.grid.order,
+        "frequencies": found.frequencies.tolist(),
+        "frequencies_stepped": found.stepped.tolist(),
+        "time_step": found.time_step,
+        "half_waves": [None if pair is None else list(pair) for pair in found.half_waves()],
+        "oscillators": found.oscillators.tolist(),
+        "left_out": _left_out(scene),
+        "files": [str(file) for file in files],
+    }
+
+
+def _print(name: str, scene: Scene, found: NaturalModes) -> None:
+    console = output.console()
+    nx, ny = scene.grid.nodes
+    console.print(f"{scene.title or name}: {nx} × {ny} nodes, order {scene.grid.order}\n")
+    count = len(scene.effects.oscillators)
+    made = output.table(
+        "mode", "frequency (Hz)", "in a run (Hz)", "half-waves x × y", *(f"oscillator {i}" for i in range(count))
+    )
+    rows = zip(found.frequencies, found.stepped, found.half_waves(), found.oscillators, strict=True)
+    for number, (frequency, stepped, waves, hung) in enumerate(rows, start=1):
+        made.add_row(
+            str(number),
+            f"{frequency:.2f}" if frequency else "0 (rigid)",
+            f"{stepped:.2f}",
+            "mixed" if waves is None else f"{waves[0]} × {waves[1]}",
+            *("–" if math.isnan(motion) else f"{motion:.3g}" for motion in hung),
+        )
+    console.print(made)
+    console.print(
+        f"\nIn a run: what rings in steps of {found.time_step:.3g} s. Half-waves: stretches of one sign along x and y."
+        + (" Oscillator: its motion, the plate's largest being 1." if count else "")
+    )
+    left_out = _left_out(scene)
+    if left_out:
+        console.print(f"Not in natural modes: {', '.join(left_out)}.")

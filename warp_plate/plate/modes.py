@@ -1,0 +1,210 @@
+"""Natural frequencies and shapes of the plate as the differences in space have it.
+
+    K φ = ω² M φ
+
+K and M are the matrices that the kernels step with: edges, layers, tension, bed, springs and hung masses are in them.
+What dissipates (damping of the plate, its material, its bed, its oscillators) and stretching, which the plate does not
+feel while its motion is small, are not. Time is continuous: a run with steps of Δt rings at
+asin(ωΔt/2)/(πΔt) instead, see :attr:`NaturalModes.stepped`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+import scipy.sparse.linalg
+
+from warp_plate.plate.bending import make_bending, system
+from warp_plate.plate.operator import DIVISOR
+from warp_plate.plate.scheme import Scheme, make_scheme
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+# Up to so many unknowns all modes are found at once; beyond, the lowest by Lanczos' method.
+DENSE = 300
+# Lanczos' method may miss one of several modes of the same frequency at the end of what it was asked for.
+SPARE = 4
+# Squares ω² are zero below this part of κ²(π/longer side)⁴, the order of the lowest of a plate, or this part of the
+# largest, which is what rounding leaves of a rigid motion.
+STILL, ROUNDING = 1e-8, 1e-14
+# Frequencies that differ by less, relatively, are one.
+SAME = 1e-7
+# Nodal lines are counted in a shape that is to this part a product X(x)·Y(y), where it is above this part of its peak.
+PRODUCT, ABOVE = 0.8, 0.03
+
+
+@dataclass(frozen=True)
+class NaturalModes:
+    """The lowest modes of a scene's grid, by rising frequency.
+
+    frequencies: (count,) [Hz], 0 for rigid motions; shapes: (count, ny, nx), edges included, the largest displacement
+    being 1; oscillators: (count, oscillators) motion of the masses that hang on the plate, in the same unit, NaN for
+    oscillators that have none; time_step: of the scene [s].
+    """
+
+    frequencies: np.ndarray
+    shapes: np.ndarray
+    oscillators: np.ndarray
+    time_step: float
+
+    @property
+    def stepped(self) -> np.ndarray:
+        """(count,) frequencies [Hz] at which a run of this time step rings."""
+        stepped: np.ndarray = np.arcsin(math.pi * self.frequencies * self.time_step) / (math.pi * self.time_step)
+        return stepped
+
+    def half_waves(self) -> list[tuple[int, int] | None]:
+        """Of each shape, how many stretches of one sign lie along x and along y; None where lines run askew."""
+        return [_half_waves(shape) for shape in self.shapes]
+
+
+def natural_modes(scene: Scene, count: int) -> NaturalModes:
+    """The first modes of the scene's grid; all there are where the grid has fewer than ``count``.
+
+    Modes of one frequency are those that a weight of x² + y²/2 about the middle keeps apart, so that sides stay
+    recognisable and every machine gives the same; the peak of a shape is positive.
+
+    Raises:
+        SceneError: see ``make_scheme``; or count below 1.
+    """
+    if count < 1:
+        raise SceneError(f"count = {count}: must be at least 1")
+    scheme = make_scheme(scene)
+    stiffness, masses, moving = _matrices(scene, scheme)
+    scale = (scheme.kappa * (math.pi / max(scene.plate.size)) ** 2) ** 2
+    root = scipy.sparse.diags_array(1 / np.sqrt(masses))
+    operator = scipy.sparse.csc_array(root @ stiffness @ root)
+    squares, vectors = _lowest(operator, min(count, len(masses)), scale)
+    squares = np.where(squares > max(STILL * scale, ROUNDING * abs(operator).max()), squares, 0.0)
+    weight = np.zeros(len(masses))
+    weight[: np.count_nonzero(moving)] = _lopsided(scene)[moving]
+    vectors = root @ _separated(squares, vectors, weight)
+    shapes, hung = _shapes(scene, vectors[:, :count], moving)
+    return NaturalModes(np.sqrt(squares[:count]) / (2 * math.pi), shapes, hung, scheme.time_step)
+
+
+def biharmonic(scheme: Scheme) -> scipy.sparse.csc_array:
+    """Square matrix of ∇⁴ [1/m⁴] as the plain plate's taps have it, on inner nodes row by row; symmetric."""
+    nx, ny = scheme.nodes
+    one_x, one_y = scipy.sparse.eye_array(nx), scipy.sparse.eye_array(ny)
+
+    def twice(along_x: np.ndarray, along_y: np.ndarray) -> scipy.sparse.csr_array:
+        first = scipy.sparse.kron(one_y, _banded(along_x))
+        return scipy.sparse.csr_array(first + scheme.aspect * scipy.sparse.kron(_banded(along_y), one_x))
+
+    bend = twice(scheme.taps_x.bend, scheme.taps_y.bend)
+    move = twice(scheme.taps_x.move, scheme.taps_y.move)
+    inner = np.zeros((ny, nx), dtype=bool)
+    inner[1:-1, 1:-1] = True
+    kept = np.flatnonzero(inner)
+    whole = (move @ bend)[kept][:, kept] / (DIVISOR[scheme.order] * scheme.spacing[0] ** 2) ** 2
+    return scipy.sparse.csc_array(whole)
+
+
+def _matrices(scene: Scene, scheme: Scheme) -> tuple[scipy.sparse.csc_array, np.ndarray, np.ndarray]:
+    """Stiffness [N/m] and masses [kg] of the moving nodes, then of the masses on springs; (ny, nx) which nodes move."""
+    if scheme.order == 2:
+        bending = make_bending(scene)
+        stiffness, masses = system(scene, bending)
+        nodes = np.count_nonzero(bending.moves)
+        hung = [one for one in scene.effects.oscillators if one.mass > 0]
+        # A mass that only a damper holds is at rest in every mode.
+        kept = np.concatenate([np.arange(nodes), nodes + np.flatnonzero([one.stiffness > 0 for one in hung])])
+        kept = kept.astype(int)
+        return scipy.sparse.csc_array(stiffness[kept][:, kept]), masses[kept], bending.moves
+    moves = np.zeros(scheme.nodes[::-1], dtype=bool)
+    moves[1:-1, 1:-1] = True
+    cell = scheme.spacing[0] * scheme.spacing[1]
+    stiffness = scheme.rigidity * cell * biharmonic(scheme)
+    return stiffness, np.full(stiffness.shape[0], scheme.surface_density * cell), moves
+
+
+def _lowest(operator: scipy.sparse.csc_array, count: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """(modes,) lowest eigenvalues and (unknowns, modes) vectors of a symmetric matrix: ``count`` or a few more."""
+    unknowns = operator.shape[0]
+    if unknowns <= max(DENSE, 3 * (count + SPARE)):
+        values, vectors = scipy.linalg.eigh(operator.toarray())
+        return values[: count + SPARE], vectors[:, : count + SPARE]
+    # The shift is negative so that a free plate, whose matrix is singular, can be solved for.
+    shifted = scipy.sparse.csc_array(operator + scale * scipy.sparse.eye_array(unknowns))
+    solve = scipy.sparse.linalg.splu(
+        shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    ).solve
+    inverse = scipy.sparse.linalg.LinearOperator(operator.shape, matvec=solve, dtype=float)
+    # Started from a vector without any symmetry, which finds modes of every symmetry.
+    start = np.random.default_rng(0).normal(size=unknowns)
+    values, vectors = scipy.sparse.linalg.eigsh(operator, count + SPARE, sigma=-scale, OPinv=inverse, v0=start)
+    order = np.argsort(values, kind="stable")
+    return values[order], vectors[:, order]
+
+
+def _lopsided(scene: Scene) -> np.ndarray:
+    """(ny, nx) x² + y²/2 from the middle of the plate, in half sides."""
+    x, y = (np.linspace(-1, 1, nodes) for nodes in scene.grid.nodes)
+    return x**2 + (y**2)[:, None] / 2
+
+
+def _separated(squares: np.ndarray, vectors: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """The same vectors, those of one frequency turned among each other so that the weight does not couple them."""
+    separated = vectors.copy()
+    first = 0
+    for last in range(1, len(squares) + 1):
+        if last < len(squares) and squares[last] <= squares[last - 1] * (1 + 2 * SAME):
+            continue
+        some = vectors[:, first:last]
+        if last - first > 1:
+            separated[:, first:last] = some @ np.linalg.eigh(some.T @ (weight[:, None] * some))[1]
+        first = last
+    return separated
+
+
+def _shapes(scene: Scene, vectors: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Shapes over all nodes, and motions of oscillators, of (unknowns, modes) vectors."""
+    nodes, count = np.count_nonzero(moving), vectors.shape[1]
+    shapes = np.zeros((count, *moving.shape))
+    shapes[:, moving] = vectors[:nodes].T
+    oscillators = scene.effects.oscillators
+    hung = np.full((count, len(oscillators)), math.nan)
+    swinging = [index for index, one in enumerate(oscillators) if one.mass > 0 and one.stiffness > 0]
+    hung[:, swinging] = vectors[nodes:].T
+    hung[:, [index for index, one in enumerate(oscillators) if one.mass > 0 and one.stiffness == 0]] = 0
+    for shape, motion in zip(shapes, hung, strict=True):
+        peak = _peak(shape)
+        # A mass on a patch that rests swings alone.
+        if abs(peak) < 1e-9 * np.nanmax(np.abs(motion), initial=0):
+            peak = _peak(motion[swinging])
+        shape /= peak
+        motion /= peak
+    return shapes, hung
+
+
+def _peak(values: np.ndarray) -> float:
+    """The value of the largest size; of several such up to rounding, the first."""
+    flat = values.ravel()
+    sizes = np.abs(flat)
+    return float(flat[np.argmax(sizes >= (1 - 1e-6) * sizes.max())])
+
+
+def _half_waves(shape: np.ndarray) -> tuple[int, int] | None:
+    along_y, sizes, along_x = np.linalg.svd(shape, full_matrices=False)
+    if sizes[0] ** 2 < PRODUCT * (sizes**2).sum() or sizes[0] == 0:
+        return None
+    return _stretches(along_x[0]), _stretches(along_y[:, 0])
+
+
+def _stretches(line: np.ndarray) -> int:
+    """How many stretches of one sign there are."""
+    signs = np.sign(line[np.abs(line) > ABOVE * np.abs(line).max()])
+    return 1 + int(np.count_nonzero(signs[1:] != signs[:-1]))
+
+
+def _banded(bands: np.ndarray) -> scipy.sparse.dia_array:
+    """Square matrix of (nodes, 2·reach + 1) bands, a row a node."""
+    nodes, width = bands.shape
+    reach = width // 2
+    diagonals = [bands[max(0, -k) : nodes - max(0, k), k + reach] for k in range(-reach, reach + 1)]
+    return scipy.sparse.diags_array(diagonals, offsets=list(range(-reach, reach + 1)), shape=(nodes, nodes))
