@@ -25,8 +25,10 @@ SIDES = {
 }
 # In inches: the longer side of a plate, and of a row or column of them at most.
 PICTURE, WIDEST = 1.9, 6
-# A rigid motion has no nodal line but by rounding; below this part of the peak a shape is flat.
-FLAT = 1e-9
+# Of the peak: what is rounding, and the height of a spot of the other sign, as in clamped corners, that means nothing.
+ROUNDING, FLAT = 1e-9, 3e-3
+# Nodal lines are drawn through a spline with at least so many points a side.
+FINE = 150
 
 
 def draw_modes(scene: Scene, frequencies: np.ndarray, shapes: np.ndarray, path: str | Path) -> Path:
@@ -92,17 +94,17 @@ def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray) -> object:
     ny, nx = shape.shape
     x, y = np.linspace(0, width, nx), np.linspace(0, height, ny)
     drawn = axes.pcolormesh(x, y, shape, cmap=COLOURS, vmin=-1, vmax=1, shading="gouraud", rasterized=True)
-    # Held nodes are zero without being a nodal line, so the lines are drawn by what lies inside of them.
-    inner = np.where(_held(scene, shape.shape), np.nan, shape)
-    if np.nanmin(inner) < -FLAT and np.nanmax(inner) > FLAT:
-        axes.contour(x, y, inner, levels=[0.0], colors=INK, linewidths=0.9)
+    fine_x, fine_y, field = nodal_field(scene, shape)
+    if np.nanmin(field) < 0 < np.nanmax(field):
+        axes.contour(fine_x, fine_y, field, levels=[0.0], colors=INK, linewidths=0.9)
     for one in scene.effects.layers:
         _outline(axes, one.area, "-")
     for one in scene.effects.oscillators:
         _outline(axes, one.area, ":")
     for side, ends in _ends(width, height).items():
         colour, thickness, dashes, _ = SIDES[edge_kind(getattr(scene.edges, side))]
-        axes.plot(*ends, color=colour, linewidth=thickness, linestyle=dashes, clip_on=False, solid_capstyle="projecting")
+        looks = {"color": colour, "linewidth": thickness, "linestyle": dashes, "solid_capstyle": "projecting"}
+        axes.plot(*ends, clip_on=False, **looks)
     axes.set_aspect("equal")
     axes.set_xlim(0, width)
     axes.set_ylim(0, height)
@@ -112,13 +114,37 @@ def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray) -> object:
     return drawn
 
 
-def _held(scene: Scene, nodes: tuple[int, ...]) -> np.ndarray:
-    """(ny, nx) whether a node lies on a clamped or supported side."""
-    held = np.zeros(nodes, dtype=bool)
-    lines = {"left": np.s_[:, 0], "right": np.s_[:, -1], "bottom": np.s_[0], "top": np.s_[-1]}
-    for side, line in lines.items():
-        held[line] |= getattr(scene.edges, side) in ("clamped", "supported")
-    return held
+def nodal_field(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x and y [m], and (y, x) the shape between its nodes; NaN where a line of its zeros would be none of its nodes'.
+
+    That is beside held sides, where it is zero anyway, and in spots of one sign that hardly rise.
+    """
+    from scipy.interpolate import RectBivariateSpline
+    from scipy.ndimage import label, maximum
+
+    ny, nx = shape.shape
+    parts_x, parts_y = (math.ceil(FINE / (nodes - 1)) for nodes in (nx, ny))
+    x, y = (np.linspace(0, side, nodes) for side, nodes in zip(scene.plate.size, (nx, ny), strict=True))
+    fine_x = np.linspace(0, scene.plate.size[0], (nx - 1) * parts_x + 1)
+    fine_y = np.linspace(0, scene.plate.size[1], (ny - 1) * parts_y + 1)
+    # Rounding on a line that runs along nodes would make it jump from one side of them to the other.
+    clean = np.where(np.abs(shape) < ROUNDING, 0.0, shape)
+    field = RectBivariateSpline(y, x, clean)(fine_y, fine_x)
+    field[np.abs(field) < ROUNDING] = 0.0
+    for sign in (1, -1):
+        spots, count = label(sign * field > 0)
+        heights = maximum(sign * field, spots, range(1, count + 1))
+        field[np.isin(spots, 1 + np.flatnonzero(np.asarray(heights) < FLAT))] = math.nan
+    beside = {
+        "left": np.s_[:, :parts_x],
+        "right": np.s_[:, -parts_x:],
+        "bottom": np.s_[:parts_y],
+        "top": np.s_[-parts_y:],
+    }
+    for side, strip in beside.items():
+        if getattr(scene.edges, side) in ("clamped", "supported"):
+            field[strip] = math.nan
+    return fine_x, fine_y, field
 
 
 def _ends(width: float, height: float) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:

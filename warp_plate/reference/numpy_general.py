@@ -123,7 +123,7 @@ def run_general(scene: Scene, drives: np.ndarray) -> History:
 
 
 def next_rate(m: Matrices, rate: np.ndarray, force: np.ndarray, step: float, backward: bool) -> np.ndarray:
-    """(nodes, plates) v half a step later [m/s] under the force of everything but viscous losses (nodes, plates) [N]."""
+    """(nodes, plates) v half a step later [m/s]; force (nodes, plates) [N]: of all but the viscous losses."""
     mass, half = m.mass[:, None], step / 2 * m.viscous[:, None]
     if backward:
         new = (mass * rate + step * force - 2 * half * rate) / mass

@@ -1,0 +1,179 @@
+"""Free and elastic edges, each orthotropic rigidity, and layers, against Lévy's solution and the laminate's formula."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy.optimize
+import scipy.sparse
+import scipy.sparse.linalg
+
+from warp_plate import PlateSolver
+from warp_plate.plate.bending import make_bending, stiffness_matrix, system
+from warp_plate.plate.scheme import make_scheme
+
+SUPPORTED = ("supported",) * 4
+NODES, SIZE = (13, 11), (0.2, 0.18)
+FREE = ("free",) * 4
+YOUNG, RATIO, THICKNESS, DENSITY = 1e9, 0.33, 5e-4, 0.5  # the tests' plate; density: per area
+RIGIDITY = YOUNG * THICKNESS**3 / 12 / (1 - RATIO**2)
+ORTHOTROPIC = {"Dx": 0.02, "Dy": 0.008, "D1": 0.003, "Dxy": 0.004}
+LAYER = {"thickness": 3e-4, "young_modulus": 4e9, "density": 1800.0}
+# Halved spacings; the middle of the plate lies between two nodes, or on one.
+BETWEEN_NODES = ((18, 15), (34, 29))
+ON_A_NODE = ((65, 57), (129, 113))
+# What holds the sides x = 0 and a of a plate whose other sides are supported: translation, rotation, effects.
+LEVY = {
+    "free": (0.0, 0.0, {}),
+    "soft": (2e3, 0.05, {}),
+    "stiff": (5e4, 0.5, {}),
+    "rotation alone": (0.0, 0.2, {}),
+    "translation alone": (2e4, 0.0, {}),
+    "orthotropic": (0.0, 0.0, {"orthotropic": ORTHOTROPIC}),
+    "orthotropic on springs": (1e4, 0.1, {"orthotropic": ORTHOTROPIC, "foundation": {"stiffness": 5e4}}),
+    "pulled": (0.0, 0.0, {"tension": {"x": 8.0, "y": 5.0}}),
+    "pulled on springs": (5e3, 0.1, {"tension": {"x": 8.0, "y": 5.0}}),
+}
+
+
+@pytest.mark.parametrize("both", [False, True], ids=["one face", "both faces"])
+def test_layer_over_the_whole_plate_is_the_laminate(scene, both):
+    """As a plate of that mass and rigidity. One face: the parts' own rigidities and, as springs in series, their
+    stretching at the distance of their middles: D = D₁ + D₂ + d²/(1/A₁ + 1/A₂). Both: twice A₂d² instead."""
+    plane, thin = 1 - RATIO**2, LAYER["thickness"]
+    stretch, stretch_layer = YOUNG * THICKNESS / plane, LAYER["young_modulus"] * thin / plane
+    middle, own = (THICKNESS + thin) / 2, LAYER["young_modulus"] * thin**3 / 12 / plane
+    faces = 2 if both else 1
+    lever = 2 * stretch_layer if both else stretch * stretch_layer / (stretch + stretch_layer)
+    rigidity = RIGIDITY + faces * own + lever * middle**2
+    mass = DENSITY + faces * LAYER["density"] * thin
+    layered = scene(
+        NODES, SIZE, SUPPORTED, 40.0, effects={"layers": [{"area": (0, SIZE[0], 0, SIZE[1]), "both": both, **LAYER}]}
+    )
+    same = scene(
+        NODES, SIZE, SUPPORTED, time_step=make_scheme(layered).time_step, plate={
+            "size": SIZE, "thickness": THICKNESS, "poisson_ratio": RATIO,
+            "young_modulus": rigidity * 12 * plane / THICKNESS**3, "density": mass / THICKNESS,
+        },
+    )  # fmt: skip
+    drives = np.array([[1, 0.3j, -0.5]])
+    one, other = (PlateSolver(made, "cpu").run(drives, (0.004, 0.01)) for made in (layered, same))
+    scale = np.abs(other.displacement).max()
+    np.testing.assert_allclose(one.displacement, other.displacement, atol=1e-10 * scale)
+    np.testing.assert_allclose(one.energy, other.energy, rtol=1e-9)
+
+
+def slowest(scene):
+    """Lowest natural frequency ω [rad/s] of the plate on its grid, which the paths step (see test_general_paths)."""
+    stiffness, masses = system(scene, make_bending(scene))
+    root = scipy.sparse.diags_array(1 / np.sqrt(masses))
+    matrix = root @ stiffness @ root
+    value = scipy.sparse.linalg.eigsh(matrix, k=1, sigma=-1.0, which="LM", return_eigenvectors=False)
+    return math.sqrt(value[0])
+
+
+def exact_strip(determinant, near):
+    """The root ω of a determinant nearest below or above ``near``, by its first change of sign outwards."""
+    for part in np.linspace(0.0, 0.3, 301):
+        low, high = near * (1 - part), near * (1 + part)
+        if determinant(low) * determinant(high) < 0:
+            return scipy.optimize.brentq(determinant, low, high, xtol=1e-12 * near)
+    raise AssertionError("no frequency near the grid's")
+
+
+@pytest.mark.parametrize("name", LEVY)
+def test_edges_on_springs_and_free_ones_by_levys_solution(scene, name):
+    """u = X(x) sin(ky), k = π/b: D_x X⁗ − (2(D_1 + 2D_xy)k² + T_x) X″ + (D_y k⁴ + T_y k² + k_f − ρHω²) X = 0, even
+    about the middle, and at x = a/2 the moment against the rotation and the shear against the translation:
+    D_x X″ − D_1k² X = −r X′, D_x X‴ − ((D_1 + 4D_xy)k² + T_x) X′ = t X. Second order: halving the spacing takes the
+    error down by some four."""
+    translation, rotation, effects = LEVY[name]
+    isotropic = {"Dx": RIGIDITY, "Dy": RIGIDITY, "D1": RATIO * RIGIDITY, "Dxy": (1 - RATIO) / 2 * RIGIDITY}
+    own = effects.get("orthotropic", isotropic)
+    pull, bed = effects.get("tension", {"x": 0.0, "y": 0.0}), effects.get("foundation", {"stiffness": 0.0})
+    k, half = math.pi / SIZE[1], SIZE[0] / 2
+    middle = 2 * (own["D1"] + 2 * own["Dxy"]) * k**2 + pull["x"]
+
+    def determinant(omega):
+        rest = own["Dy"] * k**4 + pull["y"] * k**2 + bed["stiffness"] - DENSITY * omega**2
+        root = np.sqrt(complex(middle**2 - 4 * own["Dx"] * rest))
+        columns = []
+        for square in (middle + root, middle - root):
+            s = np.sqrt(square / (2 * own["Dx"]))
+            even, odd = np.cosh(s * half), np.sinh(s * half)
+            columns.append(
+                [
+                    (own["Dx"] * s**2 - own["D1"] * k**2) * even + rotation * s * odd,
+                    (own["Dx"] * s**3 - ((own["D1"] + 4 * own["Dxy"]) * k**2 + pull["x"]) * s) * odd
+                    - translation * even,
+                ]
+            )
+        return (np.linalg.det(np.array(columns)) / root).real
+
+    side = {"translation": translation, "rotation": rotation} if translation or rotation else "free"
+    edges = (side, "supported", side, "supported")
+    # One node more along x, so that no cell is square.
+    errors = []
+    for count in (17, 33):
+        found = slowest(scene((count + 1, count), SIZE, edges, effects={"foundation": {"stiffness": 0.0}, **effects}))
+        errors.append(found / exact_strip(determinant, found) - 1)
+    print(errors)
+    assert abs(errors[0]) < 0.01
+    assert abs(errors[1]) < max(0.3 * abs(errors[0]), 1e-5)
+
+
+def test_layer_on_half_the_plate_by_levys_solution(scene):
+    """A strip 0 ... a/2 of a supported plate thickened on both faces: X on both sides of the step has exponents of its
+    own, and at the step X, X′, the moment and the shear agree. Second order where the step lies between two nodes;
+    first where it lies on one, whose cell then has the mean of both moduli."""
+    plane, thin = 1 - RATIO**2, LAYER["thickness"]
+    lever = (THICKNESS + thin) / 2
+    thick = RIGIDITY + 2 * LAYER["young_modulus"] / plane * (thin**3 / 12 + thin * lever**2)
+    sides = ((thick, DENSITY + 2 * LAYER["density"] * thin), (RIGIDITY, DENSITY))
+    k, half = math.pi / SIZE[1], SIZE[0] / 2
+
+    def determinant(omega):
+        """Rows X, X′, M, V at the step; columns sinh and sin from each supported side, x counted from there."""
+        columns = []
+        for sign, (rigidity, mass) in zip((1, -1), sides, strict=True):
+            turn = math.sqrt(mass / rigidity) * omega
+            for square in (k**2 + turn, k**2 - turn):
+                s = np.sqrt(complex(square))
+                odd, even = np.sinh(s * half) / s, np.cosh(s * half)
+                columns.append(
+                    [
+                        sign * odd,
+                        even,
+                        sign * rigidity * (square - RATIO * k**2) * odd,
+                        rigidity * (square - (2 - RATIO) * k**2) * even,
+                    ]
+                )
+        scaled = np.array(columns).T
+        return np.linalg.det(scaled / np.abs(scaled).max(axis=1, keepdims=True)).real
+
+    def error(nodes):
+        layer = {"area": (0.0, half, 0.0, SIZE[1]), "both": True, **LAYER}
+        found = slowest(scene(nodes, SIZE, SUPPORTED, effects={"layers": [layer]}))
+        return found / exact_strip(determinant, found) - 1
+
+    between, on = ([error(nodes) for nodes in grids] for grids in (BETWEEN_NODES, ON_A_NODE))
+    print(between, on)
+    assert abs(between[0]) < 0.01
+    assert abs(between[1]) < 0.3 * abs(between[0])
+    assert abs(on[0]) < 0.01
+    assert abs(on[1]) < 0.6 * abs(on[0])
+
+
+def test_rigid_motions_of_a_free_plate_bend_nothing(scene):
+    """1, x and y, also with layers, orthotropic rigidities and edges on springs of zero."""
+    x, y = np.meshgrid(np.linspace(0, SIZE[0], NODES[0]), np.linspace(0, SIZE[1], NODES[1]))
+    layer = {"area": (0.03, 0.09, 0.05, 0.18), **LAYER}
+    for edges in (FREE, ({"translation": 0.0, "rotation": 0.0},) * 4):
+        bending = make_bending(scene(NODES, SIZE, edges, effects={"orthotropic": ORTHOTROPIC, "layers": [layer]}))
+        matrix = stiffness_matrix(bending)
+        for motion in (np.ones_like(x), x, y):
+            assert np.abs(matrix @ motion.ravel()).max() < 1e-12 * abs(matrix).max() * np.abs(motion).max()
+        twisted = (x * y).ravel()
+        # xy has no curvature but a twist of one: ½ · 4D_xy times the area, with the layer's share (1 − ν)/2 of D.
+        energy = 0.5 * twisted @ (matrix @ twisted)
+        assert energy == pytest.approx(0.5 * bending.twist.sum() * np.prod(bending.spacing), rel=1e-9)

@@ -1,0 +1,96 @@
+"""A scene pays only for the effects it names: the source that Warp writes for a kernel holds nothing of the others."""
+
+import re
+from dataclasses import fields
+
+import pytest
+import warp as wp
+
+from warp_plate import Scene
+from warp_plate.kernels import general_cpu, general_paths, resident_cpu, streaming
+from warp_plate.kernels.effects import Effects
+from warp_plate.plate.scheme import make_scheme
+from warp_plate.solve.cpu import compiler_flags
+from warp_plate.solve.devices import find_device
+from warp_plate.solve.paths import choose_path
+from warp_plate.solve.specialize import specialize
+
+# What an effect reads, in the general path by nodes and in the one over flat ranges.
+TRACES = {
+    "material_damping": ("retardation", "var_retardation"),
+    "tension": ("tension_x", "var_tension_x"),
+    "foundation": ("spring", "var_spring"),
+    "stretching": ("stretching", "var_stretching"),
+    "oscillators": ("holds", "var_holds"),
+}
+
+
+def source_of(kernel, folder):
+    """The functions and kernels that Warp wrote, without the declarations of structs."""
+    find_device("cpu")
+    wp.compile_aot_module(kernel.module, device="cpu", module_dir=folder)
+    text = "\n".join(path.read_text(encoding="utf-8") for path in folder.glob("*.cpp"))
+    assert "wp::" in text
+    return text
+
+
+def reads(source, name):
+    """Whether a member of that name is read anywhere."""
+    return re.search(rf"\(var_\w+\.{name}\)", source) is not None
+
+
+@pytest.mark.parametrize("effect", TRACES)
+def test_an_effect_that_is_off_is_not_in_the_source(effect, tmp_path):
+    on = source_of(general_paths.make_run(Effects(moments=True, **{effect: True}), wp.float32, 1), tmp_path / "on")
+    off = source_of(general_paths.make_run(Effects(moments=True), wp.float32, 1), tmp_path / "off")
+    assert reads(on, TRACES[effect][0])
+    assert not reads(off, TRACES[effect][0])
+    assert len(on) > len(off)
+
+
+@pytest.mark.parametrize("effect", TRACES)
+def test_nor_is_it_in_the_flat_form(effect, tmp_path):
+    """Its arguments are handed over, but no line of the kernel uses them."""
+    made = {}
+    for name, effects in (("on", Effects(moments=True, **{effect: True})), ("off", Effects(moments=True))):
+        made[name] = source_of(general_cpu.make_run(effects, wp.float32, 9, 16, compiler_flags()), tmp_path / name)
+    assert made["on"].count("fused") >= made["off"].count("fused")
+    assert len(made["on"]) > len(made["off"])
+
+
+def test_a_plain_scene_takes_the_plain_kernels():
+    """Nothing of the general paths: not even as the choice of a path."""
+    specialized = specialize(Scene.load("paper"), find_device("cpu"))
+    assert specialized.effects == Effects(damping=True)
+    assert specialized.effects.plain
+    assert specialized.scheme.bending is None
+    assert choose_path(specialized) == "resident"
+
+
+def test_undamped_source_has_no_decay(tmp_path):
+    for make in (
+        lambda effects: resident_cpu.make_run(effects, wp.float32, 13, 16, compiler_flags()),
+        lambda effects: streaming.make_move(effects, wp.float32),
+    ):
+        damped = source_of(make(Effects(damping=True)), tmp_path / f"damped{id(make)}")
+        free = source_of(make(Effects()), tmp_path / f"free{id(make)}")
+        assert reads(damped, "decay")
+        assert not reads(free, "decay")
+
+
+def test_each_part_of_the_key_is_off_by_default():
+    """A scene with nothing but a plate compiles the smallest kernel."""
+    flags = [field.name for field in fields(Effects) if field.type in (bool, "bool")]
+    scene = Scene.load("paper").model_dump(exclude_none=True)
+    scene["effects"], scene["grid"] = {}, {"nodes": (27, 27)}
+    bare = Scene.model_validate(scene)
+    made = specialize(bare, find_device("cpu")).effects
+    assert [name for name in flags if getattr(made, name)] == ["square_cells"]
+    assert make_scheme(bare).decay == 1
+
+
+def test_scenes_with_the_same_effects_share_kernels():
+    """Other numbers, same kernel: nothing is compiled for a second scene."""
+    effects = Effects(moments=True, tension=True)
+    first = general_cpu.make_run(effects, wp.float32, 9, 16, compiler_flags())
+    assert general_cpu.make_run(Effects(moments=True, tension=True), wp.float32, 9, 16, compiler_flags()) is first
