@@ -17,6 +17,8 @@ from warp_plate.accuracy.trial import cost_of_run
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
 from warp_plate.reference import series
+from warp_plate.reference.forced import localization_factors
+from warp_plate.scene.model import Grid, Window
 
 OVERLAP = Configuration(2, "overlap", (27, 27), None, "float32")
 MOMENTS = Configuration(4, "moments", (21, 21), None, "float32")
@@ -274,6 +276,9 @@ def test_front_and_recommendations():
         made_row(33, None, None, status="skipped: so"),
     ]
     assert fit.pareto_front(rows) == [0, 1, 3]
+    # A coarse grid that is right by chance is not recommended, for a finer one is not; nor is a gain of nothing a gain.
+    assert fit.recommend([*rows, made_row(10, 0.001, 1.5)], 0.003, 100)[1].row == 3
+    assert fit.pareto_front([*rows, made_row(18, 0.00795, 5.0)]) == [0, 1, 3]
     found = fit.recommend(rows, 0.003, 100)
     assert [(one.tolerance, one.row, one.seconds) for one in found] == [
         (0.1, 1, 200.0), (0.03, 3, 400.0), (0.01, None, None), (0.003, None, None), (0.001, None, None),
@@ -376,3 +381,38 @@ def test_a_plate_at_rest_has_no_error(panel):
     nothing = estimate(panel, drives[:1], np.array([math.nan]), 0.1, "cpu")
     assert np.isnan(nothing.error)
     assert "no localization factor" in nothing.line()
+
+
+def test_what_is_not_resolved_is_not_known(panel):
+    """At a frequency whose waves the functions cannot follow, the answer stands still at a wrong value."""
+    fast = panel.model_copy(update={"drive": panel.drive.model_copy(update={"frequency": 3e4})})
+    fast = fast.model_copy(update={"window": Window(start=20 / 3e4, end=40 / 3e4)})
+    assert truth.grow(fast, "ritz", "cpu", 0.02, 0.05).uncertainty >= 1
+
+
+def test_functions_follow_the_sides():
+    """As many in all, in proportion to the sides, within what rounding allows."""
+    assert truth._functions((0.2, 0.2), 20) == (20, 20)
+    wide, high = truth._functions((0.4, 0.1), 20), truth._functions((0.1, 0.4), 20)
+    assert wide == high[::-1] == (40, 10)
+    assert max(truth._functions((2.0, 0.1), 40)) == 60
+    assert min(truth._functions((2.0, 0.1), 12)) == 8
+
+
+def test_a_drive_asked_for_keeps_the_accuracy(panel):
+    """Not only the best drives: one that avoids the target, too."""
+    drive = np.array([[0.2, 1.0, -0.7j]])[:, : len(panel.actuators)]
+    choice = choose(panel, 0.02, "cpu", drive)
+    found = localization_factor(PlateSolver(choice.scene, "cpu").run(drive).energy)
+    known = truth.find_truth(panel, "auto", "cpu", 1e-4, 20.0, drive)
+    right = localization_factors(known.matrices, drive)
+    assert np.abs(found / right - 1).max() <= 0.02
+
+
+def test_a_short_window_is_no_reason_to_fail(panel):
+    """The plates that price fourth order have longer steps than the run's, and none may fall into its window."""
+    short = panel.model_copy(update={"window": Window(start=panel.window.end - 6e-5, end=panel.window.end)})
+    short = short.model_copy(update={"grid": Grid(nodes=(75, 75), load="overlap")})
+    drive = np.eye(len(panel.actuators), dtype=complex)[:1]
+    factor = localization_factor(PlateSolver(short, "cpu").run(drive).energy)
+    assert np.isfinite(estimate(short, drive, factor, 0.1, "cpu").error)

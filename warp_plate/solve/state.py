@@ -18,7 +18,8 @@ class State:
     """Room for ``capacity`` plates; fields are (capacity, rows, stride) and hold zeros outside the plate.
 
     u_next, rate_next: the buffers that take turns with u and rate on the streaming paths; the resident path on CPU
-    keeps the curvature in u_next. nodes: (traced nodes, 2), row and column; trace: (capacity, traced nodes,
+    and the plain streaming path keep the curvature in u_next. nodes: (traced nodes, 2), row and column; trace:
+    (capacity, traced nodes,
     steps).
     """
 
