@@ -4,7 +4,8 @@
 
 ``rate`` is the displacement gained in one step, Δt·u̇ at the half-step between two levels of u. Displacement is
 measured in units of the plate's largest drive × Δt²/ρH, so that all numbers stay near one whatever the material:
-``stiffness`` = (κΔt/h²)² and ``load`` ≤ 1, both divided by 1 + cΔt/2ρH where damping is centred in time.
+``stiffness`` = (κΔt/h²)², of fourth order (κΔt/12h²)², and ``load`` ≤ 1, both divided by 1 + cΔt/2ρH where damping is
+centred in time.
 """
 
 from functools import cache

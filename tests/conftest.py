@@ -99,6 +99,25 @@ def pairs():
     return device_paths()
 
 
+@pytest.fixture(scope="session")
+def panel():
+    """A small panel with few modes below the drive, and so with a cheap reference."""
+    patches = [(0.03, 0.06, 0.04, 0.07), (0.12, 0.17, 0.03, 0.08), (0.05, 0.13, 0.11, 0.16)]
+    return Scene.model_validate(
+        {
+            "plate": {
+                "size": (0.2, 0.2), "thickness": 5e-4, "young_modulus": 1e9, "poisson_ratio": 0.33, "density": 1000.0,
+            },
+            "edges": dict.fromkeys(("left", "bottom", "right", "top"), "supported"),
+            "window": {"start": 0.01, "end": 0.03},
+            "drive": {"frequency": 200.0},
+            "target": {"area": (0.0, 0.1, 0.0, 0.1)},
+            "effects": {"damping": {"viscous": 300.0}},
+            "actuators": [{"name": str(index), "area": area} for index, area in enumerate(patches)],
+        }
+    )  # fmt: skip
+
+
 @pytest.fixture
 def scene():
     """The factory of small scenes, see :func:`scene_of`."""

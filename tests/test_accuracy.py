@@ -23,25 +23,6 @@ MOMENTS = Configuration(4, "moments", (21, 21), None, "float32")
 
 
 @pytest.fixture(scope="module")
-def panel():
-    """A small panel with few modes below the drive, and so with a cheap reference."""
-    patches = [(0.03, 0.06, 0.04, 0.07), (0.12, 0.17, 0.03, 0.08), (0.05, 0.13, 0.11, 0.16)]
-    return Scene.model_validate(
-        {
-            "plate": {
-                "size": (0.2, 0.2), "thickness": 5e-4, "young_modulus": 1e9, "poisson_ratio": 0.33, "density": 1000.0,
-            },
-            "edges": dict.fromkeys(("left", "bottom", "right", "top"), "supported"),
-            "window": {"start": 0.01, "end": 0.03},
-            "drive": {"frequency": 200.0},
-            "target": {"area": (0.0, 0.1, 0.0, 0.1)},
-            "effects": {"damping": {"viscous": 300.0}},
-            "actuators": [{"name": str(index), "area": area} for index, area in enumerate(patches)],
-        }
-    )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
 def right(panel):
     """Its truth."""
     return truth.find_truth(panel, "ritz", "cpu", 1e-5)
@@ -274,6 +255,9 @@ def test_front_and_recommendations():
         made_row(33, None, None, status="skipped: so"),
     ]
     assert fit.pareto_front(rows) == [0, 1, 3]
+    # A coarse grid that is right by chance is not recommended, for a finer one is not; nor is a gain of nothing a gain.
+    assert fit.recommend([*rows, made_row(10, 0.001, 1.5)], 0.003, 100)[1].row == 3
+    assert fit.pareto_front([*rows, made_row(18, 0.00795, 5.0)]) == [0, 1, 3]
     found = fit.recommend(rows, 0.003, 100)
     assert [(one.tolerance, one.row, one.seconds) for one in found] == [
         (0.1, 1, 200.0), (0.03, 3, 400.0), (0.01, None, None), (0.003, None, None), (0.001, None, None),

@@ -11,7 +11,7 @@ import numpy as np
 from warp_plate.accuracy.family import Configuration, Order, highest_order, scene_with
 from warp_plate.accuracy.text import percent, seconds_text, two_digits
 from warp_plate.accuracy.trial import PATH, Trial, cost_of_run
-from warp_plate.accuracy.truth import find_truth
+from warp_plate.accuracy.truth import Truth, find_truth
 from warp_plate.accuracy.walk import CLOSE_ENOUGH, MOST_NODE_STEPS, TRIALS, Aim, confirmed, finer
 from warp_plate.reference.forced import bound, localization_factors
 from warp_plate.scene.errors import SceneError
@@ -33,8 +33,8 @@ CUDA_PLATES, TIMING_SECONDS = 256, 0.2
 @dataclass(frozen=True)
 class Choice:
     """scene: with a grid of its own and no ``accuracy``; asked: relative error; error: estimated, the largest of
-    equal drive, best single actuator, best drive and bound; seconds: of a plate, where several run at once; reason: a
-    sentence.
+    the drives asked for, equal drive, best single actuator, best drive and bound; seconds: of a plate, where several
+    run at once; reason: a sentence; truth: what the error was measured against.
     """
 
     scene: Scene
@@ -42,25 +42,29 @@ class Choice:
     error: float
     seconds: float
     reason: str
+    truth: Truth
 
 
-def choose(scene: Scene, accuracy: float, device: str = "auto") -> Choice:
+def choose(scene: Scene, accuracy: float, device: str = "auto", drives: np.ndarray | None = None) -> Choice:
     """The cheapest configuration whose localization factors are right to ``accuracy`` (relative).
 
     The scene's own grid plays no part; its damping is taken centred in time. Grids of each order are tried against the
-    reference solution, and the one that is left is checked with the Gram matrices of all drives.
+    reference solution with equal drive, the best single actuator, the best drive and ``drives`` (drives, actuators),
+    and the one that is left is checked with the Gram matrices of all drives.
 
     Raises:
         SceneError: no configuration within reach keeps this accuracy; no such device.
     """
     find_device(device)
-    truth = find_truth(scene, "auto", device, REFERENCE_SHARE * accuracy, REFERENCE_SECONDS)
-    if truth.uncertainty > accuracy / 2:
+    truth = find_truth(scene, "auto", device, REFERENCE_SHARE * accuracy, REFERENCE_SECONDS, drives)
+    if not truth.uncertainty <= accuracy / 2:
+        possible = truth.uncertainty < 0.2
+        advice = f"ask for {_rounded_up(2 * truth.uncertainty):g} or more" if possible else "write a grid instead"
         raise SceneError(
             f"accuracy = {accuracy:g}: the reference solution of this scene is known to {truth.uncertainty:.1g} only; "
-            f"ask for {_rounded_up(2 * truth.uncertainty):g} or more"
+            f"{advice}"
         )
-    aim = Aim(scene, truth, AIM * accuracy - truth.uncertainty, device)
+    aim = Aim(scene, truth, AIM * accuracy - truth.uncertainty, device, drives)
     found = _candidates(aim)
     kept = [trial for trial in found.values() if trial.error <= aim.error]
     chosen = min(kept, key=lambda trial: trial.cost) if kept else None
@@ -79,7 +83,7 @@ def choose(scene: Scene, accuracy: float, device: str = "auto") -> Choice:
         f"{configuration.load}, Δt = {configuration.time_step:.2g} s, {configuration.precision}: estimated error "
         f"{percent(error)}, {seconds_text(seconds)} a plate{others}"
     )
-    return Choice(resolved, accuracy, error, seconds, text)
+    return Choice(resolved, accuracy, error, seconds, text, truth)
 
 
 def _candidates(aim: Aim) -> dict[Order, Trial]:

@@ -24,10 +24,13 @@ from warp_plate.accuracy.truth import Stage, grow, ritz_field
 from warp_plate.accuracy.walk import finer
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.reference.forced import localization_factors as factors_of
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 # The estimate may take this part of the run's time, at least and at most so many seconds.
-SHARE, LEAST_SECONDS, MOST_SECONDS = 0.08, 0.2, 20.0
+SHARE, LEAST_SECONDS, MOST_SECONDS = 0.08, 0.4, 20.0
+# What rounding may do to a localization factor.
+ROUNDING = {"float32": 1e-6, "float64": 1e-13}
 # The reference is good enough when its own error is this part of the error that it shows.
 GOOD_ENOUGH = 0.2
 FIRST_WANTED, FINEST_WANTED = 0.02, 1e-6
@@ -83,10 +86,12 @@ class Estimate:
         grid = f"{nx} × {ny}, order {self.configuration.order}, {self.configuration.load}"
         if not math.isfinite(bar):
             return f"{grid}: no error estimate (the plate is at rest, or not linear in its drives)"
+        limited = self.uncertainty > float(self.errors[case]) / 2
+        at_most = f" at most (the reference is known to {percent(self.uncertainty)} only)" if limited else ""
         moved = float(self.displacement_errors[case])
-        displacement = f", displacement ± {percent(moved)}" if math.isfinite(moved) else ""
+        displacement = f", displacement ± {percent(moved)}" if math.isfinite(moved) and not limited else ""
         digits = max(3, 1 - math.floor(math.log10(bar))) if bar > 0 else 6
-        found = f"localization factor {value:.{min(digits, 8)}f} ± {two_digits(bar)}{displacement}"
+        found = f"localization factor {value:.{min(digits, 8)}f} ± {two_digits(bar)}{at_most}{displacement}"
         return f"{grid}: {found}{self.price_line()}"
 
     def price_line(self) -> str:
@@ -129,6 +134,7 @@ def estimate(
     device: str = "auto",
     times: Sequence[float] | np.ndarray = (),
     displacement: np.ndarray | None = None,
+    stage: Stage | None = None,
 ) -> Estimate:
     """How far the localization factors of a run are from the right ones, at a tenth of its price or less.
 
@@ -139,6 +145,7 @@ def estimate(
         seconds: that the run took.
         device: for the plates that price fourth order.
         times, displacement: (cases, times, ny, nx) [m] of the run at times [s].
+        stage: a reference that is there already.
 
     The reference grows until its own error is well below the one that it shows, or until time is up; what is left of
     its error is added.
@@ -157,12 +164,15 @@ def estimate(
         difference = np.abs(found[kept] / factors_of(matrices, drives[kept]) - 1).max()
         return min(max(GOOD_ENOUGH * float(difference), FINEST_WANTED), FIRST_WANTED)
 
-    stage = grow(scene, "auto", device, enough, budget, drives[kept])
+    stage = stage or grow(scene, "auto", device, enough, budget, drives[kept])
     references = np.full(found.shape, math.nan)
     references[kept] = factors_of(stage.matrices, drives[kept])
-    errors = np.abs(found / references - 1) + stage.uncertainty
-    worst = float(np.nanmax(errors))
-    price = _price(scene, worst, drives[kept], references[kept], device, budget)
+    differences = np.abs(found / references - 1)
+    errors = differences + stage.uncertainty + ROUNDING[scene.grid.precision]
+    worst = float(np.nanmax(differences))
+    # What is mostly the reference's own error says nothing of the price of a smaller one.
+    known = stage.uncertainty < worst
+    price = _price(scene, worst, drives[kept], references[kept], device, budget) if known else None
     moved = _displacement_errors(stage, scene, drives, times, displacement)
     took = time.perf_counter() - started
     return Estimate(
@@ -217,7 +227,10 @@ def _pilot(scene: Scene, drives: np.ndarray, references: np.ndarray, device: str
     pilot = Configuration(4, LOAD_OF[4], nodes, longest_time_step(scene, 4, nodes), "float32")
     if len(drives) * node_steps(scene, pilot) > PILOT_NODE_STEPS * budget:
         return Trial(pilot, math.inf, math.inf)
-    return try_out(scene, pilot, drives, references, device)
+    try:
+        return try_out(scene, pilot, drives, references, device)
+    except SceneError:  # its step is too long for the window, or its cells too large for an actuator
+        return Trial(pilot, math.inf, math.inf)
 
 
 def _needed(scene: Scene, trial: Trial, aim: float) -> Configuration:

@@ -6,9 +6,10 @@ import math
 from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
+import numpy as np
 from pydantic import ValidationError
 
-from warp_plate.plate.scheme import SAFETY, STEPS_A_PERIOD, make_scheme, time_step_limit
+from warp_plate.plate.scheme import SAFETY, STEPS_A_PERIOD, needs_moments, stability, time_step_limit
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import explain
 from warp_plate.scene.model import Scene
@@ -29,6 +30,7 @@ TIME_STEP_PARTS = (0.5, 0.25)
 TOO_LONG = 1.05
 # A step may be shorter than the longest by this part, if then the window starts at the end of a step.
 ALIGNMENT = 0.08
+MOST_STEPS_TRIED = 1000
 
 
 @dataclass(frozen=True)
@@ -71,11 +73,17 @@ def scene_with(scene: Scene, configuration: Configuration) -> Scene:
 
 def highest_order(scene: Scene) -> Order:
     """Four where the scene allows it."""
-    try:
-        make_scheme(scene_with(scene, _usual(scene, 4, LOAD_OF[4], BASE, "float64")))
-    except SceneError:
-        return 2
-    return 4
+    return 2 if needs_moments(scene) else 4
+
+
+def bending_wave(scene: Scene) -> float:
+    """Length [m] of a free bending wave at the drive's frequency, 2π√(κ/ω)."""
+    return 2 * math.pi * math.sqrt(_kappa(scene) / scene.drive_angular_frequency)
+
+
+def _kappa(scene: Scene) -> float:
+    plate = scene.plate
+    return plate.thickness * math.sqrt(plate.young_modulus / (12 * plate.density * (1 - plate.poisson_ratio**2)))
 
 
 def nodes_for(size: tuple[float, float], side: float, order: Order = 2) -> tuple[int, int]:
@@ -93,10 +101,11 @@ def spacing_of(scene: Scene, nodes: tuple[int, int]) -> float:
 
 def stability_limit(scene: Scene, order: Order, nodes: tuple[int, int]) -> float:
     """Largest stable time step [s] with centred damping."""
+    if needs_moments(scene):
+        return stability(scene_with(scene, Configuration(order, LOAD_OF[order], nodes, None, "float64")))[0]
     plate = scene.plate
-    kappa = plate.thickness * math.sqrt(plate.young_modulus / (12 * plate.density * (1 - plate.poisson_ratio**2)))
     spacing = (plate.size[0] / (nodes[0] - 1), plate.size[1] / (nodes[1] - 1))
-    return time_step_limit(kappa, spacing, order=order)
+    return time_step_limit(_kappa(scene), spacing, order=order)
 
 
 def longest_time_step(scene: Scene, order: Order, nodes: tuple[int, int]) -> float:
@@ -113,11 +122,10 @@ def fitted(scene: Scene, longest: float) -> float:
     window = scene.window
     fewest = math.ceil(window.end / longest * (1 - 1e-12))
 
-    def missed(steps: int) -> float:
-        before = window.start / window.end * steps
-        return round(abs(before - round(before)), 6)
-
-    return window.end / min(range(fewest, fewest + int(ALIGNMENT * fewest) + 1), key=missed)
+    steps = fewest + np.arange(min(int(ALIGNMENT * fewest), MOST_STEPS_TRIED) + 1)
+    before = window.start / window.end * steps
+    missed = np.round(np.abs(before - np.round(before)), 6)
+    return window.end / int(steps[np.argmin(missed)])
 
 
 def node_steps(scene: Scene, configuration: Configuration) -> float:

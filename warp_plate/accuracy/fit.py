@@ -96,6 +96,20 @@ def slope(points: Sequence[tuple[float, float | None]]) -> float | None:
     return float(np.polyfit(x, y, 1)[0])
 
 
+# A dearer row is on the front if its error is smaller by this part at least.
+LEAST_GAIN = 0.01
+
+
+def _keeps(row: Row, error: float) -> bool:
+    return row.measured and row.error is not None and row.error <= error
+
+
+def _as_fine(other: Row, row: Row) -> bool:
+    """Whether it is measured, of the same family and no coarser: one that is right by chance is not recommended."""
+    alike = (other.order, other.load, other.precision) == (row.order, row.load, row.precision)
+    return other.measured and alike and other.spacing <= row.spacing * (1 + 1e-9)
+
+
 def pareto_front(rows: Sequence[Row]) -> list[int]:
     """Indices of the measured rows that no other beats in both seconds and error, from cheap to dear."""
     order = sorted(
@@ -106,7 +120,7 @@ def pareto_front(rows: Sequence[Row]) -> list[int]:
     least = math.inf
     for index in order:
         error = rows[index].error
-        if error is not None and error < least:
+        if error is not None and error < (1 - LEAST_GAIN) * least:
             front.append(index)
             least = error
     return front
@@ -124,8 +138,8 @@ def recommend(
         keeping = [
             (row.seconds_per_plate, index)
             for index, row in enumerate(rows)
-            if row.measured and row.error is not None and row.error + uncertainty <= tolerance
-            if row.seconds_per_plate is not None
+            if row.measured and row.seconds_per_plate is not None
+            if all(_keeps(other, tolerance - uncertainty) for other in rows if _as_fine(other, row))
         ]
         seconds, index = min(keeping, default=(None, None))
         found.append(Recommendation(tolerance, index, None if seconds is None else plates * seconds))

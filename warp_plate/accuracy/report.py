@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
-from warp_plate.accuracy.choose import choose
 from warp_plate.accuracy.family import Configuration, make_family
 from warp_plate.accuracy.fit import Law, Recommendation, fit_laws, pareto_front, recommend
 from warp_plate.accuracy.measure import Bench, Row, cost_order, measure, speeds_json
 from warp_plate.accuracy.trial import PATH
 from warp_plate.accuracy.truth import Truth, find_truth
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Grid, Scene
 
 # The reference may take this part of the budget; its error is to be far below the smallest tolerance.
 REFERENCE_SHARE, REFERENCE_ERROR = 0.15, 1e-5
 # A row may take this part of what is left, so that the dearest does not eat what the others need.
 SHARE_OF_REST = 0.5
+# So many rows are measured whatever the budget.
+FIRST_ROWS = 6
 
 
 @dataclass(frozen=True)
@@ -87,10 +89,11 @@ def measure_family(
     """
     started = time.perf_counter()
     truth = find_truth(scene, "auto", device, REFERENCE_ERROR, REFERENCE_SHARE * budget)
-    if scene.grid.accuracy is not None:
-        scene = choose(scene, scene.grid.accuracy, device).scene
+    asked = scene.grid.accuracy is not None  # then the scene as written has no grid, and the family is all there is
+    scene = scene.model_copy(update={"grid": Grid()}) if asked else scene
     bench = Bench(scene, truth, device, path)
-    wanted: list[Configuration | None] = [None, *sorted(make_family(scene), key=lambda one: cost_order(scene, one))]
+    family = sorted(make_family(scene), key=lambda one: cost_order(scene, one))
+    wanted: list[Configuration | None] = [*([] if asked else [None]), *family]
     rows: list[Row] = []
     interrupted = False
     try:
@@ -98,7 +101,8 @@ def measure_family(
             if told is not None:
                 told(len(rows), len(wanted), str(configuration or "the scene as written"))
             left = budget - (time.perf_counter() - started)
-            rows.append(measure(bench, configuration, SHARE_OF_REST * left))
+            first = sum(row.measured for row in rows) < FIRST_ROWS
+            rows.append(measure(bench, configuration, math.inf if first else SHARE_OF_REST * left))
     except KeyboardInterrupt:
         if not rows:
             raise

@@ -20,6 +20,7 @@ from warp_plate.accuracy.family import (
     LOAD_OF,
     Configuration,
     Order,
+    bending_wave,
     highest_order,
     nodes_for,
     scene_with,
@@ -43,6 +44,9 @@ Field = Callable[[Sequence[float] | np.ndarray, np.ndarray, np.ndarray], np.ndar
 # Numbers of functions a side, and the seconds that each takes on two quiet cores: what may be done within a time is
 # decided by these, so that the same call gives the same answer on a busy machine.
 RITZ_SECONDS = {10: 0.01, 12: 0.015, 14: 0.02, 16: 0.04, 20: 0.08, 24: 0.18, 32: 0.5, 40: 1.4, 48: 3.0}
+# Functions of one direction, and how many of them a bending wave takes (a polynomial needs π a wave at least, and less
+# counts for the low modes that carry most of the energy).
+FEWEST_FUNCTIONS, MOST_FUNCTIONS, FUNCTIONS_A_WAVE = 8, 60, 2.6
 # On a machine so busy that the work takes so many times longer, and so many seconds more, it ends where it is.
 PATIENCE, PATIENCE_SECONDS = 2.0, 5.0
 SIDES = (19, 27, 37, 53, 75, 105, 149)
@@ -63,7 +67,8 @@ class Truth:
     kind; matrices: (2, 2M, 2M) of plate and target [J per (N/m²)²], see ``reference.forced``; drives: "single" (the
     best single actuator) and "best" (one that reaches the bound), each (actuators,) phasors [N/m²];
     localization_factors: of these; bound: on the localization factor of any drive; uncertainty: relative, the largest
-    of these three numbers; frequencies: the first natural ones [Hz]; field: displacement under the best drive.
+    of these three numbers; frequencies: the first natural ones [Hz]; field: displacement under the best drive; stage:
+    what all of this comes from.
     """
 
     kind: Kind
@@ -74,8 +79,9 @@ class Truth:
     uncertainty: float
     frequencies: np.ndarray
     field: Field
+    stage: Stage
 
-    def displacement(self, times: Sequence[float], x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def displacement(self, times: Sequence[float] | np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """(times, points of y, points of x) displacement [m] under the best drive."""
         return self.field(times, x, y)
 
@@ -104,14 +110,17 @@ def find_truth(
     device: str = "auto",
     wanted: float = 1e-5,
     seconds: float = 60.0,
+    drives: np.ndarray | None = None,
 ) -> Truth:
     """The right answer, its uncertainty below ``wanted`` or as small as ``seconds`` of work make it.
+
+    The uncertainty is that of the bound and of equal drive, best single actuator, best drive and ``drives``.
 
     Raises:
         SceneError: kind = "ritz" and the scene has an edge or an effect that the reference does not know; no such
             device.
     """
-    stage = grow(scene, kind, device, wanted, seconds)
+    stage = grow(scene, kind, device, wanted, seconds, more=drives)
     largest, best = bound(stage.matrices)
     singles = np.eye(len(scene.actuators), dtype=complex)
     single = singles[int(np.argmax(localization_factors(stage.matrices, singles)))]
@@ -125,6 +134,7 @@ def find_truth(
         uncertainty=stage.uncertainty,
         frequencies=_frequencies(stage),
         field=ritz_field(stage.modes, scene, best) if stage.modes else _grid_field(stage.scenes[-1], device, best),
+        stage=stage,
     )
 
 
@@ -135,15 +145,16 @@ def grow(
     wanted: float | Callable[[np.ndarray], float] = 1e-5,
     seconds: float = 60.0,
     drives: np.ndarray | None = None,
+    more: np.ndarray | None = None,
 ) -> Stage:
     """The last stage of the reference: uncertainty below ``wanted``, or no time left for the next.
 
     wanted: a number, or a function of the stage's matrices; drives: (drives, actuators) whose localization factors are
-    to stand still; left out: the best single actuator and the bound.
+    to stand still; left out: equal drive, the best single actuator, the best drive, and ``more``; with the bound.
     """
     if not scene.linear:
         raise SceneError("effects.stretching: not linear in the drives, which the references for accuracy rest on")
-    stages = _stages(scene, kind, device, drives)
+    stages = _stages(scene, kind, device, Probes(drives, more))
     started = time.perf_counter()
     last = next(stages)
     spent = last.seconds
@@ -160,28 +171,68 @@ def grow(
     return last
 
 
-def _stages(scene: Scene, kind: str, device: str, drives: np.ndarray | None) -> Iterator[Stage]:
+@dataclass(frozen=True)
+class Probes:
+    """The drives whose localization factors are watched: these alone, or the usual ones and more."""
+
+    alone: np.ndarray | None = None
+    more: np.ndarray | None = None
+
+    def change(self, matrices: np.ndarray, others: Sequence[np.ndarray]) -> float:
+        """Largest relative difference of what is watched between these matrices and the others."""
+        if self.alone is not None:
+            watched = self.alone
+        else:
+            singles = np.eye(matrices.shape[1] // 2, dtype=complex)
+            single = singles[int(np.argmax(localization_factors(matrices, singles)))]
+            usual = np.array([single, bound(matrices)[1], np.ones_like(single)])
+            watched = usual if self.more is None else np.concatenate([usual, self.more])
+
+        def values(one: np.ndarray) -> np.ndarray:
+            return np.append(localization_factors(one, watched), [] if self.alone is not None else bound(one)[0])
+
+        now = values(matrices)
+        return max(float(np.abs(values(other) / now - 1).max()) for other in others)
+
+
+def _stages(scene: Scene, kind: str, device: str, probes: Probes) -> Iterator[Stage]:
     if kind != "richardson":
         try:
-            yield from _ritz_stages(scene, drives)
+            yield from _ritz_stages(scene, probes)
             return
         except (SceneError, ValueError):  # an effect that it does not know, or an undamped resonance
             if kind == "ritz":
                 raise
-    yield from _richardson_stages(scene, device, drives)
+    yield from _richardson_stages(scene, device, probes)
 
 
-def _ritz_stages(scene: Scene, drives: np.ndarray | None) -> Iterator[Stage]:
+def _ritz_stages(scene: Scene, probes: Probes) -> Iterator[Stage]:
     plate = thin_plate(scene)
     kept: list[np.ndarray] = []
     for count, seconds in RITZ_SECONDS.items():
-        modes = solve_modes(plate, count)
+        functions = _functions(plate.size, count)
+        modes = solve_modes(plate, functions)
         _check_resonance(modes, scene)
         kept.append(transient_matrices(modes, scene))
         # Errors of successive numbers of functions may differ in sign: one small change is no proof.
-        change = _change(kept[-1], kept[-3:-1], drives) if len(kept) > 2 else math.inf
+        change = DOUBT_OF_CHANGE * probes.change(kept[-1], kept[-3:-1]) if len(kept) > 2 else math.inf
+        if len(kept) > 2 and not _resolves(scene, functions):
+            change = max(change, 1.0)  # what is not resolved may stand still at a wrong value
         following = min((later for size, later in RITZ_SECONDS.items() if size > count), default=math.inf)
         yield Stage("ritz", count, kept[-1], change, seconds, following, modes)
+
+
+def _functions(size: tuple[float, float], count: int) -> tuple[int, int]:
+    """Functions of x and of y: count² in all, in proportion to the sides as far as rounding lets them grow."""
+    longer = min(MOST_FUNCTIONS, round(count * math.sqrt(max(size) / min(size))))
+    shorter = max(FEWEST_FUNCTIONS, round(count**2 / longer))
+    return (longer, shorter) if size[0] >= size[1] else (shorter, longer)
+
+
+def _resolves(scene: Scene, functions: tuple[int, int]) -> bool:
+    """Whether so many functions can follow the bending wave at the drive's frequency along both sides."""
+    needed = (FUNCTIONS_A_WAVE * side / bending_wave(scene) + 4 for side in scene.plate.size)
+    return all(count >= least for count, least in zip(functions, needed, strict=True))
 
 
 def _check_resonance(modes: Modes, scene: Scene) -> None:
@@ -193,7 +244,7 @@ def _check_resonance(modes: Modes, scene: Scene) -> None:
         raise ValueError(f"drive.frequency = {scene.drive.frequency:g}: the undamped plate is driven at its resonance")
 
 
-def _richardson_stages(scene: Scene, device: str, drives: np.ndarray | None) -> Iterator[Stage]:
+def _richardson_stages(scene: Scene, device: str, probes: Probes) -> Iterator[Stage]:
     order = highest_order(scene)
     configurations = _falling_steps(scene, order)
     matrices: list[np.ndarray] = []
@@ -209,28 +260,12 @@ def _richardson_stages(scene: Scene, device: str, drives: np.ndarray | None) -> 
             gain = 1 / ((spacings[0] / spacings[1]) ** order - 1)
             extrapolated.append(matrices[-1] + gain * (matrices[-1] - matrices[-2]))
         if len(extrapolated) > 1:
-            change = DOUBT_OF_CHANGE * _change(extrapolated[-1], extrapolated[-2:-1], drives)
-            change = max(change, DOUBT_OF_GAIN * _change(extrapolated[-1], matrices[-1:], drives))
+            change = DOUBT_OF_CHANGE * probes.change(extrapolated[-1], extrapolated[-2:-1])
+            change = max(change, DOUBT_OF_GAIN * probes.change(extrapolated[-1], matrices[-1:]))
         best = extrapolated[-1] if extrapolated else matrices[-1]
         took = time.perf_counter() - started
         # Each grid has twice the nodes of the one before, and twice the steps.
         yield Stage("richardson", configuration.nodes[0], best, change, took, 4 * took, scenes=tuple(scenes))
-
-
-def _change(matrices: np.ndarray, others: Sequence[np.ndarray], drives: np.ndarray | None) -> float:
-    """Largest relative difference of the probes between these matrices and the others."""
-
-    def probes(one: np.ndarray) -> np.ndarray:
-        return np.append(localization_factors(one, probed), [] if drives is not None else bound(one)[0])
-
-    singles = np.eye(matrices.shape[1] // 2, dtype=complex)
-    if drives is None:
-        best = int(np.argmax(localization_factors(matrices, singles)))
-        probed = np.array([singles[best], bound(matrices)[1]])
-    else:
-        probed = drives
-    now = probes(matrices)
-    return max(float(np.abs(probes(other) / now - 1).max()) for other in others)
 
 
 def _falling_steps(scene: Scene, order: Order) -> list[Configuration]:

@@ -12,6 +12,7 @@ from warp_plate.accuracy.family import (
     Configuration,
     Order,
     Precision,
+    bending_wave,
     longest_time_step,
     node_steps,
     nodes_for,
@@ -25,6 +26,8 @@ from warp_plate.scene.model import Scene
 # The first grid tried: cells in a bending wave of the driven plate for an error of 1 % with fourth order.
 CELLS_A_WAVE = 6.3
 FIRST_SIDES = (12.0, 120.0)
+# The fewest: coarser grids may agree with each other and be wrong.
+FEWEST_CELLS_A_WAVE = 4.0
 # Sides that differ by less are not worth another trial; a trial may take a side this much shorter than the last.
 CLOSE_ENOUGH = 1.06
 BOLDNESS = 0.6
@@ -36,30 +39,34 @@ TRIALS, MOST_NODE_STEPS, MOST_NODES = 10, 2e10, 8193
 
 @dataclass(frozen=True)
 class Aim:
-    """scene; its truth; error: the largest that is kept, relative; device to try on."""
+    """scene; its truth; error: the largest that is kept, relative; device to try on; asked: (drives, actuators) beside
+    the usual ones."""
 
     scene: Scene
     truth: Truth
     error: float
     device: str
+    asked: np.ndarray | None = None
 
     def first_side(self) -> float:
         """A guess of what fourth order takes."""
-        plate = self.scene.plate
-        kappa = plate.thickness * math.sqrt(plate.young_modulus / (12 * plate.density * (1 - plate.poisson_ratio**2)))
-        wave = 2 * math.pi * math.sqrt(kappa / self.scene.drive_angular_frequency)
-        cells = CELLS_A_WAVE * math.sqrt(plate.size[0] * plate.size[1]) / wave * (0.01 / self.error) ** 0.25
+        cells = CELLS_A_WAVE * self._waves() * (0.01 / self.error) ** 0.25
         return min(max(1 + cells, FIRST_SIDES[0]), FIRST_SIDES[1])
 
+    def _waves(self) -> float:
+        """Bending waves along the side of a square as large as the plate."""
+        return math.sqrt(math.prod(self.scene.plate.size)) / bending_wave(self.scene)
+
     def configuration(self, order: Order, precision: Precision, side: float) -> Configuration:
-        """As coarse in time as the limits allow."""
-        nodes = nodes_for(self.scene.plate.size, side, order)
+        """As coarse in time as the limits allow, and with so many cells a wave that the grid can carry it."""
+        nodes = nodes_for(self.scene.plate.size, max(side, 1 + FEWEST_CELLS_A_WAVE * self._waves()), order)
         return Configuration(order, LOAD_OF[order], nodes, longest_time_step(self.scene, order, nodes), precision)
 
     def drives(self) -> np.ndarray:
-        """(3, actuators): best single actuator, best drive, all actuators alike."""
+        """(drives, actuators): best single actuator, best drive, all actuators alike, and those asked for."""
         alike = np.ones(len(self.scene.actuators))
-        return np.array([self.truth.drives["single"], self.truth.drives["best"], alike])
+        usual = np.array([self.truth.drives["single"], self.truth.drives["best"], alike])
+        return usual if self.asked is None else np.concatenate([usual, self.asked])
 
     def attempt(self, configuration: Configuration) -> Trial:
         """The error of :meth:`drives`; infinite where the grid cannot be had."""
@@ -99,6 +106,8 @@ def confirmed(aim: Aim, order: Order, precision: Precision, first: float, ceilin
             break
         too_coarse = math.sqrt(math.prod(trial.configuration.nodes)) * CLOSE_ENOUGH
         trial = cheapest(aim, order, precision, STEADY * too_coarse, ceiling, too_coarse)
+    else:
+        return replace(trial, error=math.inf)
     return trial
 
 

@@ -91,7 +91,10 @@ def load_scene(source: str, accuracy: str | None = None) -> Scene:
 
     scene = Scene.load(source)
     if accuracy is not None:
-        scene = with_accuracy(scene, _accuracy_of(accuracy))
+        try:
+            scene = with_accuracy(scene, _accuracy_of(accuracy))
+        except SceneError:
+            raise SceneError(f"--accuracy {accuracy}: must be from 0.01% to 50%, such as 1% or 0.01") from None
     if scene.grid.accuracy is not None:
         return scene
     try:
@@ -112,7 +115,7 @@ def _accuracy_of(text: str) -> float:
     try:
         return float(number) / (100 if text.strip().endswith("%") else 1)
     except ValueError:
-        raise SceneError(f"--accuracy {text}: must be a number or a percentage, such as 0.01 or 1%") from None
+        raise SceneError("not a number") from None
 
 
 def print_accuracy(result: Result, console: Console) -> None:

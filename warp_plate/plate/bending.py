@@ -1,4 +1,4 @@
-"""The plate as moments: rigidity, mass and springs of every node, with the edges, layers and effects of a scene in them.
+"""The plate as moments: rigidity, mass and springs of every node, with a scene's edges, layers and effects in them.
 
 Bending stores ½∫ Dx u_xx² + 2 D1 u_xx u_yy + Dy u_yy² + 4 Dxy u_xy² dA; on the grid, curvatures and moments belong to
 nodes, twists to cells, and a node on an edge has half a cell (a quarter at a corner). There the curvature across the
@@ -20,12 +20,12 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 
-from warp_plate.plate.weights import moving_nodes, overlap
+from warp_plate.plate.weights import EDGE_LINES, moving_nodes, overlap
+from warp_plate.scene.effects import Orthotropic
 from warp_plate.scene.model import ElasticEdge, Scene
 
 # Relative, of the largest eigenvalue.
 LANCZOS_TOLERANCE = 1e-3
-SIDES = ("left", "bottom", "right", "top")
 
 
 @dataclass(frozen=True)
@@ -53,35 +53,34 @@ def make_bending(scene: Scene) -> Bending:
     """The fields of a scene on its grid."""
     plate, effects, (nx, ny) = scene.plate, scene.effects, scene.grid.nodes
     hx, hy = plate.size[0] / (nx - 1), plate.size[1] / (ny - 1)
-    rigidity, added, mass = _layers(scene)
-    base = rigidity if effects.orthotropic is None else None
+    bare, added, mass = _layers(scene)
     ratio = plate.poisson_ratio
-    own = effects.orthotropic
-    stiff_x = added + (base if base is not None else own.Dx)
-    stiff_y = added + (base if base is not None else own.Dy)
-    coupling = ratio * added + (ratio * base if base is not None else own.D1)
-    twisting = (1 - ratio) / 2 * added + ((1 - ratio) / 2 * base if base is not None else own.Dxy)
+    own = effects.orthotropic or Orthotropic(Dx=bare, Dy=bare, D1=ratio * bare, Dxy=(1 - ratio) / 2 * bare)
     yielding_x, yielding_y = np.zeros((ny, nx)), np.zeros((ny, nx))
-    spring = np.zeros((ny, nx))
-    if effects.foundation is not None:
-        spring += effects.foundation.stiffness
-    for side in SIDES:
+    spring = np.full((ny, nx), effects.foundation.stiffness if effects.foundation else 0.0)
+    for side, line in EDGE_LINES.items():
         edge = getattr(scene.edges, side)
-        line = {"left": np.s_[:, 0], "right": np.s_[:, -1], "bottom": np.s_[0], "top": np.s_[-1]}[side]
         across, yielding = (hx, yielding_x) if side in ("left", "right") else (hy, yielding_y)
         if isinstance(edge, ElasticEdge):
             yielding[line] = 2 / (edge.rotation * across) if edge.rotation > 0 else math.inf
             spring[line] += 2 * edge.translation / across
         else:
             yielding[line] = 0 if edge == "clamped" else math.inf
-    bend_xx, bend_xy, bend_yy = _in_series(stiff_x, coupling, stiff_y, yielding_x, yielding_y)
+    coupling, twisting = own.D1 + ratio * added, own.Dxy + (1 - ratio) / 2 * added
+    bend_xx, bend_xy, bend_yy = _in_series(own.Dx + added, coupling, own.Dy + added, yielding_x, yielding_y)
     half_x, half_y = np.ones(nx), np.ones(ny)
     half_x[[0, -1]] = half_y[[0, -1]] = 0.5
-    tension = (effects.tension.x, effects.tension.y) if effects.tension else (0.0, 0.0)
-    cells = (twisting[:-1, :-1] + twisting[1:, :-1] + twisting[:-1, 1:] + twisting[1:, 1:]) / 4
     return Bending(
-        (hx, hy), bend_xx, bend_xy, bend_yy, 4 * cells, mass, np.outer(half_y, half_x), spring,
-        moving_nodes(scene), tension,
+        spacing=(hx, hy),
+        bend_xx=bend_xx,
+        bend_xy=bend_xy,
+        bend_yy=bend_yy,
+        twist=twisting[:-1, :-1] + twisting[1:, :-1] + twisting[:-1, 1:] + twisting[1:, 1:],
+        mass=mass,
+        weight=np.outer(half_y, half_x),
+        spring=spring,
+        moves=moving_nodes(scene),
+        tension=(effects.tension.x, effects.tension.y) if effects.tension else (0.0, 0.0),
     )
 
 
@@ -120,20 +119,22 @@ def largest_eigenvalue(scene: Scene, bending: Bending) -> float:
     if not scene.effects.layers and not scene.effects.oscillators:
         inner = bending.mass.shape[0] // 2, bending.mass.shape[1] // 2
         mixed = bending.bend_xy[inner] + bending.twist.max() / 2  # D1 + 2Dxy
-        stiff = 16 * (bending.bend_xx[inner] / hx**4 + 2 * mixed / (hx * hy) ** 2 + bending.bend_yy[inner] / hy**4)
+        along_x, along_y = bending.bend_xx[inner] / hx**4, bending.bend_yy[inner] / hy**4
+        stiff = 16 * max(along_x, along_y, along_x + along_y + 2 * mixed / (hx * hy) ** 2)
         pull = 4 * (max(tension_x, 0) / hx**2 + max(tension_y, 0) / hy**2)
         return float((stiff + pull + bending.spring.max()) / bending.mass.min())
     stiffness, masses = system(scene, bending)
     root = scipy.sparse.diags_array(1 / np.sqrt(masses))
+    # A start of no symmetry: one that a symmetric plate shares may have no part of the mode that is looked for.
+    start = np.random.default_rng(0).normal(size=len(masses))
     largest = scipy.sparse.linalg.eigsh(
-        root @ stiffness @ root, k=1, which="LM", tol=LANCZOS_TOLERANCE, v0=np.ones(len(masses)), return_eigenvectors=False
+        root @ stiffness @ root, k=1, which="LM", tol=LANCZOS_TOLERANCE, v0=start, return_eigenvectors=False
     )
     return float(largest[0]) * (1 + 3 * LANCZOS_TOLERANCE)
 
 
 def system(scene: Scene, bending: Bending) -> tuple[scipy.sparse.csr_array, np.ndarray]:
-    """Stiffness [N/m] and masses [kg] of what moves: the plate's moving nodes row by row, then the oscillators' masses.
-    """
+    """Stiffness [N/m] and masses [kg] of what moves: moving nodes row by row, then what oscillators hang."""
     moves = bending.moves.ravel()
     stiffness = stiffness_matrix(bending)[moves][:, moves]
     masses = mass_matrix(bending)[moves]
@@ -163,7 +164,8 @@ def buckling_factor(scene: Scene, bending: Bending) -> float:
     # Rigid motion of a plate that nothing holds is no buckling: it gets a stiffness of rounding's size.
     held = rest + scipy.sparse.diags_array(np.full(rest.shape[0], 1e-9 * rest.diagonal().max()))
     largest = scipy.sparse.linalg.eigsh(
-        -pull, k=1, M=held.tocsc(), which="LA", v0=np.ones(rest.shape[0]), return_eigenvectors=False
+        -pull, k=1, M=held.tocsc(), which="LA", v0=np.random.default_rng(0).normal(size=rest.shape[0]),
+        return_eigenvectors=False,
     )
     return math.inf if largest[0] <= 0 else 1 / float(largest[0])
 
@@ -191,7 +193,8 @@ def _in_series(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cxx, Cxy, Cyy of the docstring; a yielding (compliance) may be infinite."""
     determinant = stiff_x * stiff_y - coupling**2
-    soft_x, soft_y, mixed = stiff_y / determinant + yielding_x, stiff_x / determinant + yielding_y, -coupling / determinant
+    soft_x, soft_y = stiff_y / determinant + yielding_x, stiff_x / determinant + yielding_y
+    mixed = -coupling / determinant
     with np.errstate(invalid="ignore", divide="ignore"):
         whole = soft_x * soft_y - mixed**2
         both = np.isfinite(soft_x) & np.isfinite(soft_y)

@@ -112,29 +112,9 @@ def make_scheme(scene: Scene) -> Scheme:
     rigidity = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
     surface_density = plate.density * plate.thickness
     kappa = math.sqrt(rigidity / surface_density)
-    damping = scene.effects.damping
-    viscous = (damping.viscous if damping else 0.0) + (scene.effects.foundation.damping if scene.effects.foundation else 0.0)
+    viscous, backward = _viscous(scene)
     rate_of_loss = viscous / surface_density
-    backward = damping is not None and damping.scheme == "backward"
-    effects = scene.effects
-    bending = None
-    if needs_moments(scene):
-        if grid.order == 4:
-            raise SceneError(
-                "grid.order = 4: knows an isotropic plate, the same everywhere, with clamped and supported edges, and "
-                "viscous damping; write 2 for other edges and effects"
-            )
-        bending = make_bending(scene)
-        _refuse_buckling(scene, bending)
-        largest = largest_eigenvalue(scene, bending)
-        late = effects.material_damping.time * largest if effects.material_damping else 0.0
-        late += sum(
-            one.damping * ((share**2 / bending.weight).sum() / (bending.mass.min() * spacing[0] * spacing[1]) + (1 / one.mass if one.mass else 0))
-            for one, share in zip(effects.oscillators, oscillator_shares(scene), strict=True)
-        )
-        limit = _limit(largest, late + (rate_of_loss if backward else 0.0))
-    else:
-        limit = time_step_limit(kappa, spacing, rate_of_loss if backward else 0.0, grid.order)
+    limit, bending = stability(scene)
     longest = min(SAFETY * limit, 1 / (STEPS_A_PERIOD * scene.drive.frequency))
     time_step = grid.time_step or scene.window.end / math.ceil(scene.window.end / longest)
     if time_step > limit * (1 + 1e-12):
@@ -168,12 +148,49 @@ def make_scheme(scene: Scene) -> Scheme:
         gain=1.0 if backward or bending else 1 / (1 + loss / 2),
         angular_frequency=scene.drive_angular_frequency,
         order=grid.order,
-        taps_x=make_taps(grid.nodes[0], *_words(scene.edges.left, scene.edges.right), grid.order),
-        taps_y=make_taps(grid.nodes[1], *_words(scene.edges.bottom, scene.edges.top), grid.order),
+        taps_x=make_taps(grid.nodes[0], _plain(scene.edges.left), _plain(scene.edges.right), grid.order),
+        taps_y=make_taps(grid.nodes[1], _plain(scene.edges.bottom), _plain(scene.edges.top), grid.order),
         bending=bending,
         viscous=viscous,
         backward=backward,
     )
+
+
+def stability(scene: Scene) -> tuple[float, Bending | None]:
+    """Largest stable time step [s] of a scene's grid and effects; the plate as moments, where it goes that way.
+
+    Raises:
+        SceneError: the plate buckles, or fourth order is asked of one that does not know it.
+    """
+    plate, grid, effects = scene.plate, scene.grid, scene.effects
+    spacing = (plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1))
+    surface_density = plate.density * plate.thickness
+    viscous, backward = _viscous(scene)
+    late = viscous / surface_density if backward else 0.0
+    if not needs_moments(scene):
+        rigidity = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
+        return time_step_limit(math.sqrt(rigidity / surface_density), spacing, late, grid.order), None
+    if grid.order == 4:
+        raise SceneError(
+            "grid.order = 4: knows an isotropic plate, the same everywhere, with clamped and supported edges, and "
+            "viscous damping; write 2 for other edges and effects"
+        )
+    bending = make_bending(scene)
+    _refuse_buckling(scene, bending)
+    largest = largest_eigenvalue(scene, bending)
+    if effects.material_damping is not None:
+        late += effects.material_damping.time * largest
+    cell_mass = bending.mass.min() * spacing[0] * spacing[1]
+    for one, share in zip(effects.oscillators, oscillator_shares(scene), strict=True):
+        late += one.damping * ((share**2 / bending.weight).sum() / cell_mass + (1 / one.mass if one.mass else 0.0))
+    return _limit(largest, late), bending
+
+
+def _viscous(scene: Scene) -> tuple[float, bool]:
+    """All viscous damping [N·s/m³], and whether it is taken backward in time."""
+    damping, bed = scene.effects.damping, scene.effects.foundation
+    viscous = (damping.viscous if damping else 0.0) + (bed.damping if bed else 0.0)
+    return viscous, damping is not None and damping.scheme == "backward"
 
 
 def time_step_limit(
@@ -214,9 +231,9 @@ def needs_moments(scene: Scene) -> bool:
     return not scene.uniform or any(table is not None for table in rest) or bool(effects.oscillators)
 
 
-def _words(*edges: object) -> list[str]:
-    """Edges of the plain plate; where others are, its taps are not used."""
-    return [edge if edge in ("clamped", "supported") else "supported" for edge in edges]
+def _plain(edge: object) -> str:
+    """An edge as the plain plate has it; where it has not, its taps are not used."""
+    return "clamped" if edge == "clamped" else "supported"
 
 
 def _window(scene: Scene, time_step: float) -> tuple[int, int]:

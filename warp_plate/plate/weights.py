@@ -9,6 +9,7 @@ as h⁴. By nodes, as in the source paper, it is one for the nodes inside the ar
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Area, Scene
 
 REGIONS = ("plate", "target")
+# The nodes of each side in an array (ny, nx).
+EDGE_LINES: dict[str, Any] = {"left": np.s_[:, 0], "bottom": np.s_[0], "right": np.s_[:, -1], "top": np.s_[-1]}
 _PLATE, _TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
 
@@ -77,8 +80,7 @@ def patches(scene: Scene) -> np.ndarray:
 def moving_nodes(scene: Scene) -> np.ndarray:
     """(ny, nx) whether a node moves: all but those on clamped and supported edges."""
     moves = np.ones(scene.grid.nodes[::-1], dtype=bool)
-    lines = {"left": np.s_[:, 0], "right": np.s_[:, -1], "bottom": np.s_[0], "top": np.s_[-1]}
-    for side, line in lines.items():
+    for side, line in EDGE_LINES.items():
         if getattr(scene.edges, side) in ("clamped", "supported"):
             moves[line] = False
     return moves

@@ -65,7 +65,7 @@ class Orthotropic(Table):
 
     @model_validator(mode="after")
     def _definite(self) -> Orthotropic:
-        if self.D1**2 >= self.Dx * self.Dy:
+        if self.Dx * self.Dy <= self.D1**2:
             raise ValueError(
                 f"D1: {self.D1:g} N·m gives negative energies; its size must be below √(Dx Dy) = "
                 f"{(self.Dx * self.Dy) ** 0.5:g}"

@@ -13,6 +13,7 @@ import warp as wp
 import warp_plate
 from warp_plate.accuracy.choose import choose
 from warp_plate.accuracy.estimate import estimate as estimate_errors
+from warp_plate.accuracy.truth import Stage
 from warp_plate.plate.weights import localization_factor
 from warp_plate.result.model import Case, Result
 from warp_plate.scene.errors import SceneError
@@ -59,7 +60,7 @@ def localize(
         raise SceneError(f"seed = {seed}: must be a whole number from 0 to 2^63 - 1")
     if evaluator == "response" and not scene.linear:
         raise SceneError("evaluator = 'response': effects.stretching is not linear in the drives; write 'direct'")
-    scene, accuracy, seconds = resolve(scene, device)
+    scene, accuracy, seconds, stage = resolve(scene, device)
     solver = PlateSolver(scene, device, path)
     needs_exact = scene.linear and scene.grid.precision != "float64"
     exact = PlateSolver(_in_float64(scene), device, path) if needs_exact else solver
@@ -76,7 +77,7 @@ def localize(
     run = solver.run(np.array(list(drives.values())), record_times(scene), scene.record.points)
     seconds |= {"compile": compile_seconds, "solve": time.perf_counter() - started}
     if estimate:
-        accuracy |= estimated(scene, drives, run, seconds, device)
+        accuracy |= estimated(scene, drives, run, seconds, device, stage)
     return Result(
         command="localize",
         source=source,
@@ -99,30 +100,44 @@ def localize(
     )
 
 
-def resolve(scene: Scene, device: str) -> tuple[Scene, dict[str, Any], dict[str, float]]:
-    """The scene with a grid, what is to be kept of its choice, and the seconds that it took.
+def resolve(
+    scene: Scene, device: str, drives: np.ndarray | None = None
+) -> tuple[Scene, dict[str, Any], dict[str, float], Stage | None]:
+    """The scene with a grid, what is to be kept of its choice, the seconds that it took, and its reference.
 
     Raises:
         SceneError: no grid keeps the accuracy asked for.
     """
     if scene.grid.accuracy is None:
-        return scene, {}, {}
+        return scene, {}, {}, None
     started = time.perf_counter()
-    choice = choose(scene, scene.grid.accuracy, device)
+    choice = choose(scene, scene.grid.accuracy, device, drives)
     kept = {"asked": choice.asked, "expected": choice.error, "reason": choice.reason}
-    return choice.scene, kept, {"choose": time.perf_counter() - started}
+    return choice.scene, kept, {"choose": time.perf_counter() - started}, choice.truth.stage
 
 
 def estimated(
-    scene: Scene, drives: dict[str, np.ndarray], run: Run, seconds: dict[str, float], device: str
+    scene: Scene,
+    drives: dict[str, np.ndarray],
+    run: Run,
+    seconds: dict[str, float],
+    device: str,
+    stage: Stage | None = None,
 ) -> dict[str, Any]:
     """The estimate of a run's errors, with its line for people; nothing where Ctrl-C came first. Adds its seconds."""
     try:
         factors = localization_factor(run.energy)
         found = estimate_errors(
-            scene, np.array(list(drives.values())), factors, seconds["solve"], device, run.times, run.displacement
+            scene,
+            np.array(list(drives.values())),
+            factors,
+            seconds["solve"],
+            device,
+            run.times,
+            run.displacement,
+            stage,
         )
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SceneError):  # a result is not lost for want of an error bar
         return {}
     seconds["estimate"] = found.seconds
     return {"estimate": {"cases": list(drives), **found.as_json(), "line": found.line()}}

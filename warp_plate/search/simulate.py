@@ -46,7 +46,8 @@ def simulate(
         SceneError: see :class:`PlateSolver`; a drive that is none of these or that has other actuators.
     """
     file_drive = None if drive in ("scene", "equal", "single") else drive_of_file(drive, len(scene.actuators))
-    scene, accuracy, seconds = resolve(scene, device)
+    named = scene_drive(scene) if drive == "scene" else file_drive
+    scene, accuracy, seconds, stage = resolve(scene, device, None if named is None else named[None])
     solver = PlateSolver(scene, device, path)
     started = time.perf_counter()
     if file_drive is not None:
@@ -61,7 +62,7 @@ def simulate(
     seconds |= {"compile": solver.compile_seconds, "solve": time.perf_counter() - started}
     drives = {"drive": phasors}
     if estimate:
-        accuracy |= estimated(scene, drives, run, seconds, device)
+        accuracy |= estimated(scene, drives, run, seconds, device, stage)
     return Result(
         command="simulate",
         source=source,

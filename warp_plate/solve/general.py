@@ -21,7 +21,7 @@ BLOCK = 256
 
 def material_of(specialized: Specialized) -> Any:
     """What all plates share, in the kernels' scaled numbers."""
-    scene, scheme, device = specialized.scene, specialized.scheme, specialized.device
+    scene, scheme = specialized.scene, specialized.scheme
     bending, (hx, hy), step = scheme.bending, scheme.spacing, scheme.time_step
     assert bending is not None
     effects = scene.effects
@@ -159,8 +159,8 @@ def _threads(specialized: Specialized) -> Advance:
     numbers = [material.aspect, material.root_aspect, material.tension_x, material.tension_y]
     numbers += [material.retardation, material.stretching]
     shared = [_planes(specialized, material), specialized.wave, wp.vec2i(*specialized.scheme.window), *numbers]
-    holds = specialized.to_device(np.stack([_padded(specialized, one) for one in material.holds.numpy()]) if material.holds.shape[0] else np.zeros((0, rows, stride)))
-    shared += [material.oscillators, holds]
+    holds = np.array([_padded(specialized, one) for one in material.holds.numpy()]).reshape(-1, rows, stride)
+    shared += [material.oscillators, specialized.to_device(holds)]
     # A pass reads a node beyond the last row of its plane.
     room = wp.zeros((specialized.threads + 1, len(general_cpu.ROOM), rows, stride), dtype=real, device=device)
 

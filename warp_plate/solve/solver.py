@@ -199,9 +199,10 @@ class PlateSolver:
         scale: np.ndarray = np.abs(phasors).max(axis=1)
         with np.errstate(invalid="ignore"):  # a drive that is not finite harms its own plate alone
             load_drives(self.engine, state, phasors / np.where(scale > 0, scale, 1)[:, None])
-        units = np.zeros(capacity if state.capacity == capacity else state.capacity)
+        units = np.zeros(state.capacity)
         units[: len(scale)] = scale * self.specialized.scheme.load_scale
-        state.units.assign(units.astype(self.scene.grid.precision))
+        with np.errstate(over="ignore", invalid="ignore"):
+            state.units.assign(units.astype(self.scene.grid.precision))
         state.clear()
         return state, scale
 

@@ -12,6 +12,8 @@ from warp_plate.solve.specialize import Specialized
 
 # in_phase, quadrature, u, rate, squares, u_next, rate_next
 FIELDS = 7
+# And of the general paths: mx, my, mxy, ∇²u
+GENERAL_FIELDS = 4
 
 
 @dataclass
@@ -19,8 +21,9 @@ class State:
     """Room for ``capacity`` plates; fields are (capacity, rows, stride) and hold zeros outside the plate.
 
     u_next, rate_next: the buffers that take turns with u and rate on the streaming paths; the resident path on CPU
-    keeps the curvature in u_next. units: (capacity,) displacement that one stands for [m];
-    nodes: (traced nodes, 2), row of the tensor and column; inner_nodes: the same with the row of the plate; trace: (capacity, traced nodes,
+    and the plain streaming path keep the curvature in u_next. units: (capacity,) displacement that one stands for [m];
+    nodes: (traced nodes, 2), row of the tensor and column; inner_nodes: the same with the row of the plate; trace:
+    (capacity, traced nodes,
     steps).
     """
 
@@ -55,7 +58,8 @@ def bytes_per_plate(specialized: Specialized, traced_nodes: int) -> int:
     """Device memory that one plate takes."""
     itemsize = wp.types.type_size_in_bytes(specialized.real)
     regions, rows, stride = specialized.weights.shape
-    fields = FIELDS * rows * stride + traced_nodes * specialized.scheme.steps
+    count = FIELDS if specialized.effects.plain else FIELDS + GENERAL_FIELDS
+    fields = count * rows * stride + traced_nodes * specialized.scheme.steps
     return fields * itemsize + 8 * regions * (stride + 1)
 
 
