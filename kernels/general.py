@@ -231,15 +231,21 @@ def make_move_node(effects, real):
 
             here = f.u[k, j, i]
             load = m.wave[n, 0] * f.in_phase[k, j, i] + m.wave[n, 1] * f.quadrature[k, j, i]
+            spring = real(0.0)
+            tension = real(0.0)
+            pull = real(0.0)
+            if wp.static(effects.foundation):
+                spring = m.spring[j, i]
             if wp.static(effects.stretching):
-                load = other_forces(load, mobility, m.spring[j, i], here, f.tension[k], f.pull[k, j, i])
-            else:
-                load = other_forces(load, mobility, m.spring[j, i], here, real(0.0), real(0.0))
+                tension = f.tension[k]
+                pull = f.pull[k, j, i]
+            load = other_forces(load, mobility, spring, here, tension, pull)
             if wp.static(effects.oscillators):
                 for o in range(m.holds.shape[0]):
                     load += mobility / m.weight[j, i] * m.holds[o, j, i] * f.push[k, o]
             p = Parameters()
-            p.decay = m.decay[j, i]
+            if wp.static(effects.damping):
+                p.decay = m.decay[j, i]
             new = update(f.rate[k, j, i], bending, load, mobility, p)
             f.rate[k, j, i] = new
             f.u[k, j, i] = here + new

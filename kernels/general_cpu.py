@@ -179,10 +179,17 @@ def make_run(effects, real, ny, stride, compiler_flags):
             bending += cells[i] * root_aspect * twisting
             here = u[i]
             load = wave_cosine * cosine[i] + wave_sine * sine[i]
-            load = other_forces(load, mobility[i], spring[i], here, tension, pull[i])
+            held = real(0.0)
+            pulled = real(0.0)
+            if wp.static(effects.foundation):
+                held = spring[i]
+            if wp.static(effects.stretching):
+                pulled = pull[i]
+            load = other_forces(load, mobility[i], held, here, tension, pulled)
             if wp.static(effects.oscillators):
                 load += press[i] * pressed[i]
-            p.decay = decay[i]
+            if wp.static(effects.damping):
+                p.decay = decay[i]
             new = update(rate[i], bending, load, mobility[i], p)
             rate[i] = new
             u[i] = here + new

@@ -359,4 +359,4 @@ def test_a_plate_at_rest_has_no_error(panel):
     assert found.error == found.errors[1]
     nothing = estimate(panel, drives[:1], np.array([math.nan]), 0.1, "cpu")
     assert np.isnan(nothing.error)
-    assert "no localization factor" in nothing.line()
+    assert "no error estimate" in nothing.line()

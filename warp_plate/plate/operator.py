@@ -69,45 +69,34 @@ class Taps:
 
 def make_taps(nodes: int, low: str, high: str, order: int) -> Taps:
     """The taps along an axis of so many nodes, edges included, held by ``low`` and ``high`` at its ends."""
-    bend = _bend_matrix(nodes, low, high, order)
-    move = bend.T.copy()
+    reach = order // 2
+    bend = np.tile(INSIDE[order], (nodes, 1))
+    _close(bend, low, order)
+    _close(bend[::-1, ::-1], high, order)
+    move = np.zeros_like(bend)
+    for offset in range(-reach, reach + 1):
+        taker = np.arange(max(0, -offset), min(nodes, nodes - offset))
+        move[taker, reach + offset] = bend[taker + offset, reach - offset]
     move[[0, -1]] = 0
     if order == 2:
         # Edge nodes count half; their weight is moved whole into the first pass, which leaves the second plain.
         bend[[0, -1]] *= 2
-        move[1, 0], move[-2, -1] = 1, 1
-    return Taps(_bands(bend, order // 2), _bands(move, order // 2))
+        move[1, 0] = move[-2, -1] = 1
+    return Taps(bend, move)
 
 
-def _bend_matrix(nodes: int, low: str, high: str, order: int) -> np.ndarray:
-    """(nodes, nodes) matrix B · DIVISOR; its columns for the edge nodes do not matter, for these rest."""
+def _close(bend: np.ndarray, edge: str, order: int) -> None:
+    """Write the first rows of the taps of the first pass, for the edge at their low end."""
     reach = order // 2
-    matrix = sum(
-        tap * np.eye(nodes, k=offset) for offset, tap in zip(range(-reach, reach + 1), INSIDE[order], strict=True)
-    )
-    matrix = np.array(matrix)
-    for rows, edge in ((matrix, low), (matrix[::-1, ::-1], high)):
-        _close(rows, edge, order)
-    return matrix
-
-
-def _close(rows: np.ndarray, edge: str, order: int) -> None:
-    """Write the first rows of the matrix for the edge at its low end."""
-    rows[0] = 0
+    bend[0] = 0
+    if order == 2:
+        bend[0, 2] = edge == "clamped"  # half of the 2u₁ that the mirror node makes
+        return
+    bend[1, 0] = 0  # beyond the edge
     if edge == "supported":
-        if order == 4:
-            rows[1, 1] += 1  # u₋₁ = −u₁
-    elif order == 2:
-        rows[0, 1] = 1  # half of the 2u₁ that the mirror node makes
+        bend[1, reach] += 1  # u₋₁ = −u₁
     else:
         first, second = clamped_rows()
-        rows[0, 1:3] = np.multiply(first, DIVISOR[order])
-        rows[1] = 0
-        rows[1, 1:4] = np.multiply(second, DIVISOR[order])
-
-
-def _bands(matrix: np.ndarray, reach: int) -> np.ndarray:
-    """(nodes, 2·reach + 1) of a banded matrix, a row a node."""
-    nodes = len(matrix)
-    padded = np.pad(matrix, ((0, 0), (reach, reach)))
-    return np.stack([padded[node, node : node + 2 * reach + 1] for node in range(nodes)])
+        bend[0, reach + 1 :] = np.multiply(first, DIVISOR[order])
+        bend[1, reach - 1] = 0  # the edge node, which rests
+        bend[1, reach:] = np.multiply(second, DIVISOR[order])
