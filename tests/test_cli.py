@@ -194,7 +194,7 @@ def test_result_files_are_plain_hdf5(command, panel):
         (["simulate", "panel.toml", "--drive", "text.h5"], "text.h5"),
         (["simulate", "panel.toml", "--drive", "two.h5"], "--drive two.h5: holds 2 actuators"),
         (["simulate", "panel.toml", "--out", "folder.h5"], "folder.h5"),
-        (["init", "papers"], "'papers' is no preset; there are: paper, paper-supported"),
+        (["init", "papers"], "'papers' is no preset; there are: cantilever-display, composite-panel, "),
         (["init", "paper", "--out", "no/paper.toml"], "no/paper.toml: cannot be written"),
     ],
     ids=lambda part: " ".join(part) if isinstance(part, list) else "",

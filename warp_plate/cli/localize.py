@@ -111,6 +111,7 @@ def as_json(result: Result, files: list[Path]) -> dict[str, object]:
         "history": [dict(zip(history, row, strict=True)) for row in zip(*history.values(), strict=True)],
         "evaluator": result.evaluator,
         "accuracy": dict(result.accuracy),
+        "warnings": output.warnings_of(result),
         "interrupted": result.interrupted,
         "files": [str(file) for file in files],
     }
@@ -141,3 +142,4 @@ def _print(result: Result, console: Console) -> None:
         f"or loading kernels. Effects compiled in: {effects}."
     )
     output.print_accuracy(result, console)
+    output.print_warnings(result, console)

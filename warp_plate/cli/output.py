@@ -127,6 +127,21 @@ def print_accuracy(result: Result, console: Console) -> None:
         console.print(known["estimate"]["line"])
 
 
+def warnings_of(result: Result) -> list[str]:
+    """What the result's scene calls for but does not name, going by the drive that was asked for or found."""
+    from warp_plate.search.warnings import exceeded
+
+    case = result.cases.get("best") or next(iter(result.cases.values()))
+    peak = float(abs(case.displacement).max()) if case.displacement.size else 0.0
+    return exceeded(result.scene, peak)
+
+
+def print_warnings(result: Result, console: Console) -> None:
+    """One line for each of ``warnings_of``."""
+    for sentence in warnings_of(result):
+        console.print(f"! {sentence}", markup=False)
+
+
 def prepare_pictures(pictures: bool) -> None:
     """Let what drawing needs get ready beside the run."""
     if pictures:

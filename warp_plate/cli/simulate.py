@@ -74,6 +74,7 @@ def simulate(
                 "seconds": dict(result.seconds),
                 "effects": list(result.effects),
                 "accuracy": dict(result.accuracy),
+                "warnings": output.warnings_of(result),
                 "files": [str(file) for file in files],
             }
         )
@@ -92,6 +93,7 @@ def simulate(
         f"{', '.join(result.effects) or 'none'}."
     )
     output.print_accuracy(result, console)
+    output.print_warnings(result, console)
     for file in files:
         print(f"wrote {file}")
     if missing:

@@ -1,0 +1,139 @@
+"""What a scene calls for but does not name: a number, a threshold and a sentence each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from warp_plate.scene.model import Scene
+from warp_plate.search.influence import film, rigidity
+
+# Peak displacement over thickness. Berger's equation for a supported square, of displacement a sin sin, has the extra
+# stiffness 1.5 (a/H)² of the linear one, and so the frequency 1 + 0.56 (a/H)² (Berger 1955, Wah 1963): 2 % at 0.2.
+MOST_AMPLITUDE = 0.2
+# Wavelength over thickness. Rotary inertia and shear, which Kirchhoff and Love leave out, lower the squared frequency
+# of a wave of number k by (kH)²/12 · (1 + 2/((1 − ν)κ)), κ = 5/6, to first order (Mindlin 1951): at 10 wavelengths to
+# a thickness, with ν = 0.3, the frequency by 7 %.
+FEWEST_THICKNESSES = 10.0
+# Grid points a wavelength, by order of the differences. Their frequency of a wave is (kh)²/12 too low for second order
+# and (kh)⁴/90 for fourth (Taylor series of the squared second difference): 3 % at 10 points, 1.3 % at 6.
+FEWEST_POINTS = {2: 10.0, 4: 6.0}
+# Mass of layers over the plate's. By Rayleigh's quotient it lowers frequencies by half of it: 2.5 %, about the half
+# width of a resonance with a loss factor of 5 %.
+MOST_ADDED_MASS = 0.05
+# Part of the start-up motion that is left when the window opens. What it beats with is of the order of the steady
+# motion, so that the energies averaged over the window are then wrong by some 1 %.
+MOST_LEFT = 0.01
+
+
+@dataclass(frozen=True)
+class Finding:
+    """name: of the number; value, threshold: both without a unit; sentence: for people; exceeded: whether the value
+    is on the wrong side of the threshold and the scene does not name what it calls for."""
+
+    name: str
+    value: float
+    threshold: float
+    sentence: str
+    exceeded: bool
+
+
+def warnings(scene: Scene, peak_displacement: float) -> list[Finding]:
+    """All numbers of a scene with a grid, whose largest displacement is ``peak_displacement`` [m]."""
+    return [
+        _amplitude(scene, peak_displacement),
+        _thinness(scene),
+        _points(scene),
+        _added_mass(scene),
+        _left_at_start(scene),
+    ]
+
+
+def exceeded(scene: Scene, peak_displacement: float) -> list[str]:
+    """The sentences of those that are exceeded; ``peak_displacement`` [m]."""
+    return [warning.sentence for warning in warnings(scene, peak_displacement) if warning.exceeded]
+
+
+def wavelengths(scene: Scene) -> tuple[float, float]:
+    """Lengths [m] of straight bending waves along x and y at the drive's frequency, in the plate without layers."""
+    stiff, own = rigidity(scene), scene.effects.orthotropic
+    along = (own.Dx, own.Dy) if own else (stiff, stiff)
+    inertia = scene.plate.density * scene.plate.thickness * scene.drive_angular_frequency**2
+    x, y = (2 * math.pi * (one / inertia) ** 0.25 for one in along)
+    return x, y
+
+
+def decay_rate(scene: Scene) -> float:
+    """Rate [1/s] at which free motion of the drive's frequency dies out: c/2ρH + time·ω²/2, oscillators' left out.
+
+    Start-up motion is strongest in the modes next to the drive's frequency, so its ω stands for theirs.
+    """
+    effects = scene.effects
+    viscous = effects.damping.viscous if effects.damping else 0.0
+    viscous += effects.foundation.damping if effects.foundation else 0.0
+    retardation = effects.material_damping.time if effects.material_damping else 0.0
+    own = viscous / (2 * scene.plate.density * scene.plate.thickness)
+    return own + retardation * scene.drive_angular_frequency**2 / 2
+
+
+def _amplitude(scene: Scene, peak: float) -> Finding:
+    value = peak / scene.plate.thickness
+    named = scene.effects.stretching is not None
+    high = not value <= MOST_AMPLITUDE  # so that a displacement that is no number warns too
+    sentence = f"The largest displacement is {value:.2g} of the thickness (threshold {MOST_AMPLITUDE:g}): "
+    if named:
+        sentence += "stretching is named and in the numbers."
+    elif high:
+        sentence += "stretching matters; name [effects.stretching]."
+    else:
+        sentence += "stretching does not matter."
+    return Finding("displacement / thickness", value, MOST_AMPLITUDE, sentence, high and not named)
+
+
+def _thinness(scene: Scene) -> Finding:
+    value = min(wavelengths(scene)) / scene.plate.thickness
+    low = value < FEWEST_THICKNESSES
+    sentence = f"A bending wave of the drive's frequency is {value:.3g} thicknesses long (threshold "
+    sentence += f"{FEWEST_THICKNESSES:g}): "
+    sentence += "rotary inertia and shear, which this program leaves out, matter." if low else "the plate is thin."
+    return Finding("wavelength / thickness", value, FEWEST_THICKNESSES, sentence, low)
+
+
+def _points(scene: Scene) -> Finding:
+    pairs = zip(wavelengths(scene), scene.plate.size, scene.grid.nodes, strict=True)
+    value = min(wave * (nodes - 1) / side for wave, side, nodes in pairs)
+    fewest = FEWEST_POINTS[scene.grid.order]
+    low = value < fewest
+    sentence = f"The grid has {value:.3g} points a bending wavelength of the drive's frequency (threshold {fewest:g}): "
+    sentence += "take more nodes, or ask for an accuracy." if low else "it is fine enough."
+    return Finding("points a wavelength", value, fewest, sentence, low)
+
+
+def _added_mass(scene: Scene) -> Finding:
+    named = bool(scene.effects.layers)
+    layers = scene.effects.layers or film(scene)
+    sheets = sum(
+        (2 if one.both else 1) * (one.area[1] - one.area[0]) * (one.area[3] - one.area[2]) * one.thickness * one.density
+        for one in layers
+    )
+    plate = scene.plate
+    value = sheets / (plate.size[0] * plate.size[1] * plate.thickness * plate.density)
+    high = value > MOST_ADDED_MASS
+    whose = "Layers add" if named else "The scene names no layers; a film of 110 µm on each actuator would add"
+    sentence = f"{whose} {100 * value:.2g} % to the plate's mass (threshold {100 * MOST_ADDED_MASS:g} %): "
+    if not high:
+        sentence += "frequencies move by little."
+    elif named:
+        sentence += f"frequencies move by some {50 * value:.2g} %, so the layers' thickness and density must be right."
+    else:
+        sentence += "name the actuators' bodies under [[effects.layers]]."
+    return Finding("added mass / plate's mass", value, MOST_ADDED_MASS, sentence, high)
+
+
+def _left_at_start(scene: Scene) -> Finding:
+    value = math.exp(-decay_rate(scene) * scene.window.start)
+    high = value > MOST_LEFT
+    sentence = f"When the window opens, {100 * value:.2g} % of the start-up motion is left (threshold "
+    sentence += f"{100 * MOST_LEFT:g} %): "
+    sentence += "the motion is not steady; start the window later." if high else "the motion is steady."
+    return Finding("start-up motion left", value, MOST_LEFT, sentence, high)
