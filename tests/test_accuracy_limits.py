@@ -1,6 +1,7 @@
 """What an estimate must not claim: answers that nothing resolves, drives that nobody tried, windows without a step."""
 
 import numpy as np
+import pytest
 
 from warp_plate import PlateSolver
 from warp_plate.accuracy import truth
@@ -27,6 +28,7 @@ def test_functions_follow_the_sides():
     assert min(truth._functions((2.0, 0.1), 12)) == 8
 
 
+@pytest.mark.slow
 def test_a_drive_asked_for_keeps_the_accuracy(panel):
     """Not only the best drives: one that avoids the target, too."""
     drive = np.array([[0.2, 1.0, -0.7j]])[:, : len(panel.actuators)]

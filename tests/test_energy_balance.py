@@ -120,7 +120,9 @@ def energy_of_plate(made, scheme, rates):
     return 0.5 * (cells.ravel() * rates**2).sum() / len(rates)
 
 
-@pytest.mark.parametrize("number", range(MIXES))
+@pytest.mark.parametrize(
+    "number", [n if n < 8 else pytest.param(n, marks=pytest.mark.slow) for n in range(MIXES)]
+)
 def test_work_is_energy_stored_and_lost(device, path, number, mix):
     """To 1e-10 of the work, at every step, for linear mixes drawn at random."""
     make, drive = mix(number)

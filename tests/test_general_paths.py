@@ -125,7 +125,9 @@ def between_nodes(history, i, j):
     return np.einsum("...yx,y,x->...", corner, [1 - j + row, j - row], [1 - i + column, i - column])
 
 
-@pytest.mark.parametrize("number", range(MIXES))
+@pytest.mark.parametrize(
+    "number", [n if n < 10 else pytest.param(n, marks=pytest.mark.slow) for n in range(MIXES)]
+)
 def test_random_mixes(device, path, number, mix, random):
     """Every grid in both precisions, four times with other effects; every fourth mix stretches."""
     nodes, size = list(GRIDS.values())[number % len(GRIDS)]
