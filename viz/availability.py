@@ -16,9 +16,11 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
 EXTRA = "pip install 'warp-plate[viz]'"
@@ -87,6 +89,25 @@ def missing_plots() -> str | None:
     if importlib.util.find_spec("matplotlib") is None:
         return f"curves cannot be plotted without Matplotlib: {EXTRA}"
     return None
+
+
+def plot_beside(
+    draw: Callable[[Mapping[str, Any], Path], Path], record: Mapping[str, Any], path: Path
+) -> tuple[list[Path], str | None]:
+    """Draw ``<path without ending>.png`` and ``.svg``; the files written, and None or why some are missing.
+
+    Nothing that is wrong with a library or a file ends the run.
+    """
+    problem = missing_plots()
+    if problem is not None:
+        return [], problem
+    written = []
+    try:
+        for ending in (".png", ".svg"):
+            written.append(draw(record, path.with_suffix(ending)))
+    except (ValueError, OSError) as error:
+        return written, f"no plot: {error}"
+    return written, None
 
 
 @contextmanager

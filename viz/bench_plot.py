@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warp_plate.viz.availability import missing_plots
+from warp_plate.viz.availability import plot_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,20 +21,8 @@ BYTES_A_LAUNCH = 16
 
 
 def draw_bench_beside(record: Mapping[str, Any], path: Path) -> tuple[list[Path], str | None]:
-    """Draw ``<path without ending>.png`` and ``.svg``; the files written, and None or why some are missing.
-
-    Nothing that is wrong with a library or a file ends the run.
-    """
-    problem = missing_plots()
-    if problem is not None:
-        return [], problem
-    written = []
-    try:
-        for ending in (".png", ".svg"):
-            written.append(draw_bench(record, path.with_suffix(ending)))
-    except (ValueError, OSError) as error:
-        return written, f"no plot: {error}"
-    return written, None
+    """See :func:`plot_beside`."""
+    return plot_beside(draw_bench, record, path)
 
 
 def draw_bench(record: Mapping[str, Any], path: str | Path) -> Path:

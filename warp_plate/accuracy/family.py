@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from pydantic import ValidationError
 
+from warp_plate.plate.operator import FEWEST_NODES
 from warp_plate.plate.scheme import SAFETY, STEPS_A_PERIOD, needs_moments, stability, time_step_limit
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import explain
@@ -20,7 +21,6 @@ Precision = Literal["float32", "float64"]
 
 # How loads are weighed where the errors are to fall as fast as the order allows.
 LOAD_OF: dict[Order, Load] = {2: "overlap", 4: "moments"}
-FEWEST_A_SIDE: dict[Order, int] = {2: 5, 4: 9}
 # Nodes of a side of a square plate, from coarse to fine: each grid has about twice the nodes of the one before.
 LADDER = (13, 19, 27, 37, 53, 75, 105, 149, 209, 297, 417)
 # The grid on which time steps are varied, and these steps as parts of the longest one.
@@ -89,7 +89,7 @@ def _kappa(scene: Scene) -> float:
 def nodes_for(size: tuple[float, float], side: float, order: Order = 2) -> tuple[int, int]:
     """(nx, ny) with as many cells as a square of ``side`` × ``side`` nodes has, near to squares."""
     spacing = math.sqrt(size[0] * size[1]) / (side - 1)
-    few = FEWEST_A_SIDE[order]
+    few = FEWEST_NODES[order]
     return max(few, round(size[0] / spacing) + 1), max(few, round(size[1] / spacing) + 1)
 
 

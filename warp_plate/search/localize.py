@@ -67,9 +67,8 @@ def localize(
     compile_seconds = sum(one.compile_seconds for one in {solver, exact})
     started = time.perf_counter()
     response = measure_response(exact) if scene.linear else None
-    energies: Energies = lambda drives: solver.run(drives).energy  # noqa: E731
-    if response is not None and evaluator == "response":
-        energies = response.energy
+    matrices = response if evaluator == "response" else None
+    energies: Energies = matrices.energy if matrices is not None else lambda drives: solver.run(drives).energy
     drives = reference_drives(len(scene.actuators), energies)
     swarm, interrupted = _search(scene, seed, energies, told)
     found = swarm.result.xbest if swarm is not None else None

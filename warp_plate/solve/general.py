@@ -155,7 +155,7 @@ def _threads(specialized: Specialized) -> Advance:
     ny = specialized.scheme.nodes[1]
     kernel = general_cpu.make_run(specialized.effects, real, ny, stride, compiler_flags())
     wp.load_module(module=kernel.module, device=device)
-    material, rooms = material_of(specialized), Rooms(specialized)
+    material, hanging = material_of(specialized), len(specialized.scene.effects.oscillators)
     numbers = [material.aspect, material.root_aspect, material.tension_x, material.tension_y]
     numbers += [material.retardation, material.stretching]
     shared = [_planes(specialized, material), specialized.wave, wp.vec2i(*specialized.scheme.window), *numbers]
@@ -163,13 +163,16 @@ def _threads(specialized: Specialized) -> Advance:
     shared += [material.oscillators, specialized.to_device(holds)]
     # A pass reads a node beyond the last row of its plane.
     room = wp.zeros((specialized.threads + 1, len(general_cpu.ROOM), rows, stride), dtype=real, device=device)
+    hung: wp.array = wp.zeros((0, hanging, 2), dtype=real, device=device)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
-        fields = rooms.fields(state, start)
+        nonlocal hung
+        if start == 0:  # at rest; all plates of a chunk begin together
+            hung = wp.zeros((state.capacity, hanging, 2), dtype=real, device=device)
 
         def share(thread: int, first: int, last: int) -> Callable[[], None]:
             inputs = [*shared, state.units, start, stop, first, thread, state.nodes, state.in_phase, state.quadrature]
-            outputs = [room, state.u, state.rate, state.squares, fields.hung, state.trace]
+            outputs = [room, state.u, state.rate, state.squares, hung, state.trace]
             return lambda: wp.launch(kernel, dim=last - first, inputs=inputs, outputs=outputs, device=device)
 
         shared_among_threads(specialized.threads, plates, share)
