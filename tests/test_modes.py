@@ -13,6 +13,7 @@ from warp_plate.plate import modes
 from warp_plate.plate.bending import make_bending, mass_matrix, oscillator_shares, system
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.signals import make_signals
 from warp_plate.plate.weights import patches
 from warp_plate.reference.ritz import solve_modes
 from warp_plate.reference.thin_plate import thin_plate
@@ -173,7 +174,8 @@ def test_the_kernels_move_in_these_modes(scene, device, path, random, name):
     q = moved @ (mass_matrix(make_bending(made)) * shapes).T
     cell = made.plate.size[0] / (nx - 1) * made.plate.size[1] / (ny - 1)
     pressed = shapes @ patches(made).reshape(3, -1).T * cell
-    wave = scheme.wave()[:, 0, None] * drive.real - scheme.wave()[:, 1, None] * drive.imag
+    signals = make_signals(made, step, scheme.steps)
+    wave = signals.wave @ signals.coefficients(drive[None])[0]
     before = np.concatenate([0 * q[:1], q[:-2]])
     turned = (2 * math.pi * found.frequencies * step) ** 2 * q[:-1]
     rest = q[1:] - 2 * q[:-1] + before + turned - step**2 * wave @ pressed.T

@@ -20,6 +20,7 @@ import scipy.sparse
 
 from warp_plate.plate.bending import mass_matrix, oscillator_shares, stiffness_matrix
 from warp_plate.plate.scheme import Scheme, make_scheme
+from warp_plate.plate.signals import make_signals
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.scene.model import Scene
 
@@ -98,9 +99,8 @@ def run_general(scene: Scene, drives: np.ndarray) -> History:
     m, step, (nx, ny) = make_matrices(scene, scheme), scheme.time_step, scheme.nodes
     cell, plates = scheme.spacing[0] * scheme.spacing[1], len(drives)
     pressed = cell * patches(scene).reshape(-1, nx * ny)
-    turns = drives[None] * np.exp(1j * scheme.angular_frequency * step * np.arange(scheme.steps))[:, None, None]
-    forces = turns.real
-    forces[0] /= 2
+    signals = make_signals(scene, step, scheme.steps, scene.folder)
+    forces = np.einsum("nt,ptk->npk", signals.wave, signals.coefficients(drives))
     # Nodes by row, plates by column.
     u, v = np.zeros((nx * ny, plates)), np.zeros((nx * ny, plates))
     z, pace = np.zeros((len(m.hung), plates)), np.zeros((len(m.hung), plates))

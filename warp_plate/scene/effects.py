@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import model_validator
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Area = tuple[float, float, float, float]
-# HDF5 cannot keep a text with a NUL in it.
-Name = Annotated[str, Field(pattern=r"^[^\x00]*$", min_length=1)]
-
-
-class Table(BaseModel):
-    """A table of the scene file: unknown keys are refused, and nothing changes after reading."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+from warp_plate.scene.drive import MovingLoad
+from warp_plate.scene.table import Area, NotNegative, Positive, Table
 
 
 class Damping(Table):
@@ -121,3 +112,4 @@ class Effects(Table):
     layers: tuple[Layer, ...] = ()
     oscillators: tuple[Oscillator, ...] = ()
     stretching: Stretching | None = None
+    moving_load: MovingLoad | None = None

@@ -52,9 +52,12 @@ def load_scene(source: str | Path) -> Scene:
             "'warp-plate init paper' writes one as a file to edit"
         )
     try:
-        return parse_scene(path.read_text(encoding="utf-8-sig"), text)
+        scene = parse_scene(path.read_text(encoding="utf-8-sig"), text)
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{text}: cannot be read as UTF-8 text: {error}") from None
+    if scene.drive.signal is not None:
+        scene._folder = path.parent
+    return scene
 
 
 def parse_scene(text: str, name: str) -> Scene:

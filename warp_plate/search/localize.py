@@ -59,7 +59,7 @@ def localize(
     if not 0 <= seed < 2**63:
         raise SceneError(f"seed = {seed}: must be a whole number from 0 to 2^63 - 1")
     if evaluator == "response" and not scene.linear:
-        raise SceneError("evaluator = 'response': effects.stretching is not linear in the drives; write 'direct'")
+        raise SceneError(f"evaluator = 'response': {scene.not_linear} is not linear in the drives; write 'direct'")
     scene, accuracy, seconds, stage = resolve(scene, device)
     solver = PlateSolver(scene, device, path)
     needs_exact = scene.linear and scene.grid.precision != "float64"

@@ -11,6 +11,7 @@ import warp as wp
 from warp_plate.kernels.effects import Effects
 from warp_plate.kernels.update import make_parameters
 from warp_plate.plate.scheme import Scheme, make_scheme
+from warp_plate.plate.signals import Signals, make_signals
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import cpu_threads
@@ -25,7 +26,7 @@ class Specialized:
 
     real: wp.float32 or wp.float64; rows = ny + 2; stride: columns with padding; threads: of the CPU to use.
     support: (covered nodes, 2), patches: (actuators, covered nodes), weights: (regions, rows, stride),
-    wave: (steps, 2), all on the device; parameters: the kernels' struct.
+    wave: (steps, terms), all on the device; signals: what drives do in time; parameters: the kernels' struct.
     """
 
     scene: Scene
@@ -40,6 +41,7 @@ class Specialized:
     support: wp.array
     patches: wp.array
     weights: wp.array
+    signals: Signals
     wave: wp.array
 
     @property
@@ -116,6 +118,7 @@ def specialize(scene: Scene, device: wp.Device, threads: int | None = None) -> S
         ratio = scheme.bending.mass / scheme.surface_density
         fields = fields / (scheme.bending.weight * ratio * (1 + loss / 2))
         regions = regions * ratio
+    signals = make_signals(scene, scheme.time_step, scheme.steps, scene.folder)
     support = np.argwhere(fields.any(axis=0))
     parameters = make_parameters(real)()
     parameters.stiffness = scheme.stiffness
@@ -141,5 +144,6 @@ def specialize(scene: Scene, device: wp.Device, threads: int | None = None) -> S
         support=wp.array((support + [1, 0]).astype(np.int32), dtype=int, device=device),
         patches=wp.array(fields[:, support[:, 0], support[:, 1]].astype(dtype), dtype=real, device=device),
         weights=wp.array(weights, dtype=wp.float64, device=device),
-        wave=wp.array(scheme.wave().astype(dtype), dtype=real, device=device),
+        signals=signals,
+        wave=wp.array(signals.wave.astype(dtype), dtype=real, device=device),
     )
