@@ -22,10 +22,10 @@ SHARED = ("mobility", "bend_xx", "bend_xy", "bend_yy", "twist", "decay", "spring
 # What pays most in registers first: numbers that change, then what both passes read. ``middle`` is a node's own share
 # in the force on it.
 FIRST = ("rate", "squares", "middle", "u")
-# Bits of what a node is; so many fit in a number of 32 bits.
-LEFT, RIGHT, BOTTOM, TOP, LOADED, BITS = 1, 2, 4, 8, 16, 5
+# Bits of a node's kind, and how many kinds fit in a word of 32 bits.
+LEFT, RIGHT, BOTTOM, TOP, LOADED, BITS, A_WORD = 1, 2, 4, 8, 16, 5, 6
 # Of one multiprocessor of sm_90: registers, the most a thread can hold, and bytes of shared memory a block can take.
-REGISTERS, THREAD_REGISTERS, SHARED_BYTES = 65536, 255, 226 * 1024
+REGISTERS, THREAD_REGISTERS, SHARED_BYTES = 65536, 255, 224 * 1024
 # Registers for addresses, neighbours and the like; and the most nodes a thread that are written out one by one.
 OVERHEAD, MOST_NODES = 30, 16
 
@@ -44,11 +44,11 @@ class Blocks:
 
 
 def room_of(nx, hanging, blocks):
-    """Numbers in a block's room: planes with a margin around each, then the sums of its warps, then what they make."""
-    margin = nx + 1
-    sums = 2 * hanging + 1
+    """Numbers in a block's room: planes with a margin around each, then the sums of its warps, what they make, and
+    the nodes' kinds."""
+    margin, sums, words = nx + 1, 2 * hanging + 1, -(-blocks.nodes // A_WORD)
     planes = len(blocks.planes) * (blocks.threads * blocks.nodes + margin) + margin
-    return planes + sums * (-(-blocks.threads // LANES) + 1)
+    return planes + sums * (-(-blocks.threads // LANES) + 1) + words * blocks.threads
 
 
 def used(effects):
@@ -68,7 +68,7 @@ def share(nx, ny, real, effects, hanging, threads, blocks):
     nodes = -(-nx * ny // threads)
     registers = min(THREAD_REGISTERS, REGISTERS // (threads * blocks) // 8 * 8)
     wanted = [*FIRST, *(["pull"] if effects.stretching else []), *used(effects)]
-    most = max(0, registers - OVERHEAD - nodes * BITS // 32) // (words * nodes) if nodes <= MOST_NODES else 0
+    most = max(0, registers - OVERHEAD) // (words * nodes) if nodes <= MOST_NODES else 0
     held = tuple(wanted[:most])
     planes = ["u", "mx", "my", "mxy"]
     planes += ["strained"] if effects.material_damping else []
@@ -115,6 +115,7 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
     place = {name: margin + index * (padded + margin) for index, name in enumerate(blocks.planes)}
     slots = margin + len(blocks.planes) * (padded + margin)
     results = slots + (2 * hanging + 1) * warps
+    kinds_at = results + 2 * hanging + 1
     unrolled = bool(held)
     together = threads > 1
     bent = place["strained"] if effects.material_damping else place["u"]
@@ -123,8 +124,8 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
     first_shared = min((row[name] for name in held if name in shared), default=0)
     held_shared = sum(name in shared for name in held)
     Held = wp.types.matrix(shape=(max(1, len(held)), mine if held else 1), dtype=real)
-    a_word = 32 // BITS
-    Kinds = wp.types.vector(length=-(-mine // a_word) if unrolled else 1, dtype=wp.int32)
+    words = -(-mine // A_WORD)
+    Waves = wp.types.vector(length=effects.terms, dtype=real)
 
     def make_own(name):
         """Reads a shared plane at a node, from registers where it is held."""
@@ -165,21 +166,14 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
         column = i - line * wp.static(nx)
         edges = int(0)
         if column == 0:
-            edges = edges | wp.static(LEFT)
+            edges = edges | LEFT
         if column == wp.static(nx - 1):
-            edges = edges | wp.static(RIGHT)
+            edges = edges | RIGHT
         if line == 0:
-            edges = edges | wp.static(BOTTOM)
+            edges = edges | BOTTOM
         if line == wp.static(ny - 1):
-            edges = edges | wp.static(TOP)
+            edges = edges | TOP
         return edges
-
-    @wp.func
-    def kind_of(kinds: Kinds, m: int, i: int):
-        if wp.static(unrolled):
-            return kinds[m // wp.static(a_word)] >> (wp.static(BITS) * (m % wp.static(a_word)))
-        else:
-            return edges_of(i) | wp.static(LOADED)
 
     @wp.func
     def across(x: wp.array[real], at: int, low: int, high: int, kind: int, step: int):
@@ -202,9 +196,9 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
     def cells_of(kind: int, root_aspect: real):
         """Factor of the twists around a node: beyond an edge they are mirror images."""
         cells = root_aspect
-        if (kind & wp.static(LEFT | RIGHT)) != 0:
+        if (kind & (LEFT | RIGHT)) != 0:
             cells = real(2.0) * cells
-        if (kind & wp.static(BOTTOM | TOP)) != 0:
+        if (kind & (BOTTOM | TOP)) != 0:
             cells = real(2.0) * cells
         return cells
 
@@ -239,10 +233,14 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
         warp = thread // LANES
         if wp.static(blocks.on_chip):
             reserved = wp.tile_empty(shape=(wp.static(room_size),), dtype=real, storage="shared")
-            x = wp.array(ptr=shared_memory(), shape=(wp.static(room_size),), dtype=real)
+            own_room = shared_memory()
         else:
             own_room = room.ptr + wp.uint64(k) * wp.uint64(wp.static(room_size * size))
-            x = wp.array(ptr=own_room, shape=(wp.static(room_size),), dtype=real)
+        x = wp.array(ptr=own_room, shape=(wp.static(room_size),), dtype=real)
+        # In memory, though registers would do: else what follows from them is carried from pass to pass, in more.
+        kinds = wp.array(
+            ptr=own_room + wp.uint64(wp.static(kinds_at * size)), shape=(wp.static(words * threads),), dtype=int
+        )
         planes = wp.array(ptr=shared_planes.ptr, shape=(wp.static(len(shared) * padded),), dtype=real)
         offset = (wp.uint64(k) * wp.uint64(wp.static(ny + 2)) + wp.uint64(1)) * wp.uint64(wp.static(stride * size))
         own_u = wp.array(ptr=u.ptr + offset, shape=(wp.static(ny * stride),), dtype=real)
@@ -255,7 +253,6 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
             x[i] = real(0.0)
         barrier()
         h = Held()
-        kinds = Kinds()
         for m in range(wp.static(mine)):
             i = thread + m * wp.static(threads)
             for q in range(wp.static(held_shared)):
@@ -272,26 +269,27 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
                     h[wp.static(row.get("squares", 0)), m] = own_squares[at]
                 if wp.static(effects.material_damping):
                     x[i + wp.static(bent)] = here + p.retardation * own_rate[at]
-                if wp.static(unrolled):
-                    kind = edges_of(i)
-                    for t in range(wp.static(effects.terms)):
-                        load_at = loads.ptr + offset + wp.uint64(t) * term
-                        if wp.array(ptr=load_at, shape=(wp.static(ny * stride),), dtype=real)[at] != real(0.0):
-                            kind = kind | wp.static(LOADED)
-                    kinds[m // wp.static(a_word)] = kinds[m // wp.static(a_word)] | (
-                        kind << (wp.static(BITS) * (m % wp.static(a_word)))
-                    )
+                kind = edges_of(i)
+                for t in range(wp.static(effects.terms)):
+                    load_at = loads.ptr + offset + wp.uint64(t) * term
+                    if wp.array(ptr=load_at, shape=(wp.static(ny * stride),), dtype=real)[at] != real(0.0):
+                        kind = kind | LOADED
+                kinds_of = m // A_WORD * wp.static(threads) + thread
+                kinds[kinds_of] = kinds[kinds_of] | (kind << (BITS * (m % A_WORD)))
         barrier()
 
         for n in range(start, stop):
             own = anew(thread)
-            if wp.static(unrolled):
-                for word in range(wp.static(-(-mine // a_word))):
-                    kinds[word] = anew(kinds[word])
+            word = int(0)
             stretched = real(0.0)
+            waves = Waves()
+            for at_term in range(wp.static(effects.terms)):
+                waves[at_term] = p.wave[n, at_term]
             for m in range(wp.static(mine)):
                 i = own + m * wp.static(threads)
-                kind = kind_of(kinds, m, i)
+                if m % A_WORD == 0:
+                    word = kinds[m // A_WORD * wp.static(threads) + own]
+                kind = word >> (BITS * (m % A_WORD))
                 at = i + wp.static(bent)
                 c = x[at]
                 e = x[at + 1]
@@ -303,8 +301,8 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
                         c = here
                 elif wp.static(effects.material_damping):
                     here = x[i + wp.static(place["u"])]
-                curved_x = across(x, at, wp.static(LEFT), wp.static(RIGHT), kind, 1) - real(2.0) * c
-                curved_y = across(x, at, wp.static(BOTTOM), wp.static(TOP), kind, wp.static(nx)) - real(2.0) * c
+                curved_x = across(x, at, LEFT, RIGHT, kind, 1) - real(2.0) * c
+                curved_y = across(x, at, BOTTOM, TOP, kind, wp.static(nx)) - real(2.0) * c
                 curved_y = p.aspect * curved_y
                 bend_xy = bend_xy_of(h, planes, m, i)
                 mx = moment(bend_xx_of(h, planes, m, i), curved_x, bend_xy, curved_y, p.tension_x, here)
@@ -319,8 +317,8 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
                     pull = curved_x + curved_y
                     if wp.static(effects.material_damping):
                         at_u = i + wp.static(place["u"])
-                        pull = across(x, at_u, wp.static(LEFT), wp.static(RIGHT), kind, 1) - real(2.0) * here
-                        pull_y = across(x, at_u, wp.static(BOTTOM), wp.static(TOP), kind, wp.static(nx))
+                        pull = across(x, at_u, LEFT, RIGHT, kind, 1) - real(2.0) * here
+                        pull_y = across(x, at_u, BOTTOM, TOP, kind, wp.static(nx))
                         pull += p.aspect * (pull_y - real(2.0) * here)
                     if wp.static("pull" in held):
                         h[wp.static(row.get("pull", 0)), m] = pull
@@ -373,12 +371,12 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
             summed = n >= window[0] and n < window[1]
             tension = x[wp.static(results + hanging)]
             own = anew(thread)
-            if wp.static(unrolled):
-                for word in range(wp.static(-(-mine // a_word))):
-                    kinds[word] = anew(kinds[word])
+            word = int(0)
             for m in range(wp.static(mine)):
                 i = own + m * wp.static(threads)
-                kind = kind_of(kinds, m, i)
+                if m % A_WORD == 0:
+                    word = kinds[m // A_WORD * wp.static(threads) + own]
+                kind = word >> (BITS * (m % A_WORD))
                 at_mx = i + wp.static(place["mx"])
                 at_my = i + wp.static(place["my"])
                 at_mxy = i + wp.static(place["mxy"])
@@ -388,8 +386,8 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
                     bending = h[wp.static(row.get("middle", 0)), m]
                 else:
                     bending = middle_of(x[at_mx], x[at_my], cells * x[at_mxy], p.aspect)
-                bending += across(x, at_mx, wp.static(LEFT), wp.static(RIGHT), kind, 1)
-                bending += p.aspect * across(x, at_my, wp.static(BOTTOM), wp.static(TOP), kind, wp.static(nx))
+                bending += across(x, at_mx, LEFT, RIGHT, kind, 1)
+                bending += p.aspect * across(x, at_my, BOTTOM, TOP, kind, wp.static(nx))
                 bending += cells * ((x[at_mxy - wp.static(nx + 1)] - x[at_mxy - 1]) - x[at_mxy - wp.static(nx)])
 
                 here = real(0.0)
@@ -403,11 +401,11 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
                 else:
                     before = own_rate[state_at(i)]
                 load = real(0.0)
-                if (kind & wp.static(LOADED)) != 0:
+                if (kind & LOADED) != 0:
                     for t in range(wp.static(effects.terms)):
                         load_at = loads.ptr + offset + wp.uint64(t) * term
                         field = wp.array(ptr=load_at, shape=(wp.static(ny * stride),), dtype=real)
-                        load += p.wave[n, t] * field[state_at(i)]
+                        load += waves[t] * field[state_at(i)]
                 mobility = mobility_of(h, planes, m, i)
                 spring = real(0.0)
                 pull = real(0.0)
