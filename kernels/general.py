@@ -146,8 +146,13 @@ def make_bend_node(effects, real):
         along_x = strained(f, m, k, j, west) + e - real(2.0) * c
         along_y = m.aspect * (strained(f, m, k, south, i) + n - real(2.0) * c)
         here = f.u[k, j, i]
-        f.mx[k, j, i] = moment(m.bend_xx[j, i], along_x, m.bend_xy[j, i], along_y, m.tension_x, here)
-        f.my[k, j, i] = moment(m.bend_yy[j, i], along_y, m.bend_xy[j, i], along_x, m.tension_y, here)
+        tension_x = real(0.0)
+        tension_y = real(0.0)
+        if wp.static(effects.tension):
+            tension_x = m.tension_x
+            tension_y = m.tension_y
+        f.mx[k, j, i] = moment(m.bend_xx[j, i], along_x, m.bend_xy[j, i], along_y, tension_x, here)
+        f.my[k, j, i] = moment(m.bend_yy[j, i], along_y, m.bend_xy[j, i], along_x, tension_y, here)
         if i < nx - 1 and j < ny - 1:
             f.mxy[k, j, i] = m.twist[j, i] * (m.root_aspect * (strained(f, m, k, j + 1, i + 1) - e - n + c))
         if wp.static(effects.stretching):

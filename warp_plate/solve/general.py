@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels import general_blocks, general_cpu, general_paths, record
+from warp_plate.kernels import general_blocks, general_cpu, general_passes, general_plan, record
 from warp_plate.kernels.general import make_structs
 from warp_plate.plate.bending import oscillator_shares
 from warp_plate.solve.cpu import compiler_flags, shared_among_threads
@@ -114,7 +114,7 @@ class Rooms:
 def streaming_path(specialized: Specialized) -> Advance:
     """A launch for each pass of a step."""
     device, effects = specialized.device, specialized.effects
-    bend, sum_rows, finish_sums, move = general_paths.make_passes(effects, specialized.real)
+    bend, sum_rows, finish_sums, move = general_passes.make_passes(effects, specialized.real)
     keep = record.make_record(specialized.real)
     for kernel in (bend, sum_rows, finish_sums, move, keep):
         wp.load_module(module=kernel.module, device=device)
@@ -148,7 +148,7 @@ def _blocks(specialized: Specialized) -> Advance:
     """Compiled twice, for few plates and for many, where the two differ."""
     (nx, ny), device, hanging = specialized.scheme.nodes, specialized.device, len(specialized.scene.effects.oscillators)
     few_plan, many_plan = (
-        general_blocks.plan(nx, ny, specialized.real, specialized.effects, hanging, few) for few in (True, False)
+        general_plan.plan(nx, ny, specialized.real, specialized.effects, hanging, few) for few in (True, False)
     )
     many = blocks_path(specialized, many_plan)
     few = many if few_plan == many_plan else blocks_path(specialized, few_plan)
@@ -159,14 +159,14 @@ def _blocks(specialized: Specialized) -> Advance:
     return advance
 
 
-def blocks_path(specialized: Specialized, blocks: general_blocks.Blocks) -> Advance:
+def blocks_path(specialized: Specialized, blocks: general_plan.Blocks) -> Advance:
     """A block a plate, shared among its threads as ``blocks`` says."""
     (nx, ny), stride, device, real = specialized.scheme.nodes, specialized.stride, specialized.device, specialized.real
     effects, hanging = specialized.effects, len(specialized.scene.effects.oscillators)
     kernel = general_blocks.make_run(effects, real, nx, ny, stride, hanging, blocks)
     wp.load_module(module=kernel.module, device=device, block_dim=blocks.threads)
     material = material_of(specialized)
-    named = {name: getattr(material, name).numpy() for name in general_blocks.SHARED if name != "press"}
+    named = {name: getattr(material, name).numpy() for name in general_plan.SHARED if name != "press"}
     named["press"] = named["mobility"] / named["weight"]
 
     def lines(planes: list[np.ndarray]) -> wp.array:
@@ -176,9 +176,9 @@ def blocks_path(specialized: Specialized, blocks: general_blocks.Blocks) -> Adva
             line[: nx * ny] = np.pad(plane, ((0, ny - plane.shape[0]), (0, nx - plane.shape[1]))).ravel()
         return specialized.to_device(values)
 
-    shared = [material, lines([named[name] for name in general_blocks.used(effects)])]
+    shared = [material, lines([named[name] for name in general_plan.used(effects)])]
     shared += [lines(list(material.holds.numpy())), wp.vec2i(*specialized.scheme.window)]
-    room_size = 0 if blocks.on_chip else general_blocks.room_of(nx, hanging, blocks)
+    room_size = 0 if blocks.on_chip else general_plan.layout(nx, hanging, blocks)["end"]
     rooms: dict[str, wp.array] = {}
     state_of_rooms: State | None = None
 
