@@ -16,6 +16,7 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.fused import make_fused
 from warp_plate.kernels.load import make_moving_load
 from warp_plate.kernels.update import make_parameters, make_update
 
@@ -94,13 +95,14 @@ def mirror(index: int, count: int):
 @cache
 def make_moment(effects, real):
     """A moment from the curvatures along and across it; a constant pull acts like one: (Mx − Tx u)_xx."""
+    fused = make_fused(real)
 
     @wp.func
     def moment(rigidity: real, along: real, rigidity_across: real, across: real, tension: real, here: real):
         if wp.static(effects.tension):
-            return rigidity * along + rigidity_across * across - tension * here
+            return fused(rigidity, along, rigidity_across * across) - tension * here
         else:
-            return rigidity * along + rigidity_across * across
+            return fused(rigidity, along, rigidity_across * across)
 
     return moment
 

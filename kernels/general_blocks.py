@@ -12,9 +12,19 @@ from functools import cache
 import warp as wp
 
 from warp_plate.kernels.cuda import LANES, anew, barrier, make_from_lane, shared_memory
+from warp_plate.kernels.fused import make_fused
 from warp_plate.kernels.general import make_hang, make_moment, make_other_forces, make_structs
 from warp_plate.kernels.general_plan import (
-    A_WORD, BITS, BOTTOM, LEFT, LOADED, RIGHT, SHARED, TOP, layout, used,
+    A_WORD,
+    BITS,
+    BOTTOM,
+    LEFT,
+    LOADED,
+    RIGHT,
+    SHARED,
+    TOP,
+    layout,
+    used,
 )  # fmt: skip
 from warp_plate.kernels.load import make_moving_load
 from warp_plate.kernels.update import make_parameters, make_update
@@ -26,13 +36,14 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
 
     shared_planes: (planes that are ``used``, threads × nodes), holds: (hanging, threads × nodes) shares of the
     oscillators' patches, both with zeros beyond the plate; room: (plates, ``layout``'s end) where it is not shared
-    memory; loads: (terms, plates, rows, stride); u, rate, squares: (plates, rows, stride); hung: (plates, hanging, 2); nodes:
-    (traced nodes, 2), row of the plate and column; trace: (plates, traced nodes, steps).
+    memory; loads: (terms, plates, rows, stride); u, rate, squares: (plates, rows, stride); hung: (plates, hanging, 2)
+    place and pace of the masses; nodes: (traced nodes, 2), row of the plate and column; trace: (plates, traced nodes,
+    steps).
     """
     update, other_forces = make_update(effects, real), make_other_forces(effects, real)
     moment, hang, moving_load = make_moment(effects, real), make_hang(real), make_moving_load(real)
     from_lane, Material, Parameters = make_from_lane(real), make_structs(real)[0], make_parameters(real)
-    size = wp.types.type_size_in_bytes(real)
+    fused, size = make_fused(real), wp.types.type_size_in_bytes(real)
     threads, mine, held, shared = blocks.threads, blocks.nodes, blocks.held, used(effects)
     count, padded, warps = nx * ny, threads * mine, -(-threads // LANES)
     state_size, words, sums = ny * stride, -(-mine // A_WORD), effects.stretching or effects.oscillators
@@ -131,9 +142,9 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
         return wp.array(ptr=field, shape=(state_size,), dtype=real)[at]
 
     @wp.func
-    def middle_of(mx: real, my: real, twisting: real, aspect: real):
+    def middle_of(mx: real, my: real, mxy: real, cells: real, aspect: real):
         """Share in the force on a node of its own moments and of the cell to its upper right."""
-        return twisting - real(2.0) * mx - real(2.0) * aspect * my
+        return fused(cells, mxy, real(-2.0) * mx) - real(2.0) * aspect * my
 
     @wp.func
     def cells_of(kind: int, root_aspect: real):
@@ -146,9 +157,7 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
         return cells
 
     @wp.func
-    def finish_sum(
-        p: Material, x: wp.array[real], units: wp.array[real], hung: wp.array3d[real], k: int, which: int
-    ):
+    def finish_sum(p: Material, x: wp.array[real], units: wp.array[real], hung: wp.array3d[real], k: int, which: int):
         """From the warps' sums an oscillator's push, and its mass half a step and a step later; or the tension."""
         first = slots + 2 * which * warps
         total = real(0.0)
@@ -260,8 +269,7 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
                 e = x[at + 1]
                 up = x[at + nx]
                 curved_x = across(x, at, LEFT, RIGHT, kind, 1) - real(2.0) * c
-                curved_y = across(x, at, BOTTOM, TOP, kind, nx) - real(2.0) * c
-                curved_y = p.aspect * curved_y
+                curved_y = p.aspect * (across(x, at, BOTTOM, TOP, kind, nx) - real(2.0) * c)
                 bend_xy = bend_xy_of(h, planes, m, i)
                 mx = moment(bend_xx_of(h, planes, m, i), curved_x, bend_xy, curved_y, p.tension_x, here)
                 my = moment(bend_yy_of(h, planes, m, i), curved_y, bend_xy, curved_x, p.tension_y, here)
@@ -270,14 +278,12 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
                 x[i + my_at] = my
                 x[i + mxy_at] = mxy
                 if wp.static("middle" in held):
-                    h[middle_row, m] = middle_of(mx, my, cells_of(kind, p.root_aspect) * mxy, p.aspect)
+                    cells = cells_of(kind, p.root_aspect)
+                    h[middle_row, m] = middle_of(mx, my, mxy, cells, p.aspect)
                 if wp.static(effects.stretching):
-                    pull = curved_x + curved_y
-                    if wp.static(effects.material_damping):
-                        at_u = i + u_at
-                        pull = across(x, at_u, LEFT, RIGHT, kind, 1) - real(2.0) * here
-                        pull_y = across(x, at_u, BOTTOM, TOP, kind, nx)
-                        pull += p.aspect * (pull_y - real(2.0) * here)
+                    pull = across(x, i + u_at, LEFT, RIGHT, kind, 1) - real(2.0) * here
+                    pull_y = across(x, i + u_at, BOTTOM, TOP, kind, nx) - real(2.0) * here
+                    pull = fused(p.aspect, pull_y, pull)
                     if wp.static("pull" in held):
                         h[pull_row, m] = pull
                     else:
@@ -323,17 +329,17 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
                 kind = word >> (BITS * (m % A_WORD))
                 cells = cells_of(kind, p.root_aspect)
                 bending = real(0.0)
-                if wp.static("middle" in held):  # noqa: SIM108, one of the two is compiled
+                if wp.static("middle" in held):
                     bending = h[middle_row, m]
                 else:
-                    bending = middle_of(x[i + mx_at], x[i + my_at], cells * x[i + mxy_at], p.aspect)
+                    bending = middle_of(x[i + mx_at], x[i + my_at], x[i + mxy_at], cells, p.aspect)
                 bending += across(x, i + mx_at, LEFT, RIGHT, kind, 1)
                 bending += p.aspect * across(x, i + my_at, BOTTOM, TOP, kind, nx)
                 bending += cells * ((x[i + mxy_at - nx - 1] - x[i + mxy_at - 1]) - x[i + mxy_at - nx])
 
                 here = here_of(h, x, m, i)
                 before = real(0.0)
-                if wp.static("rate" in held):  # noqa: SIM108
+                if wp.static("rate" in held):  # noqa: SIM108, one of the two is compiled
                     before = h[rate_row, m]
                 else:
                     before = own_rate[state_at(i)]

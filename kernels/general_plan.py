@@ -81,9 +81,11 @@ def plan(nx, ny, real, effects, hanging, few):
 
     Few plates: what counts is how soon a plate has made a step, so that all threads which a block can have take part.
     Many: what counts is that while one block waits at a barrier another works, and that much is held in registers.
+    Where sums run over the plate, their order follows the threads: there the plan is that of many for any number, lest
+    a plate's bits depend on how many others there are.
     """
     warps = -(-nx * ny // LANES)
-    if few:
+    if few and not (effects.stretching or effects.oscillators):
         threads, blocks = LANES * min(32, warps), 1
     else:
         nodes = 3 if warps <= 3 * 12 else 6
