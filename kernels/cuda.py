@@ -9,7 +9,13 @@ import warp as wp
 
 _FROM_LANE = "\nreturn __shfl_sync(0xffffffffu, value, lane);\n"
 _BARRIER = "\n#if defined(__CUDA_ARCH__)\n__syncthreads();\n#endif\n"
-_ANEW = '\n#if defined(__CUDA_ARCH__)\nasm volatile("" : "+r"(value));\n__builtin_assume(value >= 0);\n#endif\nreturn value;\n'
+_ANEW = """
+#if defined(__CUDA_ARCH__)
+asm volatile("" : "+r"(value));
+__builtin_assume(value >= 0);
+#endif
+return value;
+"""
 _SHARED_MEMORY = "\nextern __shared__ char dynamic_smem_base[]; return (wp::uint64)dynamic_smem_base;\n"
 
 LANES = 32

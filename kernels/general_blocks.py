@@ -14,18 +14,8 @@ import warp as wp
 from warp_plate.kernels.cuda import LANES, anew, barrier, make_from_lane, shared_memory
 from warp_plate.kernels.fused import make_fused
 from warp_plate.kernels.general import make_hang, make_moment, make_other_forces, make_structs
-from warp_plate.kernels.general_plan import (
-    A_WORD,
-    BITS,
-    BOTTOM,
-    LEFT,
-    LOADED,
-    RIGHT,
-    SHARED,
-    TOP,
-    layout,
-    used,
-)  # fmt: skip
+from warp_plate.kernels.general_edges import BITS, BOTTOM, LEFT, LOADED, RIGHT, TOP, WORD, make_edges
+from warp_plate.kernels.general_plan import SHARED, layout, used
 from warp_plate.kernels.load import make_moving_load
 from warp_plate.kernels.update import make_parameters, make_update
 
@@ -43,10 +33,11 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
     update, other_forces = make_update(effects, real), make_other_forces(effects, real)
     moment, hang, moving_load = make_moment(effects, real), make_hang(real), make_moving_load(real)
     from_lane, Material, Parameters = make_from_lane(real), make_structs(real)[0], make_parameters(real)
+    edges_of, across, cells_of = make_edges(real, nx, ny)
     fused, size = make_fused(real), wp.types.type_size_in_bytes(real)
     threads, mine, held, shared = blocks.threads, blocks.nodes, blocks.held, used(effects)
     count, padded, warps = nx * ny, threads * mine, -(-threads // LANES)
-    state_size, words, sums = ny * stride, -(-mine // A_WORD), effects.stretching or effects.oscillators
+    state_size, words, sums = ny * stride, -(-mine // WORD), effects.stretching or effects.oscillators
     place = layout(nx, hanging, blocks)
     u_at, mx_at, my_at, mxy_at = (place[name] for name in ("u", "mx", "my", "mxy"))
     bent_at, pull_at = place.get("strained", u_at), place.get("pull", 0)
@@ -109,34 +100,6 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
         return node + node // nx * wp.static(stride - nx)
 
     @wp.func
-    def edges_of(i: int):
-        """LEFT ... TOP of a node."""
-        line = i // nx
-        column = i - line * nx
-        edges = int(0)
-        if column == 0:
-            edges = edges | LEFT
-        if column == wp.static(nx - 1):
-            edges = edges | RIGHT
-        if line == 0:
-            edges = edges | BOTTOM
-        if line == wp.static(ny - 1):
-            edges = edges | TOP
-        return edges
-
-    @wp.func
-    def across(x: wp.array[real], at: int, low: int, high: int, kind: int, step: int):
-        """Both neighbours of a node together; beyond an edge, ``low`` or ``high`` in its kind, is a mirror image."""
-        before = x[at - step]
-        after = x[at + step]
-        mirrored = after
-        if (kind & high) != 0:
-            mirrored = before
-        if (kind & low) != 0:
-            before = after
-        return before + mirrored
-
-    @wp.func
     def part_of(field: wp.uint64, at: int):
         """A plate's part of a field of the state, at a node."""
         return wp.array(ptr=field, shape=(state_size,), dtype=real)[at]
@@ -145,16 +108,6 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
     def middle_of(mx: real, my: real, mxy: real, cells: real, aspect: real):
         """Share in the force on a node of its own moments and of the cell to its upper right."""
         return fused(cells, mxy, real(-2.0) * mx) - real(2.0) * aspect * my
-
-    @wp.func
-    def cells_of(kind: int, root_aspect: real):
-        """Factor of the twists around a node: beyond an edge they are mirror images."""
-        cells = root_aspect
-        if (kind & (LEFT | RIGHT)) != 0:
-            cells = real(2.0) * cells
-        if (kind & (BOTTOM | TOP)) != 0:
-            cells = real(2.0) * cells
-        return cells
 
     @wp.func
     def finish_sum(p: Material, x: wp.array[real], units: wp.array[real], hung: wp.array3d[real], k: int, which: int):
@@ -245,8 +198,8 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
                 for t in range(wp.static(effects.terms)):
                     if part_of(loads.ptr + offset + wp.uint64(t) * term, at) != real(0.0):
                         kind = kind | LOADED
-                kinds_of = m // A_WORD * threads + thread
-                kinds[kinds_of] = kinds[kinds_of] | (kind << (BITS * (m % A_WORD)))
+                kinds_of = m // WORD * threads + thread
+                kinds[kinds_of] = kinds[kinds_of] | (kind << (BITS * (m % WORD)))
         barrier()
 
         for n in range(start, stop):
@@ -258,9 +211,9 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
                 waves[at_term] = p.wave[n, at_term]
             for m in range(mine):
                 i = own + m * threads
-                if m % A_WORD == 0:
-                    word = kinds[m // A_WORD * threads + own]
-                kind = word >> (BITS * (m % A_WORD))
+                if m % WORD == 0:
+                    word = kinds[m // WORD * threads + own]
+                kind = word >> (BITS * (m % WORD))
                 at = i + bent_at
                 here = here_of(h, x, m, i)
                 c = here
@@ -324,9 +277,9 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
             word = int(0)
             for m in range(mine):
                 i = own + m * threads
-                if m % A_WORD == 0:
-                    word = kinds[m // A_WORD * threads + own]
-                kind = word >> (BITS * (m % A_WORD))
+                if m % WORD == 0:
+                    word = kinds[m // WORD * threads + own]
+                kind = word >> (BITS * (m % WORD))
                 cells = cells_of(kind, p.root_aspect)
                 bending = real(0.0)
                 if wp.static("middle" in held):

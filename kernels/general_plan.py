@@ -5,14 +5,13 @@ from dataclasses import dataclass, replace
 import warp as wp
 
 from warp_plate.kernels.cuda import LANES
+from warp_plate.kernels.general_edges import WORD
 
 # What a node alone reads of what all plates share, in this order; press: mobility / weight.
 SHARED = ("mobility", "bend_xx", "bend_xy", "bend_yy", "twist", "decay", "spring", "weight", "press")
 # What pays most in registers first: numbers that change, then what both passes read. ``middle`` is a node's own share
 # in the force on it.
 FIRST = ("rate", "squares", "middle", "u")
-# Bits of a node's kind, and how many kinds fit in a word of 32 bits.
-LEFT, RIGHT, BOTTOM, TOP, LOADED, BITS, A_WORD = 1, 2, 4, 8, 16, 5, 6
 # Of one multiprocessor of sm_90: registers, the most a thread can hold, and bytes of shared memory a block can take.
 REGISTERS, THREAD_REGISTERS, SHARED_BYTES = 65536, 255, 224 * 1024
 # Registers for addresses, neighbours and the like; and the most nodes a thread that are written out one by one.
@@ -35,7 +34,7 @@ class Blocks:
 def layout(nx, hanging, blocks):
     """Where in a block's room things begin, by name: each plane, with a margin before and after it, then the sums of
     each warp, what they make, and the kinds of the nodes; ``end``: numbers in the room."""
-    margin, sums, words = nx + 1, 2 * hanging + 1, -(-blocks.nodes // A_WORD)
+    margin, sums, words = nx + 1, 2 * hanging + 1, -(-blocks.nodes // WORD)
     padded, warps = blocks.threads * blocks.nodes, -(-blocks.threads // LANES)
     place = {name: margin + index * (padded + margin) for index, name in enumerate(blocks.planes)}
     place["slots"] = margin + len(blocks.planes) * (padded + margin)
