@@ -89,5 +89,6 @@ def plan(nx, ny, real, effects, hanging, few):
     else:
         nodes = 3 if warps <= 3 * 12 else 6
         threads = LANES * min(32, -(-warps // nodes))
-        blocks = max(1, 1024 // threads)
+        words = 1 if real is wp.float32 else 2
+        blocks = max(1, 1024 // (words * threads))
     return share(nx, ny, real, effects, hanging, threads, blocks)
