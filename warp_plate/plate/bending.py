@@ -55,7 +55,8 @@ def make_bending(scene: Scene) -> Bending:
     hx, hy = plate.size[0] / (nx - 1), plate.size[1] / (ny - 1)
     bare, added, mass = _layers(scene)
     ratio = plate.poisson_ratio
-    own = effects.orthotropic or Orthotropic(Dx=bare, Dy=bare, D1=ratio * bare, Dxy=(1 - ratio) / 2 * bare)
+    isotropic = {"Dx": bare, "Dy": bare, "D1": ratio * bare, "Dxy": (1 - ratio) / 2 * bare}
+    own = effects.orthotropic or Orthotropic.model_construct(**isotropic)
     yielding_x, yielding_y = np.zeros((ny, nx)), np.zeros((ny, nx))
     spring = np.full((ny, nx), effects.foundation.stiffness if effects.foundation else 0.0)
     for side, line in EDGE_LINES.items():
@@ -162,12 +163,16 @@ def buckling_factor(scene: Scene, bending: Bending) -> float:
     rest = stiffness_matrix(relaxed)[moves][:, moves]
     pull = stiffness_matrix(bending)[moves][:, moves] - rest
     # Rigid motion of a plate that nothing holds is no buckling: it gets a stiffness of rounding's size.
-    held = rest + scipy.sparse.diags_array(np.full(rest.shape[0], 1e-9 * rest.diagonal().max()))
+    stiff, strong = rest.diagonal().max(), abs(pull).max()
+    if strong == 0:  # below rounding
+        return math.inf
+    held = rest / stiff + scipy.sparse.diags_array(np.full(rest.shape[0], 1e-9))
+    # Both in units of their own size, so that Arnoldi's method meets no number that is far from one.
     largest = scipy.sparse.linalg.eigsh(
-        -pull, k=1, M=held.tocsc(), which="LA", v0=np.random.default_rng(0).normal(size=rest.shape[0]),
+        -pull / strong, k=1, M=held.tocsc(), which="LA", v0=np.random.default_rng(0).normal(size=rest.shape[0]),
         return_eigenvectors=False,
     )
-    return math.inf if largest[0] <= 0 else 1 / float(largest[0])
+    return math.inf if largest[0] <= 0 else float(stiff / strong / largest[0])
 
 
 def oscillator_shares(scene: Scene) -> np.ndarray:

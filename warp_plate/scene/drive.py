@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from warp_plate.scene.table import Moderate, NotNegative, Positive, Table
+from warp_plate.scene.table import Instant, Moderate, NotNegative, Positive, Table
 
 # A name, not a way: no folders, no drive letters, no line breaks.
 _FILE_NAME = re.compile(r"[^/\\:\x00-\x1f\x7f]+\.(wav|csv)", re.IGNORECASE)
@@ -26,7 +26,7 @@ class Burst(Table):
     cosine; period [s] from one burst's start to the next one's, or None for a single burst.
     """
 
-    start: NotNegative = 0.0
+    start: Instant = 0.0
     duration: Positive
     ramp: NotNegative = 0.0
     period: Positive | None = None
@@ -125,7 +125,7 @@ class MovingLoad(Table):
     start: tuple[Place, Place]
     velocity: tuple[Place, Place] = (0.0, 0.0)
     size: Annotated[float, Field(ge=0, le=1e6)] = 0.0
-    from_time: NotNegative = 0.0
+    from_time: Instant = 0.0
     to_time: Positive | None = None
     frequency: Positive | None = None
 

@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import model_validator
 
 from warp_plate.scene.drive import MovingLoad
-from warp_plate.scene.table import Area, NotNegative, Positive, Table
+from warp_plate.scene.table import Area, Moderate, NotNegative, Positive, Table
 
 
 class Damping(Table):
@@ -34,8 +34,8 @@ class MaterialDamping(Table):
 class Tension(Table):
     """In-plane forces per length [N/m] along x and y, positive where they pull: −(Tx u_xx + Ty u_yy) on the left."""
 
-    x: float = 0.0
-    y: float = 0.0
+    x: Moderate = 0.0
+    y: Moderate = 0.0
 
 
 class Foundation(Table):
@@ -51,12 +51,12 @@ class Orthotropic(Table):
 
     Dx: Positive
     Dy: Positive
-    D1: float
+    D1: Moderate
     Dxy: Positive
 
     @model_validator(mode="after")
     def _definite(self) -> Orthotropic:
-        if self.Dx * self.Dy <= self.D1**2:
+        if self.Dx * self.Dy * (1 - 1e-9) <= self.D1**2:
             raise ValueError(
                 f"D1: {self.D1:g} N·m gives negative energies; its size must be below √(Dx Dy) = "
                 f"{(self.Dx * self.Dy) ** 0.5:g}"
