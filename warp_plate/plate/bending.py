@@ -55,8 +55,9 @@ def make_bending(scene: Scene) -> Bending:
     hx, hy = plate.size[0] / (nx - 1), plate.size[1] / (ny - 1)
     bare, added, mass = _layers(scene)
     ratio = plate.poisson_ratio
-    isotropic = {"Dx": bare, "Dy": bare, "D1": ratio * bare, "Dxy": (1 - ratio) / 2 * bare}
-    own = effects.orthotropic or Orthotropic.model_construct(**isotropic)
+    own = effects.orthotropic or Orthotropic.model_construct(
+        Dx=bare, Dy=bare, D1=ratio * bare, Dxy=(1 - ratio) / 2 * bare
+    )
     yielding_x, yielding_y = np.zeros((ny, nx)), np.zeros((ny, nx))
     spring = np.full((ny, nx), effects.foundation.stiffness if effects.foundation else 0.0)
     for side, line in EDGE_LINES.items():

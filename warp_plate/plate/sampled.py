@@ -6,8 +6,10 @@ Re(Z·a) lags behind s by the phase lag of Z at every frequency at once (Gabor, 
 
 from __future__ import annotations
 
+import io
 import math
 import struct
+from array import array
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +20,10 @@ from scipy.signal import hilbert
 from warp_plate.scene.drive import SampledSignal
 from warp_plate.scene.errors import SceneError
 
-MOST_BYTES = 2**27
+# Of a file, and of its samples, each of which takes some 100 bytes on the way: six minutes at 44.1 kHz.
+MOST_BYTES, MOST_SAMPLES = 2**27, 2**24
+# Samples for each step of the run; more are a slip, and a filter of as many products a step.
+MOST_A_STEP = 1000
 LOUDEST = 1e30
 FASTEST, SLOWEST = 1e7, 1e-3  # samples a second
 # The interpolating filter: its half-width in samples of the slower of the two rates, and Kaiser's β for 80 dB. With
@@ -90,7 +95,15 @@ def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) 
     Band-limited interpolation: each value is the sum of the samples around it under a sinc with a Kaiser window, as
     wide as the slower rate asks. Frequencies up to 0.9 of the lower band limit pass within 1e-3; those above the limit
     are 80 dB down.
+
+    Raises:
+        SceneError: more than MOST_A_STEP samples a step.
     """
+    if samples.rate * time_step > MOST_A_STEP:
+        raise SceneError(
+            f"drive.signal.file: {samples.rate:g} samples a second are {samples.rate * time_step:.3g} for each step of "
+            f"{time_step:g} s; at most {MOST_A_STEP} are possible: lower its rate, or write a smaller grid.time_step"
+        )
     analytic = samples.analytic()
     lower = min(1.0, band / (samples.rate * time_step))
     reach = np.arange(-math.ceil(HALF_WIDTH / lower), math.ceil(HALF_WIDTH / lower) + 2)
@@ -114,6 +127,8 @@ def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) 
 
 
 def _check(values: np.ndarray, rate: float) -> None:
+    if values.size > MOST_SAMPLES:
+        raise ValueError(f"{values.size} samples; at most {MOST_SAMPLES} are possible")
     if values.size < 2:
         raise ValueError(f"{values.size} samples; at least 2 are needed")
     if not np.isfinite(values).all() or np.abs(values).max() > LOUDEST:
@@ -147,6 +162,8 @@ def _wav(data: bytes) -> tuple[np.ndarray, float, float]:
         raise ValueError(f"a WAV file of format {code} with {bits} bits; write PCM or floating point")
     if channels != 1:
         raise ValueError(f"{channels} channels; write one")
+    if len(body) > MOST_SAMPLES * (bits // 8):
+        raise ValueError(f"{len(body) // (bits // 8)} samples; at most {MOST_SAMPLES} are possible")
     raw = np.frombuffer(body[: len(body) // (bits // 8) * (bits // 8)], dtype=_WIDTHS[code, bits])
     if code == 3:
         return raw.astype(float), float(rate), 0.0
@@ -162,24 +179,25 @@ def _csv(data: bytes, rate: float | None) -> tuple[np.ndarray, float, float]:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise ValueError("not UTF-8 text") from None
-    rows: list[list[float]] = []
-    lines = [(number, line) for number, line in enumerate(text.split("\n"), 1) if line.strip()]
-    lines = [(number, line) for number, line in lines if not line.lstrip().startswith("#")]
-    for place, (number, line) in enumerate(lines):
-        cells = line.replace(";", ",").replace("\t", ",").split(",")
-        try:
-            row = [float(cell) for cell in cells]
-        except ValueError:
-            if place == 0:
-                continue
-            raise ValueError(f"line {number} is not made of numbers") from None
-        if len(row) > 2 or (rows and len(row) != len(rows[0])):
-            wanted = f"{len(rows[0])} as above it" if rows else "time and value, or one value"
+    cells, columns, begun = array("d"), 0, False
+    for number, line in enumerate(io.StringIO(text), 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        row = [_number(cell) for cell in line.replace(";", ",").replace("\t", ",").split(",")]
+        names, begun = not begun and row.count(None) == len(row), True
+        if names:
+            continue
+        if len(row) > 2 or (columns and len(row) != columns):
+            wanted = f"{columns} as above it" if columns else "time and value, or one value"
             raise ValueError(f"line {number} has {len(row)} columns instead of {wanted}")
-        rows.append(row)
-    if len(rows) < 2:
-        raise ValueError(f"{len(rows)} samples; at least 2 are needed")
-    table = np.array(rows)
+        columns = len(row)
+        for one in row:
+            if one is None:
+                raise ValueError(f"line {number} is not made of numbers")
+            cells.append(one)
+    if len(cells) < 2 * columns or not cells:
+        raise ValueError(f"{len(cells) // max(columns, 1)} samples; at least 2 are needed")
+    table = np.array(cells).reshape(-1, columns)
     if table.shape[1] == 1:
         if rate is None:
             raise ValueError("one column, so no times; write drive.signal.rate, the samples a second")
@@ -187,6 +205,14 @@ def _csv(data: bytes, rate: float | None) -> tuple[np.ndarray, float, float]:
     if rate is not None:
         raise ValueError("has a column of times; delete drive.signal.rate")
     return table[:, 1], *_spacing(table[:, 0])
+
+
+def _number(cell: str) -> float | None:
+    """What a cell says, or None where it is no number; Python's 1_000 is none."""
+    try:
+        return None if "_" in cell else float(cell)
+    except ValueError:
+        return None
 
 
 def _spacing(times: np.ndarray) -> tuple[float, float]:

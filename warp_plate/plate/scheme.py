@@ -16,6 +16,7 @@ import math
 from dataclasses import dataclass
 
 from warp_plate.plate.bending import Bending, buckling_factor, largest_eigenvalue, make_bending, oscillator_shares
+from warp_plate.plate.memory import check_grid_memory, check_steps_memory
 from warp_plate.plate.operator import DIVISOR, LARGEST, Taps, make_taps
 from warp_plate.plate.signals import check_rate, highest_frequency, own_frequencies
 from warp_plate.scene.errors import SceneError
@@ -88,7 +89,8 @@ def make_scheme(scene: Scene) -> Scheme:
 
     Raises:
         SceneError: the scene asks for an accuracy instead of a grid; its time step is above the stability limit or too
-            long for the drive's frequency, its window holds no half-step, or its run is longer than MOST_STEPS.
+            long for the drive's frequency, its window holds no half-step, its run is longer than MOST_STEPS, or grid or
+            run take more memory than there is.
     """
     plate, grid = scene.plate, scene.grid
     if grid.accuracy is not None:
@@ -96,6 +98,7 @@ def make_scheme(scene: Scene) -> Scheme:
             f"grid.accuracy = {grid.accuracy:g}: no grid is chosen yet; warp_plate.accuracy.choose(scene, "
             f"{grid.accuracy:g}).scene has one"
         )
+    check_grid_memory(scene, needs_moments(scene))
     spacing = (plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1))
     rigidity = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
     surface_density = plate.density * plate.thickness
@@ -116,6 +119,7 @@ def make_scheme(scene: Scene) -> Scheme:
             f"window.end = {scene.window.end:g}: takes {scene.window.end / time_step:.3g} steps of {time_step:g} s; "
             f"at most {MOST_STEPS:.3g} are possible: end earlier or use fewer nodes"
         )
+    check_steps_memory(scene, round(scene.window.end / time_step))
     loss = rate_of_loss * time_step
     first, last = _window(scene, time_step)
     return Scheme(

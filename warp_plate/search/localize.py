@@ -14,6 +14,7 @@ import warp_plate
 from warp_plate.accuracy.choose import choose
 from warp_plate.accuracy.estimate import estimate as estimate_errors
 from warp_plate.accuracy.truth import Stage
+from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.weights import localization_factor
 from warp_plate.result.model import Case, Result
 from warp_plate.scene.errors import SceneError
@@ -194,6 +195,11 @@ def _search(
     dimension = 2 * (len(scene.actuators) - 1)
     if dimension == 0:
         return None, False
+    refuse_beyond_memory(
+        # positions, velocities, own bests, random numbers, drives and what makes them, energies
+        search.particles * (120.0 * dimension + 100.0),
+        f"search.particles = {search.particles} with {len(scene.actuators)} actuators",
+    )
     swarm = Swarm(
         SwarmSettings(
             dimension=dimension,

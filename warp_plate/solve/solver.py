@@ -25,6 +25,8 @@ SEGMENT_NODE_STEPS = {"cpu": 1e9, "cuda": 5e10}
 CUDA_CHUNK_SHARE = 0.6
 CPU_CHUNK_BYTES = 256 * 2**20
 FEWEST_PLATES = 64
+# Sizes of drives [N/m²] whose energies, which go with the square, are numbers of full precision.
+SMALLEST_DRIVE, LARGEST_DRIVE = 1e-130, 1e130
 
 Progress = Callable[[int, int], None]
 
@@ -33,10 +35,10 @@ Progress = Callable[[int, int], None]
 class Run:
     """What the plates did.
 
-    energy: (plates, regions) kinetic energy averaged over the window [J]; NaN where a plate's numbers left the
-    finite ones. regions: their names. displacement: (plates, times, ny, nx) [m]; times: (times,) [s], those of the
-    grid that lie nearest to the ones asked for. trace: (plates, points, steps) [m]; trace_times: (steps,) [s].
-    node_steps: nodes updated × steps × plates.
+    energy: (plates, regions) kinetic energy averaged over the window [J]; NaN where a plate's numbers left the finite
+    ones, or its drive is of a size beyond SMALLEST_DRIVE ... LARGEST_DRIVE. regions: their names. displacement: (plates,
+    times, ny, nx) [m]; times: (times,) [s], those of the grid that lie nearest to the ones asked for. trace: (plates,
+    points, steps) [m]; trace_times: (steps,) [s]. node_steps: nodes updated × steps × plates.
     """
 
     energy: np.ndarray
@@ -119,7 +121,7 @@ class PlateSolver:
             progress: called with (node-steps done, node-steps in all) between launches.
 
         Raises:
-            SceneError: drives of another shape, a time outside the run, a point off the plate.
+            SceneError: drives of another shape or kind, a time outside the run, a point off the plate.
         """
         phasors = as_phasors(drives, len(self.scene.actuators))
         scheme = self.specialized.scheme
@@ -171,6 +173,13 @@ class PlateSolver:
 
     def _check(self, times: Sequence[float], points: Sequence[tuple[float, float]]) -> None:
         end = self.specialized.scheme.steps * self.specialized.scheme.time_step
+        for name, values, each in (("times", times, ()), ("points", points, (2,))):
+            try:
+                right = np.asarray(values, dtype=float).shape[1:] == each or len(values) == 0
+            except (TypeError, ValueError):
+                right = False
+            if not right:
+                raise SceneError(f"{name}: must be a list of {'numbers' if each == () else 'pairs of numbers'}")
         for time_asked in times:
             if not 0 <= time_asked <= self.scene.window.end * (1 + 1e-9):
                 raise SceneError(f"times: {time_asked:g} s is outside the run, which goes from 0 to {end:g} s")
@@ -185,7 +194,13 @@ class PlateSolver:
         budget = CUDA_CHUNK_SHARE * self.device.free_memory if self.device.is_cuda else CPU_CHUNK_BYTES
         if self._state is not None and self.device.is_cuda:
             budget += self._state.capacity * bytes_per_plate(self.specialized, self._state.nodes.shape[0])
-        most = int(budget / bytes_per_plate(self.specialized, traced_nodes))
+        each = bytes_per_plate(self.specialized, traced_nodes)
+        if self.device.is_cuda and each > budget:
+            raise SceneError(
+                f"grid.nodes = {list(self.scene.grid.nodes)}: a plate takes {each / 2**30:.3g} GiB, and "
+                f"{budget / 2**30:.3g} GiB of {self.device.alias} may be taken; use fewer nodes or record.points"
+            )
+        most = int(budget / each)
         if self.device.is_cpu:
             most = min(most, max(FEWEST_PLATES, int(SEGMENT_NODE_STEPS["cpu"] / self.node_steps_per_plate)))
         return max(1, min(plates, most))
@@ -197,8 +212,9 @@ class PlateSolver:
             self._state = None  # frees the old room before the new one is taken
             state = self._state = make_state(self.specialized, capacity, nodes)
         scale: np.ndarray = np.abs(phasors).max(axis=1)
+        scale[(scale != 0) & ~((scale >= SMALLEST_DRIVE) & (scale <= LARGEST_DRIVE))] = np.nan
         with np.errstate(invalid="ignore"):  # a drive that is not finite harms its own plate alone
-            load_drives(self.engine, state, phasors / np.where(scale > 0, scale, 1)[:, None])
+            load_drives(self.engine, state, phasors / np.where(scale == 0, 1, scale)[:, None])
         units = np.zeros(state.capacity)
         units[: len(scale)] = scale * self.specialized.scheme.load_scale
         with np.errstate(over="ignore", invalid="ignore"):
@@ -241,12 +257,21 @@ def as_phasors(drives: object, actuators: int) -> np.ndarray:
     """
     try:
         if isinstance(drives, tuple) and len(drives) == 2:
-            magnitude, phase = (np.asarray(part, dtype=float) for part in drives)
-            phasors = magnitude * np.exp(-1j * phase)
+            magnitude, phase = (_numbers(part, "biuf") for part in drives)
+            with np.errstate(invalid="ignore"):  # a drive that is not finite harms its own plate alone
+                phasors = magnitude * np.exp(-1j * phase)
         else:
-            phasors = np.asarray(drives, dtype=complex)
+            phasors = _numbers(drives, "biufc").astype(complex)
     except (TypeError, ValueError) as error:
         raise SceneError(f"drives: not an array of numbers ({error})") from None
     if phasors.ndim != 2 or phasors.shape[1] != actuators:
         raise SceneError(f"drives: shape {phasors.shape} instead of (plates, {actuators}), one column an actuator")
     return phasors
+
+
+def _numbers(values: object, kinds: str) -> np.ndarray:
+    """As an array, of one of NumPy's kinds: nothing is read out of texts or dates, and nothing masked is taken."""
+    array = np.asarray(values)
+    if array.size and (array.dtype.kind not in kinds or np.ma.is_masked(values)):
+        raise TypeError(f"{array.dtype}{', masked' if np.ma.is_masked(values) else ''}")
+    return array
