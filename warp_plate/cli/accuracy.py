@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import cyclopts
 
 from warp_plate.cli import output
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, printable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -61,7 +61,7 @@ def accuracy(
     json
         Print one JSON object instead of a table.
     """
-    target = _target(out, scene)
+    target = output.output_file(out, scene, "accuracy", (".json",))
     if not 0 < budget < float("inf"):
         raise SceneError(f"--budget {budget:g}: must be a number of seconds above zero")
     loaded = output.load_scene(scene)
@@ -79,19 +79,7 @@ def accuracy(
         output.print_json({**record, "files": [str(file) for file in files]})
         return
     _print(report, machine.devices[name], output.console())
-    for file in files:
-        print(f"wrote {file}")
-    if missing:
-        print(missing)
-
-
-def _target(out: Path | None, scene: str) -> Path:
-    path = out or Path(f"{Path(scene).stem}-accuracy.json")
-    if path.suffix != ".json":
-        raise SceneError(f"--out {path}: must end in .json")
-    if not path.parent.is_dir():
-        raise SceneError(f"--out {path}: no such folder: {path.parent}")
-    return path
+    output.print_files(files, missing)
 
 
 def _write(record: Mapping[str, object], path: Path, pictures: bool) -> tuple[list[Path], str | None]:
@@ -110,7 +98,7 @@ def _write(record: Mapping[str, object], path: Path, pictures: bool) -> tuple[li
 
 def _print(report: Report, device: str, console: Console) -> None:
     truth = report.truth
-    console.print(f"{report.scene} on {device}\n")
+    console.print(f"{printable(report.scene)} on {device}\n")
     for kind in dict.fromkeys(map(_kind, report.rows)):
         made = output.table(*HEADINGS, title=kind)
         for index, row in enumerate(report.rows):

@@ -60,7 +60,7 @@ def bench(
     json
         Print one JSON object instead of a table.
     """
-    target = _target(out)
+    target = output.output_file(out, "", "bench", (".json",))
     counts, sizes = _whole_numbers("--plates", plates, 1, 10**7), _whole_numbers("--nodes", nodes, 5, 8193)
     from warp_plate.bench.cases import all_devices, make_cases
     from warp_plate.bench.machine import busy
@@ -83,19 +83,7 @@ def bench(
         output.print_json({**report.as_json(), "files": [str(file) for file in files]})
         return
     _print(report, output.console())
-    for file in files:
-        print(f"wrote {file}")
-    if missing:
-        print(missing)
-
-
-def _target(out: Path | None) -> Path:
-    path = out or Path("bench.json")
-    if path.suffix != ".json":
-        raise SceneError(f"--out {path}: must end in .json")
-    if not path.parent.is_dir():
-        raise SceneError(f"--out {path}: no such folder: {path.parent}")
-    return path
+    output.print_files(files, missing)
 
 
 def _whole_numbers(option: str, text: str | None, least: int, most: int) -> list[int] | None:
@@ -107,7 +95,7 @@ def _whole_numbers(option: str, text: str | None, least: int, most: int) -> list
     if text is None:
         return None
     parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdecimal() and least <= int(part) <= most for part in parts):
+    if not all(part.isdecimal() and len(part) < 20 and least <= int(part) <= most for part in parts):
         raise SceneError(f"{option} {text}: must be whole numbers from {least} to {most}, such as 27,105")
     return [int(part) for part in parts]
 

@@ -63,7 +63,7 @@ def effects(
 
 def _print(name: str, scene: Scene, found: Influence, numbers: list[Finding]) -> None:
     console = output.console()
-    console.print(f"{scene.title or name}\n")
+    console.print(f"{output.heading(scene, name)}\n")
     made = output.table("effect", "now", "price of a step", "steps", "factor", "largest displacement (m)")
     made.add_row("the scene as it is", "", "", "", f"{found.localization_factor:.4f}", f"{found.peak:.3g}")
     for switch in found.switches:
@@ -75,10 +75,10 @@ def _print(name: str, scene: Scene, found: Influence, numbers: list[Finding]) ->
         "switched to its other state, under the scene's own drive:\n"
     )
     for switch in found.switches:
-        console.print(f"{'without' if switch.on else 'with'} {_words(switch.name)}: {switch.switched}", markup=False)
+        console.print(f"{'without' if switch.on else 'with'} {_words(switch.name)}: {switch.switched}")
     console.print()
     for number in numbers:
-        console.print(f"{'! ' if number.exceeded else '  '}{number.sentence}", markup=False)
+        console.print(f"{'! ' if number.exceeded else '  '}{number.sentence}")
 
 
 def _row(switch: Switch) -> list[str]:

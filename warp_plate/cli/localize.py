@@ -82,10 +82,7 @@ def localize(
         output.print_json(as_json(result, files))
         return
     _print(result, output.console())
-    for file in files:
-        print(f"wrote {file}")
-    if missing:
-        print(missing)
+    output.print_files(files, missing)
 
 
 def as_json(result: Result, files: list[Path]) -> dict[str, object]:
@@ -121,7 +118,7 @@ def _print(result: Result, console: Console) -> None:
     published = PUBLISHED if result.source == "paper" else {}
     factors = {name: case.localization_factor for name, case in result.cases.items()}
     headings = ("localization factor", "this run") + (("published",) if published else ())
-    console.print(result.scene.title or result.source)
+    console.print(output.heading(result.scene, result.source))
     made = output.table(*headings)
     for name, meaning in MEANING.items():
         value = result.bound if name == "bound" else factors[name]

@@ -47,7 +47,7 @@ def modes(
     json
         Print one JSON object instead of a table.
     """
-    target = _target(out, scene)
+    target = output.output_file(out, scene, "modes", ENDINGS)
     if count < 1:
         raise SceneError(f"--count {count}: must be at least 1")
     loaded = _with_grid(output.load_scene(scene, accuracy))
@@ -65,19 +65,7 @@ def modes(
         output.print_json(_record(scene, loaded, found, files))
         return
     _print(scene, loaded, found)
-    for file in files:
-        print(f"wrote {file}")
-    if missing:
-        print(missing)
-
-
-def _target(out: Path | None, scene: str) -> Path:
-    path = out or Path(f"{Path(scene).stem}-modes.png")
-    if path.suffix not in ENDINGS:
-        raise SceneError(f"--out {path}: must end in .png, .svg or .pdf")
-    if not path.parent.is_dir():
-        raise SceneError(f"--out {path}: no such folder: {path.parent}")
-    return path
+    output.print_files(files, missing)
 
 
 def _with_grid(scene: Scene) -> Scene:
@@ -134,7 +122,7 @@ def _record(name: str, scene: Scene, found: NaturalModes, files: list[Path]) -> 
 def _print(name: str, scene: Scene, found: NaturalModes) -> None:
     console = output.console()
     nx, ny = scene.grid.nodes
-    console.print(f"{scene.title or name}: {nx} × {ny} nodes, order {scene.grid.order}\n")
+    console.print(f"{output.heading(scene, name)}: {nx} × {ny} nodes, order {scene.grid.order}\n")
     hung = [index for index, one in enumerate(scene.effects.oscillators) if one.mass > 0]
     made = output.table(
         "mode", "frequency (Hz)", "in a run (Hz)", "waves x × y", *(f"mass {index}" for index in hung)

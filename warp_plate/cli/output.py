@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import stat
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,7 +15,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,8 +30,8 @@ def print_json(data: Mapping[str, object]) -> None:
 
 
 def console() -> Console:
-    """Standard output, wrapped to the terminal's width and plain when it is a file."""
-    return Console(highlight=False)
+    """Standard output, wrapped to the terminal's width and plain when it is a file; [red] and :star: stay as they are."""
+    return Console(highlight=False, markup=False, emoji=False)
 
 
 def table(*headings: str, title: str | None = None) -> Table:
@@ -38,6 +40,11 @@ def table(*headings: str, title: str | None = None) -> Table:
     for index, heading in enumerate(headings):
         made.add_column(heading, justify="left" if index == 0 else "right")
     return made
+
+
+def heading(scene: Scene, source: str) -> str:
+    """What stands above a command's tables: the scene's title, or the name that it was asked for by."""
+    return printable(scene.title or source)
 
 
 @contextmanager
@@ -58,21 +65,27 @@ def drive_table(case: Case, names: Sequence[str]) -> Table:
     """A drive as the source paper's Table 1 gives it."""
     made = table("actuator", "magnitude (N/m²)", "phase (rad)", "phase / π", title="Drive found")
     for name, magnitude, phase in zip(names, case.magnitude, case.phase, strict=True):
-        made.add_row(name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}")
+        made.add_row(printable(name), f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}")
     return made
 
 
-def output_file(out: Path | None, source: str, command: str) -> Path:
-    """Where the result goes: ``out``, or SCENE-COMMAND.h5 in this folder.
+def output_file(out: Path | None, source: str, command: str, endings: Sequence[str] = (".h5",)) -> Path:
+    """Where a command's file goes: ``out``, or SCENE-COMMAND with the first of the endings in this folder.
 
     Raises:
-        SceneError: not an .h5 name, or its folder is missing; said before any work is done.
+        SceneError: another ending, no file can be made there, or its folder is missing; said before any work is done.
     """
-    path = out or Path(f"{Path(source).stem}-{command}.h5")
-    if path.suffix != ".h5":
-        raise SceneError(f"--out {path}: must end in .h5")
-    if not path.parent.is_dir():
-        raise SceneError(f"--out {path}: no such folder: {path.parent}")
+    path = out or Path(f"{Path(source).stem}-{command}{endings[0]}".lstrip("-"))
+    if path.suffix not in endings:
+        raise SceneError(f"--out {path}: must end in {' or '.join(', '.join(endings).rsplit(', ', 1))}")
+    try:
+        there = stat.S_ISDIR(path.stat().st_mode) and "is a folder"
+    except (FileNotFoundError, NotADirectoryError):
+        there = not path.parent.is_dir() and f"no such folder: {path.parent}"
+    except (OSError, ValueError) as error:  # a name too long, or with characters that no name may have
+        there = f"no name for a file: {getattr(error, 'strerror', None) or error}"
+    if there or not os.access(path.parent, os.W_OK):
+        raise SceneError(f"--out {path}: {there or f'no permission to write to the folder {path.parent}'}")
     return path
 
 
@@ -139,7 +152,7 @@ def warnings_of(result: Result) -> list[str]:
 def print_warnings(result: Result, console: Console) -> None:
     """One line for each of ``warnings_of``."""
     for sentence in warnings_of(result):
-        console.print(f"! {sentence}", markup=False)
+        console.print(f"! {sentence}")
 
 
 def prepare_pictures(pictures: bool) -> None:
@@ -161,6 +174,14 @@ def write_files(result: Result, path: Path, pictures: bool) -> tuple[list[Path],
 
     drawn, missing = draw_all(result, path.with_suffix(""))
     return files + drawn, missing
+
+
+def print_files(files: Sequence[Path], missing: str | None) -> None:
+    """A line for each file written, and why others are missing."""
+    for file in files:
+        print(printable(f"wrote {file}"))
+    if missing:
+        print(printable(missing))
 
 
 def _finite(value: object) -> object:

@@ -80,7 +80,7 @@ def simulate(
         )
         return
     console = output.console()
-    console.print(result.scene.title or result.source)
+    console.print(output.heading(result.scene, result.source))
     made = output.table("quantity", "value")
     made.add_row("localization factor", f"{case.localization_factor:.4f}")
     for region, energy in case.energy.items():
@@ -94,7 +94,4 @@ def simulate(
     )
     output.print_accuracy(result, console)
     output.print_warnings(result, console)
-    for file in files:
-        print(f"wrote {file}")
-    if missing:
-        print(missing)
+    output.print_files(files, missing)

@@ -36,9 +36,9 @@ class Run:
     """What the plates did.
 
     energy: (plates, regions) kinetic energy averaged over the window [J]; NaN where a plate's numbers left the finite
-    ones, or its drive is of a size beyond SMALLEST_DRIVE ... LARGEST_DRIVE. regions: their names. displacement: (plates,
-    times, ny, nx) [m]; times: (times,) [s], those of the grid that lie nearest to the ones asked for. trace: (plates,
-    points, steps) [m]; trace_times: (steps,) [s]. node_steps: nodes updated × steps × plates.
+    ones, or its drive is of a size beyond SMALLEST_DRIVE ... LARGEST_DRIVE. regions: their names. displacement:
+    (plates, times, ny, nx) [m]; times: (times,) [s], those of the grid that lie nearest to the ones asked for.
+    trace: (plates, points, steps) [m]; trace_times: (steps,) [s]. node_steps: nodes updated × steps × plates.
     """
 
     energy: np.ndarray

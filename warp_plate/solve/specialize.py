@@ -13,6 +13,7 @@ from warp_plate.kernels.update import make_parameters
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.signals import Signals, make_signals
 from warp_plate.plate.weights import patches, region_weights
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import cpu_threads
 
@@ -65,7 +66,17 @@ class Specialized:
         return bend_x, bend_y, move_x, move_y
 
     def to_device(self, values: np.ndarray) -> wp.array:
-        """A copy on the device in the scene's precision."""
+        """A copy on the device in the scene's precision.
+
+        Raises:
+            SceneError: a number is too large for it.
+        """
+        precision = self.scene.grid.precision
+        if not (np.abs(values) <= np.finfo(precision).max).all():
+            raise SceneError(
+                f"grid.precision = {precision!r}: an effect, a drive or a layer is too large for it; write "
+                f"{'a smaller one' if precision == 'float64' else 'float64'}"
+            )
         return wp.array(values, dtype=self.real, device=self.device)
 
 
