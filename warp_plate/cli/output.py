@@ -30,7 +30,7 @@ def print_json(data: Mapping[str, object]) -> None:
 
 
 def console() -> Console:
-    """Standard output, wrapped to the terminal's width and plain when it is a file; [red] and :star: stay as they are."""
+    """Standard output, wrapped to the terminal's width, plain when it is a file; [red] and :star: stay as written."""
     return Console(highlight=False, markup=False, emoji=False)
 
 
