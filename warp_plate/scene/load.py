@@ -84,9 +84,21 @@ def parse_scene(text: str, name: str) -> Scene:
     except ValueError as error:  # a wrong TOML, or a whole number of thousands of digits
         raise SceneError(f"{name}: not TOML: {error}") from None
     try:
-        return Scene.model_validate(data)
+        return checked_scene(data)
+    except SceneError as error:
+        raise SceneError(f"{name}: {error}") from None
+
+
+def checked_scene(tables: dict[str, Any]) -> Scene:
+    """The scene of tables by their names.
+
+    Raises:
+        SceneError: a key is unknown or wrong.
+    """
+    try:
+        return Scene.model_validate(tables)
     except ValidationError as error:
-        raise SceneError(f"{name}: {explain(error)}") from None
+        raise SceneError(explain(error)) from None
 
 
 def with_accuracy(scene: Scene, accuracy: float) -> Scene:
