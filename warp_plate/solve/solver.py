@@ -176,10 +176,10 @@ class PlateSolver:
         end = self.specialized.scheme.steps * self.specialized.scheme.time_step
         for name, values, each in (("times", times, ()), ("points", points, (2,))):
             try:
-                right = np.asarray(values, dtype=float).shape[1:] == each or len(values) == 0
+                shape = _numbers(values, "biuf").shape
             except (TypeError, ValueError):
-                right = False
-            if not right:
+                shape = ()
+            if shape != (0,) and (not shape or shape[1:] != each):
                 raise SceneError(f"{name}: must be a list of {'numbers' if each == () else 'pairs of numbers'}")
         for time_asked in times:
             if not 0 <= time_asked <= self.scene.window.end * (1 + 1e-9):
