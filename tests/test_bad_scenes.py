@@ -186,7 +186,8 @@ def scenes(draw):
         if isinstance(value, float) and draw(st.booleans()):
             parent[way[-1]] = value * draw(factors())
         else:
-            parent[way[-1]] = draw(st.sampled_from(NUMBERS + KINDS) | st.floats() | st.integers() | st.text(max_size=5))
+            anything = st.sampled_from(NUMBERS + KINDS) | st.floats() | st.integers() | st.text(max_size=5)
+            parent[way[-1]] = copy.deepcopy(draw(anything))
     return tables
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import cyclopts
 
 from warp_plate.cli import output
+from warp_plate.cli.options import Whole
 from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ def localize(
     /,
     *,
     device: str = "auto",
-    seed: int | None = None,
+    seed: Whole | None = None,
     evaluator: Literal["direct", "response"] = "direct",
     path: Literal["auto", "resident", "streaming"] = "auto",
     accuracy: str | None = None,

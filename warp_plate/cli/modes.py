@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import cyclopts
 
 from warp_plate.cli import output
+from warp_plate.cli.options import Whole
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ def modes(
     scene: str,
     /,
     *,
-    count: int = 6,
+    count: Whole = 6,
     accuracy: str | None = None,
     out: Path | None = None,
     pictures: bool = True,

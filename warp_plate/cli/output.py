@@ -71,12 +71,14 @@ def drive_table(case: Case, scene: Scene) -> Table:
 
 
 def output_file(out: Path | None, source: str, command: str, endings: Sequence[str] = (".h5",)) -> Path:
-    """Where a command's file goes: ``out``, or SCENE-COMMAND with the first of the endings in this folder.
+    """Where a command's file goes: ``out``, or SCENE-COMMAND with the first of the endings, in this folder.
+
+    source: the name given as SCENE, empty where a command takes none.
 
     Raises:
         SceneError: another ending, no file can be made there, or its folder is missing; said before any work is done.
     """
-    path = out or Path(f"{Path(source).stem}-{command}{endings[0]}".lstrip("-"))
+    path = out or Path(f"{Path(source).stem}-{command}{endings[0]}" if source else f"{command}{endings[0]}")
     if path.suffix not in endings:
         raise SceneError(f"--out {path}: must end in {' or '.join(', '.join(endings).rsplit(', ', 1))}")
     try:
