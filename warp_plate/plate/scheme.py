@@ -27,6 +27,8 @@ SAFETY = 0.9
 STEPS_A_PERIOD = 20
 # Longer runs are mistakes in a unit: this is hours on any device.
 MOST_STEPS = 10**8
+# Of a step: cΔt/ρH. Motion is then so small a part of what the load would do in a step that float32 loses its square.
+MOST_LOSS = 1e9
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,11 @@ def make_scheme(scene: Scene) -> Scheme:
         )
     check_steps_memory(scene, round(scene.window.end / time_step))
     loss = rate_of_loss * time_step
+    if loss > MOST_LOSS:
+        raise SceneError(
+            f"effects: {viscous:g} N·s/m³ of viscous damping is more than {MOST_LOSS:g} times what stops the plate "
+            f"within a step; at most {MOST_LOSS * surface_density / time_step:.3g} are possible"
+        )
     first, last = _window(scene, time_step)
     return Scheme(
         nodes=grid.nodes,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from warp_plate.scene.drive import MovingLoad
 from warp_plate.scene.table import Area, Moderate, NotNegative, Positive, Table
@@ -73,8 +73,8 @@ class Layer(Table):
 
     area: Area
     thickness: Positive
-    young_modulus: NotNegative
-    density: NotNegative
+    young_modulus: Annotated[NotNegative, Field(le=1e13)]
+    density: Annotated[NotNegative, Field(le=1e5)]
     both: bool = False
 
 

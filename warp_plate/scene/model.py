@@ -197,6 +197,11 @@ class Scene(Table):
         check_drive(self.drive, [actuator.frequency for actuator in self.actuators], self.window.end)
         for index, layer in enumerate(self.effects.layers):
             _check_area(f"effects.layers[{index}].area", layer.area, size)
+            if layer.thickness > min(size) / 5:
+                raise ValueError(
+                    f"effects.layers[{index}].thickness: {layer.thickness:g} m is not thin; at most {min(size) / 5:g} m, "
+                    "a fifth of the shorter side"
+                )
         for index, oscillator in enumerate(self.effects.oscillators):
             _check_area(f"effects.oscillators[{index}].area", oscillator.area, size)
         for index, time in enumerate(self.record.times):
