@@ -21,19 +21,20 @@ ROOT = Path(__file__).parents[1]
 DRIVER = """
 import os, signal, sys, threading
 import warp_plate.search.localize as search
+import warp_plate.search.run_swarm as run_swarm
 from warp_plate.cli.main import main
 
 def interrupt():
     os.kill(os.getpid(), signal.SIGINT)
 
-loss, calls = search.loss, []
+loss, calls = run_swarm.loss, []
 
 def watched(energy):
     calls.append(1)
     on_loss(len(calls))
     return loss(energy)
 
-search.loss = watched
+run_swarm.loss = watched
 {watch}
 main(sys.argv[1:])
 """

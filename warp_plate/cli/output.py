@@ -8,10 +8,11 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from warp_plate.scene.errors import SceneError
 
@@ -27,9 +28,26 @@ def print_json(data: Mapping[str, object]) -> None:
     print(json.dumps(_finite(data), indent=2))
 
 
+def printable(text: str) -> str:
+    """Text from a scene or a result, with what would command a terminal (control characters) written out."""
+    return "".join(letter if letter.isprintable() or letter == "\n" else ascii(letter)[1:-1] for letter in text)
+
+
+class _PlainConsole(Console):
+    """Prints text as it stands: what a scene calls itself is neither markup nor a command to the terminal."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        return super().render_str(printable(text), **options)
+
+
 def console() -> Console:
     """Standard output, wrapped to the terminal's width and plain when it is a file."""
-    return Console(highlight=False)
+    return _PlainConsole(highlight=False, markup=False, emoji=False)
+
+
+def tell(line: str) -> None:
+    """One line for people on standard error."""
+    print(f"warp-plate: {printable(' '.join(line.split()))}", file=sys.stderr)
 
 
 def table(*headings: str, title: str | None = None) -> Table:
@@ -87,14 +105,10 @@ def load_scene(source: str, accuracy: str | None = None) -> Scene:
     from warp_plate.plate.scheme import make_scheme
     from warp_plate.plate.weights import patches
     from warp_plate.scene import Scene
-    from warp_plate.scene.load import with_accuracy
 
     scene = Scene.load(source)
     if accuracy is not None:
-        try:
-            scene = with_accuracy(scene, _accuracy_of(accuracy))
-        except SceneError:
-            raise SceneError(f"--accuracy {accuracy}: must be from 0.01% to 50%, such as 1% or 0.01") from None
+        scene = with_asked_accuracy(scene, accuracy)
     if scene.grid.accuracy is not None:
         return scene
     try:
@@ -103,6 +117,20 @@ def load_scene(source: str, accuracy: str | None = None) -> Scene:
     except SceneError as error:
         raise SceneError(f"{source}: {error}") from None
     return scene
+
+
+def with_asked_accuracy(scene: Scene, accuracy: str) -> Scene:
+    """The scene with what ``--accuracy`` says in the place of its grid.
+
+    Raises:
+        SceneError: no accuracy.
+    """
+    from warp_plate.scene.load import with_accuracy
+
+    try:
+        return with_accuracy(scene, _accuracy_of(accuracy))
+    except SceneError:
+        raise SceneError(f"--accuracy {accuracy}: must be from 0.01% to 50%, such as 1% or 0.01") from None
 
 
 def _accuracy_of(text: str) -> float:
@@ -139,7 +167,7 @@ def warnings_of(result: Result) -> list[str]:
 def print_warnings(result: Result, console: Console) -> None:
     """One line for each of ``warnings_of``."""
     for sentence in warnings_of(result):
-        console.print(f"! {sentence}", markup=False)
+        console.print(f"! {sentence}")
 
 
 def prepare_pictures(pictures: bool) -> None:
@@ -159,7 +187,10 @@ def write_files(result: Result, path: Path, pictures: bool) -> tuple[list[Path],
         return files, None
     from warp_plate.viz import draw_all
 
-    drawn, missing = draw_all(result, path.with_suffix(""))
+    try:
+        drawn, missing = draw_all(result, path.with_suffix(""))
+    except KeyboardInterrupt:
+        return files, "no more pictures: interrupted by Ctrl-C"
     return files + drawn, missing
 
 
