@@ -201,6 +201,7 @@ def _try_window(window: str | None) -> tuple[bool, str]:
             text=True,
             errors="replace",
             timeout=PATIENCE,
+            start_new_session=True,  # a Ctrl-C is meant for the run, not for what it tries out
         )
     except subprocess.TimeoutExpired:
         return False, f"no answer in {PATIENCE:g} s"

@@ -138,7 +138,7 @@ def localize(
     if not result.interrupted:
         kept.remove()
     elif kept.saved is not None:
-        output.tell(f"interrupted; {way_on(kept.saved, kept.path)}")
+        output.tell(f"interrupted{way_on(kept.saved, kept.path)}")
     if json:
         output.print_json(as_json(result, files, kept.path if result.interrupted and kept.saved else None))
         return

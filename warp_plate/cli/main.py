@@ -8,12 +8,15 @@ import sys
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and leave the process: status 0; 2 after a line about bad input; 130 after Ctrl-C."""
     try:
-        from warp_plate.cli.commands import run
+        from warp_plate.cli.interrupts import at_safe_moments
 
-        run(arguments)
+        with at_safe_moments():
+            from warp_plate.cli.commands import run
+
+            run(arguments)
     except KeyboardInterrupt as interrupt:
-        word = interrupt.args[0] if interrupt.args else "nothing was written"
-        print(f"warp-plate: interrupted; {word}", file=sys.stderr)
+        word = interrupt.args[0] if interrupt.args else "; nothing was written"
+        print(f"warp-plate: interrupted{word}", file=sys.stderr)
         sys.exit(130)
     except BrokenPipeError:
         sys.stderr.close()

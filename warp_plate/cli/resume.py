@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,12 +18,12 @@ def result_beside(checkpoint: Path) -> Path:
     """Where the result goes without ``--out``: NAME.h5 for NAME.checkpoint.h5 or the one before it."""
     stem = checkpoint.name.removesuffix(".h5").removesuffix(".previous")
     named = stem.endswith(".checkpoint")
-    return checkpoint.with_name(stem.removesuffix(".checkpoint") + (".h5" if named else "-localize.h5"))
+    return checkpoint.parent / (stem.removesuffix(".checkpoint") + (".h5" if named else "-localize.h5"))
 
 
 def way_on(checkpoint: Checkpoint, file: Path) -> str:
     """How far the search is, and the command that goes on with it."""
-    return f"after {checkpoint.progress} go on with: warp-plate localize --resume {file}"
+    return f" after {checkpoint.progress}; go on with: warp-plate localize --resume {shlex.quote(str(file))}"
 
 
 def refuse_changes(

@@ -19,6 +19,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from warp_plate.plate.weights import REGIONS
 from warp_plate.result.plain import count, names_in, numbers, opened, put, save_hdf5, table, text
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
@@ -90,12 +91,13 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path, keep_previous: bool = Fa
     save_hdf5(lambda file: _write(file, checkpoint), path, previous_of(path) if keep_previous else None)
 
 
-def load_checkpoint(path: Path) -> Checkpoint:
+def load_checkpoint(path: str | Path) -> Checkpoint:
     """Read what :func:`save_checkpoint` wrote.
 
     Raises:
         SceneError: no such file, no checkpoint of this program, or damaged.
     """
+    path = Path(path)
     with opened(path, FORMAT, "checkpoint") as file:
         return _read(file, str(path))
 
@@ -132,8 +134,9 @@ def _write(file: h5py.File, checkpoint: Checkpoint) -> None:
     swarm = checkpoint.swarm
     if swarm is None:
         return
+    arrays = {**swarm, "history": np.reshape(swarm["history"], (-1, 4))}  # which may be empty
     for name, (_, units, meaning) in ARRAYS.items():
-        put(file, f"swarm/{name}", swarm[name], units, meaning)
+        put(file, f"swarm/{name}", arrays[name], units, meaning)
     file["swarm"].attrs["format"] = swarm["format"]
     file["swarm"].attrs["random"] = json.dumps(swarm["random"])
     for name, kind in (("asked", int), ("improved_loss", float), ("improved_at", int)):
@@ -147,6 +150,8 @@ def _read(file: h5py.File, name: str) -> Checkpoint:
     actuators, single = len(scene.actuators), count(file, "single")
     if single >= actuators:
         raise SceneError(f"attribute single is {single}, of {actuators} actuators")
+    if text(file, "evaluator") not in ("direct", "response") or scene.linear != ("matrices" in file):
+        raise SceneError("evaluator and matrices do not fit the scene")
     return Checkpoint(
         asked=asked,
         scene=scene,
@@ -161,7 +166,7 @@ def _read(file: h5py.File, name: str) -> Checkpoint:
         versions=table(file, "versions"),
         node_steps=count(file, "node_steps"),
         single=single,
-        matrices=numbers(file, "matrices", (None, 2 * actuators, 2 * actuators)) if "matrices" in file else None,
+        matrices=numbers(file, "matrices", (len(REGIONS), *2 * (2 * actuators,))) if "matrices" in file else None,
         swarm=_read_swarm(file, scene) if names_in(file, "swarm") else None,
     )
 

@@ -132,9 +132,12 @@ def _read_case(file: h5py.File, at: str, scene: Scene, times: np.ndarray, steps:
     regions = table(file[f"{at}/energy"], "regions", list)
     if not {"plate", "target"} <= set(regions):
         raise SceneError(f"{at}/energy has regions {regions}, without plate or target")
+    trace = numbers(file, f"{at}/trace", (None, None))
+    if trace.size and trace.shape[1] != len(steps):
+        raise SceneError(f"{at}/trace has {trace.shape[1]} steps, trace_times {len(steps)}")
     return Case(
         drive=magnitude * np.exp(-1j * phase),
         energy=dict(zip(map(str, regions), energy.tolist(), strict=True)),
         displacement=numbers(file, f"{at}/displacement", (len(times), ny, nx)),
-        trace=numbers(file, f"{at}/trace", (None, len(steps))),
+        trace=trace,
     )
