@@ -96,10 +96,9 @@ def _target(out: Path | None, scene: str) -> Path:
 
 def _write(record: Mapping[str, object], path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """The figures as JSON and their picture; returns the files, and why a picture is missing."""
-    try:
-        path.write_text(json_format.dumps(record, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise SceneError(f"--out {path}: cannot be written: {error}") from None
+    from warp_plate.result.whole import write_whole
+
+    write_whole(f"{json_format.dumps(record, indent=1)}\n".encode(), path)
     if not pictures:
         return [path], None
     from warp_plate.viz.accuracy_plot import draw_accuracy_beside
