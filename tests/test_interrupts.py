@@ -172,3 +172,50 @@ def test_amid_a_launch_leaves_a_usable_solver(after, device, path, scene, phasor
         np.testing.assert_array_equal(solver.run(drives).energy, expected)
     else:
         pytest.fail("1000 runs were over before Ctrl-C came")
+
+
+DRAWING = """
+import os, signal, sys
+import warp_plate.viz
+from warp_plate.cli.main import main
+
+{interrupt}
+main(sys.argv[1:])
+"""
+# While the result is written Ctrl-C waits; while a picture is, it ends the drawing.
+WRITING = """
+import warp_plate.result
+save = warp_plate.result.save_result
+def saved(result, path):
+    os.kill(os.getpid(), signal.SIGINT)
+    return save(result, path)
+warp_plate.result.save_result = saved
+"""
+SAVING = """
+from matplotlib.figure import Figure
+save = Figure.savefig
+def saved(self, path, **options):
+    save(self, path, **options)
+    os.kill(os.getpid(), signal.SIGINT)
+Figure.savefig = saved
+"""
+
+
+@pytest.mark.parametrize("interrupt", [WRITING, SAVING], ids=["result", "picture"])
+def test_while_files_are_written(interrupt, panel):
+    """The result is there and whole, and no picture by halves."""
+    pytest.importorskip("matplotlib")
+    short = panel.model_copy(update={"search": panel.search.model_copy(update={"iterations": 2})})
+    Path("panel.toml").write_text(dump_scene(short), encoding="utf-8")
+    answer = subprocess.run(
+        [sys.executable, "-c", DRAWING.format(interrupt=interrupt), "localize", "panel.toml", "--no-estimate"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        timeout=300,
+        check=False,
+    )
+    assert (answer.returncode, answer.stderr) == (0, "")
+    assert "no pictures: interrupted by Ctrl-C" in answer.stdout
+    assert not load_result("panel-localize.h5").interrupted
+    assert sorted(path.name for path in Path().iterdir()) == ["panel-localize.h5", "panel.toml"]

@@ -59,7 +59,7 @@ def test_in_any_pieces_on_any_threads(name, evaluator, device, path, scene, monk
     for threads, plates in ((1, None), (2, None), (3, 5), (5, 1)):
         monkeypatch.setenv("WARP_PLATE_THREADS", str(threads))
         if plates is not None:
-            monkeypatch.setattr(PlateSolver, "_plates_at_once", lambda self, asked, nodes, most=plates: min(most, asked))
+            monkeypatch.setattr(PlateSolver, "_plates_at_once", lambda _, asked, nodes, most=plates: min(most, asked))
         result = localize(made, "", device, None, evaluator, path, estimate=False)
         assert np.isfinite(result.history["best"]).all()
         found.add(digest(result))

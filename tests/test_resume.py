@@ -138,6 +138,18 @@ def test_another_device_only_by_name(scene, stopped):
     assert older.versions["warp"] == f"0.1, then {checkpoint.versions['warp']}"
 
 
+def test_a_search_that_moved_goes_on_where_it_is(scene, stopped, tmp_path):
+    checkpoint = stopped(scene(**SMALL), "cpu", told=stop_after(2))
+    elsewhere = replace(checkpoint, device="cuda:7", processor="another one")
+    file = CheckpointFile(tmp_path / "two.checkpoint.h5", np.inf, goes_on=True)
+    resume(elsewhere, "cpu", told=stop_after(4), estimate=False, checkpoints=file)
+    moved = load_checkpoint(file.path)
+    assert (moved.device, moved.processor) == (checkpoint.device, checkpoint.processor)
+    found = resume(moved, estimate=False)
+    assert found.device.startswith("cuda:7 (another one), then cpu")
+    assert found.versions == checkpoint.versions
+
+
 @pytest.fixture
 def panel(tmp_path, monkeypatch, scene):
     """A small scene with a long search, in a file of the working folder."""

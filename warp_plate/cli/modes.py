@@ -91,6 +91,7 @@ def _with_grid(scene: Scene) -> Scene:
 
 def _draw(scene: Scene, found: NaturalModes, path: Path) -> tuple[list[Path], str | None]:
     """The files written, and None or why none was."""
+    from warp_plate.result.whole import whole_file
     from warp_plate.viz.availability import missing_plots
     from warp_plate.viz.modes_plot import draw_modes
 
@@ -98,7 +99,9 @@ def _draw(scene: Scene, found: NaturalModes, path: Path) -> tuple[list[Path], st
     if problem is not None:
         return [], problem
     try:
-        return [draw_modes(scene, found.frequencies, found.shapes, path)], None
+        with whole_file(path) as temporary:
+            draw_modes(scene, found.frequencies, found.shapes, temporary)
+        return [path], None
     except OSError as error:
         return [], f"{path}: cannot be written: {error}"
 

@@ -181,16 +181,21 @@ def prepare_pictures(pictures: bool) -> None:
 def write_files(result: Result, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """Save the result and draw its pictures beside it; returns the files, and why a picture is missing."""
     from warp_plate.result import save_result
+    from warp_plate.search.interrupts import interrupts_held
 
-    files = [save_result(result, path)]
-    if not pictures:
-        return files, None
-    from warp_plate.viz import draw_all
-
+    files = []
     try:
+        with interrupts_held():
+            files.append(save_result(result, path))
+        if not pictures:
+            return files, None
+        from warp_plate.viz import draw_all
+
         drawn, missing = draw_all(result, path.with_suffix(""))
     except KeyboardInterrupt:
-        return files, "no more pictures: interrupted by Ctrl-C"
+        if not files:
+            raise
+        return files, "no pictures: interrupted by Ctrl-C"
     return files + drawn, missing
 
 

@@ -43,7 +43,8 @@ class Checkpoint:
     """A search between two iterations. With the device it fixes all that is still to come, to the last bit.
 
     asked: the scene as written; scene: the same with the grid that was chosen, where it asked for an accuracy.
-    source: the scene's name. device: Warp's name; processor: its model. path: as asked for.
+    source: the scene's name. device: Warp's name; processor: its model; earlier: others that it ran on before, for
+    people. path: as asked for.
     accuracy, seconds, versions: as in :class:`Result`, until here. node_steps: nodes updated × steps × plates.
     single: index of the best single actuator.
     matrices: (regions, 2 actuators, 2 actuators) of the response; None where the scene is not linear in its drives.
@@ -55,6 +56,7 @@ class Checkpoint:
     source: str
     device: str
     processor: str
+    earlier: str
     path: str
     evaluator: str
     seed: int
@@ -122,7 +124,7 @@ def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
 
 
 def _write(file: h5py.File, checkpoint: Checkpoint) -> None:
-    for name in ("source", "device", "processor", "path", "evaluator", "seed", "node_steps", "single"):
+    for name in ("source", "device", "processor", "earlier", "path", "evaluator", "seed", "node_steps", "single"):
         file.attrs[name] = getattr(checkpoint, name)
     for name in ("asked", "scene"):
         file.attrs[name] = dump_scene(getattr(checkpoint, name))
@@ -158,6 +160,7 @@ def _read(file: h5py.File, name: str) -> Checkpoint:
         source=text(file, "source"),
         device=text(file, "device"),
         processor=text(file, "processor"),
+        earlier=text(file, "earlier"),
         path=text(file, "path"),
         evaluator=text(file, "evaluator"),
         seed=count(file, "seed"),

@@ -80,6 +80,7 @@ def localize(
         source=source,
         device=solver.device.alias,
         processor=processor_of(solver.device),
+        earlier="",
         path=path,
         evaluator=evaluator,
         seed=seed,
@@ -117,7 +118,18 @@ def resume(
     solver = PlateSolver(checkpoint.scene, device or same_device(checkpoint), checkpoint.path)
     spent = dict(checkpoint.seconds)
     spent["compile"] = spent.get("compile", 0.0) + time.perf_counter() - started
-    return _finish(replace(checkpoint, seconds=spent), solver, told, estimate, checkpoints)
+    processor, earlier = processor_of(solver.device), checkpoint.earlier
+    if processor != checkpoint.processor:
+        earlier += f"{checkpoint.device} ({checkpoint.processor}), then "
+    begun = replace(
+        checkpoint,
+        device=solver.device.alias,
+        processor=processor,
+        earlier=earlier,
+        seconds=spent,
+        versions=_with_earlier(checkpoint.versions),
+    )
+    return _finish(begun, solver, told, estimate, checkpoints)
 
 
 def same_device(checkpoint: Checkpoint) -> str:
@@ -164,7 +176,7 @@ def _finish(
         command="localize",
         source=begun.source,
         scene=scene,
-        device=_devices(begun, solver.device),
+        device=begun.earlier + device_name(solver.device),
         seed=begun.seed,
         effects=solver.effects,
         cases=cases_of(drives, run),
@@ -175,7 +187,7 @@ def _finish(
         history=history_of(swarm),
         evaluator=begun.evaluator,
         interrupted=interrupted,
-        versions=_all_versions(begun.versions),
+        versions=begun.versions,
         node_steps=begun.node_steps + solver.node_steps - stepped,
         evaluations=swarm.result.evaluations if swarm is not None else 0,
         accuracy=accuracy,
@@ -271,18 +283,13 @@ def versions() -> dict[str, str]:
     }
 
 
-def _all_versions(before: Mapping[str, str]) -> dict[str, str]:
-    """Those of now, and where the search began with another, both."""
+def _with_earlier(earlier: Mapping[str, str]) -> dict[str, str]:
+    """The versions of now; where a search began with another, both."""
     return {
-        name: now if before.get(name, now) == now else f"{before[name]}, then {now}" for name, now in versions().items()
+        name: earlier[name] if earlier.get(name, now).split(", then ")[-1] == now else f"{earlier[name]}, then {now}"
+        for name, now in versions().items()
+        if name in earlier
     }
-
-
-def _devices(begun: Checkpoint, device: wp.Device) -> str:
-    """The device; where the search began on another kind, both."""
-    if processor_of(device) == begun.processor:
-        return device_name(device)
-    return f"{begun.device} ({begun.processor}), then {device_name(device)}"
 
 
 def _in_float64(scene: Scene) -> Scene:
