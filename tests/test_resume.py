@@ -1,5 +1,6 @@
 """A search that was stopped, by Ctrl-C, by a kill or by a lost device, goes on to the result of one that was not."""
 
+import inspect
 import json
 import os
 import re
@@ -14,10 +15,11 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver, SceneError, load_result, localize, resume
+from warp_plate.cli.localize import localize as localize_command
 from warp_plate.cli.main import main
 from warp_plate.result.checkpoint import load_checkpoint, load_newest, previous_of, save_checkpoint
 from warp_plate.scene.load import dump_scene
-from warp_plate.search.checkpoints import CheckpointFile
+from warp_plate.search.checkpoints import EVERY, CheckpointFile
 
 ROOT = Path(__file__).parents[1]
 SMALL = {"search": {"particles": 8, "iterations": 9, "seed": 3}, "record": {"points": ((0.1, 0.1),)}}
@@ -359,3 +361,25 @@ def test_the_one_before_is_never_that_of_another_search(scene, tmp_path, stopped
     assert not previous_of(path).exists()
     file.save(checkpoint)
     assert load_checkpoint(previous_of(path)).seed == checkpoint.seed
+
+
+def test_a_result_that_cannot_be_written_leaves_the_checkpoint(command, panel, monkeypatch):
+    def full(result, path):
+        raise SceneError(f"{path}: cannot be written: No space left on device")
+
+    short = panel.model_copy(update={"search": panel.search.model_copy(update={"iterations": 3})})
+    Path("panel.toml").write_text(dump_scene(short), encoding="utf-8")
+    with monkeypatch.context() as patch:
+        patch.setattr("warp_plate.result.save_result", full)
+        status, out, err = command(*COMMAND, "--checkpoint-every", "0")
+    assert (status, out, len(err.splitlines())) == (2, "", 1)
+    assert err.endswith(
+        "there is a checkpoint after 3 of 3 iterations; go on with: warp-plate localize --resume "
+        "panel-localize.checkpoint.h5\n"
+    )
+    assert command("localize", "--resume", "panel-localize.checkpoint.h5", "--no-pictures", "--no-estimate")[0] == 0
+    assert load_result("panel-localize.h5").evaluations == 18
+
+
+def test_the_command_s_default_is_the_library_s():
+    assert inspect.signature(localize_command).parameters["checkpoint_every"].default == EVERY

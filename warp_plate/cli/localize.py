@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -9,13 +10,16 @@ import cyclopts
 
 from warp_plate.cli import output
 from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
-from warp_plate.cli.resume import differences, refuse_changes, result_beside, way_on
+from warp_plate.cli.resume import read_checkpoint, result_beside, way_on
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rich.console import Console
 
     from warp_plate.result.model import Result
+    from warp_plate.search.checkpoints import CheckpointFile
 
 TRIED = {"direct": "plates simulated for the swarm", "response": "drives tried by the swarm on the Gram matrices"}
 MEANING = {
@@ -89,20 +93,11 @@ def localize(
     beside = None if resume is None else result_beside(resume)
     target = output.output_file(out or beside, scene or "", "localize")
     loaded = None if scene is None else output.load_scene(scene, accuracy)
-    from warp_plate.result.checkpoint import ENDING, load_newest
+    from warp_plate.result.checkpoint import ENDING
     from warp_plate.search.checkpoints import CheckpointFile
 
-    checkpoint = None
-    if resume is not None:
-        checkpoint, word = load_newest(resume)
-        if word is not None:
-            output.tell(word)
-        if loaded is None and accuracy is not None:
-            loaded = output.with_asked_accuracy(checkpoint.asked, accuracy)
-        told_too: dict[str, object] = {"seed": seed, "evaluator": evaluator, "path": path}
-        refuse_changes(resume, checkpoint, loaded, scene or "--accuracy", told_too)
-        for line in differences(resume, checkpoint, device):
-            output.tell(line)
+    same: dict[str, object] = {"seed": seed, "evaluator": evaluator, "path": path}
+    checkpoint = None if resume is None else read_checkpoint(resume, loaded, scene, accuracy, same, device)
     kept = CheckpointFile(target.with_suffix(ENDING), checkpoint_every, resume is not None, output.tell)
     if checkpoint is None and kept.path.exists():
         output.tell(f"{kept.path} is of a search that did not end; a checkpoint of this one will replace it")
@@ -110,35 +105,12 @@ def localize(
     from warp_plate.search.localize import localize as search
     from warp_plate.search.localize import resume as go_on
 
-    with output.progress_bar("searching", shown=not json) as show:
-
-        def told(done: int, total: int, best: float) -> None:
-            show(done, total, f"best {best:.4f}")
-
-        try:
-            if checkpoint is not None:
-                result = go_on(checkpoint, device, told, estimate, kept)
-            elif loaded is not None:
-                result = search(
-                    loaded,
-                    scene or "",
-                    device or "auto",
-                    seed,
-                    evaluator or "direct",
-                    path or "auto",
-                    told,
-                    estimate,
-                    kept,
-                )
-        except KeyboardInterrupt:
-            if kept.saved is None:
-                raise
-            raise KeyboardInterrupt(way_on(kept.saved, kept.path)) from None
-    files, missing = output.write_files(result, target, pictures)
-    if not result.interrupted:
-        kept.remove()
-    elif kept.saved is not None:
-        output.tell(f"interrupted{way_on(kept.saved, kept.path)}")
+    if checkpoint is not None:
+        run = partial(go_on, checkpoint, device)
+    elif loaded is not None:
+        run = partial(search, loaded, scene or "", device or "auto", seed, evaluator or "direct", path or "auto")
+    result = _run(run, estimate, kept, shown=not json)
+    files, missing = _write(result, target, pictures, kept)
     if json:
         output.print_json(as_json(result, files, kept.path if result.interrupted and kept.saved else None))
         return
@@ -147,6 +119,36 @@ def localize(
         print(f"wrote {file}")
     if missing:
         print(missing)
+
+
+def _run(run: Callable[..., Result], estimate: bool, kept: CheckpointFile, shown: bool) -> Result:
+    """The search with its progress; a Ctrl-C that leaves nothing but a checkpoint says how to go on."""
+    with output.progress_bar("searching", shown) as show:
+
+        def told(done: int, total: int, best: float) -> None:
+            show(done, total, f"best {best:.4f}")
+
+        try:
+            return run(told=told, estimate=estimate, checkpoints=kept)
+        except KeyboardInterrupt:
+            if kept.saved is None:
+                raise
+            raise KeyboardInterrupt(way_on(kept.saved, kept.path)) from None
+
+
+def _write(result: Result, target: Path, pictures: bool, kept: CheckpointFile) -> tuple[list[Path], str | None]:
+    """The result and its pictures, see ``output.write_files``; the checkpoint goes once the search is done."""
+    try:
+        files, missing = output.write_files(result, target, pictures)
+    except SceneError as error:
+        if kept.saved is None:
+            raise
+        raise SceneError(f"{error}; there is a checkpoint{way_on(kept.saved, kept.path)}") from None
+    if not result.interrupted:
+        kept.remove()
+    elif kept.saved is not None:
+        output.tell(f"interrupted{way_on(kept.saved, kept.path)}")
+    return files, missing
 
 
 def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -> dict[str, object]:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from warp_plate.cli import output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -26,7 +27,33 @@ def way_on(checkpoint: Checkpoint, file: Path) -> str:
     return f" after {checkpoint.progress}; go on with: warp-plate localize --resume {shlex.quote(str(file))}"
 
 
-def refuse_changes(
+def read_checkpoint(
+    file: Path,
+    scene: Scene | None,
+    source: str | None,
+    accuracy: str | None,
+    options: dict[str, object],
+    device: str | None,
+) -> Checkpoint:
+    """The checkpoint, or the one before it where it is damaged; tells what a user should know of it.
+
+    scene, accuracy, options, device: what was given beside it, None where it was not.
+
+    Raises:
+        SceneError: it cannot be read, or what was given is not that of its search.
+    """
+    from warp_plate.result.checkpoint import load_newest
+
+    checkpoint, word = load_newest(file)
+    if scene is None and accuracy is not None:
+        scene = output.with_asked_accuracy(checkpoint.asked, accuracy)
+    _refuse_changes(file, checkpoint, scene, source or "--accuracy", options)
+    for line in [*([word] if word else []), *_differences(file, checkpoint, device)]:
+        output.tell(line)
+    return checkpoint
+
+
+def _refuse_changes(
     file: Path,
     checkpoint: Checkpoint,
     scene: Scene | None,
@@ -54,7 +81,7 @@ def refuse_changes(
         )
 
 
-def differences(file: Path, checkpoint: Checkpoint, device: str | None) -> list[str]:
+def _differences(file: Path, checkpoint: Checkpoint, device: str | None) -> list[str]:
     """A line for each thing that is not as it was when the search began and may move the last bits of its result.
 
     Raises:

@@ -81,7 +81,7 @@ class Checkpoint:
 
 def previous_of(path: Path) -> Path:
     """Where the checkpoint goes that stood at ``path`` before."""
-    return path.with_name(path.name.removesuffix(".h5").removesuffix(".checkpoint") + PREVIOUS_ENDING)
+    return path.parent / (path.name.removesuffix(".h5").removesuffix(".checkpoint") + PREVIOUS_ENDING)
 
 
 def save_checkpoint(checkpoint: Checkpoint, path: Path, keep_previous: bool = False) -> None:
