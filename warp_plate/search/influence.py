@@ -21,6 +21,7 @@ from warp_plate.scene.effects import (
     Oscillator,
     Stretching,
     Tension,
+    Variation,
 )
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Edges, ElasticEdge, Scene
@@ -255,6 +256,10 @@ def _orthotropic(scene: Scene) -> tuple[Scene, str]:
     return _with(scene, "orthotropic", table), "Dx a tenth above the isotropic plate's"
 
 
+def _variation(scene: Scene) -> tuple[Scene, str]:
+    return _with(scene, "variation", Variation(thickness=((0.95, 1.05),))), "thickness from 0.95 at x = 0 to 1.05"
+
+
 def film(scene: Scene) -> tuple[Layer, ...]:
     """A piezoelectric film on one face under each actuator."""
     return tuple(
@@ -283,6 +288,7 @@ TYPICAL: dict[str, Change] = {
     "tension": _tension,
     "foundation": _foundation,
     "orthotropic": _orthotropic,
+    "variation": _variation,
     "layers": _layers,
     "oscillators": _oscillators,
     "stretching": lambda scene: (_with(scene, "stretching", Stretching()), "named"),
