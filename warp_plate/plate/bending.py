@@ -34,7 +34,8 @@ class Bending:
 
     spacing: (hx, hy) [m]; bend_xx, bend_xy, bend_yy: C above [N·m]; twist: (ny − 1, nx − 1) 4Dxy of the cells [N·m];
     mass: per area [kg/m²]; weight: share of each node's cell on the plate, 1, ½ or ¼; spring: per area, of the bed and
-    of elastic edges [N/m³]; moves: whether the node does; tension: (x, y) [N/m].
+    of elastic edges [N/m³]; moves: whether the node does; tension: (x, y) [N/m]; stretch: along x and y, what resists
+    stretching of the whole plate [N/m] (see ``section``).
     """
 
     spacing: tuple[float, float]
@@ -47,6 +48,18 @@ class Bending:
     spring: np.ndarray
     moves: np.ndarray
     tension: tuple[float, float]
+    stretch: tuple[float, float]
+
+    @property
+    def stretch_ratio(self) -> float:
+        """κ of ``section``: the pull of stretching along y in units of that along x; 1 where the plate is isotropic."""
+        return math.sqrt(self.stretch[1] / self.stretch[0])
+
+    @property
+    def berger(self) -> float:
+        """Berger's tension along x for ∫ u_x² + κu_y² dA = 1 m² [N/m³]; for an isotropic plate 6D/(H² area)."""
+        area = self.spacing[0] * self.spacing[1] * float(self.weight.sum())
+        return self.stretch[0] / (2 * area)
 
 
 def make_bending(scene: Scene) -> Bending:
@@ -79,6 +92,7 @@ def make_bending(scene: Scene) -> Bending:
         spring=spring,
         moves=moving_nodes(scene),
         tension=(effects.tension.x, effects.tension.y) if effects.tension else (0.0, 0.0),
+        stretch=section.stretch,
     )
 
 

@@ -10,6 +10,12 @@ has, with the brackets for means over it by length,
 (a laminate of rank one: G. W. Milton, The Theory of Composites, 2002, chapter 9). That is second order wherever the
 cut lies. Cells around a layer's corner are cut both ways: first across x and then across y, and the other way about,
 and the mean of both. Twist and mass are means by area.
+
+Stretching, after Berger, leaves out of the in-plane energy what is not ½∫ C e² dA, e = e_x + κ e_y with the strains of
+the middle plane e_x = U_x + ½u_x² and so on, C = A₁₁ and κ² = A₂₂/A₁₁ its stiffnesses per width (isotropic:
+C = A/(1 − ν²), κ = 1; T. Iwinski and J. Nowinski, Arch. Mech. Stos. 9, 1957). Where C varies and κ does not, this is
+least when N = C e is the same everywhere; then ∫ e dA = ½∫ u_x² + κu_y² dA, where edges do not move in the plane, gives
+N = ½∫ u_x² + κu_y² dA / ∫ dA/C: what counts is the harmonic mean of C.
 """
 
 from __future__ import annotations
@@ -29,23 +35,38 @@ Rigidities = tuple[np.ndarray, np.ndarray, np.ndarray]
 @dataclass(frozen=True)
 class Section:
     """Fields over the nodes, (ny, nx): bend_xx, bend_xy, bend_yy: Mx = bend_xx u_xx + bend_xy u_yy and so on [N·m];
-    twist: Dxy, Mxy = 2 Dxy u_xy [N·m]; mass: per area [kg/m²]."""
+    twist: Dxy, Mxy = 2 Dxy u_xy [N·m]; mass: per area [kg/m²]. stretch: along x and y, harmonic means of what resists
+    stretching over the plate [N/m]."""
 
     bend_xx: np.ndarray
     bend_xy: np.ndarray
     bend_yy: np.ndarray
     twist: np.ndarray
     mass: np.ndarray
+    stretch: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class _Laminates:
+    """Of every part of every cell: rigidities and twist [N·m], mass per area [kg/m²]; stretch_x, stretch_y: what
+    resists stretching [N/m]."""
+
+    rigidities: Rigidities
+    twist: np.ndarray
+    mass: np.ndarray
+    stretch_x: np.ndarray
+    stretch_y: np.ndarray
 
 
 @dataclass(frozen=True)
 class _Parts:
     """The cells of the nodes along one axis, cut at the edges of layers.
 
-    middle [m] and share (of its node's cell) of each part; node: to which it belongs; first: of each node's parts.
+    middle and length [m] of each part, and its share of its node's cell; node: whose cell; first: of each node's parts.
     """
 
     middle: np.ndarray
+    length: np.ndarray
     share: np.ndarray
     node: np.ndarray
     first: np.ndarray
@@ -66,13 +87,17 @@ def make_section(scene: Scene) -> Section:
     plate, (nx, ny), layers = scene.plate, scene.grid.nodes, scene.effects.layers
     along_x = _parts(plate.size[0], nx, [place for layer in layers for place in layer.area[:2]])
     along_y = _parts(plate.size[1], ny, [place for layer in layers for place in layer.area[2:]])
-    rigidities, twist, mass = _laminates(scene, along_x, along_y)
+    made = _laminates(scene, along_x, along_y)
+    rigidities = made.rigidities
     if layers:
         x_first = _across_y(_across_x(rigidities, along_x), along_y)
         y_first = _across_x(_across_y(rigidities, along_y), along_x)
         xx, xy, yy = ((one + other) / 2 for one, other in zip(x_first, y_first, strict=True))
         rigidities = xx, xy, yy
-    return Section(*rigidities, *(along_y.mean(along_x.mean(values, 1), 0) for values in (twist, mass)))
+    twist, mass = (along_y.mean(along_x.mean(values, 1), 0) for values in (made.twist, made.mass))
+    soft = [along_y.length @ (1 / stretch) @ along_x.length for stretch in (made.stretch_x, made.stretch_y)]
+    area = plate.size[0] * plate.size[1]
+    return Section(*rigidities, twist, mass, (float(area / soft[0]), float(area / soft[1])))
 
 
 def _parts(length: float, nodes: int, cuts: list[float]) -> _Parts:
@@ -82,16 +107,16 @@ def _parts(length: float, nodes: int, cuts: list[float]) -> _Parts:
     middle = (lines[1:] + lines[:-1]) / 2
     node = np.clip(np.searchsorted(ends, middle) - 1, 0, nodes - 1)
     share = np.diff(lines) / np.diff(ends)[node]
-    return _Parts(middle, share, node, np.searchsorted(node, np.arange(nodes)))
+    return _Parts(middle, np.diff(lines), share, node, np.searchsorted(node, np.arange(nodes)))
 
 
-def _laminates(scene: Scene, along_x: _Parts, along_y: _Parts) -> tuple[Rigidities, np.ndarray, np.ndarray]:
-    """Dxx, D1 and Dyy, Dxy [N·m] and mass per area [kg/m²] of every part of every cell."""
+def _laminates(scene: Scene, along_x: _Parts, along_y: _Parts) -> _Laminates:
     plate, own, ratio = scene.plate, scene.effects.orthotropic, scene.plate.poisson_ratio
     at_parts = np.ix_(along_y.node, along_x.node)
     factors = {key: values[at_parts] for key, values in factors_at_nodes(scene).items()}
     thickness = plate.thickness * factors["thickness"]
     stretch = plate.young_modulus * factors["young_modulus"] * thickness
+    plate_alone = stretch
     first, second = np.zeros_like(stretch), stretch * thickness**2 / 12  # moments of E about the plate's middle
     mass = plate.density * factors["density"] * thickness
     bare = second / (1 - ratio**2)
@@ -113,8 +138,16 @@ def _laminates(scene: Scene, along_x: _Parts, along_y: _Parts) -> tuple[Rigiditi
     if own is None:
         rigidity = plate.young_modulus * plate.thickness**3 / 12 / (1 - ratio**2)
         own = Orthotropic(Dx=rigidity, Dy=rigidity, D1=ratio * rigidity, Dxy=(1 - ratio) / 2 * rigidity)
-    rigidities = own.Dx * stiffer + added, own.D1 * stiffer + ratio * added, own.Dy * stiffer + added
-    return rigidities, own.Dxy * stiffer + (1 - ratio) / 2 * added, mass
+    # A sheet of rigidity D and thickness H resists stretching with 12 D/H².
+    membrane = 12 * factors["young_modulus"] * factors["thickness"] / plate.thickness**2
+    layers = (stretch - plate_alone) / (1 - ratio**2)
+    return _Laminates(
+        rigidities=(own.Dx * stiffer + added, own.D1 * stiffer + ratio * added, own.Dy * stiffer + added),
+        twist=own.Dxy * stiffer + (1 - ratio) / 2 * added,
+        mass=mass,
+        stretch_x=own.Dx * membrane + layers,
+        stretch_y=own.Dy * membrane + layers,
+    )
 
 
 def _across_x(rigidities: Rigidities, parts: _Parts, axis: int = 1) -> Rigidities:

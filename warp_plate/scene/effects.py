@@ -140,7 +140,7 @@ class Oscillator(Table):
 
 
 class Stretching(Table):
-    """Stretching at large amplitude after Berger: the mean slope pulls the plate with
+    """Stretching at large amplitude after Berger: the mean slope pulls an isotropic plate with
     N = 6D/(H² area) ∫ |∇u|² dA, −N∇²u on the left. Its edges do not move in the plane."""
 
 
