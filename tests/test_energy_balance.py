@@ -38,6 +38,7 @@ def some_effects(random, size):
         "tension": {"x": 12.0, "y": 3.0},
         "foundation": {"stiffness": 8e4, "damping": 25.0},
         "orthotropic": {"Dx": 0.015, "Dy": 0.03, "D1": 0.004, "Dxy": 0.006},
+        "variation": {"thickness": [[0.8, 1.3], [1.1, 0.7], [1.0, 1.2]], "density": [[1.5, 0.9]]},
         "layers": [
             {"area": areas[0], "thickness": 3e-4, "young_modulus": 2e9, "density": 2500.0},
             {"area": areas[1], "thickness": 2e-4, "young_modulus": 6e9, "density": 900.0, "both": True},

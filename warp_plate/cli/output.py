@@ -134,6 +134,8 @@ def warnings_of(result: Result) -> list[str]:
 
     case = result.cases.get("best") or next(iter(result.cases.values()))
     peak = float(abs(case.displacement).max()) if case.displacement.size else 0.0
+    if not all(math.isfinite(energy) for one in result.cases.values() for energy in one.energy.values()):
+        peak = math.nan
     return exceeded(result.scene, peak)
 
 
