@@ -84,6 +84,7 @@ def localize(
         device=device_name(solver.device),
         seed=seed,
         effects=solver.effects,
+        path=solver.path_words(bool(scene.record.points)),
         cases=cases_of(drives, run),
         times=run.times,
         trace_times=run.trace_times,
