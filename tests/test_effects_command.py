@@ -10,11 +10,14 @@ import pytest
 from warp_plate import PlateSolver, Scene
 from warp_plate.cli.main import main
 from warp_plate.plate.modes import natural_modes
-from warp_plate.scene.effects import Effects
+from warp_plate.plate.scheme import make_scheme
+from warp_plate.scene.effects import Damping, Effects
 from warp_plate.scene.load import dump_scene
+from warp_plate.scene.model import Search
 from warp_plate.search import influence
-from warp_plate.search.influence import bare_scene, is_on, switches
+from warp_plate.search.influence import switches
 from warp_plate.search.simulate import scene_drive
+from warp_plate.search.typical import DRIVES, bare_scene, is_on
 from warp_plate.search.warnings import exceeded, warnings
 from warp_plate.solve.specialize import effect_names
 
@@ -71,8 +74,9 @@ def test_json(command, panel):
     assert (status, err) == (0, "")
     answer = json.loads(out)
     effects = {row["name"]: row for row in answer["effects"]}
-    assert list(effects) == ["edges", *Effects.model_fields]
+    assert list(effects) == ["edges", *Effects.model_fields, "own_frequencies", *DRIVES]
     assert {name for name, row in effects.items() if row["on"]} == {"damping", "stretching"}
+    assert effects.pop("signal")["switched"] == "no typical value is known"
     assert all(math.isfinite(row["price"]) for row in effects.values())
     assert answer["bare_step_seconds"] > 0
     assert len(answer["numbers"]) == 5
@@ -134,11 +138,13 @@ def test_a_step_too_long_for_the_other_state_is_replaced(scene):
 
 def test_the_bare_plate_is_plain(scene):
     made = scene(edges=("free", "supported", {"rotation": 1.0}, "clamped"), damping=3.0)
+    made = made.with_tables(drive={"frequency": 290.0, "burst": {"duration": 0.01}, "electrostatic": {"gain": 1.0}})
     bare = bare_scene(made)
     assert effect_names(bare) == ()
     assert (bare.edges.left, bare.edges.bottom, bare.edges.right) == ("clamped", "supported", "clamped")
-    assert is_on(made, "edges")
-    assert not is_on(bare, "edges")
+    for name in ("edges", "burst", "electrostatic"):
+        assert is_on(made, name)
+        assert not is_on(bare, name)
 
 
 def test_displacement_against_thickness(scene):
@@ -196,6 +202,44 @@ def test_start_up_motion_that_is_left(scene, effects):
         assert found.value == pytest.approx(math.exp(-100 * start))
         assert found.exceeded == (start == 0.04)
     assert numbers(scene())["start-up motion left"].value == 1
+
+
+@pytest.mark.parametrize("name", ["simulate", "localize"])
+def test_a_plate_that_leaves_the_finite_numbers_is_told_with_the_cause(command, panel, name):
+    """Stretching that pulls harder than the step allows: a shorter step, as the sentence says, keeps it finite."""
+    options = ("panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate", "--json")
+    # So thin and light that magnitudes near one, which the search drives with, throw it far.
+    light = panel.plate.model_copy(update={"thickness": 1e-4, "density": 1.0})
+    damping = Damping(viscous=0.01)
+    made = panel.model_copy(
+        update={
+            "plate": light,
+            "effects": panel.effects.model_copy(update={"damping": damping}),
+            "search": Search(particles=2, iterations=2),
+        }
+    )
+    step, told = make_scheme(made).time_step, []
+    for part in (1, 8):
+        grid = made.grid.model_copy(update={"time_step": step / part})
+        Path("panel.toml").write_text(dump_scene(made.model_copy(update={"grid": grid})), encoding="utf-8")
+        status, out, _ = command(name, *options)
+        assert status == 0
+        told.append([line for line in json.loads(out)["warnings"] if "grew until they were none" in line])
+    assert len(told[0]) == 1
+    assert f"the time step of {step:.3g} s allows" in told[0][0]
+    assert not told[1]
+
+
+def test_too_strong_a_drive_is_told_with_the_cause(command, panel):
+    """A linear plate: nothing but the drive can do that."""
+    loud = tuple(one.model_copy(update={"magnitude": 1e300}) for one in panel.actuators)
+    effects = panel.effects.model_copy(update={"stretching": None})
+    text = dump_scene(panel.model_copy(update={"actuators": loud, "effects": effects}))
+    Path("panel.toml").write_text(text, encoding="utf-8")
+    status, out, _ = command("simulate", "panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate")
+    assert status == 0
+    assert "! The numbers of a plate grew until they were none" in out
+    assert "drive it less (magnitudes are in N/m²" in " ".join(out.split())
 
 
 @pytest.mark.parametrize("name", ["simulate", "localize"])

@@ -7,12 +7,10 @@ from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
 import numpy as np
-from pydantic import ValidationError
 
 from warp_plate.plate.operator import FEWEST_NODES
 from warp_plate.plate.scheme import SAFETY, STEPS_A_PERIOD, needs_moments, stability, time_step_limit
-from warp_plate.scene.errors import SceneError
-from warp_plate.scene.load import explain
+from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.model import Scene
 
 Order = Literal[2, 4]
@@ -64,11 +62,7 @@ def scene_with(scene: Scene, configuration: Configuration) -> Scene:
     effects = scene.effects
     if damping is not None:
         effects = effects.model_copy(update={"damping": damping.model_copy(update={"scheme": "centred"})})
-    tables = {**scene.model_dump(), "effects": effects.model_dump(), "grid": asdict(configuration)}
-    try:
-        return Scene.model_validate(tables)
-    except ValidationError as error:
-        raise SceneError(explain(error)) from None
+    return scene.with_tables(effects=effects.model_dump(), grid=asdict(configuration))
 
 
 def highest_order(scene: Scene) -> Order:
@@ -77,8 +71,8 @@ def highest_order(scene: Scene) -> Order:
 
 
 def bending_wave(scene: Scene) -> float:
-    """Length [m] of a free bending wave at the drive's frequency, 2π√(κ/ω)."""
-    return 2 * math.pi * math.sqrt(_kappa(scene) / scene.drive_angular_frequency)
+    """Length [m] of a free bending wave at the drive's highest frequency, 2π√(κ/ω)."""
+    return math.sqrt(2 * math.pi * _kappa(scene) / highest_frequency(scene))
 
 
 def _kappa(scene: Scene) -> float:
@@ -110,7 +104,7 @@ def stability_limit(scene: Scene, order: Order, nodes: tuple[int, int]) -> float
 
 def longest_time_step(scene: Scene, order: Order, nodes: tuple[int, int]) -> float:
     """As long as the stability limit, the drive and the window allow, ending with a step; see :func:`fitted`."""
-    longest = min(SAFETY * stability_limit(scene, order, nodes), 1 / (STEPS_A_PERIOD * scene.drive.frequency))
+    longest = min(SAFETY * stability_limit(scene, order, nodes), 1 / (STEPS_A_PERIOD * highest_frequency(scene)))
     return fitted(scene, longest)
 
 

@@ -29,6 +29,7 @@ from warp_plate.accuracy.family import (
 )
 from warp_plate.accuracy.spectrum import natural_frequencies
 from warp_plate.plate.scheme import SAFETY, STEPS_A_PERIOD
+from warp_plate.plate.signals import highest_frequency
 from warp_plate.reference.forced import bound, localization_factors, motion_from_rest, transient_matrices
 from warp_plate.reference.ritz import Modes, solve_modes
 from warp_plate.reference.thin_plate import thin_plate
@@ -153,7 +154,7 @@ def grow(
     to stand still; left out: equal drive, the best single actuator, the best drive, and ``more``; with the bound.
     """
     if not scene.linear:
-        raise SceneError("effects.stretching: not linear in the drives, which the references for accuracy rest on")
+        raise SceneError(f"{scene.not_linear}: not linear in the drives, which the references for accuracy rest on")
     stages = _stages(scene, kind, device, Probes(drives, more))
     started = time.perf_counter()
     last = next(stages)
@@ -272,7 +273,7 @@ def _falling_steps(scene: Scene, order: Order) -> list[Configuration]:
     """Grids with time steps that fall as h² throughout; the drive allows the coarsest one's."""
     nodes = [nodes_for(scene.plate.size, side, order) for side in SIDES]
     limits = [stability_limit(scene, order, one) for one in nodes]
-    part = min(SAFETY, 1 / (STEPS_A_PERIOD * scene.drive.frequency) / limits[0])
+    part = min(SAFETY, 1 / (STEPS_A_PERIOD * highest_frequency(scene)) / limits[0])
     end = scene.window.end
     return [
         Configuration(order, LOAD_OF[order], one, end / math.ceil(end / (part * limit)), "float64")

@@ -159,6 +159,7 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
     return {
         "scene": result.source,
         "device": result.device,
+        "path": result.path,
         "seed": result.seed,
         "localization_factor": {**factors, "bound": result.bound},
         "drive": [
@@ -193,7 +194,7 @@ def _print(result: Result, console: Console) -> None:
         made.add_row(*row, *([f"{published[name]:.4f}" if name in published else ""] if published else []))
     console.print(made)
     console.print()
-    console.print(output.drive_table(result.cases["best"], [actuator.name for actuator in result.scene.actuators]))
+    console.print(output.drive_table(result.cases["best"], result.scene))
     console.print()
     if result.interrupted:
         console.print("Interrupted by Ctrl-C: the best so far is shown.")
@@ -202,8 +203,8 @@ def _print(result: Result, console: Console) -> None:
     effects = ", ".join(result.effects) or "none"
     console.print(
         f"{result.evaluations} {TRIED[result.evaluator]}, {result.node_steps:.3g} node-steps in all on "
-        f"{result.device}: {result.seconds['solve']:.2f} s solving after {result.seconds['compile']:.2f} s compiling "
-        f"or loading kernels. Effects compiled in: {effects}."
+        f"{result.device}, {result.path}: {result.seconds['solve']:.2f} s solving after "
+        f"{result.seconds['compile']:.2f} s compiling or loading kernels. Effects compiled in: {effects}."
     )
     output.print_accuracy(result, console)
     output.print_warnings(result, console)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,6 +49,11 @@ def read_checkpoint(
     if scene is None and accuracy is not None:
         scene = output.with_asked_accuracy(checkpoint.asked, accuracy)
     _refuse_changes(file, checkpoint, scene, source or "--accuracy", options)
+    if source is not None and scene is not None:
+        folder = scene.folder  # the files that it names lie beside it, not beside the checkpoint
+        checkpoint = replace(
+            checkpoint, asked=checkpoint.asked.in_folder(folder), scene=checkpoint.scene.in_folder(folder)
+        )
     for line in [*([word] if word else []), *_differences(file, checkpoint, device)]:
         output.tell(line)
     return checkpoint
@@ -72,13 +78,15 @@ def _refuse_changes(
                 f"--{name} {value}: the search in {file} began with {begun}, and goes on with nothing else; leave the "
                 "option out, or begin anew without --resume"
             )
-    if scene is not None and scene != checkpoint.asked:
-        given, begun = dict(_leaves(scene.model_dump())), dict(_leaves(checkpoint.asked.model_dump()))
-        key = next(key for key in {"grid.accuracy": None, **begun, **given} if begun.get(key) != given.get(key))
-        raise SceneError(
-            f"{source}: {key} = {given.get(key)}: the search in {file} began with {begun.get(key)}, and goes on with "
-            "nothing else; leave it out, or begin anew without --resume"
-        )
+    if scene is None:
+        return
+    given, begun = (dict(_leaves(one.model_dump())) for one in (scene, checkpoint.asked))
+    for key in {"grid.accuracy": None, **begun, **given}:
+        if given.get(key) != begun.get(key):
+            raise SceneError(
+                f"{source}: {key} = {given.get(key)}: the search in {file} began with {begun.get(key)}, and goes on "
+                "with nothing else; leave it out, or begin anew without --resume"
+            )
 
 
 def _differences(file: Path, checkpoint: Checkpoint, device: str | None) -> list[str]:

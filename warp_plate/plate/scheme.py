@@ -15,10 +15,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from warp_plate.plate.bending import Bending, buckling_factor, largest_eigenvalue, make_bending, oscillator_shares
 from warp_plate.plate.operator import DIVISOR, LARGEST, Taps, make_taps
+from warp_plate.plate.signals import check_rate, highest_frequency, own_frequencies
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -36,7 +35,7 @@ class Scheme:
     nodes: (nx, ny); spacing: (hx, hy) [m]; rigidity D [N·m]; surface_density ρH [kg/m²]; kappa [m²/s];
     time_step [s]; limit: largest stable time step [s]; steps: of the whole run;
     window: first and last + 1 of the steps whose half-step lies inside the scene's window;
-    decay, gain: of the velocity form above (dimensionless);
+    decay, gain: of the velocity form above (dimensionless); angular_frequency: of the drive [rad/s];
     order: of the differences in space; taps_x, taps_y: these differences, the edges in them (see ``operator``).
     """
 
@@ -79,17 +78,6 @@ class Scheme:
         """Displacement gained in a step under a pressure of one [m per N/m²]."""
         return self.gain * self.time_step**2 / self.surface_density
 
-    def wave(self) -> np.ndarray:
-        """(steps, 2): cos ωt_n and sin ωt_n, the first of them halved.
-
-        The plate is at rest at t = 0, when the load sets in; half a step later its velocity is half of Δt·f/ρH. A whole
-        first load would be an error of first order.
-        """
-        angle = self.angular_frequency * self.time_step * np.arange(self.steps)
-        wave = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        wave[0] /= 2
-        return wave
-
     def step_of(self, time: float) -> int:
         """The step n whose t_n = nΔt lies nearest to ``time`` [s], within the run."""
         return min(max(round(time / self.time_step), 0), self.steps)
@@ -115,18 +103,14 @@ def make_scheme(scene: Scene) -> Scheme:
     viscous, backward = _viscous(scene)
     rate_of_loss = viscous / surface_density
     limit, bending = stability(scene)
-    longest = min(SAFETY * limit, 1 / (STEPS_A_PERIOD * scene.drive.frequency))
+    longest = min(SAFETY * limit, 1 / (STEPS_A_PERIOD * highest_frequency(scene)))
     time_step = grid.time_step or scene.window.end / math.ceil(scene.window.end / longest)
     if time_step > limit * (1 + 1e-12):
         raise SceneError(
             f"grid.time_step = {time_step:g}: above the stability limit of {limit:.6g} s for {grid.nodes[0]} x "
             f"{grid.nodes[1]} nodes; write a smaller one, or leave it out for {SAFETY:g} of the limit"
         )
-    if scene.drive.frequency >= 0.5 / time_step:
-        raise SceneError(
-            f"drive.frequency = {scene.drive.frequency:g}: a step of {time_step:g} s carries less than "
-            f"{0.5 / time_step:.6g} Hz; lower it, or write a smaller grid.time_step"
-        )
+    check_rate(scene, time_step)
     if scene.window.end / time_step > MOST_STEPS:
         raise SceneError(
             f"window.end = {scene.window.end:g}: takes {scene.window.end / time_step:.3g} steps of {time_step:g} s; "
@@ -166,18 +150,19 @@ def stability(scene: Scene) -> tuple[float, Bending | None]:
     spacing = (plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1))
     surface_density = plate.density * plate.thickness
     viscous, backward = _viscous(scene)
-    late = viscous / surface_density if backward else 0.0
     if not needs_moments(scene):
+        late = viscous / surface_density if backward else 0.0
         rigidity = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
         return time_step_limit(math.sqrt(rigidity / surface_density), spacing, late, grid.order), None
     if grid.order == 4:
         raise SceneError(
-            "grid.order = 4: knows an isotropic plate, the same everywhere, with clamped and supported edges, and "
-            "viscous damping; write 2 for other edges and effects"
+            "grid.order = 4: knows an isotropic plate, the same everywhere, with clamped and supported edges, viscous "
+            "damping and actuators of one frequency; write 2 for other edges, effects and drives"
         )
     bending = make_bending(scene)
     _refuse_buckling(scene, bending)
     largest = largest_eigenvalue(scene, bending)
+    late = viscous / float(bending.mass.min()) if backward else 0.0
     if effects.material_damping is not None:
         late += effects.material_damping.time * largest
     cell_mass = bending.mass.min() * spacing[0] * spacing[1]
@@ -225,10 +210,14 @@ def _refuse_buckling(scene: Scene, bending: Bending) -> None:
 
 
 def needs_moments(scene: Scene) -> bool:
-    """Whether a scene asks for more than a plain plate with viscous damping, and goes the general way."""
+    """Whether a scene is more than a plain plate with viscous damping under one carrier, and goes the general way."""
     effects = scene.effects
-    rest = (effects.material_damping, effects.tension, effects.foundation, effects.stretching)
-    return not scene.uniform or any(table is not None for table in rest) or bool(effects.oscillators)
+    rest = (
+        effects.material_damping, effects.tension, effects.foundation, effects.stretching, effects.moving_load,
+        scene.drive.electrostatic,
+    )  # fmt: skip
+    named = any(table is not None for table in rest) or bool(effects.oscillators)
+    return not scene.uniform or named or len(own_frequencies(scene)) > 1
 
 
 def _plain(edge: object) -> str:

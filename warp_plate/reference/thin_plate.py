@@ -33,7 +33,7 @@ def thin_plate(scene: Scene) -> ThinPlate:
     """The plate of a scene; what the scene says of grids and of time steps plays no part.
 
     Raises:
-        SceneError: an edge or an effect that the references do not know.
+        SceneError: an edge, an effect or a drive that the references do not know.
     """
     edges = (scene.edges.left, scene.edges.bottom, scene.edges.right, scene.edges.top)
     for side, edge in zip(("left", "bottom", "right", "top"), edges, strict=True):
@@ -42,6 +42,8 @@ def thin_plate(scene: Scene) -> ThinPlate:
     for effect, table in scene.effects:
         if effect != "damping" and table:
             raise SceneError(f"effects.{effect}: the reference solutions know viscous damping and no other effect")
+    if scene.not_harmonic is not None:
+        raise SceneError(f"{scene.not_harmonic}: the reference solutions know one frequency from t = 0 on")
     plate, damping = scene.plate, scene.effects.damping
     return ThinPlate(
         size=plate.size,

@@ -43,8 +43,8 @@ class Checkpoint:
     """A search between two iterations. With the device it fixes all that is still to come, to the last bit.
 
     asked: the scene as written; scene: the same with the grid that was chosen, where it asked for an accuracy.
-    source: the scene's name. device: Warp's name; processor: its model; earlier: others that it ran on before, for
-    people. path: as asked for.
+    source: the scene's name. files: SHA-256 of the files that it names, by their keys. device: Warp's name;
+    processor: its model; earlier: others that it ran on before, for people. path: as asked for.
     accuracy, seconds, versions: as in :class:`Result`, until here. node_steps: nodes updated × steps × plates.
     single: index of the best single actuator.
     matrices: (regions, 2 actuators, 2 actuators) of the response; None where the scene is not linear in its drives.
@@ -54,6 +54,7 @@ class Checkpoint:
     asked: Scene
     scene: Scene
     source: str
+    files: Mapping[str, str]
     device: str
     processor: str
     earlier: str
@@ -128,7 +129,7 @@ def _write(file: h5py.File, checkpoint: Checkpoint) -> None:
         file.attrs[name] = getattr(checkpoint, name)
     for name in ("asked", "scene"):
         file.attrs[name] = dump_scene(getattr(checkpoint, name))
-    for name in ("accuracy", "seconds", "versions"):
+    for name in ("accuracy", "files", "seconds", "versions"):
         file.attrs[name] = json.dumps(dict(getattr(checkpoint, name)))
     file.attrs["format"] = FORMAT
     if checkpoint.matrices is not None:
@@ -146,7 +147,9 @@ def _write(file: h5py.File, checkpoint: Checkpoint) -> None:
 
 
 def _read(file: h5py.File, name: str) -> Checkpoint:
-    asked, scene = (parse_scene(text(file, key), f"{name}: its scene") for key in ("asked", "scene"))
+    asked, scene = (
+        parse_scene(text(file, key), f"{name}: its scene").in_folder(Path(name).parent) for key in ("asked", "scene")
+    )
     if scene.grid.accuracy is not None:
         raise SceneError("attribute scene has no grid")
     actuators, single = len(scene.actuators), count(file, "single")
@@ -158,6 +161,7 @@ def _read(file: h5py.File, name: str) -> Checkpoint:
         asked=asked,
         scene=scene,
         source=text(file, "source"),
+        files=table(file, "files"),
         device=text(file, "device"),
         processor=text(file, "processor"),
         earlier=text(file, "earlier"),

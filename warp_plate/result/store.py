@@ -62,6 +62,7 @@ def _write(file: h5py.File, result: Result) -> None:
         "scene": dump_scene(result.scene),
         "device": result.device,
         "evaluator": result.evaluator,
+        "path": result.path,
         "effects": json.dumps(list(result.effects)),
         "versions": json.dumps(dict(result.versions)),
         "seconds": json.dumps(dict(result.seconds)),
@@ -97,7 +98,7 @@ def _write_case(file: h5py.File, at: str, case: Case) -> None:
 
 
 def _read(file: h5py.File, name: str) -> Result:
-    scene = parse_scene(text(file, "scene"), f"{name}: its scene")
+    scene = parse_scene(text(file, "scene"), f"{name}: its scene").in_folder(Path(name).parent)
     times, steps = numbers(file, "times", (None,)), numbers(file, "trace_times", (None,))
     cases = {case: _read_case(file, f"cases/{case}", scene, times, steps) for case in names_in(file, "cases")}
     if not cases:
@@ -106,6 +107,7 @@ def _read(file: h5py.File, name: str) -> Result:
     return Result(
         command=text(file, "command"),
         source=text(file, "source"),
+        path=text(file, "path"),
         scene=scene,
         device=text(file, "device"),
         seed=count(file, "seed"),

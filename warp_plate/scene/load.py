@@ -20,6 +20,8 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+# What pydantic calls the kinds of an edge and of an array; no keys of a scene.
+_KINDS = ("word", "springs", "rows")
 _PRESETS = resources.files("warp_plate.scene.presets")
 
 
@@ -52,7 +54,7 @@ def load_scene(source: str | Path) -> Scene:
             "'warp-plate init paper' writes one as a file to edit"
         )
     try:
-        return parse_scene(path.read_text(encoding="utf-8-sig"), text)
+        return parse_scene(path.read_text(encoding="utf-8-sig"), text).in_folder(path.parent)
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{text}: cannot be read as UTF-8 text: {error}") from None
 
@@ -64,11 +66,23 @@ def parse_scene(text: str, name: str) -> Scene:
         SceneError: not TOML, or a key that is unknown or wrong.
     """
     try:
-        return Scene.model_validate(tomllib.loads(text))
+        return checked_scene(tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"{name}: not TOML: {error}") from None
+    except SceneError as error:
+        raise SceneError(f"{name}: {error}") from None
+
+
+def checked_scene(tables: dict[str, Any]) -> Scene:
+    """The scene of tables by their names.
+
+    Raises:
+        SceneError: a key is unknown or wrong.
+    """
+    try:
+        return Scene.model_validate(tables)
     except ValidationError as error:
-        raise SceneError(f"{name}: {explain(error)}") from None
+        raise SceneError(explain(error)) from None
 
 
 def with_accuracy(scene: Scene, accuracy: float) -> Scene:
@@ -89,7 +103,7 @@ def explain(error: ValidationError) -> str:
     # Keys that do not exist come first: they are often the cause of the others ("is missing").
     faults.sort(key=lambda fault: fault["type"] != "extra_forbidden")
     fault = faults[0]
-    key = _dotted(part for part in fault["loc"] if part not in ("word", "springs"))  # the two kinds of an edge
+    key = _dotted(part for part in fault["loc"] if part not in _KINDS)
     if fault["type"] == "extra_forbidden":
         line = f"{key}: unknown key{_suggestion(fault['loc'])}"
     elif fault["type"] == "missing":

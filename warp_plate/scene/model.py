@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, PrivateAttr, Tag, model_validator
 
-from warp_plate.scene.effects import Area, Effects, NotNegative, Positive, Table
+from warp_plate.scene.drive import Drive, check_drive
+from warp_plate.scene.effects import Effects
+from warp_plate.scene.table import Area, Name, NotNegative, Positive, Table, Text
 
-# HDF5 cannot keep a text with a NUL in it.
-Text = Annotated[str, Field(pattern=r"^[^\x00]*$")]
 Weight = Annotated[float, Field(ge=0, le=1e6)]
 
 
@@ -39,12 +39,16 @@ class Plate(Table):
 
     @model_validator(mode="after")
     def _thin(self) -> Plate:
-        if self.thickness > min(self.size) / 5:
+        self.check_thin(self.thickness, "thickness: ")
+        return self
+
+    def check_thin(self, thickness: float, head: str = "") -> None:
+        """Raise ValueError, beginning with ``head``, where the plate is not thin at a place of this thickness [m]."""
+        if thickness > min(self.size) / 5:
             raise ValueError(
-                f"thickness: {self.thickness:g} m is not thin for a side of {min(self.size):g} m; "
+                f"{head}{thickness:g} m is not thin for a side of {min(self.size):g} m; "
                 "a Kirchhoff-Love plate is thinner than a fifth of its side (lengths are in metres)"
             )
-        return self
 
 
 class Edges(Table):
@@ -96,12 +100,6 @@ class Window(Table):
         return self
 
 
-class Drive(Table):
-    """What all actuators share: the frequency [Hz]."""
-
-    frequency: Positive
-
-
 class Target(Table):
     """The part of the plate that should vibrate: x0, x1, y0, y1 [m]."""
 
@@ -130,12 +128,14 @@ class Search(Table):
 
 
 class Actuator(Table):
-    """A patch that presses on the plate: area x0, x1, y0, y1 [m], magnitude [N/m²], phase lag [rad]."""
+    """A patch that presses on the plate: area x0, x1, y0, y1 [m], magnitude [N/m²; V under ``[drive.electrostatic]``],
+    phase lag [rad], frequency [Hz] (None: the drive's)."""
 
-    name: Annotated[Text, Field(min_length=1)]
+    name: Name
     area: Area
     magnitude: float = 1.0
     phase: float = 0.0
+    frequency: Positive | None = None
 
 
 def _check_area(key: str, area: Area, size: tuple[float, float]) -> None:
@@ -165,6 +165,8 @@ class Scene(Table):
     effects: Effects = Effects()
     search: Search = Search()
     actuators: Annotated[tuple[Actuator, ...], Field(min_length=1)]
+    # No key of the file: where the files that it names lie.
+    _folder: Path | None = PrivateAttr(default=None)
 
     @staticmethod
     def load(source: str | Path) -> Scene:
@@ -187,6 +189,7 @@ class Scene(Table):
             if name in names[:index]:
                 raise ValueError(f"actuators[{index}].name: {name!r} is taken; give each actuator its own")
         _check_area("target.area", self.target.area, size)
+        check_drive(self.drive, [actuator.frequency for actuator in self.actuators], self.window.end)
         for index, layer in enumerate(self.effects.layers):
             _check_area(f"effects.layers[{index}].area", layer.area, size)
         for index, oscillator in enumerate(self.effects.oscillators):
@@ -209,12 +212,62 @@ class Scene(Table):
     def uniform(self) -> bool:
         """Whether the plate is isotropic, the same everywhere, and clamped or supported all around."""
         words = all(edge in ("clamped", "supported") for _, edge in self.edges)
-        return words and self.effects.orthotropic is None and not self.effects.layers
+        varied = self.effects.orthotropic or self.effects.variation or self.effects.layers
+        return words and not varied
+
+    @property
+    def names_files(self) -> bool:
+        """Whether some of the scene lies in other files."""
+        variation = self.effects.variation
+        return self.drive.signal is not None or (variation is not None and any(variation.files))
+
+    @property
+    def folder(self) -> Path | None:
+        """Where the files lie that the scene names; None: it names none, or was not read from a file."""
+        return self._folder
+
+    def in_folder(self, folder: Path | None) -> Scene:
+        """The scene with the files that it names, if it names some, in a folder."""
+        made = self.model_copy()
+        made._folder = folder if self.names_files else None
+        return made
+
+    def with_tables(self, **tables: Any) -> Scene:
+        """The scene with some of its tables replaced, and checked again.
+
+        Raises:
+            SceneError: they do not fit together.
+        """
+        from warp_plate.scene.load import checked_scene
+
+        made = checked_scene({**self.model_dump(), **tables})
+        made._folder = self._folder
+        return made
+
+    @property
+    def not_linear(self) -> str | None:
+        """The table for which displacements are not linear in the drives, so that no superposition holds; or None."""
+        if self.effects.stretching is not None:
+            return "effects.stretching"
+        if self.drive.electrostatic is not None:
+            return "drive.electrostatic"
+        return None if self.effects.moving_load is None else "effects.moving_load"
 
     @property
     def linear(self) -> bool:
-        """Whether displacements are linear in the drives: all effects but stretching."""
-        return self.effects.stretching is None
+        """Whether displacements are linear in the drives."""
+        return self.not_linear is None
+
+    @property
+    def not_harmonic(self) -> str | None:
+        """The first key for which the drive is no tone of one frequency from t = 0 on; or None."""
+        for name in ("burst", "chirp", "signal", "electrostatic"):
+            if getattr(self.drive, name) is not None:
+                return f"drive.{name}"
+        for index, actuator in enumerate(self.actuators):
+            if actuator.frequency not in (None, self.drive.frequency):
+                return f"actuators[{index}].frequency"
+        return None
 
     @property
     def drive_angular_frequency(self) -> float:

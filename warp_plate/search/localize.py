@@ -15,13 +15,14 @@ import warp_plate
 from warp_plate.accuracy.choose import choose
 from warp_plate.accuracy.estimate import estimate as estimate_errors
 from warp_plate.accuracy.truth import Stage
+from warp_plate.plate.files import digests
 from warp_plate.plate.weights import localization_factor
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.result.model import Case, Result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
 from warp_plate.search.checkpoints import CheckpointFile
-from warp_plate.search.objective import drives_of
+from warp_plate.search.objective import drives_of, unit_of_drives
 from warp_plate.search.pso import Swarm
 from warp_plate.search.run_swarm import Energies, Told, history_of, run_swarm, settings_of
 from warp_plate.solve.devices import device_aliases, find_device, processor_of
@@ -63,21 +64,22 @@ def localize(
     if not 0 <= seed < 2**63:
         raise SceneError(f"seed = {seed}: must be a whole number from 0 to 2^63 - 1")
     if evaluator == "response" and not scene.linear:
-        raise SceneError("evaluator = 'response': effects.stretching is not linear in the drives; write 'direct'")
-    asked = scene
+        raise SceneError(f"evaluator = 'response': {scene.not_linear} is not linear in the drives; write 'direct'")
+    asked, files = scene, digests(scene)
     scene, accuracy, seconds, stage = resolve(scene, device)
     solver = PlateSolver(scene, device, path)
     needs_exact = scene.linear and scene.grid.precision != "float64"
     exact = PlateSolver(_in_float64(scene), device, path) if needs_exact else solver
     started = time.perf_counter()
     response = measure_response(exact) if scene.linear else None
-    drives = reference_drives(len(scene.actuators), _energies(solver, response, evaluator))
+    drives = reference_drives(scene, _energies(solver, response, evaluator))
     swarm = Swarm(settings_of(scene, seed)) if len(scene.actuators) > 1 else None
     compiling = sum(one.compile_seconds for one in {solver, exact})
     begun = Checkpoint(
         asked=asked,
         scene=scene,
         source=source,
+        files=files,
         device=solver.device.alias,
         processor=processor_of(solver.device),
         earlier="",
@@ -112,9 +114,13 @@ def resume(
         told, estimate, checkpoints: see :func:`localize`.
 
     Raises:
-        SceneError: there is no such device any more; or the checkpoint does not fit its scene.
+        SceneError: there is no such device any more; a file that the scene names is missing or another; or the
+            checkpoint does not fit its scene.
     """
     started = time.perf_counter()
+    for key, digest in digests(checkpoint.scene).items():
+        if checkpoint.files.get(key) != digest:
+            raise SceneError(f"{key}: the file holds something else than when the search began")
     solver = PlateSolver(checkpoint.scene, device or same_device(checkpoint), checkpoint.path)
     spent = dict(checkpoint.seconds)
     spent["compile"] = spent.get("compile", 0.0) + time.perf_counter() - started
@@ -164,9 +170,9 @@ def _finish(
     energies = _energies(solver, response, begun.evaluator)
     swarm, interrupted = run_swarm(begun, energies, lambda: solver.node_steps, told, checkpoints)
     found = swarm.result.xbest if swarm is not None else None
-    equal, single = np.ones(len(scene.actuators), dtype=complex), np.eye(len(scene.actuators), dtype=complex)
-    drives = {"equal": equal, "single": single[begun.single]}
-    drives["best"] = drives["single"] if found is None else drives_of(found[None])[0]
+    singles = unit_of_drives(scene) * np.eye(len(scene.actuators), dtype=complex)
+    drives = {"equal": singles.sum(axis=0), "single": singles[begun.single]}
+    drives["best"] = drives["single"] if found is None else unit_of_drives(scene) * drives_of(found[None])[0]
     run = solver.run(np.array(list(drives.values())), record_times(scene), scene.record.points)
     seconds["solve"] = seconds.get("solve", 0.0) + time.perf_counter() - started
     accuracy = dict(begun.accuracy)
@@ -179,6 +185,7 @@ def _finish(
         device=begun.earlier + device_name(solver.device),
         seed=begun.seed,
         effects=solver.effects,
+        path=solver.path_words(bool(scene.record.points)),
         cases=cases_of(drives, run),
         times=run.times,
         trace_times=run.trace_times,
@@ -243,11 +250,11 @@ def estimated(
     return {"estimate": {"cases": list(drives), **found.as_json(), "line": found.line()}}
 
 
-def reference_drives(actuators: int, energies: Energies) -> dict[str, np.ndarray]:
+def reference_drives(scene: Scene, energies: Energies) -> dict[str, np.ndarray]:
     """The drives that the search is compared with: all actuators alike, and the best single one."""
-    singles = np.eye(actuators, dtype=complex)
+    singles = unit_of_drives(scene) * np.eye(len(scene.actuators), dtype=complex)
     best = int(np.argmax(np.nan_to_num(localization_factor(energies(singles)), nan=-1.0)))
-    return {"equal": np.ones(actuators, dtype=complex), "single": singles[best]}
+    return {"equal": singles.sum(axis=0), "single": singles[best]}
 
 
 def record_times(scene: Scene) -> tuple[float, ...]:
@@ -257,12 +264,14 @@ def record_times(scene: Scene) -> tuple[float, ...]:
 
 def cases_of(drives: dict[str, np.ndarray], run: Run) -> dict[str, Case]:
     """The plates of a run by the names of their drives."""
+    with np.errstate(over="ignore"):  # beyond float32's range a displacement becomes infinite
+        displacement, trace = run.displacement.astype(np.float32), run.trace.astype(np.float32)
     return {
         name: Case(
             drive=drive,
             energy=dict(zip(run.regions, run.energy[index].tolist(), strict=True)),
-            displacement=run.displacement[index].astype(np.float32),
-            trace=run.trace[index].astype(np.float32),
+            displacement=displacement[index],
+            trace=trace[index],
         )
         for index, (name, drive) in enumerate(drives.items())
     }

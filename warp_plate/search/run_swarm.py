@@ -13,7 +13,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.search.checkpoints import CheckpointFile
 from warp_plate.search.interrupts import interrupts_held
-from warp_plate.search.objective import drives_of, loss
+from warp_plate.search.objective import drives_of, loss, unit_of_drives
 from warp_plate.search.pso import Swarm, SwarmSettings, optimize
 
 Energies = Callable[[np.ndarray], np.ndarray]
@@ -61,6 +61,7 @@ def run_swarm(
         swarm = Swarm.from_state({**begun.swarm, "settings": asdict(settings_of(begun.scene, begun.seed))})
     except ValueError as error:
         raise SceneError(f"checkpoint: {error}") from None
+    unit = unit_of_drives(begun.scene)
     started, first_steps = time.perf_counter(), node_steps()
     counted = first_steps  # of an iteration that Ctrl-C cuts short nothing is kept, nor are its steps
 
@@ -88,7 +89,7 @@ def run_swarm(
     with interrupts_held() as let_through:
 
         def losses(positions: np.ndarray) -> np.ndarray:
-            drives = drives_of(positions)
+            drives = unit * drives_of(positions)
             with let_through():
                 energy = energies(drives)
             return loss(energy)

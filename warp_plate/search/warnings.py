@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.model import Scene
-from warp_plate.search.influence import film, rigidity
+from warp_plate.search.typical import film, rigidity
 
 # Peak displacement over thickness. Berger's equation for a supported square, of displacement a sin sin, has the extra
 # stiffness 1.5 (a/H)² of the linear one, and so the frequency 1 + 0.56 (a/H)² (Berger 1955, Wah 1963): 2 % at 0.2.
@@ -39,7 +41,7 @@ class Finding:
 
 
 def warnings(scene: Scene, peak_displacement: float) -> list[Finding]:
-    """All numbers of a scene with a grid, whose largest displacement is ``peak_displacement`` [m]."""
+    """All numbers of a scene with a grid, whose largest displacement is ``peak_displacement`` [m], or no number."""
     return [
         _amplitude(scene, peak_displacement),
         _thinness(scene),
@@ -55,10 +57,10 @@ def exceeded(scene: Scene, peak_displacement: float) -> list[str]:
 
 
 def wavelengths(scene: Scene) -> tuple[float, float]:
-    """Lengths [m] of straight bending waves along x and y at the drive's frequency, in the plate without layers."""
+    """Lengths [m] of straight bending waves along x and y at the highest frequency, in the plate without layers."""
     stiff, own = rigidity(scene), scene.effects.orthotropic
     along = (own.Dx, own.Dy) if own else (stiff, stiff)
-    inertia = scene.plate.density * scene.plate.thickness * scene.drive_angular_frequency**2
+    inertia = scene.plate.density * scene.plate.thickness * (2 * math.pi * highest_frequency(scene)) ** 2
     x, y = (2 * math.pi * (one / inertia) ** 0.25 for one in along)
     return x, y
 
@@ -78,8 +80,10 @@ def decay_rate(scene: Scene) -> float:
 
 def _amplitude(scene: Scene, peak: float) -> Finding:
     value = peak / scene.plate.thickness
+    if not math.isfinite(value):
+        return Finding("displacement / thickness", value, MOST_AMPLITUDE, _why_not_finite(scene), True)
     named = scene.effects.stretching is not None
-    high = not value <= MOST_AMPLITUDE  # so that a displacement that is no number warns too
+    high = value > MOST_AMPLITUDE
     sentence = f"The largest displacement is {value:.2g} of the thickness (threshold {MOST_AMPLITUDE:g}): "
     if named:
         sentence += "stretching is named and in the numbers."
@@ -90,10 +94,21 @@ def _amplitude(scene: Scene, peak: float) -> Finding:
     return Finding("displacement / thickness", value, MOST_AMPLITUDE, sentence, high and not named)
 
 
+def _why_not_finite(scene: Scene) -> str:
+    """A linear plate cannot grow below the stability limit; the limit leaves out what stretching pulls with."""
+    sentence = "The numbers of a plate grew until they were none, and so did what is computed from them: "
+    if scene.effects.stretching is None:
+        return sentence + f"drive it less (magnitudes are in N/m², precision is {scene.grid.precision})."
+    return sentence + (
+        f"stretching pulled harder than the time step of {make_scheme(scene).time_step:.3g} s allows; write a shorter "
+        "grid.time_step, or drive it less."
+    )
+
+
 def _thinness(scene: Scene) -> Finding:
     value = min(wavelengths(scene)) / scene.plate.thickness
     low = value < FEWEST_THICKNESSES
-    sentence = f"A bending wave of the drive's frequency is {value:.3g} thicknesses long (threshold "
+    sentence = f"A bending wave of the drive's highest frequency is {value:.3g} thicknesses long (threshold "
     sentence += f"{FEWEST_THICKNESSES:g}): "
     sentence += "rotary inertia and shear, which this program leaves out, matter." if low else "the plate is thin."
     return Finding("wavelength / thickness", value, FEWEST_THICKNESSES, sentence, low)
@@ -104,7 +119,8 @@ def _points(scene: Scene) -> Finding:
     value = min(wave * (nodes - 1) / side for wave, side, nodes in pairs)
     fewest = FEWEST_POINTS[scene.grid.order]
     low = value < fewest
-    sentence = f"The grid has {value:.3g} points a bending wavelength of the drive's frequency (threshold {fewest:g}): "
+    sentence = f"The grid has {value:.3g} points a bending wavelength of the drive's highest frequency (threshold "
+    sentence += f"{fewest:g}): "
     sentence += "take more nodes, or ask for an accuracy." if low else "it is fine enough."
     return Finding("points a wavelength", value, fewest, sentence, low)
 

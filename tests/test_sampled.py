@@ -1,0 +1,229 @@
+"""Signals from files: what resampling passes and stops, what a phase lag does to them, and files that are wrong."""
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warp_plate import SceneError
+from warp_plate.plate.sampled import Samples, read_samples, resample
+from warp_plate.scene.drive import SampledSignal
+
+STEPS = 4000
+
+
+def tone(frequency, rate, seconds=1.0, phase=0.3):
+    return np.cos(2 * np.pi * frequency * np.arange(round(seconds * rate)) / rate + phase)
+
+
+def level(samples, time_step, band=1.0):
+    """Largest value of the resampled signal well inside the file."""
+    return np.abs(resample(samples, time_step, STEPS, band)[STEPS // 4 : STEPS // 2]).max()
+
+
+def read(folder, data, name="a.csv", **keys):
+    (folder / name).write_bytes(data if isinstance(data, bytes) else data.encode())
+    return read_samples(SampledSignal(file=name, **keys), folder)
+
+
+def wav(data, code=1, bits=16, channels=1, rate=8000, extra=b"", form_extra=b""):
+    form = struct.pack("<HHIIHH", code, channels, rate, 0, 0, bits) + form_extra
+    chunks = b"WAVEfmt " + struct.pack("<I", len(form)) + form + extra + b"data" + struct.pack("<I", len(data)) + data
+    return b"RIFF" + struct.pack("<I", len(chunks)) + chunks
+
+
+@pytest.mark.parametrize("rate", [3000.0, 10000.0, 22050.0, 96000.0])
+@pytest.mark.parametrize("time_step", [1e-4, 7.3e-5])
+def test_below_nine_tenths_of_the_slower_rate_a_tone_passes(rate, time_step):
+    """Within 1e-3, and its analytic signal is the tone's: a phase lag of Z is one of the tone."""
+    for part in (0.02, 0.5, 0.88):
+        frequency = part * min(rate, 1 / time_step) / 2
+        carrier = resample(Samples(tone(frequency, rate), rate, 0.0, False), time_step, STEPS)
+        times = time_step * np.arange(STEPS)
+        inside = (times > 0.1) & (times < 0.28)
+        wanted = np.exp(1j * (2 * np.pi * frequency * times + 0.3))
+        # The real part is the interpolation's alone; the imaginary part feels the file's ends, as 1/(2πf·distance).
+        np.testing.assert_allclose(carrier.real[inside], wanted.real[inside], atol=1e-3)
+        ends = 1 / (2 * np.pi * frequency * 0.1)
+        np.testing.assert_allclose(carrier.imag[inside], wanted.imag[inside], atol=1e-3 + ends)
+
+
+@pytest.mark.parametrize("rate", [22050.0, 96000.0])
+def test_above_the_steps_nyquist_frequency_a_tone_is_stopped(rate):
+    """More than 60 dB down, from just above 5 kHz to the end of the file's band; half the band, half the limit."""
+    for frequency in (5001.0, 5600.0, 8000.0, rate / 2 - 100):
+        assert level(Samples(tone(frequency, rate), rate, 0.0, False), 1e-4) < 1e-3
+    assert level(Samples(tone(2600.0, rate), rate, 0.0, False), 1e-4, band=0.5) < 1e-3
+    assert level(Samples(tone(2200.0, rate), rate, 0.0, False), 1e-4, band=0.5) == pytest.approx(1, abs=1e-2)
+
+
+def test_below_the_steps_rate_no_images_appear():
+    """A file of 2 kHz at steps of 10 kHz: the spectrum holds the tone at 700 Hz and nothing at 1300, 2700, 3300 ..."""
+    carrier = resample(Samples(tone(700, 2000), 2000, 0.0, True), 1e-4, 10000).real
+    spectrum = np.abs(np.fft.rfft(carrier)) / 5000
+    assert spectrum[700] == pytest.approx(1, abs=1e-3)
+    assert np.delete(spectrum, 700).max() < 1e-3
+
+
+def test_repeats_without_a_seam():
+    """A whole number of periods, again and again, is a tone without end; and the imaginary part its quarter turn."""
+    carrier = resample(Samples(tone(300, 9000, 0.05), 9000, 0.0, True), 1e-4, STEPS)
+    np.testing.assert_allclose(carrier, np.exp(1j * (2 * np.pi * 300e-4 * np.arange(STEPS) + 0.3)), atol=1e-3)
+
+
+def test_silence_before_and_after():
+    """A file that starts at 0.1 s and lasts 0.1 s drives from then to then, but for the filter's 50 samples."""
+    carrier = resample(Samples(tone(300, 5000, 0.1), 5000, 0.1, False), 1e-4, STEPS)
+    times = 1e-4 * np.arange(STEPS)
+    assert not carrier[(times < 0.0895) | (times > 0.2105)].any()
+    wanted = np.cos(2 * np.pi * 300 * (times - 0.1) + 0.3)
+    inside = (times > 0.115) & (times < 0.185)
+    np.testing.assert_allclose(carrier.real[inside], wanted[inside], atol=2e-3)
+    late = resample(Samples(tone(300, 6000, 0.1), 6000, 0.1, True), 1e-4, STEPS)
+    assert not late[times < 0.0999].any()
+
+
+def test_the_end_is_not_heard_at_the_beginning():
+    """A click at distance n has the Hilbert transform 2/πn at odd n: next to nothing at the file's other end, but for
+    one that repeats, where the click is also just before the beginning."""
+    click = np.zeros(400)
+    click[-1] = 1
+    once, again = (Samples(click, 8000, 0.0, repeat).analytic().imag for repeat in (False, True))
+    distance = 399 - np.arange(398, 0, -2)
+    np.testing.assert_allclose(once[398:0:-2], -2 / (np.pi * distance), atol=2e-3)  # the tail comes round once
+    assert np.abs(once[:10]).max() < 3e-3
+    assert again[0] == pytest.approx(2 / np.pi, rel=1e-3)
+
+
+def test_highest_frequency_is_where_the_energy_ends():
+    both = tone(100, 8000) + 0.1 * tone(900, 8000)
+    assert Samples(both, 8000, 0.0, False).highest_frequency() == 900
+    assert Samples(both + 1e-3 * tone(3000, 8000), 8000, 0.0, False).highest_frequency() == 900
+
+
+@pytest.mark.parametrize(
+    ("code", "bits"), [(1, 8), (1, 16), (1, 24), (1, 32), (3, 32), (3, 64)]
+)
+@pytest.mark.parametrize("extensible", [False, True])
+def test_wav_of_every_width(tmp_path, code, bits, extensible):
+    """Full scale is −1 to 1, other chunks are passed over, and the extensible format is understood."""
+    values = np.array([0.0, 0.5, -0.5, -1.0, 0.25])
+    if code == 3:
+        data = values.astype(f"<f{bits // 8}").tobytes()
+    else:
+        whole = (values * 2 ** (bits - 1)).astype(np.int64) + 128 * (bits == 8)
+        data = b"".join(int(v).to_bytes(bits // 8, "little", signed=bits > 8) for v in whole)
+    subformat = struct.pack("<HHIH", 22, bits, 4, code) + bytes(14) if extensible else b""
+    content = wav(data, 0xFFFE if extensible else code, bits, extra=b"LIST\3\0\0\0abc\0", form_extra=subformat)
+    samples = read(tmp_path, content, "Take 1.WAV", gain=3.0)
+    np.testing.assert_array_equal(samples.values, 3 * values)
+    assert (samples.rate, samples.start) == (8000, 0)
+
+
+def test_csv_of_one_and_two_columns(tmp_path):
+    one = read(tmp_path, "value\n# a remark\n1\n\n-2.5\r\n3e-1\n", rate=50.0)
+    np.testing.assert_array_equal(one.values, [1, -2.5, 0.3])
+    assert (one.rate, one.start) == (50, 0)
+    two = read(tmp_path, "\ufefftime; value\n0.10; 1\n0.12;2\n0.14;4\n")
+    np.testing.assert_array_equal(two.values, [1, 2, 4])
+    assert (two.rate, two.start) == (pytest.approx(50), 0.1)
+
+
+def test_times_may_be_rounded(tmp_path):
+    """44.1 kHz written with six digits after the point: off by 2 % of a step, but even."""
+    lines = "".join(f"{index / 44100:.6f},{index % 7}\n" for index in range(2000))
+    assert read(tmp_path, lines).rate == pytest.approx(44100, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "keys", "why"),
+    [
+        ("a.csv", "", {}, "0 samples"),
+        ("a.csv", "1,2", {}, "1 samples"),
+        ("a.csv", "1\n2\n", {}, "drive.signal.rate"),
+        ("a.csv", "0,1\n1,2\n", {"rate": 10.0}, "delete drive.signal.rate"),
+        ("a.csv", "0,1\n1,2,3\n", {}, "line 2 has 3 columns instead of 2 as above it"),
+        ("a.csv", "0,1,2\n1,2,3\n", {}, "line 1 has 3 columns"),
+        ("a.csv", "0,1\n1,two\n", {}, "line 2 is not made of numbers"),
+        ("a.csv", "0,1\n1,nan\n", {}, "no number"),
+        ("a.csv", "0,1\ninf,2\n", {}, "a time is no number"),
+        ("a.csv", "0,1\n0,2\n", {}, "do not rise"),
+        ("a.csv", "2,1\n1,2\n", {}, "do not rise"),
+        ("a.csv", "0,1\n1,2\n2.2,2\n3,2\n", {}, "not evenly spaced (sample 3)"),
+        ("a.csv", "-1,1\n1,2\n", {}, "starts at -1 s"),
+        ("a.csv", "0,0\n1,0\n", {}, "all samples are zero"),
+        ("a.csv", "0,1\n1e9,1\n", {}, "samples a second"),
+        ("a.csv", b"\xff\xfe1\x00", {}, "not UTF-8"),
+        ("a.wav", b"", {}, "not a WAV file"),
+        ("a.wav", "0,1\n1,2\n", {}, "not a WAV file"),
+        ("a.wav", b"RIFF\0\0\0\0WAVE", {}, "without its format"),
+        ("a.wav", wav(bytes(8), channels=2), {}, "2 channels"),
+        ("a.wav", wav(bytes(8), bits=12), {}, "12 bits"),
+        ("a.wav", wav(bytes(8), code=85), {}, "format 85"),
+        ("a.wav", wav(b"\1\2\3\4" * 9)[:-5], {}, "ends too early"),
+        ("a.wav", wav(b"\1\2"), {}, "1 samples"),
+        ("a.wav", wav(b"\1\2" * 9, rate=0), {}, "0 samples a second"),
+    ],
+)  # fmt: skip
+def test_bad_files_are_refused_on_one_line(tmp_path, name, content, keys, why):
+    with pytest.raises(SceneError) as caught:
+        read(tmp_path, content, name, **keys)
+    line = str(caught.value)
+    assert line.startswith(f"drive.signal.file = {name!r}: ")
+    assert why in line
+    assert len(line.splitlines()) == 1
+
+
+def test_nothing_outside_the_folder_is_read(tmp_path):
+    (tmp_path / "secret.csv").write_text("0,1\n1,2\n")
+    folder = tmp_path / "scenes"
+    folder.mkdir()
+    (folder / "a.csv").symlink_to(tmp_path / "secret.csv")
+    (folder / "loop.csv").symlink_to(folder / "loop.csv")
+    (folder / "folder.csv").mkdir()
+    for name, why in (("a", "out of the scene's folder"), ("b", "no such"), ("folder", "no such"), ("loop", "")):
+        with pytest.raises(SceneError, match=f"{name}.csv': .*{why}"):
+            read_samples(SampledSignal(file=f"{name}.csv"), folder)
+    with pytest.raises(SceneError, match="no folder is known"):
+        read_samples(SampledSignal(file="a.csv"), None)
+
+
+@given(content=st.binary() | st.text(alphabet="0123456789.,;e-+\n nai#").map(str.encode), rate=st.none() | st.just(9.0))
+def test_any_csv_is_read_or_refused(tmp_path_factory, content, rate):
+    read_or_refused(tmp_path_factory.getbasetemp(), content, "any.csv", {"rate": rate})
+
+
+@given(
+    content=st.binary().map(lambda data: b"RIFF\0\0\0\0WAVE" + data)
+    | st.builds(
+        wav,
+        st.binary(max_size=64),
+        code=st.sampled_from([1, 3, 0xFFFE, 7]),
+        bits=st.sampled_from([0, 8, 16, 24, 32, 64, 65535]),
+        channels=st.integers(0, 3),
+        rate=st.integers(0, 2**32 - 1),
+        extra=st.binary(max_size=12),
+        form_extra=st.binary(max_size=12),
+    )
+)
+def test_any_wav_is_read_or_refused(tmp_path_factory, content):
+    read_or_refused(tmp_path_factory.getbasetemp(), content, "any.wav", {})
+
+
+def refused_on_one_line(error):
+    """What a user sees is one line."""
+    assert len(str(error).splitlines()) == 1
+
+
+def read_or_refused(folder, content, name, keys):
+    """Samples that can be resampled, or one line."""
+    try:
+        samples = read(folder, content, name, **keys)
+    except SceneError as error:
+        refused_on_one_line(error)
+        return
+    # By its own rate, so that the filter stays short.
+    assert np.isfinite(resample(samples, 0.7 / samples.rate, 10)).all()
+    assert samples.highest_frequency() <= samples.rate / 2

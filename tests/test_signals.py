@@ -1,0 +1,338 @@
+"""Drives in time: waves times coefficients are the pressure that the scene's tables ask for, at every step."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warp_plate import SceneError
+from warp_plate.plate.sampled import read_samples, resample
+from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.signals import highest_frequency, make_signals
+from warp_plate.scene.load import dump_scene, parse_scene, preset_text
+
+TIME_STEP, STEPS = 1e-4, 4000
+TIMES = TIME_STEP * np.arange(STEPS)
+RATE = 8000.0
+# Two plates a quarter of a turn apart: their loads are the envelope times cos and sin.
+SHIFTED = np.array([[1.0] * 3, [-1j] * 3])
+
+
+@pytest.fixture
+def driven_scene(scene):
+    """The factory of scenes with a drive."""
+
+    def make(own=(None, None, None), window=(0.1, 0.5), frequency=290.0, effects=None, **drive):
+        plain = scene(window=window, frequency=frequency)
+        data = plain.model_dump(exclude_none=True)
+        data["drive"] = {"frequency": frequency, **drive}
+        for actuator, actuators_own in zip(data["actuators"], own, strict=True):
+            actuator["frequency"] = actuators_own
+        data["effects"] = effects or {}
+        return type(plain).model_validate(data)
+
+    return make
+
+
+def phasors_of(random, plates=5, actuators=3):
+    return random.normal(size=(plates, actuators)) + 1j * random.normal(size=(plates, actuators))
+
+
+def pressure(signals, phasors):
+    """(plates, steps, actuators), with the first step made whole again."""
+    wave = signals.wave.copy()
+    wave[0] *= 2
+    return np.einsum("nt,ptk->pnk", wave, signals.coefficients(phasors))
+
+
+def direct(phasors, carriers):
+    """(plates, steps, actuators) Re(Z·carrier), carriers (steps, actuators)."""
+    return (phasors[:, None, :] * carriers).real
+
+
+def tones(*frequencies):
+    return np.exp(2j * np.pi * TIMES[:, None] * frequencies)
+
+
+def rise_and_fall(times, duration, ramp):
+    """The textbook's envelope: raised-cosine ramps."""
+    inside = np.clip(np.minimum(times, duration - times) / ramp, 0, 1)
+    return np.where((times >= 0) & (times <= duration), (1 - np.cos(np.pi * inside)) / 2, 0)
+
+
+def write_wav(path, values, rate=RATE, code=3, bits=64, channels=1, data=None):
+    data = np.asarray(values, dtype="<f8").tobytes() if data is None else data
+    form = struct.pack("<HHIIHH", code, channels, int(rate), 0, 0, bits)
+    body = b"WAVEfmt " + struct.pack("<I", 16) + form + b"data" + struct.pack("<I", len(data)) + data
+    path.write_bytes(b"RIFF" + struct.pack("<I", len(body)) + body)
+
+
+def test_plain_drive_is_what_it_was(driven_scene, random):
+    """Cosine and sine, the first halved, and Re Z and −Im Z, to the last bit."""
+    scene = driven_scene()
+    scheme, phasors = make_scheme(scene), phasors_of(random)
+    signals = make_signals(scene, scheme.time_step, scheme.steps)
+    assert signals.terms == 2
+    assert signals.linear
+    assert scene.linear
+    assert scene.not_harmonic is None
+    assert signals.highest_frequency == 290
+    angle = scheme.angular_frequency * scheme.time_step * np.arange(scheme.steps)
+    expected = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    expected[0] /= 2
+    np.testing.assert_array_equal(signals.wave, expected)
+    np.testing.assert_array_equal(signals.coefficients(phasors), np.stack([phasors.real, -phasors.imag], axis=1))
+
+
+def test_own_frequencies(driven_scene, random):
+    phasors = phasors_of(random)
+    signals = make_signals(driven_scene(own=(None, 410.0, 290.0)), TIME_STEP, STEPS)
+    assert signals.terms == 4
+    assert signals.highest_frequency == 410
+    np.testing.assert_allclose(
+        pressure(signals, phasors), direct(phasors, tones(290, 410, 290)), atol=1e-10
+    )
+    assert make_signals(driven_scene(own=(410.0, 410.0, 410.0)), TIME_STEP, STEPS).terms == 2
+
+
+@pytest.mark.parametrize("ramp", [0.0, 0.013, 0.05])
+@pytest.mark.parametrize("start", [0.0, 0.0503])
+def test_burst_has_the_spectrum_of_its_formula(driven_scene, ramp, start):
+    """Continuous transform of a raised-cosine pulse, sin(πfd')/(πf) · cos(πfr)/(1 − (2fr)²) with d' = d − r, and the
+    mean over a step multiplies it by sinc(fΔt): what is left are images around multiples of the steps' rate."""
+    duration = 0.1
+    scene = driven_scene(burst={"start": start, "duration": duration, "ramp": ramp}, frequency=1e-9)
+    signals = make_signals(scene, TIME_STEP, STEPS)
+    envelope = signals.wave[:, 0].copy()
+    envelope[0] *= 2
+    if start == 0:
+        envelope[0] /= 2  # the mean over the whole of its step, of which half lies before the start
+    frequency = np.linspace(0.3, 400, 200)
+    spectrum = TIME_STEP * np.exp(-2j * np.pi * np.outer(frequency, TIMES - start - duration / 2)) @ envelope
+    flat = duration - ramp
+    exact = flat * np.sinc(frequency * flat) * np.cos(np.pi * frequency * ramp) / (1 - (2 * frequency * ramp) ** 2)
+    # Images: a jump's spectrum 1/πf at f ≈ 1/Δt times sinc there, f·Δt ≤ 0.04; smooth ramps have none to speak of.
+    images = 2 * TIME_STEP * 0.04 if ramp == 0 else 1e-3 * TIME_STEP
+    np.testing.assert_allclose(spectrum, exact * np.sinc(frequency * TIME_STEP), atol=images, rtol=0)
+    assert np.sum(envelope) * TIME_STEP == pytest.approx(flat, rel=1e-9)
+
+
+def test_burst_in_its_own_time(driven_scene, random):
+    """Between ramps the envelope is that of the formula to the order of the step; outside it is zero."""
+    phasors = phasors_of(random)
+    burst = {"start": 0.0321, "duration": 0.05, "ramp": 0.01, "period": 0.07}
+    values = pressure(make_signals(driven_scene(burst=burst), TIME_STEP, STEPS), phasors)
+    envelope = sum(rise_and_fall(TIMES - 0.0321 - 0.07 * turn, 0.05, 0.01) for turn in range(6))
+    curvature = (np.pi / 0.01) ** 2 / 2
+    error = np.abs(values - envelope[:, None] * direct(phasors, tones(290, 290, 290)))
+    assert error.max() <= curvature * TIME_STEP**2 / 4 * np.abs(phasors).max()
+    np.testing.assert_allclose(values[:, (TIMES > 0.0823) & (TIMES < 0.1019)], 0, atol=1e-10)
+    assert np.abs(values[:, TIMES < 0.0319]).max() == 0
+
+
+@pytest.mark.parametrize(("law", "end"), [("linear", 800.0), ("logarithmic", 800.0), ("logarithmic", 290.0)])
+def test_chirp_sweeps_and_stays(driven_scene, law, end):
+    """The phase's rate of change is the law's frequency at mid-step, and end_frequency after the sweep."""
+    span = 0.25
+    scene = driven_scene(chirp={"end_frequency": end, "duration": span, "law": law})
+    signals = make_signals(scene, TIME_STEP, STEPS)
+    assert signals.terms == 2
+    assert signals.highest_frequency == max(end, 290)
+    wave = signals.wave[:, 0] + 1j * signals.wave[:, 1]
+    frequency = np.angle(wave[1:] / wave[:-1]) / (2 * np.pi * TIME_STEP)
+    part = np.minimum((TIMES[1:] - TIME_STEP / 2) / span, 1)
+    wanted = 290 + (end - 290) * part if law == "linear" else 290 * (end / 290) ** part
+    # Mid-point rule: exact for the linear law but in the step where the sweep ends.
+    np.testing.assert_allclose(frequency, wanted, atol=1e-7 if law == "linear" else 1e-3)
+
+
+def test_chirp_of_two_starts(driven_scene, random):
+    """An actuator's own frequency is where its sweep begins."""
+    phasors = phasors_of(random)
+    scene = driven_scene(own=(None, 500.0, None), chirp={"end_frequency": 600.0, "duration": 0.2})
+    signals = make_signals(scene, TIME_STEP, STEPS)
+    inside = np.minimum(TIMES, 0.2)
+    cycles = [f * inside + (600 - f) * inside**2 / 0.4 + 600 * (TIMES - inside) for f in (290, 500, 290)]
+    carriers = np.exp(2j * np.pi * np.stack(cycles, axis=1))
+    np.testing.assert_allclose(pressure(signals, phasors), direct(phasors, carriers), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("bias", "drive", "own", "terms"),
+    [
+        (3.0, {}, (None, None, None), 5),
+        (0.0, {}, (None, None, None), 3),
+        (-2.0, {}, (None, 580.0, None), 7),  # 1; 290, 580 (of both), 1160
+        (-2.0, {}, (None, 333.0, None), 9),
+        (3.0, {"burst": {"start": 0.05, "duration": 0.1, "ramp": 0.02}}, (None, None, None), 6),
+        (0.0, {"burst": {"start": 0.05, "duration": 0.1}}, (None, 580.0, None), 5),
+        (3.0, {"chirp": {"end_frequency": 700.0, "duration": 0.2}}, (None, 580.0, None), 9),
+        (3.0, {"chirp": {"end_frequency": 700.0, "duration": 0.2}, "burst": {"duration": 0.3}}, (None,) * 3, 6),
+        (3.0, {"signal": {"file": "a.wav"}}, (None, None, None), 6),
+        (3.0, {"signal": {"file": "a.wav"}, "burst": {"start": 0.05, "duration": 0.1}}, (None, None, None), 6),
+        (0.0, {"signal": {"file": "a.wav"}}, (None, None, None), 3),
+    ],
+)
+def test_electrostatic_terms_are_the_square(driven_scene, random, tmp_path, bias, drive, own, terms):
+    """Against gain·(bias + V)² with V from the same scene without the table."""
+    write_wav(tmp_path / "a.wav", random.normal(size=4000))
+    phasors, gain = phasors_of(random), 0.7
+    scene = driven_scene(own, electrostatic={"bias": bias, "gain": gain}, **drive)
+    signals = make_signals(scene, TIME_STEP, STEPS, tmp_path)
+    plain = make_signals(driven_scene(own, **drive), TIME_STEP, STEPS, tmp_path)
+    assert signals.terms == terms
+    assert not signals.linear
+    assert not scene.linear
+    voltage = pressure(plain, phasors)
+    if "signal" in drive:
+        # Squared, it would fill twice the band, so it is low-passed to half of it first.
+        carrier = resample(read_samples(scene.drive.signal, tmp_path), TIME_STEP, STEPS, 0.5)
+        envelope = np.abs(pressure(make_signals(driven_scene(burst=drive.get("burst")), TIME_STEP, STEPS), SHIFTED))
+        voltage = np.hypot(*envelope)[:, :1] * direct(phasors, carrier[:, None])
+        assert signals.highest_frequency == 0.5 / TIME_STEP
+    else:
+        assert signals.highest_frequency == 2 * plain.highest_frequency == highest_frequency(scene)
+    np.testing.assert_allclose(pressure(signals, phasors), gain * (bias + voltage) ** 2, atol=1e-9)
+
+
+def test_electrostatic_mean_and_harmonics(driven_scene):
+    """Of one tone: bias² + ½|Z|² stands still, 2·bias·|Z| goes at f and ½|Z|² at 2f, and nothing at other lines."""
+    signals = make_signals(driven_scene(frequency=250.0, electrostatic={"bias": 3.0, "gain": 2.0}), TIME_STEP, STEPS)
+    spectrum = np.abs(np.fft.rfft(pressure(signals, np.full((1, 3), 1.5j))[0, :, 0])) / STEPS
+    lines = np.zeros(spectrum.size)
+    lines[[0, 100, 200]] = 2 * np.array([9 + 1.5**2 / 2, 3 * 1.5, 1.5**2 / 4])
+    np.testing.assert_allclose(spectrum, lines, atol=1e-10)
+
+
+@pytest.mark.parametrize("shape", ["plain", "burst", "chirp", "electrostatic", "signal"])
+def test_first_step_is_halved(driven_scene, tmp_path, shape):
+    """A load that sets in at t = 0 gives half its impulse by the first half-step."""
+    write_wav(tmp_path / "a.wav", np.cos(2 * np.pi * 100 * np.arange(4000) / RATE))
+    drive = {
+        "plain": {},
+        "burst": {"burst": {"duration": 0.3}},
+        "chirp": {"chirp": {"end_frequency": 900.0, "duration": 0.2}},
+        "electrostatic": {"electrostatic": {"bias": 0.5, "gain": 4 / 9}},
+        "signal": {"signal": {"file": "a.wav", "repeat": True}},
+    }[shape]
+    signals = make_signals(driven_scene(**drive), TIME_STEP, STEPS, tmp_path)
+    load = np.einsum("t,tk->k", signals.wave[0], signals.coefficients(np.ones((1, 3), complex))[0])
+    np.testing.assert_allclose(load, 0.5, rtol=1e-3 if shape == "signal" else 1e-12)
+
+
+def test_pieces_of_a_tone_in_a_file(driven_scene, random, tmp_path):
+    """A tone written to a file that repeats drives as the tone itself, phase lags included."""
+    write_wav(tmp_path / "a.wav", np.cos(2 * np.pi * 290 * np.arange(8000) / RATE))
+    phasors = phasors_of(random)
+    scene = driven_scene(signal={"file": "a.wav", "repeat": True, "gain": -2.0})
+    signals = make_signals(scene, TIME_STEP, STEPS, tmp_path)
+    assert signals.terms == 2
+    assert signals.linear
+    assert signals.highest_frequency == pytest.approx(290, abs=1)
+    wanted = direct(-2 * phasors, tones(290, 290, 290))
+    np.testing.assert_allclose(pressure(signals, phasors), wanted, atol=1e-3 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize(
+    ("table", "named", "right"),
+    [
+        ("[drive.burst]\nduration = 0.1\nramp = 0.06", "drive.burst.ramp: 0.06 s twice", "0.05"),
+        ("[drive.burst]\nduration = 0.1\nperiod = 0.09", "drive.burst.period: 0.09 s", "overlap"),
+        ("[drive.burst]\nstart = 0.1\nduration = 0.1", "drive.burst.start: 0.1 s", "window.end = 0.1"),
+        ("[drive.burst]\nramp = 0.1", "drive.burst.duration: is missing", ""),
+        ("[drive.burst]\nlength = 0.1", "drive.burst.length: unknown key", "known here: start, duration"),
+        ("[drive.chirp]\nend_frequency = 0\nduration = 1", "drive.chirp.end_frequency = 0", "greater than 0"),
+        ("[drive.chirp]\nend_frequency = 9\nduration = 1\nlaw = 'odd'", "drive.chirp.law = 'odd'", "'logarithmic'"),
+        ("[drive.signal]\nfile = '../a.wav'", "drive.signal.file: '../a.wav'", "without folders"),
+        ("[drive.signal]\nfile = 'a.mp3'", "drive.signal.file: 'a.mp3'", ".csv"),
+        ("[drive.signal]\nfile = 'a.wav'\nrate = 10", "drive.signal.rate: 'a.wav'", "delete rate"),
+        ("[drive.signal]\nfile = 'a.wav'\n[drive.chirp]\nend_frequency = 9\nduration = 1", "drive.chirp: ", "delete"),
+        ("[drive.electrostatic]\nbias = 1.0", "drive.electrostatic.gain: is missing", ""),
+        ("[drive.electrostatic]\nbias = nan\ngain = 1.0", "drive.electrostatic.bias = nan", "finite"),
+        ("[[actuators]]\nname = 'x'\narea = [0, 0.1, 0, 0.1]\nfrequency = -1.0", "actuators[4].frequency = -1.0", "0"),
+        (
+            "[drive.signal]\nfile = 'a.wav'\n[[actuators]]\nname = 'x'\narea = [0, 0.1, 0, 0.1]\nfrequency = 1.0",
+            "actuators[4].frequency: drive.signal replaces",
+            "delete",
+        ),
+    ],
+)
+def test_tables_are_refused_by_name(table, named, right):
+    with pytest.raises(SceneError) as caught:
+        parse_scene(preset_text("paper") + "\n" + table, "")
+    line = str(caught.value).removeprefix(": ")
+    assert line.startswith(named)
+    assert right in line
+    assert len(line.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("own", "drive", "named"),
+    [
+        ((None,) * 3, {"frequency": 5000.0}, "drive.frequency = 5000: a step of 0.0001 s carries less than 5000"),
+        ((None, 6e3, None), {}, "actuators[1].frequency = 6000"),
+        ((None,) * 3, {"chirp": {"end_frequency": 9e3, "duration": 1e-300}}, "drive.chirp.end_frequency = 9000"),
+        (
+            (None,) * 3,
+            {"frequency": 2500.0, "electrostatic": {"gain": 1.0}},
+            "drive.frequency = 2500: a step of 0.0001 s carries less than 2500 Hz under drive.electrostatic",
+        ),
+        ((None,) * 3, {"burst": {"duration": 1e-300}}, "drive.burst.duration = 1e-300: shorter than a step"),
+    ],
+)
+def test_what_steps_cannot_carry_is_refused(driven_scene, own, drive, named):
+    with pytest.raises(SceneError) as caught:
+        make_signals(driven_scene(own, **drive), TIME_STEP, STEPS)
+    assert str(caught.value).startswith(named)
+
+
+def test_unused_drive_frequency_bounds_nothing(driven_scene):
+    """With every actuator on its own frequency, the drive's is nobody's."""
+    scene = driven_scene((200.0, 300.0, 300.0), frequency=9000.0)
+    assert highest_frequency(scene) == 300
+    assert make_signals(scene, TIME_STEP, STEPS).terms == 4
+
+
+def refused_on_one_line(error):
+    """What a user sees is one line."""
+    assert len(str(error).splitlines()) == 1
+
+
+positive = st.floats(1e-3, 1e3) | st.floats(min_value=0, exclude_min=True, allow_infinity=False)
+numbers = st.floats(0, 1) | st.floats(allow_nan=True)
+TABLES = st.fixed_dictionaries(
+    {},
+    optional={
+        "burst": st.fixed_dictionaries(
+            {"duration": positive}, optional={"start": numbers, "ramp": numbers, "period": numbers}
+        ),
+        "chirp": st.fixed_dictionaries(
+            {"duration": positive, "end_frequency": positive},
+            optional={"law": st.sampled_from(["linear", "logarithmic"])},
+        ),
+        "electrostatic": st.fixed_dictionaries({"gain": numbers}, optional={"bias": numbers}),
+        "signal": st.fixed_dictionaries({"file": st.text() | st.just("a.csv")}, optional={"rate": numbers}),
+    },
+)
+
+
+@given(tables=TABLES, frequency=positive, own=st.none() | positive)
+def test_any_table_is_run_or_refused_on_one_line(tables, frequency, own):
+    """Whatever the numbers: waves that are finite, or one line; and what is run reads back from its TOML."""
+    text = preset_text("paper").replace("frequency = 290.0", f"frequency = {frequency!r}")
+    for name, keys in tables.items():
+        values = (f"{key} = {json.dumps(value) if isinstance(value, str) else value!r}" for key, value in keys.items())
+        text += "\n".join(("", f"[drive.{name}]", *values))
+    text += f"\n[[actuators]]\nname = 'own'\narea = [0, 0.1, 0, 0.1]\nfrequency = {own!r}\n" if own else ""
+    try:
+        scene = parse_scene(text, "")
+        signals = make_signals(scene, TIME_STEP, 50)
+    except SceneError as error:
+        refused_on_one_line(error)
+        return
+    assert np.isfinite(signals.wave).all()
+    assert np.isfinite(signals.coefficients(np.ones((2, len(scene.actuators)), complex))).all()
+    assert parse_scene(dump_scene(scene), "") == scene

@@ -1,0 +1,143 @@
+"""A load that travels over the plate, as three factors for each step: its strength, and its shares along x and y.
+
+    pressure at node (j, i) and step n = wave[n] · along_y[n, j] · along_x[n, i]
+
+A patch of a cell or more is weighed as the actuators are. A smaller one that is weighed by overlap would jump from node
+to node, so each node takes the mean over the patch of the function that is one there and falls to zero at the next
+nodes; that keeps the force and its moment.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from warp_plate.plate.signals import step_means
+from warp_plate.scene.drive import MovingLoad
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+# A side of less than this part of a cell is a point: the difference is a millionth of the error of the weighing.
+POINT = 1e-3
+
+
+class MovingWeights(NamedTuple):
+    """The factors above: wave (steps,) [N/m²], the first one halved as in ``signals``; along_x (steps, nx), along_y
+    (steps, ny)."""
+
+    wave: np.ndarray
+    along_x: np.ndarray
+    along_y: np.ndarray
+
+    @property
+    def largest(self) -> float:
+        """Size of the strongest wave [N/m²]."""
+        return float(np.abs(self.wave).max())
+
+
+def moving_weights(scene: Scene, time_step: float, steps: int) -> MovingWeights:
+    """The factors of a scene's moving load.
+
+    While the patch is on the plate, Σ pressure·hx·hy is the force, the edges' own nodes included: what falls on a
+    node that is held goes into its support. Of a patch that is partly off, the part on the plate counts.
+
+    Raises:
+        SceneError: the scene has no such load, it never touches the plate during the run, or its frequency is more
+            than the steps carry.
+    """
+    load = scene.effects.moving_load
+    if load is None:
+        raise SceneError("effects.moving_load: this scene has none")
+    if load.frequency is not None and load.frequency >= 0.5 / time_step:
+        raise SceneError(
+            f"effects.moving_load.frequency = {load.frequency:g}: a step of {time_step:g} s carries less than "
+            f"{0.5 / time_step:.6g} Hz; lower it, or write a smaller grid.time_step"
+        )
+    times = time_step * np.arange(steps)
+    wave = _strength(load, times, time_step)
+    # Where it is when it sets in and when it ends, for the steps that reach over these moments.
+    since = np.clip(times, load.from_time, load.to_time) - load.from_time
+    along = [
+        _shares(load.start[axis] + load.velocity[axis] * since, load.size, side, nodes, scene.grid.load == "moments")
+        for axis, (side, nodes) in enumerate(zip(scene.plate.size, scene.grid.nodes, strict=True))
+    ]
+    if not (wave.any() and (along[0].any(axis=1) & along[1].any(axis=1) & (wave != 0)).any()):
+        raise SceneError(
+            f"effects.moving_load.start = {list(load.start)}: the load is never on the plate of "
+            f"{list(scene.plate.size)} m during the run; change start, velocity, from_time or force"
+        )
+    spacing = [side / (nodes - 1) for side, nodes in zip(scene.plate.size, scene.grid.nodes, strict=True)]
+    wave /= spacing[0] * spacing[1]
+    wave[0] /= 2
+    return MovingWeights(wave, *along)
+
+
+def _strength(load: MovingLoad, times: np.ndarray, time_step: float) -> np.ndarray:
+    """(steps,) force [N]."""
+    end = math.inf if load.to_time is None else load.to_time
+    present = step_means(lambda time: np.clip(time, load.from_time, end), time_step, times.size)
+    force: np.ndarray = load.force * present * np.cos(2 * math.pi * (load.frequency or 0.0) * times)
+    return force
+
+
+def _shares(middle: np.ndarray, size: float, side: float, nodes: int, cubic: bool) -> np.ndarray:
+    """(steps, nodes) each node's share of a patch that lies around ``middle`` [m] on one axis of the plate."""
+    spacing = side / (nodes - 1)
+    # A path along an edge stays on the plate whatever the rounding.
+    centre = middle / spacing
+    inside = np.clip(centre, 0, nodes - 1)
+    centre = np.where(np.abs(centre - inside) < 1e-12 * nodes, inside, centre)
+    width = size / spacing
+    if width < POINT:
+        on = (centre >= 0) & (centre <= nodes - 1)
+        return on[:, None] * _basis(inside, nodes, 4 if cubic else 2)
+    low, high = (np.clip(centre + sign * width / 2, 0, nodes - 1) for sign in (-1, 1))
+    if cubic or width < 1:
+        points = 4 if cubic else 2
+        return (_basis_integral(high, nodes, points) - _basis_integral(low, nodes, points)) / width
+    node = np.arange(nodes)
+    covered = np.minimum(node + 0.5, high[:, None]) - np.maximum(node - 0.5, low[:, None])
+    shares: np.ndarray = np.maximum(covered, 0) / width
+    return shares
+
+
+def _basis(place: np.ndarray, nodes: int, points: int) -> np.ndarray:
+    """(places, nodes) at a place [cells], what is one at a node and zero at the others: the polynomial through the
+    ``points`` nodes around the place."""
+    first, local, polynomials = _around(place, nodes, points)
+    return _scatter(first, local[:, None] ** np.arange(points) @ polynomials, nodes)
+
+
+def _basis_integral(place: np.ndarray, nodes: int, points: int) -> np.ndarray:
+    """(places, nodes) integral of the above from 0 to the place [cells]."""
+    powers = np.arange(1, points + 1)
+
+    def within(place: np.ndarray, start: np.ndarray) -> np.ndarray:
+        first, local, polynomials = _around(place, nodes, points, start)
+        base = (start - first - (points - 1) / 2)[:, None]
+        return _scatter(first, (local[:, None] ** powers - base**powers) / powers @ polynomials, nodes)
+
+    intervals = np.arange(nodes - 1.0)
+    whole = np.concatenate([np.zeros((1, nodes)), np.cumsum(within(intervals + 1, intervals), axis=0)])
+    start = np.clip(np.floor(place), 0, nodes - 2)
+    return whole[start.astype(int)] + within(place, start)
+
+
+def _around(
+    place: np.ndarray, nodes: int, points: int, start: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First of the nodes around the interval that begins at ``start`` (or holds the place), the place counted from the
+    middle of these nodes, and (points, points) the polynomials' coefficients, row k those of x^k."""
+    interval = np.floor(place) if start is None else start
+    first = np.clip(interval.astype(int) - (points // 2 - 1), 0, nodes - points)
+    middle = (points - 1) / 2
+    return first, place - first - middle, np.linalg.inv(np.vander(np.arange(points) - middle, increasing=True))
+
+
+def _scatter(first: np.ndarray, values: np.ndarray, nodes: int) -> np.ndarray:
+    """(places, nodes) zeros, with the values (places, points) from node ``first`` on."""
+    spread = np.zeros((first.size, nodes))
+    spread[np.arange(first.size)[:, None], first[:, None] + np.arange(values.shape[1])] = values
+    return spread

@@ -1,0 +1,176 @@
+"""Signals from files: read them, give them a phase, and bring them to the solver's steps without aliasing.
+
+A sampled signal s(t) has no phase to shift, but its analytic signal a = s + i·H(s) has, H being the Hilbert transform:
+Re(Z·a) lags behind s by the phase lag of Z at every frequency at once (Gabor, J. IEE 93(III), 1946, pp. 429-457).
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.fft import next_fast_len
+from scipy.signal import hilbert
+
+from warp_plate.plate.files import number_rows, read_beside
+from warp_plate.scene.drive import SampledSignal
+from warp_plate.scene.errors import SceneError
+
+LOUDEST = 1e30
+FASTEST, SLOWEST = 1e7, 1e-3  # samples a second
+# The interpolating filter: its half-width in samples of the slower of the two rates, and Kaiser's β for 80 dB. With
+# these it passes nine tenths of the slower rate's band, and from the end of that band on it stops.
+HALF_WIDTH = 50
+BETA = 7.857
+PASSED = 0.95  # the middle between the two, where the filter is at one half
+TABLE_STEPS = 1024  # of the tabulated filter, a sample
+# Products at once, to bound memory.
+BLOCK = 2**21
+# Times in a CSV are rounded: by so much of a step they may be off an even spacing.
+UNEVEN = 0.05
+_WIDTHS = {(1, 8): "u1", (1, 16): "<i2", (1, 24): "u1", (1, 32): "<i4", (3, 32): "<f4", (3, 64): "<f8"}
+
+
+@dataclass(frozen=True)
+class Samples:
+    """values: (samples,) with the gain, real; rate [1/s]; start [s], the time of the first; repeat: from the end on."""
+
+    values: np.ndarray
+    rate: float
+    start: float
+    repeat: bool
+
+    def analytic(self) -> np.ndarray:
+        """(samples,) complex analytic signal; silence before and after the file, or the file again where it repeats."""
+        count = self.values.size
+        whole = count if self.repeat else next_fast_len(2 * count)
+        analytic: np.ndarray = hilbert(self.values, whole)[:count]
+        return analytic
+
+    def highest_frequency(self) -> float:
+        """[Hz] below which 99.9 % of the signal's energy lies."""
+        energy = np.cumsum(np.abs(np.fft.rfft(self.values)) ** 2)
+        return float(np.searchsorted(energy, 0.999 * energy[-1]) * self.rate / self.values.size)
+
+
+def read_samples(table: SampledSignal, folder: Path | None) -> Samples:
+    """The signal of the file that ``[drive.signal]`` names, looked for in the scene's folder.
+
+    Raises:
+        SceneError: no folder, no such file in it, too large, or not what its ending says; one line with key and file.
+    """
+    data = read_beside("drive.signal.file", table.file, folder)
+    try:
+        values, rate, start = _csv(data, table.rate) if table.file.lower().endswith(".csv") else _wav(data)
+        _check(values, rate)
+    except ValueError as error:
+        raise SceneError(f"drive.signal.file = {table.file!r}: {error}") from None
+    return Samples(values * table.gain, rate, start, table.repeat)
+
+
+def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) -> np.ndarray:
+    """(steps,) the analytic signal at t = n·time_step [s], low-passed to ``band`` times the steps' Nyquist frequency.
+
+    Band-limited interpolation: each value is the sum of the samples around it under a sinc with a Kaiser window, as
+    wide as the slower rate asks. Frequencies up to 0.9 of the lower band limit pass within 1e-3; those above the limit
+    are 80 dB down.
+    """
+    analytic = samples.analytic()
+    lower = min(1.0, band / (samples.rate * time_step))
+    reach = np.arange(-math.ceil(HALF_WIDTH / lower), math.ceil(HALF_WIDTH / lower) + 2)
+    distance = np.linspace(0, HALF_WIDTH, HALF_WIDTH * TABLE_STEPS + 1)
+    window = np.i0(BETA * np.sqrt(1 - (distance / HALF_WIDTH) ** 2)) / np.i0(BETA)
+    table = PASSED * lower * np.sinc(PASSED * distance) * window
+    carrier = np.zeros(steps, dtype=complex)
+    block = max(1, BLOCK // reach.size)
+    for first in range(0, steps, block):
+        step = np.arange(first, min(first + block, steps))
+        place = (step * time_step - samples.start) * samples.rate
+        heard = place >= 0 if samples.repeat else (place > reach[0]) & (place < analytic.size + reach[-1])
+        step, place = step[heard], place[heard]
+        index = np.floor(place).astype(np.int64)[:, None] + reach
+        weight = np.interp(np.abs(place[:, None] - index) * lower, distance, table, right=0.0)
+        if not samples.repeat:
+            weight *= (index >= 0) & (index < analytic.size)
+        near = analytic[index % analytic.size]
+        carrier[step] = np.einsum("nm,nm->n", near, weight)
+    return carrier
+
+
+def _check(values: np.ndarray, rate: float) -> None:
+    if values.size < 2:
+        raise ValueError(f"{values.size} samples; at least 2 are needed")
+    if not np.isfinite(values).all() or np.abs(values).max() > LOUDEST:
+        raise ValueError(f"a sample is no number, or larger than {LOUDEST:g}")
+    if not values.any():
+        raise ValueError("all samples are zero")
+    if not SLOWEST <= rate <= FASTEST:
+        raise ValueError(f"{rate:g} samples a second; {SLOWEST:g} to {FASTEST:g} are possible")
+
+
+def _wav(data: bytes) -> tuple[np.ndarray, float, float]:
+    """Values, rate and start of a RIFF WAVE file, whole numbers of 8 to 32 bits or floating point."""
+    if data[:4] != b"RIFF" or data[8:12] != b"WAVE":
+        raise ValueError("not a WAV file")
+    chunks: dict[bytes, bytes] = {}
+    place = 12
+    while place + 8 <= len(data):
+        name, size = struct.unpack_from("<4sI", data, place)
+        body = data[place + 8 : place + 8 + size]
+        if len(body) < size and size != 0xFFFFFFFF:  # which recorders write who do not know the end yet
+            raise ValueError("the WAV file ends too early")
+        chunks.setdefault(name, body)
+        place += 8 + size + size % 2
+    form, body = chunks.get(b"fmt ", b""), chunks.get(b"data", b"")
+    if len(form) < 16:
+        raise ValueError("a WAV file without its format")
+    code, channels, rate, _, _, bits = struct.unpack_from("<HHIIHH", form)
+    if code == 0xFFFE and len(form) >= 26:  # the extensible format has the code further down
+        (code,) = struct.unpack_from("<H", form, 24)
+    if (code, bits) not in _WIDTHS:
+        raise ValueError(f"a WAV file of format {code} with {bits} bits; write PCM or floating point")
+    if channels != 1:
+        raise ValueError(f"{channels} channels; write one")
+    raw = np.frombuffer(body[: len(body) // (bits // 8) * (bits // 8)], dtype=_WIDTHS[code, bits])
+    if code == 3:
+        return raw.astype(float), float(rate), 0.0
+    if bits == 24:
+        low, middle, high = raw.reshape(-1, 3).astype(np.int32).T
+        raw = (low + (middle << 8) + (high << 16) + 2**23) % 2**24 - 2**23
+    return (raw.astype(float) - 128 * (bits == 8)) / 2.0 ** (bits - 1), float(rate), 0.0
+
+
+def _csv(data: bytes, rate: float | None) -> tuple[np.ndarray, float, float]:
+    """Values, rate and start of a text table."""
+    rows = number_rows(data)
+    if rows and len(rows[0][1]) > 2:
+        number, row = rows[0]
+        raise ValueError(f"line {number} has {len(row)} columns instead of time and value, or one value")
+    if len(rows) < 2:
+        raise ValueError(f"{len(rows)} samples; at least 2 are needed")
+    table = np.array([row for _, row in rows])
+    if table.shape[1] == 1:
+        if rate is None:
+            raise ValueError("one column, so no times; write drive.signal.rate, the samples a second")
+        return table[:, 0], rate, 0.0
+    if rate is not None:
+        raise ValueError("has a column of times; delete drive.signal.rate")
+    return table[:, 1], *_spacing(table[:, 0])
+
+
+def _spacing(times: np.ndarray) -> tuple[float, float]:
+    """Rate [1/s] and start [s] of evenly spaced times."""
+    if not np.isfinite(times).all() or np.abs(times).max() > LOUDEST:
+        raise ValueError("a time is no number")
+    step = (times[-1] - times[0]) / (times.size - 1)
+    if not step > 1e-30:
+        raise ValueError("times do not rise")
+    off = np.abs(times - times[0] - step * np.arange(times.size))
+    if off.max() > UNEVEN * step:
+        raise ValueError(f"times are not evenly spaced (sample {int(off.argmax()) + 1}); write one step throughout")
+    if times[0] < 0:
+        raise ValueError(f"starts at {times[0]:g} s; the run starts at 0")
+    return 1 / step, float(times[0])

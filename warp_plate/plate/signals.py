@@ -1,0 +1,247 @@
+"""What the actuators do in time, as a sum of terms that is as short as possible.
+
+    pressure of actuator k at step n = Σ_t wave[n, t] · coefficient[plate, t, k]
+
+The waves are the same for all plates and the coefficients are the same for all steps, so a step costs the same for any
+number of actuators. With V = envelope·Re(Z·carrier), Z the phasor:
+
+    linear:         V                  = Re Z·(e Re a) + (−Im Z)·(e Im a)                  a the carrier, e the envelope
+    electrostatic:  gain·(bias + V)²   = gain·(bias² + 2 bias V + ½|Z|² e²|a|² + ½ Re(Z² e²a²))
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from warp_plate.plate.sampled import Samples, read_samples, resample
+from warp_plate.scene.drive import Burst, Chirp
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+# What a coefficient is made of; the first two are all that a linear drive needs.
+FEATURES = ("Re Z", "-Im Z", "1", "|Z|²", "Re Z²", "-Im Z²")
+LINEAR_FEATURES = 2
+_ONE, _SQUARE = FEATURES.index("1"), FEATURES.index("|Z|²")
+_PHASOR, _PHASOR_SQUARED = FEATURES.index("Re Z"), FEATURES.index("Re Z²")
+
+# What tells waves apart → wave, mixing. Power of the envelope; frequency [Hz], 0 where there is none; and for what is
+# no tone the power of the carrier, −1 for its size squared.
+_Terms: TypeAlias = dict[tuple[int, float, int], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Signals:
+    """The time functions of a scene and how phasors mix them.
+
+    wave: (steps, terms), below two in size. The first step is halved: the plate is at rest at t = 0, when the load
+    sets in, and half a step later its velocity is half of Δt·f/ρH; a whole first load would be an error of first order.
+    mixing: (terms, features, actuators); linear: whether coefficients are linear in the phasors' real and imaginary
+    parts, without which no bound holds; highest_frequency [Hz]: of the pressure; of a sampled one that below which
+    99.9 % of its energy lies.
+    """
+
+    wave: np.ndarray
+    mixing: np.ndarray
+    linear: bool
+    highest_frequency: float
+
+    @property
+    def terms(self) -> int:
+        """How many waves there are."""
+        return self.wave.shape[1]
+
+    def coefficients(self, phasors: np.ndarray) -> np.ndarray:
+        """(plates, terms, actuators) real factors of the waves for phasors Z (plates, actuators)."""
+        features = [phasors.real, -phasors.imag]
+        if not self.linear:
+            with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite harms its own plate alone
+                squared = phasors**2
+                features += [np.ones(phasors.shape), np.abs(phasors) ** 2, squared.real, -squared.imag]
+        return np.einsum("tfk,fpk->ptk", self.mixing, np.stack(features))
+
+
+def highest_frequency(scene: Scene) -> float:
+    """[Hz] that the time step must carry: of tones and sweeps, twice that where the voltage is squared.
+
+    Where a file is the carrier, it is what ``drive.frequency`` says instead; no file is opened.
+    """
+    return max(frequency for _, frequency in _named_frequencies(scene)) * _square(scene)
+
+
+def own_frequencies(scene: Scene) -> tuple[float, ...]:
+    """The different frequencies [Hz] of the actuators' carriers at t = 0, in the order of the actuators; of a file one
+    in all."""
+    if scene.drive.signal is not None:
+        return (scene.drive.frequency,)
+    return tuple(dict.fromkeys(actuator.frequency or scene.drive.frequency for actuator in scene.actuators))
+
+
+def check_rate(scene: Scene, time_step: float) -> None:
+    """Refuse what the steps cannot carry.
+
+    Raises:
+        SceneError: a frequency of half the steps' rate or more, or a burst shorter than a step.
+    """
+    square = _square(scene)
+    for key, frequency in _named_frequencies(scene):
+        if square * frequency >= 0.5 / time_step:
+            why = "" if square == 1 else " under drive.electrostatic, which doubles it"
+            raise SceneError(
+                f"{key} = {frequency:g}: a step of {time_step:g} s carries less than {0.5 / time_step / square:.6g} "
+                f"Hz{why}; lower it, or write a smaller grid.time_step"
+            )
+    burst = scene.drive.burst
+    if burst is not None and burst.duration < time_step:
+        raise SceneError(
+            f"drive.burst.duration = {burst.duration:g}: shorter than a step of {time_step:g} s; make it longer, or "
+            "write a smaller grid.time_step"
+        )
+
+
+def make_signals(scene: Scene, time_step: float, steps: int, folder: Path | None = None) -> Signals:
+    """The signals of a scene at t = n·time_step [s]; ``folder`` is where the file of ``[drive.signal]`` lies.
+
+    Raises:
+        SceneError: a frequency that the steps cannot carry, a burst shorter than a step, a file that is missing or
+            not what it should be.
+    """
+    check_rate(scene, time_step)
+    drive, square = scene.drive, scene.drive.electrostatic
+    actuators = len(scene.actuators)
+    envelope = np.ones(1) if drive.burst is None else _burst(drive.burst, time_step, steps)
+    shaped = drive.burst is not None
+    flat = np.ones(steps)
+    terms: _Terms = {}
+    samples = None if drive.signal is None else read_samples(drive.signal, folder)
+    for carrier, frequency, steady, who in _carriers(scene, time_step, steps, samples):
+        # Actuators share a wave that has the same key: a tone squared is the tone of twice the frequency, a sweep not.
+        other = 0 if frequency and drive.chirp is None else 1
+        shape = envelope * carrier
+        if square is None:
+            _add(terms, (shaped, frequency, other), shape, _PHASOR, who)
+            continue
+        if square.bias:
+            _add(terms, (0, 0.0, 0), flat, _ONE, square.gain * square.bias**2 * who)
+            _add(terms, (shaped, frequency, other), shape, _PHASOR, 2 * square.gain * square.bias * who)
+        size = flat if steady and not shaped else flat * np.abs(shape) ** 2
+        _add(terms, (2 * shaped, 0.0, 0 if steady else -1), size, _SQUARE, square.gain / 2 * who)
+        _add(terms, (2 * shaped, 2 * frequency, 2 * other), shape**2, _PHASOR_SQUARED, square.gain / 2 * who)
+    features = LINEAR_FEATURES if square is None else len(FEATURES)
+    wave, mixing = _columns(terms, steps, features, actuators)
+    wave[0] /= 2
+    highest = highest_frequency(scene)
+    if samples is not None:
+        highest = min(samples.highest_frequency() * (1 if square is None else 2), 0.5 / time_step)
+    return Signals(wave, mixing, square is None, highest)
+
+
+def step_means(integral: Callable[[np.ndarray], np.ndarray], time_step: float, steps: int) -> np.ndarray:
+    """(steps,) mean of a function over the step around each t_n, from its integral; n = 0 has only the later half.
+
+    What jumps between two steps is then right to second order, as the scheme is, wherever between them it jumps.
+    """
+    edges = time_step * np.concatenate([[0.0], np.arange(steps) + 0.5])
+    means: np.ndarray = np.diff(integral(edges)) / np.diff(edges)
+    return means
+
+
+def _square(scene: Scene) -> int:
+    """By how much the drive multiplies the frequencies of a voltage."""
+    return 1 if scene.drive.electrostatic is None else 2
+
+
+def _named_frequencies(scene: Scene) -> Iterator[tuple[str, float]]:
+    """Every frequency [Hz] that some actuator has at some time, with its key."""
+    own = [actuator.frequency for actuator in scene.actuators]
+    if scene.drive.signal is not None or None in own:
+        yield "drive.frequency", scene.drive.frequency
+    for index, frequency in enumerate(own):
+        if frequency is not None:
+            yield f"actuators[{index}].frequency", frequency
+    if scene.drive.chirp is not None:
+        yield "drive.chirp.end_frequency", scene.drive.chirp.end_frequency
+
+
+def _carriers(
+    scene: Scene, time_step: float, steps: int, samples: Samples | None
+) -> Iterator[tuple[np.ndarray, float, bool, np.ndarray]]:
+    """Each different carrier: (steps,) complex, its frequency at t = 0 [Hz] (0 of a file's), whether its size is one
+    throughout, and (actuators,) one for those that it drives."""
+    if samples is not None:
+        # Squaring doubles the band, so only half of it may be filled.
+        band = 1 / _square(scene)
+        yield resample(samples, time_step, steps, band), 0.0, False, np.ones(len(scene.actuators))
+        return
+    own = np.array([actuator.frequency or scene.drive.frequency for actuator in scene.actuators])
+    for frequency in own_frequencies(scene):
+        if scene.drive.chirp is None:
+            angle = 2 * math.pi * frequency * time_step * np.arange(steps)
+        else:
+            angle = _sweep(scene.drive.chirp, frequency, time_step * np.arange(steps))
+        yield np.cos(angle) + 1j * np.sin(angle), frequency, True, (own == frequency).astype(float)
+
+
+def _sweep(chirp: Chirp, start: float, times: np.ndarray) -> np.ndarray:
+    """(steps,) phase [rad] of a sweep from ``start`` [Hz], the integral of 2πf over time."""
+    span, end = chirp.duration, chirp.end_frequency
+    inside = np.minimum(times, span)
+    growth = math.log(end / start)
+    if chirp.law == "linear" or growth == 0:
+        cycles = inside * (start + (end - start) / 2 * (inside / span))
+    else:
+        cycles = start * span / growth * np.expm1(growth * (inside / span))
+    angle: np.ndarray = 2 * math.pi * (cycles + end * (times - inside))
+    return angle
+
+
+def _burst(burst: Burst, time_step: float, steps: int) -> np.ndarray:
+    """(steps,) the envelope, its ramps ½(1 − cos πt/ramp)."""
+    duration, ramp = burst.duration, burst.ramp
+
+    def risen(time: np.ndarray) -> np.ndarray:
+        """Integral of the rise up to ``time`` within 0 ... ramp."""
+        return (time - ramp / math.pi * np.sin(math.pi * time / ramp)) / 2 if ramp else 0 * time
+
+    def once(time: np.ndarray) -> np.ndarray:
+        top = np.clip(time - ramp, 0, max(duration - 2 * ramp, 0))
+        falling = np.clip(time - (duration - ramp), 0, ramp)
+        return risen(np.clip(time, 0, ramp)) + top + (ramp / 2 - risen(ramp - falling))
+
+    def integral(time: np.ndarray) -> np.ndarray:
+        since = time - burst.start
+        past = np.zeros(since.shape) if burst.period is None else np.maximum(np.floor(since / burst.period), 0)
+        return past * (duration - ramp) + once(since - past * (burst.period or 0.0))
+
+    return step_means(integral, time_step, steps)
+
+
+def _add(terms: _Terms, key: tuple[int, float, int], wave: np.ndarray, feature: int, factor: np.ndarray) -> None:
+    """Put a term in, or onto one with the same wave; a complex wave is two terms, and takes two features."""
+    if key not in terms:
+        terms[key] = (wave, np.zeros((len(FEATURES), factor.size)))
+    terms[key][1][feature] += factor
+
+
+def _columns(terms: _Terms, steps: int, features: int, actuators: int) -> tuple[np.ndarray, np.ndarray]:
+    """Real waves (steps, terms) below two in size, and mixing (terms, features, actuators)."""
+    count = sum(2 if np.iscomplexobj(wave) else 1 for wave, _ in terms.values())
+    waves, mixing = np.empty((steps, count)), np.zeros((count, features, actuators))
+    column = 0
+    for wave, mix in terms.values():
+        waves[:, column] = wave.real
+        mixing[column] = mix[:features]
+        column += 1
+        if np.iscomplexobj(wave):
+            # Re(Z·a) = Re Z·Re a + (−Im Z)·Im a: the imaginary part takes the feature after the real part's.
+            waves[:, column] = wave.imag
+            mixing[column] = np.roll(mix, 1, axis=0)[:features]
+            column += 1
+    # Powers of two, which round nothing: a gain of a million belongs to the coefficients.
+    size = 2.0 ** np.floor(np.log2(np.maximum(np.abs(waves).max(axis=0), 1.0)))
+    return waves / size, mixing * size[:, None, None]
