@@ -38,12 +38,15 @@ KINDS = {
     "accuracy": NO_ACCURACY,
     "drive": ["", "a", "best", "none.h5", "folder.h5", "junk.h5", "a\0b.h5", f"{LONG}.h5", "\ud800.h5", "\x1b[31m"],
     "out": NO_FILE,
+    "resume": ["", ".", "a", "none.checkpoint.h5", "junk.h5", "folder.h5", *(f"{stem}.checkpoint.h5" for stem in ("a\0b", LONG))],
+    "checkpoint-every": ["", " ", "a", "nan", "-1", "-inf", "\x1b[31m", "\ud800"],  # inf: never
     "estimate": NO_FLAG,
     "pictures": NO_FLAG,
     "json": NO_FLAG,
 }
+SEARCH = ["device", "seed", "evaluator", "path", "accuracy", "estimate", "checkpoint-every", "resume"]
 COMMANDS = {
-    "localize": (".h5", ["device", "seed", "evaluator", "path", "accuracy", "estimate", "out", "pictures", "json"]),
+    "localize": (".h5", [*SEARCH, "out", "pictures", "json"]),
     "simulate": (".h5", ["drive", "device", "path", "accuracy", "estimate", "out", "pictures", "json"]),
     "modes": (".png", ["count", "accuracy", "out", "pictures", "json"]),
     "effects": ("", ["device", "accuracy", "json"]),

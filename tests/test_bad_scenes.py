@@ -44,6 +44,7 @@ WHOLE = {
         "layers": [
             {"area": [0.03, 0.06, 0.03, 0.06], "thickness": 1e-4, "young_modulus": 2e9, "density": 1800.0, "both": True}
         ],
+        "variation": {"thickness": [[1.0, 1.2], [0.9, 1.0]], "young_modulus": [[1.0]], "density": [[1.0, 2.0]]},
         "oscillators": [{"area": [0.1, 0.12, 0.1, 0.12], "mass": 1e-3, "stiffness": 100.0, "damping": 0.1}],
         "stretching": {},
         "moving_load": {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import cyclopts
 
 from warp_plate.cli import output
-from warp_plate.scene.errors import SceneError, printable
+from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -84,10 +84,9 @@ def accuracy(
 
 def _write(record: Mapping[str, object], path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """The figures as JSON and their picture; returns the files, and why a picture is missing."""
-    try:
-        path.write_text(json_format.dumps(record, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise SceneError(f"--out {path}: cannot be written: {error}") from None
+    from warp_plate.result.whole import write_whole
+
+    write_whole(f"{json_format.dumps(record, indent=1)}\n".encode(), path)
     if not pictures:
         return [path], None
     from warp_plate.viz.accuracy_plot import draw_accuracy_beside
@@ -98,7 +97,7 @@ def _write(record: Mapping[str, object], path: Path, pictures: bool) -> tuple[li
 
 def _print(report: Report, device: str, console: Console) -> None:
     truth = report.truth
-    console.print(f"{printable(report.scene)} on {device}\n")
+    console.print(f"{report.scene} on {device}\n")
     for kind in dict.fromkeys(map(_kind, report.rows)):
         made = output.table(*HEADINGS, title=kind)
         for index, row in enumerate(report.rows):

@@ -102,10 +102,9 @@ def _whole_numbers(option: str, text: str | None, least: int, most: int) -> list
 
 def _write(report: Report, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """The figures as JSON and their pictures; returns the files, and why a picture is missing."""
-    try:
-        path.write_text(json_format.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise SceneError(f"--out {path}: cannot be written: {error}") from None
+    from warp_plate.result.whole import write_whole
+
+    write_whole(f"{json_format.dumps(report.as_json(), indent=1)}\n".encode(), path)
     if not pictures:
         return [path], None
     from warp_plate.viz.bench_plot import draw_bench_beside

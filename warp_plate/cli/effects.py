@@ -63,7 +63,7 @@ def effects(
 
 def _print(name: str, scene: Scene, found: Influence, numbers: list[Finding]) -> None:
     console = output.console()
-    console.print(f"{output.heading(scene, name)}\n")
+    console.print(f"{scene.title or name}\n")
     made = output.table("effect", "now", "price of a step", "steps", "factor", "largest displacement (m)")
     made.add_row("the scene as it is", "", "", "", f"{found.localization_factor:.4f}", f"{found.peak:.3g}")
     for switch in found.switches:

@@ -80,6 +80,7 @@ def _with_grid(scene: Scene) -> Scene:
 
 def _draw(scene: Scene, found: NaturalModes, path: Path) -> tuple[list[Path], str | None]:
     """The files written, and None or why none was."""
+    from warp_plate.result.whole import whole_file
     from warp_plate.viz.availability import missing_plots
     from warp_plate.viz.modes_plot import draw_modes
 
@@ -87,7 +88,9 @@ def _draw(scene: Scene, found: NaturalModes, path: Path) -> tuple[list[Path], st
     if problem is not None:
         return [], problem
     try:
-        return [draw_modes(scene, found.frequencies, found.shapes, path)], None
+        with whole_file(path) as temporary:
+            draw_modes(scene, found.frequencies, found.shapes, temporary)
+        return [path], None
     except OSError as error:
         return [], f"{path}: cannot be written: {error}"
 
@@ -123,7 +126,7 @@ def _record(name: str, scene: Scene, found: NaturalModes, files: list[Path]) -> 
 def _print(name: str, scene: Scene, found: NaturalModes) -> None:
     console = output.console()
     nx, ny = scene.grid.nodes
-    console.print(f"{output.heading(scene, name)}: {nx} × {ny} nodes, order {scene.grid.order}\n")
+    console.print(f"{scene.title or name}: {nx} × {ny} nodes, order {scene.grid.order}\n")
     hung = [index for index, one in enumerate(scene.effects.oscillators) if one.mass > 0]
     made = output.table(
         "mode", "frequency (Hz)", "in a run (Hz)", "waves x × y", *(f"mass {index}" for index in hung)

@@ -10,10 +10,11 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from warp_plate.scene.errors import SceneError, printable
 
@@ -29,9 +30,21 @@ def print_json(data: Mapping[str, object]) -> None:
     print(json.dumps(_finite(data), indent=2))
 
 
+class _PlainConsole(Console):
+    """Prints text as it stands: what a scene calls itself is neither markup nor a command to the terminal."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        return super().render_str(printable(text), **options)
+
+
 def console() -> Console:
-    """Standard output, wrapped to the terminal's width, plain when it is a file; [red] and :star: stay as written."""
-    return Console(highlight=False, markup=False, emoji=False)
+    """Standard output, wrapped to the terminal's width and plain when it is a file."""
+    return _PlainConsole(highlight=False, markup=False, emoji=False)
+
+
+def tell(line: str) -> None:
+    """One line for people on standard error."""
+    print(f"warp-plate: {printable(' '.join(line.split()))}", file=sys.stderr)
 
 
 def table(*headings: str, title: str | None = None) -> Table:
@@ -40,11 +53,6 @@ def table(*headings: str, title: str | None = None) -> Table:
     for index, heading in enumerate(headings):
         made.add_column(heading, justify="left" if index == 0 else "right")
     return made
-
-
-def heading(scene: Scene, source: str) -> str:
-    """What stands above a command's tables: the scene's title, or the name that it was asked for by."""
-    return printable(scene.title or source)
 
 
 @contextmanager
@@ -103,14 +111,10 @@ def load_scene(source: str, accuracy: str | None = None) -> Scene:
     from warp_plate.plate.scheme import make_scheme
     from warp_plate.plate.weights import patches
     from warp_plate.scene import Scene
-    from warp_plate.scene.load import with_accuracy
 
     scene = Scene.load(source)
     if accuracy is not None:
-        try:
-            scene = with_accuracy(scene, _accuracy_of(accuracy))
-        except SceneError:
-            raise SceneError(f"--accuracy {accuracy}: must be from 0.01% to 50%, such as 1% or 0.01") from None
+        scene = with_asked_accuracy(scene, accuracy)
     if scene.grid.accuracy is not None:
         return scene
     try:
@@ -119,6 +123,20 @@ def load_scene(source: str, accuracy: str | None = None) -> Scene:
     except SceneError as error:
         raise SceneError(f"{source}: {error}") from None
     return scene
+
+
+def with_asked_accuracy(scene: Scene, accuracy: str) -> Scene:
+    """The scene with what ``--accuracy`` says in the place of its grid.
+
+    Raises:
+        SceneError: no accuracy.
+    """
+    from warp_plate.scene.load import with_accuracy
+
+    try:
+        return with_accuracy(scene, _accuracy_of(accuracy))
+    except SceneError:
+        raise SceneError(f"--accuracy {accuracy}: must be from 0.01% to 50%, such as 1% or 0.01") from None
 
 
 def _accuracy_of(text: str) -> float:
@@ -149,6 +167,8 @@ def warnings_of(result: Result) -> list[str]:
 
     case = result.cases.get("best") or next(iter(result.cases.values()))
     peak = float(abs(case.displacement).max()) if case.displacement.size else 0.0
+    if not all(math.isfinite(energy) for one in result.cases.values() for energy in one.energy.values()):
+        peak = math.nan
     return exceeded(result.scene, peak)
 
 
@@ -169,13 +189,21 @@ def prepare_pictures(pictures: bool) -> None:
 def write_files(result: Result, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """Save the result and draw its pictures beside it; returns the files, and why a picture is missing."""
     from warp_plate.result import save_result
+    from warp_plate.search.interrupts import interrupts_held
 
-    files = [save_result(result, path)]
-    if not pictures:
-        return files, None
-    from warp_plate.viz import draw_all
+    files = []
+    try:
+        with interrupts_held():
+            files.append(save_result(result, path))
+        if not pictures:
+            return files, None
+        from warp_plate.viz import draw_all
 
-    drawn, missing = draw_all(result, path.with_suffix(""))
+        drawn, missing = draw_all(result, path.with_suffix(""))
+    except KeyboardInterrupt:
+        if not files:
+            raise
+        return files, "no pictures: interrupted by Ctrl-C"
     return files + drawn, missing
 
 

@@ -6,10 +6,8 @@ Re(Z·a) lags behind s by the phase lag of Z at every frequency at once (Gabor, 
 
 from __future__ import annotations
 
-import io
 import math
 import struct
-from array import array
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,11 +15,12 @@ import numpy as np
 from scipy.fft import next_fast_len
 from scipy.signal import hilbert
 
+from warp_plate.plate.files import number_rows, read_beside
 from warp_plate.scene.drive import SampledSignal
 from warp_plate.scene.errors import SceneError
 
-# Of a file, and of its samples, each of which takes some 100 bytes on the way: six minutes at 44.1 kHz.
-MOST_BYTES, MOST_SAMPLES = 2**27, 2**24
+# Each sample takes some 100 bytes on the way: six minutes at 44.1 kHz.
+MOST_SAMPLES = 2**24
 # Samples for each step of the run; more are a slip, and a filter of as many products a step.
 MOST_A_STEP = 1000
 LOUDEST = 1e30
@@ -67,25 +66,12 @@ def read_samples(table: SampledSignal, folder: Path | None) -> Samples:
     Raises:
         SceneError: no folder, no such file in it, too large, or not what its ending says; one line with key and file.
     """
-    head = f"drive.signal.file = {table.file!r}"
-    if folder is None:
-        raise SceneError(f"{head}: this scene was not read from a file, so no folder is known; say which")
-    try:
-        path = (folder / table.file).resolve()
-        if path.parent != folder.resolve():
-            raise SceneError(f"{head}: leads out of the scene's folder; put a copy of the file there")
-        if not path.is_file():
-            raise SceneError(f"{head}: no such file beside the scene file")
-        if path.stat().st_size > MOST_BYTES:
-            raise SceneError(f"{head}: {path.stat().st_size} bytes; at most {MOST_BYTES} are read")
-        data = path.read_bytes()
-    except (OSError, RuntimeError) as error:
-        raise SceneError(f"{head}: cannot be read: {type(error).__name__}") from None
+    data = read_beside("drive.signal.file", table.file, folder)
     try:
         values, rate, start = _csv(data, table.rate) if table.file.lower().endswith(".csv") else _wav(data)
         _check(values, rate)
     except ValueError as error:
-        raise SceneError(f"{head}: {error}") from None
+        raise SceneError(f"drive.signal.file = {table.file!r}: {error}") from None
     return Samples(values * table.gain, rate, start, table.repeat)
 
 
@@ -174,30 +160,14 @@ def _wav(data: bytes) -> tuple[np.ndarray, float, float]:
 
 
 def _csv(data: bytes, rate: float | None) -> tuple[np.ndarray, float, float]:
-    """Values, rate and start of a text table; a first line of names is passed over, as are empty and # lines."""
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise ValueError("not UTF-8 text") from None
-    cells, columns, begun = array("d"), 0, False
-    for number, line in enumerate(io.StringIO(text), 1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        row = [_number(cell) for cell in line.replace(";", ",").replace("\t", ",").split(",")]
-        names, begun = not begun and row.count(None) == len(row), True
-        if names:
-            continue
-        if len(row) > 2 or (columns and len(row) != columns):
-            wanted = f"{columns} as above it" if columns else "time and value, or one value"
-            raise ValueError(f"line {number} has {len(row)} columns instead of {wanted}")
-        columns = len(row)
-        for one in row:
-            if one is None:
-                raise ValueError(f"line {number} is not made of numbers")
-            cells.append(one)
-    if len(cells) < 2 * columns or not cells:
-        raise ValueError(f"{len(cells) // max(columns, 1)} samples; at least 2 are needed")
-    table = np.array(cells).reshape(-1, columns)
+    """Values, rate and start of a text table."""
+    rows = number_rows(data)
+    if rows and len(rows[0][1]) > 2:
+        number, row = rows[0]
+        raise ValueError(f"line {number} has {len(row)} columns instead of time and value, or one value")
+    if len(rows) < 2:
+        raise ValueError(f"{len(rows)} samples; at least 2 are needed")
+    table = np.array([row for _, row in rows])
     if table.shape[1] == 1:
         if rate is None:
             raise ValueError("one column, so no times; write drive.signal.rate, the samples a second")
@@ -205,14 +175,6 @@ def _csv(data: bytes, rate: float | None) -> tuple[np.ndarray, float, float]:
     if rate is not None:
         raise ValueError("has a column of times; delete drive.signal.rate")
     return table[:, 1], *_spacing(table[:, 0])
-
-
-def _number(cell: str) -> float | None:
-    """What a cell says, or None where it is no number; Python's 1_000 is none."""
-    try:
-        return None if "_" in cell else float(cell)
-    except ValueError:
-        return None
 
 
 def _spacing(times: np.ndarray) -> tuple[float, float]:

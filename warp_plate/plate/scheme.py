@@ -161,8 +161,8 @@ def stability(scene: Scene) -> tuple[float, Bending | None]:
     spacing = (plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1))
     surface_density = plate.density * plate.thickness
     viscous, backward = _viscous(scene)
-    late = viscous / surface_density if backward else 0.0
     if not needs_moments(scene):
+        late = viscous / surface_density if backward else 0.0
         rigidity = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
         return time_step_limit(math.sqrt(rigidity / surface_density), spacing, late, grid.order), None
     if grid.order == 4:
@@ -173,6 +173,7 @@ def stability(scene: Scene) -> tuple[float, Bending | None]:
     bending = make_bending(scene)
     _refuse_buckling(scene, bending)
     largest = largest_eigenvalue(scene, bending)
+    late = viscous / float(bending.mass.min()) if backward else 0.0
     if effects.material_damping is not None:
         late += effects.material_damping.time * largest
     cell_mass = bending.mass.min() * spacing[0] * spacing[1]

@@ -15,9 +15,10 @@ class SceneError(ValueError):
 def printable(text: str) -> str:
     """The text with whatever would move the cursor, colour the terminal or turn the reading direction written out.
 
-    Line ends, escape sequences and the like become what a Python literal has for them, ``\\x1b``.
+    Escape sequences and the like become what a Python literal has for them, ``\\x1b``; line ends stay.
     """
-    return "".join(
-        one if one.isprintable() or unicodedata.category(one) == "Zs" else one.encode("unicode_escape").decode()
-        for one in text
-    )
+    return "".join(one if _harmless(one) else ascii(one)[1:-1] for one in text)
+
+
+def _harmless(letter: str) -> bool:
+    return letter.isprintable() or letter == "\n" or unicodedata.category(letter) == "Zs"

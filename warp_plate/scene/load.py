@@ -26,6 +26,8 @@ _TEXT = re.compile(r"""\"{3}.*?\"{3}|'{3}.*?'{3}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'|\
 _DEEP_KEY = re.compile(r"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){9}")
 _LONGEST_LINE = 500
 
+# What pydantic calls the kinds of an edge and of an array; no keys of a scene.
+_KINDS = ("word", "springs", "rows")
 _PRESETS = resources.files("warp_plate.scene.presets")
 
 
@@ -63,10 +65,7 @@ def load_scene(source: str | Path) -> Scene:
         content = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{text}: cannot be read as UTF-8 text: {error}") from None
-    scene = parse_scene(content, text)
-    if scene.drive.signal is not None:
-        scene._folder = path.parent
-    return scene
+    return parse_scene(content, text).in_folder(path.parent)
 
 
 def parse_scene(text: str, name: str) -> Scene:
@@ -119,7 +118,7 @@ def explain(error: ValidationError) -> str:
     # Keys that do not exist come first: they are often the cause of the others ("is missing").
     faults.sort(key=lambda fault: fault["type"] != "extra_forbidden")
     fault = faults[0]
-    key = _dotted(part for part in fault["loc"] if part not in ("word", "springs"))  # the two kinds of an edge
+    key = _dotted(part for part in fault["loc"] if part not in _KINDS)
     if fault["type"] == "extra_forbidden":
         line = f"{key}: unknown key{_suggestion(fault['loc'])}"
     elif fault["type"] == "missing":

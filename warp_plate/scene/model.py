@@ -41,12 +41,16 @@ class Plate(Table):
 
     @model_validator(mode="after")
     def _thin(self) -> Plate:
-        if self.thickness > min(self.size) / 5:
+        self.check_thin(self.thickness, "thickness: ")
+        return self
+
+    def check_thin(self, thickness: float, head: str = "") -> None:
+        """Raise ValueError, beginning with ``head``, where the plate is not thin at a place of this thickness [m]."""
+        if thickness > min(self.size) / 5:
             raise ValueError(
-                f"thickness: {self.thickness:g} m is not thin for a side of {min(self.size):g} m; "
+                f"{head}{thickness:g} m is not thin for a side of {min(self.size):g} m; "
                 "a Kirchhoff-Love plate is thinner than a fifth of its side (lengths are in metres)"
             )
-        return self
 
 
 class Edges(Table):
@@ -199,8 +203,8 @@ class Scene(Table):
             _check_area(f"effects.layers[{index}].area", layer.area, size)
             if layer.thickness > min(size) / 5:
                 raise ValueError(
-                    f"effects.layers[{index}].thickness: {layer.thickness:g} m is not thin; at most {min(size) / 5:g} m, "
-                    "a fifth of the shorter side"
+                    f"effects.layers[{index}].thickness: {layer.thickness:g} m is not thin; at most a fifth of the "
+                    f"plate's shorter side, {min(size) / 5:g} m"
                 )
         for index, oscillator in enumerate(self.effects.oscillators):
             _check_area(f"effects.oscillators[{index}].area", oscillator.area, size)
@@ -222,12 +226,25 @@ class Scene(Table):
     def uniform(self) -> bool:
         """Whether the plate is isotropic, the same everywhere, and clamped or supported all around."""
         words = all(edge in ("clamped", "supported") for _, edge in self.edges)
-        return words and self.effects.orthotropic is None and not self.effects.layers
+        varied = self.effects.orthotropic or self.effects.variation or self.effects.layers
+        return words and not varied
+
+    @property
+    def names_files(self) -> bool:
+        """Whether some of the scene lies in other files."""
+        variation = self.effects.variation
+        return self.drive.signal is not None or (variation is not None and any(variation.files))
 
     @property
     def folder(self) -> Path | None:
         """Where the files lie that the scene names; None: it names none, or was not read from a file."""
         return self._folder
+
+    def in_folder(self, folder: Path | None) -> Scene:
+        """The scene with the files that it names, if it names some, in a folder."""
+        made = self.model_copy()
+        made._folder = folder if self.names_files else None
+        return made
 
     def with_tables(self, **tables: Any) -> Scene:
         """The scene with some of its tables replaced, and checked again.

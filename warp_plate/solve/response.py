@@ -30,7 +30,7 @@ class Response:
     def energy(self, drives: np.ndarray) -> np.ndarray:
         """(plates, regions) energies [J] of drives (plates, actuators), as ``PlateSolver.run`` would give them."""
         z = _real_parts(drives)
-        return np.einsum("pa,rab,pb->pr", z, self.matrices, z, optimize=True)
+        return np.einsum("pa,rab,pb->pr", z, self.matrices, z)
 
     def bound(self) -> float:
         """The largest localization factor that any drive can reach."""
