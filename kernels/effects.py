@@ -11,22 +11,24 @@ class Effects:
     square_cells: equal spacing along x and y, which saves an operation in each Laplacian of second order.
     order: of the differences in space, 2 or 4.
 
-    The rest is for the general paths alone (see ``general``). moments: bending varies over the plate, or an edge is
-    free or elastic; material_damping, tension, foundation (elastic edges too), stretching, oscillators.
+    The rest is for the general paths alone (see ``general``). terms: of the load in time (see ``load``); moments:
+    bending varies over the plate, or an edge is free or elastic; material_damping, tension, foundation (elastic edges
+    too), stretching, oscillators, moving_load.
     """
 
     damping: bool = False
     square_cells: bool = True
     order: int = 2
+    terms: int = 2
     moments: bool = False
     material_damping: bool = False
     tension: bool = False
     foundation: bool = False
     stretching: bool = False
     oscillators: bool = False
+    moving_load: bool = False
 
     @property
     def plain(self) -> bool:
         """Whether the paths of the uniform plate with clamped and supported edges can take it."""
-        rest = (self.moments, self.material_damping, self.tension, self.foundation, self.stretching, self.oscillators)
-        return not any(rest)
+        return self == Effects(self.damping, self.square_cells, self.order)

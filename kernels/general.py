@@ -16,6 +16,7 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.load import make_moving_load
 from warp_plate.kernels.update import make_parameters, make_update
 
 
@@ -25,13 +26,15 @@ def make_structs(real):
 
     Material: bend_xx, bend_xy, bend_yy (ny, nx), twist (ny − 1, nx − 1): the C above; mobility: one over the mass of a
     node, zero where it is held; decay; spring: of the bed and of elastic edges; weight: share of a node's cell that is
-    on the plate; wave: (steps, 2), cos and sin ωt; holds: (oscillators, ny, nx) share of each node in an oscillator's
+    on the plate; wave: (steps, terms), see ``load``; strength (steps,), along_y (steps, ny), along_x (steps, nx): of
+    the moving load; holds: (oscillators, ny, nx) share of each node in an oscillator's
     patch; oscillators: (oscillators, 4) stiffness, damping, one over the mass, 0; aspect: (hx/hy)², and its root;
     tension_x, tension_y; retardation: in steps; stretching: tension per Σ weight · (−u ∇²u), in SI displacements.
 
-    Fields: in_phase, quadrature, u, rate, squares, mx, my, mxy, pull (plates, ny, nx); units: (plates,)
-    displacements that one stands for [m]; row_sums (plates, sums, 2, ny); tension: (plates,); hung: (plates,
-    oscillators, 2) displacement and rate of the masses; push: (plates, oscillators) on the plate.
+    Fields: loads (terms, plates, ny, nx); u, rate, squares, mx, my, mxy, pull (plates, ny, nx); units: (plates,)
+    displacements that one stands for [m]; moving: (plates,) the moving load's size; row_sums (plates, sums, 2, ny);
+    tension: (plates,); hung: (plates, oscillators, 2) displacement and rate of the masses; push: (plates, oscillators)
+    on the plate.
     """
 
     @wp.struct
@@ -45,6 +48,9 @@ def make_structs(real):
         spring: wp.array2d[real]
         weight: wp.array2d[real]
         wave: wp.array2d[real]
+        strength: wp.array[real]
+        along_x: wp.array2d[real]
+        along_y: wp.array2d[real]
         holds: wp.array3d[real]
         oscillators: wp.array2d[real]
         aspect: real
@@ -56,8 +62,7 @@ def make_structs(real):
 
     @wp.struct
     class Fields:
-        in_phase: wp.array3d[real]
-        quadrature: wp.array3d[real]
+        loads: wp.array4d[real]
         u: wp.array3d[real]
         rate: wp.array3d[real]
         squares: wp.array3d[real]
@@ -66,6 +71,7 @@ def make_structs(real):
         mxy: wp.array3d[real]
         pull: wp.array3d[real]
         units: wp.array[real]
+        moving: wp.array[real]
         row_sums: wp.array4d[real]
         tension: wp.array[real]
         hung: wp.array3d[real]
@@ -205,6 +211,7 @@ def make_move_node(effects, real):
     Parameters = make_parameters(real)
     update = make_update(effects, real)
     other_forces = make_other_forces(effects, real)
+    moving_load = make_moving_load(real)
 
     @wp.func
     def move_node(f: Fields, m: Material, window: wp.vec2i, n: int, k: int, j: int, i: int):
@@ -230,7 +237,12 @@ def make_move_node(effects, real):
             bending += m.root_aspect * (sign_high * upper + sign_low * lower)
 
             here = f.u[k, j, i]
-            load = m.wave[n, 0] * f.in_phase[k, j, i] + m.wave[n, 1] * f.quadrature[k, j, i]
+            load = real(0.0)
+            for term in range(wp.static(effects.terms)):
+                load += m.wave[n, term] * f.loads[term, k, j, i]
+            if wp.static(effects.moving_load):
+                pressed = moving_load(f.moving[k] * m.strength[n], m.along_y[n, j], m.along_x[n, i])
+                load += mobility / m.weight[j, i] * pressed
             spring = real(0.0)
             tension = real(0.0)
             pull = real(0.0)

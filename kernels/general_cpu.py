@@ -12,10 +12,12 @@ import warp as wp
 
 from warp_plate.kernels.fused import make_fused
 from warp_plate.kernels.general import make_other_forces
+from warp_plate.kernels.load import make_moving_load
 from warp_plate.kernels.update import make_parameters, make_update
 
-# Planes of a plate's own room: mx, my, mxy, ∇²u, what strains, and what oscillators press with.
-ROOM = ("mx", "my", "mxy", "pull", "strained", "pressed")
+# Planes of a plate's own room: mx, my, mxy, ∇²u, what strains, what oscillators and a moving load press with, and the
+# load where it has more than two terms.
+ROOM = ("mx", "my", "mxy", "pull", "strained", "pressed", "loaded")
 # Planes that all plates share, in this order in one array.
 SHARED = (
     "west", "east", "south", "north", "cells", "bend_xx", "bend_xy", "bend_yy", "twist",
@@ -30,10 +32,12 @@ def make_run(effects, real, ny, stride, compiler_flags):
     shared: (len(SHARED), rows, stride) planes; west ... north factors of the neighbours, those along y times (hx/hy)²;
     cells: of the cells around a node; press: mobility / weight; room: (threads, len(ROOM), rows, stride), of which the
     launch uses line ``thread``; holds: (oscillators, rows, stride); oscillators: (oscillators, 4) as in ``general``;
-    wave, window, nodes, trace: as in ``resident_cpu``; tension_x ... stretching: as in ``general``.
+    loads: (terms, plates and a spare one, rows, stride); window, nodes, trace: as in ``resident_cpu``; wave, strength,
+    along_y, along_x, moving, tension_x ... stretching: as in ``general``, along_x with padding to ``stride``.
     """
     update = make_update(effects, real)
     other_forces = make_other_forces(effects, real)
+    moving_load = make_moving_load(real)
     fused = make_fused(real)
     Parameters = make_parameters(real)
     size = wp.types.type_size_in_bytes(real)
@@ -131,11 +135,19 @@ def make_run(effects, real, ny, stride, compiler_flags):
             out[i] = a[i] * b[i]
 
     @wp.func
-    def press_with(hold_at: wp.uint64, pressed_at: wp.uint64, push: real):
-        hold = numbers(hold_at)
-        pressed = numbers(pressed_at)
+    def add_times(factor: real, plane_at: wp.uint64, sum_at: wp.uint64):
+        plane = numbers(plane_at)
+        total = numbers(sum_at)
         for i in range(wp.static(count)):
-            pressed[i] = pressed[i] + push * hold[i]
+            total[i] = total[i] + factor * plane[i]
+
+    @wp.func
+    def press_moving(strength: real, along_y: wp.array[real], along_x: wp.array[real], pressed_at: wp.uint64):
+        for row in range(wp.static(ny)):
+            if along_y[row] != real(0.0):
+                pressed = numbers(pressed_at + wp.uint64(row) * wp.uint64(wp.static(row_bytes)))
+                for i in range(wp.static(stride)):
+                    pressed[i] = pressed[i] + moving_load(strength, along_y[row], along_x[i])
 
     @wp.func
     def clear(at: wp.uint64):
@@ -146,7 +158,8 @@ def make_run(effects, real, ny, stride, compiler_flags):
     @wp.func
     def move(
         s: wp.uint64, mx_at: wp.uint64, my_at: wp.uint64, mxy_at: wp.uint64, pull_at: wp.uint64, pressed_at: wp.uint64,
-        cosine_at: wp.uint64, sine_at: wp.uint64, u_at: wp.uint64, rate_at: wp.uint64, squares_at: wp.uint64,
+        cosine_at: wp.uint64, sine_at: wp.uint64, loaded_at: wp.uint64,
+        u_at: wp.uint64, rate_at: wp.uint64, squares_at: wp.uint64,
         wave_cosine: real, wave_sine: real, summed: real, tension: real, aspect: real, root_aspect: real,
     ):
         """Rate and displacement half a step and a step later; summed: one in the window, else zero."""
@@ -166,6 +179,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
         pressed = numbers(pressed_at)
         cosine = numbers(cosine_at)
         sine = numbers(sine_at)
+        loaded = numbers(loaded_at)
         u = numbers(u_at)
         rate = numbers(rate_at)
         squares = numbers(squares_at)
@@ -178,7 +192,10 @@ def make_run(effects, real, ny, stride, compiler_flags):
             twisting = (mxy[i + wp.static(stride + 1)] - mxy[i + wp.static(stride)]) - (mxy[i + 1] - mxy[i])
             bending += cells[i] * root_aspect * twisting
             here = u[i]
-            load = wave_cosine * cosine[i] + wave_sine * sine[i]
+            if wp.static(effects.terms == 2):  # noqa: SIM108, one of the two is compiled
+                load = wave_cosine * cosine[i] + wave_sine * sine[i]
+            else:
+                load = loaded[i]
             held = real(0.0)
             pulled = real(0.0)
             if wp.static(effects.foundation):
@@ -186,7 +203,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
             if wp.static(effects.stretching):
                 pulled = pull[i]
             load = other_forces(load, mobility[i], held, here, tension, pulled)
-            if wp.static(effects.oscillators):
+            if wp.static(effects.oscillators or effects.moving_load):
                 load += press[i] * pressed[i]
             if wp.static(effects.damping):
                 p.decay = decay[i]
@@ -203,6 +220,9 @@ def make_run(effects, real, ny, stride, compiler_flags):
     def run(
         shared: wp.array3d[real],
         wave: wp.array2d[real],
+        strength: wp.array[real],
+        along_x: wp.array2d[real],
+        along_y: wp.array2d[real],
         window: wp.vec2i,
         aspect: real,
         root_aspect: real,
@@ -213,13 +233,13 @@ def make_run(effects, real, ny, stride, compiler_flags):
         oscillators: wp.array2d[real],
         holds: wp.array3d[real],
         units: wp.array[real],
+        moving: wp.array[real],
         start: int,
         stop: int,
         first: int,
         thread: int,
         nodes: wp.array2d[int],
-        in_phase: wp.array3d[real],
-        quadrature: wp.array3d[real],
+        loads: wp.array4d[real],
         room: wp.array4d[real],
         u: wp.array3d[real],
         rate: wp.array3d[real],
@@ -238,6 +258,9 @@ def make_run(effects, real, ny, stride, compiler_flags):
         pull = mxy + step
         strained = pull + step
         pressed = strained + step
+        loaded = pressed + step
+        term = wp.uint64(loads.shape[1]) * step
+        first_load = loads.ptr + plane
         u_at = u.ptr + plane
         rate_at = rate.ptr + plane
         tension = real(0.0)
@@ -253,8 +276,15 @@ def make_run(effects, real, ny, stride, compiler_flags):
                 # pressed is free until the oscillators press: it holds weight · u for a moment.
                 products(weighed, u_at, pressed)
                 tension = -stretching * units[k] * units[k] * sum_of_products(pressed, pull, strained)
-            if wp.static(effects.oscillators):
+            if wp.static(effects.oscillators or effects.moving_load):
                 clear(pressed)
+            if wp.static(effects.moving_load):
+                press_moving(moving[k] * strength[n], along_y[n], along_x[n], pressed)
+            if wp.static(effects.terms != 2):
+                clear(loaded)
+                for t in range(wp.static(effects.terms)):
+                    add_times(wave[n, t], first_load + wp.uint64(t) * term, loaded)
+            if wp.static(effects.oscillators):
                 for o in range(oscillators.shape[0]):
                     hold = holds.ptr + wp.uint64(o) * step + row
                     total = sum_of_products(hold, u_at, strained)
@@ -263,12 +293,12 @@ def make_run(effects, real, ny, stride, compiler_flags):
                     pace = hung[k, o, 1] - oscillators[o, 2] * push
                     hung[k, o, 0] = hung[k, o, 0] + pace
                     hung[k, o, 1] = pace
-                    press_with(hold, pressed, push)
+                    add_times(push, hold, pressed)
             summed = real(0.0)
             if n >= window[0] and n < window[1]:
                 summed = real(1.0)
             move(
-                shared.ptr, mx, my, mxy, pull, pressed, in_phase.ptr + plane, quadrature.ptr + plane,
+                shared.ptr, mx, my, mxy, pull, pressed, first_load, first_load + term, loaded,
                 u_at, rate_at, squares.ptr + plane, wave[n, 0], wave[n, 1], summed, tension, aspect, root_aspect,
             )
             for m in range(nodes.shape[0]):

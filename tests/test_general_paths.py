@@ -69,10 +69,29 @@ def some_effects(random, size, stretching):
             }
             for _ in range(random.integers(1, 4))
         ],
+        "moving_load": {
+            "force": 10 ** random.uniform(-4, -1),
+            "start": tuple(random.uniform(0, 1, 2) * size),
+            "velocity": tuple(random.normal(size=2) * size * 100),
+            "size": random.choice([0.0, 0.02, 0.05]),
+        },
     }
     kept = {name: table for name, table in effects.items() if random.random() < 0.5}
     kept.setdefault("foundation", {"stiffness": 1e3})
     return {**kept, "stretching": {}} if stretching else kept
+
+
+def some_drive(random, end, frequency):
+    """The tables of a drive in time, one of the carriers or none, with or without bursts and squares."""
+    drive = {"frequency": frequency}
+    if random.random() < 0.4:
+        drive["chirp"] = {"end_frequency": random.uniform(0.3, 1.5) * frequency, "duration": 0.7 * end}
+    if random.random() < 0.4:
+        drive["burst"] = {"start": 0.1 * end, "duration": 0.5 * end, "ramp": 0.1 * end}
+    if random.random() < 0.4:
+        drive["electrostatic"] = {"bias": random.choice([0.0, 2.0]), "gain": random.uniform(0.1, 2)}
+    own = random.choice([frequency, 0.7 * frequency, 2 * frequency], 3) if random.random() < 0.5 else [None] * 3
+    return drive, own
 
 
 @pytest.fixture
@@ -85,10 +104,15 @@ def mix(scene, random):
         load = ("overlap", "moments")[random.integers(2)]
         trial = scene(nodes, size, edges, actuators=areas, load=load, effects=effects)
         step = random.uniform(0.5, 0.9) * make_scheme(trial).limit
+        drive, own = some_drive(random, steps * step, random.uniform(0.005, 0.05) / step)
+        if stretching:
+            drive.pop("electrostatic", None)  # whose square would throw the plate out of all proportion
         made = scene(
             nodes, size, edges, precision=precision, window=(steps / 3 * step, steps * step), actuators=areas,
-            load=load, time_step=step, frequency=random.uniform(0.005, 0.05) / step, effects=effects,
+            load=load, time_step=step, drive=drive, effects=effects,
         )  # fmt: skip
+        actuators = zip(made.model_dump()["actuators"], own, strict=True)
+        made = made.with_tables(actuators=[{**table, "frequency": one} for table, one in actuators])
         drives = random.normal(size=(plates, 3)) + 1j * random.normal(size=(plates, 3))
         return made, drives * bending_load(made) if stretching else drives
 
@@ -134,7 +158,7 @@ def test_random_mixes(device, path, number, mix, random):
     made, drives = mix(nodes, size, precision, stretching=number % 4 == 3)
     times = np.sort(random.uniform(0, 1, 3)) * made.window.end
     points = [(0.0, 0.0), tuple(random.uniform(0, 1, 2) * size)]
-    print(made.edges, made.effects)
+    print(made.edges, made.effects, made.drive, made.actuators)
     solver = PlateSolver(made, device, path)
     reference = run_general(made, drives)
     check(solver.run(drives, times), made, reference)
@@ -142,7 +166,7 @@ def test_random_mixes(device, path, number, mix, random):
 
 
 def all_effects(made):
-    """The scene with every effect, and stretching too, on edges of four kinds."""
+    """The scene with every effect, and stretching too, on edges of four kinds, under a burst of two frequencies."""
     (x0, x1, y0, y1), size = made.actuators[0].area, made.plate.size
     effects = {
         "damping": {"viscous": 30.0},
@@ -156,11 +180,14 @@ def all_effects(made):
             {"area": (size[0] / 2, size[0], 0.0, size[1] / 2), "stiffness": 200.0},
         ],
         "stretching": {},
+        "moving_load": {"force": 0.3, "start": (x0, y0), "velocity": (20.0, 10.0), "size": 0.01},
     }
     edges = {"left": "clamped", "bottom": "supported", "right": "free", "top": {"translation": 1e4, "rotation": 0.1}}
     tables = made.model_dump(exclude_none=True)
     grid = {name: value for name, value in tables["grid"].items() if name != "time_step"}
-    return type(made).model_validate({**tables, "edges": edges, "effects": effects, "grid": grid})
+    tables["drive"]["burst"] = {"duration": made.window.end, "ramp": 1e-3}
+    tables["actuators"][1]["frequency"] = 170.0
+    return made.with_tables(**{**tables, "edges": edges, "effects": effects, "grid": grid})
 
 
 @pytest.fixture

@@ -162,7 +162,7 @@ def poison(state):
     for field in dataclasses.fields(state):
         values = getattr(state, field.name)
         numbers = isinstance(values, wp.array) and values.dtype in (wp.float32, wp.float64)
-        if numbers and field.name not in ("in_phase", "quadrature"):
+        if numbers and field.name not in ("loads", "in_phase", "quadrature"):
             values.fill_(float("nan"))
             poisoned.add(field.name)
     return poisoned

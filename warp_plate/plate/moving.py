@@ -10,6 +10,7 @@ nodes; that keeps the force and its moment.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +23,22 @@ from warp_plate.scene.model import Scene
 POINT = 1e-3
 
 
-def moving_weights(scene: Scene, time_step: float, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """wave (steps,) [N/m²], along_x (steps, nx), along_y (steps, ny); the first wave halved, as in ``signals``.
+class MovingWeights(NamedTuple):
+    """The factors above: wave (steps,) [N/m²], the first one halved as in ``signals``; along_x (steps, nx), along_y
+    (steps, ny)."""
+
+    wave: np.ndarray
+    along_x: np.ndarray
+    along_y: np.ndarray
+
+    @property
+    def largest(self) -> float:
+        """Size of the strongest wave [N/m²]."""
+        return float(np.abs(self.wave).max())
+
+
+def moving_weights(scene: Scene, time_step: float, steps: int) -> MovingWeights:
+    """The factors of a scene's moving load.
 
     While the patch is on the plate, Σ pressure·hx·hy is the force, the edges' own nodes included: what falls on a
     node that is held goes into its support. Of a patch that is partly off, the part on the plate counts.
@@ -56,7 +71,7 @@ def moving_weights(scene: Scene, time_step: float, steps: int) -> tuple[np.ndarr
     spacing = [side / (nodes - 1) for side, nodes in zip(scene.plate.size, scene.grid.nodes, strict=True)]
     wave /= spacing[0] * spacing[1]
     wave[0] /= 2
-    return wave, along[0], along[1]
+    return MovingWeights(wave, *along)
 
 
 def _strength(load: MovingLoad, times: np.ndarray, time_step: float) -> np.ndarray:

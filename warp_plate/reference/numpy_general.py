@@ -19,6 +19,7 @@ import numpy as np
 import scipy.sparse
 
 from warp_plate.plate.bending import mass_matrix, oscillator_shares, stiffness_matrix
+from warp_plate.plate.moving import moving_weights
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.signals import make_signals
 from warp_plate.plate.weights import patches, region_weights
@@ -101,12 +102,16 @@ def run_general(scene: Scene, drives: np.ndarray) -> History:
     pressed = cell * patches(scene).reshape(-1, nx * ny)
     signals = make_signals(scene, step, scheme.steps, scene.folder)
     forces = np.einsum("nt,ptk->npk", signals.wave, signals.coefficients(drives))
+    travel = np.zeros((scheme.steps, 1))
+    if scene.effects.moving_load is not None:
+        wave, along_x, along_y = moving_weights(scene, step, scheme.steps)
+        travel = cell * np.einsum("n,nj,ni->nji", wave, along_y, along_x).reshape(scheme.steps, -1)
     # Nodes by row, plates by column.
     u, v = np.zeros((nx * ny, plates)), np.zeros((nx * ny, plates))
     z, pace = np.zeros((len(m.hung), plates)), np.zeros((len(m.hung), plates))
     history, hung = np.zeros((scheme.steps + 1, nx * ny, plates)), np.zeros((scheme.steps + 1, len(m.hung), plates))
     for n in range(scheme.steps):
-        force = pressed.T @ forces[n].T - m.bending @ (u + m.retardation * v) - m.other @ u
+        force = pressed.T @ forces[n].T + travel[n][:, None] - m.bending @ (u + m.retardation * v) - m.other @ u
         push = m.springs[:, None] * (z - m.shares @ u) + m.dampers[:, None] * (pace - m.shares @ v)
         force += m.shares.T @ push - m.berger * np.einsum("kp,kp->p", u, m.slopes @ u) * (m.slopes @ u)
         v = next_rate(m, v, force, step, scheme.backward)

@@ -46,17 +46,18 @@ def make_engine(specialized: Specialized, path: str = "auto") -> Engine:
     return Engine(specialized, path, paths_of(device, specialized.effects.plain)[path](specialized), *kernels)
 
 
-def load_drives(engine: Engine, state: State, drives: np.ndarray) -> None:
-    """Turn phasors (plates, actuators) into the load fields of the first plates; the others stay as they are."""
+def load_drives(engine: Engine, state: State, coefficients: np.ndarray) -> None:
+    """Turn coefficients (plates, terms, actuators) into load fields of the first plates; the others stay."""
     specialized = engine.specialized
-    parts = np.zeros(state.drives.shape, dtype=specialized.scene.grid.precision)
-    parts[: len(drives)] = np.stack([drives.real, -drives.imag], axis=1)
-    state.drives.assign(parts)
+    plates, terms, _ = coefficients.shape
+    parts = np.zeros(state.coefficients.shape, dtype=specialized.scene.grid.precision)
+    parts[:plates] = coefficients
+    state.coefficients.assign(parts)
     wp.launch(
         engine.spread_drives,
-        dim=(len(drives), specialized.support.shape[0]),
-        inputs=[state.drives, specialized.support, specialized.patches],
-        outputs=[state.in_phase, state.quadrature],
+        dim=(plates, terms, specialized.support.shape[0]),
+        inputs=[state.coefficients, specialized.support, specialized.patches],
+        outputs=[state.loads],
         device=specialized.device,
     )
 

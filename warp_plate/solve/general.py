@@ -56,6 +56,8 @@ def material_of(specialized: Specialized) -> Any:
     for name, values in arrays.items():
         setattr(material, name, specialized.to_device(values))
     material.wave = specialized.wave
+    strength, along_x, along_y = _travel(specialized)
+    material.strength, material.along_x, material.along_y = map(specialized.to_device, (strength, along_x, along_y))
     material.aspect = scheme.aspect
     material.root_aspect = hx / hy
     material.tension_x, material.tension_y = (pull * unit / hx**2 for pull in bending.tension)
@@ -64,6 +66,14 @@ def material_of(specialized: Specialized) -> Any:
     slope = 6 * scheme.rigidity / (scene.plate.thickness**2 * area) * (hy / hx)
     material.stretching = slope * unit / hx**2
     return material
+
+
+def _travel(specialized: Specialized) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Strength (steps,) as a part of its largest, and shares along x and y, of a load that moves."""
+    moving = specialized.moving
+    if moving is None:
+        return np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1))
+    return moving.wave / moving.largest, moving.along_x, moving.along_y
 
 
 class Rooms:
@@ -81,7 +91,7 @@ class Rooms:
         if start == 0:
             self._fields.hung.zero_()
             self._fields.push.zero_()
-        self._fields.units = state.units
+        self._fields.units, self._fields.moving = state.units, state.moving
         return self._fields
 
     def _make(self, state: State) -> Any:
@@ -94,7 +104,8 @@ class Rooms:
             return wp.zeros((state.capacity, *shape), dtype=real, device=device)
 
         fields = make_structs(real)[1]()
-        for name in ("in_phase", "quadrature", "u", "rate", "squares"):
+        fields.loads = state.loads[:, :, 1 : ny + 1, :nx]
+        for name in ("u", "rate", "squares"):
             setattr(fields, name, getattr(state, name)[:, 1 : ny + 1, :nx])
         fields.mx, fields.my, fields.mxy = (zeros(ny, nx) for _ in range(3))
         fields.pull = zeros(ny, nx) if effects.stretching else zeros(1, 1)
@@ -158,7 +169,11 @@ def _threads(specialized: Specialized) -> Advance:
     material, hanging = material_of(specialized), len(specialized.scene.effects.oscillators)
     numbers = [material.aspect, material.root_aspect, material.tension_x, material.tension_y]
     numbers += [material.retardation, material.stretching]
-    shared = [_planes(specialized, material), specialized.wave, wp.vec2i(*specialized.scheme.window), *numbers]
+    strength, along_x, along_y = _travel(specialized)
+    along_x = np.pad(along_x, ((0, 0), (0, stride - along_x.shape[1])))
+    travel = map(specialized.to_device, (strength, along_x, along_y))
+    shared: list[Any] = [_planes(specialized, material), specialized.wave, *travel]
+    shared += [wp.vec2i(*specialized.scheme.window), *numbers]
     holds = np.array([_padded(specialized, one) for one in material.holds.numpy()]).reshape(-1, rows, stride)
     shared += [material.oscillators, specialized.to_device(holds)]
     # A pass reads a node beyond the last row of its plane.
@@ -171,7 +186,7 @@ def _threads(specialized: Specialized) -> Advance:
             hung = wp.zeros((state.capacity, hanging, 2), dtype=real, device=device)
 
         def share(thread: int, first: int, last: int) -> Callable[[], None]:
-            inputs = [*shared, state.units, start, stop, first, thread, state.nodes, state.in_phase, state.quadrature]
+            inputs = [*shared, state.units, state.moving, start, stop, first, thread, state.nodes, state.loads]
             outputs = [room, state.u, state.rate, state.squares, hung, state.trace]
             return lambda: wp.launch(kernel, dim=last - first, inputs=inputs, outputs=outputs, device=device)
 

@@ -112,8 +112,9 @@ class PlateSolver:
         """Simulate one plate a drive from rest to the end of the window.
 
         Args:
-            drives: (plates, actuators) complex phasors Z [N/m²], the load being Re(Z exp(iωt)) on each patch; or a
-                tuple (magnitude, phase) of such arrays, Z = magnitude · exp(−i phase).
+            drives: (plates, actuators) complex phasors Z [N/m²], the load being Re(Z exp(iωt)) on each patch, or what
+                the scene's drive makes of Z (see ``plate.signals``); or a tuple (magnitude, phase) of such arrays, Z =
+                magnitude · exp(−i phase).
             times: at which to keep the displacement [s].
             points: (x, y) [m] at which to keep the displacement of every step (bilinear between nodes).
             progress: called with (node-steps done, node-steps in all) between launches.
@@ -191,18 +192,23 @@ class PlateSolver:
         return max(1, min(plates, most))
 
     def _start(self, phasors: np.ndarray, capacity: int, nodes: wp.array) -> tuple[State, np.ndarray]:
-        """Plates at rest under their loads, and (plates,) the drive [N/m²] that each is scaled by."""
+        """Plates at rest under their loads, and (plates,) the pressure [N/m²] that each is scaled by."""
         state = self._state
         if state is None or state.capacity < capacity or nodes.shape[0] or state.nodes.shape[0]:
             self._state = None  # frees the old room before the new one is taken
             state = self._state = make_state(self.specialized, capacity, nodes)
-        scale: np.ndarray = np.abs(phasors).max(axis=1)
-        with np.errstate(invalid="ignore"):  # a drive that is not finite harms its own plate alone
-            load_drives(self.engine, state, phasors / np.where(scale > 0, scale, 1)[:, None])
-        units = np.zeros(state.capacity)
-        units[: len(scale)] = scale * self.specialized.scheme.load_scale
-        with np.errstate(over="ignore", invalid="ignore"):
-            state.units.assign(units.astype(self.scene.grid.precision))
+        specialized, precision = self.specialized, self.scene.grid.precision
+        coefficients = specialized.signals.coefficients(phasors)
+        travelling = specialized.moving.largest if specialized.moving else 0.0
+        scale: np.ndarray = np.maximum(np.abs(coefficients).max(axis=(1, 2)), travelling)
+        divisor = np.where(scale > 0, scale, 1)
+        units, moving = np.zeros(state.capacity), np.zeros(state.capacity)
+        with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite harms its own plate alone
+            load_drives(self.engine, state, coefficients / divisor[:, None, None])
+            units[: len(scale)] = scale * specialized.scheme.load_scale
+            moving[: len(scale)] = travelling / divisor
+            state.units.assign(units.astype(precision))
+            state.moving.assign(moving.astype(precision))
         state.clear()
         return state, scale
 

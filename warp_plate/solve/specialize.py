@@ -10,7 +10,8 @@ import warp as wp
 
 from warp_plate.kernels.effects import Effects
 from warp_plate.kernels.update import make_parameters
-from warp_plate.plate.scheme import Scheme, make_scheme
+from warp_plate.plate.moving import MovingWeights, moving_weights
+from warp_plate.plate.scheme import Scheme, make_scheme, needs_moments
 from warp_plate.plate.signals import Signals, make_signals
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.scene.model import Scene
@@ -26,7 +27,8 @@ class Specialized:
 
     real: wp.float32 or wp.float64; rows = ny + 2; stride: columns with padding; threads: of the CPU to use.
     support: (covered nodes, 2), patches: (actuators, covered nodes), weights: (regions, rows, stride),
-    wave: (steps, terms), all on the device; signals: what drives do in time; parameters: the kernels' struct.
+    wave: (steps, terms), all on the device; signals, moving: what drives and a moving load do in time; parameters:
+    the kernels' struct.
     """
 
     scene: Scene
@@ -42,6 +44,7 @@ class Specialized:
     patches: wp.array
     weights: wp.array
     signals: Signals
+    moving: MovingWeights | None
     wave: wp.array
 
     @property
@@ -80,6 +83,7 @@ def effect_names(scene: Scene) -> tuple[str, ...]:
         "foundation": scene.effects.foundation,
         "oscillators": scene.effects.oscillators,
         "stretching": scene.effects.stretching,
+        "moving load": scene.effects.moving_load,
     }
     return tuple(name for name, table in named.items() if table)
 
@@ -94,8 +98,9 @@ def general_effects(scene: Scene) -> dict[str, bool]:
         "foundation": effects.foundation is not None or elastic,
         "stretching": effects.stretching is not None,
         "oscillators": bool(effects.oscillators),
+        "moving_load": effects.moving_load is not None,
     }
-    return {"moments": not scene.uniform or any(found.values()), **found}
+    return {"moments": needs_moments(scene), **found}
 
 
 def specialize(scene: Scene, device: wp.Device, threads: int | None = None) -> Specialized:
@@ -133,6 +138,7 @@ def specialize(scene: Scene, device: wp.Device, threads: int | None = None) -> S
             damping=scene.effects.damping is not None or scheme.viscous > 0,
             square_cells=scheme.square_cells or scheme.order == 4,
             order=scheme.order,
+            terms=signals.terms,
             **general_effects(scene),
         ),
         real=real,
@@ -145,5 +151,6 @@ def specialize(scene: Scene, device: wp.Device, threads: int | None = None) -> S
         patches=wp.array(fields[:, support[:, 0], support[:, 1]].astype(dtype), dtype=real, device=device),
         weights=wp.array(weights, dtype=wp.float64, device=device),
         signals=signals,
+        moving=moving_weights(scene, scheme.time_step, scheme.steps) if scene.effects.moving_load else None,
         wave=wp.array(signals.wave.astype(dtype), dtype=real, device=device),
     )

@@ -10,8 +10,8 @@ import warp as wp
 
 from warp_plate.solve.specialize import Specialized
 
-# in_phase, quadrature, u, rate, squares, u_next, rate_next
-FIELDS = 7
+# u, rate, squares, u_next, rate_next; and a load for each term
+FIELDS = 5
 # And of the general paths: mx, my, mxy, ∇²u
 GENERAL_FIELDS = 4
 
@@ -21,14 +21,16 @@ class State:
     """Room for ``capacity`` plates; fields are (capacity, rows, stride) and hold zeros outside the plate.
 
     u_next, rate_next: the buffers that take turns with u and rate on the streaming paths; the resident path on CPU
-    and the plain streaming path keep the curvature in u_next. units: (capacity,) displacement that one stands for [m];
+    and the plain streaming path keep the curvature in u_next. coefficients: (capacity, terms, actuators), and loads:
+    (terms, capacity, rows, stride), see ``kernels.load``; in_phase and quadrature are the first two loads. units:
+    (capacity,) displacement that one stands for [m]; moving: (capacity,) the moving load's size in units of pressure;
     nodes: (traced nodes, 2), row of the tensor and column; inner_nodes: the same with the row of the plate; trace:
-    (capacity, traced nodes,
-    steps).
+    (capacity, traced nodes, steps).
     """
 
     capacity: int
-    drives: wp.array
+    coefficients: wp.array
+    loads: wp.array
     in_phase: wp.array
     quadrature: wp.array
     u: wp.array
@@ -37,6 +39,7 @@ class State:
     u_next: wp.array
     rate_next: wp.array
     units: wp.array
+    moving: wp.array
     nodes: wp.array
     inner_nodes: wp.array
     trace: wp.array
@@ -58,7 +61,7 @@ def bytes_per_plate(specialized: Specialized, traced_nodes: int) -> int:
     """Device memory that one plate takes."""
     itemsize = wp.types.type_size_in_bytes(specialized.real)
     regions, rows, stride = specialized.weights.shape
-    count = FIELDS if specialized.effects.plain else FIELDS + GENERAL_FIELDS
+    count = FIELDS + specialized.effects.terms + (0 if specialized.effects.plain else GENERAL_FIELDS)
     fields = count * rows * stride + traced_nodes * specialized.scheme.steps
     return fields * itemsize + 8 * regions * (stride + 1)
 
@@ -67,25 +70,29 @@ def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> Stat
     """Zeroed room for ``capacity`` plates on the device."""
     device, real = specialized.device, specialized.real
     regions = specialized.weights.shape[0]
-    actuators = specialized.patches.shape[0]
+    terms, actuators = specialized.effects.terms, specialized.patches.shape[0]
 
     # The general passes on CPU read a number beyond the last plate; it must be zero.
     spare = 0 if specialized.effects.plain else 1
 
-    def field() -> wp.array:
-        return wp.zeros((capacity + spare, specialized.rows, specialized.stride), dtype=real, device=device)
+    def field(*more: int) -> wp.array:
+        return wp.zeros((*more, capacity + spare, specialized.rows, specialized.stride), dtype=real, device=device)
+
+    loads = field(terms)
 
     return State(
         capacity=capacity,
-        drives=wp.zeros((capacity, 2, actuators), dtype=real, device=device),
-        in_phase=field(),
-        quadrature=field(),
+        coefficients=wp.zeros((capacity, terms, actuators), dtype=real, device=device),
+        loads=loads,
+        in_phase=loads[0],
+        quadrature=loads[1],
         u=field(),
         rate=field(),
         squares=field(),
         u_next=field(),
         rate_next=field(),
         units=wp.zeros(capacity, dtype=real, device=device),
+        moving=wp.zeros(capacity, dtype=real, device=device),
         nodes=nodes,
         inner_nodes=wp.array(nodes.numpy() - np.array([1, 0], np.int32), dtype=int, device=device),
         trace=wp.zeros((capacity, nodes.shape[0], specialized.scheme.steps), dtype=real, device=device),
