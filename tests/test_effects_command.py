@@ -13,8 +13,9 @@ from warp_plate.plate.modes import natural_modes
 from warp_plate.scene.effects import Effects
 from warp_plate.scene.load import dump_scene
 from warp_plate.search import influence
-from warp_plate.search.influence import bare_scene, is_on, switches
+from warp_plate.search.influence import switches
 from warp_plate.search.simulate import scene_drive
+from warp_plate.search.typical import DRIVES, bare_scene, is_on
 from warp_plate.search.warnings import exceeded, warnings
 from warp_plate.solve.specialize import effect_names
 
@@ -71,8 +72,9 @@ def test_json(command, panel):
     assert (status, err) == (0, "")
     answer = json.loads(out)
     effects = {row["name"]: row for row in answer["effects"]}
-    assert list(effects) == ["edges", *Effects.model_fields]
+    assert list(effects) == ["edges", *Effects.model_fields, "own_frequencies", *DRIVES]
     assert {name for name, row in effects.items() if row["on"]} == {"damping", "stretching"}
+    assert effects.pop("signal")["switched"] == "no typical value is known"
     assert all(math.isfinite(row["price"]) for row in effects.values())
     assert answer["bare_step_seconds"] > 0
     assert len(answer["numbers"]) == 5
@@ -134,11 +136,13 @@ def test_a_step_too_long_for_the_other_state_is_replaced(scene):
 
 def test_the_bare_plate_is_plain(scene):
     made = scene(edges=("free", "supported", {"rotation": 1.0}, "clamped"), damping=3.0)
+    made = made.with_tables(drive={"frequency": 290.0, "burst": {"duration": 0.01}, "electrostatic": {"gain": 1.0}})
     bare = bare_scene(made)
     assert effect_names(bare) == ()
     assert (bare.edges.left, bare.edges.bottom, bare.edges.right) == ("clamped", "supported", "clamped")
-    assert is_on(made, "edges")
-    assert not is_on(bare, "edges")
+    for name in ("edges", "burst", "electrostatic"):
+        assert is_on(made, name)
+        assert not is_on(bare, name)
 
 
 def test_displacement_against_thickness(scene):

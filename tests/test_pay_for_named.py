@@ -22,6 +22,7 @@ TRACES = {
     "foundation": "spring",
     "stretching": "stretching",
     "oscillators": "holds",
+    "moving_load": "strength",
     "damping": "decay",
 }
 

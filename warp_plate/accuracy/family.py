@@ -7,14 +7,11 @@ from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
 import numpy as np
-from pydantic import ValidationError
 
 from warp_plate.plate.limit import find_limit, needs_moments
 from warp_plate.plate.operator import FEWEST_NODES
 from warp_plate.plate.scheme import SAFETY, STEPS_A_PERIOD
 from warp_plate.plate.signals import highest_frequency
-from warp_plate.scene.errors import SceneError
-from warp_plate.scene.load import explain
 from warp_plate.scene.model import Scene
 
 Order = Literal[2, 4]
@@ -66,10 +63,7 @@ def scene_with(scene: Scene, configuration: Configuration) -> Scene:
     effects = scene.effects
     if damping is not None:
         effects = effects.model_copy(update={"damping": damping.model_copy(update={"scheme": "centred"})})
-    try:
-        return scene.with_tables(effects=effects.model_dump(), grid=asdict(configuration))
-    except ValidationError as error:
-        raise SceneError(explain(error)) from None
+    return scene.with_tables(effects=effects.model_dump(), grid=asdict(configuration))
 
 
 def highest_order(scene: Scene) -> Order:

@@ -129,7 +129,7 @@ def _print(result: Result, console: Console) -> None:
         made.add_row(*row, *([f"{published[name]:.4f}" if name in published else ""] if published else []))
     console.print(made)
     console.print()
-    console.print(output.drive_table(result.cases["best"], [actuator.name for actuator in result.scene.actuators]))
+    console.print(output.drive_table(result.cases["best"], result.scene))
     console.print()
     if result.interrupted:
         console.print("Interrupted by Ctrl-C: the best so far is shown.")

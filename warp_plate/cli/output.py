@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -54,11 +54,12 @@ def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int, str], 
         yield lambda done, total, note: progress.update(task, completed=done, total=total, note=note)
 
 
-def drive_table(case: Case, names: Sequence[str]) -> Table:
+def drive_table(case: Case, scene: Scene) -> Table:
     """A drive as the source paper's Table 1 gives it."""
-    made = table("actuator", "magnitude (N/m²)", "phase (rad)", "phase / π", title="Drive found")
-    for name, magnitude, phase in zip(names, case.magnitude, case.phase, strict=True):
-        made.add_row(name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}")
+    unit = "N/m²" if scene.drive.electrostatic is None else "V"
+    made = table("actuator", f"magnitude ({unit})", "phase (rad)", "phase / π", title="Drive found")
+    for actuator, magnitude, phase in zip(scene.actuators, case.magnitude, case.phase, strict=True):
+        made.add_row(actuator.name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}")
     return made
 
 

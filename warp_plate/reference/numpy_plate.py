@@ -86,20 +86,24 @@ def run_plate(
     backward: bool,
     patches: np.ndarray,
     drives: np.ndarray,
+    carrier: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacements (plates, steps + 1, ny, nx) [m] and mean squared velocity (plates, ny, nx) [m²/s²].
 
-    drives: (plates, actuators) complex phasors [N/m²]; patches: (actuators, ny, nx); viscous: c [N·s/m³].
+    drives: (plates, actuators) complex phasors [N/m²]; patches: (actuators, ny, nx); viscous: c [N·s/m³];
+    carrier: (steps,) complex, left out: exp(iωt).
     The two-step form: (ρH/Δt²)(u⁺ − 2u + u⁻) + c·(rate) + D∇⁴u = f, the rate from u⁺ − u⁻ (centred) or u − u⁻.
     """
     (nx, ny), dt = scheme.nodes, scheme.time_step
     history = np.zeros((drives.shape[0], scheme.steps + 1, ny, nx))
+    if carrier is None:
+        carrier = np.exp(1j * scheme.angular_frequency * dt * np.arange(scheme.steps))
     load = np.einsum("pk,kyx->pyx", drives, patches)
     loss = viscous * dt / scheme.surface_density
     before = np.zeros((drives.shape[0], ny, nx))
     for n in range(scheme.steps):
         u = history[:, n]
-        f = (load * np.exp(1j * scheme.angular_frequency * dt * n)).real[:, 1:-1, 1:-1]
+        f = (load * carrier[n]).real[:, 1:-1, 1:-1]
         if n == 0:
             f = f / 2  # u(−Δt) = u(Δt) for a plate at rest, while the first step below takes u(−Δt) = 0
         if scheme.order == 2:

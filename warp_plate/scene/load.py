@@ -67,11 +67,23 @@ def parse_scene(text: str, name: str) -> Scene:
         SceneError: not TOML, or a key that is unknown or wrong.
     """
     try:
-        return Scene.model_validate(tomllib.loads(text))
+        return checked_scene(tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"{name}: not TOML: {error}") from None
+    except SceneError as error:
+        raise SceneError(f"{name}: {error}") from None
+
+
+def checked_scene(tables: dict[str, Any]) -> Scene:
+    """The scene of tables by their names.
+
+    Raises:
+        SceneError: a key is unknown or wrong.
+    """
+    try:
+        return Scene.model_validate(tables)
     except ValidationError as error:
-        raise SceneError(f"{name}: {explain(error)}") from None
+        raise SceneError(explain(error)) from None
 
 
 def with_accuracy(scene: Scene, accuracy: float) -> Scene:

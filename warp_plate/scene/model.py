@@ -219,9 +219,11 @@ class Scene(Table):
         """The scene with some of its tables replaced, and checked again.
 
         Raises:
-            ValidationError: they do not fit together.
+            SceneError: they do not fit together.
         """
-        made = Scene.model_validate({**self.model_dump(), **tables})
+        from warp_plate.scene.load import checked_scene
+
+        made = checked_scene({**self.model_dump(), **tables})
         made._folder = self._folder
         return made
 

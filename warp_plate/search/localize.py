@@ -18,7 +18,7 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.result.model import Case, Result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
-from warp_plate.search.objective import drives_of, loss
+from warp_plate.search.objective import drives_of, loss, unit_of_drives
 from warp_plate.search.pso import Swarm, SwarmSettings, optimize
 from warp_plate.solve.response import measure_response
 from warp_plate.solve.solver import PlateSolver, Run
@@ -69,10 +69,10 @@ def localize(
     response = measure_response(exact) if scene.linear else None
     matrices = response if evaluator == "response" else None
     energies: Energies = matrices.energy if matrices is not None else lambda drives: solver.run(drives).energy
-    drives = reference_drives(len(scene.actuators), energies)
+    drives = reference_drives(scene, energies)
     swarm, interrupted = _search(scene, seed, energies, told)
     found = swarm.result.xbest if swarm is not None else None
-    drives["best"] = drives["single"] if found is None else drives_of(found[None])[0]
+    drives["best"] = drives["single"] if found is None else unit_of_drives(scene) * drives_of(found[None])[0]
     run = solver.run(np.array(list(drives.values())), record_times(scene), scene.record.points)
     seconds |= {"compile": compile_seconds, "solve": time.perf_counter() - started}
     if estimate:
@@ -142,11 +142,11 @@ def estimated(
     return {"estimate": {"cases": list(drives), **found.as_json(), "line": found.line()}}
 
 
-def reference_drives(actuators: int, energies: Energies) -> dict[str, np.ndarray]:
+def reference_drives(scene: Scene, energies: Energies) -> dict[str, np.ndarray]:
     """The drives that the search is compared with: all actuators alike, and the best single one."""
-    singles = np.eye(actuators, dtype=complex)
+    singles = unit_of_drives(scene) * np.eye(len(scene.actuators), dtype=complex)
     best = int(np.argmax(np.nan_to_num(localization_factor(energies(singles)), nan=-1.0)))
-    return {"equal": np.ones(actuators, dtype=complex), "single": singles[best]}
+    return {"equal": singles.sum(axis=0), "single": singles[best]}
 
 
 def record_times(scene: Scene) -> tuple[float, ...]:
@@ -214,7 +214,7 @@ def _search(
             told(swarm.iterations, search.iterations, 1 - swarm.result.fbest)
 
     try:
-        optimize(swarm, lambda positions: loss(energies(drives_of(positions))), after)
+        optimize(swarm, lambda positions: loss(energies(unit_of_drives(scene) * drives_of(positions))), after)
     except KeyboardInterrupt:
         return swarm, True
     return swarm, False

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from warp_plate.plate.weights import localization_factor
+from warp_plate.scene.model import Scene
 
 
 def drives_of(positions: np.ndarray) -> np.ndarray:
@@ -17,6 +18,15 @@ def drives_of(positions: np.ndarray) -> np.ndarray:
     magnitude, phase = np.split(np.asarray(positions, dtype=float), 2, axis=1)
     first = np.ones((len(magnitude), 1), dtype=complex)
     return np.concatenate([first, magnitude * np.exp(-1j * phase)], axis=1)
+
+
+def unit_of_drives(scene: Scene) -> float:
+    """What a magnitude of one in the search stands for: the largest magnitude that the scene's actuators have.
+
+    Where displacements are linear in the drives a common factor changes no localization factor, and it is one.
+    """
+    largest = max(abs(actuator.magnitude) for actuator in scene.actuators)
+    return 1.0 if scene.linear or largest == 0 else largest
 
 
 def loss(energy: np.ndarray) -> np.ndarray:

@@ -20,6 +20,7 @@ from warp_plate.search.localize import (
     resolve,
     versions,
 )
+from warp_plate.search.objective import unit_of_drives
 from warp_plate.solve.solver import PlateSolver, Progress, as_phasors
 
 
@@ -55,9 +56,9 @@ def simulate(
     elif drive == "scene":
         phasors = scene_drive(scene)
     elif drive == "equal":
-        phasors = np.ones(len(scene.actuators), dtype=complex)
+        phasors = np.full(len(scene.actuators), unit_of_drives(scene), dtype=complex)
     else:
-        phasors = reference_drives(len(scene.actuators), lambda drives: solver.run(drives).energy)[drive]
+        phasors = reference_drives(scene, lambda drives: solver.run(drives).energy)[drive]
     run = solver.run(phasors[None], record_times(scene), scene.record.points, progress)
     seconds |= {"compile": solver.compile_seconds, "solve": time.perf_counter() - started}
     drives = {"drive": phasors}

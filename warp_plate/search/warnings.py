@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.model import Scene
-from warp_plate.search.influence import film, rigidity
+from warp_plate.search.typical import film, rigidity
 
 # Peak displacement over thickness. Berger's equation for a supported square, of displacement a sin sin, has the extra
 # stiffness 1.5 (a/H)² of the linear one, and so the frequency 1 + 0.56 (a/H)² (Berger 1955, Wah 1963): 2 % at 0.2.
@@ -55,10 +56,10 @@ def exceeded(scene: Scene, peak_displacement: float) -> list[str]:
 
 
 def wavelengths(scene: Scene) -> tuple[float, float]:
-    """Lengths [m] of straight bending waves along x and y at the drive's frequency, in the plate without layers."""
+    """Lengths [m] of straight bending waves along x and y at the highest frequency, in the plate without layers."""
     stiff, own = rigidity(scene), scene.effects.orthotropic
     along = (own.Dx, own.Dy) if own else (stiff, stiff)
-    inertia = scene.plate.density * scene.plate.thickness * scene.drive_angular_frequency**2
+    inertia = scene.plate.density * scene.plate.thickness * (2 * math.pi * highest_frequency(scene)) ** 2
     x, y = (2 * math.pi * (one / inertia) ** 0.25 for one in along)
     return x, y
 
@@ -93,7 +94,7 @@ def _amplitude(scene: Scene, peak: float) -> Finding:
 def _thinness(scene: Scene) -> Finding:
     value = min(wavelengths(scene)) / scene.plate.thickness
     low = value < FEWEST_THICKNESSES
-    sentence = f"A bending wave of the drive's frequency is {value:.3g} thicknesses long (threshold "
+    sentence = f"A bending wave of the drive's highest frequency is {value:.3g} thicknesses long (threshold "
     sentence += f"{FEWEST_THICKNESSES:g}): "
     sentence += "rotary inertia and shear, which this program leaves out, matter." if low else "the plate is thin."
     return Finding("wavelength / thickness", value, FEWEST_THICKNESSES, sentence, low)
@@ -104,7 +105,8 @@ def _points(scene: Scene) -> Finding:
     value = min(wave * (nodes - 1) / side for wave, side, nodes in pairs)
     fewest = FEWEST_POINTS[scene.grid.order]
     low = value < fewest
-    sentence = f"The grid has {value:.3g} points a bending wavelength of the drive's frequency (threshold {fewest:g}): "
+    sentence = f"The grid has {value:.3g} points a bending wavelength of the drive's highest frequency (threshold "
+    sentence += f"{fewest:g}): "
     sentence += "take more nodes, or ask for an accuracy." if low else "it is fine enough."
     return Finding("points a wavelength", value, fewest, sentence, low)
 

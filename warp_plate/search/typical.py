@@ -1,0 +1,191 @@
+"""What can be switched in a scene: each effect, left out or with a typical value, and what a bare plate is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from warp_plate.plate.signals import own_frequencies
+from warp_plate.scene.drive import Burst, Chirp, Drive, Electrostatic, MovingLoad
+from warp_plate.scene.effects import (
+    Damping,
+    Effects,
+    Foundation,
+    Layer,
+    MaterialDamping,
+    Orthotropic,
+    Oscillator,
+    Stretching,
+    Tension,
+)
+from warp_plate.scene.model import Edges, ElasticEdge, Scene
+
+# Of both kinds of damping, at the drive's frequency: that of plastics and of glued joints is of this order.
+LOSS_FACTOR = 0.02
+# A film that is glued on as an actuator (polyvinylidene fluoride): m, Pa, kg/m³.
+FILM_THICKNESS, FILM_MODULUS, FILM_DENSITY = 110e-6, 2.5e9, 1780.0
+# The tables of the drive; and what a frequency becomes that is to be another one.
+DRIVES = ("burst", "chirp", "signal", "electrostatic")
+OTHER_FREQUENCY = 0.9
+
+Change = Callable[[Scene], tuple[Scene, str]]
+
+
+def names() -> list[str]:
+    """Of all that can be switched."""
+    return ["edges", *Effects.model_fields, "own_frequencies", *DRIVES]
+
+
+def is_on(scene: Scene, name: str) -> bool:
+    """Whether a scene names an effect or a table of its drive; "edges" are one where a side is free or on springs."""
+    if name == "edges":
+        return any(edge not in ("clamped", "supported") for _, edge in scene.edges)
+    if name == "own_frequencies":
+        return len(own_frequencies(scene)) > 1
+    value = getattr(scene.drive if name in DRIVES else scene.effects, name)
+    return value is not None and value != ()
+
+
+def bare_scene(scene: Scene) -> Scene:
+    """The scene's plate under a tone on its grid, with clamped or supported edges and no effect, at its own step."""
+    tables = {"effects": Effects(), "drive": Drive(frequency=scene.drive.frequency)}
+    tables["grid"] = scene.grid.model_copy(update={"time_step": None})
+    return _of_one_frequency(_clamped(scene)).model_copy(update=tables)
+
+
+def without(name: str) -> Change:
+    """Leaves an effect out."""
+    if name == "edges":
+        return lambda scene: (_clamped(scene), "its free and springy edges clamped")
+    if name == "own_frequencies":
+        return lambda scene: (_of_one_frequency(scene), "all of the drive's frequency")
+    empty = None if name in DRIVES else Effects.model_fields[name].default
+    return lambda scene: (with_value(scene, name, empty), "left out")
+
+
+def with_value(scene: Scene, name: str, value: object) -> Scene:
+    """With another value of an effect or of a table of the drive, which is not checked."""
+    if name in DRIVES:
+        return scene.model_copy(update={"drive": scene.drive.model_copy(update={name: value})})
+    return scene.model_copy(update={"effects": scene.effects.model_copy(update={name: value})})
+
+
+def _of_one_frequency(scene: Scene) -> Scene:
+    actuators = tuple(one.model_copy(update={"frequency": None}) for one in scene.actuators)
+    return scene.model_copy(update={"actuators": actuators})
+
+
+def _clamped(scene: Scene) -> Scene:
+    held = {side: edge if edge in ("clamped", "supported") else "clamped" for side, edge in scene.edges}
+    return scene.model_copy(update={"edges": Edges.model_validate(held)})
+
+
+def rigidity(scene: Scene) -> float:
+    """EH³/12(1 − ν²) [N·m] of the plate as such."""
+    plate = scene.plate
+    return plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
+
+
+def _springs(scene: Scene) -> tuple[Scene, str]:
+    side, stiff = min(scene.plate.size), rigidity(scene)
+    edge = ElasticEdge(translation=1000 * stiff / side**3, rotation=10 * stiff / side)
+    edges = Edges(left=edge, bottom=edge, right=edge, top=edge)
+    text = f"all edges on springs of {edge.translation:.2g} N/m² and {edge.rotation:.2g} N"
+    return scene.model_copy(update={"edges": edges}), text + " (1000 D/L³ and 10 D/L)"
+
+
+def _damping(scene: Scene) -> tuple[Scene, str]:
+    viscous = LOSS_FACTOR * scene.drive_angular_frequency * scene.plate.density * scene.plate.thickness
+    return with_value(scene, "damping", Damping(viscous=viscous)), f"{viscous:.2g} N·s/m³ (loss factor {LOSS_FACTOR:g})"
+
+
+def _material_damping(scene: Scene) -> tuple[Scene, str]:
+    retardation = LOSS_FACTOR / scene.drive_angular_frequency
+    text = f"{retardation:.2g} s (loss factor {LOSS_FACTOR:g} at the drive's frequency)"
+    return with_value(scene, "material_damping", MaterialDamping(time=retardation)), text
+
+
+def _tension(scene: Scene) -> tuple[Scene, str]:
+    pull = 0.1 * math.pi**2 * rigidity(scene) / min(scene.plate.size) ** 2
+    text = f"{pull:.2g} N/m along x and y (a tenth of π²D/L², which would buckle a supported strip if it pressed)"
+    return with_value(scene, "tension", Tension(x=pull, y=pull)), text
+
+
+def _foundation(scene: Scene) -> tuple[Scene, str]:
+    return with_value(scene, "foundation", Foundation(stiffness=1e7)), "1e7 N/m³ (10 mm of foam of 0.1 MPa)"
+
+
+def _orthotropic(scene: Scene) -> tuple[Scene, str]:
+    stiff, ratio = rigidity(scene), scene.plate.poisson_ratio
+    table = Orthotropic(Dx=1.1 * stiff, Dy=stiff, D1=ratio * stiff, Dxy=(1 - ratio) / 2 * stiff)
+    return with_value(scene, "orthotropic", table), "Dx a tenth above the isotropic plate's"
+
+
+def film(scene: Scene) -> tuple[Layer, ...]:
+    """A piezoelectric film on one face under each actuator."""
+    return tuple(
+        Layer(area=one.area, thickness=FILM_THICKNESS, young_modulus=FILM_MODULUS, density=FILM_DENSITY)
+        for one in scene.actuators
+    )
+
+
+def _layers(scene: Scene) -> tuple[Scene, str]:
+    text = "a piezoelectric film of 110 µm, 2.5 GPa, 1780 kg/m³ on each actuator"
+    return with_value(scene, "layers", film(scene)), text
+
+
+def _oscillators(scene: Scene) -> tuple[Scene, str]:
+    x0, x1, y0, y1 = scene.target.area
+    half = min(5e-3, (x1 - x0) / 2, (y1 - y0) / 2)
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    finger = Oscillator(area=(x - half, x + half, y - half, y + half), mass=5e-3, stiffness=500.0, damping=2.0)
+    text = "a fingertip in the target's middle: 5 g, 500 N/m, 2 N·s/m (orders of magnitude of a light touch)"
+    return with_value(scene, "oscillators", (finger,)), text
+
+
+def _moving_load(scene: Scene) -> tuple[Scene, str]:
+    width, height = scene.plate.size
+    speed = width / scene.window.end
+    load = MovingLoad(force=1e-3, start=(0.0, height / 2), velocity=(speed, 0.0))
+    return with_value(scene, "moving_load", load), f"1 mN on a point that crosses the plate along x at {speed:.2g} m/s"
+
+
+def _own_frequencies(scene: Scene) -> tuple[Scene, str]:
+    other, (*rest, last) = OTHER_FREQUENCY * scene.drive.frequency, scene.actuators
+    actuators = (*rest, last.model_copy(update={"frequency": other}))
+    return scene.model_copy(update={"actuators": actuators}), f"the last actuator at {other:.3g} Hz"
+
+
+def _burst(scene: Scene) -> tuple[Scene, str]:
+    end, ramp = scene.window.end, scene.window.end / 10
+    return with_value(scene, "burst", Burst(duration=end, ramp=ramp)), f"over the whole run, ramps of {ramp:.2g} s"
+
+
+def _chirp(scene: Scene) -> tuple[Scene, str]:
+    other = OTHER_FREQUENCY * scene.drive.frequency
+    table = Chirp(end_frequency=other, duration=scene.window.end)
+    return with_value(scene, "chirp", table), f"from {scene.drive.frequency:g} to {other:.3g} Hz over the run"
+
+
+def _electrostatic(scene: Scene) -> tuple[Scene, str]:
+    bias = max(abs(actuator.magnitude) for actuator in scene.actuators) or 1.0
+    table = Electrostatic(bias=bias, gain=1 / (2 * bias))
+    return with_value(scene, "electrostatic", table), f"bias of {bias:.3g}, as large as the voltage; the tone as it is"
+
+
+TYPICAL: dict[str, Change] = {
+    "edges": _springs,
+    "damping": _damping,
+    "material_damping": _material_damping,
+    "tension": _tension,
+    "foundation": _foundation,
+    "orthotropic": _orthotropic,
+    "layers": _layers,
+    "oscillators": _oscillators,
+    "stretching": lambda scene: (with_value(scene, "stretching", Stretching()), "named"),
+    "moving_load": _moving_load,
+    "own_frequencies": _own_frequencies,
+    "burst": _burst,
+    "chirp": _chirp,
+    "electrostatic": _electrostatic,
+}
