@@ -51,11 +51,13 @@ CLOSE, MOST_SOLVES = 1e-4, 20
 @dataclass(frozen=True)
 class Limit:
     """time_step: the largest stable one [s], at most 1 % below the true one and never above; shares: what part each
-    stiffness and loss has in the fastest motion, the sum being 1; formula: whether it comes from a formula instead of
+    stiffness and loss has in the fastest motion, the sum being 1; frequency: of that motion without losses and steps
+    in time [Hz]; formula: whether it comes from a formula instead of
     the scene's own matrices; place: (x, y) [m] where the fastest motion is largest, None by formula."""
 
     time_step: float
     shares: Mapping[str, float]
+    frequency: float
     formula: bool
     place: tuple[float, float] | None = None
 
@@ -145,7 +147,8 @@ def _by_formula(stiff: Mapping[str, float], late: Mapping[str, float]) -> Limit:
     step = _root(sum(stiff.values()), sum(late.values()))
     parts = {name: value * step**2 / 4 for name, value in stiff.items()}
     parts |= {name: value * step / 2 for name, value in late.items()}
-    return Limit(step, {name: part for name, part in parts.items() if part}, True)
+    frequency = math.sqrt(sum(stiff.values())) / (2 * math.pi)
+    return Limit(step, {name: part for name, part in parts.items() if part}, frequency, True)
 
 
 def _by_matrices(
@@ -179,7 +182,8 @@ def _by_matrices(
     place = (node % nx * size[0] / (nx - 1), node // nx * size[1] / (ny - 1))
     # A shorter step lowers the eigenvalue by its own part at least, without losses by twice that.
     over = max(1.0, largest / 4) * (1 + margin)
-    return Limit(step / (over if whole_late.nnz else math.sqrt(over)), shares, False, place)
+    frequency = math.sqrt(float(vector @ (whole_stiff @ vector))) / (2 * math.pi)
+    return Limit(step / (over if whole_late.nnz else math.sqrt(over)), shares, frequency, False, place)
 
 
 def _largest(matrix: scipy.sparse.csr_array) -> tuple[float, np.ndarray]:

@@ -116,6 +116,7 @@ def _write_case(file: h5py.File, at: str, case: Case) -> None:
     energy = np.array(list(case.energy.values()))
     _dataset(file, f"{at}/energy", energy, "J", "kinetic energy averaged over the window, for each region")
     file[f"{at}/energy"].attrs["regions"] = json.dumps(list(case.energy))
+    file[f"{at}/energy"].attrs["status"] = case.status
     _dataset(file, f"{at}/displacement", case.displacement, "m", "displacement (times, y, x)")
     _dataset(file, f"{at}/trace", case.trace, "m", "displacement at the recorded points (points, steps)")
 
@@ -158,4 +159,5 @@ def _read_case(group: h5py.Group) -> Case:
         energy=dict(zip(regions, group["energy"][()].tolist(), strict=True)),
         displacement=group["displacement"][()],
         trace=group["trace"][()],
+        status=str(group["energy"].attrs.get("status", "ok")),
     )

@@ -162,6 +162,7 @@ def cases_of(drives: dict[str, np.ndarray], run: Run) -> dict[str, Case]:
             energy=dict(zip(run.regions, run.energy[index].tolist(), strict=True)),
             displacement=run.displacement[index].astype(np.float32),
             trace=run.trace[index].astype(np.float32),
+            status=run.fault(index),
         )
         for index, (name, drive) in enumerate(drives.items())
     }
