@@ -1,4 +1,4 @@
-"""Numbers next to zero, flushed to it while a kernel runs on an x86 CPU, which takes some hundred times as long for them.
+"""Numbers next to zero, flushed to it while a kernel runs on an x86 CPU, which takes a hundred times as long for them.
 
 A wave runs out from its actuator with a front that fades faster than any power: beyond it a plate at rest passes
 through numbers too small for a full mantissa, below 1e-38 of one in float32 and 1e-308 in float64. They change nothing

@@ -50,6 +50,11 @@ def some_effects(random, size, stretching):
         "tension": {"x": random.uniform(0, 20), "y": random.uniform(0, 20)},
         "foundation": {"stiffness": 10 ** random.uniform(3, 6), "damping": random.uniform(0, 50)},
         "orthotropic": {"Dx": 0.02, "Dy": 0.008, "D1": random.uniform(-0.002, 0.006), "Dxy": 0.004},
+        "variation": {
+            "thickness": random.uniform(0.5, 1.5, (3, 2)).tolist(),
+            "young_modulus": random.uniform(0.5, 2, (1, 4)).tolist(),
+            "density": random.uniform(0.5, 2, (2, 1)).tolist(),
+        },
         "layers": [
             {
                 "area": some_area(random, size),

@@ -96,6 +96,7 @@ def as_json(result: Result, files: list[Path]) -> dict[str, object]:
     return {
         "scene": result.source,
         "device": result.device,
+        "path": result.path,
         "seed": result.seed,
         "localization_factor": {**factors, "bound": result.bound},
         "drive": [
@@ -138,8 +139,8 @@ def _print(result: Result, console: Console) -> None:
     effects = ", ".join(result.effects) or "none"
     console.print(
         f"{result.evaluations} {TRIED[result.evaluator]}, {result.node_steps:.3g} node-steps in all on "
-        f"{result.device}: {result.seconds['solve']:.2f} s solving after {result.seconds['compile']:.2f} s compiling "
-        f"or loading kernels. Effects compiled in: {effects}."
+        f"{result.device}, {result.path}: {result.seconds['solve']:.2f} s solving after "
+        f"{result.seconds['compile']:.2f} s compiling or loading kernels. Effects compiled in: {effects}."
     )
     output.print_accuracy(result, console)
     output.print_warnings(result, console)

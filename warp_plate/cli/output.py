@@ -137,6 +137,8 @@ def warnings_of(result: Result) -> list[str]:
     if case.status != "ok":
         return [f"The plate's status: {case.status}; it has no energies."]
     peak = float(abs(case.displacement).max()) if case.displacement.size else 0.0
+    if not all(math.isfinite(energy) for one in result.cases.values() for energy in one.energy.values()):
+        peak = math.nan
     return exceeded(result.scene, peak)
 
 

@@ -71,6 +71,7 @@ def simulate(
                 "scene": result.source,
                 "device": result.device,
                 "status": case.status,
+                "path": result.path,
                 "localization_factor": case.localization_factor,
                 "energy": dict(case.energy),
                 "peak_displacement": peak,
@@ -94,8 +95,8 @@ def simulate(
     made.add_row("largest displacement at the recorded times", f"{peak:.4g} m")
     console.print(made)
     console.print(
-        f"{result.node_steps:.3g} node-steps on {result.device}: {result.seconds['solve']:.2f} s solving after "
-        f"{result.seconds['compile']:.2f} s compiling or loading kernels. Effects compiled in: "
+        f"{result.node_steps:.3g} node-steps on {result.device}, {result.path}: {result.seconds['solve']:.2f} s "
+        f"solving after {result.seconds['compile']:.2f} s compiling or loading kernels. Effects compiled in: "
         f"{', '.join(result.effects) or 'none'}."
     )
     output.print_accuracy(result, console)

@@ -22,8 +22,8 @@ import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
 
+from warp_plate.plate.section import make_section
 from warp_plate.plate.weights import EDGE_LINES, moving_nodes, overlap
-from warp_plate.scene.effects import Orthotropic
 from warp_plate.scene.model import ElasticEdge, Scene
 
 # Up to so many unknowns all buckling loads are worked out at once.
@@ -36,7 +36,8 @@ class Bending:
 
     spacing: (hx, hy) [m]; bend_xx, bend_xy, bend_yy: C above [N·m]; twist: (ny − 1, nx − 1) 4Dxy of the cells [N·m];
     mass: per area [kg/m²]; weight: share of each node's cell on the plate, 1, ½ or ¼; spring: per area, of the bed and
-    of elastic edges [N/m³]; moves: whether the node does; tension: (x, y) [N/m].
+    of elastic edges [N/m³]; moves: whether the node does; tension: (x, y) [N/m]; stretch: along x and y, what resists
+    stretching of the whole plate [N/m] (see ``section``).
     """
 
     spacing: tuple[float, float]
@@ -49,15 +50,25 @@ class Bending:
     spring: np.ndarray
     moves: np.ndarray
     tension: tuple[float, float]
+    stretch: tuple[float, float]
+
+    @property
+    def stretch_ratio(self) -> float:
+        """κ of ``section``: the pull of stretching along y in units of that along x; 1 where the plate is isotropic."""
+        return math.sqrt(self.stretch[1] / self.stretch[0])
+
+    @property
+    def berger(self) -> float:
+        """Berger's tension along x for ∫ u_x² + κu_y² dA = 1 m² [N/m³]; for an isotropic plate 6D/(H² area)."""
+        area = self.spacing[0] * self.spacing[1] * float(self.weight.sum())
+        return self.stretch[0] / (2 * area)
 
 
 def make_bending(scene: Scene) -> Bending:
     """The fields of a scene on its grid."""
-    plate, effects, (nx, ny) = scene.plate, scene.effects, scene.grid.nodes
-    hx, hy = plate.size[0] / (nx - 1), plate.size[1] / (ny - 1)
-    bare, added, mass = _layers(scene)
-    ratio = plate.poisson_ratio
-    own = effects.orthotropic or Orthotropic(Dx=bare, Dy=bare, D1=ratio * bare, Dxy=(1 - ratio) / 2 * bare)
+    effects, (width, height), (nx, ny) = scene.effects, scene.plate.size, scene.grid.nodes
+    hx, hy = width / (nx - 1), height / (ny - 1)
+    section = make_section(scene)
     yielding_x, yielding_y = np.zeros((ny, nx)), np.zeros((ny, nx))
     spring = np.full((ny, nx), effects.foundation.stiffness if effects.foundation else 0.0)
     for side, line in EDGE_LINES.items():
@@ -68,8 +79,8 @@ def make_bending(scene: Scene) -> Bending:
             spring[line] += 2 * edge.translation / across
         else:
             yielding[line] = 0 if edge == "clamped" else math.inf
-    coupling, twisting = own.D1 + ratio * added, own.Dxy + (1 - ratio) / 2 * added
-    bend_xx, bend_xy, bend_yy = _in_series(own.Dx + added, coupling, own.Dy + added, yielding_x, yielding_y)
+    bend_xx, bend_xy, bend_yy = _in_series(section.bend_xx, section.bend_xy, section.bend_yy, yielding_x, yielding_y)
+    corners = section.twist
     half_x, half_y = np.ones(nx), np.ones(ny)
     half_x[[0, -1]] = half_y[[0, -1]] = 0.5
     return Bending(
@@ -77,12 +88,13 @@ def make_bending(scene: Scene) -> Bending:
         bend_xx=bend_xx,
         bend_xy=bend_xy,
         bend_yy=bend_yy,
-        twist=twisting[:-1, :-1] + twisting[1:, :-1] + twisting[:-1, 1:] + twisting[1:, 1:],
-        mass=mass,
+        twist=corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:] + corners[1:, 1:],
+        mass=section.mass,
         weight=np.outer(half_y, half_x),
         spring=spring,
         moves=moving_nodes(scene),
         tension=(effects.tension.x, effects.tension.y) if effects.tension else (0.0, 0.0),
+        stretch=section.stretch,
     )
 
 
@@ -192,37 +204,6 @@ def _in_series(
         bend_yy = np.where(both, soft_x / whole, np.where(np.isfinite(soft_y), 1 / soft_y, 0.0))
         bend_xy = np.where(both, -mixed / whole, 0.0)
     return bend_xx, bend_xy, bend_yy
-
-
-def _layers(scene: Scene) -> tuple[float, np.ndarray, np.ndarray]:
-    """Rigidity of the bare plate [N·m], what layers add to it at each node, and the mass per area [kg/m²].
-
-    A laminate bends about its own neutral plane z₀ = ΣE t z / ΣE t: D = ΣE (t³/12 + t (z − z₀)²) / (1 − ν²). Where a
-    layer covers part of a node's cell, it counts with so much less E and ρ.
-    """
-    plate, (nx, ny) = scene.plate, scene.grid.nodes
-    x, y = np.linspace(0, plate.size[0], nx), np.linspace(0, plate.size[1], ny)
-    half_x, half_y = overlap(x, 0, plate.size[0]), overlap(y, 0, plate.size[1])
-    plane = 1 / (1 - plate.poisson_ratio**2)
-    mass = np.full((ny, nx), plate.density * plate.thickness)
-    # Of each sheet: E [Pa], its thickness and the height of its middle [m].
-    sheets = [(np.full((ny, nx), plate.young_modulus), np.full((ny, nx), plate.thickness), np.zeros((ny, nx)))]
-    top = {1: np.full((ny, nx), plate.thickness / 2), -1: np.full((ny, nx), plate.thickness / 2)}
-    for layer in scene.effects.layers:
-        x0, x1, y0, y1 = layer.area
-        covered = np.outer(overlap(y, y0, y1) / half_y, overlap(x, x0, x1) / half_x)
-        for face in (1, -1) if layer.both else (1,):
-            height = np.where(covered > 0, layer.thickness, 0.0)
-            sheets.append((covered * layer.young_modulus, height, face * (top[face] + height / 2)))
-            top[face] = top[face] + height
-            mass += covered * layer.density * layer.thickness
-    axial = sum(modulus * height for modulus, height, _ in sheets)
-    neutral = sum(modulus * height * middle for modulus, height, middle in sheets) / axial
-    whole = plane * sum(
-        modulus * (height**3 / 12 + height * (middle - neutral) ** 2) for modulus, height, middle in sheets
-    )
-    bare = plane * plate.young_modulus * plate.thickness**3 / 12
-    return bare, whole - bare, mass
 
 
 def _mirrored_second_difference(count: int) -> scipy.sparse.csr_array:

@@ -56,7 +56,7 @@ class Result:
     seconds: "compile" and "solve", and "choose" and "estimate" where these were done.
     accuracy: what is known of the result's errors, of numbers and texts only: "asked" and "reason" where the scene
         asked for an accuracy instead of a grid, "estimate" of the localization factors.
-    node_steps: nodes updated × steps × plates.
+    node_steps: nodes updated × steps × plates. path: how plates were stepped.
     """
 
     command: str
@@ -74,6 +74,7 @@ class Result:
     bound: float | None = None
     history: Mapping[str, np.ndarray] = field(default_factory=dict)
     evaluator: str = "direct"
+    path: str = ""
     interrupted: bool = False
     versions: Mapping[str, str] = field(default_factory=dict)
     accuracy: Mapping[str, Any] = field(default_factory=dict)

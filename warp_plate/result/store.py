@@ -86,6 +86,7 @@ def _write(file: h5py.File, result: Result) -> None:
         "scene": dump_scene(result.scene),
         "device": result.device,
         "evaluator": result.evaluator,
+        "path": result.path,
         "effects": json.dumps(list(result.effects)),
         "versions": json.dumps(dict(result.versions)),
         "seconds": json.dumps(dict(result.seconds)),
@@ -129,11 +130,14 @@ def _dataset(file: h5py.File, name: str, values: object, units: str, long_name: 
 def _read(file: h5py.File, name: str) -> Result:
     text = {key: str(file.attrs[key]) for key in ("command", "source", "device", "evaluator")}
     scene = parse_scene(str(file.attrs["scene"]), f"{name}: its scene")
+    if scene.names_files:  # which lie beside the result as they lay beside the scene
+        scene._folder = Path(name).parent
     cases = {case: _read_case(group) for case, group in file["cases"].items()}
     bound = file.get("localization_factor/bound")
     history: Mapping[str, h5py.Dataset] = file.get("history", {})
     return Result(
         **text,
+        path=str(file.attrs.get("path", "")),
         scene=scene,
         seed=int(file.attrs["seed"]),
         effects=tuple(json.loads(str(file.attrs["effects"]))),

@@ -20,6 +20,8 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+# What pydantic calls the kinds of an edge and of an array; no keys of a scene.
+_KINDS = ("word", "springs", "rows")
 _PRESETS = resources.files("warp_plate.scene.presets")
 
 
@@ -55,7 +57,7 @@ def load_scene(source: str | Path) -> Scene:
         scene = parse_scene(path.read_text(encoding="utf-8-sig"), text)
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{text}: cannot be read as UTF-8 text: {error}") from None
-    if scene.drive.signal is not None:
+    if scene.names_files:
         scene._folder = path.parent
     return scene
 
@@ -104,7 +106,7 @@ def explain(error: ValidationError) -> str:
     # Keys that do not exist come first: they are often the cause of the others ("is missing").
     faults.sort(key=lambda fault: fault["type"] != "extra_forbidden")
     fault = faults[0]
-    key = _dotted(part for part in fault["loc"] if part not in ("word", "springs"))  # the two kinds of an edge
+    key = _dotted(part for part in fault["loc"] if part not in _KINDS)
     if fault["type"] == "extra_forbidden":
         line = f"{key}: unknown key{_suggestion(fault['loc'])}"
     elif fault["type"] == "missing":

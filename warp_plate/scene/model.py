@@ -39,12 +39,16 @@ class Plate(Table):
 
     @model_validator(mode="after")
     def _thin(self) -> Plate:
-        if self.thickness > min(self.size) / 5:
+        self.check_thin(self.thickness, "thickness: ")
+        return self
+
+    def check_thin(self, thickness: float, head: str = "") -> None:
+        """Raise ValueError, beginning with ``head``, where the plate is not thin at a place of this thickness [m]."""
+        if thickness > min(self.size) / 5:
             raise ValueError(
-                f"thickness: {self.thickness:g} m is not thin for a side of {min(self.size):g} m; "
+                f"{head}{thickness:g} m is not thin for a side of {min(self.size):g} m; "
                 "a Kirchhoff-Love plate is thinner than a fifth of its side (lengths are in metres)"
             )
-        return self
 
 
 class Edges(Table):
@@ -208,7 +212,14 @@ class Scene(Table):
     def uniform(self) -> bool:
         """Whether the plate is isotropic, the same everywhere, and clamped or supported all around."""
         words = all(edge in ("clamped", "supported") for _, edge in self.edges)
-        return words and self.effects.orthotropic is None and not self.effects.layers
+        varied = self.effects.orthotropic or self.effects.variation or self.effects.layers
+        return words and not varied
+
+    @property
+    def names_files(self) -> bool:
+        """Whether some of the scene lies in other files."""
+        variation = self.effects.variation
+        return self.drive.signal is not None or (variation is not None and any(variation.files))
 
     @property
     def folder(self) -> Path | None:

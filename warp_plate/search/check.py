@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.plate.bending import Bending
 from warp_plate.plate.limit import Limit, find_limit
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import Scheme, make_scheme
@@ -110,7 +111,7 @@ def check(scene: Scene, device: str = "auto", allow_unstable: bool = False) -> C
         SceneError: see ``make_scheme``; no such device.
     """
     scheme = make_scheme(scene, allow_unstable)
-    limit, _ = find_limit(scene)
+    limit, bending = find_limit(scene)
     specialized = specialize(scene, find_device(device), allow_unstable=allow_unstable)
     pairs = zip(wavelengths(scene), scheme.spacing, strict=True)
     over = scheme.time_step / limit.time_step
@@ -128,7 +129,7 @@ def check(scene: Scene, device: str = "auto", allow_unstable: bool = False) -> C
         points_a_wavelength=min(wave / spacing for wave, spacing in pairs),
         slowest=_slowest(scene),
         fastest=limit.frequency,
-        amplitude=_amplitude(scene, scheme, limit) if scene.effects.stretching else None,
+        amplitude=_amplitude(scene, scheme, bending, limit) if scene.effects.stretching and bending else None,
         plate_bytes=bytes_per_plate(specialized, 4 * len(scene.record.points)),
         plates=scene.search.particles,
         device=specialized.device.alias,
@@ -145,17 +146,17 @@ def _slowest(scene: Scene) -> float:
     return float(found[found > 0].min(initial=math.inf)) if (found > 0).any() else 0.0
 
 
-def _amplitude(scene: Scene, scheme: Scheme, limit: Limit) -> float:
+def _amplitude(scene: Scene, scheme: Scheme, bending: Bending, limit: Limit) -> float:
     """In thicknesses: see ``Check``.
 
-    A tension N adds N(4/hx² + 4/hy²)/ρH to the largest eigenvalue 4/limit², and Berger's is N = 6D/(H² area)∫|∇u|²,
-    with ∫|∇u|² = a²π²/4 · area · (1/width² + 1/height²) of a sin sin.
+    A tension N, κN along y, adds N(4/hx² + 4κ/hy²)/ρH to the largest eigenvalue 4/limit², and Berger's is proportional
+    to ∫ u_x² + κu_y² dA, which is a²π²/4 · area · (1/width² + κ/height²) of a sin sin.
     """
-    (hx, hy), (width, height) = scheme.spacing, scene.plate.size
+    (hx, hy), (width, height), ratio = scheme.spacing, scene.plate.size, bending.stretch_ratio
     spare = 4 / scheme.time_step**2 - 4 / limit.time_step**2
-    tension = max(spare, 0.0) * scheme.surface_density / (4 / hx**2 + 4 / hy**2)
-    slope = math.pi**2 / 4 * (1 / width**2 + 1 / height**2)
-    return math.sqrt(tension / (6 * scheme.rigidity * slope))
+    tension = max(spare, 0.0) * float(bending.mass.min()) / (4 / hx**2 + 4 * ratio / hy**2)
+    slopes = math.pi**2 / 4 * width * height * (1 / width**2 + ratio / height**2)
+    return math.sqrt(tension / (bending.berger * slopes)) / scene.plate.thickness
 
 
 def _of_step(check: Check) -> str:

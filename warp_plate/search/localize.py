@@ -84,6 +84,7 @@ def localize(
         device=device_name(solver.device),
         seed=seed,
         effects=solver.effects,
+        path=solver.path_words(bool(scene.record.points)),
         cases=cases_of(drives, run),
         times=run.times,
         trace_times=run.trace_times,
@@ -156,12 +157,14 @@ def record_times(scene: Scene) -> tuple[float, ...]:
 
 def cases_of(drives: dict[str, np.ndarray], run: Run) -> dict[str, Case]:
     """The plates of a run by the names of their drives."""
+    with np.errstate(over="ignore"):  # beyond float32's range a displacement becomes infinite
+        displacement, trace = run.displacement.astype(np.float32), run.trace.astype(np.float32)
     return {
         name: Case(
             drive=drive,
             energy=dict(zip(run.regions, run.energy[index].tolist(), strict=True)),
-            displacement=run.displacement[index].astype(np.float32),
-            trace=run.trace[index].astype(np.float32),
+            displacement=displacement[index],
+            trace=trace[index],
             status=run.fault(index),
         )
         for index, (name, drive) in enumerate(drives.items())

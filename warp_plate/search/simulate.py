@@ -73,6 +73,7 @@ def simulate(
         device=device_name(solver.device),
         seed=scene.search.seed,
         effects=solver.effects,
+        path=solver.path_words(bool(scene.record.points)),
         cases=cases_of(drives, run),
         times=run.times,
         trace_times=run.trace_times,

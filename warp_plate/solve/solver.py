@@ -16,6 +16,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import load_drives, make_engine, region_sums
+from warp_plate.solve.paths import why_streaming
 from warp_plate.solve.specialize import Specialized, effect_names, specialize
 from warp_plate.solve.state import State, bytes_per_plate, make_state
 from warp_plate.solve.status import OK, fastest_per_step, outgrown, status_of, watched_steps
@@ -108,6 +109,11 @@ class PlateSolver:
     def effects(self) -> tuple[str, ...]:
         """Names of the effects in the compiled kernel."""
         return effect_names(self.scene)
+
+    def path_words(self, traced: bool = False) -> str:
+        """How plates are stepped, for people: the path, and why it streams where it could not do better."""
+        reason = why_streaming(self.specialized, traced)
+        return f"streaming ({reason})" if reason else self.path
 
     @property
     def node_steps_per_plate(self) -> int:
