@@ -10,6 +10,7 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.denormals import flush_denormals, restore_denormals
 from warp_plate.kernels.fused import make_fused
 from warp_plate.kernels.general import make_other_forces
 from warp_plate.kernels.load import make_moving_load
@@ -248,6 +249,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
         hung: wp.array3d[real],
         trace: wp.array3d[real],
     ):
+        before = flush_denormals()
         k = first + wp.tid()
         row = wp.uint64(wp.static(row_bytes))
         plane = wp.uint64(k) * wp.uint64(wp.static(plane_bytes)) + row
@@ -304,5 +306,6 @@ def make_run(effects, real, ny, stride, compiler_flags):
             )
             for m in range(nodes.shape[0]):
                 trace[k, m, n] = u[k, nodes[m, 0], nodes[m, 1]]
+        restore_denormals(before)
 
     return run

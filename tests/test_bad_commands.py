@@ -38,7 +38,9 @@ KINDS = {
     "accuracy": NO_ACCURACY,
     "drive": ["", "a", "best", "none.h5", "folder.h5", "junk.h5", "a\0b.h5", f"{LONG}.h5", "\ud800.h5", "\x1b[31m"],
     "out": NO_FILE,
-    "resume": ["", ".", "a", "none.checkpoint.h5", "junk.h5", "folder.h5", *(f"{stem}.checkpoint.h5" for stem in ("a\0b", LONG))],
+    "resume": [
+        "", ".", "a", "none.checkpoint.h5", "junk.h5", "folder.h5", "a\0b.checkpoint.h5", f"{LONG}.checkpoint.h5"
+    ],
     "checkpoint-every": ["", " ", "a", "nan", "-1", "-inf", "\x1b[31m", "\ud800"],  # inf: never
     "estimate": NO_FLAG,
     "pictures": NO_FLAG,

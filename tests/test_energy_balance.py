@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver
+from warp_plate.plate.limit import needs_moments
 from warp_plate.plate.moving import moving_weights
-from warp_plate.plate.scheme import make_scheme, needs_moments
+from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.reference.numpy_general import inverse, make_matrices
 

@@ -9,6 +9,7 @@ import cyclopts
 import warp_plate
 from warp_plate.cli.accuracy import accuracy
 from warp_plate.cli.bench import bench
+from warp_plate.cli.check import check
 from warp_plate.cli.effects import effects
 from warp_plate.cli.init import init
 from warp_plate.cli.localize import localize
@@ -24,7 +25,7 @@ app = cyclopts.App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (localize, simulate, modes, effects, accuracy, init, bench):
+for command in (localize, simulate, check, modes, effects, accuracy, init, bench):
     app.command(command)
 
 

@@ -100,10 +100,11 @@ def output_file(out: Path | None, source: str, command: str, endings: Sequence[s
     return path
 
 
-def load_scene(source: str, accuracy: str | None = None) -> Scene:
+def load_scene(source: str, accuracy: str | None = None, allow_unstable: bool = False) -> Scene:
     """The scene, with the checks that need its grid already made, so that their errors name the file as well.
 
-    accuracy: what ``--accuracy`` says; it takes the place of the scene's grid.
+    accuracy: what ``--accuracy`` says; it takes the place of the scene's grid. allow_unstable: whether its time step
+    may be above the limit.
 
     Raises:
         SceneError: see ``Scene.load``, ``make_scheme`` and ``patches``; or no accuracy.
@@ -118,7 +119,7 @@ def load_scene(source: str, accuracy: str | None = None) -> Scene:
     if scene.grid.accuracy is not None:
         return scene
     try:
-        make_scheme(scene)
+        make_scheme(scene, allow_unstable)
         patches(scene)
     except SceneError as error:
         raise SceneError(f"{source}: {error}") from None
@@ -166,6 +167,8 @@ def warnings_of(result: Result) -> list[str]:
     from warp_plate.search.warnings import exceeded
 
     case = result.cases.get("best") or next(iter(result.cases.values()))
+    if case.status != "ok":
+        return [f"The plate's status: {case.status}; it has no energies."]
     peak = float(abs(case.displacement).max()) if case.displacement.size else 0.0
     if not all(math.isfinite(energy) for one in result.cases.values() for energy in one.energy.values()):
         peak = math.nan

@@ -20,12 +20,14 @@ class Case:
     energy: kinetic energy averaged over the window [J], for each region by name.
     displacement: (times, ny, nx) [m].
     trace: (points, steps) displacement [m].
+    status: "ok", or why the plate has no energies (NaN): what was wrong with its drive, or when it grew without bound.
     """
 
     drive: np.ndarray
     energy: Mapping[str, float]
     displacement: np.ndarray
     trace: np.ndarray
+    status: str = "ok"
 
     @property
     def localization_factor(self) -> float:

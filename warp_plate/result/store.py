@@ -93,6 +93,7 @@ def _write_case(file: h5py.File, at: str, case: Case) -> None:
     energy = np.array(list(case.energy.values()))
     put(file, f"{at}/energy", energy, "J", "kinetic energy averaged over the window, for each region")
     file[f"{at}/energy"].attrs["regions"] = json.dumps(list(case.energy))
+    file[f"{at}/energy"].attrs["status"] = case.status
     put(file, f"{at}/displacement", case.displacement, "m", "displacement (times, y, x)")
     put(file, f"{at}/trace", case.trace, "m", "displacement at the recorded points (points, steps)")
 
@@ -142,4 +143,5 @@ def _read_case(file: h5py.File, at: str, scene: Scene, times: np.ndarray, steps:
         energy=dict(zip(map(str, regions), energy.tolist(), strict=True)),
         displacement=numbers(file, f"{at}/displacement", (len(times), ny, nx)),
         trace=trace,
+        status=text(file[f"{at}/energy"], "status"),
     )

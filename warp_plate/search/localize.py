@@ -272,6 +272,7 @@ def cases_of(drives: dict[str, np.ndarray], run: Run) -> dict[str, Case]:
             energy=dict(zip(run.regions, run.energy[index].tolist(), strict=True)),
             displacement=displacement[index],
             trace=trace[index],
+            status=run.fault(index),
         )
         for index, (name, drive) in enumerate(drives.items())
     }

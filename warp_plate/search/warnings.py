@@ -40,10 +40,10 @@ class Finding:
     exceeded: bool
 
 
-def warnings(scene: Scene, peak_displacement: float) -> list[Finding]:
-    """All numbers of a scene with a grid, whose largest displacement is ``peak_displacement`` [m], or no number."""
+def warnings(scene: Scene, peak_displacement: float | None) -> list[Finding]:
+    """All numbers of a scene with a grid, whose largest displacement is ``peak_displacement`` [m], if it is known."""
     return [
-        _amplitude(scene, peak_displacement),
+        *([] if peak_displacement is None else [_amplitude(scene, peak_displacement)]),
         _thinness(scene),
         _points(scene),
         _added_mass(scene),
