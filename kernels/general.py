@@ -30,7 +30,8 @@ def make_structs(real):
     on the plate; wave: (steps, terms), see ``load``; strength (steps,), along_y (steps, ny), along_x (steps, nx): of
     the moving load; holds: (oscillators, ny, nx) share of each node in an oscillator's
     patch; oscillators: (oscillators, 4) stiffness, damping, one over the mass, 0; aspect: (hx/hy)², and its root;
-    tension_x, tension_y; retardation: in steps; stretching: tension per Σ weight · (−u ∇²u), in SI displacements.
+    tension_x, tension_y; retardation: in steps; stretching: tension per Σ weight · (−u · pull), in SI displacements,
+    pull being u_xx + κ u_yy; stretch_ratio: κ.
 
     Fields: loads (terms, plates, ny, nx); u, rate, squares, mx, my, mxy, pull (plates, ny, nx); units: (plates,)
     displacements that one stands for [m]; moving: (plates,) the moving load's size; row_sums (plates, sums, 2, ny);
@@ -60,6 +61,7 @@ def make_structs(real):
         tension_y: real
         retardation: real
         stretching: real
+        stretch_ratio: real
 
     @wp.struct
     class Fields:
@@ -122,7 +124,7 @@ def make_hang(real):
 
 @cache
 def make_bend_node(effects, real):
-    """Moments at a node, the twist of the cell to its upper right, and ∇²u where stretching asks for it."""
+    """Moments at a node, the twist of the cell to its upper right, and u_xx + κu_yy where stretching asks for it."""
     Material, Fields = make_structs(real)
     moment = make_moment(effects, real)
 
@@ -159,7 +161,8 @@ def make_bend_node(effects, real):
             f.mxy[k, j, i] = m.twist[j, i] * (m.root_aspect * (strained(f, m, k, j + 1, i + 1) - e - n + c))
         if wp.static(effects.stretching):
             pull = f.u[k, j, west] + f.u[k, j, east] - real(2.0) * here
-            f.pull[k, j, i] = pull + m.aspect * (f.u[k, south, i] + f.u[k, north, i] - real(2.0) * here)
+            pull_y = m.aspect * (f.u[k, south, i] + f.u[k, north, i] - real(2.0) * here)
+            f.pull[k, j, i] = pull + m.stretch_ratio * pull_y
 
     return bend_node
 
@@ -219,7 +222,7 @@ def make_finish_sum(effects, real):
 
 @cache
 def make_other_forces(effects, real):
-    """The load at a node, and with it what the bed and stretching do there: −k u + N∇²u."""
+    """The load at a node, and with it what the bed and stretching do there: −k u + N(u_xx + κu_yy)."""
 
     @wp.func
     def other_forces(load: real, mobility: real, spring: real, here: real, tension: real, pull: real):

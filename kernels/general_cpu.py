@@ -10,13 +10,14 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.denormals import flush_denormals, restore_denormals
 from warp_plate.kernels.fused import make_fused
 from warp_plate.kernels.general import make_hang, make_moment, make_other_forces
 from warp_plate.kernels.load import make_moving_load
 from warp_plate.kernels.update import make_parameters, make_update
 
-# Planes of a plate's own room: mx, my, mxy, ∇²u, what strains, what oscillators and a moving load press with, and the
-# load where it has more than two terms.
+# Planes of a plate's own room: mx, my, mxy, u_xx + κu_yy, what strains, what oscillators and a moving load press with,
+# and the load where it has more than two terms.
 ROOM = ("mx", "my", "mxy", "pull", "strained", "pressed", "loaded")
 # Planes that all plates share, in this order in one array.
 SHARED = (
@@ -33,7 +34,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
     cells: of the cells around a node; press: mobility / weight; room: (threads, len(ROOM), rows, stride), of which the
     launch uses line ``thread``; holds: (oscillators, rows, stride); oscillators: (oscillators, 4) as in ``general``;
     loads: (terms, plates and a spare one, rows, stride); window, nodes, trace: as in ``resident_cpu``; wave, strength,
-    along_y, along_x, moving, tension_x ... stretching: as in ``general``, along_x with padding to ``stride``.
+    along_y, along_x, moving, tension_x ... stretch_ratio: as in ``general``, along_x with padding to ``stride``.
     """
     update = make_update(effects, real)
     other_forces = make_other_forces(effects, real)
@@ -94,7 +95,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
             mxy[i] = twist[i] * root_aspect * ((v[i + wp.static(2 * stride + 2)] - e) - (n - c))
 
     @wp.func
-    def pull_of(s: wp.uint64, u_at: wp.uint64, pull_at: wp.uint64, aspect: real):
+    def pull_of(s: wp.uint64, u_at: wp.uint64, pull_at: wp.uint64, aspect: real, stretch_ratio: real):
         west = shared_plane(s, 0)
         east = shared_plane(s, 1)
         south = shared_plane(s, 2)
@@ -105,7 +106,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
             c = u[i + wp.static(stride + 1)]
             along_x = west[i] * u[i + wp.static(stride)] + (east[i] * u[i + wp.static(stride + 2)] - real(2.0) * c)
             along_y = south[i] * u[i + 1] + (north[i] * u[i + wp.static(2 * stride + 1)] - real(2.0) * aspect * c)
-            pull[i] = along_x + along_y
+            pull[i] = along_x + stretch_ratio * along_y
 
     @wp.func
     def sum_of_products(a_at: wp.uint64, b_at: wp.uint64, columns_at: wp.uint64):
@@ -227,6 +228,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
         tension_y: real,
         retardation: real,
         stretching: real,
+        stretch_ratio: real,
         oscillators: wp.array2d[real],
         holds: wp.array3d[real],
         units: wp.array[real],
@@ -244,6 +246,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
         hung: wp.array3d[real],
         trace: wp.array3d[real],
     ):
+        before = flush_denormals()
         k = first + wp.tid()
         row = wp.uint64(wp.static(row_bytes))
         plane = wp.uint64(k) * wp.uint64(wp.static(plane_bytes)) + row
@@ -268,7 +271,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
                 strained_at = strained
             bend(shared.ptr, u_at, strained_at, mx, my, mxy, aspect, root_aspect, tension_x, tension_y)
             if wp.static(effects.stretching):
-                pull_of(shared.ptr, u_at, pull, aspect)
+                pull_of(shared.ptr, u_at, pull, aspect, stretch_ratio)
                 weighed = shared.ptr + wp.uint64(wp.static(12 * plane_bytes)) + row
                 # pressed is free until the oscillators press: it holds weight · u for a moment.
                 products(weighed, u_at, pressed)
@@ -299,5 +302,6 @@ def make_run(effects, real, ny, stride, compiler_flags):
             )
             for m in range(nodes.shape[0]):
                 trace[k, m, n] = u[k, nodes[m, 0], nodes[m, 1]]
+        restore_denormals(before)
 
     return run

@@ -12,6 +12,7 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.denormals import flush_denormals, restore_denormals
 from warp_plate.kernels.resident_cpu_passes import make_passes, taps_along_y
 from warp_plate.kernels.update import make_parameters
 
@@ -147,6 +148,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
         curvature: wp.array3d[real],
         trace: wp.array3d[real],
     ):
+        before = flush_denormals()
         k = first + wp.tid()
         plane = wp.uint64(k) * wp.uint64(wp.static((ny + 2) * row_bytes))
         u_plane = u.ptr + plane
@@ -212,5 +214,6 @@ def make_run(effects, real, ny, stride, compiler_flags):
                     meet(arrived, goal, let_others_run)
             for m in range(member, nodes.shape[0], crew):
                 trace[k, m, n] = u[k, nodes[m, 0], nodes[m, 1]]
+        restore_denormals(before)
 
     return run

@@ -10,6 +10,7 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.denormals import flush_denormals, restore_denormals
 from warp_plate.kernels.resident_cpu_passes import make_passes, taps_along_y
 from warp_plate.kernels.update import make_parameters
 
@@ -111,6 +112,7 @@ def make_run_groups(effects, real, nx, ny, stride, lanes, compiler_flags):
         squares: wp.array3d[real],
         trace: wp.array3d[real],
     ):
+        before = flush_denormals()
         low = first + wp.tid() * wp.static(lanes)
         in_u = room.ptr + wp.uint64(thread) * wp.uint64(room.shape[1] * wp.static(size))
         in_rate = in_u + wp.uint64(wp.static(1 * plane_bytes))
@@ -163,5 +165,6 @@ def make_run_groups(effects, real, nx, ny, stride, lanes, compiler_flags):
         copy_out(in_u, u, low, last)
         copy_out(in_rate, rate, low, last)
         copy_out(in_squares, squares, low, last)
+        restore_denormals(before)
 
     return run_groups

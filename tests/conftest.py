@@ -13,7 +13,8 @@ import warp as wp
 from hypothesis import settings
 
 from warp_plate import PlateSolver, Scene, SceneError
-from warp_plate.plate.scheme import make_scheme, time_step_limit
+from warp_plate.plate.limit import time_step_limit
+from warp_plate.plate.scheme import make_scheme
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import paths_of
 

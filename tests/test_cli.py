@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 QUIET = ["--device", "cpu", "--no-pictures"]
 SMALL = {"search": {"particles": 6, "iterations": 5}, "record": {"points": ((0.1, 0.1),)}}
 
-LOCALIZE_KEYS = ["scene", "device", "seed", "localization_factor", "drive", "evaluations", "node_steps"]
+LOCALIZE_KEYS = ["scene", "device", "path", "seed", "localization_factor", "drive", "evaluations", "node_steps"]
 LOCALIZE_KEYS += ["seconds", "effects", "history"]
 SIMULATE_KEYS = ["localization_factor", "energy", "peak_displacement", "node_steps", "seconds", "effects"]
 

@@ -10,8 +10,10 @@ import pytest
 from warp_plate import PlateSolver, Scene
 from warp_plate.cli.main import main
 from warp_plate.plate.modes import natural_modes
-from warp_plate.scene.effects import Effects
+from warp_plate.plate.scheme import make_scheme
+from warp_plate.scene.effects import Damping, Effects
 from warp_plate.scene.load import dump_scene
+from warp_plate.scene.model import Search
 from warp_plate.search import influence
 from warp_plate.search.influence import switches
 from warp_plate.search.simulate import scene_drive
@@ -200,6 +202,44 @@ def test_start_up_motion_that_is_left(scene, effects):
         assert found.value == pytest.approx(math.exp(-100 * start))
         assert found.exceeded == (start == 0.04)
     assert numbers(scene())["start-up motion left"].value == 1
+
+
+@pytest.mark.parametrize("name", ["simulate", "localize"])
+def test_a_plate_that_leaves_the_finite_numbers_is_told_with_the_cause(command, panel, name):
+    """Stretching that pulls harder than the step allows: a shorter step, as the sentence says, keeps it finite."""
+    options = ("panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate", "--json")
+    # So thin and light that magnitudes near one, which the search drives with, throw it far.
+    light = panel.plate.model_copy(update={"thickness": 1e-4, "density": 1.0})
+    damping = Damping(viscous=0.01)
+    made = panel.model_copy(
+        update={
+            "plate": light,
+            "effects": panel.effects.model_copy(update={"damping": damping}),
+            "search": Search(particles=2, iterations=2),
+        }
+    )
+    step, told = make_scheme(made).time_step, []
+    for part in (1, 8):
+        grid = made.grid.model_copy(update={"time_step": step / part})
+        Path("panel.toml").write_text(dump_scene(made.model_copy(update={"grid": grid})), encoding="utf-8")
+        status, out, _ = command(name, *options)
+        assert status == 0
+        told.append([line for line in json.loads(out)["warnings"] if "grew until they were none" in line])
+    assert len(told[0]) == 1
+    assert f"the time step of {step:.3g} s allows" in told[0][0]
+    assert not told[1]
+
+
+def test_too_strong_a_drive_is_told_with_the_cause(command, panel):
+    """A linear plate: nothing but the drive can do that."""
+    loud = tuple(one.model_copy(update={"magnitude": 1e300}) for one in panel.actuators)
+    effects = panel.effects.model_copy(update={"stretching": None})
+    text = dump_scene(panel.model_copy(update={"actuators": loud, "effects": effects}))
+    Path("panel.toml").write_text(text, encoding="utf-8")
+    status, out, _ = command("simulate", "panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate")
+    assert status == 0
+    assert "! The numbers of a plate grew until they were none" in out
+    assert "drive it less (magnitudes are in N/m²" in " ".join(out.split())
 
 
 @pytest.mark.parametrize("name", ["simulate", "localize"])

@@ -15,7 +15,9 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver
-from warp_plate.plate.scheme import make_scheme, needs_moments
+from warp_plate.plate.limit import needs_moments
+from warp_plate.plate.moving import moving_weights
+from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.reference.numpy_general import inverse, make_matrices
 
@@ -38,6 +40,7 @@ def some_effects(random, size):
         "tension": {"x": 12.0, "y": 3.0},
         "foundation": {"stiffness": 8e4, "damping": 25.0},
         "orthotropic": {"Dx": 0.015, "Dy": 0.03, "D1": 0.004, "Dxy": 0.006},
+        "variation": {"thickness": [[0.8, 1.3], [1.1, 0.7], [1.0, 1.2]], "density": [[1.5, 0.9]]},
         "layers": [
             {"area": areas[0], "thickness": 3e-4, "young_modulus": 2e9, "density": 2500.0},
             {"area": areas[1], "thickness": 2e-4, "young_modulus": 6e9, "density": 900.0, "both": True},
@@ -47,6 +50,7 @@ def some_effects(random, size):
             {"area": areas[2], "stiffness": 150.0, "damping": 0.3},
             {"area": areas[0], "mass": 0.001, "stiffness": 80.0},
         ],
+        "moving_load": {"force": 0.01, "start": areas[2][::2], "velocity": (size[0] * 5, -size[1] * 3), "size": 0.01},
     }
     return {name: table for name, table in tables.items() if random.random() < 0.5}
 
@@ -65,11 +69,14 @@ def mix(scene, random):
         if not needs_moments(scene(nodes, size, **asked)):
             asked["effects"]["foundation"] = {"stiffness": 8e4}
         limit, turn = make_scheme(scene(nodes, size, frequency=1.0, **asked)).limit, random.uniform(0.01, 0.05)
+        own = random.choice([1.0, 0.6], 3)
 
         def make(part=0.9, steps=STEPS):
             step = part * limit
             frequency = turn * STEPS / steps / step
-            return scene(nodes, size, window=(0.0, steps * step), time_step=step, frequency=frequency, **asked)
+            made = scene(nodes, size, window=(0.0, steps * step), time_step=step, frequency=frequency, **asked)
+            pairs = zip(made.model_dump()["actuators"], own, strict=True)
+            return made.with_tables(actuators=[{**table, "frequency": one * frequency} for table, one in pairs])
 
         print(asked)
         return make, random.normal(size=3) + 1j * random.normal(size=3)
@@ -107,11 +114,22 @@ def balance(made, drive, device, path):
     lost = (m.viscous * centred * late).sum(axis=1)
     lost += m.retardation * np.einsum("nk,nk->n", centred @ m.bending, before)
     lost += (m.dampers * (rates[:-1] + rates[1:]) / 2 * rates[:-1]).sum(axis=1)
-    waves = np.exp(1j * scheme.angular_frequency * step * np.arange(scheme.steps))
-    waves[0] /= 2
-    pressed = scheme.spacing[0] * scheme.spacing[1] * patches(made).reshape(-1, nx * ny)
-    work = np.einsum("na,nk,ak->n", (waves[:, None] * drive).real, centred, pressed, optimize=True)
+    forces = run_forces(made, scheme, drive)
+    work = (forces * centred).sum(axis=1)
     return stored, step * np.cumsum(work), step * np.cumsum(lost)
+
+
+def run_forces(made, scheme, drive):
+    """(steps, nodes) forces [N] of the actuators under one tone or two, and of what moves over the plate."""
+    cell, turns = scheme.spacing[0] * scheme.spacing[1], 2j * np.pi * scheme.time_step * np.arange(scheme.steps)
+    own = [actuator.frequency or made.drive.frequency for actuator in made.actuators]
+    waves = np.exp(np.outer(turns, own))
+    waves[0] /= 2
+    forces = cell * np.tensordot((waves * drive).real, patches(made), axes=1)
+    if made.effects.moving_load is not None:
+        wave, along_x, along_y = moving_weights(made, scheme.time_step, scheme.steps)
+        forces += cell * np.einsum("n,nj,ni->nji", wave, along_y, along_x)
+    return forces.reshape(scheme.steps, -1)
 
 
 def energy_of_plate(made, scheme, rates):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warp_plate import PlateSolver, load_result
+from warp_plate import PlateSolver, load_checkpoint, load_result
 from warp_plate.scene.load import dump_scene
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT to send to oneself")
@@ -21,19 +22,20 @@ ROOT = Path(__file__).parents[1]
 DRIVER = """
 import os, signal, sys, threading
 import warp_plate.search.localize as search
+import warp_plate.search.run_swarm as run_swarm
 from warp_plate.cli.main import main
 
 def interrupt():
     os.kill(os.getpid(), signal.SIGINT)
 
-loss, calls = search.loss, []
+loss, calls = run_swarm.loss, []
 
 def watched(energy):
     calls.append(1)
     on_loss(len(calls))
     return loss(energy)
 
-search.loss = watched
+run_swarm.loss = watched
 {watch}
 main(sys.argv[1:])
 """
@@ -74,7 +76,13 @@ def interrupted(watch):
 def test_the_command_ends_with_the_best_so_far(panel):
     """Saved and printed as if the search had come to its end there."""
     answer = interrupted(AFTER_THREE)
-    assert (answer.returncode, answer.stderr) == (0, "")
+    assert answer.returncode == 0
+    # One word on the way on.
+    assert re.fullmatch(
+        r"warp-plate: interrupted after \d+ of 1000000 iterations; go on with: warp-plate localize --resume "
+        r"panel-localize\.checkpoint\.h5\n",
+        answer.stderr,
+    )
     found = json.loads(answer.stdout)
     assert found["interrupted"] is True
     assert found["evaluations"] >= 18
@@ -86,7 +94,10 @@ def test_the_command_ends_with_the_best_so_far(panel):
     # What was found is what it says: the last run of its drive gives the share that the search saw, in
     # float32.
     assert best == pytest.approx(found["history"][-1]["best"], abs=2e-6)
-    assert not list(Path().rglob("*.part"))
+    assert not list(Path().rglob("*.part*"))
+    checkpoint = load_checkpoint("panel-localize.checkpoint.h5")
+    assert found["checkpoint"] == "panel-localize.checkpoint.h5"
+    assert checkpoint.iterations == len(found["history"])
 
 
 def test_before_anything_is_found(panel):
@@ -96,6 +107,39 @@ def test_before_anything_is_found(panel):
     assert answer.stdout == ""
     assert len(answer.stderr.splitlines()) == 1
     assert sorted(path.name for path in Path().iterdir()) == ["driver.py", "panel.toml"]
+
+
+# Sends Ctrl-C when a module begins to be imported, the first of many moments of a start that is not quick.
+STARTING = """
+import os, signal, sys
+
+class Watch:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            sys.meta_path.remove(self)
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Watch())
+from warp_plate.cli.main import main
+main(sys.argv[1:])
+"""
+MODULES = ["cyclopts", "rich.console", "warp_plate.cli.localize", "warp_plate.scene.errors", "pydantic", "numpy"]
+MODULES += ["h5py", "scipy.linalg", "warp", "warp_plate.search.localize", "warp_plate.kernels.load"]
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_while_the_command_starts(module, panel):
+    """Status 130 and one word, whatever is being imported."""
+    answer = subprocess.run(
+        [sys.executable, "-c", STARTING.format(module=module), "localize", "panel.toml", "--no-pictures"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        timeout=300,
+        check=False,
+    )
+    assert answer.returncode == 128 + signal.SIGINT
+    assert (answer.stdout, answer.stderr) == ("", "warp-plate: interrupted; nothing was written\n")
 
 
 def test_progress_that_raises_leaves_a_usable_solver(device, path, scene, phasors):
@@ -128,3 +172,50 @@ def test_amid_a_launch_leaves_a_usable_solver(after, device, path, scene, phasor
         np.testing.assert_array_equal(solver.run(drives).energy, expected)
     else:
         pytest.fail("1000 runs were over before Ctrl-C came")
+
+
+DRAWING = """
+import os, signal, sys
+import warp_plate.viz
+from warp_plate.cli.main import main
+
+{interrupt}
+main(sys.argv[1:])
+"""
+# While the result is written Ctrl-C waits; while a picture is, it ends the drawing.
+WRITING = """
+import warp_plate.result
+save = warp_plate.result.save_result
+def saved(result, path):
+    os.kill(os.getpid(), signal.SIGINT)
+    return save(result, path)
+warp_plate.result.save_result = saved
+"""
+SAVING = """
+from matplotlib.figure import Figure
+save = Figure.savefig
+def saved(self, path, **options):
+    save(self, path, **options)
+    os.kill(os.getpid(), signal.SIGINT)
+Figure.savefig = saved
+"""
+
+
+@pytest.mark.parametrize("interrupt", [WRITING, SAVING], ids=["result", "picture"])
+def test_while_files_are_written(interrupt, panel):
+    """The result is there and whole, and no picture by halves."""
+    pytest.importorskip("matplotlib")
+    short = panel.model_copy(update={"search": panel.search.model_copy(update={"iterations": 2})})
+    Path("panel.toml").write_text(dump_scene(short), encoding="utf-8")
+    answer = subprocess.run(
+        [sys.executable, "-c", DRAWING.format(interrupt=interrupt), "localize", "panel.toml", "--no-estimate"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        timeout=300,
+        check=False,
+    )
+    assert (answer.returncode, answer.stderr) == (0, "")
+    assert "no pictures: interrupted by Ctrl-C" in answer.stdout
+    assert not load_result("panel-localize.h5").interrupted
+    assert sorted(path.name for path in Path().iterdir()) == ["panel-localize.h5", "panel.toml"]

@@ -183,3 +183,15 @@ def test_recording_on_the_same_solver(device, path, order, scene, phasors):
     for plates, points, times in asked:
         drives = phasors(plates, len(made.actuators))
         check_equal(solver.run(drives, times, points), made, drives, points)
+
+
+@pytest.mark.parametrize(("nodes", "order"), [((27, 27), 2), ((513, 513), 2), ((105, 105), 4)])
+def test_streaming_says_why(pairs, scene, nodes, order):
+    """On CUDA what does not fit on the chip, and traces; on CPU all run resident."""
+    for device in {device for device, _ in pairs}:
+        step = 1 / 290
+        solver = PlateSolver(scene(nodes, order=order, window=(0.0, step), precision="float32"), device)
+        large = device.startswith("cuda") and max(nodes) > 27
+        assert solver.path == ("streaming" if large else "resident")
+        assert ("do not fit on one multiprocessor" in solver.path_words()) == large
+        assert ("streaming (" in solver.path_words(traced=True)) == device.startswith("cuda")

@@ -2,6 +2,8 @@
 
 import errno
 import json
+import os
+from contextlib import contextmanager
 from dataclasses import fields, replace
 
 import h5py
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 
 from warp_plate.result import Case, Result, load_result, save_result, store
+from warp_plate.result.whole import seal_of
 from warp_plate.scene import Scene, SceneError
 
 TIMES = (0.0464, 0.0696)
@@ -124,13 +127,11 @@ def test_phase_lag_is_positive_and_zero_for_an_idle_actuator():
 def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_behind(result, tmp_path, monkeypatch):
     path = save_result(result, tmp_path / "run.h5")
     before = path.read_bytes()
-    write_case = store._write_case
 
-    def full_disk(file, at, case):
-        write_case(file, at, case)
+    def full_disk(handle):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(store, "_write_case", full_disk)
+    monkeypatch.setattr(os, "fsync", full_disk)
     with pytest.raises(SceneError, match=r"cannot be written.*No space left") as caught:
         save_result(replace(result, seed=1), path)
     assert str(caught.value).startswith(f"{path}: ")
@@ -156,6 +157,15 @@ def test_a_missing_folder_is_named(result, tmp_path):
         save_result(result, tmp_path / "nowhere" / "run.h5")
 
 
+@contextmanager
+def changed(path, mode="r+"):
+    """A file for writing that gets its seal back, as somebody who means to do harm would do it."""
+    with h5py.File(path, mode) as file:
+        yield file
+    content = path.read_bytes()
+    path.write_bytes(content + seal_of(content))
+
+
 def load_error(path):
     with pytest.raises(SceneError) as caught:
         load_result(path)
@@ -171,7 +181,7 @@ def test_what_is_no_result_is_refused_in_one_line(tmp_path):
     assert "damaged" in load_error(tmp_path / "empty.h5")
     (tmp_path / "text.h5").write_text("a = 1\n")
     assert "damaged" in load_error(tmp_path / "text.h5")
-    with h5py.File(tmp_path / "other.h5", "w") as file:
+    with changed(tmp_path / "other.h5", "w") as file:
         file["x"] = 1
     assert "not a result of warp-plate" in load_error(tmp_path / "other.h5")
 
@@ -187,7 +197,7 @@ def test_a_file_cut_short_is_refused_in_one_line(result, tmp_path, kept):
 @pytest.mark.parametrize("lost", ["times", "cases", "cases/best/phase"])
 def test_a_file_without_a_dataset_is_refused_in_one_line(result, tmp_path, lost):
     path = save_result(result, tmp_path / "run.h5")
-    with h5py.File(path, "r+") as file:
+    with changed(path) as file:
         del file[lost]
     assert lost.rpartition("/")[2] in load_error(path)
 
@@ -197,7 +207,7 @@ def test_a_file_without_a_dataset_is_refused_in_one_line(result, tmp_path, lost)
 )
 def test_a_file_with_a_damaged_attribute_is_refused_in_one_line(result, tmp_path, attribute, value):
     path = save_result(result, tmp_path / "run.h5")
-    with h5py.File(path, "r+") as file:
+    with changed(path) as file:
         del file.attrs[attribute]
         if value is not None:
             file.attrs[attribute] = value

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from warp_plate import SceneError
+from warp_plate.plate import sampled
 from warp_plate.plate.sampled import Samples, read_samples, resample
 from warp_plate.scene.drive import SampledSignal
 
@@ -227,3 +228,60 @@ def read_or_refused(folder, content, name, keys):
     # By its own rate, so that the filter stays short.
     assert np.isfinite(resample(samples, 0.7 / samples.rate, 10)).all()
     assert samples.highest_frequency() <= samples.rate / 2
+
+
+SAMPLES = (np.arange(1, 60) * 517 % 251 - 125).astype("<i2")
+
+
+@pytest.mark.parametrize("extensible", [False, True])
+def test_a_wav_file_cut_anywhere_is_refused(tmp_path, extensible):
+    """At every length: none is read as a shorter signal."""
+    subformat = struct.pack("<HHIH", 22, 16, 4, 1) + bytes(14) if extensible else b""
+    content = wav(SAMPLES.tobytes(), 0xFFFE if extensible else 1, extra=b"LIST\4\0\0\0abcd", form_extra=subformat)
+    assert read(tmp_path, content, "a.wav").values.size == SAMPLES.size
+    for length in range(len(content)):
+        with pytest.raises(SceneError) as caught:
+            read(tmp_path, content[:length], "a.wav")
+        refused_on_one_line(caught.value)
+
+
+def test_a_csv_file_cut_anywhere_is_what_stands_in_it(tmp_path):
+    """Lines that are whole are read as before; the last, which nothing tells from a whole one, may be shorter."""
+    lines = [f"{0.01 * index:.2f},{value}" for index, value in enumerate(SAMPLES)]
+    content = "time,value\n" + "\n".join(lines) + "\n"
+    whole = read(tmp_path, content)
+    for length in range(len(content)):
+        try:
+            part = read(tmp_path, content[:length])
+        except SceneError as error:
+            refused_on_one_line(error)
+            continue
+        np.testing.assert_array_equal(part.values[:-1], whole.values[: part.values.size - 1])
+        assert (part.start, part.rate) == (0, pytest.approx(whole.rate, rel=0.06))
+
+
+@pytest.mark.parametrize("name", ["a.wav", "a.csv"])
+def test_a_file_with_bytes_flipped_anywhere_is_read_or_refused(tmp_path_factory, name):
+    """Every byte in turn: what comes out can be resampled and is within the range of the format, or is refused."""
+    folder = tmp_path_factory.getbasetemp()
+    rows = "\n".join(f"{0.01 * index:.2f},{value}" for index, value in enumerate(SAMPLES))
+    content = wav(SAMPLES.tobytes()) if name == "a.wav" else rows.encode()
+    for place, byte in enumerate(content):
+        flipped = bytes([byte ^ (1, 0x10, 0x80, 0xFF)[place % 4]])
+        read_or_refused(folder, content[:place] + flipped + content[place + 1 :], name, {})
+
+
+def test_a_damaged_first_line_is_no_line_of_names(tmp_path):
+    """It is passed over only where nothing in it is a number, so that no sample is lost."""
+    for line in ("0.0O,1", "0,one", "0.00,", "0,1_0"):
+        with pytest.raises(SceneError, match="line 1 is not made of numbers"):
+            read(tmp_path, f"{line}\n1,2\n2,3\n")
+
+
+def test_signals_longer_than_memory_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(sampled, "MOST_SAMPLES", 50)
+    for name, content in (("a.wav", wav(SAMPLES.tobytes())), ("a.csv", "\n".join(f"{n},{n}" for n in range(1, 60)))):
+        with pytest.raises(SceneError, match="59 samples; at most 50"):
+            read(tmp_path, content, name)
+    with pytest.raises(SceneError, match=r"1e\+05 for each step"):
+        resample(Samples(np.ones(9), 1e7, 0.0, True), 1e-2, 10)

@@ -22,6 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from warp_plate.result.whole import whole_file
+
 WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
 EXTRA = "pip install 'warp-plate[viz]'"
 SYSTEM = (
@@ -104,7 +106,9 @@ def plot_beside(
     written = []
     try:
         for ending in (".png", ".svg"):
-            written.append(draw(record, path.with_suffix(ending)))
+            with whole_file(path.with_suffix(ending)) as temporary:
+                draw(record, temporary)
+            written.append(path.with_suffix(ending))
     except (ValueError, OSError) as error:
         return written, f"no plot: {error}"
     return written, None
@@ -201,6 +205,7 @@ def _try_window(window: str | None) -> tuple[bool, str]:
             text=True,
             errors="replace",
             timeout=PATIENCE,
+            start_new_session=True,  # a Ctrl-C is meant for the run, not for what it tries out
         )
     except subprocess.TimeoutExpired:
         return False, f"no answer in {PATIENCE:g} s"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.result.model import Case, Result
+from warp_plate.result.whole import whole_file
 from warp_plate.viz.availability import missing, missing_plots, off_screen, prepare
 from warp_plate.viz.scene3d import add_colour_bar, add_key, add_plate
 from warp_plate.viz.surface import caption, scale_over
@@ -56,7 +57,9 @@ def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
         problem = lacking()
         if problem is None:
             try:
-                written.append(draw(result, path))
+                with whole_file(path) as temporary:
+                    draw(result, temporary)
+                written.append(path)
             except OSError as error:
                 problem = f"{path}: cannot be written: {error}"
         if problem is not None:

@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
+from warp_plate.plate.limit import find_limit, needs_moments
 from warp_plate.plate.operator import FEWEST_NODES
-from warp_plate.plate.scheme import SAFETY, STEPS_A_PERIOD, needs_moments, stability, time_step_limit
+from warp_plate.plate.scheme import SAFETY, STEPS_A_PERIOD
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.model import Scene
 
@@ -95,11 +96,7 @@ def spacing_of(scene: Scene, nodes: tuple[int, int]) -> float:
 
 def stability_limit(scene: Scene, order: Order, nodes: tuple[int, int]) -> float:
     """Largest stable time step [s] with centred damping."""
-    if needs_moments(scene):
-        return stability(scene_with(scene, Configuration(order, LOAD_OF[order], nodes, None, "float64")))[0]
-    plate = scene.plate
-    spacing = (plate.size[0] / (nodes[0] - 1), plate.size[1] / (nodes[1] - 1))
-    return time_step_limit(_kappa(scene), spacing, order=order)
+    return find_limit(scene_with(scene, Configuration(order, LOAD_OF[order], nodes, None, "float64")))[0].time_step
 
 
 def longest_time_step(scene: Scene, order: Order, nodes: tuple[int, int]) -> float:

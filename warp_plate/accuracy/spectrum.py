@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse
 
-from warp_plate.plate import modes
+from warp_plate.plate import modes, operator
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.scene.model import Scene
 
@@ -16,7 +16,8 @@ def biharmonic(scene: Scene) -> scipy.sparse.csc_array:
     Raises:
         SceneError: see ``make_scheme``.
     """
-    return modes.biharmonic(make_scheme(scene))
+    scheme = make_scheme(scene)
+    return operator.biharmonic(scheme.taps_x, scheme.taps_y, scheme.spacing, scheme.order)
 
 
 def natural_frequencies(scene: Scene, count: int) -> np.ndarray:

@@ -65,6 +65,7 @@ def make_cases(
     """
     cases: dict[Case, None] = {}  # each once, in order
     for device in devices:
+        find_device(device)
         for precision in precisions:
             for size, count in _sizes(device, plates, nodes, quick):
                 cases[Case(device, precision, size, count, path)] = None

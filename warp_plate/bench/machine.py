@@ -7,12 +7,11 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
-from pathlib import Path
 
 import warp as wp
 
 from warp_plate import __version__
-from warp_plate.solve.devices import cpu_threads, find_device
+from warp_plate.solve.devices import cpu_threads, find_device, processor_of
 
 # Waiting programs for each core, averaged over a minute, above which figures are not to be trusted.
 QUIET = 0.3
@@ -47,7 +46,7 @@ def describe_machine(devices: Sequence[str]) -> Machine:
         threads=threads,
         load=_load_average(),
         devices={
-            name: model.name if model.is_cuda else f"{_processor()}, {threads} threads"
+            name: processor_of(model) + ("" if model.is_cuda else f", {threads} threads")
             for name, model in models.items()
         },
     )
@@ -73,13 +72,3 @@ def busy() -> str | None:
 
 def _load_average() -> float | None:
     return round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None
-
-
-def _processor() -> str:
-    """The processor's model; what Python knows of it where the system has no /proc/cpuinfo."""
-    listing = Path("/proc/cpuinfo")
-    if listing.exists():
-        for line in listing.read_text(encoding="utf-8", errors="replace").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -15,6 +14,7 @@ from warp_plate.bench.cases import Case
 from warp_plate.bench.clock import seconds_of
 from warp_plate.bench.limits import Limits, measure_limits, share_of_limit
 from warp_plate.bench.machine import Machine, describe_machine, describe_versions
+from warp_plate.plate.memory import machine_memory
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
@@ -247,7 +247,4 @@ def memory_for_plates(device: wp.Device) -> float:
     """Bytes of the device's memory that the plates of one case may take."""
     if device.is_cuda:
         return CUDA_MEMORY_SHARE * float(device.free_memory)
-    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
-        whole = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-        return min(CPU_MEMORY_SHARE * whole, CPU_MEMORY_BYTES)
-    return CPU_MEMORY_BYTES
+    return min(CPU_MEMORY_SHARE * machine_memory(), CPU_MEMORY_BYTES)

@@ -61,7 +61,7 @@ def accuracy(
     json
         Print one JSON object instead of a table.
     """
-    target = _target(out, scene)
+    target = output.output_file(out, scene, "accuracy", (".json",))
     if not 0 < budget < float("inf"):
         raise SceneError(f"--budget {budget:g}: must be a number of seconds above zero")
     loaded = output.load_scene(scene)
@@ -79,27 +79,14 @@ def accuracy(
         output.print_json({**record, "files": [str(file) for file in files]})
         return
     _print(report, machine.devices[name], output.console())
-    for file in files:
-        print(f"wrote {file}")
-    if missing:
-        print(missing)
-
-
-def _target(out: Path | None, scene: str) -> Path:
-    path = out or Path(f"{Path(scene).stem}-accuracy.json")
-    if path.suffix != ".json":
-        raise SceneError(f"--out {path}: must end in .json")
-    if not path.parent.is_dir():
-        raise SceneError(f"--out {path}: no such folder: {path.parent}")
-    return path
+    output.print_files(files, missing)
 
 
 def _write(record: Mapping[str, object], path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """The figures as JSON and their picture; returns the files, and why a picture is missing."""
-    try:
-        path.write_text(json_format.dumps(record, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise SceneError(f"--out {path}: cannot be written: {error}") from None
+    from warp_plate.result.whole import write_whole
+
+    write_whole(f"{json_format.dumps(record, indent=1)}\n".encode(), path)
     if not pictures:
         return [path], None
     from warp_plate.viz.accuracy_plot import draw_accuracy_beside

@@ -60,7 +60,7 @@ def bench(
     json
         Print one JSON object instead of a table.
     """
-    target = _target(out)
+    target = output.output_file(out, "", "bench", (".json",))
     counts, sizes = _whole_numbers("--plates", plates, 1, 10**7), _whole_numbers("--nodes", nodes, 5, 8193)
     from warp_plate.bench.cases import all_devices, make_cases
     from warp_plate.bench.machine import busy
@@ -83,19 +83,7 @@ def bench(
         output.print_json({**report.as_json(), "files": [str(file) for file in files]})
         return
     _print(report, output.console())
-    for file in files:
-        print(f"wrote {file}")
-    if missing:
-        print(missing)
-
-
-def _target(out: Path | None) -> Path:
-    path = out or Path("bench.json")
-    if path.suffix != ".json":
-        raise SceneError(f"--out {path}: must end in .json")
-    if not path.parent.is_dir():
-        raise SceneError(f"--out {path}: no such folder: {path.parent}")
-    return path
+    output.print_files(files, missing)
 
 
 def _whole_numbers(option: str, text: str | None, least: int, most: int) -> list[int] | None:
@@ -107,17 +95,16 @@ def _whole_numbers(option: str, text: str | None, least: int, most: int) -> list
     if text is None:
         return None
     parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdecimal() and least <= int(part) <= most for part in parts):
+    if not all(part.isdecimal() and len(part) < 20 and least <= int(part) <= most for part in parts):
         raise SceneError(f"{option} {text}: must be whole numbers from {least} to {most}, such as 27,105")
     return [int(part) for part in parts]
 
 
 def _write(report: Report, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """The figures as JSON and their pictures; returns the files, and why a picture is missing."""
-    try:
-        path.write_text(json_format.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise SceneError(f"--out {path}: cannot be written: {error}") from None
+    from warp_plate.result.whole import write_whole
+
+    write_whole(f"{json_format.dumps(report.as_json(), indent=1)}\n".encode(), path)
     if not pictures:
         return [path], None
     from warp_plate.viz.bench_plot import draw_bench_beside

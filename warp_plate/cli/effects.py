@@ -75,10 +75,10 @@ def _print(name: str, scene: Scene, found: Influence, numbers: list[Finding]) ->
         "switched to its other state, under the scene's own drive:\n"
     )
     for switch in found.switches:
-        console.print(f"{'without' if switch.on else 'with'} {_words(switch.name)}: {switch.switched}", markup=False)
+        console.print(f"{'without' if switch.on else 'with'} {_words(switch.name)}: {switch.switched}")
     console.print()
     for number in numbers:
-        console.print(f"{'! ' if number.exceeded else '  '}{number.sentence}", markup=False)
+        console.print(f"{'! ' if number.exceeded else '  '}{number.sentence}")
 
 
 def _row(switch: Switch) -> list[str]:

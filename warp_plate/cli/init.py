@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, printable
 
 
 def init(name: str, /, *, out: Path | None = None) -> None:
@@ -22,10 +22,15 @@ def init(name: str, /, *, out: Path | None = None) -> None:
     text = preset_text(name)
     path = out or Path(f"{name}.toml")
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
+        file = path.open("x", encoding="utf-8")
     except FileExistsError:
         raise SceneError(f"{path}: exists already; choose another name with --out") from None
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise SceneError(f"{path}: cannot be written: {error}") from None
-    print(f"wrote {path}; run it with: warp-plate localize {path}")
+    try:
+        with file:
+            file.write(text)
+    except OSError as error:
+        path.unlink()
+        raise SceneError(f"{path}: cannot be written: {error}") from None
+    print(printable(f"wrote {path}; run it with: warp-plate localize {path}"))

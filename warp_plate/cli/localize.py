@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import cyclopts
 
 from warp_plate.cli import output
+from warp_plate.cli.options import Whole
 from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
+from warp_plate.cli.resume import read_checkpoint, result_beside, way_on
+from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rich.console import Console
 
     from warp_plate.result.model import Result
+    from warp_plate.search.checkpoints import CheckpointFile
 
 TRIED = {"direct": "plates simulated for the swarm", "response": "drives tried by the swarm on the Gram matrices"}
 MEANING = {
@@ -25,15 +32,17 @@ MEANING = {
 
 
 def localize(
-    scene: str,
+    scene: str | None = None,
     /,
     *,
-    device: str = "auto",
-    seed: int | None = None,
-    evaluator: Literal["direct", "response"] = "direct",
-    path: Literal["auto", "resident", "streaming"] = "auto",
+    device: str | None = None,
+    seed: Whole | None = None,
+    evaluator: Literal["direct", "response"] | None = None,
+    path: Literal["auto", "resident", "streaming"] | None = None,
     accuracy: str | None = None,
     estimate: bool = True,
+    checkpoint_every: float = 30.0,
+    resume: Path | None = None,
     out: Path | None = None,
     pictures: bool = True,
     json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
@@ -43,59 +52,113 @@ def localize(
     Every actuator's magnitude and phase is searched, with the first actuator's held at 1 and 0; those that the scene
     gives are for simulate.
 
+    Ctrl-C ends the search with the best so far, and leaves a checkpoint beside the result: --resume goes on from it as
+    if there had been no stop, to the same result to the last bit. So does a search that runs longer than
+    --checkpoint-every, in case the machine stops. A search that comes to its end takes its checkpoint away.
+
     Parameters
     ----------
     scene
-        A preset's name (paper, paper-supported) or a TOML file.
+        A preset's name (paper, paper-supported) or a TOML file. With --resume it may be left out.
     device
-        cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
+        cpu, cuda, cuda:1, ... or auto, which takes a CUDA device where there is one; auto when left out, with --resume
+        the kind that the search began on. Another kind rounds in another way: the result may differ.
     seed
         Of the swarm; the scene's when left out.
     evaluator
-        direct simulates a plate for each particle; response uses Gram matrices of unit responses instead.
+        direct simulates a plate for each particle; response uses Gram matrices of unit responses instead. direct when
+        left out.
     path
-        How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch).
+        How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch). auto,
+        the faster one, when left out.
     accuracy
         Such as 1% or 0.01: the relative error that localization factors may have, instead of the scene's grid.
     estimate
         End with an estimate of the result's error.
+    checkpoint_every
+        Seconds between two checkpoints, at the end of an iteration: OUT.checkpoint.h5 for OUT.h5, and
+        OUT.checkpoint.previous.h5, the one before. 0: after each iteration; inf: only after Ctrl-C.
+    resume
+        The checkpoint (.checkpoint.h5) of a search to go on with; the one before it is taken where it is damaged.
+        Scene, seed, evaluator, path and accuracy are the checkpoint's; one that differs is refused.
     out
-        The result file (.h5); SCENE-localize.h5 in this folder when left out. Pictures are written beside it.
+        The result file (.h5); SCENE-localize.h5 in this folder when left out, with --resume beside the checkpoint.
+        Pictures are written beside it.
     pictures
         Draw the displacements and the search's history (needs the extra viz).
     json
         Print one JSON object instead of tables.
     """
-    target = output.output_file(out, scene, "localize")
-    loaded = output.load_scene(scene, accuracy)
+    if scene is None and resume is None:
+        raise SceneError("localize needs a SCENE (a preset's name or a TOML file), or --resume FILE")
+    beside = None if resume is None else result_beside(resume)
+    target = output.output_file(out or beside, scene or "", "localize")
+    loaded = None if scene is None else output.load_scene(scene, accuracy)
+    from warp_plate.result.checkpoint import ENDING
+    from warp_plate.search.checkpoints import CheckpointFile
+
+    same: dict[str, object] = {"seed": seed, "evaluator": evaluator, "path": path}
+    checkpoint = None if resume is None else read_checkpoint(resume, loaded, scene, accuracy, same, device)
+    kept = CheckpointFile(target.with_suffix(ENDING), checkpoint_every, resume is not None, output.tell)
+    if checkpoint is None and kept.path.exists():
+        output.tell(f"{kept.path} is of a search that did not end; a checkpoint of this one will replace it")
     output.prepare_pictures(pictures)
     from warp_plate.search.localize import localize as search
+    from warp_plate.search.localize import resume as go_on
 
-    with output.progress_bar("searching", shown=not json) as show:
+    if checkpoint is not None:
+        run = partial(go_on, checkpoint, device)
+    elif loaded is not None:
+        on = "auto" if device is None else device
+        run = partial(search, loaded, scene or "", on, seed, evaluator or "direct", path or "auto")
+    result = _run(run, estimate, kept, shown=not json)
+    files, missing = _write(result, target, pictures, kept)
+    if json:
+        output.print_json(as_json(result, files, kept.path if result.interrupted and kept.saved else None))
+        return
+    _print(result, output.console())
+    output.print_files(files, missing)
+
+
+def _run(run: Callable[..., Result], estimate: bool, kept: CheckpointFile, shown: bool) -> Result:
+    """The search with its progress; a Ctrl-C that leaves nothing but a checkpoint says how to go on."""
+    with output.progress_bar("searching", shown) as show:
 
         def told(done: int, total: int, best: float) -> None:
             show(done, total, f"best {best:.4f}")
 
-        result = search(loaded, scene, device, seed, evaluator, path, told, estimate)
-    files, missing = output.write_files(result, target, pictures)
-    if json:
-        output.print_json(as_json(result, files))
-        return
-    _print(result, output.console())
-    for file in files:
-        print(f"wrote {file}")
-    if missing:
-        print(missing)
+        try:
+            return run(told=told, estimate=estimate, checkpoints=kept)
+        except KeyboardInterrupt:
+            if kept.saved is None:
+                raise
+            raise KeyboardInterrupt(way_on(kept.saved, kept.path)) from None
 
 
-def as_json(result: Result, files: list[Path]) -> dict[str, object]:
-    """The object that ``--json`` prints."""
+def _write(result: Result, target: Path, pictures: bool, kept: CheckpointFile) -> tuple[list[Path], str | None]:
+    """The result and its pictures, see ``output.write_files``; the checkpoint goes once the search is done."""
+    try:
+        files, missing = output.write_files(result, target, pictures)
+    except SceneError as error:
+        if kept.saved is None:
+            raise
+        raise SceneError(f"{error}; there is a checkpoint{way_on(kept.saved, kept.path)}") from None
+    if not result.interrupted:
+        kept.remove()
+    elif kept.saved is not None:
+        output.tell(f"interrupted{way_on(kept.saved, kept.path)}")
+    return files, missing
+
+
+def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -> dict[str, object]:
+    """The object that ``--json`` prints; ``checkpoint``: what an interrupted search goes on from."""
     best = result.cases["best"]
     factors = {name: case.localization_factor for name, case in result.cases.items()}
     history = {name: values.tolist() for name, values in result.history.items()}
     return {
         "scene": result.source,
         "device": result.device,
+        "path": result.path,
         "seed": result.seed,
         "localization_factor": {**factors, "bound": result.bound},
         "drive": [
@@ -113,6 +176,7 @@ def as_json(result: Result, files: list[Path]) -> dict[str, object]:
         "accuracy": dict(result.accuracy),
         "warnings": output.warnings_of(result),
         "interrupted": result.interrupted,
+        "checkpoint": None if checkpoint is None else str(checkpoint),
         "files": [str(file) for file in files],
     }
 
@@ -138,8 +202,8 @@ def _print(result: Result, console: Console) -> None:
     effects = ", ".join(result.effects) or "none"
     console.print(
         f"{result.evaluations} {TRIED[result.evaluator]}, {result.node_steps:.3g} node-steps in all on "
-        f"{result.device}: {result.seconds['solve']:.2f} s solving after {result.seconds['compile']:.2f} s compiling "
-        f"or loading kernels. Effects compiled in: {effects}."
+        f"{result.device}, {result.path}: {result.seconds['solve']:.2f} s solving after "
+        f"{result.seconds['compile']:.2f} s compiling or loading kernels. Effects compiled in: {effects}."
     )
     output.print_accuracy(result, console)
     output.print_warnings(result, console)

@@ -1,43 +1,35 @@
-"""The command ``warp-plate``: one file a command beside this one, put together here."""
+"""The command ``warp-plate``. Whatever takes time to import comes inside, where Ctrl-C ends in a word."""
 
 from __future__ import annotations
 
+import io
+import os
 import sys
-
-import cyclopts
-
-import warp_plate
-from warp_plate.cli.accuracy import accuracy
-from warp_plate.cli.bench import bench
-from warp_plate.cli.effects import effects
-from warp_plate.cli.init import init
-from warp_plate.cli.localize import localize
-from warp_plate.cli.modes import modes
-from warp_plate.cli.simulate import simulate
-from warp_plate.scene.errors import SceneError
-
-app = cyclopts.App(
-    name="warp-plate",
-    help="Simulate thin vibrating panels, thousands at once, and find the drive that moves only the chosen part.",
-    version=warp_plate.__version__,
-    help_format="plaintext",
-    suppress_keyboard_interrupt=False,
-)
-for command in (localize, simulate, modes, effects, accuracy, init, bench):
-    app.command(command)
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and leave the process: status 0; 2 after a line about bad input; 130 after Ctrl-C."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal without Greek letters is no fault of the scene
+            stream.reconfigure(errors="backslashreplace")
     try:
-        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
-    except (SceneError, cyclopts.CycloptsError) as error:
-        line = " ".join(str(error).split())
-        print(f"warp-plate: {line}", file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        print("warp-plate: interrupted; nothing was written", file=sys.stderr)
+        from warp_plate.cli.interrupts import at_safe_moments
+
+        with at_safe_moments():
+            from warp_plate.cli.commands import run
+
+            run(arguments)
+    except KeyboardInterrupt as interrupt:
+        word = interrupt.args[0] if interrupt.args else "; nothing was written"
+        print(f"warp-plate: interrupted{word}", file=sys.stderr)
         sys.exit(130)
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(0)
+    except OSError as error:
+        from warp_plate.cli.output import tell
+
+        # Python would try once more to write what standard output still holds.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        tell(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}")
+        sys.exit(2)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import cyclopts
 
 from warp_plate.cli import output
+from warp_plate.cli.options import Whole
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ def modes(
     scene: str,
     /,
     *,
-    count: int = 6,
+    count: Whole = 6,
     accuracy: str | None = None,
     out: Path | None = None,
     pictures: bool = True,
@@ -47,7 +48,7 @@ def modes(
     json
         Print one JSON object instead of a table.
     """
-    target = _target(out, scene)
+    target = output.output_file(out, scene, "modes", ENDINGS)
     if count < 1:
         raise SceneError(f"--count {count}: must be at least 1")
     loaded = _with_grid(output.load_scene(scene, accuracy))
@@ -65,19 +66,7 @@ def modes(
         output.print_json(_record(scene, loaded, found, files))
         return
     _print(scene, loaded, found)
-    for file in files:
-        print(f"wrote {file}")
-    if missing:
-        print(missing)
-
-
-def _target(out: Path | None, scene: str) -> Path:
-    path = out or Path(f"{Path(scene).stem}-modes.png")
-    if path.suffix not in ENDINGS:
-        raise SceneError(f"--out {path}: must end in .png, .svg or .pdf")
-    if not path.parent.is_dir():
-        raise SceneError(f"--out {path}: no such folder: {path.parent}")
-    return path
+    output.print_files(files, missing)
 
 
 def _with_grid(scene: Scene) -> Scene:
@@ -91,6 +80,7 @@ def _with_grid(scene: Scene) -> Scene:
 
 def _draw(scene: Scene, found: NaturalModes, path: Path) -> tuple[list[Path], str | None]:
     """The files written, and None or why none was."""
+    from warp_plate.result.whole import whole_file
     from warp_plate.viz.availability import missing_plots
     from warp_plate.viz.modes_plot import draw_modes
 
@@ -98,7 +88,9 @@ def _draw(scene: Scene, found: NaturalModes, path: Path) -> tuple[list[Path], st
     if problem is not None:
         return [], problem
     try:
-        return [draw_modes(scene, found.frequencies, found.shapes, path)], None
+        with whole_file(path) as temporary:
+            draw_modes(scene, found.frequencies, found.shapes, temporary)
+        return [path], None
     except OSError as error:
         return [], f"{path}: cannot be written: {error}"
 

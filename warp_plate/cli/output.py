@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import stat
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,9 +30,21 @@ def print_json(data: Mapping[str, object]) -> None:
     print(json.dumps(_finite(data), indent=2))
 
 
+class _PlainConsole(Console):
+    """Prints text as it stands: what a scene calls itself is neither markup nor a command to the terminal."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        return super().render_str(printable(text), **options)
+
+
 def console() -> Console:
     """Standard output, wrapped to the terminal's width and plain when it is a file."""
-    return Console(highlight=False)
+    return _PlainConsole(highlight=False, markup=False, emoji=False)
+
+
+def tell(line: str) -> None:
+    """One line for people on standard error."""
+    print(f"warp-plate: {printable(' '.join(line.split()))}", file=sys.stderr)
 
 
 def table(*headings: str, title: str | None = None) -> Table:
@@ -63,24 +78,33 @@ def drive_table(case: Case, scene: Scene) -> Table:
     return made
 
 
-def output_file(out: Path | None, source: str, command: str) -> Path:
-    """Where the result goes: ``out``, or SCENE-COMMAND.h5 in this folder.
+def output_file(out: Path | None, source: str, command: str, endings: Sequence[str] = (".h5",)) -> Path:
+    """Where a command's file goes: ``out``, or SCENE-COMMAND with the first of the endings, in this folder.
+
+    source: the name given as SCENE, empty where a command takes none.
 
     Raises:
-        SceneError: not an .h5 name, or its folder is missing; said before any work is done.
+        SceneError: another ending, no file can be made there, or its folder is missing; said before any work is done.
     """
-    path = out or Path(f"{Path(source).stem}-{command}.h5")
-    if path.suffix != ".h5":
-        raise SceneError(f"--out {path}: must end in .h5")
-    if not path.parent.is_dir():
-        raise SceneError(f"--out {path}: no such folder: {path.parent}")
+    path = out or Path(f"{Path(source).stem}-{command}{endings[0]}" if source else f"{command}{endings[0]}")
+    if path.suffix not in endings:
+        raise SceneError(f"--out {path}: must end in {' or '.join(', '.join(endings).rsplit(', ', 1))}")
+    try:
+        there = stat.S_ISDIR(path.stat().st_mode) and "is a folder"
+    except (FileNotFoundError, NotADirectoryError):
+        there = not path.parent.is_dir() and f"no such folder: {path.parent}"
+    except (OSError, ValueError) as error:  # a name too long, or with characters that no name may have
+        there = f"no name for a file: {getattr(error, 'strerror', None) or error}"
+    if there or not os.access(path.parent, os.W_OK):
+        raise SceneError(f"--out {path}: {there or f'no permission to write to the folder {path.parent}'}")
     return path
 
 
-def load_scene(source: str, accuracy: str | None = None) -> Scene:
+def load_scene(source: str, accuracy: str | None = None, allow_unstable: bool = False) -> Scene:
     """The scene, with the checks that need its grid already made, so that their errors name the file as well.
 
-    accuracy: what ``--accuracy`` says; it takes the place of the scene's grid.
+    accuracy: what ``--accuracy`` says; it takes the place of the scene's grid. allow_unstable: whether its time step
+    may be above the limit.
 
     Raises:
         SceneError: see ``Scene.load``, ``make_scheme`` and ``patches``; or no accuracy.
@@ -88,22 +112,32 @@ def load_scene(source: str, accuracy: str | None = None) -> Scene:
     from warp_plate.plate.scheme import make_scheme
     from warp_plate.plate.weights import patches
     from warp_plate.scene import Scene
-    from warp_plate.scene.load import with_accuracy
 
     scene = Scene.load(source)
     if accuracy is not None:
-        try:
-            scene = with_accuracy(scene, _accuracy_of(accuracy))
-        except SceneError:
-            raise SceneError(f"--accuracy {accuracy}: must be from 0.01% to 50%, such as 1% or 0.01") from None
+        scene = with_asked_accuracy(scene, accuracy)
     if scene.grid.accuracy is not None:
         return scene
     try:
-        make_scheme(scene)
+        make_scheme(scene, allow_unstable)
         patches(scene)
     except SceneError as error:
         raise SceneError(f"{source}: {error}") from None
     return scene
+
+
+def with_asked_accuracy(scene: Scene, accuracy: str) -> Scene:
+    """The scene with what ``--accuracy`` says in the place of its grid.
+
+    Raises:
+        SceneError: no accuracy.
+    """
+    from warp_plate.scene.load import with_accuracy
+
+    try:
+        return with_accuracy(scene, _accuracy_of(accuracy))
+    except SceneError:
+        raise SceneError(f"--accuracy {accuracy}: must be from 0.01% to 50%, such as 1% or 0.01") from None
 
 
 def _accuracy_of(text: str) -> float:
@@ -133,14 +167,18 @@ def warnings_of(result: Result) -> list[str]:
     from warp_plate.search.warnings import exceeded
 
     case = result.cases.get("best") or next(iter(result.cases.values()))
+    if case.status != "ok":
+        return [f"The plate's status: {case.status}; it has no energies."]
     peak = float(abs(case.displacement).max()) if case.displacement.size else 0.0
+    if not all(math.isfinite(energy) for one in result.cases.values() for energy in one.energy.values()):
+        peak = math.nan
     return exceeded(result.scene, peak)
 
 
 def print_warnings(result: Result, console: Console) -> None:
     """One line for each of ``warnings_of``."""
     for sentence in warnings_of(result):
-        console.print(f"! {sentence}", markup=False)
+        console.print(f"! {sentence}")
 
 
 def prepare_pictures(pictures: bool) -> None:
@@ -154,14 +192,30 @@ def prepare_pictures(pictures: bool) -> None:
 def write_files(result: Result, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """Save the result and draw its pictures beside it; returns the files, and why a picture is missing."""
     from warp_plate.result import save_result
+    from warp_plate.search.interrupts import interrupts_held
 
-    files = [save_result(result, path)]
-    if not pictures:
-        return files, None
-    from warp_plate.viz import draw_all
+    files = []
+    try:
+        with interrupts_held():
+            files.append(save_result(result, path))
+        if not pictures:
+            return files, None
+        from warp_plate.viz import draw_all
 
-    drawn, missing = draw_all(result, path.with_suffix(""))
+        drawn, missing = draw_all(result, path.with_suffix(""))
+    except KeyboardInterrupt:
+        if not files:
+            raise
+        return files, "no pictures: interrupted by Ctrl-C"
     return files + drawn, missing
+
+
+def print_files(files: Sequence[Path], missing: str | None) -> None:
+    """A line for each file written, and why others are missing."""
+    for file in files:
+        print(printable(f"wrote {file}"))
+    if missing:
+        print(printable(missing))
 
 
 def _finite(value: object) -> object:

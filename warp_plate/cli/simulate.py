@@ -20,6 +20,7 @@ def simulate(
     path: Literal["auto", "resident", "streaming"] = "auto",
     accuracy: str | None = None,
     estimate: bool = True,
+    allow_unstable: Annotated[bool, cyclopts.Parameter(negative="")] = False,
     out: Path | None = None,
     pictures: bool = True,
     json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
@@ -41,6 +42,8 @@ def simulate(
         Such as 1% or 0.01: the relative error that localization factors may have, instead of the scene's grid.
     estimate
         End with an estimate of the result's error.
+    allow_unstable
+        Run a time step above the stability limit too, until its growth is seen and told as the plate's status.
     out
         The result file (.h5); SCENE-simulate.h5 in this folder when left out. Pictures are written beside it.
     pictures
@@ -49,7 +52,7 @@ def simulate(
         Print one JSON object instead of tables.
     """
     target = output.output_file(out, scene, "simulate")
-    loaded = output.load_scene(scene, accuracy)
+    loaded = output.load_scene(scene, accuracy, allow_unstable)
     output.prepare_pictures(pictures)
     from warp_plate.search.simulate import simulate as run
 
@@ -58,7 +61,7 @@ def simulate(
         def told(done: int, total: int) -> None:
             show(done, total, f"{done:.2g} node-steps")
 
-        result = run(loaded, scene, drive, device, path, told, estimate)
+        result = run(loaded, scene, drive, device, path, told, estimate, allow_unstable)
     case = result.cases["drive"]
     files, missing = output.write_files(result, target, pictures)
     peak = float(np.abs(case.displacement).max())
@@ -67,6 +70,8 @@ def simulate(
             {
                 "scene": result.source,
                 "device": result.device,
+                "status": case.status,
+                "path": result.path,
                 "localization_factor": case.localization_factor,
                 "energy": dict(case.energy),
                 "peak_displacement": peak,
@@ -82,19 +87,18 @@ def simulate(
     console = output.console()
     console.print(result.scene.title or result.source)
     made = output.table("quantity", "value")
+    if case.status != "ok":
+        made.add_row("status", case.status)
     made.add_row("localization factor", f"{case.localization_factor:.4f}")
     for region, energy in case.energy.items():
         made.add_row(f"kinetic energy of the {region}, averaged over the window", f"{energy:.4g} J")
     made.add_row("largest displacement at the recorded times", f"{peak:.4g} m")
     console.print(made)
     console.print(
-        f"{result.node_steps:.3g} node-steps on {result.device}: {result.seconds['solve']:.2f} s solving after "
-        f"{result.seconds['compile']:.2f} s compiling or loading kernels. Effects compiled in: "
+        f"{result.node_steps:.3g} node-steps on {result.device}, {result.path}: {result.seconds['solve']:.2f} s "
+        f"solving after {result.seconds['compile']:.2f} s compiling or loading kernels. Effects compiled in: "
         f"{', '.join(result.effects) or 'none'}."
     )
     output.print_accuracy(result, console)
     output.print_warnings(result, console)
-    for file in files:
-        print(f"wrote {file}")
-    if missing:
-        print(missing)
+    output.print_files(files, missing)

@@ -14,18 +14,20 @@ from an energy: it is symmetric in the nodes' masses, and never negative.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
 
+from warp_plate.plate.section import make_section
 from warp_plate.plate.weights import EDGE_LINES, moving_nodes, overlap
-from warp_plate.scene.effects import Orthotropic
 from warp_plate.scene.model import ElasticEdge, Scene
 
-# Relative, of the largest eigenvalue.
-LANCZOS_TOLERANCE = 1e-3
+# Up to so many unknowns all buckling loads are worked out at once.
+DENSE = 400
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,8 @@ class Bending:
 
     spacing: (hx, hy) [m]; bend_xx, bend_xy, bend_yy: C above [N·m]; twist: (ny − 1, nx − 1) 4Dxy of the cells [N·m];
     mass: per area [kg/m²]; weight: share of each node's cell on the plate, 1, ½ or ¼; spring: per area, of the bed and
-    of elastic edges [N/m³]; moves: whether the node does; tension: (x, y) [N/m].
+    of elastic edges [N/m³]; moves: whether the node does; tension: (x, y) [N/m]; stretch: along x and y, what resists
+    stretching of the whole plate [N/m] (see ``section``).
     """
 
     spacing: tuple[float, float]
@@ -47,15 +50,25 @@ class Bending:
     spring: np.ndarray
     moves: np.ndarray
     tension: tuple[float, float]
+    stretch: tuple[float, float]
+
+    @property
+    def stretch_ratio(self) -> float:
+        """κ of ``section``: the pull of stretching along y in units of that along x; 1 where the plate is isotropic."""
+        return math.sqrt(self.stretch[1] / self.stretch[0])
+
+    @property
+    def berger(self) -> float:
+        """Berger's tension along x for ∫ u_x² + κu_y² dA = 1 m² [N/m³]; for an isotropic plate 6D/(H² area)."""
+        area = self.spacing[0] * self.spacing[1] * float(self.weight.sum())
+        return self.stretch[0] / (2 * area)
 
 
 def make_bending(scene: Scene) -> Bending:
     """The fields of a scene on its grid."""
-    plate, effects, (nx, ny) = scene.plate, scene.effects, scene.grid.nodes
-    hx, hy = plate.size[0] / (nx - 1), plate.size[1] / (ny - 1)
-    bare, added, mass = _layers(scene)
-    ratio = plate.poisson_ratio
-    own = effects.orthotropic or Orthotropic(Dx=bare, Dy=bare, D1=ratio * bare, Dxy=(1 - ratio) / 2 * bare)
+    effects, (width, height), (nx, ny) = scene.effects, scene.plate.size, scene.grid.nodes
+    hx, hy = width / (nx - 1), height / (ny - 1)
+    section = make_section(scene)
     yielding_x, yielding_y = np.zeros((ny, nx)), np.zeros((ny, nx))
     spring = np.full((ny, nx), effects.foundation.stiffness if effects.foundation else 0.0)
     for side, line in EDGE_LINES.items():
@@ -66,8 +79,8 @@ def make_bending(scene: Scene) -> Bending:
             spring[line] += 2 * edge.translation / across
         else:
             yielding[line] = 0 if edge == "clamped" else math.inf
-    coupling, twisting = own.D1 + ratio * added, own.Dxy + (1 - ratio) / 2 * added
-    bend_xx, bend_xy, bend_yy = _in_series(own.Dx + added, coupling, own.Dy + added, yielding_x, yielding_y)
+    bend_xx, bend_xy, bend_yy = _in_series(section.bend_xx, section.bend_xy, section.bend_yy, yielding_x, yielding_y)
+    corners = section.twist
     half_x, half_y = np.ones(nx), np.ones(ny)
     half_x[[0, -1]] = half_y[[0, -1]] = 0.5
     return Bending(
@@ -75,12 +88,13 @@ def make_bending(scene: Scene) -> Bending:
         bend_xx=bend_xx,
         bend_xy=bend_xy,
         bend_yy=bend_yy,
-        twist=twisting[:-1, :-1] + twisting[1:, :-1] + twisting[:-1, 1:] + twisting[1:, 1:],
-        mass=mass,
+        twist=corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:] + corners[1:, 1:],
+        mass=section.mass,
         weight=np.outer(half_y, half_x),
         spring=spring,
         moves=moving_nodes(scene),
         tension=(effects.tension.x, effects.tension.y) if effects.tension else (0.0, 0.0),
+        stretch=section.stretch,
     )
 
 
@@ -109,47 +123,31 @@ def stiffness_matrix(bending: Bending) -> scipy.sparse.csr_array:
     return scipy.sparse.csr_array(hx * hy * stiffness)
 
 
-def largest_eigenvalue(scene: Scene, bending: Bending) -> float:
-    """An upper bound of the operator's largest eigenvalue [1/s²], with all springs and oscillators.
-
-    For a plate that is the same everywhere, where the spectrum of the periodic one ends; else by Lanczos' method, and
-    so much more as its tolerance.
-    """
-    (hx, hy), (tension_x, tension_y) = bending.spacing, bending.tension
-    if not scene.effects.layers and not scene.effects.oscillators:
-        inner = bending.mass.shape[0] // 2, bending.mass.shape[1] // 2
-        mixed = bending.bend_xy[inner] + bending.twist.max() / 2  # D1 + 2Dxy
-        along_x, along_y = bending.bend_xx[inner] / hx**4, bending.bend_yy[inner] / hy**4
-        stiff = 16 * max(along_x, along_y, along_x + along_y + 2 * mixed / (hx * hy) ** 2)
-        pull = 4 * (max(tension_x, 0) / hx**2 + max(tension_y, 0) / hy**2)
-        return float((stiff + pull + bending.spring.max()) / bending.mass.min())
-    stiffness, masses = system(scene, bending)
-    root = scipy.sparse.diags_array(1 / np.sqrt(masses))
-    # A start of no symmetry: one that a symmetric plate shares may have no part of the mode that is looked for.
-    start = np.random.default_rng(0).normal(size=len(masses))
-    largest = scipy.sparse.linalg.eigsh(
-        root @ stiffness @ root, k=1, which="LM", tol=LANCZOS_TOLERANCE, v0=start, return_eigenvectors=False
-    )
-    return float(largest[0]) * (1 + 3 * LANCZOS_TOLERANCE)
-
-
 def system(scene: Scene, bending: Bending) -> tuple[scipy.sparse.csr_array, np.ndarray]:
     """Stiffness [N/m] and masses [kg] of what moves: moving nodes row by row, then what oscillators hang."""
-    moves = bending.moves.ravel()
+    moves = np.flatnonzero(bending.moves)
     stiffness = stiffness_matrix(bending)[moves][:, moves]
-    masses = mass_matrix(bending)[moves]
+    whole = with_oscillators(scene, stiffness, moves, [one.stiffness for one in scene.effects.oscillators])
+    hung = [one.mass for one in scene.effects.oscillators if one.mass > 0]
+    return whole, np.concatenate([mass_matrix(bending)[moves], hung])
+
+
+def with_oscillators(
+    scene: Scene, matrix: scipy.sparse.csr_array, moves: np.ndarray, values: Sequence[float]
+) -> scipy.sparse.csr_array:
+    """A matrix over the nodes ``moves`` alone, then over hung masses too, with the springs (or dampers) ``values``
+    between the oscillators' patches and their masses, or the ground where there are none."""
+    if not values:
+        return matrix
     shares = oscillator_shares(scene)
-    if not len(shares):
-        return stiffness, masses
     hung = [index for index, one in enumerate(scene.effects.oscillators) if one.mass > 0]
-    springs = np.array([one.stiffness for one in scene.effects.oscillators])
+    springs = np.array(values)
     on_plate = scipy.sparse.csr_array(shares.reshape(len(shares), -1)[:, moves])
-    plate = stiffness + on_plate.T @ scipy.sparse.diags_array(springs) @ on_plate
+    plate = matrix + on_plate.T @ scipy.sparse.diags_array(springs) @ on_plate
     own = scipy.sparse.diags_array(springs[hung])
     between = -scipy.sparse.diags_array(springs) @ on_plate
     whole = scipy.sparse.block_array([[plate, between[hung].T], [between[hung], own]]) if hung else plate
-    own_masses = [one.mass for one in scene.effects.oscillators if one.mass > 0]
-    return scipy.sparse.csr_array(whole), np.concatenate([masses, own_masses])
+    return scipy.sparse.csr_array(whole)
 
 
 def buckling_factor(scene: Scene, bending: Bending) -> float:
@@ -157,17 +155,23 @@ def buckling_factor(scene: Scene, bending: Bending) -> float:
 
     The smallest μ with (K₀ + μG)u = 0, K₀ being the stiffness without in-plane forces and G their part of it.
     """
-    relaxed = replace(bending, tension=(0.0, 0.0))
-    moves = bending.moves.ravel()
-    rest = stiffness_matrix(relaxed)[moves][:, moves]
-    pull = stiffness_matrix(bending)[moves][:, moves] - rest
+    moves = np.flatnonzero(bending.moves)
+    bare = stiffness_matrix(replace(bending, tension=(0.0, 0.0), spring=np.zeros_like(bending.spring)))
+    springs = scipy.sparse.diags_array((mass_matrix(bending) / bending.mass.ravel()) * bending.spring.ravel())
+    pull = (stiffness_matrix(bending) - bare - springs)[moves][:, moves]
     # Rigid motion of a plate that nothing holds is no buckling: it gets a stiffness of rounding's size.
-    held = rest + scipy.sparse.diags_array(np.full(rest.shape[0], 1e-9 * rest.diagonal().max()))
-    largest = scipy.sparse.linalg.eigsh(
-        -pull, k=1, M=held.tocsc(), which="LA", v0=np.random.default_rng(0).normal(size=rest.shape[0]),
-        return_eigenvectors=False,
-    )
-    return math.inf if largest[0] <= 0 else 1 / float(largest[0])
+    if abs(pull).max() == 0:  # below rounding
+        return math.inf
+    held = (bare + springs)[moves][:, moves] + 1e-9 * bare.diagonal().max() * scipy.sparse.eye_array(len(moves))
+    if len(moves) <= DENSE:
+        largest = scipy.linalg.eigh(-pull.toarray(), held.toarray(), eigvals_only=True)[-1]
+    else:
+        # One more than what is looked for, so that a precision relative to it is enough where it is next to nothing.
+        start = np.random.default_rng(0).normal(size=len(moves))
+        largest = scipy.sparse.linalg.eigsh(
+            held - pull, k=1, M=held.tocsc(), which="LA", v0=start, tol=1e-6, ncv=60, return_eigenvectors=False
+        )[0] - 1  # fmt: skip
+    return math.inf if largest <= 1e-6 else 1 / float(largest)
 
 
 def oscillator_shares(scene: Scene) -> np.ndarray:
@@ -202,37 +206,6 @@ def _in_series(
         bend_yy = np.where(both, soft_x / whole, np.where(np.isfinite(soft_y), 1 / soft_y, 0.0))
         bend_xy = np.where(both, -mixed / whole, 0.0)
     return bend_xx, bend_xy, bend_yy
-
-
-def _layers(scene: Scene) -> tuple[float, np.ndarray, np.ndarray]:
-    """Rigidity of the bare plate [N·m], what layers add to it at each node, and the mass per area [kg/m²].
-
-    A laminate bends about its own neutral plane z₀ = ΣE t z / ΣE t: D = ΣE (t³/12 + t (z − z₀)²) / (1 − ν²). Where a
-    layer covers part of a node's cell, it counts with so much less E and ρ.
-    """
-    plate, (nx, ny) = scene.plate, scene.grid.nodes
-    x, y = np.linspace(0, plate.size[0], nx), np.linspace(0, plate.size[1], ny)
-    half_x, half_y = overlap(x, 0, plate.size[0]), overlap(y, 0, plate.size[1])
-    plane = 1 / (1 - plate.poisson_ratio**2)
-    mass = np.full((ny, nx), plate.density * plate.thickness)
-    # Of each sheet: E [Pa], its thickness and the height of its middle [m].
-    sheets = [(np.full((ny, nx), plate.young_modulus), np.full((ny, nx), plate.thickness), np.zeros((ny, nx)))]
-    top = {1: np.full((ny, nx), plate.thickness / 2), -1: np.full((ny, nx), plate.thickness / 2)}
-    for layer in scene.effects.layers:
-        x0, x1, y0, y1 = layer.area
-        covered = np.outer(overlap(y, y0, y1) / half_y, overlap(x, x0, x1) / half_x)
-        for face in (1, -1) if layer.both else (1,):
-            height = np.where(covered > 0, layer.thickness, 0.0)
-            sheets.append((covered * layer.young_modulus, height, face * (top[face] + height / 2)))
-            top[face] = top[face] + height
-            mass += covered * layer.density * layer.thickness
-    axial = sum(modulus * height for modulus, height, _ in sheets)
-    neutral = sum(modulus * height * middle for modulus, height, middle in sheets) / axial
-    whole = plane * sum(
-        modulus * (height**3 / 12 + height * (middle - neutral) ** 2) for modulus, height, middle in sheets
-    )
-    bare = plane * plate.young_modulus * plate.thickness**3 / 12
-    return bare, whole - bare, mass
 
 
 def _mirrored_second_difference(count: int) -> scipy.sparse.csr_array:

@@ -19,7 +19,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from warp_plate.plate.bending import make_bending, system
-from warp_plate.plate.operator import DIVISOR
+from warp_plate.plate.operator import biharmonic
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -87,24 +87,6 @@ def natural_modes(scene: Scene, count: int) -> NaturalModes:
     return NaturalModes(np.sqrt(squares[:count]) / (2 * math.pi), shapes, hung, scheme.time_step)
 
 
-def biharmonic(scheme: Scheme) -> scipy.sparse.csc_array:
-    """Square matrix of ∇⁴ [1/m⁴] as the plain plate's taps have it, on inner nodes row by row; symmetric."""
-    nx, ny = scheme.nodes
-    one_x, one_y = scipy.sparse.eye_array(nx), scipy.sparse.eye_array(ny)
-
-    def twice(along_x: np.ndarray, along_y: np.ndarray) -> scipy.sparse.csr_array:
-        first = scipy.sparse.kron(one_y, _banded(along_x))
-        return scipy.sparse.csr_array(first + scheme.aspect * scipy.sparse.kron(_banded(along_y), one_x))
-
-    bend = twice(scheme.taps_x.bend, scheme.taps_y.bend)
-    move = twice(scheme.taps_x.move, scheme.taps_y.move)
-    inner = np.zeros((ny, nx), dtype=bool)
-    inner[1:-1, 1:-1] = True
-    kept = np.flatnonzero(inner)
-    whole = (move @ bend)[kept][:, kept] / (DIVISOR[scheme.order] * scheme.spacing[0] ** 2) ** 2
-    return scipy.sparse.csc_array(whole)
-
-
 def _matrices(scene: Scene, scheme: Scheme) -> tuple[scipy.sparse.csc_array, np.ndarray, np.ndarray]:
     """Stiffness [N/m] and masses [kg] of the moving nodes, then of the masses on springs; (ny, nx) which nodes move."""
     if scheme.order == 2:
@@ -119,7 +101,7 @@ def _matrices(scene: Scene, scheme: Scheme) -> tuple[scipy.sparse.csc_array, np.
     moves = np.zeros(scheme.nodes[::-1], dtype=bool)
     moves[1:-1, 1:-1] = True
     cell = scheme.spacing[0] * scheme.spacing[1]
-    stiffness = scheme.rigidity * cell * biharmonic(scheme)
+    stiffness = scheme.rigidity * cell * biharmonic(scheme.taps_x, scheme.taps_y, scheme.spacing, scheme.order)
     return stiffness, np.full(stiffness.shape[0], scheme.surface_density * cell), moves
 
 
@@ -200,11 +182,3 @@ def _stretches(line: np.ndarray) -> int:
     """How many stretches of one sign there are."""
     signs = np.sign(line[np.abs(line) > ABOVE * np.abs(line).max()])
     return 1 + int(np.count_nonzero(signs[1:] != signs[:-1]))
-
-
-def _banded(bands: np.ndarray) -> scipy.sparse.dia_array:
-    """Square matrix of (nodes, 2·reach + 1) bands, a row a node."""
-    nodes, width = bands.shape
-    reach = width // 2
-    diagonals = [bands[max(0, -k) : nodes - max(0, k), k + reach] for k in range(-reach, reach + 1)]
-    return scipy.sparse.diags_array(diagonals, offsets=list(range(-reach, reach + 1)), shape=(nodes, nodes))

@@ -27,6 +27,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse
 
 # By order: the taps inside, from order/2 nodes to one side to as many to the other, what they are divided by, and the
 # fewest nodes on which the closures of two edges keep apart.
@@ -100,3 +101,28 @@ def _close(bend: np.ndarray, edge: str, order: int) -> None:
         bend[0, reach + 1 :] = np.multiply(first, DIVISOR[order])
         bend[1, reach - 1] = 0  # the edge node, which rests
         bend[1, reach:] = np.multiply(second, DIVISOR[order])
+
+
+def biharmonic(taps_x: Taps, taps_y: Taps, spacing: tuple[float, float], order: int) -> scipy.sparse.csc_array:
+    """Square matrix of ∇⁴ [1/m⁴] as the plain plate's taps have it, on inner nodes row by row; symmetric."""
+    nx, ny = len(taps_x.bend), len(taps_y.bend)
+    aspect = (spacing[0] / spacing[1]) ** 2
+    one_x, one_y = scipy.sparse.eye_array(nx), scipy.sparse.eye_array(ny)
+
+    def twice(along_x: np.ndarray, along_y: np.ndarray) -> scipy.sparse.csr_array:
+        first = scipy.sparse.kron(one_y, _banded(along_x))
+        return scipy.sparse.csr_array(first + aspect * scipy.sparse.kron(_banded(along_y), one_x))
+
+    inner = np.zeros((ny, nx), dtype=bool)
+    inner[1:-1, 1:-1] = True
+    kept = np.flatnonzero(inner)
+    whole = twice(taps_x.move, taps_y.move) @ twice(taps_x.bend, taps_y.bend)
+    return scipy.sparse.csc_array(whole[kept][:, kept] / (DIVISOR[order] * spacing[0] ** 2) ** 2)
+
+
+def _banded(bands: np.ndarray) -> scipy.sparse.dia_array:
+    """Square matrix of (nodes, 2·reach + 1) bands, a row a node."""
+    nodes, width = bands.shape
+    reach = width // 2
+    diagonals = [bands[max(0, -k) : nodes - max(0, k), k + reach] for k in range(-reach, reach + 1)]
+    return scipy.sparse.diags_array(diagonals, offsets=list(range(-reach, reach + 1)), shape=(nodes, nodes))

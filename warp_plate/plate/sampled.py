@@ -15,10 +15,14 @@ import numpy as np
 from scipy.fft import next_fast_len
 from scipy.signal import hilbert
 
+from warp_plate.plate.files import number_rows, read_beside
 from warp_plate.scene.drive import SampledSignal
 from warp_plate.scene.errors import SceneError
 
-MOST_BYTES = 2**27
+# Each sample takes some 100 bytes on the way: six minutes at 44.1 kHz.
+MOST_SAMPLES = 2**24
+# Samples for each step of the run; more are a slip, and a filter of as many products a step.
+MOST_A_STEP = 1000
 LOUDEST = 1e30
 FASTEST, SLOWEST = 1e7, 1e-3  # samples a second
 # The interpolating filter: its half-width in samples of the slower of the two rates, and Kaiser's β for 80 dB. With
@@ -62,25 +66,12 @@ def read_samples(table: SampledSignal, folder: Path | None) -> Samples:
     Raises:
         SceneError: no folder, no such file in it, too large, or not what its ending says; one line with key and file.
     """
-    head = f"drive.signal.file = {table.file!r}"
-    if folder is None:
-        raise SceneError(f"{head}: this scene was not read from a file, so no folder is known; say which")
-    try:
-        path = (folder / table.file).resolve()
-        if path.parent != folder.resolve():
-            raise SceneError(f"{head}: leads out of the scene's folder; put a copy of the file there")
-        if not path.is_file():
-            raise SceneError(f"{head}: no such file beside the scene file")
-        if path.stat().st_size > MOST_BYTES:
-            raise SceneError(f"{head}: {path.stat().st_size} bytes; at most {MOST_BYTES} are read")
-        data = path.read_bytes()
-    except (OSError, RuntimeError) as error:
-        raise SceneError(f"{head}: cannot be read: {type(error).__name__}") from None
+    data = read_beside("drive.signal.file", table.file, folder)
     try:
         values, rate, start = _csv(data, table.rate) if table.file.lower().endswith(".csv") else _wav(data)
         _check(values, rate)
     except ValueError as error:
-        raise SceneError(f"{head}: {error}") from None
+        raise SceneError(f"drive.signal.file = {table.file!r}: {error}") from None
     return Samples(values * table.gain, rate, start, table.repeat)
 
 
@@ -90,7 +81,15 @@ def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) 
     Band-limited interpolation: each value is the sum of the samples around it under a sinc with a Kaiser window, as
     wide as the slower rate asks. Frequencies up to 0.9 of the lower band limit pass within 1e-3; those above the limit
     are 80 dB down.
+
+    Raises:
+        SceneError: more than MOST_A_STEP samples a step.
     """
+    if samples.rate * time_step > MOST_A_STEP:
+        raise SceneError(
+            f"drive.signal.file: {samples.rate:g} samples a second are {samples.rate * time_step:.3g} for each step of "
+            f"{time_step:g} s; at most {MOST_A_STEP} are possible: lower its rate, or write a smaller grid.time_step"
+        )
     analytic = samples.analytic()
     lower = min(1.0, band / (samples.rate * time_step))
     reach = np.arange(-math.ceil(HALF_WIDTH / lower), math.ceil(HALF_WIDTH / lower) + 2)
@@ -114,6 +113,8 @@ def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) 
 
 
 def _check(values: np.ndarray, rate: float) -> None:
+    if values.size > MOST_SAMPLES:
+        raise ValueError(f"{values.size} samples; at most {MOST_SAMPLES} are possible")
     if values.size < 2:
         raise ValueError(f"{values.size} samples; at least 2 are needed")
     if not np.isfinite(values).all() or np.abs(values).max() > LOUDEST:
@@ -147,6 +148,8 @@ def _wav(data: bytes) -> tuple[np.ndarray, float, float]:
         raise ValueError(f"a WAV file of format {code} with {bits} bits; write PCM or floating point")
     if channels != 1:
         raise ValueError(f"{channels} channels; write one")
+    if len(body) > MOST_SAMPLES * (bits // 8):
+        raise ValueError(f"{len(body) // (bits // 8)} samples; at most {MOST_SAMPLES} are possible")
     raw = np.frombuffer(body[: len(body) // (bits // 8) * (bits // 8)], dtype=_WIDTHS[code, bits])
     if code == 3:
         return raw.astype(float), float(rate), 0.0
@@ -157,29 +160,14 @@ def _wav(data: bytes) -> tuple[np.ndarray, float, float]:
 
 
 def _csv(data: bytes, rate: float | None) -> tuple[np.ndarray, float, float]:
-    """Values, rate and start of a text table; a first line of names is passed over, as are empty and # lines."""
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise ValueError("not UTF-8 text") from None
-    rows: list[list[float]] = []
-    lines = [(number, line) for number, line in enumerate(text.split("\n"), 1) if line.strip()]
-    lines = [(number, line) for number, line in lines if not line.lstrip().startswith("#")]
-    for place, (number, line) in enumerate(lines):
-        cells = line.replace(";", ",").replace("\t", ",").split(",")
-        try:
-            row = [float(cell) for cell in cells]
-        except ValueError:
-            if place == 0:
-                continue
-            raise ValueError(f"line {number} is not made of numbers") from None
-        if len(row) > 2 or (rows and len(row) != len(rows[0])):
-            wanted = f"{len(rows[0])} as above it" if rows else "time and value, or one value"
-            raise ValueError(f"line {number} has {len(row)} columns instead of {wanted}")
-        rows.append(row)
+    """Values, rate and start of a text table."""
+    rows = number_rows(data)
+    if rows and len(rows[0][1]) > 2:
+        number, row = rows[0]
+        raise ValueError(f"line {number} has {len(row)} columns instead of time and value, or one value")
     if len(rows) < 2:
         raise ValueError(f"{len(rows)} samples; at least 2 are needed")
-    table = np.array(rows)
+    table = np.array([row for _, row in rows])
     if table.shape[1] == 1:
         if rate is None:
             raise ValueError("one column, so no times; write drive.signal.rate, the samples a second")

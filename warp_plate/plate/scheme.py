@@ -15,9 +15,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from warp_plate.plate.bending import Bending, buckling_factor, largest_eigenvalue, make_bending, oscillator_shares
-from warp_plate.plate.operator import DIVISOR, LARGEST, Taps, make_taps
-from warp_plate.plate.signals import check_rate, highest_frequency, own_frequencies
+from warp_plate.plate.bending import Bending
+from warp_plate.plate.limit import find_limit, needs_moments, plain_edge, viscous_damping
+from warp_plate.plate.memory import check_grid_memory, check_steps_memory
+from warp_plate.plate.operator import DIVISOR, Taps, make_taps
+from warp_plate.plate.signals import check_rate, highest_frequency
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -26,6 +28,8 @@ SAFETY = 0.9
 STEPS_A_PERIOD = 20
 # Longer runs are mistakes in a unit: this is hours on any device.
 MOST_STEPS = 10**8
+# Of a step: cΔt/ρH. Motion is then so small a part of what the load would do in a step that float32 loses its square.
+MOST_LOSS = 1e9
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,11 @@ class Scheme:
     backward: bool
 
     @property
+    def stable(self) -> bool:
+        """Whether the time step is at most the limit, up to rounding."""
+        return self.time_step <= self.limit * (1 + 1e-12)
+
+    @property
     def stiffness(self) -> float:
         """gain·(κΔt/hx²)², the kernels' dimensionless coefficient of ∇⁴ as the taps give it."""
         return self.gain * (self.kappa * self.time_step / self.spacing[0] ** 2 / DIVISOR[self.order]) ** 2
@@ -83,12 +92,13 @@ class Scheme:
         return min(max(round(time / self.time_step), 0), self.steps)
 
 
-def make_scheme(scene: Scene) -> Scheme:
-    """The scheme of a scene.
+def make_scheme(scene: Scene, allow_unstable: bool = False) -> Scheme:
+    """The scheme of a scene; ``allow_unstable``: with a time step above the stability limit too.
 
     Raises:
         SceneError: the scene asks for an accuracy instead of a grid; its time step is above the stability limit or too
-            long for the drive's frequency, its window holds no half-step, or its run is longer than MOST_STEPS.
+            long for the drive's frequency, its window holds no half-step, its run is longer than MOST_STEPS, or grid or
+            run take more memory than there is.
     """
     plate, grid = scene.plate, scene.grid
     if grid.accuracy is not None:
@@ -96,16 +106,18 @@ def make_scheme(scene: Scene) -> Scheme:
             f"grid.accuracy = {grid.accuracy:g}: no grid is chosen yet; warp_plate.accuracy.choose(scene, "
             f"{grid.accuracy:g}).scene has one"
         )
+    check_grid_memory(scene, needs_moments(scene))
     spacing = (plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1))
     rigidity = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
     surface_density = plate.density * plate.thickness
     kappa = math.sqrt(rigidity / surface_density)
-    viscous, backward = _viscous(scene)
+    viscous, backward = viscous_damping(scene)
     rate_of_loss = viscous / surface_density
-    limit, bending = stability(scene)
+    found, bending = find_limit(scene)
+    limit = found.time_step
     longest = min(SAFETY * limit, 1 / (STEPS_A_PERIOD * highest_frequency(scene)))
     time_step = grid.time_step or scene.window.end / math.ceil(scene.window.end / longest)
-    if time_step > limit * (1 + 1e-12):
+    if time_step > limit * (1 + 1e-12) and not allow_unstable:
         raise SceneError(
             f"grid.time_step = {time_step:g}: above the stability limit of {limit:.6g} s for {grid.nodes[0]} x "
             f"{grid.nodes[1]} nodes; write a smaller one, or leave it out for {SAFETY:g} of the limit"
@@ -116,7 +128,13 @@ def make_scheme(scene: Scene) -> Scheme:
             f"window.end = {scene.window.end:g}: takes {scene.window.end / time_step:.3g} steps of {time_step:g} s; "
             f"at most {MOST_STEPS:.3g} are possible: end earlier or use fewer nodes"
         )
+    check_steps_memory(scene, round(scene.window.end / time_step))
     loss = rate_of_loss * time_step
+    if loss > MOST_LOSS:
+        raise SceneError(
+            f"effects: {viscous:g} N·s/m³ of viscous damping is more than {MOST_LOSS:g} times what stops the plate "
+            f"within a step; at most {MOST_LOSS * surface_density / time_step:.3g} are possible"
+        )
     first, last = _window(scene, time_step)
     return Scheme(
         nodes=grid.nodes,
@@ -132,96 +150,12 @@ def make_scheme(scene: Scene) -> Scheme:
         gain=1.0 if backward or bending else 1 / (1 + loss / 2),
         angular_frequency=scene.drive_angular_frequency,
         order=grid.order,
-        taps_x=make_taps(grid.nodes[0], _plain(scene.edges.left), _plain(scene.edges.right), grid.order),
-        taps_y=make_taps(grid.nodes[1], _plain(scene.edges.bottom), _plain(scene.edges.top), grid.order),
+        taps_x=make_taps(grid.nodes[0], plain_edge(scene.edges.left), plain_edge(scene.edges.right), grid.order),
+        taps_y=make_taps(grid.nodes[1], plain_edge(scene.edges.bottom), plain_edge(scene.edges.top), grid.order),
         bending=bending,
         viscous=viscous,
         backward=backward,
     )
-
-
-def stability(scene: Scene) -> tuple[float, Bending | None]:
-    """Largest stable time step [s] of a scene's grid and effects; the plate as moments, where it goes that way.
-
-    Raises:
-        SceneError: the plate buckles, or fourth order is asked of one that does not know it.
-    """
-    plate, grid, effects = scene.plate, scene.grid, scene.effects
-    spacing = (plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1))
-    surface_density = plate.density * plate.thickness
-    viscous, backward = _viscous(scene)
-    late = viscous / surface_density if backward else 0.0
-    if not needs_moments(scene):
-        rigidity = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
-        return time_step_limit(math.sqrt(rigidity / surface_density), spacing, late, grid.order), None
-    if grid.order == 4:
-        raise SceneError(
-            "grid.order = 4: knows an isotropic plate, the same everywhere, with clamped and supported edges, viscous "
-            "damping and actuators of one frequency; write 2 for other edges, effects and drives"
-        )
-    bending = make_bending(scene)
-    _refuse_buckling(scene, bending)
-    largest = largest_eigenvalue(scene, bending)
-    if effects.material_damping is not None:
-        late += effects.material_damping.time * largest
-    cell_mass = bending.mass.min() * spacing[0] * spacing[1]
-    for one, share in zip(effects.oscillators, oscillator_shares(scene), strict=True):
-        late += one.damping * ((share**2 / bending.weight).sum() / cell_mass + (1 / one.mass if one.mass else 0.0))
-    return _limit(largest, late), bending
-
-
-def _viscous(scene: Scene) -> tuple[float, bool]:
-    """All viscous damping [N·s/m³], and whether it is taken backward in time."""
-    damping, bed = scene.effects.damping, scene.effects.foundation
-    viscous = (damping.viscous if damping else 0.0) + (bed.damping if bed else 0.0)
-    return viscous, damping is not None and damping.scheme == "backward"
-
-
-def time_step_limit(
-    kappa: float, spacing: tuple[float, float], backward_loss: float = 0.0, order: int = 2
-) -> float:
-    """Largest stable time step [s]; κ [m²/s], spacing [m], c/ρH [1/s] where damping is taken backward.
-
-    The largest eigenvalue of the discrete κ²∇⁴ is at most Λ = κ²(s/hx² + s/hy²)², s = 4 for second order and 16/3 for
-    fourth: there the spectrum of a periodic plate ends, and edges only lower it (of second order they are even and odd
-    mirror images; of fourth see tests/test_operator.py). Undamped or with centred damping the scheme is stable for
-    Λ Δt² ≤ 4 (κΔt/h² ≤ 1/4 or 3/16 on square cells); with backward damping for Λ Δt² ≤ 4 − 2cΔt/ρH.
-    """
-    largest = kappa**2 * (LARGEST[order] / spacing[0] ** 2 + LARGEST[order] / spacing[1] ** 2) ** 2
-    return _limit(largest, backward_loss)
-
-
-def _limit(largest: float, late_loss: float) -> float:
-    """The positive root of Λ Δt² + 2 b Δt − 4 = 0, written so that it does not cancel for large b."""
-    return 4 / (late_loss + math.sqrt(late_loss**2 + 4 * largest))
-
-
-def _refuse_buckling(scene: Scene, bending: Bending) -> None:
-    if min(bending.tension) >= 0:
-        return
-    factor = buckling_factor(scene, bending)
-    if factor <= 1:
-        x, y = (factor * pull for pull in bending.tension)
-        raise SceneError(
-            f"effects.tension = {{x = {bending.tension[0]:g}, y = {bending.tension[1]:g}}}: the plate buckles; the "
-            f"critical load is x = {x:.4g}, y = {y:.4g} N/m, {factor:.3g} of this one"
-        )
-
-
-def needs_moments(scene: Scene) -> bool:
-    """Whether a scene is more than a plain plate with viscous damping under one carrier, and goes the general way."""
-    effects = scene.effects
-    rest = (
-        effects.material_damping, effects.tension, effects.foundation, effects.stretching, effects.moving_load,
-        scene.drive.electrostatic,
-    )  # fmt: skip
-    named = any(table is not None for table in rest) or bool(effects.oscillators)
-    return not scene.uniform or named or len(own_frequencies(scene)) > 1
-
-
-def _plain(edge: object) -> str:
-    """An edge as the plain plate has it; where it has not, its taps are not used."""
-    return "clamped" if edge == "clamped" else "supported"
 
 
 def _window(scene: Scene, time_step: float) -> tuple[int, int]:

@@ -7,8 +7,8 @@ tension), both from ``plate.bending``, and C the viscous losses, a step from t_n
 
 r is (v⁺ + v)/2 (centred) or v (backward); τ the retardation of the material. Oscillator o hangs on the mean sᵀu of its
 patch and pushes the plate with p = k (z − sᵀu) + d (ż − sᵀv), itself with −p/m. Stretching pulls with Berger's
-N = 6D/(H² area)·uᵀLu, where L is the matrix of −∇² times areas. Loads are halved at the first step (see
-``plate.scheme``). Slow; meant for tests.
+N = B·uᵀLu, L being the matrix of −(∂xx + κ∂yy) times areas, with B and κ of ``plate.bending``. Loads are halved at the
+first step (see ``plate.scheme``). Slow; meant for tests.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from warp_plate.scene.model import Scene
 class Matrices:
     """A scene's plate as matrices over all nodes, row by row, edges included, in SI units.
 
-    mass: (nodes,) [kg]; bending, other: K_b and K_e above [N/m]; viscous: (nodes,) C [N·s/m]; slopes: L, uᵀLu = ∫|∇u|²;
-    retardation: τ [s]; berger: N for uᵀLu = 1 m² [N/m³]; shares: (oscillators, nodes) s_o; springs, dampers, hung:
-    (oscillators,) k [N/m], d [N·s/m] and m [kg], which is zero where the spring stands on the ground;
-    moves: (nodes,) whether a node does.
+    mass: (nodes,) [kg]; bending, other: K_b and K_e above [N/m]; viscous: (nodes,) C [N·s/m]; slopes: L, so that
+    uᵀLu = ∫ u_x² + κu_y² dA; retardation: τ [s]; berger: N for uᵀLu = 1 m² [N/m³]; shares: (oscillators, nodes) s_o;
+    springs, dampers, hung: (oscillators,) k [N/m], d [N·s/m] and m [kg], which is zero where the spring stands on the
+    ground; moves: (nodes,) whether a node does.
     """
 
     mass: np.ndarray
@@ -72,16 +72,15 @@ def make_matrices(scene: Scene, scheme: Scheme) -> Matrices:
     nothing = np.zeros_like(whole.mass)
     unbent = replace(whole, bend_xx=nothing, bend_xy=nothing, bend_yy=nothing, twist=np.zeros_like(whole.twist))
     cell = scheme.spacing[0] * scheme.spacing[1]
-    area = scene.plate.size[0] * scene.plate.size[1]
     oscillators = effects.oscillators
     return Matrices(
         mass=mass_matrix(whole),
         bending=stiffness_matrix(replace(whole, spring=nothing, tension=(0.0, 0.0))),
         other=stiffness_matrix(unbent),
         viscous=scheme.viscous * cell * whole.weight.ravel(),
-        slopes=stiffness_matrix(replace(unbent, spring=nothing, tension=(1.0, 1.0))),
+        slopes=stiffness_matrix(replace(unbent, spring=nothing, tension=(1.0, whole.stretch_ratio))),
         retardation=effects.material_damping.time if effects.material_damping else 0.0,
-        berger=6 * scheme.rigidity / (scene.plate.thickness**2 * area) if effects.stretching else 0.0,
+        berger=whole.berger if effects.stretching else 0.0,
         shares=oscillator_shares(scene).reshape(len(oscillators), whole.mass.size),
         springs=np.array([one.stiffness for one in oscillators]),
         dampers=np.array([one.damping for one in oscillators]),

@@ -20,12 +20,14 @@ class Case:
     energy: kinetic energy averaged over the window [J], for each region by name.
     displacement: (times, ny, nx) [m].
     trace: (points, steps) displacement [m].
+    status: "ok", or why the plate has no energies (NaN): what was wrong with its drive, or when it grew without bound.
     """
 
     drive: np.ndarray
     energy: Mapping[str, float]
     displacement: np.ndarray
     trace: np.ndarray
+    status: str = "ok"
 
     @property
     def localization_factor(self) -> float:
@@ -54,7 +56,7 @@ class Result:
     seconds: "compile" and "solve", and "choose" and "estimate" where these were done.
     accuracy: what is known of the result's errors, of numbers and texts only: "asked" and "reason" where the scene
         asked for an accuracy instead of a grid, "estimate" of the localization factors.
-    node_steps: nodes updated × steps × plates.
+    node_steps: nodes updated × steps × plates. path: how plates were stepped.
     """
 
     command: str
@@ -72,6 +74,7 @@ class Result:
     bound: float | None = None
     history: Mapping[str, np.ndarray] = field(default_factory=dict)
     evaluator: str = "direct"
+    path: str = ""
     interrupted: bool = False
     versions: Mapping[str, str] = field(default_factory=dict)
     accuracy: Mapping[str, Any] = field(default_factory=dict)

@@ -5,22 +5,23 @@
     /cases/CASE/magnitude, phase, energy, displacement, trace
     /history/evaluations, best, mean
     attributes of /: command, source, scene (TOML), device, seed, effects, versions, seconds, ...
+
+Behind the HDF5 content stands a seal, see ``warp_plate.result.whole``.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import tempfile
-from collections.abc import Mapping
 from pathlib import Path
 
 import h5py
 import numpy as np
 
 from warp_plate.result.model import Case, Result
+from warp_plate.result.plain import count, names_in, numbers, opened, put, save_hdf5, table, text
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
+from warp_plate.scene.model import Scene
 
 HISTORY = {
     "evaluations": "drives tried so far",
@@ -37,22 +38,7 @@ def save_result(result: Result, path: str | Path) -> Path:
         SceneError: the folder is missing or cannot be written to, or the disk is full.
     """
     path = Path(path)
-    temporary = None
-    try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-        os.close(handle)
-        with h5py.File(temporary, "w") as file:
-            _write(file, result)
-        # mkstemp makes the file private; a result is as readable as any file that the user writes.
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be written: {error}") from None
-    finally:
-        if temporary is not None and os.path.exists(temporary):
-            os.unlink(temporary)
+    save_hdf5(lambda file: _write(file, result), path)
     return path
 
 
@@ -63,18 +49,8 @@ def load_result(path: str | Path) -> Result:
         SceneError: no such file, not a result of this program, or damaged.
     """
     path = Path(path)
-    if not path.is_file():
-        raise SceneError(f"{path}: no such file; a result is an .h5 file that localize or simulate wrote")
-    try:
-        with h5py.File(path, "r") as file:
-            if file.attrs.get("format") != FORMAT:
-                raise SceneError(f"{path}: not a result of warp-plate (no attribute format = {FORMAT!r})")
-            return _read(file, str(path))
-    except (OSError, KeyError, ValueError, RuntimeError, TypeError, UnicodeDecodeError) as error:
-        if isinstance(error, SceneError):
-            raise
-        reason = " ".join(str(error).split())
-        raise SceneError(f"{path}: damaged or not an HDF5 file of this program: {reason}") from None
+    with opened(path, FORMAT, "result") as file:
+        return _read(file, str(path))
 
 
 def _write(file: h5py.File, result: Result) -> None:
@@ -86,6 +62,7 @@ def _write(file: h5py.File, result: Result) -> None:
         "scene": dump_scene(result.scene),
         "device": result.device,
         "evaluator": result.evaluator,
+        "path": result.path,
         "effects": json.dumps(list(result.effects)),
         "versions": json.dumps(dict(result.versions)),
         "seconds": json.dumps(dict(result.seconds)),
@@ -96,66 +73,75 @@ def _write(file: h5py.File, result: Result) -> None:
     file.attrs["node_steps"] = result.node_steps
     file.attrs["evaluations"] = result.evaluations
     file.attrs["interrupted"] = int(result.interrupted)
-    _dataset(file, "x", result.x, "m", "position of the nodes along x")
-    _dataset(file, "y", result.y, "m", "position of the nodes along y")
-    _dataset(file, "times", result.times, "s", "times of the displacements")
-    _dataset(file, "trace_times", result.trace_times, "s", "times of the traces")
+    put(file, "x", result.x, "m", "position of the nodes along x")
+    put(file, "y", result.y, "m", "position of the nodes along y")
+    put(file, "times", result.times, "s", "times of the displacements")
+    put(file, "trace_times", result.trace_times, "s", "times of the traces")
     factor = "share of the plate's kinetic energy in the target"
     for name, case in result.cases.items():
-        _dataset(file, f"localization_factor/{name}", case.localization_factor, "1", factor)
+        put(file, f"localization_factor/{name}", case.localization_factor, "1", factor)
         _write_case(file, f"cases/{name}", case)
     if result.bound is not None:
-        _dataset(file, "localization_factor/bound", result.bound, "1", "largest that any drive can reach")
+        put(file, "localization_factor/bound", result.bound, "1", "largest that any drive can reach")
     for name, values in result.history.items():
-        _dataset(file, f"history/{name}", values, "1", f"{HISTORY.get(name, name)}, after each iteration")
+        put(file, f"history/{name}", values, "1", f"{HISTORY.get(name, name)}, after each iteration")
 
 
 def _write_case(file: h5py.File, at: str, case: Case) -> None:
-    _dataset(file, f"{at}/magnitude", case.magnitude, "N/m^2", "drive magnitude of each actuator")
-    _dataset(file, f"{at}/phase", case.phase, "rad", "drive phase lag of each actuator")
+    put(file, f"{at}/magnitude", case.magnitude, "N/m^2", "drive magnitude of each actuator")
+    put(file, f"{at}/phase", case.phase, "rad", "drive phase lag of each actuator")
     energy = np.array(list(case.energy.values()))
-    _dataset(file, f"{at}/energy", energy, "J", "kinetic energy averaged over the window, for each region")
+    put(file, f"{at}/energy", energy, "J", "kinetic energy averaged over the window, for each region")
     file[f"{at}/energy"].attrs["regions"] = json.dumps(list(case.energy))
-    _dataset(file, f"{at}/displacement", case.displacement, "m", "displacement (times, y, x)")
-    _dataset(file, f"{at}/trace", case.trace, "m", "displacement at the recorded points (points, steps)")
-
-
-def _dataset(file: h5py.File, name: str, values: object, units: str, long_name: str) -> None:
-    file[name] = np.asarray(values)
-    file[name].attrs.update({"units": units, "long_name": long_name})
+    file[f"{at}/energy"].attrs["status"] = case.status
+    put(file, f"{at}/displacement", case.displacement, "m", "displacement (times, y, x)")
+    put(file, f"{at}/trace", case.trace, "m", "displacement at the recorded points (points, steps)")
 
 
 def _read(file: h5py.File, name: str) -> Result:
-    text = {key: str(file.attrs[key]) for key in ("command", "source", "device", "evaluator")}
-    scene = parse_scene(str(file.attrs["scene"]), f"{name}: its scene")
-    cases = {case: _read_case(group) for case, group in file["cases"].items()}
-    bound = file.get("localization_factor/bound")
-    history: Mapping[str, h5py.Dataset] = file.get("history", {})
+    scene = parse_scene(text(file, "scene"), f"{name}: its scene").in_folder(Path(name).parent)
+    times, steps = numbers(file, "times", (None,)), numbers(file, "trace_times", (None,))
+    cases = {case: _read_case(file, f"cases/{case}", scene, times, steps) for case in names_in(file, "cases")}
+    if not cases:
+        raise SceneError("cases is missing or empty")
+    factors = names_in(file, "localization_factor")
     return Result(
-        **text,
+        command=text(file, "command"),
+        source=text(file, "source"),
+        path=text(file, "path"),
         scene=scene,
-        seed=int(file.attrs["seed"]),
-        effects=tuple(json.loads(str(file.attrs["effects"]))),
+        device=text(file, "device"),
+        seed=count(file, "seed"),
+        effects=tuple(map(str, table(file, "effects", list))),
         cases=cases,
-        times=file["times"][()],
-        trace_times=file["trace_times"][()],
-        seconds=json.loads(str(file.attrs["seconds"])),
-        node_steps=int(file.attrs["node_steps"]),
-        evaluations=int(file.attrs["evaluations"]),
-        bound=None if bound is None else float(bound[()]),
-        history={key: values[()] for key, values in history.items()},
-        interrupted=bool(file.attrs["interrupted"]),
-        versions=json.loads(str(file.attrs["versions"])),
-        accuracy=json.loads(str(file.attrs.get("accuracy", "{}"))),
+        times=times,
+        trace_times=steps,
+        seconds=table(file, "seconds"),
+        node_steps=count(file, "node_steps"),
+        evaluations=count(file, "evaluations"),
+        bound=float(numbers(file, "localization_factor/bound", ())) if "bound" in factors else None,
+        history={key: numbers(file, f"history/{key}", (None,)) for key in names_in(file, "history")},
+        evaluator=text(file, "evaluator"),
+        interrupted=bool(count(file, "interrupted")),
+        versions=table(file, "versions"),
+        accuracy=table(file, "accuracy"),
     )
 
 
-def _read_case(group: h5py.Group) -> Case:
-    drive = group["magnitude"][()] * np.exp(-1j * group["phase"][()])
-    regions = json.loads(str(group["energy"].attrs["regions"]))
+def _read_case(file: h5py.File, at: str, scene: Scene, times: np.ndarray, steps: np.ndarray) -> Case:
+    actuators, (nx, ny) = len(scene.actuators), scene.grid.nodes
+    magnitude, phase = (numbers(file, f"{at}/{name}", (actuators,)) for name in ("magnitude", "phase"))
+    energy = numbers(file, f"{at}/energy", (None,))
+    regions = table(file[f"{at}/energy"], "regions", list)
+    if not {"plate", "target"} <= set(regions):
+        raise SceneError(f"{at}/energy has regions {regions}, without plate or target")
+    trace = numbers(file, f"{at}/trace", (None, None))
+    if trace.size and trace.shape[1] != len(steps):
+        raise SceneError(f"{at}/trace has {trace.shape[1]} steps, trace_times {len(steps)}")
     return Case(
-        drive=drive,
-        energy=dict(zip(regions, group["energy"][()].tolist(), strict=True)),
-        displacement=group["displacement"][()],
-        trace=group["trace"][()],
+        drive=magnitude * np.exp(-1j * phase),
+        energy=dict(zip(map(str, regions), energy.tolist(), strict=True)),
+        displacement=numbers(file, f"{at}/displacement", (len(times), ny, nx)),
+        trace=trace,
+        status=text(file[f"{at}/energy"], "status"),
     )

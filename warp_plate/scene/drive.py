@@ -6,16 +6,13 @@ is exp(iωt) and the envelope one.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from warp_plate.scene.table import Moderate, NotNegative, Positive, Table
+from warp_plate.scene.table import Instant, Moderate, NotNegative, Positive, Table, check_file_name
 
-# A name, not a way: no folders, no drive letters, no line breaks.
-_FILE_NAME = re.compile(r"[^/\\:\x00-\x1f\x7f]+\.(wav|csv)", re.IGNORECASE)
 Place = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
@@ -26,7 +23,7 @@ class Burst(Table):
     cosine; period [s] from one burst's start to the next one's, or None for a single burst.
     """
 
-    start: NotNegative = 0.0
+    start: Instant = 0.0
     duration: Positive
     ramp: NotNegative = 0.0
     period: Positive | None = None
@@ -71,12 +68,7 @@ class SampledSignal(Table):
 
     @model_validator(mode="after")
     def _file_beside(self) -> SampledSignal:
-        if not _FILE_NAME.fullmatch(self.file):
-            shown = self.file if len(self.file) <= 60 else self.file[:57] + "..."
-            raise ValueError(
-                f"file: {shown!r} is not the name of a .wav or .csv file; it lies beside the scene file, and is "
-                "written without folders"
-            )
+        check_file_name("file", self.file, (".wav", ".csv"))
         if self.rate is not None and self.file.lower().endswith(".wav"):
             raise ValueError(f"rate: {self.file!r} says its own rate; delete rate")
         return self
@@ -125,7 +117,7 @@ class MovingLoad(Table):
     start: tuple[Place, Place]
     velocity: tuple[Place, Place] = (0.0, 0.0)
     size: Annotated[float, Field(ge=0, le=1e6)] = 0.0
-    from_time: NotNegative = 0.0
+    from_time: Instant = 0.0
     to_time: Positive | None = None
     frequency: Positive | None = None
 

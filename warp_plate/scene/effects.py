@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Iterator
+from typing import Annotated, Literal
 
-from pydantic import model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from warp_plate.scene.drive import MovingLoad
-from warp_plate.scene.table import Area, NotNegative, Positive, Table
+from warp_plate.scene.table import Area, Moderate, NotNegative, Positive, Table, check_file_name
+
+# A plate that varies by more has a mistake in it, or no number left for the time step.
+LEAST_FACTOR, MOST_FACTOR = 1e-3, 1e3
 
 
 class Damping(Table):
@@ -34,8 +38,8 @@ class MaterialDamping(Table):
 class Tension(Table):
     """In-plane forces per length [N/m] along x and y, positive where they pull: −(Tx u_xx + Ty u_yy) on the left."""
 
-    x: float = 0.0
-    y: float = 0.0
+    x: Moderate = 0.0
+    y: Moderate = 0.0
 
 
 class Foundation(Table):
@@ -51,17 +55,56 @@ class Orthotropic(Table):
 
     Dx: Positive
     Dy: Positive
-    D1: float
+    D1: Moderate
     Dxy: Positive
 
     @model_validator(mode="after")
     def _definite(self) -> Orthotropic:
-        if self.Dx * self.Dy <= self.D1**2:
+        if self.Dx * self.Dy * (1 - 1e-9) <= self.D1**2:
             raise ValueError(
                 f"D1: {self.D1:g} N·m gives negative energies; its size must be below √(Dx Dy) = "
                 f"{(self.Dx * self.Dy) ** 0.5:g}"
             )
         return self
+
+
+Factor = Annotated[float, Field(ge=LEAST_FACTOR, le=MOST_FACTOR)]
+FactorRow = Annotated[tuple[Factor, ...], Field(min_length=1)]
+FactorRows = Annotated[tuple[FactorRow, ...], Field(min_length=1)]
+Factors = Annotated[
+    Annotated[str, Tag("word")] | Annotated[FactorRows, Tag("rows")],
+    Discriminator(lambda value: "word" if isinstance(value, str) else "rows"),
+]
+
+
+class Variation(Table):
+    """Thickness, Young's modulus and density that vary over the plate, as factors of what ``[plate]`` says.
+
+    Each an array, or the name of a CSV file beside the scene file that holds one: rows from y = 0 to the plate's other
+    side, columns from x = 0, evenly spaced from edge to edge; in between bilinear. A single row holds for all y, a
+    single column for all x. Bending stiffness goes with E H³, mass with ρH.
+    """
+
+    thickness: Factors | None = None
+    young_modulus: Factors | None = None
+    density: Factors | None = None
+
+    @model_validator(mode="after")
+    def _something(self) -> Variation:
+        named = [(key, value) for key, value in self if value is not None]
+        if not named:
+            raise ValueError("thickness: no array is given; write one, or one of young_modulus and density")
+        for key, value in named:
+            if isinstance(value, str):
+                check_file_name(key, value, (".csv",))
+            elif any(len(row) != len(value[0]) for row in value):
+                raise ValueError(f"{key}: its rows differ in length; write as many factors in each")
+        return self
+
+    @property
+    def files(self) -> Iterator[str]:
+        """Names of the files that hold its arrays."""
+        return (value for _, value in self if isinstance(value, str))
 
 
 class Layer(Table):
@@ -73,8 +116,8 @@ class Layer(Table):
 
     area: Area
     thickness: Positive
-    young_modulus: NotNegative
-    density: NotNegative
+    young_modulus: Annotated[NotNegative, Field(le=1e13)]
+    density: Annotated[NotNegative, Field(le=1e5)]
     both: bool = False
 
 
@@ -97,7 +140,7 @@ class Oscillator(Table):
 
 
 class Stretching(Table):
-    """Stretching at large amplitude after Berger: the mean slope pulls the plate with
+    """Stretching at large amplitude after Berger: the mean slope pulls an isotropic plate with
     N = 6D/(H² area) ∫ |∇u|² dA, −N∇²u on the left. Its edges do not move in the plane."""
 
 
@@ -109,6 +152,7 @@ class Effects(Table):
     tension: Tension | None = None
     foundation: Foundation | None = None
     orthotropic: Orthotropic | None = None
+    variation: Variation | None = None
     layers: tuple[Layer, ...] = ()
     oscillators: tuple[Oscillator, ...] = ()
     stretching: Stretching | None = None

@@ -20,6 +20,14 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+# A scene is a page; what is larger is another file. Keys of more parts than any table has take the TOML parser minutes.
+MOST_BYTES = 2**24
+_TEXT = re.compile(r"""\"{3}.*?\"{3}|'{3}.*?'{3}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'|\#[^\n]*""", re.DOTALL)
+_DEEP_KEY = re.compile(r"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){9}")
+_LONGEST_LINE = 500
+
+# What pydantic calls the kinds of an edge and of an array; no keys of a scene.
+_KINDS = ("word", "springs", "rows")
 _PRESETS = resources.files("warp_plate.scene.presets")
 
 
@@ -45,19 +53,19 @@ def load_scene(source: str | Path) -> Scene:
     if text in preset_names():
         return parse_scene(preset_text(text), text)
     path = Path(source)
-    if not path.is_file():
-        hint = " (a preset's name has no ending)" if path.stem in preset_names() else ""
-        raise SceneError(
-            f"{text}: no such preset or file{hint}; presets: {', '.join(preset_names())}; "
-            "'warp-plate init paper' writes one as a file to edit"
-        )
     try:
-        scene = parse_scene(path.read_text(encoding="utf-8-sig"), text)
+        if not path.is_file():
+            hint = " (a preset's name has no ending)" if path.stem in preset_names() else ""
+            raise SceneError(
+                f"{text}: no such preset or file{hint}; presets: {', '.join(preset_names())}; "
+                "'warp-plate init paper' writes one as a file to edit"
+            )
+        if path.stat().st_size > MOST_BYTES:
+            raise SceneError(f"{text}: {path.stat().st_size} bytes; a scene has at most {MOST_BYTES}")
+        content = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{text}: cannot be read as UTF-8 text: {error}") from None
-    if scene.drive.signal is not None:
-        scene._folder = path.parent
-    return scene
+    return parse_scene(content, text).in_folder(path.parent)
 
 
 def parse_scene(text: str, name: str) -> Scene:
@@ -66,10 +74,16 @@ def parse_scene(text: str, name: str) -> Scene:
     Raises:
         SceneError: not TOML, or a key that is unknown or wrong.
     """
+    if _DEEP_KEY.search(_TEXT.sub("s", text)):
+        raise SceneError(f"{name}: a key of ten parts or more; the scene's tables have at most three")
     try:
-        return checked_scene(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
+        data = tomllib.loads(text)
+    except RecursionError:
+        raise SceneError(f"{name}: arrays or tables inside each other, too many of them") from None
+    except ValueError as error:  # a wrong TOML, or a whole number of thousands of digits
         raise SceneError(f"{name}: not TOML: {error}") from None
+    try:
+        return checked_scene(data)
     except SceneError as error:
         raise SceneError(f"{name}: {error}") from None
 
@@ -104,7 +118,7 @@ def explain(error: ValidationError) -> str:
     # Keys that do not exist come first: they are often the cause of the others ("is missing").
     faults.sort(key=lambda fault: fault["type"] != "extra_forbidden")
     fault = faults[0]
-    key = _dotted(part for part in fault["loc"] if part not in ("word", "springs"))  # the two kinds of an edge
+    key = _dotted(part for part in fault["loc"] if part not in _KINDS)
     if fault["type"] == "extra_forbidden":
         line = f"{key}: unknown key{_suggestion(fault['loc'])}"
     elif fault["type"] == "missing":
@@ -114,6 +128,7 @@ def explain(error: ValidationError) -> str:
         line = f"{key}.{message}" if key else message
     else:
         line = f"{key} = {_short(fault['input'])}: {_lower(fault['msg'])}"
+    line = line if len(line) <= _LONGEST_LINE else line[: _LONGEST_LINE - 3] + "..."
     return line + (f" (and {len(faults) - 1} more)" if len(faults) > 1 else "")
 
 
@@ -200,7 +215,10 @@ def _table_of(model: type[BaseModel] | None, key: str) -> type[BaseModel] | None
 
 
 def _short(value: object) -> str:
-    text = repr(value)
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # a whole number of thousands of digits, or as many tables in each other
+        text = f"a {type(value).__name__} too large to be shown"
     return text if len(text) <= 60 else text[:57] + "..."
 
 

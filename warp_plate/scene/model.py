@@ -10,8 +10,10 @@ from pydantic import Discriminator, Field, PrivateAttr, Tag, model_validator
 
 from warp_plate.scene.drive import Drive, check_drive
 from warp_plate.scene.effects import Effects
-from warp_plate.scene.table import Area, Name, NotNegative, Positive, Table, Text
+from warp_plate.scene.table import Area, Coordinate, Instant, Moderate, Name, NotNegative, Positive, Table, Text
 
+# Part of a side that an area must cover; what is less would be lost in float32.
+NARROWEST = 1e-6
 Weight = Annotated[float, Field(ge=0, le=1e6)]
 
 
@@ -34,17 +36,21 @@ class Plate(Table):
     size: tuple[Positive, Positive]
     thickness: Positive
     young_modulus: Annotated[float, Field(ge=1e3, le=1e13)]
-    poisson_ratio: Annotated[float, Field(gt=-1, lt=0.5)]
+    poisson_ratio: Annotated[float, Field(ge=-0.99, lt=0.5)]
     density: Annotated[float, Field(ge=1, le=1e5)]
 
     @model_validator(mode="after")
     def _thin(self) -> Plate:
-        if self.thickness > min(self.size) / 5:
+        self.check_thin(self.thickness, "thickness: ")
+        return self
+
+    def check_thin(self, thickness: float, head: str = "") -> None:
+        """Raise ValueError, beginning with ``head``, where the plate is not thin at a place of this thickness [m]."""
+        if thickness > min(self.size) / 5:
             raise ValueError(
-                f"thickness: {self.thickness:g} m is not thin for a side of {min(self.size):g} m; "
+                f"{head}{thickness:g} m is not thin for a side of {min(self.size):g} m; "
                 "a Kirchhoff-Love plate is thinner than a fifth of its side (lengths are in metres)"
             )
-        return self
 
 
 class Edges(Table):
@@ -86,7 +92,7 @@ class Grid(Table):
 class Window(Table):
     """The span of time [s] over which kinetic energy is averaged; the run ends with it."""
 
-    start: Annotated[float, Field(ge=0)] = 0.05
+    start: Instant = 0.05
     end: Positive = 0.1
 
     @model_validator(mode="after")
@@ -105,8 +111,8 @@ class Target(Table):
 class Record(Table):
     """What is kept beside energies: displacement at ``times`` [s], its trace at ``points`` (x, y) [m]."""
 
-    times: tuple[Annotated[float, Field(ge=0)], ...] = ()
-    points: tuple[tuple[float, float], ...] = ()
+    times: tuple[Instant, ...] = ()
+    points: tuple[tuple[Coordinate, Coordinate], ...] = ()
 
 
 class Search(Table):
@@ -129,8 +135,8 @@ class Actuator(Table):
 
     name: Name
     area: Area
-    magnitude: float = 1.0
-    phase: float = 0.0
+    magnitude: Moderate = 1.0
+    phase: Moderate = 0.0
     frequency: Positive | None = None
 
 
@@ -139,12 +145,18 @@ def _check_area(key: str, area: Area, size: tuple[float, float]) -> None:
     x0, x1, y0, y1 = area
     if x1 <= x0 or y1 <= y0:
         raise ValueError(f"{key}: {list(area)} has no inside; write x0, x1, y0, y1 with x0 < x1 and y0 < y1")
-    slack = 1e-9 * max(size)
-    if min(x0, y0) < -slack or x1 > size[0] + slack or y1 > size[1] + slack:
+    slack_x, slack_y = (1e-9 * side for side in size)
+    if x0 < -slack_x or y0 < -slack_y or x1 > size[0] + slack_x or y1 > size[1] + slack_y:
         raise ValueError(
             f"{key}: {list(area)} reaches off the plate; x must stay in 0 ... {size[0]:g}, "
             f"y in 0 ... {size[1]:g} (metres)"
         )
+    for low, high, side, axis in ((x0, x1, size[0], "x"), (y0, y1, size[1], "y")):
+        if high - low < NARROWEST * side:
+            raise ValueError(
+                f"{key}: {list(area)} is {high - low:.3g} m wide along {axis}; at least {NARROWEST:g} of the plate's "
+                f"side are needed, {NARROWEST * side:.3g} m"
+            )
 
 
 class Scene(Table):
@@ -180,14 +192,20 @@ class Scene(Table):
         size = self.plate.size
         for index, actuator in enumerate(self.actuators):
             _check_area(f"actuators[{index}].area ({actuator.name!r})", actuator.area, size)
-        names = [actuator.name for actuator in self.actuators]
-        for index, name in enumerate(names):
-            if name in names[:index]:
-                raise ValueError(f"actuators[{index}].name: {name!r} is taken; give each actuator its own")
+        names: set[str] = set()
+        for index, actuator in enumerate(self.actuators):
+            if actuator.name in names:
+                raise ValueError(f"actuators[{index}].name: {actuator.name!r} is taken; give each actuator its own")
+            names.add(actuator.name)
         _check_area("target.area", self.target.area, size)
         check_drive(self.drive, [actuator.frequency for actuator in self.actuators], self.window.end)
         for index, layer in enumerate(self.effects.layers):
             _check_area(f"effects.layers[{index}].area", layer.area, size)
+            if layer.thickness > min(size) / 5:
+                raise ValueError(
+                    f"effects.layers[{index}].thickness: {layer.thickness:g} m is not thin; at most a fifth of the "
+                    f"plate's shorter side, {min(size) / 5:g} m"
+                )
         for index, oscillator in enumerate(self.effects.oscillators):
             _check_area(f"effects.oscillators[{index}].area", oscillator.area, size)
         for index, time in enumerate(self.record.times):
@@ -208,12 +226,25 @@ class Scene(Table):
     def uniform(self) -> bool:
         """Whether the plate is isotropic, the same everywhere, and clamped or supported all around."""
         words = all(edge in ("clamped", "supported") for _, edge in self.edges)
-        return words and self.effects.orthotropic is None and not self.effects.layers
+        varied = self.effects.orthotropic or self.effects.variation or self.effects.layers
+        return words and not varied
+
+    @property
+    def names_files(self) -> bool:
+        """Whether some of the scene lies in other files."""
+        variation = self.effects.variation
+        return self.drive.signal is not None or (variation is not None and any(variation.files))
 
     @property
     def folder(self) -> Path | None:
         """Where the files lie that the scene names; None: it names none, or was not read from a file."""
         return self._folder
+
+    def in_folder(self, folder: Path | None) -> Scene:
+        """The scene with the files that it names, if it names some, in a folder."""
+        made = self.model_copy()
+        made._folder = folder if self.names_files else None
+        return made
 
     def with_tables(self, **tables: Any) -> Scene:
         """The scene with some of its tables replaced, and checked again.

@@ -18,6 +18,7 @@ Where the paper is read otherwise than printed, or leaves a choice:
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -241,16 +242,20 @@ class Swarm:
             self._improved_loss = best
             self._improved_at = self.iterations
 
-    def state(self) -> dict[str, Any]:
-        """Everything the search needs to go on, in strict JSON types; numbers not finite are text ("inf")."""
+    def state(self, plain: bool = True) -> dict[str, Any]:
+        """Everything the search needs to go on, in strict JSON types; numbers not finite are text ("inf").
+
+        With ``plain`` false arrays stay arrays, and numbers numbers.
+        """
+        kept = _plain if plain else copy.deepcopy
         return {
             "format": STATE_FORMAT,
-            "settings": _plain(asdict(self.settings)),
+            "settings": kept(asdict(self.settings)),
             "random": self.random.bit_generator.state,
-            **{name: _plain(getattr(self, name)) for name in ARRAYS},
+            **{name: kept(getattr(self, name)) for name in ARRAYS},
             "asked": self._asked,
-            "history": _plain(self._history),
-            "improved_loss": _plain(self._improved_loss),
+            "history": kept(self._history),
+            "improved_loss": kept(self._improved_loss),
             "improved_at": self._improved_at,
         }
 
@@ -271,7 +276,7 @@ class Swarm:
             swarm._history = [[float(value) for value in row] for row in state["history"]]
             swarm._improved_loss = float(state["improved_loss"])
             swarm._improved_at = int(state["improved_at"])
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, OverflowError) as error:
             raise ValueError(f"swarm state: {error} is missing or of a wrong kind") from None
         return swarm
 

@@ -32,6 +32,7 @@ def simulate(
     path: str = "auto",
     progress: Progress | None = None,
     estimate: bool = True,
+    allow_unstable: bool = False,
 ) -> Result:
     """Run the scene under one drive and keep what it names under ``[record]``.
 
@@ -40,6 +41,7 @@ def simulate(
             actuator), or the name of a result file, whose best drive is taken.
         progress: called with (node-steps done, in all).
         estimate: whether to estimate the error of the localization factor at the end.
+        allow_unstable: see :class:`PlateSolver`.
 
     A scene with ``grid.accuracy`` gets the grid that keeps it first.
 
@@ -49,7 +51,7 @@ def simulate(
     file_drive = None if drive in ("scene", "equal", "single") else drive_of_file(drive, len(scene.actuators))
     named = scene_drive(scene) if drive == "scene" else file_drive
     scene, accuracy, seconds, stage = resolve(scene, device, None if named is None else named[None])
-    solver = PlateSolver(scene, device, path)
+    solver = PlateSolver(scene, device, path, allow_unstable=allow_unstable)
     started = time.perf_counter()
     if file_drive is not None:
         phasors = file_drive
@@ -62,7 +64,7 @@ def simulate(
     run = solver.run(phasors[None], record_times(scene), scene.record.points, progress)
     seconds |= {"compile": solver.compile_seconds, "solve": time.perf_counter() - started}
     drives = {"drive": phasors}
-    if estimate:
+    if estimate and run.finite.all():
         accuracy |= estimated(scene, drives, run, seconds, device, stage)
     return Result(
         command="simulate",
@@ -71,6 +73,7 @@ def simulate(
         device=device_name(solver.device),
         seed=scene.search.seed,
         effects=solver.effects,
+        path=solver.path_words(bool(scene.record.points)),
         cases=cases_of(drives, run),
         times=run.times,
         trace_times=run.trace_times,

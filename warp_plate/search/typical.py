@@ -17,6 +17,7 @@ from warp_plate.scene.effects import (
     Oscillator,
     Stretching,
     Tension,
+    Variation,
 )
 from warp_plate.scene.model import Edges, ElasticEdge, Scene
 
@@ -121,6 +122,11 @@ def _orthotropic(scene: Scene) -> tuple[Scene, str]:
     return with_value(scene, "orthotropic", table), "Dx a tenth above the isotropic plate's"
 
 
+def _variation(scene: Scene) -> tuple[Scene, str]:
+    varied = Variation(thickness=((0.95, 1.05),))
+    return with_value(scene, "variation", varied), "thickness from 0.95 at x = 0 to 1.05"
+
+
 def film(scene: Scene) -> tuple[Layer, ...]:
     """A piezoelectric film on one face under each actuator."""
     return tuple(
@@ -180,6 +186,7 @@ TYPICAL: dict[str, Change] = {
     "tension": _tension,
     "foundation": _foundation,
     "orthotropic": _orthotropic,
+    "variation": _variation,
     "layers": _layers,
     "oscillators": _oscillators,
     "stretching": lambda scene: (with_value(scene, "stretching", Stretching()), "named"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.model import Scene
 from warp_plate.search.typical import film, rigidity
@@ -39,10 +40,10 @@ class Finding:
     exceeded: bool
 
 
-def warnings(scene: Scene, peak_displacement: float) -> list[Finding]:
-    """All numbers of a scene with a grid, whose largest displacement is ``peak_displacement`` [m]."""
+def warnings(scene: Scene, peak_displacement: float | None) -> list[Finding]:
+    """All numbers of a scene with a grid, whose largest displacement is ``peak_displacement`` [m], if it is known."""
     return [
-        _amplitude(scene, peak_displacement),
+        *([] if peak_displacement is None else [_amplitude(scene, peak_displacement)]),
         _thinness(scene),
         _points(scene),
         _added_mass(scene),
@@ -79,8 +80,10 @@ def decay_rate(scene: Scene) -> float:
 
 def _amplitude(scene: Scene, peak: float) -> Finding:
     value = peak / scene.plate.thickness
+    if not math.isfinite(value):
+        return Finding("displacement / thickness", value, MOST_AMPLITUDE, _why_not_finite(scene), True)
     named = scene.effects.stretching is not None
-    high = not value <= MOST_AMPLITUDE  # so that a displacement that is no number warns too
+    high = value > MOST_AMPLITUDE
     sentence = f"The largest displacement is {value:.2g} of the thickness (threshold {MOST_AMPLITUDE:g}): "
     if named:
         sentence += "stretching is named and in the numbers."
@@ -89,6 +92,17 @@ def _amplitude(scene: Scene, peak: float) -> Finding:
     else:
         sentence += "stretching does not matter."
     return Finding("displacement / thickness", value, MOST_AMPLITUDE, sentence, high and not named)
+
+
+def _why_not_finite(scene: Scene) -> str:
+    """A linear plate cannot grow below the stability limit; the limit leaves out what stretching pulls with."""
+    sentence = "The numbers of a plate grew until they were none, and so did what is computed from them: "
+    if scene.effects.stretching is None:
+        return sentence + f"drive it less (magnitudes are in N/m², precision is {scene.grid.precision})."
+    return sentence + (
+        f"stretching pulled harder than the time step of {make_scheme(scene).time_step:.3g} s allows; write a shorter "
+        "grid.time_step, or drive it less."
+    )
 
 
 def _thinness(scene: Scene) -> Finding:

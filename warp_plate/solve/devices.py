@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
+import platform
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import warp as wp
 
@@ -26,6 +28,24 @@ def find_device(name: str) -> wp.Device:
     except (ValueError, RuntimeError):
         known = ", ".join(["auto", *(device.alias for device in wp.get_devices())])
         raise SceneError(f"device = {name!r}: not on this machine; there are: {known}") from None
+
+
+def device_aliases() -> list[str]:
+    """Warp's names for the devices of this machine."""
+    find_device("cpu")
+    return [device.alias for device in wp.get_devices()]
+
+
+def processor_of(device: wp.Device) -> str:
+    """The model of a device; what Python knows of the processor where the system has no /proc/cpuinfo."""
+    if device.is_cuda:
+        return str(device.name)
+    listing = Path("/proc/cpuinfo")
+    if listing.exists():
+        for line in listing.read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
 
 
 def cpu_threads() -> int:

@@ -59,9 +59,8 @@ def material_of(specialized: Specialized) -> Any:
     material.root_aspect = hx / hy
     material.tension_x, material.tension_y = (pull * unit / hx**2 for pull in bending.tension)
     material.retardation = effects.material_damping.time / step if effects.material_damping else 0.0
-    area = scene.plate.size[0] * scene.plate.size[1]
-    slope = 6 * scheme.rigidity / (scene.plate.thickness**2 * area) * (hy / hx)
-    material.stretching = slope * unit / hx**2
+    material.stretching = bending.berger * (hy / hx) * unit / hx**2
+    material.stretch_ratio = bending.stretch_ratio
     return material
 
 
@@ -205,7 +204,7 @@ def _threads(specialized: Specialized) -> Advance:
     wp.load_module(module=kernel.module, device=device)
     material, hanging = material_of(specialized), len(specialized.scene.effects.oscillators)
     numbers = [material.aspect, material.root_aspect, material.tension_x, material.tension_y]
-    numbers += [material.retardation, material.stretching]
+    numbers += [material.retardation, material.stretching, material.stretch_ratio]
     strength, along_x, along_y = _travel(specialized)
     along_x = np.pad(along_x, ((0, 0), (0, stride - along_x.shape[1])))
     travel = map(specialized.to_device, (strength, along_x, along_y))

@@ -27,8 +27,16 @@ def paths_of(device: wp.Device, plain: bool = True) -> dict[str, MakePath]:
     return PATHS["cuda" if device.is_cuda else "cpu"] if plain else GENERAL
 
 
+def why_streaming(specialized: Specialized, traced: bool = False) -> str | None:
+    """Why plates cannot run resident, or, if they are ``traced``, do not; None where they do."""
+    if specialized.device.is_cpu or not specialized.effects.plain:
+        return None
+    if not cuda.fits_on_chip(specialized):
+        nx, ny = specialized.scheme.nodes
+        return f"{nx} x {ny} nodes of order {specialized.scheme.order} do not fit on one multiprocessor"
+    return "traces of points are taken between launches" if traced else None
+
+
 def choose_path(specialized: Specialized) -> str:
     """The fastest path: resident wherever the plate fits on the chip."""
-    if not specialized.effects.plain:
-        return "resident"
-    return "resident" if specialized.device.is_cpu or cuda.fits_on_chip(specialized) else "streaming"
+    return "streaming" if why_streaming(specialized) else "resident"

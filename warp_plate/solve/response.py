@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.weights import REGIONS
 from warp_plate.solve.solver import PlateSolver, Progress
 
@@ -29,7 +30,7 @@ class Response:
     def energy(self, drives: np.ndarray) -> np.ndarray:
         """(plates, regions) energies [J] of drives (plates, actuators), as ``PlateSolver.run`` would give them."""
         z = _real_parts(drives)
-        return np.einsum("pa,rab,pb->pr", z, self.matrices, z, optimize=True)
+        return np.einsum("pa,rab,pb->pr", z, self.matrices, z)
 
     def bound(self) -> float:
         """The largest localization factor that any drive can reach."""
@@ -51,8 +52,13 @@ def unit_drives(actuators: int) -> np.ndarray:
 
 
 def measure_response(solver: PlateSolver, progress: Progress | None = None) -> Response:
-    """Simulate the unit drives; ``solver`` should be float64, for the differences of energies lose digits."""
+    """Simulate the unit drives; ``solver`` should be float64, for the differences of energies lose digits.
+
+    Raises:
+        SceneError: so many actuators that their drives do not fit into memory.
+    """
     actuators = len(solver.scene.actuators)
+    refuse_beyond_memory(100.0 * actuators**3, f"actuators: {actuators}, which makes {2 * actuators**2} unit drives;")
     energy = solver.run(unit_drives(actuators), progress=progress).energy
     count = 2 * actuators
     first, second = np.triu_indices(count, k=1)

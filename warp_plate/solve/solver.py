@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,8 +16,10 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import load_drives, make_engine, region_sums
+from warp_plate.solve.paths import why_streaming
 from warp_plate.solve.specialize import Specialized, effect_names, specialize
 from warp_plate.solve.state import State, bytes_per_plate, make_state
+from warp_plate.solve.status import OK, fastest_per_step, outgrown, status_of, watched_steps
 
 # A launch does about this much work, so that progress is shown and Ctrl-C is heard.
 SEGMENT_NODE_STEPS = {"cpu": 1e9, "cuda": 5e10}
@@ -25,6 +28,8 @@ SEGMENT_NODE_STEPS = {"cpu": 1e9, "cuda": 5e10}
 CUDA_CHUNK_SHARE = 0.6
 CPU_CHUNK_BYTES = 256 * 2**20
 FEWEST_PLATES = 64
+# Sizes of drives [N/m²] whose energies, which go with the square, are numbers of full precision.
+SMALLEST_DRIVE, LARGEST_DRIVE = 1e-130, 1e130
 
 Progress = Callable[[int, int], None]
 
@@ -33,10 +38,12 @@ Progress = Callable[[int, int], None]
 class Run:
     """What the plates did.
 
-    energy: (plates, regions) kinetic energy averaged over the window [J]; NaN where a plate's numbers left the
-    finite ones. regions: their names. displacement: (plates, times, ny, nx) [m]; times: (times,) [s], those of the
-    grid that lie nearest to the ones asked for. trace: (plates, points, steps) [m]; trace_times: (steps,) [s].
-    node_steps: nodes updated × steps × plates.
+    energy: (plates, regions) kinetic energy averaged over the window [J]; NaN for a plate whose status is not "ok",
+    such as one whose drive is of a size beyond SMALLEST_DRIVE ... LARGEST_DRIVE. regions: their names. displacement:
+    (plates, times, ny, nx) [m]; times: (times,) [s], those of the grid that lie nearest to the ones asked for. trace:
+    (plates, points, steps) [m]; trace_times: (steps,) [s]. node_steps: nodes updated × steps × plates. status:
+    (plates,) "ok" or what went wrong, see ``solve.status``; caught: (plates,) time at which a plate was seen to grow
+    without bound [s], NaN where it was not.
     """
 
     energy: np.ndarray
@@ -46,11 +53,18 @@ class Run:
     trace: np.ndarray
     trace_times: np.ndarray
     node_steps: int
+    status: np.ndarray
+    caught: np.ndarray
 
     @property
     def finite(self) -> np.ndarray:
         """(plates,) whether a plate's energies are numbers."""
         return np.isfinite(self.energy).all(axis=1)
+
+    def fault(self, plate: int) -> str:
+        """What went wrong with a plate, for people; "ok" where nothing did."""
+        when = f" by t = {self.caught[plate]:.4g} s" if math.isfinite(self.caught[plate]) else ""
+        return f"{self.status[plate]}{when}"
 
 
 class PlateSolver:
@@ -62,6 +76,7 @@ class PlateSolver:
         path: "auto", "resident" (all steps in one launch) or "streaming" (a launch a step).
         chunk: plates that run at once, at least 1; left out: as many as memory holds.
         threads: of the CPU; left out: as many as it has.
+        allow_unstable: whether to take a time step above the stability limit too.
 
     Raises:
         SceneError: unstable time step, an actuator that covers no node, no such device or path.
@@ -74,13 +89,14 @@ class PlateSolver:
         path: str = "auto",
         chunk: int | None = None,
         threads: int | None = None,
+        allow_unstable: bool = False,
     ) -> None:
         started = time.perf_counter()
         if chunk is not None and chunk < 1:
             raise SceneError(f"chunk = {chunk}: must be at least 1 plate")
         self.scene = scene
         self.device = find_device(device)
-        self.engine = make_engine(specialize(scene, self.device, threads), path)
+        self.engine = make_engine(specialize(scene, self.device, threads, allow_unstable), path)
         self.path = self.engine.path
         self._chunk = chunk
         self._state: State | None = None
@@ -96,6 +112,11 @@ class PlateSolver:
     def effects(self) -> tuple[str, ...]:
         """Names of the effects in the compiled kernel."""
         return effect_names(self.scene)
+
+    def path_words(self, traced: bool = False) -> str:
+        """How plates are stepped, for people: the path, and why it streams where it could not do better."""
+        reason = why_streaming(self.specialized, traced)
+        return f"streaming ({reason})" if reason else self.path
 
     @property
     def node_steps_per_plate(self) -> int:
@@ -120,7 +141,7 @@ class PlateSolver:
             progress: called with (node-steps done, node-steps in all) between launches.
 
         Raises:
-            SceneError: drives of another shape, a time outside the run, a point off the plate.
+            SceneError: drives of another shape or kind, a time outside the run, a point off the plate.
         """
         phasors = as_phasors(drives, len(self.scene.actuators))
         scheme = self.specialized.scheme
@@ -128,7 +149,7 @@ class PlateSolver:
         plates, (nx, ny) = len(phasors), scheme.nodes
         if points and self.device.is_cuda and self.path == "resident":
             # A plate that stays in registers shows nothing between launches: traces are streamed.
-            streaming = PlateSolver(self.scene, self.device.alias, "streaming", self._chunk)
+            streaming = PlateSolver(self.scene, self.device.alias, "streaming", self._chunk, None, allow_unstable=True)
             self.compile_seconds += streaming.compile_seconds
             traced = streaming.run(drives, times, points, progress)
             self.node_steps += traced.node_steps
@@ -137,8 +158,10 @@ class PlateSolver:
         corners, shares = bilinear(points, scheme.nodes, self.scene.plate.size)
         nodes: wp.array = wp.array(corners.reshape(-1, 2) + np.array([1, 0], np.int32), dtype=int, device=self.device)
         energy = np.empty((plates, len(REGIONS)))
-        displacement = np.empty((plates, len(snapshots), ny, nx))
+        displacement = np.full((plates, len(snapshots), ny, nx), np.nan)
         trace = np.empty((plates, len(points), scheme.steps))
+        status, caught = np.empty(plates, dtype=object), np.full(plates, np.nan)
+        fastest = scheme.steps * fastest_per_step(self.specialized)
         chunk = self._plates_at_once(max(plates, 1), nodes.shape[0])
         total = plates * self.node_steps_per_plate
         for first in range(0, plates, chunk):
@@ -150,15 +173,20 @@ class PlateSolver:
                 if progress is not None:
                     progress(before + done, total)
 
-            self._march(state, count, snapshots, displacement[some], tell)
+            reached, seen = self._march(state, count, snapshots, displacement[some], tell)
+            caught[some] = np.where(seen >= 0, seen * scheme.time_step, np.nan)
             unit = scale * scheme.load_scale
             with np.errstate(invalid="ignore", over="ignore"):  # of plates that left the finite numbers
                 sums = region_sums(self.engine, state, count)
                 energy[some] = sums * kinetic_energy_unit(scheme) * scale[:, None] ** 2
+                most = (scheme.window[1] - scheme.window[0]) * fastest**2
+                status[some] = status_of(phasors[some], scale, seen, sums, energy[some], most)
+                energy[some][status[some] != OK] = np.nan
                 displacement[some] *= unit[:, None, None, None]
                 if points:
                     corner_traces = state.trace.numpy()[:count].reshape(count, len(points), 4, -1).astype(float)
                     trace[some] = np.einsum("mpcn,pc->mpn", corner_traces, shares) * unit[:, None, None]
+                    trace[some, :, reached:] = np.nan
         self.node_steps += total
         return Run(
             energy=energy,
@@ -168,10 +196,19 @@ class PlateSolver:
             trace=trace,
             trace_times=scheme.time_step * np.arange(1, scheme.steps + 1) if points else np.empty(0),
             node_steps=total,
+            status=status,
+            caught=caught,
         )
 
     def _check(self, times: Sequence[float], points: Sequence[tuple[float, float]]) -> None:
         end = self.specialized.scheme.steps * self.specialized.scheme.time_step
+        for name, values, each in (("times", times, ()), ("points", points, (2,))):
+            try:
+                shape = _numbers(values, "biuf").shape
+            except (TypeError, ValueError):
+                shape = ()
+            if shape != (0,) and (not shape or shape[1:] != each):
+                raise SceneError(f"{name}: must be a list of {'numbers' if each == () else 'pairs of numbers'}")
         for time_asked in times:
             if not 0 <= time_asked <= self.scene.window.end * (1 + 1e-9):
                 raise SceneError(f"times: {time_asked:g} s is outside the run, which goes from 0 to {end:g} s")
@@ -186,7 +223,13 @@ class PlateSolver:
         budget = CUDA_CHUNK_SHARE * self.device.free_memory if self.device.is_cuda else CPU_CHUNK_BYTES
         if self._state is not None and self.device.is_cuda:
             budget += self._state.capacity * bytes_per_plate(self.specialized, self._state.nodes.shape[0])
-        most = int(budget / bytes_per_plate(self.specialized, traced_nodes))
+        each = bytes_per_plate(self.specialized, traced_nodes)
+        if self.device.is_cuda and each > budget:
+            raise SceneError(
+                f"grid.nodes = {list(self.scene.grid.nodes)}: a plate takes {each / 2**30:.3g} GiB, and "
+                f"{budget / 2**30:.3g} GiB of {self.device.alias} may be taken; use fewer nodes or record.points"
+            )
+        most = int(budget / each)
         if self.device.is_cpu:
             most = min(most, max(FEWEST_PLATES, int(SEGMENT_NODE_STEPS["cpu"] / self.node_steps_per_plate)))
         return max(1, min(plates, most))
@@ -198,12 +241,13 @@ class PlateSolver:
             self._state = None  # frees the old room before the new one is taken
             state = self._state = make_state(self.specialized, capacity, nodes)
         specialized, precision = self.specialized, self.scene.grid.precision
-        coefficients = specialized.signals.coefficients(phasors)
-        travelling = specialized.moving.largest if specialized.moving else 0.0
-        scale: np.ndarray = np.maximum(np.abs(coefficients).max(axis=(1, 2)), travelling)
-        divisor = np.where(scale > 0, scale, 1)
-        units, moving = np.zeros(state.capacity), np.zeros(state.capacity)
         with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite harms its own plate alone
+            coefficients = specialized.signals.coefficients(phasors)
+            travelling = specialized.moving.largest if specialized.moving else 0.0
+            scale: np.ndarray = np.maximum(np.abs(coefficients).max(axis=(1, 2)), travelling)
+            scale[(scale != 0) & ~((scale >= SMALLEST_DRIVE) & (scale <= LARGEST_DRIVE))] = np.nan
+            divisor = np.where(scale == 0, 1, scale)
+            units, moving = np.zeros(state.capacity), np.zeros(state.capacity)
             load_drives(self.engine, state, coefficients / divisor[:, None, None])
             units[: len(scale)] = scale * specialized.scheme.load_scale
             moving[: len(scale)] = travelling / divisor
@@ -214,22 +258,34 @@ class PlateSolver:
 
     def _march(
         self, state: State, plates: int, snapshots: list[int], displacement: np.ndarray, tell: Callable[[int], None]
-    ) -> None:
-        """All steps of the plates in the state, stopping where a displacement is kept or progress is due."""
+    ) -> tuple[int, np.ndarray]:
+        """All steps of the plates in the state, stopping where a displacement is kept or progress is due.
+
+        Returns the steps taken, which are fewer where no plate is left that does not grow without bound, and (plates,)
+        the step at which a plate was seen to grow, or −1.
+        """
         scheme = self.specialized.scheme
         nx, ny = scheme.nodes
         node_steps = plates * self.specialized.interior_nodes
         segment = max(1, int(SEGMENT_NODE_STEPS["cuda" if self.device.is_cuda else "cpu"] / node_steps))
+        watched = watched_steps(self.specialized, plates)
+        segment = min(segment, watched or segment)
+        fastest, seen = fastest_per_step(self.specialized), np.full(plates, -1)
         step = 0
         for stop in sorted({*range(0, scheme.steps, segment), *snapshots, scheme.steps}):
             if stop > step:
                 self.engine.advance(state, plates, step, stop)
                 step = stop
+                if watched:
+                    seen[(seen < 0) & outgrown(state.rate.numpy()[:plates], step * fastest)] = step
             if stop in snapshots:
                 kept = [index for index, snapshot in enumerate(snapshots) if snapshot == stop]
                 displacement[:, kept] = state.u.numpy()[:plates, None, 1 : ny + 1, :nx]
             wp.synchronize_device(self.device)
             tell(step * node_steps)
+            if (seen >= 0).all():
+                break
+        return step, seen
 
 
 def kinetic_energy_unit(scheme: Scheme) -> float:
@@ -247,12 +303,21 @@ def as_phasors(drives: object, actuators: int) -> np.ndarray:
     """
     try:
         if isinstance(drives, tuple) and len(drives) == 2:
-            magnitude, phase = (np.asarray(part, dtype=float) for part in drives)
-            phasors = magnitude * np.exp(-1j * phase)
+            magnitude, phase = (_numbers(part, "biuf") for part in drives)
+            with np.errstate(invalid="ignore"):  # a drive that is not finite harms its own plate alone
+                phasors = magnitude * np.exp(-1j * phase)
         else:
-            phasors = np.asarray(drives, dtype=complex)
+            phasors = _numbers(drives, "biufc").astype(complex)
     except (TypeError, ValueError) as error:
         raise SceneError(f"drives: not an array of numbers ({error})") from None
     if phasors.ndim != 2 or phasors.shape[1] != actuators:
         raise SceneError(f"drives: shape {phasors.shape} instead of (plates, {actuators}), one column an actuator")
     return phasors
+
+
+def _numbers(values: object, kinds: str) -> np.ndarray:
+    """As an array, of one of NumPy's kinds: nothing is read out of texts or dates, and nothing masked is taken."""
+    array = np.asarray(values)
+    if array.size and (array.dtype.kind not in kinds or np.ma.is_masked(values)):
+        raise TypeError(f"{array.dtype}{', masked' if np.ma.is_masked(values) else ''}")
+    return array

@@ -10,10 +10,12 @@ import warp as wp
 
 from warp_plate.kernels.effects import Effects
 from warp_plate.kernels.update import make_parameters
+from warp_plate.plate.limit import needs_moments
 from warp_plate.plate.moving import MovingWeights, moving_weights
-from warp_plate.plate.scheme import Scheme, make_scheme, needs_moments
+from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.signals import Signals, make_signals
 from warp_plate.plate.weights import patches, region_weights
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import cpu_threads
 
@@ -68,7 +70,17 @@ class Specialized:
         return bend_x, bend_y, move_x, move_y
 
     def to_device(self, values: np.ndarray) -> wp.array:
-        """A copy on the device in the scene's precision."""
+        """A copy on the device in the scene's precision.
+
+        Raises:
+            SceneError: a number is too large for it.
+        """
+        precision = self.scene.grid.precision
+        if not (np.abs(values) <= np.finfo(precision).max).all():
+            raise SceneError(
+                f"grid.precision = {precision!r}: an effect, a drive or a layer is too large for it; write "
+                f"{'a smaller one' if precision == 'float64' else 'float64'}"
+            )
         return wp.array(values, dtype=self.real, device=self.device)
 
 
@@ -103,13 +115,15 @@ def general_effects(scene: Scene) -> dict[str, bool]:
     return {"moments": needs_moments(scene), **found}
 
 
-def specialize(scene: Scene, device: wp.Device, threads: int | None = None) -> Specialized:
+def specialize(
+    scene: Scene, device: wp.Device, threads: int | None = None, allow_unstable: bool = False
+) -> Specialized:
     """Make a scene ready for a device; ``threads`` of the CPU, or as many as it has.
 
     Raises:
         SceneError: unstable time step, empty window, or an actuator that covers no node.
     """
-    scheme = make_scheme(scene)
+    scheme = make_scheme(scene, allow_unstable)
     real = {"float32": wp.float32, "float64": wp.float64}[scene.grid.precision]
     dtype = np.dtype(scene.grid.precision)
     nx, ny = scheme.nodes

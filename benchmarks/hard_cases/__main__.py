@@ -1,0 +1,158 @@
+"""Measures the catalogue of hard cases on a device: a table, a JSON file, and a picture of each case.
+
+    python benchmarks/hard_cases                                  # here, with as many steps as the catalogue asks for
+    python benchmarks/hard_cases --short --only limit             # fewer steps, and cases with this in their names
+    python benchmarks/hard_cases --device cuda --out h200.json --picture hard-cases.png
+    python benchmarks/hard_cases --page docs/hard-cases.md CPU=a.json H200=b.json   # figures into the page's table
+
+Numbers need warp-plate alone, the picture Matplotlib. The resident path takes all steps; the streaming path, which
+launches kernels for every step, a short form of each case.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from hard_cases.case import Case, Measured, Where
+from hard_cases.catalogue import CASES
+from warp_plate.search.localize import device_name, versions
+from warp_plate.solve.devices import find_device
+
+PRECISIONS = ("float32", "float64")
+BEGIN, END = "<!-- table of hard cases -->", "<!-- end of the table -->"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--only", default="", help="cases with this in their names")
+    parser.add_argument("--short", action="store_true", help="fewer steps, as in the tests")
+    parser.add_argument("--out", type=Path, help="JSON file to write")
+    parser.add_argument("--picture", type=Path, help="PNG file to draw")
+    parser.add_argument("--page", type=Path, help="page whose table is written anew from the files")
+    parser.add_argument("files", nargs="*", help="for --page: COLUMN=FILE.json ...")
+    asked = parser.parse_args()
+    if asked.page:
+        write_table(asked.page, dict(pair.split("=", 1) for pair in asked.files))
+        return
+    device = find_device(asked.device)
+    chosen = [case for case in CASES if asked.only.lower() in f"{case.group} {case.name}".lower()]
+    rows, pictures = [], []
+    try:
+        for case in chosen:
+            row, shown = measured(case, device.alias, not asked.short)
+            rows.append(row)
+            pictures.append((case, shown))
+            print(line(row), flush=True)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+    found = {"device": device_name(device), "versions": versions(), "long": not asked.short, "cases": rows}
+    if asked.out:
+        asked.out.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    if asked.picture:
+        draw(pictures, asked.picture)
+    failed = [row["name"] for row in rows if not row["kept"]]
+    print(f"{len(rows) - len(failed)} of {len(rows)} cases as asked" + "".join(f"\nnot: {name}" for name in failed))
+    sys.exit(bool(failed))
+
+
+def measured(case: Case, device: str, long: bool) -> tuple[dict[str, object], dict[str, Measured]]:
+    """A row of the table, and what the picture shows, by precision."""
+    values: dict[str, dict[str, float | None]] = {}
+    shown = {}
+    kept, started = True, time.perf_counter()
+    for precision in PRECISIONS:
+        values[precision] = {}
+        for path in ("resident", "streaming"):
+            found = case.measure(Where(device, path, precision, long and path == "resident"))
+            shown.setdefault(precision, found)
+            values[precision][path] = found.value if math.isfinite(found.value) else None
+            kept &= found.value <= case.allowed[precision]
+    row = {
+        "group": case.group,
+        "name": case.name,
+        "asked": case.asked,
+        "quantity": case.quantity,
+        "allowed": dict(case.allowed),
+        "measured": values,
+        "kept": kept,
+        "seconds": round(time.perf_counter() - started, 2),
+    }
+    return row, shown
+
+
+def largest(row: dict[str, object], precision: str) -> str:
+    """The larger value of the two paths, for people."""
+    values = row["measured"][precision].values()  # type: ignore[index]
+    return "fails" if None in values else f"{max(values):.2g}"
+
+
+def line(row: dict[str, object]) -> str:
+    """A row for people."""
+    told = "as asked" if row["kept"] else "NOT AS ASKED"
+    both = ", ".join(f"{precision} {largest(row, precision)}" for precision in PRECISIONS)
+    return f"{row['name']}: {row['quantity']}: {both}: {told} ({row['seconds']} s)"
+
+
+def write_table(page: Path, files: dict[str, str]) -> None:
+    """Rewrite the lines of a page between BEGIN and END."""
+    columns = {name: json.loads(Path(file).read_text(encoding="utf-8")) for name, file in files.items()}
+    heads = [f"{name} {precision}" for name in columns for precision in PRECISIONS]
+    lines = ["| case | what is asked | what is measured | allowed f32, f64 | " + " | ".join(heads) + " |"]
+    lines.append("| --- " * (4 + len(heads)) + "|")
+    cells = {name: {row["name"]: row for row in found["cases"]} for name, found in columns.items()}
+    for row in next(iter(columns.values()))["cases"]:
+        allowed = ", ".join(f"{row['allowed'][precision]:g}" for precision in PRECISIONS)
+        values = [
+            largest(cells[name][row["name"]], precision) if row["name"] in cells[name] else ""
+            for name in columns
+            for precision in PRECISIONS
+        ]
+        words = [row["name"], row["asked"], row["quantity"].replace("|", "\\|"), allowed, *values]
+        lines.append("| " + " | ".join(words) + " |")
+    text = page.read_text(encoding="utf-8")
+    before, rest = text.split(BEGIN)
+    _, after = rest.split(END)
+    page.write_text(before + BEGIN + "\n" + "\n".join(lines) + "\n" + END + after, encoding="utf-8")
+
+
+def draw(pictures: list[tuple[Case, dict[str, Measured]]], path: Path) -> None:
+    """A panel for each case: its curve in both precisions, or the plate's shape."""
+    from matplotlib.figure import Figure
+
+    columns = 6
+    rows = max(1, math.ceil(len(pictures) / columns))
+    figure = Figure(figsize=(3.0 * columns, 2.3 * rows), layout="constrained")
+    for index, (case, shown) in enumerate(pictures):
+        axes = figure.add_subplot(rows, columns, index + 1)
+        axes.set_title(case.name, fontsize=7)
+        axes.tick_params(labelsize=6)
+        last = shown["float64"]
+        if last.curve is None and last.shape is not None:
+            shape = shown["float32"].shape if case.name.startswith("rounding") else last.shape
+            axes.imshow(shape, origin="lower", aspect="auto", cmap="RdBu_r")
+            axes.set_xticks([])
+            axes.set_yticks([])
+            continue
+        for precision, style in zip(
+            PRECISIONS, ({"linewidth": 1.6}, {"linewidth": 0.7, "color": "black"}), strict=True
+        ):
+            if shown[precision].curve is not None:
+                x, y, name_x, name_y = shown[precision].curve
+                axes.plot(x, y, label=precision, **style)
+                axes.set_xlabel(name_x, fontsize=6)
+                axes.set_ylabel(name_y, fontsize=6)
+        if index == 0:
+            axes.legend(fontsize=6)
+    figure.savefig(path, dpi=80)
+
+
+if __name__ == "__main__":
+    main()

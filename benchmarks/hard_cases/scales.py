@@ -1,0 +1,100 @@
+"""The same plate in other units and shapes: its dimensionless answer must not change, nor numbers overflow."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from hard_cases.case import PANEL, Case, Measured, Where, both, grouped, largest_difference, scene_of
+from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.weights import localization_factor
+from warp_plate.reference.numpy_general import run_general
+from warp_plate.scene.model import Scene
+
+STEPS = 600
+DRIVES = np.array([[1.0, 0.4j], [0.2 - 0.5j, 1.0]])
+SIZES = {
+    "thickness 10 µm to 10 mm": ("thickness", np.geomspace(1e-5, 1e-2, 7)),
+    "E 1 MPa to 1 TPa": ("young_modulus", np.geomspace(1e6, 1e12, 7)),
+    "density 1 to 10⁵ kg/m³": ("density", np.geomspace(1.0, 1e5, 6)),
+    "drives 10⁻¹⁵ to 10¹⁵": ("drive", np.geomspace(1e-15, 1e15, 7)),
+}
+KINDS: dict[str, dict[str, object]] = {
+    "": {"edges": ("clamped", "supported", "clamped", "supported")},
+    ", free edges": {"edges": ("free", "clamped", "free", "free")},
+}
+
+
+def like(kind: str, plate: dict[str, float]) -> Scene:
+    """The same scene in other units: its frequencies, window and step follow √(D/ρH)."""
+    tables = {"nodes": (13, 13), **KINDS[kind], "plate": plate}
+    trial = scene_of(**tables, window={"start": 0.0, "end": 1e-9}, drive={"frequency": 1.0})  # type: ignore[arg-type]
+    kappa = make_scheme(trial).kappa
+    unit = 0.2**2 / kappa  # time
+    end = 0.3 * unit
+    return scene_of(
+        **tables, window={"start": 0.6 * end, "end": end}, drive={"frequency": 12 / unit},
+        grid={"time_step": end / STEPS},
+    )  # type: ignore[arg-type]  # fmt: skip
+
+
+def answer(where: Where, scene: Scene, drives: np.ndarray) -> np.ndarray:
+    """Localization factors and displacements in units of drive / (ρH ω²), in one line."""
+    run = where.solver(scene).run(drives, (scene.window.end / 2, scene.window.end))
+    scheme = make_scheme(scene)
+    unit = np.abs(drives).max() / (scheme.surface_density * scheme.angular_frequency**2)
+    return np.concatenate([localization_factor(run.energy), (run.displacement / unit).ravel()])
+
+
+def scaled(name: str, kind: str, where: Where) -> Measured:
+    """Largest difference from the panel as it is, relative."""
+    key, sizes = SIZES[name]
+    base = answer(where, like(kind, dict(PANEL)), DRIVES)
+    found = []
+    for size in sizes:
+        plate = dict(PANEL) if key == "drive" else {**PANEL, key: size}
+        drives = DRIVES * (size if key == "drive" else 1.0)
+        found.append(largest_difference(answer(where, like(kind, plate), drives), base))
+    found = np.array(found)
+    return Measured(
+        float(found.max()), (np.log10(sizes), np.log10(np.maximum(found, 1e-17)), f"log₁₀ {key}", "log₁₀ difference")
+    )
+
+
+SHAPES: dict[str, dict[str, object]] = {
+    "aspect 1 : 50": {"nodes": (101, 7), "size": (1.0, 0.02)},
+    "cells 1 : 10": {"nodes": (7, 31), "size": (0.3, 0.15)},
+}
+
+
+def shaped(name: str, where: Where) -> Measured:
+    """Largest difference from the NumPy reference, relative; a soft bed makes the reference of all effects serve."""
+    made = scene_of(**SHAPES[name], effects={"foundation": {"stiffness": 1.0}})  # type: ignore[arg-type]
+    limit = make_scheme(made.with_tables(window={"start": 0.0, "end": 1e-6}, drive={"frequency": 1.0})).limit
+    step = 0.9 * limit
+    made = made.with_tables(
+        grid={**made.grid.model_dump(exclude={"accuracy"}), "time_step": step}, drive={"frequency": 1 / (80 * step)},
+        window={"start": 0.0, "end": STEPS * step},
+    )  # fmt: skip
+    run = where.solver(made).run(DRIVES, (STEPS * step,))
+    exact = run_general(made, DRIVES)
+    shape = run.displacement[0, 0]
+    return Measured(largest_difference(run.displacement[:, 0], exact.displacement[:, -1]), shape=shape)
+
+
+CASES = grouped(
+    "Units and shapes",
+    [
+        Case(
+            name + kind, "the same dimensionless answer, no overflow", "largest relative difference",
+            partial(scaled, name, kind), both(1e-5, 1e-13), bool(kind) or name.startswith("density"),
+        )
+        for kind in KINDS
+        for name in SIZES
+    ]
+    + [
+        Case(name, "right to rounding", "difference from NumPy, relative", partial(shaped, name), both(3e-4, 1e-11))
+        for name in SHAPES
+    ],
+)  # fmt: skip

@@ -1,0 +1,128 @@
+"""Drives of any shape, kind and size given to ``PlateSolver.run``: right numbers, a flagged plate, or one line."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from warp_plate import PlateSolver, SceneError
+from warp_plate.solve.solver import LARGEST_DRIVE, SMALLEST_DRIVE
+
+ACTUATORS = 3
+# Beside the sizes that are kept, with room for the rounding of a sum of three.
+SIZES = st.floats(10 * SMALLEST_DRIVE, LARGEST_DRIVE / 10)
+PARTS = st.just(0.0) | SIZES | SIZES.map(lambda size: -size)
+
+
+@pytest.fixture(scope="module", params=["float32", "float64"])
+def solver(request):
+    from conftest import scene_of
+
+    return PlateSolver(scene_of((9, 9), damping=88.5, precision=request.param, window=(0.002, 0.006)), "cpu")
+
+
+@pytest.fixture(scope="module")
+def unit_energies(solver):
+    """(actuators,) energies of the plate under one actuator each."""
+    return solver.run(np.eye(ACTUATORS)).energy[:, 0]
+
+
+def refused(solver, *arguments, **options):
+    with pytest.raises(SceneError) as caught:
+        solver.run(*arguments, **options)
+    line = str(caught.value)
+    assert line.isprintable()
+    return line
+
+
+@settings(max_examples=40)
+@given(
+    drives=arrays.arrays(
+        st.sampled_from([np.float64, np.complex128]), st.tuples(st.integers(0, 6), st.just(ACTUATORS)),
+        elements={"allow_nan": True, "allow_infinity": True},
+    ),
+    good=st.lists(st.tuples(*[PARTS] * ACTUATORS), min_size=1, max_size=4),
+)  # fmt: skip
+def test_a_bad_drive_harms_no_other(solver, drives, good):
+    """Whatever stands beside them, good drives give the same bits as alone; every bad one is flagged."""
+    good = np.array(good)
+    alone = solver.run(good, (0.004,))
+    mixed = solver.run(np.concatenate([drives, good, drives]), (0.004,))
+    mine = slice(len(drives), len(drives) + len(good))
+    np.testing.assert_array_equal(mixed.energy[mine], alone.energy)
+    np.testing.assert_array_equal(mixed.displacement[mine], alone.displacement)
+    assert alone.finite.all()
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = np.abs(drives).max(axis=1) if len(drives) else np.zeros(0)
+    bad = ~(np.isfinite(size) & ((size == 0) | ((size >= SMALLEST_DRIVE) & (size <= LARGEST_DRIVE))))
+    finite = mixed.finite
+    # The plate's own stiffness may carry a drive near the end beyond it.
+    near = (size > LARGEST_DRIVE / 10) & (size < 10 * LARGEST_DRIVE)
+    np.testing.assert_array_equal(finite[: len(drives)][~near], ~bad[~near])
+    np.testing.assert_array_equal(finite[: len(drives)], finite[mine.stop :])
+
+
+@settings(max_examples=40)
+@given(st.floats(1.01 * SMALLEST_DRIVE, 0.99 * LARGEST_DRIVE), st.integers(0, ACTUATORS - 1))
+def test_energies_go_with_the_square_at_every_size(solver, unit_energies, size, actuator):
+    drive = np.zeros((1, ACTUATORS))
+    drive[0, actuator] = size
+    energy = solver.run(drive).energy[0]
+    assert energy[0] == pytest.approx(size**2 * unit_energies[actuator], rel=1e-12)
+    assert 0 < energy[1] < energy[0]
+
+
+@given(shape=arrays.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4))
+def test_any_other_shape_is_refused(solver, shape):
+    if len(shape) != 2 or shape[1] != ACTUATORS:
+        assert "drives: shape" in refused(solver, np.zeros(shape))
+
+
+@given(
+    arrays.arrays(
+        arrays.unicode_string_dtypes() | arrays.byte_string_dtypes() | arrays.datetime64_dtypes() | st.just(object),
+        (1, ACTUATORS),
+    )
+)
+def test_any_other_kind_is_refused(solver, drives):
+    assert "not an array of numbers" in refused(solver, drives)
+
+
+@pytest.mark.parametrize(
+    "drives",
+    [
+        None, "abc", {}, {1: 2}, object(), [[1, None, 2]], [[1, 2, 3], [1, 2]], [[10**400, 1, 1]], iter([[1, 2, 3]]),
+        np.ma.masked_array([[1.0, 2, 3]], mask=[[0, 1, 0]]), ([[1, 2, 3]], [[0, 0]]), ([[1j, 1, 1]], [[0, 0, 0]]),
+        ([["a"] * 3], [[1] * 3]), ([[1, 2, 3]], [[0, 0, 0]], [[0, 0, 0]]),
+    ],
+    ids=range(14),
+)  # fmt: skip
+def test_what_is_no_drive_is_refused(solver, drives):
+    assert refused(solver, drives).startswith("drives: ")
+
+
+@pytest.mark.parametrize(
+    ("magnitude", "phase"), [([[np.inf, 1, 1]], 0.0), ([[1, 1, 1]], np.nan), ([[1, 1, 1]], [[0, np.inf, 0]])]
+)
+def test_magnitudes_and_phases_that_are_no_numbers_are_flagged(solver, magnitude, phase):
+    assert not solver.run((np.array(magnitude), np.array(phase))).finite.any()
+
+
+@pytest.mark.parametrize("dtype", ["f2", "f4", "f8", "i1", "u8", "c8", "c16", "?"])
+def test_numbers_of_every_kind_are_taken(solver, dtype):
+    drives = np.array([[1, 0, 1]], dtype=dtype)
+    np.testing.assert_array_equal(solver.run(drives).energy, solver.run([[1.0, 0.0, 1.0]]).energy)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"times": 5}, {"times": ("a",)}, {"times": ((0.001, 0.002),)}, {"times": (np.inf,)}, {"times": (None,)},
+        {"points": (5,)}, {"points": ((0.1,),)}, {"points": ((0.1, 0.1, 0.1),)}, {"points": (("a", "b"),)},
+        {"points": ((np.nan, 0.1),)}, {"points": ((0.1, 1e300),)}, {"points": ((0.1, 0.1), (0.1,))},
+    ],
+    ids=range(12),
+)  # fmt: skip
+def test_what_is_no_time_or_point_is_refused(solver, options):
+    assert refused(solver, [[1, 1, 1]], **options).startswith(next(iter(options)))

@@ -1,0 +1,42 @@
+"""All commands, one file each beside this one, put together here."""
+
+from __future__ import annotations
+
+import sys
+
+import cyclopts
+
+import warp_plate
+from warp_plate.cli.accuracy import accuracy
+from warp_plate.cli.bench import bench
+from warp_plate.cli.check import check
+from warp_plate.cli.effects import effects
+from warp_plate.cli.init import init
+from warp_plate.cli.localize import localize
+from warp_plate.cli.modes import modes
+from warp_plate.cli.output import tell
+from warp_plate.cli.simulate import simulate
+from warp_plate.scene.errors import SceneError
+
+app = cyclopts.App(
+    name="warp-plate",
+    help="Simulate thin vibrating panels, thousands at once, and find the drive that moves only the chosen part.",
+    version=warp_plate.__version__,
+    help_format="plaintext",
+    suppress_keyboard_interrupt=False,
+)
+for command in (localize, simulate, check, modes, effects, accuracy, init, bench):
+    app.command(command)
+
+
+def run(arguments: list[str] | None = None) -> None:
+    """Run one command; bad input leaves the process with status 2 after one line."""
+    try:
+        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
+    except (SceneError, cyclopts.CycloptsError) as error:
+        tell(str(error))
+        sys.exit(2)
+    except MemoryError as error:
+        tell(f"out of memory: {error}; use fewer nodes, actuators, record.times or record.points")
+        sys.exit(2)

@@ -1,0 +1,272 @@
+"""The largest stable time step of a scene's grid and effects, and what sets it.
+
+With M the masses, K the stiffness and C the losses that act on the last half-step's rates (damping backward in time,
+the material's, oscillators'), a step from u and v to v⁺ and u + Δt v⁺ is
+
+    (M − ½Δt C)(v⁺ − v)/Δt + ½(C + c)(v⁺ + v) + K u = 0,
+
+c being damping centred in time. With ū half-way between two levels of u, ½vᵀ(M − ½Δt C − ¼Δt²K)v + ½ūᵀKū never grows,
+and it bounds u and v as long as its first matrix is positive. Past that the pencil of the step, which is that matrix at
+z = −1 and positive at −∞, is singular at some z < −1. So the limit is exactly where the largest eigenvalue of
+
+    A(Δt) = M⁻¹ (Δt²K + 2Δt C)
+
+is 4: without losses Δt = 2/√λ. c does not count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+import scipy.sparse.linalg
+
+from warp_plate.plate.bending import (
+    Bending,
+    buckling_factor,
+    make_bending,
+    mass_matrix,
+    stiffness_matrix,
+    with_oscillators,
+)
+from warp_plate.plate.operator import LARGEST, biharmonic, make_taps
+from warp_plate.plate.signals import own_frequencies
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+# With so many nodes a side, the end of a periodic plate's spectrum is at most 0.8 % above that of a plate with edges.
+FORMULA_NODES = 24
+# Relative, of the largest eigenvalue: Lanczos' method stops there, and the limit keeps MARGIN below what it finds.
+LANCZOS_TOLERANCE, MARGIN = 1e-3, 3e-3
+# Up to so many unknowns all eigenvalues are worked out, and the limit keeps off by rounding alone.
+DENSE, ROUNDING = 60, 1e-9
+# The search for the time step ends when the largest eigenvalue is 4 to this part; it takes two or three steps.
+CLOSE, MOST_SOLVES = 1e-4, 20
+
+
+@dataclass(frozen=True)
+class Limit:
+    """time_step: the largest stable one [s], at most 1 % below the true one and never above; shares: what part each
+    stiffness and loss has in the fastest motion, the sum being 1; frequency: of that motion without losses and steps
+    in time [Hz]; formula: whether it comes from a formula instead of
+    the scene's own matrices; place: (x, y) [m] where the fastest motion is largest, None by formula."""
+
+    time_step: float
+    shares: Mapping[str, float]
+    frequency: float
+    formula: bool
+    place: tuple[float, float] | None = None
+
+
+def find_limit(scene: Scene) -> tuple[Limit, Bending | None]:
+    """The limit of a scene with a grid; and the plate as moments, where it goes that way.
+
+    Raises:
+        SceneError: the plate buckles, or fourth order is asked of one that does not know it.
+    """
+    if not needs_moments(scene):
+        return _limit_of_plain(scene), None
+    if scene.grid.order == 4:
+        raise SceneError(
+            "grid.order = 4: knows an isotropic plate, the same everywhere, with clamped and supported edges, viscous "
+            "damping and actuators of one frequency; write 2 for other edges, effects and drives"
+        )
+    bending = make_bending(scene)
+    _refuse_buckling(scene, bending)
+    if _homogeneous(bending) and not scene.effects.oscillators and min(scene.grid.nodes) >= FORMULA_NODES:
+        return _by_formula(*_largest_of_homogeneous(scene, bending)), bending
+    stiff, late, masses = _parts(scene, bending)
+    return _by_matrices(scene, stiff, late, masses, np.flatnonzero(bending.moves)), bending
+
+
+def time_step_limit(kappa: float, spacing: tuple[float, float], backward_loss: float = 0.0, order: int = 2) -> float:
+    """A stable time step [s] of a plain plate; κ [m²/s], spacing [m], c/ρH [1/s] where damping is taken backward.
+
+    The largest eigenvalue of the discrete κ²∇⁴ is at most Λ = κ²(s/hx² + s/hy²)², s = 4 for second order and 16/3 for
+    fourth: there the spectrum of a periodic plate ends, and edges only lower it (of second order they are even and odd
+    mirror images; of fourth see tests/test_operator.py). Undamped or with centred damping the scheme is stable for
+    Λ Δt² ≤ 4 (κΔt/h² ≤ 1/4 or 3/16 on square cells); with backward damping for Λ Δt² ≤ 4 − 2cΔt/ρH.
+    """
+    largest = kappa**2 * (LARGEST[order] / spacing[0] ** 2 + LARGEST[order] / spacing[1] ** 2) ** 2
+    return _root(largest, backward_loss)
+
+
+def viscous_damping(scene: Scene) -> tuple[float, bool]:
+    """All viscous damping [N·s/m³], and whether it is taken backward in time."""
+    damping, bed = scene.effects.damping, scene.effects.foundation
+    viscous = (damping.viscous if damping else 0.0) + (bed.damping if bed else 0.0)
+    return viscous, damping is not None and damping.scheme == "backward"
+
+
+def needs_moments(scene: Scene) -> bool:
+    """Whether a scene is more than a plain plate with viscous damping under one carrier, and goes the general way."""
+    effects = scene.effects
+    rest = (
+        effects.material_damping, effects.tension, effects.foundation, effects.stretching, effects.moving_load,
+        scene.drive.electrostatic,
+    )  # fmt: skip
+    named = any(table is not None for table in rest) or bool(effects.oscillators)
+    return not scene.uniform or named or len(own_frequencies(scene)) > 1
+
+
+def plain_edge(edge: object) -> str:
+    """An edge as the plain plate has it; where it has not, its taps are not used."""
+    return "clamped" if edge == "clamped" else "supported"
+
+
+def _limit_of_plain(scene: Scene) -> Limit:
+    plate, (nx, ny), order = scene.plate, scene.grid.nodes, scene.grid.order
+    spacing = (plate.size[0] / (nx - 1), plate.size[1] / (ny - 1))
+    surface_density = plate.density * plate.thickness
+    kappa_squared = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2)) / surface_density
+    viscous, backward = viscous_damping(scene)
+    loss = viscous / surface_density if backward else 0.0
+    if min(nx, ny) >= FORMULA_NODES:
+        largest = kappa_squared * (LARGEST[order] / spacing[0] ** 2 + LARGEST[order] / spacing[1] ** 2) ** 2
+        return _by_formula({"bending": largest}, {"backward damping": loss})
+    taps_x = make_taps(nx, plain_edge(scene.edges.left), plain_edge(scene.edges.right), order)
+    taps_y = make_taps(ny, plain_edge(scene.edges.bottom), plain_edge(scene.edges.top), order)
+    matrix = biharmonic(taps_x, taps_y, spacing, order)
+    one = scipy.sparse.eye_array(matrix.shape[0])
+    inner = np.add.outer(nx * np.arange(1, ny - 1), np.arange(1, nx - 1)).ravel()
+    stiff, late = {"bending": kappa_squared * matrix}, {"backward damping": loss * one}
+    return _by_matrices(scene, stiff, late, np.ones(matrix.shape[0]), inner)
+
+
+def _root(largest: float, late: float) -> float:
+    """The positive root of Λ Δt² + 2 b Δt − 4 = 0, written so that it does not cancel for large b."""
+    return 4 / (late + math.sqrt(late**2 + 4 * largest))
+
+
+def _by_formula(stiff: Mapping[str, float], late: Mapping[str, float]) -> Limit:
+    """From the largest eigenvalue of each part [1/s², 1/s], all of one motion."""
+    step = _root(sum(stiff.values()), sum(late.values()))
+    parts = {name: value * step**2 / 4 for name, value in stiff.items()}
+    parts |= {name: value * step / 2 for name, value in late.items()}
+    frequency = math.sqrt(sum(stiff.values())) / (2 * math.pi)
+    return Limit(step, {name: part for name, part in parts.items() if part}, frequency, True)
+
+
+def _by_matrices(
+    scene: Scene,
+    stiff: Mapping[str, scipy.sparse.sparray],
+    late: Mapping[str, scipy.sparse.sparray],
+    masses: np.ndarray,
+    nodes: np.ndarray,
+) -> Limit:
+    """From parts of K and C, whose first unknowns are these nodes of the grid, counted row by row.
+
+    The largest eigenvalue of A(Δt) rises with Δt as a maximum of quadratics, so that the root of the quadratic of its
+    eigenvector is too long a step and the next try closer (Newton's method).
+    """
+    root = scipy.sparse.diags_array(1 / np.sqrt(masses))
+    whole_stiff = scipy.sparse.csr_array(root @ sum(stiff.values()) @ root)
+    whole_late = root @ sum(late.values(), start=0 * whole_stiff) @ root
+    scale = 1 / math.sqrt(abs(whole_stiff).sum(axis=1).max())
+    step, margin = scale, ROUNDING if len(masses) <= DENSE else MARGIN
+    for _ in range(MOST_SOLVES):
+        largest, vector = _largest(step**2 * whole_stiff + 2 * step * whole_late)
+        if abs(largest / 4 - 1) < CLOSE:
+            break
+        step = _root(float(vector @ (whole_stiff @ vector)), float(vector @ (whole_late @ vector)))
+    shape = root @ vector
+    parts = {name: step**2 * float(shape @ (part @ shape)) / largest for name, part in stiff.items()}
+    parts |= {name: 2 * step * float(shape @ (part @ shape)) / largest for name, part in late.items()}
+    shares = {name: part for name, part in parts.items() if abs(part) > 1e-6}
+    node = nodes[np.argmax(np.abs(shape[: len(nodes)]))]
+    (nx, ny), size = scene.grid.nodes, scene.plate.size
+    place = (node % nx * size[0] / (nx - 1), node // nx * size[1] / (ny - 1))
+    # A shorter step lowers the eigenvalue by its own part at least, without losses by twice that.
+    over = max(1.0, largest / 4) * (1 + margin)
+    frequency = math.sqrt(float(vector @ (whole_stiff @ vector))) / (2 * math.pi)
+    return Limit(step / (over if whole_late.nnz else math.sqrt(over)), shares, frequency, False, place)
+
+
+def _largest(matrix: scipy.sparse.csr_array) -> tuple[float, np.ndarray]:
+    """Largest eigenvalue of a symmetric matrix and its vector."""
+    if matrix.shape[0] <= DENSE:
+        values, vectors = scipy.linalg.eigh(matrix.toarray())
+        return float(values[-1]), vectors[:, -1]
+    # A start of no symmetry: one that a symmetric plate shares may have no part of the mode that is looked for.
+    start = np.random.default_rng(0).normal(size=matrix.shape[0])
+    values, vectors = scipy.sparse.linalg.eigsh(matrix, k=1, which="LA", tol=LANCZOS_TOLERANCE, v0=start)
+    return float(values[0]), vectors[:, 0]
+
+
+def _parts(
+    scene: Scene, bending: Bending
+) -> tuple[dict[str, scipy.sparse.sparray], dict[str, scipy.sparse.sparray], np.ndarray]:
+    """Parts of K [N/m] and C [N·s/m] by name, and the masses [kg]: of moving nodes, then of what oscillators hang."""
+    effects = scene.effects
+    moves = np.flatnonzero(bending.moves)
+    area = mass_matrix(bending) / bending.mass.ravel()
+
+    def of_plate(matrix: scipy.sparse.sparray) -> scipy.sparse.csr_array:
+        kept = scipy.sparse.csr_array(matrix)[moves][:, moves]
+        return with_oscillators(scene, kept, moves, [0.0] * len(effects.oscillators))
+
+    none = np.zeros_like(bending.spring)
+    bare = stiffness_matrix(replace(bending, spring=none, tension=(0.0, 0.0)))
+    stiff = {"bending": of_plate(bare)}
+    if effects.tension:
+        stiff["tension"] = of_plate(stiffness_matrix(replace(bending, spring=none)) - bare)
+    if bending.spring.any():
+        stiff["bed and springs of edges"] = of_plate(scipy.sparse.diags_array(area * bending.spring.ravel()))
+    empty = 0 * scipy.sparse.csr_array(bare)[moves][:, moves]
+    if effects.oscillators:
+        stiff["oscillators"] = with_oscillators(scene, empty, moves, [one.stiffness for one in effects.oscillators])
+    late = {}
+    viscous, backward = viscous_damping(scene)
+    if backward and viscous:
+        late["backward damping"] = of_plate(scipy.sparse.diags_array(viscous * area))
+    if effects.material_damping and effects.material_damping.time:
+        late["material damping"] = effects.material_damping.time * stiff["bending"]
+    if any(one.damping for one in effects.oscillators):
+        dampers = [one.damping for one in effects.oscillators]
+        late["dampers of oscillators"] = with_oscillators(scene, empty, moves, dampers)
+    hung = [one.mass for one in effects.oscillators if one.mass > 0]
+    return stiff, late, np.concatenate([mass_matrix(bending)[moves], hung])
+
+
+def _homogeneous(bending: Bending) -> bool:
+    """Whether all nodes but those on edges are alike, and springs are the same everywhere."""
+    inner = (slice(1, -1), slice(1, -1))
+    fields = (bending.bend_xx[inner], bending.bend_xy[inner], bending.bend_yy[inner], bending.twist, bending.mass)
+    return all(np.ptp(field) <= 1e-12 * np.abs(field).max() for field in (*fields, bending.spring))
+
+
+def _largest_of_homogeneous(scene: Scene, bending: Bending) -> tuple[dict[str, float], dict[str, float]]:
+    """Where the spectrum of the periodic plate ends [1/s²], and the losses of that motion [1/s], by name."""
+    (hx, hy), (tension_x, tension_y), mass = bending.spacing, bending.tension, float(bending.mass[0, 0])
+    middle = bending.mass.shape[0] // 2, bending.mass.shape[1] // 2
+    mixed = bending.bend_xy[middle] + bending.twist[middle] / 2  # D1 + 2Dxy
+    along_x, along_y = bending.bend_xx[middle] / hx**4, bending.bend_yy[middle] / hy**4
+    stiff = {
+        "bending": float(16 * max(along_x, along_y, along_x + along_y + 2 * mixed / (hx * hy) ** 2)) / mass,
+        "tension": 4 * (max(tension_x, 0) / hx**2 + max(tension_y, 0) / hy**2) / mass,
+        "bed and springs of edges": float(bending.spring[middle]) / mass,
+    }
+    viscous, backward = viscous_damping(scene)
+    material = scene.effects.material_damping
+    return stiff, {
+        "backward damping": viscous / mass if backward else 0.0,
+        "material damping": material.time * stiff["bending"] if material else 0.0,
+    }
+
+
+def _refuse_buckling(scene: Scene, bending: Bending) -> None:
+    # What presses, alone, is quickly found and mostly enough: what pulls only helps.
+    x, y = bending.tension
+    if min(x, y) >= 0 or buckling_factor(scene, replace(bending, tension=(min(x, 0.0), min(y, 0.0)))) > 1:
+        return
+    factor = buckling_factor(scene, bending)
+    if factor <= 1:
+        x, y = (factor * pull for pull in bending.tension)
+        raise SceneError(
+            f"effects.tension = {{x = {bending.tension[0]:g}, y = {bending.tension[1]:g}}}: the plate buckles; the "
+            f"critical load is x = {x:.4g}, y = {y:.4g} N/m, {factor:.3g} of this one"
+        )

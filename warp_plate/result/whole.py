@@ -1,0 +1,108 @@
+"""Files that are there whole or not at all, and a seal at their end that shows whether a byte has changed since.
+
+The seal is one line of text after the content: SHA-256 and length of all that is before it. HDF5 does not read what
+lies behind its own end, so that a sealed HDF5 file opens everywhere; and the seal is checked before HDF5 is let near
+the file, for its library may loop or crash over damaged bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from warp_plate.scene.errors import SceneError
+
+SEAL = re.compile(rb"\nwarp-plate sha256 ([0-9a-f]{64}) of ([0-9]{20}) bytes\n")
+SEAL_BYTES = len("\nwarp-plate sha256  of  bytes\n") + 64 + 20
+BLOCK_BYTES = 2**20
+
+
+@contextmanager
+def whole_file(path: Path, previous: Path | None = None) -> Iterator[Path]:
+    """Yield a name beside ``path`` to write to; what is there at the end takes the place of ``path``.
+
+    previous: where the file goes whose place it takes. The new one is on the disk before any name changes, so that
+    whenever the power fails, one of the two names holds a whole file. After an error or Ctrl-C all is as before.
+
+    Raises:
+        OSError: the folder is missing or cannot be written to, or the disk is full.
+    """
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=f".part{path.suffix}", dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        # mkstemp makes the file private; what is written is as readable as any file that the user writes.
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        yield temporary
+        with temporary.open("rb+") as written:
+            os.fsync(written.fileno())
+        if previous is not None and path.exists():
+            os.replace(path, previous)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    _settle(path.parent)
+
+
+def write_whole(content: bytes, path: Path, previous: Path | None = None) -> None:
+    """Write a file whole or not at all; see :func:`whole_file`.
+
+    Raises:
+        SceneError: it cannot be written; one line that says why.
+    """
+    try:
+        with whole_file(path, previous) as temporary:
+            temporary.write_bytes(content)
+    except OSError as error:
+        reason = error.strerror or error
+        raise SceneError(f"{path}: cannot be written: {reason}; what was there before is kept") from None
+
+
+def seal_of(content: bytes) -> bytes:
+    """The line to put behind the content."""
+    return b"\nwarp-plate sha256 %s of %020d bytes\n" % (hashlib.sha256(content).hexdigest().encode(), len(content))
+
+
+def check_seal(path: Path) -> None:
+    """Nothing, where the file is as it was sealed.
+
+    Raises:
+        SceneError: it is cut short, changed, or was never sealed.
+        OSError: it cannot be read.
+    """
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        content_bytes = file.seek(0, os.SEEK_END) - SEAL_BYTES
+        if content_bytes < 0:
+            raise SceneError(f"{path}: damaged: too short to be a file of this program")
+        file.seek(content_bytes)
+        seal = SEAL.fullmatch(file.read())
+        if seal is None:
+            raise SceneError(
+                f"{path}: damaged: no checksum at its end; it was cut short, or changed or made by another program"
+            )
+        file.seek(0)
+        left = content_bytes
+        while left > 0 and (block := file.read(min(BLOCK_BYTES, left))):
+            digest.update(block)
+            left -= len(block)
+    if (digest.hexdigest().encode(), content_bytes) != (seal[1], int(seal[2])):
+        raise SceneError(f"{path}: damaged: its content does not have the checksum that stands at its end")
+
+
+def _settle(folder: Path) -> None:
+    """Have the folder's new names on the disk, where the system and the file system know such a thing."""
+    if hasattr(os, "O_DIRECTORY"):
+        with suppress(OSError):
+            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)

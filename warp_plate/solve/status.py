@@ -1,0 +1,67 @@
+"""Whether plates moved as bounded ones do: a word for each.
+
+At a stable step the energy of the scheme grows by the load's work alone, so that after n steps no rate is above n times
+the norm of a step's load, but for factors that the nearness of the limit and unequal masses bring. What is above that
+by SLACK and more grew by itself.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from warp_plate.solve.specialize import Specialized
+
+OK = "ok"
+NO_DRIVE = "drive is not finite"
+GREW = "grew without bound"
+OUT_OF_RANGE = "energy is out of the range of numbers"
+
+# Room for a step next to the limit, where rates are some ten times what the load's work gives, and for unequal masses.
+SLACK = 1e3
+# Where growth is possible, plates are looked at after so many steps, or so many node-steps for large batches.
+WATCHED_STEPS, WATCHED_NODE_STEPS = 16, {"cpu": 2e7, "cuda": 2e9}
+
+
+def fastest_per_step(specialized: Specialized) -> float:
+    """The rate, in the kernels' numbers, that no bounded plate reaches per step since the start."""
+    patches = specialized.patches.numpy().astype(float)
+    # Waves are below two in size and coefficients at most one.
+    load = 2 * specialized.signals.terms * np.linalg.norm(patches, axis=1).sum()
+    if specialized.moving is not None:
+        load += np.sqrt(specialized.interior_nodes)
+    return SLACK * float(load)
+
+
+def watched_steps(specialized: Specialized, plates: int) -> int | None:
+    """After how many steps to look at plates that may grow: above the limit, or where they stretch; None: never."""
+    if not specialized.scheme.stable:
+        return WATCHED_STEPS
+    if not specialized.effects.stretching:
+        return None
+    work = WATCHED_NODE_STEPS["cuda" if specialized.device.is_cuda else "cpu"]
+    return max(WATCHED_STEPS, int(work / (plates * specialized.interior_nodes)))
+
+
+def outgrown(rate: np.ndarray, fastest: float) -> np.ndarray:
+    """(plates,) whether some rate (plates, rows, columns) is above ``fastest`` or no number."""
+    largest = np.maximum(rate.max(axis=(1, 2)), -rate.min(axis=(1, 2)))
+    grown: np.ndarray = ~(largest <= fastest)
+    return grown
+
+
+def status_of(
+    drives: np.ndarray, scale: np.ndarray, caught: np.ndarray, sums: np.ndarray, energy: np.ndarray, most: float
+) -> np.ndarray:
+    """(plates,) a word for each.
+
+    drives: (plates, actuators); scale: (plates,) pressures that plates are scaled by; caught: (plates,) step at which
+    growth was seen, or −1; sums: (plates, regions) of rate² over the window; energy: the same in joules; most: the
+    largest sum of a bounded plate.
+    """
+    status = np.full(len(drives), OK, dtype=object)
+    lost = ~np.isfinite(energy).all(axis=1) | ((sums > 0) & (energy == 0)).any(axis=1)
+    grew = (caught >= 0) | ~(sums <= most).all(axis=1)
+    status[lost] = OUT_OF_RANGE
+    status[grew & np.isfinite(scale)] = GREW
+    status[~np.isfinite(drives).all(axis=1)] = NO_DRIVE
+    return status
