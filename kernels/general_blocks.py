@@ -236,7 +236,7 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
                 if wp.static(effects.stretching):
                     pull = across(x, i + u_at, LEFT, RIGHT, kind, 1) - real(2.0) * here
                     pull_y = across(x, i + u_at, BOTTOM, TOP, kind, nx) - real(2.0) * here
-                    pull = fused(p.aspect, pull_y, pull)
+                    pull = fused(p.aspect * p.stretch_ratio, pull_y, pull)
                     if wp.static("pull" in held):
                         h[pull_row, m] = pull
                     else:
