@@ -10,19 +10,16 @@ import numpy as np
 
 from warp_plate.result.model import Case, Result
 from warp_plate.viz.availability import missing, missing_plots, off_screen, prepare
-from warp_plate.viz.scene3d import add_colour_bar, add_key, add_plate
-from warp_plate.viz.surface import caption, scale_over
+from warp_plate.viz.comparison import DRIVES
+from warp_plate.viz.lettering import add_legend
+from warp_plate.viz.quantity import scale_over
+from warp_plate.viz.scene3d import add_plate
+from warp_plate.viz.surface import caption
 
 if TYPE_CHECKING:
     import pyvista
     from matplotlib.axes import Axes
 
-DRIVES = {
-    "equal": "equal drive",
-    "single": "single actuator",
-    "best": "best drive found",
-    "drive": "given drive",
-}
 # A row has at most this many pictures; of more times, some that lie evenly between first and last are drawn.
 COLUMNS = 6
 # Drawn so many times larger and shrunk, for VTK's own smoothing (SSAA) garbles subplots in VTK 9.4. Twice looks hardly
@@ -175,8 +172,7 @@ def _draw_row(
         text = caption(drive, float(result.times[index]), case.localization_factor)
         add_plate(plotter, result.scene, case.displacement[index], scale, text, font_size, bar=False)
     plotter.subplot(row, len(shown))
-    add_colour_bar(plotter, scale, font_size, left=0.1)
-    add_key(plotter, font_size, left=0.1)
+    add_legend(plotter, result.scene, scale, font_size)
 
 
 def _ordered(result: Result) -> list[tuple[str, Case]]:

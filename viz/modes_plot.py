@@ -10,19 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.scene.model import Scene
+from warp_plate.viz.sides import SIDES, edge_kind, kinds_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLOURS = "RdBu_r"
 INK, PATCH = "#1a1a1a", "#1b7837"
-# Colour, width in points and dashes of a side, by what holds it; and the words of the key.
-SIDES = {
-    "clamped": ("#1a1a1a", 3.2, "-", "clamped"),
-    "supported": ("#1a1a1a", 1.2, "-", "supported"),
-    "springs": ("#e6820e", 2.2, (0, (1.2, 0.8)), "on springs"),
-    "free": ("#9a9a9a", 1.0, (0, (4, 3)), "free"),
-}
 # In inches: the longer side of a plate, and of a row or column of them at most.
 PICTURE, WIDEST = 1.9, 6
 # Of the peak: what is rounding, and the height of a spot of the other sign, as in clamped corners, that means nothing.
@@ -84,11 +78,6 @@ def frequency_text(frequency: float) -> str:
     return f"{frequency:.{digits}f} Hz"
 
 
-def edge_kind(edge: object) -> str:
-    """Which of SIDES a side is."""
-    return edge if isinstance(edge, str) else "springs"
-
-
 def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray) -> object:
     width, height = scene.plate.size
     ny, nx = shape.shape
@@ -102,9 +91,7 @@ def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray) -> object:
     for one in scene.effects.oscillators:
         _outline(axes, one.area, ":")
     for side, ends in _ends(width, height).items():
-        colour, thickness, dashes, _ = SIDES[edge_kind(getattr(scene.edges, side))]
-        looks = {"color": colour, "linewidth": thickness, "linestyle": dashes, "solid_capstyle": "projecting"}
-        axes.plot(*ends, clip_on=False, **looks)
+        axes.plot(*ends, clip_on=False, **SIDES[edge_kind(getattr(scene.edges, side))].matplotlib)
     axes.set_aspect("equal")
     axes.set_xlim(0, width)
     axes.set_ylim(0, height)
@@ -165,12 +152,7 @@ def _outline(axes: Axes, area: Sequence[float], dashes: str) -> None:
 def _key(figure: object, scene: Scene) -> None:
     from matplotlib.lines import Line2D
 
-    kinds = {edge_kind(edge) for _, edge in scene.edges}
-    lines = [
-        Line2D([], [], color=colour, linewidth=width, linestyle=dashes, label=words)
-        for kind, (colour, width, dashes, words) in SIDES.items()
-        if kind in kinds
-    ]
+    lines = [Line2D([], [], **SIDES[kind].matplotlib, label=SIDES[kind].words) for kind in kinds_of(scene)]
     lines.append(Line2D([], [], color=INK, linewidth=0.9, label="nodal line"))
     if scene.effects.layers:
         lines.append(Line2D([], [], color=PATCH, linewidth=0.9, label="layer"))
