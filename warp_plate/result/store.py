@@ -10,8 +10,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -19,6 +17,7 @@ import h5py
 import numpy as np
 
 from warp_plate.result.model import Case, Result
+from warp_plate.result.whole_file import written_whole
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
 
@@ -31,28 +30,14 @@ FORMAT = "warp-plate result 1"
 
 
 def save_result(result: Result, path: str | Path) -> Path:
-    """Write the file whole or not at all: to a temporary name beside it first, then renamed.
+    """Write the file whole or not at all.
 
     Raises:
         SceneError: the folder is missing or cannot be written to, or the disk is full.
     """
     path = Path(path)
-    temporary = None
-    try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-        os.close(handle)
-        with h5py.File(temporary, "w") as file:
-            _write(file, result)
-        # mkstemp makes the file private; a result is as readable as any file that the user writes.
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be written: {error}") from None
-    finally:
-        if temporary is not None and os.path.exists(temporary):
-            os.unlink(temporary)
+    with written_whole(path) as (temporary,), h5py.File(temporary, "w") as file:
+        _write(file, result)
     return path
 
 
