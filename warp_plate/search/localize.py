@@ -186,17 +186,12 @@ def _in_float64(scene: Scene) -> Scene:
     return scene.model_copy(update={"grid": scene.grid.model_copy(update={"precision": "float64"}), "record": Record()})
 
 
-def _search(
-    scene: Scene, seed: int, energies: Energies, told: Told | None
-) -> tuple[Swarm | None, bool]:
-    """The swarm after its search, and whether Ctrl-C ended it; no swarm where one actuator leaves no choice."""
+def make_swarm(scene: Scene, seed: int) -> Swarm:
+    """The swarm that the scene asks for; it needs two actuators or more."""
     search = scene.search
-    dimension = 2 * (len(scene.actuators) - 1)
-    if dimension == 0:
-        return None, False
-    swarm = Swarm(
+    return Swarm(
         SwarmSettings(
-            dimension=dimension,
+            dimension=2 * (len(scene.actuators) - 1),
             particles=search.particles,
             iterations=search.iterations,
             inertia=search.inertia,
@@ -209,9 +204,18 @@ def _search(
         )
     )
 
+
+def _search(
+    scene: Scene, seed: int, energies: Energies, told: Told | None
+) -> tuple[Swarm | None, bool]:
+    """The swarm after its search, and whether Ctrl-C ended it; no swarm where one actuator leaves no choice."""
+    if len(scene.actuators) == 1:
+        return None, False
+    swarm = make_swarm(scene, seed)
+
     def after(swarm: Swarm) -> None:
         if told is not None:
-            told(swarm.iterations, search.iterations, 1 - swarm.result.fbest)
+            told(swarm.iterations, scene.search.iterations, 1 - swarm.result.fbest)
 
     try:
         optimize(swarm, lambda positions: loss(energies(drives_of(positions))), after)

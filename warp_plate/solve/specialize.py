@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +12,8 @@ import warp as wp
 from warp_plate.kernels.effects import Effects
 from warp_plate.kernels.update import make_parameters
 from warp_plate.plate.scheme import Scheme, make_scheme
-from warp_plate.plate.weights import patches, region_weights
-from warp_plate.scene.model import Scene
+from warp_plate.plate.weights import NO_AREAS, REGIONS, patches, region_weights
+from warp_plate.scene.model import Area, Scene
 from warp_plate.solve.devices import cpu_threads
 
 # Rows are padded to whole cache lines, which are also whole vector registers.
@@ -23,7 +24,8 @@ LINE_BYTES = 64
 class Specialized:
     """A scene made ready for the kernels of one device; arrays in the layout of ``warp_plate.kernels``.
 
-    real: wp.float32 or wp.float64; rows = ny + 2; stride: columns with padding; threads: of the CPU to use.
+    real: wp.float32 or wp.float64; rows = ny + 2; stride: columns with padding; threads: of the CPU to use; regions:
+    names of those whose energy is summed.
     support: (covered nodes, 2), patches: (actuators, covered nodes), weights: (regions, rows, stride),
     wave: (steps, 2), all on the device; parameters: the kernels' struct.
     """
@@ -36,6 +38,7 @@ class Specialized:
     stride: int
     device: wp.Device
     threads: int
+    regions: tuple[str, ...]
     parameters: Any
     support: wp.array
     patches: wp.array
@@ -96,8 +99,10 @@ def general_effects(scene: Scene) -> dict[str, bool]:
     return {"moments": not scene.uniform or any(found.values()), **found}
 
 
-def specialize(scene: Scene, device: wp.Device, threads: int | None = None) -> Specialized:
-    """Make a scene ready for a device; ``threads`` of the CPU, or as many as it has.
+def specialize(
+    scene: Scene, device: wp.Device, threads: int | None = None, areas: Mapping[str, Area] = NO_AREAS
+) -> Specialized:
+    """Make a scene ready for a device; ``threads`` of the CPU, or as many as it has; ``areas``: further regions.
 
     Raises:
         SceneError: unstable time step, empty window, or an actuator that covers no node.
@@ -109,7 +114,7 @@ def specialize(scene: Scene, device: wp.Device, threads: int | None = None) -> S
     line = LINE_BYTES // dtype.itemsize
     stride = -(-nx // line) * line
     fields = patches(scene)
-    regions = region_weights(scene)
+    regions = region_weights(scene, areas)
     if scheme.bending is not None:
         # A pressure moves a node by its share of what the node's own part of the cell weighs.
         loss = 0.0 if scheme.backward else scheme.viscous * scheme.time_step / scheme.bending.mass
@@ -137,6 +142,7 @@ def specialize(scene: Scene, device: wp.Device, threads: int | None = None) -> S
         stride=stride,
         device=device,
         threads=threads or cpu_threads(),
+        regions=(*REGIONS, *areas),
         parameters=parameters,
         support=wp.array((support + [1, 0]).astype(np.int32), dtype=int, device=device),
         patches=wp.array(fields[:, support[:, 0], support[:, 1]].astype(dtype), dtype=real, device=device),
