@@ -20,16 +20,18 @@ SCIENCE = {"numpy", "scipy"}
 # single module, is found by the longest name that fits.
 RULES: dict[str, tuple[set[str], set[str]]] = {
     "kernels": ({"kernels"}, {"warp"}),
-    "scene": ({"scene"}, {*SCIENCE, "pydantic", "tomli", "tomllib"}),  # tomllib is Python's own from 3.11 on
+    "scene": ({"scene", "viz.html"}, {*SCIENCE, "pydantic", "tomli", "tomllib"}),  # tomllib is Python's own from 3.11 on
     "plate": ({"plate", "scene"}, SCIENCE),
     "reference": ({"reference", "plate", "scene"}, SCIENCE),
-    "result": ({"result", "plate", "scene"}, {*SCIENCE, "h5py"}),
+    "result": ({"result", "plate", "scene", "viz.html"}, {*SCIENCE, "h5py"}),
     "solve": ({"solve", "kernels", "plate", "scene"}, {*SCIENCE, "warp"}),
     "bench": ({"bench", "solve", "kernels", "plate", "scene", ""}, {*SCIENCE, "warp"}),
     "accuracy": ({"accuracy", "solve", "reference", "plate", "scene", ""}, {*SCIENCE, "pydantic", "warp"}),
     "search": ({"search", "accuracy", "solve", "result", "plate", "scene", ""}, {*SCIENCE, "warp"}),
     "search.pso": (set(), SCIENCE),
     "viz": ({"viz", "result", "scene"}, {*SCIENCE, "pyvista", "vtkmodules", "matplotlib", "PIL"}),
+    # Scenes and results ask it how to show themselves in a notebook, when they are shown.
+    "viz.html": ({"viz", "result", "scene"}, set()),
     "cli": (
         {"cli", "accuracy", "bench", "search", "solve", "result", "plate", "scene", "viz", ""},
         {*SCIENCE, "cyclopts", "rich"},
@@ -110,6 +112,17 @@ def test_pictures_are_imported_only_when_drawn():
     for path, module in sources():
         if room_of(module) in ("cli", "__main__", ""):
             assert not [name for name, inner in imports(path) if not inner and late.match(name)], path
+
+
+def test_scenes_and_results_ask_for_pictures_only_when_shown():
+    late = {
+        module: inner
+        for path, module in sources()
+        if room_of(module) in ("scene", "result")
+        for name, inner in imports(path)
+        if name == "warp_plate.viz.html"
+    }
+    assert late == {"scene.model": True, "result.model": True}
 
 
 def test_the_rules_are_checked():
