@@ -20,7 +20,8 @@ SCIENCE = {"numpy", "scipy"}
 # single module, is found by the longest name that fits.
 RULES: dict[str, tuple[set[str], set[str]]] = {
     "kernels": ({"kernels"}, {"warp"}),
-    "scene": ({"scene", "viz.html"}, {*SCIENCE, "pydantic", "tomli", "tomllib"}),  # tomllib is Python's own from 3.11 on
+    # tomllib is Python's own from 3.11 on.
+    "scene": ({"scene", "viz.html"}, {*SCIENCE, "pydantic", "tomli", "tomllib"}),
     "plate": ({"plate", "scene"}, SCIENCE),
     "reference": ({"reference", "plate", "scene"}, SCIENCE),
     "result": ({"result", "plate", "scene", "viz.html"}, {*SCIENCE, "h5py"}),

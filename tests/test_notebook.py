@@ -14,7 +14,7 @@ from warp_plate import viz
 from warp_plate.result import Case, Result
 from warp_plate.scene import Scene, preset_names
 from warp_plate.viz import html
-from warp_plate.viz.plan import LENGTH, MARGIN
+from warp_plate.viz.scene_plan import LENGTH, MARGIN
 
 SVG = "{http://www.w3.org/2000/svg}"
 

@@ -19,7 +19,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.viz.availability import missing, missing_plots
 from warp_plate.viz.comparison import DRIVES, ordered
 from warp_plate.viz.figures import draw_history, draw_surfaces
-from warp_plate.viz.plan import plan
+from warp_plate.viz.scene_plan import scene_plan
 from warp_plate.viz.sides import NAMES, SIDES, edge_kind
 
 SIDE_BY_SIDE = "display: flex; flex-wrap: wrap; gap: 2em; align-items: flex-start"
@@ -36,7 +36,7 @@ def scene_html(scene: Scene) -> str:
         for actuator in scene.actuators
     ]
     _add_table(tables, ("actuator", "x, y (m)", "magnitude (N/m²)", "phase (rad)"), rows)
-    body.append(plan(scene))
+    body.append(scene_plan(scene))
     return tostring(card, encoding="unicode")
 
 
