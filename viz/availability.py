@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
+X_WINDOW = "vtkXOpenGLRenderWindow"
 EXTRA = "pip install 'warp-plate[viz]'"
 SYSTEM = (
     "'apt-get install libegl1 libgl1-mesa-dri' (Debian, Ubuntu) or "
@@ -84,11 +85,33 @@ def missing() -> str | None:
     return probe().problem
 
 
+def missing_window() -> str | None:
+    """None where a window can be opened on the screen; otherwise one sentence that says why not."""
+    found = probe()
+    if found.problem is not None or not sys.platform.startswith("linux"):
+        return found.problem
+    if not os.environ.get("DISPLAY"):
+        return "no window can be opened here: there is no display (DISPLAY is not set)"
+    if found.window != X_WINDOW:
+        return (
+            f"no window can be opened on the display {os.environ['DISPLAY']}: it does not answer, or libX11 or libGL "
+            "is not installed"
+        )
+    return None
+
+
 def missing_plots() -> str | None:
     """The same for plots of curves, which need Matplotlib only."""
     if importlib.util.find_spec("matplotlib") is None:
         return f"curves cannot be plotted without Matplotlib: {EXTRA}"
     return None
+
+
+def missing_meshes() -> str | None:
+    """The same for what is drawn elsewhere, as in a browser, and needs PyVista's meshes but no window."""
+    if importlib.util.find_spec("pyvista") is None:
+        return f"the plate cannot be drawn without PyVista: {EXTRA}"
+    return missing_plots()
 
 
 def plot_beside(
@@ -185,7 +208,7 @@ def _windows() -> list[str | None]:
         return [None]
     without_display: list[str | None] = ["vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"]
     # With a display the X kind comes first, as for a window on the screen: GLX and EGL in one process clash.
-    return ["vtkXOpenGLRenderWindow", *without_display] if os.environ.get("DISPLAY") else without_display
+    return [X_WINDOW, *without_display] if os.environ.get("DISPLAY") else without_display
 
 
 def _try_window(window: str | None) -> tuple[bool, str]:

@@ -1,14 +1,15 @@
-"""Plates in motion side by side, with one scale for all: what the window, movies and pages show."""
+"""Plates in motion side by side, with one scale for all: what the window, pictures, movies and pages show."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warp_plate.result.model import Case
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.lettering import LEGEND_WIDTH
@@ -25,10 +26,12 @@ DRIVES = {
     "best": "best drive found",
     "drive": "given drive",
 }
+# Of plates in a row.
+WIDEST = 3
 
 
 class Comparison:
-    """Plates of one scene in the subplots of a plotter, from left to right and top to bottom; the last has the legend.
+    """Plates of one scene in the subplots of a plotter, row by row; the last of a full row has the legend.
 
     plates: one for each motion; scale: common to all. Nothing is rendered until the plotter is.
     """
@@ -41,19 +44,21 @@ class Comparison:
         quantity: str = "displacement",
         font_size: int = 20,
     ) -> None:
-        """quantity: a key of QUANTITIES, passed over for modes; plotter: with a subplot for each motion, in a row.
+        """quantity: a key of QUANTITIES, passed over for modes; plotter: with the shape of :func:`rows_and_columns`.
 
         Every motion must have as many frames as the others.
         """
         self.scene = scene
         self.motions = list(motions)
         self.frame = 0
-        self.quantity = self._quantity(quantity)
+        self.quantity = quantity_of(self.motions, quantity)
         self._colours = [self.quantity.values(motion) for motion in motions]
-        self.scale = self._scale()
+        self.scale = common_scale(scene, self.motions, self.quantity)
         self.plates: list[DrawnPlate] = []
+        _, columns = rows_and_columns(len(self.motions))
         for index, motion in enumerate(self.motions):
-            plotter.subplot(0, index)
+            row, column = divmod(index, columns)
+            plotter.subplot(row, column)
             self.plates.append(
                 add_plate(
                     plotter,
@@ -62,7 +67,7 @@ class Comparison:
                     self.scale,
                     heading(motion, 0),
                     font_size,
-                    bar=index == len(self.motions) - 1,
+                    bar=column == columns - 1,
                     colours=self._colour(index, 0),
                 )
             )
@@ -81,9 +86,10 @@ class Comparison:
 
     def colour_by(self, quantity: str) -> None:
         """Show another quantity in colour, at the frame that is shown."""
-        self.quantity = self._quantity(quantity)
+        self.quantity = quantity_of(self.motions, quantity)
         self._colours = [self.quantity.values(motion) for motion in self.motions]
-        self._rescale(replace(self._scale(), factor=self.scale.factor))
+        scale = common_scale(self.scene, self.motions, self.quantity)
+        self._rescale(replace(scale, factor=self.scale.factor))
 
     def exaggerate(self, factor: float) -> None:
         """Draw heights so many times their true size."""
@@ -95,17 +101,21 @@ class Comparison:
             plate.rescale(scale)
         self.show(self.frame)
 
-    def _scale(self) -> Scale:
-        fields = [motion.displacement for motion in self.motions]
-        return scale_over(fields, self.scene.plate.size, self.quantity, self._colours)
-
-    def _quantity(self, name: str) -> Quantity:
-        return MODE if self.motions[0].localization_factor is None else QUANTITIES[name]
-
     def _colour(self, index: int, frame: int) -> np.ndarray:
         """(ny, nx) of one plate; the same at all frames where there is only one."""
         fields = self._colours[index]
         return fields[frame % len(fields)]
+
+
+def common_scale(scene: Scene, motions: Sequence[Motion], quantity: Quantity) -> Scale:
+    """One scale for all plates and frames."""
+    colours = [quantity.values(motion) for motion in motions]
+    return scale_over([motion.displacement for motion in motions], scene.plate.size, quantity, colours)
+
+
+def quantity_of(motions: Sequence[Motion], name: str) -> Quantity:
+    """The quantity of this name; natural shapes have but one."""
+    return MODE if motions[0].localization_factor is None else QUANTITIES[name]
 
 
 def heading(motion: Motion, frame: int) -> str:
@@ -118,6 +128,19 @@ def heading(motion: Motion, frame: int) -> str:
     return caption(name, float(motion.times[frame]), motion.localization_factor, decimals)
 
 
+def ordered(cases: Mapping[str, Case]) -> dict[str, Case]:
+    """The cases in the paper's order, then any others; a file gives them back by alphabet."""
+    names = [name for name in DRIVES if name in cases]
+    return {name: cases[name] for name in [*names, *(name for name in cases if name not in DRIVES)]}
+
+
+def rows_and_columns(plates: int) -> tuple[int, int]:
+    """How so many plates are laid out."""
+    columns = min(plates, WIDEST)
+    return math.ceil(plates / columns), columns
+
+
 def widths(plates: int, each: int, font_size: int) -> list[int]:
-    """Widths of the subplots in pixels: the last has the legend beside its plate."""
-    return [each] * (plates - 1) + [each + round(LEGEND_WIDTH * font_size)]
+    """Widths of the columns in pixels: the last has the legend beside its plates."""
+    _, columns = rows_and_columns(plates)
+    return [each] * (columns - 1) + [each + round(LEGEND_WIDTH * font_size)]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 INK, TARGET = "#1a1a1a", "#1b7837"
 # Of the colour bar and the key, in font sizes.
-LEGEND_WIDTH = 7.6
+LEGEND_WIDTH = 8.2
 # From line to line of the key, in font sizes.
 LINE = 1.35
 
@@ -35,12 +35,11 @@ def add_legend(plotter: pyvista.Plotter, scene: Scene, scale: Scale, font_size: 
     from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 
     left = beside_legend(plotter, font_size)
-    key = [("□", "target", TARGET), ("□", "actuator", INK)]
-    key += [(SIDES[kind].sign, SIDES[kind].words, SIDES[kind].colour) for kind in kinds_of(scene)]
+    key = key_of(scene)
     line = LINE * font_size / plotter.renderer.GetSize()[1]
     top = 0.03 + line * len(key)
-    for index, (sign, words, colour) in enumerate(key):
-        add_text(plotter, f"{sign} {words}", (left, top - line * index), font_size, colour)
+    for index, (words, colour) in enumerate(key):
+        add_text(plotter, words, (left, top - line * index), font_size, colour)
     bar = vtkScalarBarActor()
     bar.SetNumberOfLabels(5)
     bar.SetLabelFormat("%.3g")
@@ -56,6 +55,12 @@ def add_legend(plotter: pyvista.Plotter, scene: Scene, scale: Scale, font_size: 
     return bar
 
 
+def key_of(scene: Scene) -> list[tuple[str, str]]:
+    """What the outlines mean: sign and words, and their colour."""
+    sides = [(f"{SIDES[kind].sign} {SIDES[kind].words}", SIDES[kind].colour) for kind in kinds_of(scene)]
+    return [("□ target", TARGET), ("□ actuator", INK), *sides]
+
+
 def set_bar(bar: vtkScalarBarActor, scale: Scale) -> None:
     """Show another scale."""
     bar.SetLookupTable(lookup_table(scale))
@@ -63,11 +68,12 @@ def set_bar(bar: vtkScalarBarActor, scale: Scale) -> None:
 
 
 def lookup_table(scale: Scale) -> pyvista.LookupTable:
-    """The scale's colours between its limits; what is no number is grey where an angle means nothing, else black."""
+    """The scale's colours between its limits."""
     import pyvista
 
-    nan = "#c8c8c8" if scale.quantity.kind == "cyclic" else "black"
-    return pyvista.LookupTable(cmap=scale.quantity.colours, scalar_range=scale.limits, nan_color=nan)
+    return pyvista.LookupTable(
+        cmap=scale.quantity.colours, scalar_range=scale.limits, nan_color=scale.quantity.no_number
+    )
 
 
 def add_text(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.scene.model import Scene
-from warp_plate.viz.sides import SIDES, edge_kind, kinds_of
+from warp_plate.viz.plan import frame, outline, side_lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -87,17 +87,10 @@ def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray) -> object:
     if np.nanmin(field) < 0 < np.nanmax(field):
         axes.contour(fine_x, fine_y, field, levels=[0.0], colors=INK, linewidths=0.9)
     for one in scene.effects.layers:
-        _outline(axes, one.area, "-")
+        outline(axes, one.area, PATCH)
     for one in scene.effects.oscillators:
-        _outline(axes, one.area, ":")
-    for side, ends in _ends(width, height).items():
-        axes.plot(*ends, clip_on=False, **SIDES[edge_kind(getattr(scene.edges, side))].matplotlib)
-    axes.set_aspect("equal")
-    axes.set_xlim(0, width)
-    axes.set_ylim(0, height)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    axes.spines[:].set_visible(False)
+        outline(axes, one.area, PATCH, ":")
+    frame(axes, scene)
     return drawn
 
 
@@ -134,25 +127,10 @@ def nodal_field(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return fine_x, fine_y, field
 
 
-def _ends(width: float, height: float) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
-    """x and y of both ends of each side."""
-    return {
-        "left": ((0, 0), (0, height)),
-        "bottom": ((0, width), (0, 0)),
-        "right": ((width, width), (0, height)),
-        "top": ((0, width), (height, height)),
-    }
-
-
-def _outline(axes: Axes, area: Sequence[float], dashes: str) -> None:
-    x0, x1, y0, y1 = area
-    axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=PATCH, linewidth=0.9, linestyle=dashes)
-
-
 def _key(figure: object, scene: Scene) -> None:
     from matplotlib.lines import Line2D
 
-    lines = [Line2D([], [], **SIDES[kind].matplotlib, label=SIDES[kind].words) for kind in kinds_of(scene)]
+    lines = side_lines(scene)
     lines.append(Line2D([], [], color=INK, linewidth=0.9, label="nodal line"))
     if scene.effects.layers:
         lines.append(Line2D([], [], color=PATCH, linewidth=0.9, label="layer"))

@@ -94,11 +94,11 @@ def frame(axes: Axes, scene: Scene) -> None:
     axes.spines[:].set_visible(False)
 
 
-def outline(axes: Axes, area: Area, colour: str, dashes: str = "-", width: float = 0.9) -> None:
+def outline(axes: Axes, area: Area, colour: str, dashes: str = "-", width: float = 0.9, above: int = 2) -> None:
     """The way round an area."""
     x0, x1, y0, y1 = area
     ways = [x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0]
-    axes.plot(*ways, color=colour, linewidth=width, linestyle=dashes, clip_on=False)
+    axes.plot(*ways, color=colour, linewidth=width, linestyle=dashes, clip_on=False, zorder=above)
 
 
 def side_lines(scene: Scene) -> list[Line2D]:
@@ -120,7 +120,7 @@ def _draw(axes: Axes, scene: Scene, field: np.ndarray, scale: Scale) -> None:
     axes.imshow(painted, origin="lower", extent=extent, interpolation="bilinear")
     for actuator in scene.actuators:
         outline(axes, actuator.area, INK)
-    outline(axes, scene.target.area, TARGET, width=1.4)
+    outline(axes, scene.target.area, TARGET, width=1.4, above=4)
     frame(axes, scene)
     axes.set_xticks([0, width / 2, width])
     axes.set_yticks([0, height / 2, height])

@@ -31,6 +31,11 @@ class Quantity:
     colours: str
     values: Callable[[Motion], np.ndarray]
 
+    @property
+    def no_number(self) -> str:
+        """The colour of what is no number: an angle where nothing moves, or a plate that has blown up."""
+        return "#c8c8c8" if self.kind == "cyclic" else "#000000"
+
 
 QUANTITIES = {
     "displacement": Quantity("displacement", "m", "signed", "coolwarm", lambda motion: motion.displacement),

@@ -34,6 +34,21 @@ if TYPE_CHECKING:
 GRID = "#8a8a8a"
 
 
+@dataclass(frozen=True)
+class Line:
+    """How lines of a plate look.
+
+    width: in font sizes; nearer: steps of the depth buffer by which they are shifted towards the reader: not shifted,
+    half of a wide line on a slope would be hidden by the surface.
+    """
+
+    outline: OnSurface
+    colour: str
+    width: float
+    nearer: int
+    opacity: float = 1.0
+
+
 @dataclass
 class DrawnPlate:
     """A plate in a plotter, which moves and changes its colours in place; the plotter is not rendered by it.
@@ -97,18 +112,8 @@ def add_plate(
     meshes = plate_meshes(scene, displacement, scale, colours)
     actor = plotter.add_mesh(meshes.surface, scalars=FIELD, clim=scale.limits, lighting=False, show_scalar_bar=False)
     _colour(actor, scale)
-    # Where lines meet, the nearer one lies on top: of a target's line along a side, both can be seen.
-    _add_lines(plotter, meshes.lines, GRID, font_size / 30, nearer=300)
-    for kind, side in meshes.sides.items():
-        look = SIDES[kind]
-        _add_lines(plotter, side, look.colour, look.width * font_size / 18, nearer=400 if kind == "clamped" else 560)
-    for outlines, colour, width, nearer in (
-        (meshes.target, TARGET, font_size / 8, 500),
-        (meshes.actuators, INK, font_size / 10, 600),
-    ):
-        # A light rim, for dark colours.
-        _add_lines(plotter, outlines, "white", width + font_size / 10, nearer - 20, opacity=0.5)
-        _add_lines(plotter, outlines, colour, width, nearer)
+    for line in lines_of(meshes):
+        _add_lines(plotter, line, font_size)
     add_side_names(plotter, scene.plate.size, font_size)
     drawn_bar = add_legend(plotter, scene, scale, font_size) if bar else None
     above = add_text(plotter, heading(text, scale), (0.03, 0.97), font_size)
@@ -128,15 +133,26 @@ def _colour(actor: pyvista.Actor, scale: Scale) -> None:
     actor.mapper.interpolate_before_map = scale.quantity.kind != "cyclic"
 
 
-def _add_lines(
-    plotter: pyvista.Plotter, lines: OnSurface, colour: str, width: float, nearer: int, opacity: float = 1.0
-) -> None:
-    """Lines of this width in pixels, shifted towards the reader by this many steps of the depth buffer.
+def lines_of(meshes: PlateMeshes) -> list[Line]:
+    """All lines of a plate, in the order in which they are drawn.
 
-    Not shifted, half of a wide line on a slope would be hidden by the surface.
+    Where lines meet, the nearer one lies on top: of a target's line along a side, both can be seen.
     """
-    looks = {"color": colour, "line_width": width, "opacity": opacity, "lighting": False}
-    actor = plotter.add_mesh(lines.mesh, show_scalar_bar=False, **looks)
+    lines = [Line(meshes.lines, GRID, 0.033, 300)]
+    for kind, side in meshes.sides.items():
+        lines.append(Line(side, SIDES[kind].colour, SIDES[kind].width / 18, 400 if kind == "clamped" else 560))
+    for outline, colour, width, nearer in (
+        (meshes.target, TARGET, 0.125, 500),
+        (meshes.actuators, INK, 0.1, 600),
+    ):
+        # A light rim, for dark colours.
+        lines += [Line(outline, "#ffffff", width + 0.1, nearer - 20, 0.5), Line(outline, colour, width, nearer)]
+    return lines
+
+
+def _add_lines(plotter: pyvista.Plotter, line: Line, font_size: int) -> None:
+    looks = {"color": line.colour, "line_width": line.width * font_size, "opacity": line.opacity, "lighting": False}
+    actor = plotter.add_mesh(line.outline.mesh, show_scalar_bar=False, **looks)
     # A switch of the whole process in VTK; without it the next line does nothing.
     actor.mapper.resolve = "polygon_offset"
-    actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -nearer)
+    actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -line.nearer)

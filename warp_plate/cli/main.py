@@ -14,6 +14,7 @@ from warp_plate.cli.export import export
 from warp_plate.cli.init import init
 from warp_plate.cli.localize import localize
 from warp_plate.cli.modes import modes
+from warp_plate.cli.render import render
 from warp_plate.cli.simulate import simulate
 from warp_plate.scene.errors import SceneError
 
@@ -24,7 +25,7 @@ app = cyclopts.App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (localize, simulate, modes, effects, accuracy, export, init, bench):
+for command in (localize, simulate, modes, effects, accuracy, render, export, init, bench):
     app.command(command)
 
 

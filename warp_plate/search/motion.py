@@ -53,7 +53,7 @@ def motions(
     if not 0 <= first < last <= scene.window.end * (1 + 1e-9):
         if span is None:
             raise SceneError(f"window.end = {scene.window.end:g}: the run is shorter than a period of {period:g} s")
-        raise SceneError(f"{first:g} ... {last:g} s: must lie inside the run, which goes from 0 to {end:g} s")
+        raise SceneError(f"start = {first:g}, end = {last:g}: must lie inside the run, which goes from 0 to {end:g} s")
     field = 8 * math.prod(scheme.nodes) * len(cases)
     count = frames or _frames((last - first) / period, field)
     if count < 2 or 3 * count * field > MOST_BYTES:

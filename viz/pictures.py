@@ -1,0 +1,197 @@
+"""Pictures and movies of plates in motion, drawn off screen: PNG, GIF, MP4."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warp_plate.result.motion import Motion
+from warp_plate.scene.model import Scene
+from warp_plate.viz.availability import EXTRA, off_screen
+from warp_plate.viz.comparison import Comparison, quantity_of, rows_and_columns, widths
+
+if TYPE_CHECKING:
+    import pyvista
+    from PIL import Image
+
+# Drawn so many times larger and shrunk, for VTK's own smoothing (SSAA) garbles subplots in VTK 9.4. Twice looks hardly
+# better and takes a second longer where a processor draws.
+SMOOTHING = 1.25
+# Height of a plate's picture over its width.
+SHAPE = 0.78
+# A movie of one period is played again until it has lasted this long [s].
+LASTING = 6.0
+# GIF counts hundredths of a second, and most viewers slow down what is faster than this.
+FASTEST_GIF = 2
+# Told after each frame: frames done, frames in all.
+Told = Callable[[int, int], object]
+
+
+@dataclass(frozen=True)
+class Look:
+    """What pictures of motions have in common.
+
+    quantity: in colour, a key of QUANTITIES; width: of one plate's picture, without the legend [pixels]; heights: how
+    many times they are exaggerated; left out: so that the largest suits the picture.
+    """
+
+    quantity: str = "displacement"
+    width: int = 560
+    heights: float | None = None
+
+    @property
+    def font_size(self) -> int:
+        """In pixels, for a picture of this width."""
+        return max(8, round(self.width / 29))
+
+
+def missing_movies() -> str | None:
+    """None where MP4 can be written; otherwise one sentence that says what to install."""
+    if importlib.util.find_spec("imageio_ffmpeg") is None:
+        return f"MP4 cannot be written without imageio-ffmpeg: {EXTRA}"
+    return None
+
+
+def draw_picture(scene: Scene, motions: Sequence[Motion], path: Path, look: Look, frame: int | None = None) -> None:
+    """One frame of all motions as a PNG; left out: see :func:`largest_frame`.
+
+    Raises:
+        DrawingUnavailable: VTK cannot draw here; says what to install.
+        OSError: the file cannot be written.
+    """
+    frame = largest_frame(motions, look.quantity) if frame is None else frame
+    with stage(scene, motions, look) as (comparison, picture):
+        comparison.show(frame)
+        picture().save(path, format="PNG", compress_level=9)
+
+
+def draw_gif(
+    scene: Scene, motions: Sequence[Motion], path: Path, look: Look, rate: float, told: Told | None = None
+) -> None:
+    """All frames as a GIF that repeats for ever; rate: frames a second, 50 at most.
+
+    Raises: see :func:`draw_picture`.
+    """
+    from PIL import Image
+
+    # One palette for all frames: with their own, colours would flicker.
+    pictures = list(_pictures(scene, motions, look, told))
+    some = pictures[:: max(1, len(pictures) // 4)]
+    sheet = Image.new("RGB", (some[0].width, some[0].height * len(some)))
+    for index, one in enumerate(some):
+        sheet.paste(one, (0, index * one.height))
+    # The paper is to stay white, which the mean of many light colours is not.
+    colours = sheet.quantize(255, method=Image.Quantize.MEDIANCUT).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([255, 255, 255, *colours[: 3 * 255]])
+    indexed = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures]
+    pause = 10 * max(FASTEST_GIF, round(100 / rate))
+    first, *rest = indexed
+    first.save(path, format="GIF", save_all=True, append_images=rest, duration=pause, loop=0, optimize=False)
+
+
+def draw_mp4(
+    scene: Scene, motions: Sequence[Motion], path: Path, look: Look, rate: float, told: Told | None = None
+) -> None:
+    """All frames as an MP4 (H.264) that every browser plays; short ones are repeated to last six seconds.
+
+    Raises: see :func:`draw_picture`; ImportError without imageio-ffmpeg, see :func:`missing_movies`.
+    """
+    import imageio_ffmpeg
+
+    pictures = [_even(np.asarray(one)) for one in _pictures(scene, motions, look, told)]
+    again = math.ceil(LASTING * rate / len(pictures))
+    height, width = pictures[0].shape[:2]
+    writer = imageio_ffmpeg.write_frames(
+        str(path),
+        (width, height),
+        fps=rate,
+        codec="libx264",
+        macro_block_size=2,
+        output_params=["-crf", "18", "-movflags", "+faststart", "-f", "mp4"],
+    )
+    writer.send(None)
+    for _ in range(again):
+        for one in pictures:
+            writer.send(np.ascontiguousarray(one))
+    writer.close()
+
+
+def largest_frame(motions: Sequence[Motion], quantity: str = "displacement") -> int:
+    """The frame where the quantity is largest in any plate; the displacement, where it is the same at all times."""
+    shown = quantity_of(motions, quantity)
+    fields = [shown.values(motion) for motion in motions]
+    if len(fields[0]) == 1:
+        fields = [motion.displacement for motion in motions]
+    peaks = [np.abs(np.nan_to_num(field, posinf=0, neginf=0)).max(axis=(1, 2)) for field in fields]
+    return int(np.max(peaks, axis=0).argmax())
+
+
+@contextmanager
+def stage(
+    scene: Scene, motions: Sequence[Motion], look: Look
+) -> Iterator[tuple[Comparison, Callable[[], Image.Image]]]:
+    """The plates in a plotter off screen, and what takes a picture of them as they stand.
+
+    Raises:
+        DrawingUnavailable: VTK cannot draw here; says what to install.
+    """
+    from PIL import Image
+
+    rows, _ = rows_and_columns(len(motions))
+    columns = widths(len(motions), look.width, look.font_size)
+    size = (sum(columns), round(rows * SHAPE * look.width))
+    with off_screen():
+        plotter = make_plotter(len(motions), columns, (round(SMOOTHING * size[0]), round(SMOOTHING * size[1])))
+        try:
+            comparison = Comparison(plotter, scene, motions, look.quantity, round(SMOOTHING * look.font_size))
+            if look.heights is not None:
+                comparison.exaggerate(look.heights)
+
+            def picture() -> Image.Image:
+                plotter.render()
+                large = plotter.screenshot(return_img=True)
+                return Image.fromarray(np.asarray(large)).resize(size, Image.Resampling.LANCZOS)
+
+            yield comparison, picture
+        finally:
+            plotter.close()
+
+
+def make_plotter(plates: int, columns: Sequence[int], size: tuple[int, int], **options: Any) -> pyvista.Plotter:
+    """An empty plotter for so many plates, off screen unless the options say otherwise."""
+    import pyvista
+
+    plotter = pyvista.Plotter(
+        shape=rows_and_columns(plates),
+        col_weights=list(columns),
+        border=False,
+        window_size=list(size),
+        theme=pyvista.themes.DocumentTheme(),
+        lighting="none",
+        **{"off_screen": True, **options},
+    )
+    # With VTK's smoothing, wide lines are broken here and there.
+    plotter.disable_anti_aliasing()
+    return plotter
+
+
+def _pictures(scene: Scene, motions: Sequence[Motion], look: Look, told: Told | None) -> Iterator[Image.Image]:
+    with stage(scene, motions, look) as (comparison, picture):
+        for frame in range(comparison.frames):
+            comparison.show(frame)
+            yield picture()
+            if told is not None:
+                told(frame + 1, comparison.frames)
+
+
+def _even(picture: np.ndarray) -> np.ndarray:
+    """H.264 takes even sides only."""
+    return picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
