@@ -37,6 +37,7 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
         {"cli", "accuracy", "bench", "search", "solve", "result", "plate", "scene", "viz", ""},
         {*SCIENCE, "cyclopts", "rich"},
     ),
+    "notebook": ({"search", "viz", "result", "scene"}, set()),
     "__main__": ({"cli"}, set()),
     "": (set(), set()),
 }
@@ -111,7 +112,7 @@ def test_pictures_are_imported_only_when_drawn():
     rooms = "viz|solve|search|accuracy|bench|kernels"
     late = re.compile(rf"(warp|pyvista|matplotlib|vtkmodules|warp_plate\.({rooms}))(\.|$)")
     for path, module in sources():
-        if room_of(module) in ("cli", "__main__", ""):
+        if room_of(module) in ("cli", "notebook", "__main__", ""):
             assert not [name for name, inner in imports(path) if not inner and late.match(name)], path
 
 

@@ -2,6 +2,7 @@
 
 import base64
 import io
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,12 +11,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from warp_plate import viz
-from warp_plate.result import Case, Result
-from warp_plate.scene import Scene, preset_names
+from warp_plate import view, viz
+from warp_plate.result import Case, Result, save_result
+from warp_plate.scene import Scene, SceneError, preset_names
 from warp_plate.viz import html
 from warp_plate.viz.scene_plan import LENGTH, MARGIN
 
+NEEDS_VTK = "PyVista is not installed: pip install 'warp-plate[viz]'"
 SVG = "{http://www.w3.org/2000/svg}"
 
 
@@ -177,3 +179,59 @@ def test_importing_what_shows_itself_imports_no_graphics():
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "[]"
+
+
+def test_the_viewer_plays_inline(result):
+    pytest.importorskip("pyvista", reason=NEEDS_VTK)
+    shown = view(result, "best", "equal", frames=8, quantity="velocity", device="cpu", height=500)
+    frame = ElementTree.fromstring(shown._repr_html_())
+    assert (frame.tag, frame.get("sandbox"), frame.get("height")) == ("iframe", "allow-scripts", "500")
+    page = frame.get("srcdoc")
+    assert page == shown.html
+    assert page.startswith("<!DOCTYPE html>")
+    assert "best drive found, t = " in page
+    assert "equal drive, t = " in page
+    assert "velocity" in page
+    # Nothing is fetched.
+    assert not re.search(r"""(src|href)=["']?(https?:)?//""", page)
+
+
+def test_the_viewer_shows_the_best_drive_when_nothing_is_said(result):
+    pytest.importorskip("pyvista", reason=NEEDS_VTK)
+    page = view(result, frames=4, device="cpu").html
+    assert "best drive found" in page
+    assert "equal drive" not in page
+
+
+@pytest.mark.parametrize(
+    ("cases", "options", "line"),
+    [
+        (("worst",), {}, "case = 'worst': must be one of best, equal"),
+        ((), {"quantity": "colour"}, "quantity = 'colour': must be one of displacement, velocity"),
+        ((), {"span": (0.2, 0.3)}, "must lie inside the run, which goes from 0 to 0.1 s"),
+    ],
+)
+def test_what_the_viewer_cannot_show_is_told_in_one_line(result, cases, options, line):
+    pytest.importorskip("pyvista", reason=NEEDS_VTK)
+    with pytest.raises(SceneError, match=re.escape(line)):
+        view(result, *cases, device="cpu", **options)
+
+
+def test_a_notebook_shows_all_of_it(result, tmp_path):
+    """In a kernel of its own, as a person's notebook runs: a scene, a result, the viewer."""
+    nbclient = pytest.importorskip("nbclient", reason="no Jupyter here: pip install nbclient ipykernel")
+    pytest.importorskip("ipykernel", reason="no Jupyter here: pip install nbclient ipykernel")
+    from nbformat import v4
+
+    path = save_result(result, tmp_path / "run.h5")
+    cells = [
+        "from warp_plate import Scene, load_result, view\nScene.load('paper')",
+        f"result = load_result({str(path)!r})\nresult",
+        "view(result, frames=4, device='cpu')",
+    ]
+    notebook = v4.new_notebook(cells=[v4.new_code_cell(cell) for cell in cells])
+    nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
+    shown = [cell.outputs[-1].data["text/html"] for cell in notebook.cells]
+    assert "<svg" in shown[0]
+    assert "<img" in shown[1] or viz.missing() is not None
+    assert "<iframe" in shown[2]
