@@ -58,7 +58,7 @@ def result(random, scene):
 
 
 def displacements(result):
-    return {name: case.displacement for name, case in result.cases.items()}
+    return {f"displacement_{name}": case.displacement for name, case in result.cases.items()}
 
 
 def check_field(mesh, result, index):

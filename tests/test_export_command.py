@@ -52,8 +52,16 @@ def new_files():
 @pytest.mark.parametrize(
     ("to", "files", "words"),
     [
-        ("pvd", ["run-0000.vti", "run-0001.vti", "run.pvd"], "wrote run.pvd and 2 .vti files beside it\nIt holds 2"),
-        ("vtkhdf", ["run.vtkhdf"], "wrote run.vtkhdf\nIt holds 2 times; for a motion write more into record.times"),
+        (
+            "pvd",
+            ["run-0000.vti", "run-0001.vti", "run.pvd"],
+            "wrote run.pvd and 2 .vti files beside it\nIt holds the 2",
+        ),
+        (
+            "vtkhdf",
+            ["run.vtkhdf"],
+            "wrote run.vtkhdf\nIt holds the 2 recorded times; --frames 60 takes so many of a period",
+        ),
         ("traces-csv", ["run-traces.csv"], "wrote run-traces.csv\n"),
         ("drive-wav", ["run-drive.wav"], "290 periods of 290 Hz in 48000 samples at 48000 Hz, which repeat without"),
         ("drive-csv", ["run-drive.csv"], "Drive best: 290 periods"),
@@ -95,12 +103,39 @@ def test_one_case_of_a_series(command, folder):
         assert set(file["VTKHDF/PointData"]) == {"displacement_equal", "target", "actuators"}
 
 
+@pytest.mark.parametrize("to", ["pvd", "vtkhdf"])
+def test_a_motion_is_the_run_itself(command, folder, to):
+    """Frames of another run, whose displacements at the recorded time are those of the result."""
+    options = ("--case", "best", "--case", "single", "--start", 0.002, "--end", 0.004, "--frames", 4, "--device", "cpu")
+    status, out, err = command("export", "run.h5", "--to", to, *options, "--json")
+    assert (status, err) == (0, "")
+    answer = json.loads(out)
+    assert answer["times"] == 4
+    assert answer["fields"] == ["displacement_best", "displacement_single", "velocity_best", "velocity_single"]
+    recorded = load_result("run.h5")
+    if to == "vtkhdf":
+        with h5py.File("run.vtkhdf") as file:
+            root = file["VTKHDF"]
+            assert root["Steps/Values"][0] == pytest.approx(recorded.times[0])
+            first = root["PointData/displacement_single"][0]
+            assert root["PointData/velocity_best"].attrs["units"] == "m/s"
+            assert np.abs(root["PointData/velocity_best"]).max() > 0
+        np.testing.assert_array_equal(first, recorded.cases["single"].displacement[0])
+    else:
+        assert len(answer["files"]) == 5
+
+
 @pytest.mark.parametrize(
     ("options", "line"),
     [
         ("--to pvd --rate 3", "--rate 3: --to pvd does not read it; leave it out"),
         ("--to drive-csv --encoding pcm16", "--encoding pcm16: --to drive-csv does not read it; leave it out"),
-        ("--to pvd --case worst", "--case worst: must be one of best, equal, single"),
+        ("--to pvd --case worst", "--case worst: run.h5 holds equal, single, best"),
+        ("--to drive-wav --case best --case single", "--case best single: a file plays one drive; name one case"),
+        ("--to traces-csv --frames 9", "--frames 9: --to traces-csv does not read it; leave it out"),
+        ("--to pvd --device cpu", "--device cpu: nothing is run without --frames, --start or --end; leave it out"),
+        ("--to pvd --frames 1", "--frames 1: must be at least 2"),
+        ("--to vtkhdf --start 3", "run.h5: start = 3"),
         ("--to pvd --out run.vtk", "--out run.vtk: must end in .pvd"),
         ("--to drive-wav --out nowhere/run.wav", "--out nowhere/run.wav: no such folder: nowhere"),
         ("--to drive-wav --rate 100", "--rate 100: 290 Hz takes more than 580 samples a second"),

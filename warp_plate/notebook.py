@@ -8,7 +8,6 @@ The frame holds the whole page, so that it plays without a server, without a net
 
 from __future__ import annotations
 
-import importlib.util
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,7 +55,7 @@ def view(
         DrawingUnavailable: PyVista is not installed.
     """
     from warp_plate.search.motion import motions
-    from warp_plate.viz.availability import EXTRA, DrawingUnavailable
+    from warp_plate.viz.availability import DrawingUnavailable, missing_meshes
     from warp_plate.viz.html import shown_case
     from warp_plate.viz.page import write_page
     from warp_plate.viz.quantity import QUANTITIES
@@ -65,8 +64,8 @@ def view(
     for key, value, known in [("quantity", quantity, QUANTITIES), *(("case", name, result.cases) for name in names)]:
         if value not in known:
             raise SceneError(f"{key} = {value!r}: must be one of {', '.join(known)}")
-    if importlib.util.find_spec("pyvista") is None:
-        raise DrawingUnavailable(f"the plate cannot be drawn without PyVista: {EXTRA}")
+    if (problem := missing_meshes()) is not None:
+        raise DrawingUnavailable(problem)
     moving = motions(result.scene, {name: result.cases[name] for name in names}, span, frames, device)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "page.html"

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import cyclopts
 
 from warp_plate.cli import output
+from warp_plate.cli.moving import Choice, chosen_cases, chosen_motions
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    import numpy as np
 
     from warp_plate.result.model import Case, Result
     from warp_plate.result.signals import Encoding, Signal
@@ -25,6 +28,8 @@ ENDINGS: dict[Format, str] = {
     "drive-wav": "-drive.wav",
     "drive-csv": "-drive.csv",
 }
+# Samples a second, and seconds, when nothing is said.
+RATE, DURATION = 48000, 1.0
 # Of fewer times than this ParaView shows pictures, not a motion.
 FEW_TIMES = 10
 
@@ -34,7 +39,11 @@ def export(
     /,
     *,
     to: Format,
-    case: str | None = None,
+    case: list[str] | None = None,
+    start: float | None = None,
+    end: float | None = None,
+    frames: int | None = None,
+    device: str | None = None,
     rate: int | None = None,
     duration: float | None = None,
     full_scale: float | None = None,
@@ -49,11 +58,18 @@ def export(
     result
         An .h5 file that localize or simulate wrote.
     to
-        pvd: displacements as a time series for ParaView, a .pvd index with a .vti file for each time; vtkhdf: the same
-        as one file; traces-csv: displacement at the scene's record.points; drive-wav, drive-csv: a channel for each
-        actuator, over a whole number of periods.
+        pvd: a time series for ParaView, a .pvd index with a .vti file for each time; vtkhdf: the same as one file;
+        traces-csv: displacement at the scene's record.points; drive-wav, drive-csv: a channel for each actuator,
+        over a whole number of periods.
     case
-        equal, single, best or drive. Left out: all cases; for a drive the best one.
+        equal, single, best or drive; give it again for more. Left out: all cases; for a drive the best one.
+    start, end
+        Of pvd and vtkhdf: run the scene again and take even times between these, in seconds, instead of those that it
+        records; velocities are written too. The last period of the drive when only frames are given.
+    frames
+        How many between them; 60 a period, or as many as there are steps, when left out.
+    device
+        Where they run: cpu, cuda, cuda:1, ...; a CUDA device where there is one when left out.
     rate
         Of drive-wav and drive-csv: samples a second; 48000 when left out.
     duration
@@ -68,41 +84,41 @@ def export(
         Print one JSON object instead of lines.
     """
     target = _target(out, result, to)
-    _refuse_unused(to, {"rate": rate, "duration": duration, "full-scale": full_scale, "encoding": encoding})
+    again = {"start": start, "end": end, "frames": frames, "device": device}
+    sound = {"rate": rate, "duration": duration, "full-scale": full_scale, "encoding": encoding}
+    _refuse_unused(to, {**again, **sound})
+    if device is not None and start is end is frames is None:
+        raise SceneError(f"--device {device}: nothing is run without --frames, --start or --end; leave it out")
     from warp_plate.result import load_result
 
     loaded = load_result(result)
+    cases = chosen_cases(loaded, result, case or [])
     told: dict[str, object] = {}
     try:
-        cases = _cases(loaded, case)
-        if to in ("pvd", "vtkhdf", "traces-csv"):
-            files = _write_record(loaded, cases, to, target)
-        else:
-            name = case or ("best" if "best" in cases else next(iter(cases)))
-            from warp_plate.result.signals import make_signal
-
-            signal = make_signal(
-                loaded.scene,
-                cases[name],
-                48000 if rate is None else rate,
-                1.0 if duration is None else duration,
-                full_scale,
-            )
+        if to == "drive-wav" or to == "drive-csv":
+            name = _one_drive(cases, case)
+            signal = _signal(loaded, cases[name], rate, duration, full_scale)
             files = _write_signal(signal, to, target, encoding or "float32")
             told = {"case": name, **_signal_record(signal)}
+        elif to == "traces-csv":
+            from warp_plate.result.table import write_traces
+
+            files = write_traces(loaded, cases, target)
+        else:
+            choice = Choice(list(cases), 0, start, end, frames, device or "auto")
+            times, fields = _series(loaded, cases, result, choice, json)
+            files = _write_series(loaded, times, fields, to, target)
+            told = {"times": len(times), "fields": list(fields)}
     except SceneError as error:
-        # Options and files to be written are named by the line itself.
-        line = str(error)
-        raise error if line.startswith(("--", str(target))) else SceneError(f"{result}: {line}") from None
+        # Options and files have their names in the line already.
+        named = str(error).startswith(("--", f"{target}:", f"{result}:"))
+        raise error if named else SceneError(f"{result}: {error}") from None
     if json:
         output.print_json({"result": str(result), "to": to, **told, "files": [str(file) for file in files]})
         return
-    for file in (files[-1],) if to == "pvd" else files:
-        print(f"wrote {file}" + (f" and {len(files) - 1} .vti files beside it" if to == "pvd" else ""))
-    if told:
-        print(_signal_line(told))
-    elif to != "traces-csv" and loaded.times.size < FEW_TIMES:
-        print(f"It holds {loaded.times.size} times; for a motion write more into record.times of the scene.")
+    print(f"wrote {files[-1]}" + (f" and {len(files) - 1} .vti files beside it" if to == "pvd" else ""))
+    for line in _lines(to, told):
+        print(line)
 
 
 def _target(out: Path | None, result: Path, to: Format) -> Path:
@@ -117,28 +133,44 @@ def _target(out: Path | None, result: Path, to: Format) -> Path:
 
 def _refuse_unused(to: Format, options: Mapping[str, object]) -> None:
     """Raise SceneError for an option that this format does not read."""
-    read = {"drive-wav": set(options), "drive-csv": set(options) - {"encoding"}}.get(to, set())
+    series, signal = {"start", "end", "frames", "device"}, {"rate", "duration", "full-scale"}
+    read = {"pvd": series, "vtkhdf": series, "drive-wav": {*signal, "encoding"}, "drive-csv": signal}.get(to, set())
     for name, value in options.items():
         if value is not None and name not in read:
             raise SceneError(f"--{name} {value}: --to {to} does not read it; leave it out")
 
 
-def _cases(result: Result, name: str | None) -> Mapping[str, Case]:
-    if name is None:
-        return result.cases
-    if name not in result.cases:
-        raise SceneError(f"--case {name}: must be one of {', '.join(result.cases)}")
-    return {name: result.cases[name]}
+def _series(
+    result: Result, cases: Mapping[str, Case], name: Path, choice: Choice, quiet: bool
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Times and fields by name: those recorded, or of another run where the options ask for one."""
+    if choice.start is None and choice.end is None and choice.frames is None:
+        return result.times, {f"displacement_{case}": cases[case].displacement for case in cases}
+    motions = chosen_motions(result, name, choice, "displacement", quiet)
+    fields = {f"displacement_{motion.name}": motion.displacement for motion in motions}
+    return motions[0].times, fields | {f"velocity_{motion.name}": motion.velocity for motion in motions}
 
 
-def _write_record(result: Result, cases: Mapping[str, Case], to: Format, target: Path) -> list[Path]:
+def _write_series(
+    result: Result, times: np.ndarray, fields: Mapping[str, np.ndarray], to: Format, target: Path
+) -> list[Path]:
     from warp_plate.result.paraview import write_pvd, write_vtkhdf
-    from warp_plate.result.table import write_traces
 
-    if to == "traces-csv":
-        return write_traces(result, cases, target)
-    fields = {name: case.displacement for name, case in cases.items()}
-    return (write_pvd if to == "pvd" else write_vtkhdf)(result.scene, result.times, fields, target)
+    return (write_pvd if to == "pvd" else write_vtkhdf)(result.scene, times, fields, target)
+
+
+def _one_drive(cases: Mapping[str, Case], asked: list[str] | None) -> str:
+    """The case to play."""
+    if asked and len(cases) > 1:
+        raise SceneError(f"--case {' '.join(asked)}: a file plays one drive; name one case")
+    return "best" if "best" in cases else next(iter(cases))
+
+
+def _signal(result: Result, case: Case, rate: int | None, duration: float | None, full_scale: float | None) -> Signal:
+    from warp_plate.result.signals import make_signal
+
+    rate = RATE if rate is None else rate
+    return make_signal(result.scene, case, rate, DURATION if duration is None else duration, full_scale)
 
 
 def _write_signal(signal: Signal, to: Format, target: Path, encoding: Encoding) -> list[Path]:
@@ -160,9 +192,15 @@ def _signal_record(signal: Signal) -> dict[str, object]:
     }
 
 
-def _signal_line(told: Mapping[str, object]) -> str:
+def _lines(to: Format, told: Mapping[str, Any]) -> list[str]:
+    """What is said below the files."""
+    if to in ("pvd", "vtkhdf"):
+        few = "It holds the {times} recorded times; --frames 60 takes so many of a period, for a motion."
+        return [few.format_map(told)] if told["times"] < FEW_TIMES else []
+    if to == "traces-csv":
+        return []
     seam = "without a seam" if told["seam_degrees"] == 0 else f"with a phase jump of {told['seam_degrees']:.2g} degrees"
-    return (
+    return [
         f"Drive {told['case']}: {told['periods']} periods of {told['frequency']:g} Hz in {told['samples']} samples at "
         f"{told['rate']} Hz, which repeat {seam}. 1.0 stands for {told['full_scale']:.6g} N/m² in every channel."
-    )
+    ]

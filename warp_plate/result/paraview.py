@@ -1,7 +1,7 @@
-"""Displacements as a time series for ParaView: VTI files under a PVD index, or one VTKHDF file.
+"""Fields as a time series for ParaView: VTI files under a PVD index, or one VTKHDF file.
 
-The plate is flat image data in the plane z = 0. Point data: ``displacement_CASE`` [m] for each case, and the shares
-of each node's cell that lie in the ``target`` and under the ``actuators``. Written without VTK. Formats: "VTK XML
+The plate is flat image data in the plane z = 0. Point data: fields such as ``displacement_best`` [m], and the shares of
+each node's cell that lie in the ``target`` and under the ``actuators``. Written without VTK. Formats: "VTK XML
 Formats" and "VTKHDF format specification" (temporal image data) of the VTK documentation.
 """
 
@@ -20,39 +20,38 @@ from warp_plate.result.whole_file import written_whole
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Area, Scene
 
-UNITS = {"target": "1", "actuators": "1"}
+# By the first word of a field's name.
+UNITS = {"displacement": "m", "velocity": "m/s", "target": "1", "actuators": "1"}
 
 
-def write_pvd(scene: Scene, times: np.ndarray, displacements: Mapping[str, np.ndarray], path: str | Path) -> list[Path]:
+def write_pvd(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray], path: str | Path) -> list[Path]:
     """Write PATH (.pvd) and beside it a VTI file for each time; the files written, the VTI files first.
 
     Args:
-        times: (times,) [s]. displacements: (times, ny, nx) [m] by name of the case.
+        times: (times,) [s]. fields: (times, ny, nx) by name, which begins with a word of UNITS; the first is active.
 
     Raises:
         SceneError: no times, or a file cannot be written.
     """
     path = Path(path)
-    fields, still = _fields(times, displacements), _still_fields(scene)
+    moving, still = _fields(times, fields), _still_fields(scene)
     digits = max(4, len(str(len(times) - 1)))
     parts = [path.with_name(f"{path.stem}-{index:0{digits}}.vti") for index in range(len(times))]
     with written_whole(*parts, path) as (*temporaries, index_file):
         for index, (time, temporary) in enumerate(zip(times.tolist(), temporaries, strict=True)):
-            now = {name: field[index] for name, field in fields.items()}
+            now = {name: field[index] for name, field in moving.items()}
             temporary.write_text("\n".join(_vti_lines(scene, time, now | still)), encoding="utf-8")
         index_file.write_text("\n".join(_pvd_lines(times, parts)), encoding="utf-8")
     return [*parts, path]
 
 
-def write_vtkhdf(
-    scene: Scene, times: np.ndarray, displacements: Mapping[str, np.ndarray], path: str | Path
-) -> list[Path]:
+def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray], path: str | Path) -> list[Path]:
     """Write all times into PATH (.vtkhdf, for ParaView 5.12 and later); the file written.
 
     Args and errors as :func:`write_pvd`.
     """
     path = Path(path)
-    fields, still = _fields(times, displacements), _still_fields(scene)
+    moving, still = _fields(times, fields), _still_fields(scene)
     with written_whole(path) as (temporary,), h5py.File(temporary, "w") as file:
         root = file.create_group("VTKHDF")
         nx, ny = scene.grid.nodes
@@ -68,22 +67,22 @@ def write_vtkhdf(
         steps["Values"] = times.astype(float)
         offsets = steps.create_group("PointDataOffsets")
         # Arrays are (time, y, x): the axis of a flat image's thickness is left out.
-        for name, field in (fields | {name: field[None] for name, field in still.items()}).items():
+        for name, field in (moving | {name: field[None] for name, field in still.items()}).items():
             points[name] = field
-            points[name].attrs["units"] = UNITS.get(name, "m")
+            points[name].attrs["units"] = _unit(name)
             offsets[name] = np.minimum(np.arange(len(times)), len(field) - 1)
         # How the active array is told: to older readers, and from version 2.6 of the format on.
-        active = next(iter(fields))
+        active = next(iter(moving))
         points.attrs["Scalars"] = np.bytes_(active)
         points[active].attrs["Attribute"] = "Scalars"
     return [path]
 
 
-def _fields(times: np.ndarray, displacements: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _fields(times: np.ndarray, fields: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """(times, ny, nx) by name of the array."""
     if not len(times):
         raise SceneError("holds no displacements; add record.times = [...] (seconds) to its scene and run it again")
-    return {f"displacement_{name}": field.astype("<f4") for name, field in displacements.items()}
+    return {name: field.astype("<f4") for name, field in fields.items()}
 
 
 def _still_fields(scene: Scene) -> dict[str, np.ndarray]:
@@ -97,6 +96,10 @@ def _still_fields(scene: Scene) -> dict[str, np.ndarray]:
     actuators = sum(covered(actuator.area) for actuator in scene.actuators)
     shares = {"target": covered(scene.target.area), "actuators": np.minimum(actuators, 1)}
     return {name: share.astype("<f4") for name, share in shares.items()}
+
+
+def _unit(name: str) -> str:
+    return UNITS[name.partition("_")[0]]
 
 
 def _spacing(scene: Scene) -> tuple[float, float, float]:
@@ -129,7 +132,7 @@ def _vti_lines(scene: Scene, time: float, fields: Mapping[str, np.ndarray]) -> I
         data = field.tobytes()
         inline = base64.b64encode(len(data).to_bytes(8, "little") + data).decode()
         yield f'<DataArray type="Float32" Name={quoteattr(name)} format="binary">{inline}'
-        yield f'<InformationKey name="UNITS_LABEL" location="vtkDataArray">{UNITS.get(name, "m")}</InformationKey>'
+        yield f'<InformationKey name="UNITS_LABEL" location="vtkDataArray">{_unit(name)}</InformationKey>'
         yield "</DataArray>"
     yield "</PointData>"
     yield "</Piece>"
