@@ -79,6 +79,9 @@ def test_each_format(command, folder, to, files, words):
     answer = json.loads(out)
     assert sorted(answer["files"]) == files
     assert (answer["result"], answer["to"]) == ("run.h5", to)
+    if to in ("pvd", "vtkhdf"):
+        assert answer["fields"] == ["displacement_best", "displacement_equal", "displacement_single"]
+        assert (answer["times"], answer["recorded"]) == (2, True)
 
 
 def test_options_of_a_drive(command, folder):
@@ -107,10 +110,11 @@ def test_one_case_of_a_series(command, folder):
 def test_a_motion_is_the_run_itself(command, folder, to):
     """Frames of another run, whose displacements at the recorded time are those of the result."""
     options = ("--case", "best", "--case", "single", "--start", 0.002, "--end", 0.004, "--frames", 4, "--device", "cpu")
+    assert "recorded times" not in command("export", "run.h5", "--to", to, *options)[1]
     status, out, err = command("export", "run.h5", "--to", to, *options, "--json")
     assert (status, err) == (0, "")
     answer = json.loads(out)
-    assert answer["times"] == 4
+    assert (answer["times"], answer["recorded"]) == (4, False)
     assert answer["fields"] == ["displacement_best", "displacement_single", "velocity_best", "velocity_single"]
     recorded = load_result("run.h5")
     if to == "vtkhdf":

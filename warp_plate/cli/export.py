@@ -14,8 +14,6 @@ from warp_plate.scene.errors import SceneError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    import numpy as np
-
     from warp_plate.result.model import Case, Result
     from warp_plate.result.signals import Encoding, Signal
 
@@ -93,7 +91,7 @@ def export(
 
     loaded = load_result(result)
     cases = chosen_cases(loaded, result, case or [])
-    told: dict[str, object] = {}
+    told: dict[str, Any] = {}
     try:
         if to == "drive-wav" or to == "drive-csv":
             name = _one_drive(cases, case)
@@ -105,10 +103,10 @@ def export(
 
             files = write_traces(loaded, cases, target)
         else:
-            choice = Choice(list(cases), 0, start, end, frames, device or "auto")
-            times, fields = _series(loaded, cases, result, choice, json)
-            files = _write_series(loaded, times, fields, to, target)
-            told = {"times": len(times), "fields": list(fields)}
+            # The best first: ParaView begins with the first field.
+            names = sorted(cases, key=lambda name: name != "best")
+            choice = Choice(names, 0, start, end, frames, device or "auto")
+            files, told = _write_series(loaded, result, choice, to, target, json)
     except SceneError as error:
         # Options and files have their names in the line already.
         named = str(error).startswith(("--", f"{target}:", f"{result}:"))
@@ -140,23 +138,21 @@ def _refuse_unused(to: Format, options: Mapping[str, object]) -> None:
             raise SceneError(f"--{name} {value}: --to {to} does not read it; leave it out")
 
 
-def _series(
-    result: Result, cases: Mapping[str, Case], name: Path, choice: Choice, quiet: bool
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Times and fields by name: those recorded, or of another run where the options ask for one."""
-    if choice.start is None and choice.end is None and choice.frames is None:
-        return result.times, {f"displacement_{case}": cases[case].displacement for case in cases}
-    motions = chosen_motions(result, name, choice, "displacement", quiet)
-    fields = {f"displacement_{motion.name}": motion.displacement for motion in motions}
-    return motions[0].times, fields | {f"velocity_{motion.name}": motion.velocity for motion in motions}
-
-
 def _write_series(
-    result: Result, times: np.ndarray, fields: Mapping[str, np.ndarray], to: Format, target: Path
-) -> list[Path]:
+    result: Result, name: Path, choice: Choice, to: Format, target: Path, quiet: bool
+) -> tuple[list[Path], dict[str, Any]]:
+    """The files of the times that are recorded, or of another run where the options ask for one; and what is told."""
     from warp_plate.result.paraview import write_pvd, write_vtkhdf
 
-    return (write_pvd if to == "pvd" else write_vtkhdf)(result.scene, times, fields, target)
+    recorded = choice.start is None and choice.end is None and choice.frames is None
+    if recorded:
+        times, fields = result.times, {f"displacement_{case}": result.cases[case].displacement for case in choice.cases}
+    else:
+        motions = chosen_motions(result, name, choice, "displacement", quiet)
+        times, fields = motions[0].times, {f"displacement_{motion.name}": motion.displacement for motion in motions}
+        fields |= {f"velocity_{motion.name}": motion.velocity for motion in motions}
+    files = (write_pvd if to == "pvd" else write_vtkhdf)(result.scene, times, fields, target)
+    return files, {"times": len(times), "recorded": recorded, "fields": list(fields)}
 
 
 def _one_drive(cases: Mapping[str, Case], asked: list[str] | None) -> str:
@@ -195,8 +191,8 @@ def _signal_record(signal: Signal) -> dict[str, object]:
 def _lines(to: Format, told: Mapping[str, Any]) -> list[str]:
     """What is said below the files."""
     if to in ("pvd", "vtkhdf"):
-        few = "It holds the {times} recorded times; --frames 60 takes so many of a period, for a motion."
-        return [few.format_map(told)] if told["times"] < FEW_TIMES else []
+        line = "It holds the {times} recorded times; --frames 60 takes so many of a period, for a motion."
+        return [line.format_map(told)] if told["recorded"] and told["times"] < FEW_TIMES else []
     if to == "traces-csv":
         return []
     seam = "without a seam" if told["seam_degrees"] == 0 else f"with a phase jump of {told['seam_degrees']:.2g} degrees"
