@@ -10,6 +10,7 @@ import warp_plate
 from warp_plate.cli.accuracy import accuracy
 from warp_plate.cli.bench import bench
 from warp_plate.cli.effects import effects
+from warp_plate.cli.explore import explore
 from warp_plate.cli.export import export
 from warp_plate.cli.init import init
 from warp_plate.cli.localize import localize
@@ -25,7 +26,7 @@ app = cyclopts.App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (localize, simulate, modes, effects, accuracy, render, export, init, bench):
+for command in (localize, simulate, modes, effects, accuracy, explore, render, export, init, bench):
     app.command(command)
 
 
