@@ -114,6 +114,41 @@ def missing_meshes() -> str | None:
     return missing_plots()
 
 
+def missing_window() -> str | None:
+    """None where a window can be shown; otherwise why not, in a few words.
+
+    On Linux it is tried in a process of its own: where something is missing, VTK ends the process.
+    """
+    for module in ("pyvista", "vtkmodules"):
+        if importlib.util.find_spec(module) is None:
+            return f"PyVista is not installed: {EXTRA}"
+    if not sys.platform.startswith("linux"):
+        return None
+    display = os.environ.get("DISPLAY")
+    if not display:
+        return "there is no display: DISPLAY is not set"
+    try:
+        connected = _connects(display)
+    except OSError:
+        return "the system library libX11.so.6 is missing"
+    # VTK's kind of window for X draws off screen without an X server too, so this alone would not do.
+    drawn, _ = _try_window("vtkXOpenGLRenderWindow") if connected else (False, "")
+    return None if drawn else f"the display {display} cannot be {'drawn on' if connected else 'reached'}"
+
+
+def _connects(display: str) -> bool:
+    """Whether an X server answers there. Raises OSError without Xlib."""
+    import ctypes
+
+    library = ctypes.CDLL("libX11.so.6")
+    library.XOpenDisplay.restype = ctypes.c_void_p
+    connection = library.XOpenDisplay(display.encode())
+    if not connection:
+        return False
+    library.XCloseDisplay(ctypes.c_void_p(connection))
+    return True
+
+
 def plot_beside(
     draw: Callable[[Mapping[str, Any], Path], Path], record: Mapping[str, Any], path: Path
 ) -> tuple[list[Path], str | None]:

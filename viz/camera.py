@@ -28,7 +28,7 @@ def look_at_plate(plotter: pyvista.Plotter, size: tuple[float, float], font_size
     horizontal, vertical = corners @ along, corners @ up
     # What reaches how far to the left and to the right: position [m] and the pixels that it takes beside it.
     name_x, name_y = side_names(size)
-    pixels = [0.5 * font_size * len(name) for name, _ in (name_x, name_y)]
+    pixels = [0.56 * font_size * len(name) for name, _ in (name_x, name_y)]
     left = [(horizontal.min(), 0.0), (name_y[1] @ along, pixels[1])]
     right = [(horizontal.max(), 0.0), (name_x[1] @ along, pixels[0])]
     margin = 0.02 * pixels_wide

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warp_plate.result.model import Case
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
-from warp_plate.viz.lettering import LEGEND_WIDTH
+from warp_plate.viz.lettering import LEGEND_WIDTH, add_legend, set_bar
 from warp_plate.viz.quantity import MODE, QUANTITIES, Quantity, Scale, scale_over
 from warp_plate.viz.scene3d import DrawnPlate, add_plate
 from warp_plate.viz.surface import caption
@@ -31,7 +31,7 @@ WIDEST = 3
 
 
 class Comparison:
-    """Plates of one scene in the subplots of a plotter, row by row; the last of a full row has the legend.
+    """Plates of one scene in the subplots of a plotter, row by row; a last column has the legend.
 
     plates: one for each motion; scale: common to all. Nothing is rendered until the plotter is.
     """
@@ -43,8 +43,10 @@ class Comparison:
         motions: Sequence[Motion],
         quantity: str = "displacement",
         font_size: int = 20,
+        legend: tuple[int, int] | None = None,
     ) -> None:
-        """quantity: a key of QUANTITIES, passed over for modes; plotter: with the shape of :func:`rows_and_columns`.
+        """quantity: a key of QUANTITIES, passed over for modes; plotter: see :func:`layout`; legend: its subplot, left out:
+        behind the first row.
 
         Every motion must have as many frames as the others.
         """
@@ -59,18 +61,11 @@ class Comparison:
         for index, motion in enumerate(self.motions):
             row, column = divmod(index, columns)
             plotter.subplot(row, column)
-            self.plates.append(
-                add_plate(
-                    plotter,
-                    scene,
-                    motion.displacement[0],
-                    self.scale,
-                    heading(motion, 0),
-                    font_size,
-                    bar=column == columns - 1,
-                    colours=self._colour(index, 0),
-                )
-            )
+            field, colours = motion.displacement[0], self._colour(index, 0)
+            text = heading(motion, 0)
+            self.plates.append(add_plate(plotter, scene, field, self.scale, text, font_size, False, colours))
+        plotter.subplot(*(legend or (0, columns)))
+        self._bar = add_legend(plotter, scene, self.scale, font_size)
 
     @property
     def frames(self) -> int:
@@ -97,6 +92,7 @@ class Comparison:
 
     def _rescale(self, scale: Scale) -> None:
         self.scale = scale
+        set_bar(self._bar, scale)
         for plate in self.plates:
             plate.rescale(scale)
         self.show(self.frame)
@@ -140,7 +136,10 @@ def rows_and_columns(plates: int) -> tuple[int, int]:
     return math.ceil(plates / columns), columns
 
 
-def widths(plates: int, each: int, font_size: int) -> list[int]:
-    """Widths of the columns in pixels: the last has the legend beside its plates."""
-    _, columns = rows_and_columns(plates)
-    return [each] * (columns - 1) + [each + round(LEGEND_WIDTH * font_size)]
+def layout(plates: int, each: int, font_size: int) -> dict[str, Any]:
+    """Of a PyVista plotter: its subplots, the widths of its columns in pixels, each plate's and the legend's."""
+    rows, columns = rows_and_columns(plates)
+    return {
+        "shape": (rows, columns + 1),
+        "col_weights": [each] * columns + [round(LEGEND_WIDTH * font_size)],
+    }

@@ -111,14 +111,14 @@ def add_side_names(plotter: pyvista.Plotter, size: tuple[float, float], font_siz
         plotter.renderer.AddViewProp(actor)
 
 
-def style_text(text: vtkTextProperty, font_size: int, colour: str = INK) -> None:
+def style_text(text: vtkTextProperty, font_size: int, colour: str = INK, font: str = "DejaVuSans") -> None:
     """The font of the plots of curves, in pixels; VTK's own lack many signs."""
     import pyvista
     from matplotlib import get_data_path
     from vtkmodules.vtkCommonCore import VTK_FONT_FILE
 
     text.SetFontFamily(VTK_FONT_FILE)
-    text.SetFontFile(f"{get_data_path()}/fonts/ttf/DejaVuSans.ttf")
+    text.SetFontFile(f"{get_data_path()}/fonts/ttf/{font}.ttf")
     text.SetFontSize(font_size)
     text.SetColor(*pyvista.Color(colour).float_rgb)
     text.BoldOff()

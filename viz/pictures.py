@@ -15,7 +15,7 @@ import numpy as np
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.availability import EXTRA, off_screen
-from warp_plate.viz.comparison import Comparison, quantity_of, rows_and_columns, widths
+from warp_plate.viz.comparison import Comparison, layout, quantity_of
 
 if TYPE_CHECKING:
     import pyvista
@@ -145,11 +145,10 @@ def stage(
     """
     from PIL import Image
 
-    rows, _ = rows_and_columns(len(motions))
-    columns = widths(len(motions), look.width, look.font_size)
-    size = (sum(columns), round(rows * SHAPE * look.width))
+    subplots = layout(len(motions), look.width, look.font_size)
+    size = (sum(subplots["col_weights"]), round(subplots["shape"][0] * SHAPE * look.width))
     with off_screen():
-        plotter = make_plotter(len(motions), columns, (round(SMOOTHING * size[0]), round(SMOOTHING * size[1])))
+        plotter = make_plotter((round(SMOOTHING * size[0]), round(SMOOTHING * size[1])), off_screen=True, **subplots)
         try:
             comparison = Comparison(plotter, scene, motions, look.quantity, round(SMOOTHING * look.font_size))
             if look.heights is not None:
@@ -165,18 +164,16 @@ def stage(
             plotter.close()
 
 
-def make_plotter(plates: int, columns: Sequence[int], size: tuple[int, int], **options: Any) -> pyvista.Plotter:
-    """An empty plotter for so many plates, off screen unless the options say otherwise."""
+def make_plotter(size: tuple[int, int], **options: Any) -> pyvista.Plotter:
+    """An empty plotter, white and without lights; size in pixels; options: PyVista's."""
     import pyvista
 
     plotter = pyvista.Plotter(
-        shape=rows_and_columns(plates),
-        col_weights=list(columns),
         border=False,
         window_size=list(size),
         theme=pyvista.themes.DocumentTheme(),
         lighting="none",
-        **{"off_screen": True, **options},
+        **options,
     )
     # With VTK's smoothing, wide lines are broken here and there.
     plotter.disable_anti_aliasing()

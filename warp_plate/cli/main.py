@@ -17,6 +17,7 @@ from warp_plate.cli.localize import localize
 from warp_plate.cli.modes import modes
 from warp_plate.cli.render import render
 from warp_plate.cli.simulate import simulate
+from warp_plate.cli.view import view
 from warp_plate.scene.errors import SceneError
 
 app = cyclopts.App(
@@ -26,7 +27,7 @@ app = cyclopts.App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (localize, simulate, modes, effects, accuracy, explore, render, export, init, bench):
+for command in (localize, simulate, modes, effects, accuracy, view, explore, render, export, init, bench):
     app.command(command)
 
 

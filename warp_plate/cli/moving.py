@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from warp_plate.result.motion import Motion
 
 Field = Literal["displacement", "velocity", "energy", "rms-velocity", "phase"]
-# Of natural shapes side by side.
-MOST_MODES = 12
+# Of natural shapes side by side; frames a second.
+MOST_MODES, RATES = 12, (1, 120)
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,14 @@ def chosen_motions(result: Result, name: Path, choice: Choice, field: Field, qui
             )
         except SceneError as error:
             raise SceneError(f"{name}: {error}") from None
+
+
+def check_looks(rate: float, heights: float | None) -> None:
+    """Raise SceneError for options that no picture could have."""
+    if not RATES[0] <= rate <= RATES[1]:
+        raise SceneError(f"--rate {rate:g}: must be from {RATES[0]} to {RATES[1]} frames a second")
+    if heights is not None and not 0 < heights < float("inf"):
+        raise SceneError(f"--heights {heights:g}: must be above 0")
 
 
 def chosen_cases(result: Result, name: Path, cases: Sequence[str]) -> dict[str, Case]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import cyclopts
 
 from warp_plate.cli import output
-from warp_plate.cli.moving import Choice, Field, chosen_motions
+from warp_plate.cli.moving import Choice, Field, check_looks, chosen_motions
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 PLOTS, MOVIES = (".svg", ".pdf"), (".gif", ".mp4")
 ENDINGS = (".png", *PLOTS, *MOVIES, ".html")
-WIDTHS, RATES = (120, 4000), (1, 120)
+WIDTHS = (120, 4000)
 
 
 def render(
@@ -83,7 +83,9 @@ def render(
         Print one JSON object instead of lines.
     """
     targets = _targets(out, result, figures)
-    _check_sizes(width, rate, heights)
+    if not WIDTHS[0] <= width <= WIDTHS[1]:
+        raise SceneError(f"--width {width}: must be from {WIDTHS[0]} to {WIDTHS[1]} pixels")
+    check_looks(rate, heights)
     from warp_plate.result import load_result
     from warp_plate.viz.availability import DrawingUnavailable
     from warp_plate.viz.pictures import Look
@@ -120,15 +122,6 @@ def _targets(out: list[Path] | None, result: Path, figures: str | None) -> list[
         if not target.parent.is_dir():
             raise SceneError(f"--out {target}: no such folder: {target.parent}")
     return targets
-
-
-def _check_sizes(width: int, rate: float, heights: float | None) -> None:
-    if not WIDTHS[0] <= width <= WIDTHS[1]:
-        raise SceneError(f"--width {width}: must be from {WIDTHS[0]} to {WIDTHS[1]} pixels")
-    if not RATES[0] <= rate <= RATES[1]:
-        raise SceneError(f"--rate {rate:g}: must be from {RATES[0]} to {RATES[1]} frames a second")
-    if heights is not None and not 0 < heights < float("inf"):
-        raise SceneError(f"--heights {heights:g}: must be above 0")
 
 
 def _refuse_undrawable(targets: list[Path], plan: bool) -> None:
