@@ -78,6 +78,15 @@ class Slider:
             self._bar.SetValue(value)
             self._text.SetInput(f"{self.name}: {value:.4g}")
 
+    def place(self, value: float) -> tuple[int, int]:
+        """Where the knob stands for a value, in pixels from the lower left corner of the window."""
+        bar, renderer = self._bar, self._widget.GetCurrentRenderer()
+        ends = [point.GetValue() for point in (bar.GetPoint1Coordinate(), bar.GetPoint2Coordinate())]
+        share = (value - bar.GetMinimumValue()) / (bar.GetMaximumValue() - bar.GetMinimumValue())
+        width, height = renderer.GetRenderWindow().GetSize()
+        x0, y0 = renderer.GetOrigin()
+        return round(x0 + width * (ends[0][0] + share * (ends[1][0] - ends[0][0]))), round(y0 + height * ends[0][1])
+
     def _dragged(self, *_: object) -> None:
         self.value = self._bar.GetValue()
         self._text.SetInput(f"{self.name}: {self.value:.4g}")

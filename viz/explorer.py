@@ -92,6 +92,7 @@ class Stage:
     """The plate of a live model in subplot (0, 0) of a plotter and its search in (1, 0); ``advance`` moves both."""
 
     def __init__(self, plotter: pyvista.Plotter, model: Live, font_size: int) -> None:
+        self.plotter = plotter
         self.model = model
         self.playing = True
         self.turn = 0.0
@@ -166,7 +167,7 @@ class SearchCharts:
         done = np.arange(1, swarm.best.size + 1)
         self._best.update(done, swarm.best)
         self._factors.update(np.full(swarm.factors.size, done[-1]), swarm.factors)
-        top = swarm.best[-1] if bound is None else bound
+        top = float(np.nanmax([swarm.best[-1], 0.1])) if bound is None else bound
         self._bound.update([1, swarm.iterations], [top, top])
         self._bound.visible = bound is not None
         self.history.x_range = [0, swarm.iterations]

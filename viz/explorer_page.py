@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import asyncio
 import importlib.util
+import logging
 import math
 import secrets
+import signal
+import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from warp_plate.viz.explorer import CHOICES, ROWS, SEARCH_SECONDS, Live, Stage, share_texts
@@ -31,6 +34,8 @@ FRAMES_A_SECOND = 30.0
 AHEAD = 2
 # Without an answer for so long, nobody is looking, or a message was lost.
 PATIENCE = 1.0
+# Where the libraries write of a browser that went away while a picture was on its way to it.
+LOGGERS = ("asyncio", "aiohttp.server", "wslink.protocol")
 LOCAL = ("127.0.0.1", "localhost", "[::1]", "::1")
 # Of the pictures, as JPEG.
 QUALITY = 85
@@ -64,7 +69,7 @@ class ExplorerPage:
         """Answer browsers; port 0 takes any free one; ``ready`` is called with the page's address."""
         secret = secrets.token_urlsafe()
         self.server.controller.on_server_bind.add(lambda server: _answer_where(server, host, secret))
-        with _arguments("--authKey", secret):
+        with _arguments("--authKey", secret, "--nosignalhandlers"):
             task = self.server.start(
                 port=port,
                 host=host,
@@ -82,7 +87,9 @@ class ExplorerPage:
         try:
             await self._show()
         finally:
-            await self.server.stop()
+            # A browser that is still connected would be waited for.
+            with suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self.server.stop(), PATIENCE)
 
     async def _show(self) -> None:
         """Picture after picture, as fast as the browser takes them."""
@@ -256,10 +263,19 @@ def serve_page(model: Live, host: str, port: int, ready: Callable[[str], object]
     """
     from warp_plate.viz.availability import off_screen
 
+    with socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET):
+        pass  # else trame would tell of an address in use by a page of its own
+    for name in LOGGERS:
+        logging.getLogger(name).addFilter(_is_news)
+
     async def run() -> None:
+        # Not everywhere; elsewhere asyncio itself raises KeyboardInterrupt.
+        with suppress(NotImplementedError):
+            me = asyncio.current_task()
+            asyncio.get_running_loop().add_signal_handler(signal.SIGINT, lambda: me.cancel() if me else None)
         await ExplorerPage(model).serve(host, port, ready)
 
-    with off_screen():
+    with off_screen(), suppress(asyncio.CancelledError, KeyboardInterrupt):
         asyncio.run(run())
 
 
@@ -292,6 +308,12 @@ def _answer_where(server: Any, host: str, secret: str) -> None:
         return web.json_response({"sessionURL": f"ws://{request.host}/ws", "secret": secret})
 
     server.app.router.add_post("/paraview/", answer)
+
+
+def _is_news(record: logging.LogRecord) -> bool:
+    """Whether a message of the server tells of more than a browser that went away."""
+    told = record.exc_info[1] if record.exc_info else None
+    return not isinstance(told or sys.exc_info()[1], ConnectionError)
 
 
 @contextmanager

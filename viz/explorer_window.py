@@ -70,9 +70,7 @@ class ExplorerWindow:
         top = 1 - 1.5 * self._line
         self.sliders: dict[str, Slider] = {}
 
-        def add(
-            key: str, name: str, ends: Pair, where: Pair, changed: Callable[[float], object]
-        ) -> None:
+        def add(key: str, name: str, ends: Pair, where: Pair, changed: Callable[[float], object]) -> None:
             self.sliders[key] = Slider(plotter, name, ends, ends[0], (*where, top), FONT_SIZE, changed)
 
         left, right = (0.04, 0.46), (0.52, 0.94)

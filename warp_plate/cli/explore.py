@@ -109,7 +109,6 @@ def _page(host: str, port: int) -> Callable[[LiveModel], None]:
             serve_page(model, host, port, ready)
         except OSError as error:
             raise SceneError(f"--host {host} --port {port}: cannot be listened on: {error.strerror or error}") from None
-        except KeyboardInterrupt:
-            print("ended", file=sys.stderr)
+        print("ended", file=sys.stderr)
 
     return show
