@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 Field = Literal["displacement", "velocity", "energy", "rms-velocity", "phase"]
 # Of natural shapes side by side; frames a second.
 MOST_MODES, RATES = 12, (1, 120)
+# A period is played in this time at least.
+PERIOD_SECONDS = 1.4
 
 
 @dataclass(frozen=True)
@@ -65,12 +67,22 @@ def chosen_motions(result: Result, name: Path, choice: Choice, field: Field, qui
             raise SceneError(f"{name}: {error}") from None
 
 
-def check_looks(rate: float, heights: float | None) -> None:
+def check_looks(rate: float | None, heights: float | None) -> None:
     """Raise SceneError for options that no picture could have."""
-    if not RATES[0] <= rate <= RATES[1]:
+    if rate is not None and not RATES[0] <= rate <= RATES[1]:
         raise SceneError(f"--rate {rate:g}: must be from {RATES[0]} to {RATES[1]} frames a second")
     if heights is not None and not 0 < heights < float("inf"):
         raise SceneError(f"--heights {heights:g}: must be above 0")
+
+
+def playing_rate(rate: float | None, motions: Sequence[Motion]) -> float:
+    """Frames a second: what was asked for, or 30 unless a period would be over too soon to be seen."""
+    if rate is not None:
+        return rate
+    first = motions[0]
+    periods = (first.span[1] - first.span[0]) * first.frequency
+    frames_a_period = len(first.times) / max(periods, 1e-9)
+    return min(30.0, max(RATES[0], frames_a_period / PERIOD_SECONDS))
 
 
 def chosen_cases(result: Result, name: Path, cases: Sequence[str]) -> dict[str, Case]:

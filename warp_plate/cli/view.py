@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from warp_plate.cli.moving import Choice, Field, check_looks, chosen_motions
+from warp_plate.cli.moving import Choice, Field, check_looks, chosen_motions, playing_rate
 from warp_plate.scene.errors import SceneError
 
 
@@ -18,7 +18,7 @@ def view(
     start: float | None = None,
     end: float | None = None,
     frames: int | None = None,
-    rate: float = 30.0,
+    rate: float | None = None,
     heights: float | None = None,
     device: str = "auto",
 ) -> None:
@@ -42,7 +42,7 @@ def view(
     frames
         How many between them; 60 a period, or as many as there are steps, when left out.
     rate
-        Frames a second at first.
+        Frames a second at first; 30, or what plays a period in 1.4 s, when left out.
     heights
         How many times displacements are exaggerated at first.
     device
@@ -61,4 +61,4 @@ def view(
     motions = chosen_motions(loaded, result, Choice(case or [], modes, start, end, frames, device), field, quiet=False)
     from warp_plate.viz.window import open_window
 
-    open_window(loaded.scene, motions, field, Path(f"{result.stem}-view"), rate, heights)
+    open_window(loaded.scene, motions, field, Path(f"{result.stem}-view"), playing_rate(rate, motions), heights)

@@ -19,7 +19,8 @@ class Motion:
     name: of the drive or mode; frequency: of the drive or mode [Hz]; span: beginning and end of the time that the
         frames fill, evenly up to half a time step [s]; the frame after the last would come at its end.
     times: (frames,) [s]; displacement: (frames, ny, nx) [m], or over its largest for a mode; velocity: the same per
-        second; surface_density: (ny, nx) [kg/m²].
+        second, of a drive half a time step later, where the kernels have it and take the energy of it;
+        surface_density: (ny, nx) [kg/m²].
     localization_factor: of the drive, over the scene's window; None for a mode.
     """
 

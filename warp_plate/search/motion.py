@@ -56,19 +56,18 @@ def motions(
         raise SceneError(f"start = {first:g}, end = {last:g}: must lie inside the run, which goes from 0 to {end:g} s")
     field = 8 * math.prod(scheme.nodes) * len(cases)
     count = frames or _frames((last - first) / period, field)
-    if count < 2 or 3 * count * field > MOST_BYTES:
-        most = max(2, MOST_BYTES // (3 * field))
+    if count < 2 or 2 * count * field > MOST_BYTES:
+        most = max(2, MOST_BYTES // (2 * field))
         raise SceneError(f"frames = {count}: must be from 2 to {most} for {len(cases)} plates of this grid")
     wanted = np.linspace(first, last, count, endpoint=False) / scheme.time_step
-    steps = np.unique(np.clip(np.rint(wanted).astype(int), 1, scheme.steps - 1))
+    steps = np.unique(np.clip(np.rint(wanted).astype(int), 0, scheme.steps - 1))
     if len(steps) < 2:
         raise SceneError(f"{first:g} ... {last:g} s: holds less than two steps of {scheme.time_step:g} s")
-    # Velocities belong to the middle between two steps; the mean of both sides is that at the step itself.
-    recorded = np.unique(np.concatenate([steps - 1, steps, steps + 1]))
+    recorded = np.unique(np.concatenate([steps, steps + 1]))
     solver = PlateSolver(scene.model_copy(update={"record": Record()}), device)
     drives = np.array([case.drive for case in cases.values()])
     run = solver.run(drives, (recorded * scheme.time_step).tolist(), progress=progress)
-    before, at, after = (np.searchsorted(recorded, steps + shift) for shift in (-1, 0, 1))
+    at, after = np.searchsorted(recorded, steps), np.searchsorted(recorded, steps + 1)
     mass = surface_density(scene)
     return [
         Motion(
@@ -77,7 +76,7 @@ def motions(
             span=(first, last),
             times=steps * scheme.time_step,
             displacement=field[at].astype(np.float32),
-            velocity=((field[after] - field[before]) / (2 * scheme.time_step)).astype(np.float32),
+            velocity=((field[after] - field[at]) / scheme.time_step).astype(np.float32),
             surface_density=mass,
             localization_factor=case.localization_factor,
         )
@@ -124,4 +123,4 @@ def surface_density(scene: Scene) -> np.ndarray:
 def _frames(periods: float, field: int) -> int:
     """How many frames suit a span of so many periods and fields of so many bytes."""
     wanted = min(MOST, math.ceil(A_PERIOD * max(1.0, periods)))
-    return min(wanted, max(FEWEST, MOST_BYTES // 4 // (3 * field)))
+    return min(wanted, max(FEWEST, MOST_BYTES // 4 // (2 * field)))
