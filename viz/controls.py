@@ -85,7 +85,10 @@ class Slider:
         share = (value - bar.GetMinimumValue()) / (bar.GetMaximumValue() - bar.GetMinimumValue())
         width, height = renderer.GetRenderWindow().GetSize()
         x0, y0 = renderer.GetOrigin()
-        return round(x0 + width * (ends[0][0] + share * (ends[1][0] - ends[0][0]))), round(y0 + height * ends[0][1])
+        # The knob's middle stays half a knob away from the ends.
+        half = bar.GetSliderLength() * renderer.GetSize()[0] / 2
+        first, last = width * ends[0][0] + half, width * ends[1][0] - half
+        return round(x0 + first + share * (last - first)), round(y0 + height * ends[0][1])
 
     def _dragged(self, *_: object) -> None:
         self.value = self._bar.GetValue()
