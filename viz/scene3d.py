@@ -109,6 +109,8 @@ def add_plate(
         bar: draw the colour bar and the key of the outlines in this subplot.
         colours: (ny, nx) of the scale's quantity in its SI unit; left out: the displacement.
     """
+    # Lines are blended in the order in which they are added; to find the order by itself takes VTK half of a picture.
+    plotter.renderer.SetUseOIT(False)
     meshes = plate_meshes(scene, displacement, scale, colours)
     actor = plotter.add_mesh(meshes.surface, scalars=FIELD, clim=scale.limits, lighting=False, show_scalar_bar=False)
     _colour(actor, scale)
