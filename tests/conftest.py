@@ -7,8 +7,6 @@ import os
 import secrets
 import shutil
 import subprocess
-import shutil
-import subprocess
 from functools import lru_cache
 from pathlib import Path
 
@@ -106,8 +104,9 @@ def display():
     if lacking:
         pytest.skip(f"{' and '.join(lacking)} not installed: apt-get install xvfb xdotool")
     reading, writing = os.pipe()
+    # Without -noreset it starts anew whenever its last window closes, and then refuses the next for a moment.
     server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1600x1000x24", "-nolisten", "tcp"],
+        ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1600x1000x24", "-noreset", "-nolisten", "tcp"],
         pass_fds=[writing],
         stderr=subprocess.DEVNULL,
     )
@@ -187,28 +186,10 @@ def fitting_solver():
     return make
 
 
-@pytest.fixture(scope="session")
-def x_display():
-    """The name of an X server without a screen; skips the test where that or what presses keys is not installed."""
-    for program in ("Xvfb", "xdotool"):
-        if shutil.which(program) is None:
-            pytest.skip(f"{program} is not installed: apt-get install xvfb xdotool")
-    read, write = os.pipe()
-    # Without -noreset it starts anew whenever its last window closes, and then refuses the next for a moment.
-    command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x1000x24", "-noreset", "-nolisten", "tcp"]
-    server = subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL)
-    os.close(write)
-    with os.fdopen(read) as answer:
-        number = answer.readline().strip()
-    yield f":{number}"
-    server.terminate()
-    server.wait()
-
-
 @pytest.fixture(scope="module")
 def browser():
     """Headless Chromium: one of the system's, else Playwright's own; skips where there is none."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: pip install playwright")
+    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is missing: pip install playwright")
     found = next(filter(None, map(shutil.which, BROWSERS)), None)
     with playwright.sync_playwright() as started:
         if found is None and not Path(started.chromium.executable_path).exists():

@@ -30,7 +30,10 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "accuracy": ({"accuracy", "solve", "reference", "plate", "scene", ""}, {*SCIENCE, "pydantic", "warp"}),
     "search": ({"search", "accuracy", "solve", "result", "plate", "scene", ""}, {*SCIENCE, "warp"}),
     "search.pso": (set(), SCIENCE),
-    "viz": ({"viz", "result", "scene"}, {*SCIENCE, "pyvista", "vtkmodules", "matplotlib", "PIL"}),
+    "viz": (
+        {"viz", "result", "scene"},
+        {*SCIENCE, "pyvista", "vtkmodules", "matplotlib", "PIL", "imageio_ffmpeg"},
+    ),
     "viz.explorer_page": ({"viz", "result", "scene"}, {"pyvista", "trame", "aiohttp"}),
     # Scenes and results ask it how to show themselves in a notebook, when they are shown.
     "viz.html": ({"viz", "result", "scene"}, set()),

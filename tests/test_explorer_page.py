@@ -2,7 +2,6 @@
 
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -15,26 +14,11 @@ from warp_plate import viz
 from warp_plate.scene.load import dump_scene
 from warp_plate.viz.explorer_page import missing_page
 
-playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: pip install playwright")
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT to send to one process")
 
 ROOT = Path(__file__).parents[1]
-BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "chrome")
 # Shared machines are slow at times; nothing here waits so long where all is well.
 PATIENCE = 60.0
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """Headless Chromium: one of the system's, else Playwright's own."""
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    with playwright.sync_playwright() as started:
-        if found is None and not Path(started.chromium.executable_path).exists():
-            pytest.skip("there is no Chromium: apt-get install chromium-headless-shell, or playwright install chromium")
-        # Containers often forbid Chromium its sandbox; it only meets pages from here.
-        made = started.chromium.launch(executable_path=found, args=["--no-sandbox"])
-        yield made
-        made.close()
 
 
 @pytest.fixture

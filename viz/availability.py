@@ -85,21 +85,6 @@ def missing() -> str | None:
     return probe().problem
 
 
-def missing_window() -> str | None:
-    """None where a window can be opened on the screen; otherwise one sentence that says why not."""
-    found = probe()
-    if found.problem is not None or not sys.platform.startswith("linux"):
-        return found.problem
-    if not os.environ.get("DISPLAY"):
-        return "no window can be opened here: there is no display (DISPLAY is not set)"
-    if found.window != X_WINDOW:
-        return (
-            f"no window can be opened on the display {os.environ['DISPLAY']}: it does not answer, or libX11 or libGL "
-            "is not installed"
-        )
-    return None
-
-
 def missing_plots() -> str | None:
     """The same for plots of curves, which need Matplotlib only."""
     if importlib.util.find_spec("matplotlib") is None:
@@ -132,7 +117,7 @@ def missing_window() -> str | None:
     except OSError:
         return "the system library libX11.so.6 is missing"
     # VTK's kind of window for X draws off screen without an X server too, so this alone would not do.
-    drawn, _ = _try_window("vtkXOpenGLRenderWindow") if connected else (False, "")
+    drawn, _ = _try_window(X_WINDOW) if connected else (False, "")
     return None if drawn else f"the display {display} cannot be {'drawn on' if connected else 'reached'}"
 
 

@@ -45,8 +45,8 @@ class Comparison:
         font_size: int = 20,
         legend: tuple[int, int] | None = None,
     ) -> None:
-        """quantity: a key of QUANTITIES, passed over for modes; plotter: see :func:`layout`; legend: its subplot, left out:
-        behind the first row.
+        """quantity: a key of QUANTITIES, passed over for modes; plotter: see :func:`layout`; legend: its subplot, left
+        out: behind the first row.
 
         Every motion must have as many frames as the others.
         """

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import math
+import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from tempfile import TemporaryFile
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +33,8 @@ SHAPE = 0.78
 LASTING = 6.0
 # GIF counts hundredths of a second, and most viewers slow down what is faster than this.
 FASTEST_GIF = 2
+# Colours from here on are white in a GIF.
+LIGHT = 247
 # Told after each frame: frames done, frames in all.
 Told = Callable[[int, int], object]
 
@@ -81,17 +86,19 @@ def draw_gif(
     """
     from PIL import Image
 
-    # One palette for all frames: with their own, colours would flicker.
-    pictures = list(_pictures(scene, motions, look, told))
-    some = pictures[:: max(1, len(pictures) // 4)]
-    sheet = Image.new("RGB", (some[0].width, some[0].height * len(some)))
-    for index, one in enumerate(some):
-        sheet.paste(one, (0, index * one.height))
-    # The paper is to stay white, which the mean of many light colours is not.
-    colours = sheet.quantize(255, method=Image.Quantize.MEDIANCUT).getpalette() or []
-    palette = Image.new("P", (1, 1))
-    palette.putpalette([255, 255, 255, *colours[: 3 * 255]])
-    indexed = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures]
+    indexed = []
+    with stage(scene, motions, look) as (comparison, picture):
+        # One palette for all frames: with their own, colours would flicker.
+        some = []
+        for frame in range(0, comparison.frames, max(1, comparison.frames // 4)):
+            comparison.show(frame)
+            some.append(picture())
+        palette = _palette(some)
+        for frame in range(comparison.frames):
+            comparison.show(frame)
+            indexed.append(picture().quantize(palette=palette, dither=Image.Dither.NONE))
+            if told is not None:
+                told(frame + 1, comparison.frames)
     pause = 10 * max(FASTEST_GIF, round(100 / rate))
     first, *rest = indexed
     first.save(path, format="GIF", save_all=True, append_images=rest, duration=pause, loop=0, optimize=False)
@@ -102,26 +109,24 @@ def draw_mp4(
 ) -> None:
     """All frames as an MP4 (H.264) that every browser plays; short ones are repeated to last six seconds.
 
-    Raises: see :func:`draw_picture`; ImportError without imageio-ffmpeg, see :func:`missing_movies`.
+    Raises:
+        DrawingUnavailable: VTK cannot draw here; says what to install.
+        OSError: the file cannot be written.
+        ImportError: see :func:`missing_movies`.
     """
     import imageio_ffmpeg
 
-    pictures = [_even(np.asarray(one)) for one in _pictures(scene, motions, look, told)]
-    again = math.ceil(LASTING * rate / len(pictures))
-    height, width = pictures[0].shape[:2]
-    writer = imageio_ffmpeg.write_frames(
-        str(path),
-        (width, height),
-        fps=rate,
-        codec="libx264",
-        macro_block_size=2,
-        output_params=["-crf", "18", "-movflags", "+faststart", "-f", "mp4"],
-    )
-    writer.send(None)
-    for _ in range(again):
-        for one in pictures:
-            writer.send(np.ascontiguousarray(one))
-    writer.close()
+    with stage(scene, motions, look) as (comparison, picture), TemporaryFile() as complaints:
+        width, height = (side // 2 * 2 for side in picture().size)  # H.264 takes even sides only
+        raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{rate:g}", "-i", "-"]
+        coded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart", "-f", "mp4"]
+        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *raw, *coded, str(path)]
+        coder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=complaints)
+        with contextlib.suppress(BrokenPipeError), coder:
+            _play(comparison, picture, (width, height), rate, coder.stdin, told)
+        if coder.returncode != 0:
+            complaints.seek(0)
+            raise OSError(complaints.read().decode(errors="replace").strip())
 
 
 def largest_frame(motions: Sequence[Motion], quantity: str = "displacement") -> int:
@@ -180,15 +185,39 @@ def make_plotter(size: tuple[int, int], **options: Any) -> pyvista.Plotter:
     return plotter
 
 
-def _pictures(scene: Scene, motions: Sequence[Motion], look: Look, told: Told | None) -> Iterator[Image.Image]:
-    with stage(scene, motions, look) as (comparison, picture):
-        for frame in range(comparison.frames):
-            comparison.show(frame)
-            yield picture()
-            if told is not None:
-                told(frame + 1, comparison.frames)
+def _palette(some: Sequence[Image.Image]) -> Image.Image:
+    """A picture with 256 colours that suit all of these."""
+    from PIL import Image
+
+    sheet = Image.new("RGB", (some[0].width, some[0].height * len(some)))
+    for index, one in enumerate(some):
+        sheet.paste(one, (0, index * one.height))
+    colours = np.reshape(sheet.quantize(256, method=Image.Quantize.MEDIANCUT).getpalette(), (-1, 3))
+    # Paper is to stay white, which a mean of many light colours is not.
+    colours[colours.min(axis=1) >= LIGHT] = 255
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(colours.astype(np.uint8).tobytes())
+    return palette
 
 
-def _even(picture: np.ndarray) -> np.ndarray:
-    """H.264 takes even sides only."""
-    return picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
+def _play(
+    comparison: Comparison,
+    picture: Callable[[], Image.Image],
+    size: tuple[int, int],
+    rate: float,
+    out: IO[bytes],
+    told: Told | None,
+) -> None:
+    """Write all frames as raw pixels of this size, and again until they last long enough."""
+    again = math.ceil(LASTING * rate / comparison.frames)
+    kept = []
+    for frame in range(comparison.frames):
+        comparison.show(frame)
+        pixels = picture().crop((0, 0, *size)).tobytes()
+        out.write(pixels)
+        if again > 1:
+            kept.append(pixels)
+        if told is not None:
+            told(frame + 1, comparison.frames)
+    for _ in range(again - 1):
+        out.writelines(kept)

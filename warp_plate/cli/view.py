@@ -55,7 +55,7 @@ def view(
     loaded = load_result(result)
     if (problem := missing_window()) is not None:
         raise SceneError(
-            f"no window can be opened ({problem}); write pictures, movies or a page with 'warp-plate render {result}'"
+            f"no window can be opened: {problem}; write pictures, movies or a page with 'warp-plate render {result}'"
             ", or look in a browser with 'warp-plate explore SCENE --web'"
         )
     motions = chosen_motions(loaded, result, Choice(case or [], modes, start, end, frames, device), field, quiet=False)
