@@ -30,7 +30,8 @@ PATIENCE = 90.0
 @pytest.fixture
 def result(scene):
     made = simulate(scene(damping=200.0), device="cpu", estimate=False)
-    return replace(made, cases=dict.fromkeys(("equal", "single", "best"), made.cases["drive"]))
+    case = made.cases["drive"]
+    return replace(made, cases={"equal": case, "single": case, "best": replace(case, drive=2 * case.drive)})
 
 
 @pytest.fixture
@@ -105,7 +106,10 @@ def test_a_drive_alone_fills_the_window_and_all_come_back(window):
     assert (window.comparison.frame, scale.factor, scale.quantity) == (4, 1000.0, QUANTITIES["phase"])
     phase = window.motions["single"].phase * 180 / math.pi
     np.testing.assert_allclose(plate.meshes.surface.point_data[FIELD], phase.ravel())
+    window.colour_by("energy")
+    limits = window.comparison.scale.limits
     window.show_only(ALL)
+    assert window.comparison.scale.limits == limits
     assert [renderer.GetDraw() for renderer in renderers] == [1, 1, 1]
     assert [renderer.GetViewport() for renderer in renderers] == places
     assert len(window.comparison.plates) == 3

@@ -44,9 +44,10 @@ class Comparison:
         quantity: str = "displacement",
         font_size: int = 20,
         legend: tuple[int, int] | None = None,
+        alike: Sequence[Motion] = (),
     ) -> None:
         """quantity: a key of QUANTITIES, passed over for modes; plotter: see :func:`layout`; legend: its subplot, left
-        out: behind the first row.
+        out: behind the first row; alike: motions that the scale must hold for too.
 
         Every motion must have as many frames as the others.
         """
@@ -55,7 +56,8 @@ class Comparison:
         self.frame = 0
         self.quantity = quantity_of(self.motions, quantity)
         self._colours = [self.quantity.values(motion) for motion in motions]
-        self.scale = common_scale(scene, self.motions, self.quantity)
+        self._alike = [*self.motions, *alike]
+        self.scale = common_scale(scene, self._alike, self.quantity)
         self.plates: list[DrawnPlate] = []
         _, columns = rows_and_columns(len(self.motions))
         for index, motion in enumerate(self.motions):
@@ -83,7 +85,7 @@ class Comparison:
         """Show another quantity in colour, at the frame that is shown."""
         self.quantity = quantity_of(self.motions, quantity)
         self._colours = [self.quantity.values(motion) for motion in self.motions]
-        scale = common_scale(self.scene, self.motions, self.quantity)
+        scale = common_scale(self.scene, self._alike, self.quantity)
         self._rescale(replace(scale, factor=self.scale.factor))
 
     def exaggerate(self, factor: float) -> None:

@@ -19,6 +19,9 @@ from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.availability import EXTRA, off_screen
 from warp_plate.viz.comparison import Comparison, layout, quantity_of
+from warp_plate.viz.lettering import TARGET, lookup_table
+from warp_plate.viz.quantity import Scale
+from warp_plate.viz.sides import SIDES
 
 if TYPE_CHECKING:
     import pyvista
@@ -93,7 +96,7 @@ def draw_gif(
         for frame in range(0, comparison.frames, max(1, comparison.frames // 4)):
             comparison.show(frame)
             some.append(picture())
-        palette = _palette(some)
+        palette = _palette(some, comparison.scale)
         for frame in range(comparison.frames):
             comparison.show(frame)
             indexed.append(picture().quantize(palette=palette, dither=Image.Dither.NONE))
@@ -185,14 +188,20 @@ def make_plotter(size: tuple[int, int], **options: Any) -> pyvista.Plotter:
     return plotter
 
 
-def _palette(some: Sequence[Image.Image]) -> Image.Image:
-    """A picture with 256 colours that suit all of these."""
+def _palette(some: Sequence[Image.Image], scale: Scale) -> Image.Image:
+    """A picture with 256 colours that suit all of these: half of them the scale's own, which would show steps else."""
     from PIL import Image
 
     sheet = Image.new("RGB", (some[0].width, some[0].height * len(some)))
     for index, one in enumerate(some):
         sheet.paste(one, (0, index * one.height))
-    colours = np.reshape(sheet.quantize(256, method=Image.Quantize.MEDIANCUT).getpalette(), (-1, 3))
+    own = [*lookup_table(scale).values[::2, :3]]
+    for colour in (TARGET, *(look.colour for look in SIDES.values())):
+        # Smoothed lines and letters are mixed with paper.
+        line = np.array([int(colour[at : at + 2], 16) for at in (1, 3, 5)])
+        own += [line + (255 - line) * part / 4 for part in range(4)]
+    others = np.reshape(sheet.quantize(256 - len(own), method=Image.Quantize.MEDIANCUT).getpalette(), (-1, 3))
+    colours = np.concatenate([own, others[: 256 - len(own)]])
     # Paper is to stay white, which a mean of many light colours is not.
     colours[colours.min(axis=1) >= LIGHT] = 255
     palette = Image.new("P", (1, 1))

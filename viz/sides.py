@@ -32,7 +32,7 @@ SIDES = {
     "clamped": Look("#1a1a1a", 3.2, None, "clamped", "━━"),
     "supported": Look("#1a1a1a", 1.2, None, "supported", "──"),
     "springs": Look("#e6820e", 2.2, (1.2, 0.8), "on springs", "╍╍"),
-    "free": Look("#9a9a9a", 1.0, (4, 3), "free", "╌╌"),
+    "free": Look("#7a7a7a", 1.2, (4, 3), "free", "╌╌"),
 }
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 FIELD = "colour"
 # About as many grid lines as the paper's 27 x 27 nodes have; finer grids show every second, third, ... line.
 LINES = 26
-# A width of a dashed side's line, as a share of the plate's shorter side.
+# A width of a dashed side's line, as a share of the mean side of the plate.
 DASH = 0.008
 
 
@@ -169,7 +169,7 @@ class _Sheet:
         ways = []
         for name in names:
             start, end = (np.array(corner, dtype=float) for corner in ends[name])
-            for low, high in _dashes(dashes, float(np.abs(end - start).max()), DASH * min(self.size)):
+            for low, high in _dashes(dashes, float(np.abs(end - start).max()), DASH * math.sqrt(math.prod(self.size))):
                 ways.append(self.line(start + low * (end - start), start + high * (end - start)))
         return ways
 

@@ -122,7 +122,7 @@ class Window:
         self.plotter.render()
 
     def show_only(self, name: str) -> None:
-        """One drive alone, as large as the window; or ALL, side by side."""
+        """One drive alone, as large as the window and with the same colours; or ALL, side by side."""
         self.shown = name
         motions = list(self.motions.values()) if name == ALL else [self.motions[name]]
         factor, frame = self.comparison.scale.factor, self.comparison.frame
@@ -136,7 +136,8 @@ class Window:
             renderer.SetViewport(*(alone if name != ALL and used else self._viewports[place]))
             renderer.SetDraw(used)
             renderer.SetInteractive(used)
-        self.comparison = Comparison(self.plotter, self.scene, motions, self.quantity, FONT_SIZE, (0, self._columns))
+        legend, alike = (0, self._columns), list(self.motions.values())
+        self.comparison = Comparison(self.plotter, self.scene, motions, self.quantity, FONT_SIZE, legend, alike)
         self.plotter.renderers[self._plates[0]].AddViewProp(self.keys)
         self.comparison.exaggerate(factor)
         self.comparison.show(frame)

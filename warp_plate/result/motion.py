@@ -49,11 +49,14 @@ class Motion:
     def phase(self) -> np.ndarray:
         """(ny, nx) lag φ [rad], −π ... π, of the part A cos(ωt − φ) + constant that fits the frames best.
 
-        NaN where the plate hardly moves.
+        NaN where the plate hardly moves, or is not finite.
         """
         angle = 2 * math.pi * self.frequency * self.times
         basis = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle)], axis=1)
-        flat = self.displacement.reshape(len(self.times), -1)
+        flat = self.displacement.reshape(len(self.times), -1).astype(float)
+        # A plate that has blown up has no phase, and must not harm the others' fit.
+        known = np.isfinite(flat).all(axis=0)
+        flat = np.where(known, flat, 0.0)
         cosine, sine, _ = np.linalg.lstsq(basis, flat, rcond=None)[0].reshape(3, *self.displacement.shape[1:])
         size = np.hypot(cosine, sine)
         moving = size > STILL * np.max(size, initial=0.0)

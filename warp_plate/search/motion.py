@@ -122,5 +122,5 @@ def surface_density(scene: Scene) -> np.ndarray:
 
 def _frames(periods: float, field: int) -> int:
     """How many frames suit a span of so many periods and fields of so many bytes."""
-    wanted = min(MOST, math.ceil(A_PERIOD * max(1.0, periods)))
+    wanted = min(MOST, math.ceil(A_PERIOD * max(1.0, periods) - 1e-6))
     return min(wanted, max(FEWEST, MOST_BYTES // 4 // (2 * field)))
