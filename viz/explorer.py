@@ -178,9 +178,10 @@ class SearchCharts:
             mark.visible = best is not None
             if best is not None:
                 mark.update([best[index].real], [best[index].imag])
-        largest = float(np.abs(swarm.drives[:, 1:]).max(initial=0.0))
-        # In steps, so that the picture rests while the swarm shrinks; about the same scale along both axes.
-        reach = next((step for step in REACHES if largest < step), REACHES[-1])
+        # Of most particles, not of the last stray one; in steps, so that the picture rests while the swarm shrinks.
+        size = float(np.quantile(np.abs(swarm.drives[:, 1:]), 0.9)) if self._particles else 0.0
+        reach = next((step for step in REACHES if 1.1 * size < step), REACHES[-1])
+        # About the same scale along both axes.
         self.plane.x_range, self.plane.y_range = [-2 * reach, 2 * reach], [-reach, reach]
 
     def _visible(self, shown: bool) -> None:

@@ -11,6 +11,7 @@ import asyncio
 import importlib.util
 import logging
 import math
+import os
 import secrets
 import signal
 import socket
@@ -170,7 +171,7 @@ class ExplorerPage:
         with html.Div(style="font-size: 17px"):
             html.Div("Localization factor <b id='factor'>{{ factor }}</b>")
             html.Div("Bound <b id='bound'>{{ bound }}</b>")
-        html.Div("Kinetic energy {{ energy }}, by quadrant:", id="energy", style="margin-top: 4px")
+        html.Div("Kinetic energy {{ energy }}; by quadrant, as they lie:", id="energy", style="margin-top: 4px")
         with html.Div(style="display: grid; grid-template-columns: 90px 90px; gap: 3px; margin: 4px 0"):
             for name in ("upper left", "upper right", "lower left", "lower right"):
                 key = name.replace(" ", "_")
@@ -265,6 +266,8 @@ def serve_page(model: Live, host: str, port: int, ready: Callable[[str], object]
 
     with socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET):
         pass  # else trame would tell of an address in use by a page of its own
+    # JPEG does not get smaller; trying takes longer than drawing. Read when the server starts.
+    os.environ.setdefault("WSLINK_WS_COMPRESS", "0")
     for name in LOGGERS:
         logging.getLogger(name).addFilter(_is_news)
 

@@ -23,6 +23,8 @@ FONT_SIZE = 15
 STAGE, PANEL = 0.68, 0.32
 # Actuators whose sliders fit into the panel.
 ACTUATORS = 5
+# As wide as a digit.
+FIGURE_SPACE = "\u2007"
 # Of the timer that asks for the next picture.
 MILLISECONDS = 10
 
@@ -131,7 +133,7 @@ class ExplorerWindow:
             self._shown = reading
             _say(self.numbers, _numbers(reading))
             for name, share in share_texts(reading).items():
-                _say(self.quadrants[name], f"{share:>9} ")
+                _say(self.quadrants[name], f" {share:{FIGURE_SPACE}>7} ")
         _say(self.status, _folded(self.model.status(), 48))
 
 
@@ -164,7 +166,7 @@ def open_window(model: Live) -> None:
 def _numbers(reading: Reading) -> str:
     """Localization factor, bound and energy, a line each; the quadrants' shares stand below."""
     factor = factor_text(reading).replace(", ", "\n")
-    return f"{factor}\nkinetic energy {reading.energy['plate']:.3g} J, by quadrant"
+    return f"{factor}\nkinetic energy {reading.energy['plate']:.3g} J; by quadrant, as they lie:"
 
 
 def _cell(text: vtkTextActor) -> vtkTextActor:
