@@ -190,6 +190,22 @@ def test_a_moment_is_the_frame_of_pictures(searched):
     assert moment == pytest.approx(0.0119, abs=period / 20)
 
 
+def test_ctrl_c_keeps_the_files_that_are_done(searched, monkeypatch, tmp_path, capsys):
+    from warp_plate.viz import plan
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(plan, "draw_plan", interrupted)
+    for out, line in (("a.html", "interrupted; wrote only a.html"), ("a.svg", "interrupted; nothing was written")):
+        with pytest.raises(SystemExit) as left:
+            main(["render", str(searched), "--device", "cpu", "--out", out, "--out", "b.svg"])
+        assert left.value.code == 130
+        assert capsys.readouterr().err == f"warp-plate: {line}\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.html"]
+
+
 def test_without_a_driver_for_movies_only_they_are_missing(render, drawing, monkeypatch, tmp_path):
     monkeypatch.setattr(pictures, "missing_movies", lambda: "MP4 cannot be written without imageio-ffmpeg: pip")
     assert "without imageio-ffmpeg" in render("--out", "a.mp4")

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -258,5 +259,12 @@ def test_keys_and_clicks_do_what_they_say(desk):
     time.sleep(0.5)
     assert (desk.picture()[plates] != before).any()
     desk.press("q")
+    assert desk.process.wait(PATIENCE) == 0
+    assert desk.process.stderr.read() == ""
+
+
+def test_ctrl_c_closes_the_window(desk):
+    desk.picture()
+    desk.process.send_signal(signal.SIGINT)
     assert desk.process.wait(PATIENCE) == 0
     assert desk.process.stderr.read() == ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -275,7 +276,12 @@ def open_window(
     if heights is not None:
         window.exaggerate(heights)
     plotter.add_timer_event(max_steps=2**31 - 1, duration=MILLISECONDS, callback=lambda _: window.tick())
-    plotter.show()
+    # Ctrl-C closes the window as q does; VTK would end the process in its own way.
+    before = signal.signal(signal.SIGINT, lambda *_: plotter.iren.terminate_app())
+    try:
+        plotter.show()
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _after(names: Sequence[str], name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -104,9 +105,14 @@ def render(
             look = Look(field, width, heights)
             for target in targets:
                 _draw(loaded, motions, target, look, shown, plan, playing_rate(rate, motions), json)
-            files += targets
+                files.append(target)
     except DrawingUnavailable as problem:
         raise SceneError(str(problem)) from None
+    except KeyboardInterrupt:
+        if not files:
+            raise
+        print(f"warp-plate: interrupted; wrote only {', '.join(map(str, files))}", file=sys.stderr)
+        sys.exit(130)
     if json:
         output.print_json({"result": str(result), "files": [str(file) for file in files]})
         return
