@@ -11,7 +11,7 @@ from warp_plate.cli.main import main
 from warp_plate.result.live import Reading, SteadyMotion, SwarmReading
 from warp_plate.scene.load import dump_scene
 from warp_plate.search.live import LiveModel
-from warp_plate.viz import explorer_page
+from warp_plate.viz import explorer_page, explorer_window
 from warp_plate.viz.availability import off_screen
 from warp_plate.viz.explorer import CHOICES, LOWEST, Stage, factor_text, share_texts
 
@@ -145,6 +145,27 @@ def test_pictures_are_drawn(stage):
     assert np.any(pictures[0] != pictures[1])
     for picture in pictures:
         assert (picture.max(axis=2) - picture.min(axis=2) > 60).mean() > 0.01
+
+
+def test_the_window_pages_through_many_actuators(scene, drawing):
+    """Five fit; the sliders are those of the actuators that their names say, and move these."""
+    areas = [(0.02 + 0.02 * index, 0.03 + 0.02 * index, 0.05, 0.1) for index in range(7)]
+    model = LiveModel(scene(nodes=(21, 21), damping=120.0, actuators=areas), "cpu")
+    plotter = explorer_window.make_plotter(off_screen=True)
+    try:
+        window = explorer_window.ExplorerWindow(plotter, model)
+        plotter.show(auto_close=False, interactive=False)
+        for presses, first in (("after", 2), ("after", 2), ("before", 0), ("before", 0), ("after", 2)):
+            window.pages._pressed(presses)
+            window.tick()
+            assert [name.GetInput().split()[0] for name in window._names] == [str(first + k + 1) for k in range(5)]
+        window.sliders["magnitude 4"]._changed(0.25)
+        window.sliders["phase 4"]._changed(1.5)
+        assert model.settings.magnitude == (1, 1, 1, 1, 1, 1, 0.25)
+        assert model.settings.phase[6] == 1.5
+    finally:
+        plotter.close()
+        model.close()
 
 
 def test_choices_are_the_models():

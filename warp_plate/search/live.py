@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import math
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from warp_plate.result.live import Reading, SwarmReading
-from warp_plate.scene.effects import Damping
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.search.live_settings import Settings, changed_scene, polar, ranges_of
 from warp_plate.search.localize import reference_drives
 from warp_plate.search.simulate import scene_drive
 from warp_plate.search.superposition import Simulated, UnitResponses, live_solver, unit_responses
@@ -23,39 +25,8 @@ from warp_plate.search.watch import WatchedSearch
 from warp_plate.solve.solver import Progress
 
 CHOICES = ("scene", "equal", "single", "found", "exact", "random")
-# How far the sliders go: frequencies as multiples of the scene's; damping as a multiple of the scene's, or where it has
-# none, a loss factor at its frequency; magnitudes as a multiple of the scene's largest.
-FREQUENCIES = (0.2, 2.0)
-DAMPINGS, LOSS_FACTOR = 5.0, 0.5
-MAGNITUDES = 2.0
-# A period has at least this many steps, where the scene fixes the step.
-STEPS_A_PERIOD = 4
 # The start-up motion that is worth a word, as a share of the motion.
 LEFT_OVER = 0.02
-
-
-@dataclass(frozen=True)
-class Ranges:
-    """Ends of the sliders: magnitude [N/m²] and damping [N·s/m³] start at 0; frequencies [Hz]."""
-
-    magnitude: float
-    damping: float
-    frequency: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What is asked for: frequency [Hz], damping [N·s/m³], (actuators,) magnitudes [N/m²] and phase lags [rad]."""
-
-    frequency: float
-    damping: float
-    magnitude: tuple[float, ...]
-    phase: tuple[float, ...]
-
-    @property
-    def drive(self) -> np.ndarray:
-        """(actuators,) phasors [N/m²]."""
-        return np.array(self.magnitude) * np.exp(-1j * np.array(self.phase))
 
 
 class LiveModel:
@@ -79,7 +50,7 @@ class LiveModel:
         self._scale = max((abs(one.magnitude) for one in scene.actuators), default=0.0) or 1.0
         drive = scene_drive(scene)
         damping = scene.effects.damping.viscous if scene.effects.damping else 0.0
-        self.settings = Settings(scene.drive.frequency, damping, *_polar(drive))
+        self.settings = Settings(scene.drive.frequency, damping, *polar(drive))
         self._random = np.random.default_rng()
         self._responses: UnitResponses | Simulated = self._simulated(scene, progress)
         self._reading = self._responses.read(drive)
@@ -87,6 +58,7 @@ class LiveModel:
         self._choice: tuple[str, float] | None = None
         self._problem = ""
         self._search: WatchedSearch | None = None
+        self._searches = 0
         self._closed = False
         self._changed = threading.Condition()
         self._worker = threading.Thread(target=self._work, name="live model", daemon=True)
@@ -130,22 +102,23 @@ class LiveModel:
 
     def set_frequency(self, frequency: float) -> None:
         """Drive at this frequency [Hz] as soon as it is simulated."""
-        self._ask(replace(self.settings, frequency=float(frequency)))
+        self._ask(frequency=float(frequency))
 
     def set_damping(self, damping: float) -> None:
         """Damp by this c [N·s/m³] as soon as it is simulated."""
-        self._ask(replace(self.settings, damping=float(damping)))
+        self._ask(damping=float(damping))
 
     def set_actuator(self, index: int, magnitude: float | None = None, phase: float | None = None) -> None:
         """Another magnitude [N/m²] or phase lag [rad] of one actuator. Ends a search."""
-        now = self.settings
-        magnitudes, phases = list(now.magnitude), list(now.phase)
-        if magnitude is not None:
-            magnitudes[index] = float(magnitude)
-        if phase is not None:
-            phases[index] = float(phase)
-        self._end_search()
-        self._ask(replace(now, magnitude=tuple(magnitudes), phase=tuple(phases)))
+        with self._changed:
+            self._end_search()
+            self._choice = None
+            magnitudes, phases = list(self.settings.magnitude), list(self.settings.phase)
+            if magnitude is not None:
+                magnitudes[index] = float(magnitude)
+            if phase is not None:
+                phases[index] = float(phase)
+            self._ask(magnitude=tuple(magnitudes), phase=tuple(phases))
 
     def choose(self, choice: str, seconds: float = 0.0) -> None:
         """Take one of the CHOICES as the drive; ``seconds`` an iteration of the search that "found" makes.
@@ -159,8 +132,8 @@ class LiveModel:
         """
         if choice not in CHOICES:
             raise ValueError(f"choice = {choice!r}: there are: {', '.join(CHOICES)}")
-        self._end_search()
         with self._changed:
+            self._end_search()
             self._choice = (choice, seconds)
             self._changed.notify()
 
@@ -191,9 +164,9 @@ class LiveModel:
 
     # How ----------------------------------------------------------------------------------------------------
 
-    def _ask(self, settings: Settings) -> None:
+    def _ask(self, **changes: Any) -> None:
         with self._changed:
-            self.settings = settings
+            self.settings = replace(self.settings, **changes)
             self._changed.notify()
 
     def _behind(self, wanted: Settings) -> bool:
@@ -204,11 +177,24 @@ class LiveModel:
         return not self.scene.linear and wanted != done
 
     def _end_search(self) -> None:
-        if self._search is not None:
-            self._search.end()
-            self._search = None
+        with self._changed:
+            self._searches += 1  # what the one before finds from now on comes too late
+            if self._search is not None:
+                self._search.end()
+                self._search = None
 
     def _work(self) -> None:
+        try:
+            self._follow_all()
+        finally:
+            # Not closed: an error that no scene explains. Its traceback goes to standard error.
+            with self._changed:
+                if not self._closed:
+                    self._problem = "the simulation has failed; what went wrong stands on standard error"
+                self._done, self._choice = self.settings, None
+                self._changed.notify_all()
+
+    def _follow_all(self) -> None:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._closed or self._choice is not None or self._behind(self.settings))
@@ -245,8 +231,9 @@ class LiveModel:
     def _take(self, choice: str, seconds: float) -> None:
         responses, actuators = self._responses, len(self.scene.actuators)
         if choice == "found" and actuators > 1:
-            scene, scale = responses.scene, self._scale
-            self._search = WatchedSearch(scene, responses.energies, scale, seconds, self._move_to)
+            with self._changed:
+                found = partial(self._move_to, search=self._searches)
+                self._search = WatchedSearch(responses.scene, responses.energies, self._scale, seconds, found)
             return
         if choice == "scene":
             drive = scene_drive(self.scene)
@@ -262,44 +249,15 @@ class LiveModel:
             drive = self._scale * references["equal" if choice == "equal" else "single"]
         self._move_to(drive)
 
-    def _move_to(self, drive: np.ndarray) -> None:
-        """Make a drive [N/m²] the one asked for, brought within the sliders' range where only ratios count."""
+    def _move_to(self, drive: np.ndarray, search: int | None = None) -> None:
+        """Make a drive [N/m²] the one asked for, brought within the sliders' range where only ratios count.
+
+        search: the number of the one that found it; nothing happens if that has been ended.
+        """
         largest = np.abs(drive).max()
         if self.scene.linear and largest > self.ranges.magnitude:
             drive = drive * (self.ranges.magnitude / largest)
-        magnitude, phase = _polar(drive)
-        self._ask(replace(self.settings, magnitude=magnitude, phase=phase))
-
-
-def ranges_of(scene: Scene) -> Ranges:
-    """How far the sliders go."""
-    frequency, inertia = scene.drive.frequency, scene.plate.density * scene.plate.thickness
-    named = scene.effects.damping.viscous if scene.effects.damping else 0.0
-    damping = DAMPINGS * named or LOSS_FACTOR * scene.drive_angular_frequency * inertia
-    highest = FREQUENCIES[1] * frequency
-    if scene.grid.time_step is not None:
-        highest = max(frequency, min(highest, 1 / (STEPS_A_PERIOD * scene.grid.time_step)))
-    lowest = min(frequency, max(FREQUENCIES[0] * frequency, 1 / scene.window.end))
-    largest = max((abs(one.magnitude) for one in scene.actuators), default=0.0) or 1.0
-    return Ranges(MAGNITUDES * largest, damping, (lowest, highest))
-
-
-def changed_scene(scene: Scene, frequency: float, damping: float) -> Scene:
-    """The scene at another frequency [Hz] and with other viscous damping [N·s/m³]; none is left out of the kernel."""
-    table = scene.effects.damping
-    if table is not None:
-        table = table.model_copy(update={"viscous": damping})
-    elif damping > 0:
-        table = Damping(viscous=damping)
-    return scene.model_copy(
-        update={
-            "drive": scene.drive.model_copy(update={"frequency": frequency}),
-            "effects": scene.effects.model_copy(update={"damping": table}),
-        }
-    )
-
-
-def _polar(drive: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Magnitudes and phase lags, 0 ≤ φ < 2π."""
-    phase = np.where(drive == 0, 0.0, np.mod(-np.angle(drive), 2 * math.pi))
-    return tuple(np.abs(drive).tolist()), tuple(phase.tolist())
+        magnitude, phase = polar(drive)
+        with self._changed:
+            if search is None or search == self._searches:
+                self._ask(magnitude=magnitude, phase=phase)
