@@ -147,6 +147,19 @@ def test_plates_move_in_place(compare):
     assert np.ptp([plate.actor.mapper.scalar_range for plate in comparison.plates], axis=0).tolist() == [0, 0]
 
 
+def test_every_outline_is_in_the_picture_above_the_surface(compare):
+    comparison, plotter = compare([motion_of("best", 3e-7)])
+    actors = [actor for actor in plotter.renderers[0].actors.values() if isinstance(actor, pyvista.Actor)]
+    drawn = {id(actor.mapper.dataset): actor for actor in actors}
+    meshes = comparison.plates[0].meshes
+    for outline in meshes.outlines:
+        actor = drawn[id(outline.mesh)]
+        assert not actor.prop.lighting
+        assert actor.mapper.resolve == "polygon_offset"
+    colours = [drawn[id(outline.mesh)].prop.color.hex_rgb for outline in (meshes.target, meshes.actuators)]
+    assert colours == ["#1b7837", "#1a1a1a"]
+
+
 def test_texts_follow_the_frame(compare):
     comparison, _ = compare([motion_of("best", 3e-7)])
     comparison.show(3)
