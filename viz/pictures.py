@@ -126,6 +126,7 @@ def draw_mp4(
         command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *raw, *coded, str(path)]
         coder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=complaints)
         with contextlib.suppress(BrokenPipeError), coder:
+            assert coder.stdin is not None
             _play(comparison, picture, (width, height), rate, coder.stdin, told)
         if coder.returncode != 0:
             complaints.seek(0)

@@ -17,6 +17,7 @@ from warp_plate.viz.sides import SIDES, edge_kind, kinds_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colors import Normalize
     from matplotlib.lines import Line2D
 
 # Of the longer side of a plate, in inches.
@@ -126,7 +127,7 @@ def _draw(axes: Axes, scene: Scene, field: np.ndarray, scale: Scale) -> None:
     axes.set_yticks([0, height / 2, height])
 
 
-def _norm(scale: Scale):  # type: ignore[no-untyped-def]  # Matplotlib comes when something is drawn
+def _norm(scale: Scale) -> Normalize:
     from matplotlib.colors import Normalize
 
     return Normalize(*scale.limits)

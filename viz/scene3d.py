@@ -153,8 +153,14 @@ def lines_of(meshes: PlateMeshes) -> list[Line]:
 
 
 def _add_lines(plotter: pyvista.Plotter, line: Line, font_size: int) -> None:
-    looks = {"color": line.colour, "line_width": line.width * font_size, "opacity": line.opacity, "lighting": False}
-    actor = plotter.add_mesh(line.outline.mesh, show_scalar_bar=False, **looks)
+    actor = plotter.add_mesh(
+        line.outline.mesh,
+        color=line.colour,
+        line_width=line.width * font_size,
+        opacity=line.opacity,
+        lighting=False,
+        show_scalar_bar=False,
+    )
     # A switch of the whole process in VTK; without it the next line does nothing.
     actor.mapper.resolve = "polygon_offset"
     actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -line.nearer)
