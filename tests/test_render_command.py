@@ -159,6 +159,7 @@ def test_natural_shapes(render, tmp_path):
         (["--modes", "40"], "--modes 40: must be from 1 to 12"),
         (["--modes", "2", "--field", "phase"], "--field phase: natural shapes have their displacement only"),
         (["--time", "7"], "--time 7: must be from 0 to 0.012 s"),
+        (["--time", "0.001", "--start", "0.01"], "--time 0.001: must lie between --start and --end, 0.01 and 0.012 s"),
         (["--start", "0.01", "--end", "7"], "start = 0.01, end = 7: must lie inside the run"),
     ],
 )

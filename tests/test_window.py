@@ -263,6 +263,7 @@ def test_keys_and_clicks_do_what_they_say(desk):
     assert desk.process.stderr.read() == ""
 
 
+@pytest.mark.slow
 def test_ctrl_c_closes_the_window(desk):
     desk.picture()
     desk.process.send_signal(signal.SIGINT)

@@ -27,10 +27,10 @@ def render(
     result: Path,
     /,
     *,
-    out: list[Path] | None = None,
+    out: Annotated[list[Path] | None, cyclopts.Parameter(negative="")] = None,
     figures: Literal["paper"] | None = None,
     field: Field = "displacement",
-    case: list[str] | None = None,
+    case: Annotated[list[str] | None, cyclopts.Parameter(negative="")] = None,
     modes: int = 0,
     plan: Annotated[bool, cyclopts.Parameter(negative="")] = False,
     time: float | None = None,
@@ -68,10 +68,12 @@ def render(
         Draw the .png seen from above as well.
     time
         Of a picture, in seconds; the moment when what is in colour is largest, when left out.
-    start, end
-        Of the frames, in seconds; the last period of the drive when left out.
+    start
+        Of the frames, in seconds; the last period of the drive when both this and --end are left out.
+    end
+        Of the frames, in seconds; the end of the run when only --start is there.
     frames
-        How many between them; 60 a period, or as many as there are steps, when left out.
+        How many; 60 a period, or as many as there are steps, when left out.
     rate
         Frames a second in movies and pages; 30, or what plays a period in 1.4 s, when left out.
     width
@@ -173,6 +175,9 @@ def _frame(motions: list[Motion], time: float | None, field: Field) -> int:
 
     if time is None:
         return largest_frame(motions, field)
+    first, last = motions[0].span
+    if not first <= time <= last * (1 + 1e-9):
+        raise SceneError(f"--time {time:g}: must lie between --start and --end, {first:g} and {last:g} s")
     return int(abs(motions[0].times - time).argmin())
 
 

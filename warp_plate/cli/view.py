@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
+
+import cyclopts
 
 from warp_plate.cli.moving import Choice, Field, check_looks, chosen_motions, playing_rate
 from warp_plate.scene.errors import SceneError
@@ -13,7 +16,7 @@ def view(
     /,
     *,
     field: Field = "displacement",
-    case: list[str] | None = None,
+    case: Annotated[list[str] | None, cyclopts.Parameter(negative="")] = None,
     modes: int = 0,
     start: float | None = None,
     end: float | None = None,
@@ -37,10 +40,12 @@ def view(
         equal, single, best or drive; give it again for more. All, side by side, when left out.
     modes
         Show the first so many natural shapes instead.
-    start, end
-        Of the frames, in seconds; the last period of the drive when left out.
+    start
+        Of the frames, in seconds; the last period of the drive when both this and --end are left out.
+    end
+        Of the frames, in seconds; the end of the run when only --start is there.
     frames
-        How many between them; 60 a period, or as many as there are steps, when left out.
+        How many; 60 a period, or as many as there are steps, when left out.
     rate
         Frames a second at first; 30, or what plays a period in 1.4 s, when left out.
     heights
