@@ -156,7 +156,7 @@ def test_natural_shapes(render, tmp_path):
         (["--heights", "0"], "--heights 0: must be above 0"),
         (["--case", "worst"], "--case worst: "),
         (["--frames", "1"], "--frames 1: must be at least 2"),
-        (["--modes", "40"], "--modes 40: must be from 1 to 12"),
+        (["--modes", "40"], "--modes 40: must be from 1 to 6"),
         (["--modes", "2", "--field", "phase"], "--field phase: natural shapes have their displacement only"),
         (["--time", "7"], "--time 7: must be from 0 to 0.012 s"),
         (["--time", "0.001", "--start", "0.01"], "--time 0.001: must lie between --start and --end, 0.01 and 0.012 s"),

@@ -145,6 +145,8 @@ def test_natural_shapes_have_neither_fields_nor_drives_to_choose(scene, tmp_path
         for key in ("c", "d"):
             for does in plotter.iren._key_press_event_callbacks[key]:
                 does()
+        window.go(15)
+        assert window.sliders["time"].value == 0.25
         assert (window.quantity, window.shown) == ("displacement", window.comparison.motions[0].name)
         plotter.close()
 

@@ -70,7 +70,11 @@ class Window:
         self._legend = int(at((0, columns)))
         self._viewports = [plotter.renderers[index].GetViewport() for index in self._plates]
         self.comparison = Comparison(plotter, scene, motions, quantity, FONT_SIZE)
-        self._natural = self.comparison.scale.factor
+        self._factor = self.comparison.scale.factor
+        # Natural shapes have a period each.
+        self._natural = motions[0].localization_factor is None
+        count = self.comparison.frames
+        self._moments = np.arange(count) / count if self._natural else motions[0].times
         self._position, self._last = 0.0, time.perf_counter()
         self._build_strip(rows)
         self._bind_keys()
@@ -88,7 +92,7 @@ class Window:
         """Show a frame; after the last come the first ones again."""
         self._position = frame % self.comparison.frames
         self.comparison.show(int(self._position))
-        self.sliders["time"].show(self._time())
+        self.sliders["time"].show(float(self._moments[self.comparison.frame]))
         self.plotter.render()
 
     def pause(self) -> None:
@@ -111,8 +115,8 @@ class Window:
 
     def exaggerate(self, factor: float) -> None:
         """Heights, times their true size."""
-        self.comparison.exaggerate(max(factor, 1e-3 * self._natural))
-        self.sliders["heights"].show(self.comparison.scale.factor / self._natural)
+        self.comparison.exaggerate(max(factor, 1e-3 * self._factor))
+        self.sliders["heights"].show(self.comparison.scale.factor / self._factor)
         self.plotter.render()
 
     def colour_by(self, quantity: str) -> None:
@@ -169,9 +173,6 @@ class Window:
         self.keys.SetVisibility(not self.keys.GetVisibility())
         self.plotter.render()
 
-    def _time(self) -> float:
-        return float(self.comparison.motions[0].times[self.comparison.frame])
-
     def _say(self, words: str) -> None:
         self.status.SetInput(words)
         self.plotter.render()
@@ -181,30 +182,30 @@ class Window:
         plotter.subplot(row, 0)
         plotter.renderer.InteractiveOff()
         line = FONT_SIZE / plotter.renderer.GetSize()[1]
-        times = self.comparison.motions[0].times
+        moments, name = self._moments, "time, in periods" if self._natural else "time [s]"
         self.sliders = {
             key: Slider(plotter, name, ends, value, (left, right, 1 - 0.5 * line), FONT_SIZE, changed)
             for key, name, ends, value, (left, right), changed in (
-                ("time", "time [s]", (times[0], times[-1]), times[0], (0.02, 0.42), self._to_time),
+                ("time", name, (moments[0], moments[-1]), moments[0], (0.02, 0.42), self._to_time),
                 ("rate", "frames a second", (1.0, FASTEST), self.rate, (0.48, 0.70), self.set_rate),
                 ("heights", "heights, 1 as at first", (0.0, 4.0), 1.0, (0.76, 0.98), self._to_heights),
             )
         }
 
-        def buttons(words: dict[str, str], row: int, pressed: Callable[[str], object]) -> Buttons:
+        def buttons(words: dict[str, str], row: int, pressed: Callable[[str], object], columns: int = 6) -> Buttons:
             top = 1 - (4.0 + 2.2 * row) * line
-            return Buttons(plotter, words, (0.02, top), 6, FONT_SIZE, pressed)
+            return Buttons(plotter, words, (0.02, top), columns, FONT_SIZE, pressed)
 
         actions = {"pause": "pause", "screenshot": "screenshot", "keys": "keys (h)"}
         does = {"pause": self.pause, "screenshot": self.screenshot, "keys": self.toggle_keys}
         self.actions = buttons(actions, 0, lambda key: does[key]())
-        natural = next(iter(self.motions.values())).localization_factor is None
-        self._field_names = [] if natural else list(QUANTITIES)
+        self._field_names = [] if self._natural else list(QUANTITIES)
         fields = {name: name.replace("-", " ") for name in self._field_names}
         self.fields = buttons(fields, 1, self.colour_by)
         self._drive_names = [*self.motions, ALL] if len(self.motions) > 1 else []
         words = {**{name: name for name in self.motions}, **DRIVES, ALL: "side by side"}
-        self.drives = buttons({name: words[name] for name in self._drive_names}, 2, self.show_only)
+        row, columns = (1, 7) if self._natural else (2, 6)
+        self.drives = buttons({name: words[name] for name in self._drive_names}, row, self.show_only, columns)
         self.fields.mark(self.quantity)
         self.drives.mark(ALL)
         self.status = add_text(plotter, "", (0.53, 1 - 4.0 * line), FONT_SIZE, "#08519c")
@@ -216,12 +217,12 @@ class Window:
         self.keys.VisibilityOff()
 
     def _to_heights(self, times: float) -> None:
-        self.exaggerate(times * self._natural)
+        self.exaggerate(times * self._factor)
 
     def _to_time(self, moment: float) -> None:
         if self.playing:
             self.pause()
-        self.go(int(np.abs(self.comparison.motions[0].times - moment).argmin()))
+        self.go(int(np.abs(self._moments - moment).argmin()))
 
     def _bind_keys(self) -> None:
         def colour_on() -> None:

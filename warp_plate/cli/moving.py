@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Field = Literal["displacement", "velocity", "energy", "rms-velocity", "phase"]
 # Of natural shapes side by side; frames a second.
-MOST_MODES, RATES = 12, (1, 120)
+MOST_MODES, RATES = 6, (1, 120)
 # A period is played in this time at least.
 PERIOD_SECONDS = 1.4
 

@@ -63,7 +63,7 @@ def render(
     case
         equal, single, best or drive; give it again for more. All, side by side, when left out.
     modes
-        Draw the first so many natural shapes instead.
+        Draw the first so many natural shapes instead, 6 at most.
     plan
         Draw the .png seen from above as well.
     time

@@ -39,7 +39,7 @@ def view(
     case
         equal, single, best or drive; give it again for more. All, side by side, when left out.
     modes
-        Show the first so many natural shapes instead.
+        Show the first so many natural shapes instead, 6 at most.
     start
         Of the frames, in seconds; the last period of the drive when both this and --end are left out.
     end
