@@ -86,6 +86,7 @@ def test_texts_follow(stage, model):
     model.set_frequency(250.0)
     model.choose("exact")
     model.wait()
+    assert model.status() == ""
     stage.advance(0)
     shown = stage.plate.heading.GetInput()
     assert "250 Hz" in shown

@@ -213,6 +213,15 @@ def test_a_search_is_watched(panel, live):
     np.testing.assert_allclose(last.best, history, rtol=1e-9)
 
 
+def test_before_the_first_swarm_is_evaluated_the_status_says_so(panel, live, monkeypatch):
+    model = live(panel)
+    model.choose("found")
+    model.wait()
+    assert model.status() == ""
+    monkeypatch.setattr(model._search, "read", lambda: None)
+    assert model.status() == "searching: the first swarm ..."
+
+
 def test_a_search_ends_when_it_is_told_or_the_drive_is_moved(panel, live):
     model = live(panel)
     model.choose("found", seconds=0.02)

@@ -171,7 +171,7 @@ class SearchCharts:
         self._bound.update([1, swarm.iterations], [top, top])
         self._bound.visible = bound is not None
         self.history.x_range = [0, swarm.iterations]
-        self.history.y_range = [0, math.ceil(10.5 * top) / 10]
+        self.history.y_range = [0, min(1.0, math.ceil(10.5 * top) / 10)]
         best = swarm.best_drive
         for index, (particles, mark) in enumerate(zip(self._particles, self._marks, strict=True), start=1):
             particles.update(swarm.drives[:, index].real, swarm.drives[:, index].imag)

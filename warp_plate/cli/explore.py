@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import cyclopts
 
 from warp_plate.cli import output
 from warp_plate.scene.errors import SceneError
@@ -19,7 +21,7 @@ def explore(
     scene: str,
     /,
     *,
-    web: bool = False,
+    web: Annotated[bool, cyclopts.Parameter(negative="")] = False,
     host: str = "127.0.0.1",
     port: int = 8080,
     device: str = "auto",

@@ -87,6 +87,8 @@ class LiveModel:
             return self._problem
         if self._behind(self.settings):
             return "simulating ..."
+        if self._search is not None and self.swarm() is None:
+            return "searching: the first swarm ..."
         left = self.read().motion.left_over
         if not math.isfinite(left):
             return "the numbers of this run grew beyond all bounds: drive less, or write a shorter grid.time_step"
