@@ -73,8 +73,8 @@ def measured(case: Case, device: str, long: bool) -> tuple[dict[str, object], di
         for path in ("resident", "streaming"):
             found = case.measure(Where(device, path, precision, long and path == "resident"))
             shown.setdefault(precision, found)
-            values[precision][path] = found.value if math.isfinite(found.value) else None
-            kept &= found.value <= case.allowed[precision]
+            values[precision][path] = float(found.value) if math.isfinite(found.value) else None
+            kept = kept and bool(found.value <= case.allowed[precision])
     row = {
         "group": case.group,
         "name": case.name,
