@@ -137,7 +137,8 @@ def draw(pictures: list[tuple[Case, dict[str, Measured]]], path: Path) -> None:
         last = shown["float64"]
         if last.curve is None and last.shape is not None:
             shape = shown["float32"].shape if case.name.startswith("rounding") else last.shape
-            axes.imshow(shape, origin="lower", aspect="auto", cmap="RdBu_r")
+            end = max(abs(shape[shape == shape]).max(initial=0.0), 1e-300)
+            axes.imshow(shape, origin="lower", aspect="auto", cmap="RdBu_r", vmin=-end, vmax=end)
             axes.set_xticks([])
             axes.set_yticks([])
             continue
