@@ -83,6 +83,13 @@ def test_the_limit_is_the_schemes(scene):
         assert family.stability_limit(made, order, (25, 15)) == pytest.approx(make_scheme(made).limit, rel=1e-12)
 
 
+def test_family_of_a_scene_that_fourth_order_does_not_know(panel):
+    """Free edges, and two frequencies: grids of second order alone."""
+    own = [{**one.model_dump(), "frequency": 100.0 + 50 * index} for index, one in enumerate(panel.actuators)]
+    for made in (panel.with_tables(edges={"left": "free"}), panel.with_tables(actuators=own)):
+        assert {one.order for one in family.make_family(made)} == {2}
+
+
 def test_the_family_holds_what_is_to_be_shown(panel):
     made = family.make_family(panel)
     assert len(set(made)) == len(made)

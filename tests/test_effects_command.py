@@ -224,22 +224,11 @@ def test_a_plate_that_leaves_the_finite_numbers_is_told_with_the_cause(command, 
         Path("panel.toml").write_text(dump_scene(made.model_copy(update={"grid": grid})), encoding="utf-8")
         status, out, _ = command(name, *options)
         assert status == 0
-        told.append([line for line in json.loads(out)["warnings"] if "grew until they were none" in line])
+        grown = "has no energies, grew without bound by t = "
+        told.append([line for line in json.loads(out)["warnings"] if grown in line])
     assert len(told[0]) == 1
     assert f"the time step of {step:.3g} s allows" in told[0][0]
     assert not told[1]
-
-
-def test_too_strong_a_drive_is_told_with_the_cause(command, panel):
-    """A linear plate: nothing but the drive can do that."""
-    loud = tuple(one.model_copy(update={"magnitude": 1e300}) for one in panel.actuators)
-    effects = panel.effects.model_copy(update={"stretching": None})
-    text = dump_scene(panel.model_copy(update={"actuators": loud, "effects": effects}))
-    Path("panel.toml").write_text(text, encoding="utf-8")
-    status, out, _ = command("simulate", "panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate")
-    assert status == 0
-    assert "! The numbers of a plate grew until they were none" in out
-    assert "drive it less (magnitudes are in N/m²" in " ".join(out.split())
 
 
 @pytest.mark.parametrize("name", ["simulate", "localize"])

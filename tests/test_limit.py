@@ -41,6 +41,7 @@ EFFECTS = {
     "layer in the middle": {"layers": [{"area": (0.25, 0.75, 0.25, 0.75), **LAYER}]},
     "layer on one half": {"layers": [{"area": (0.0, 0.5, 0.0, 1.0), **LAYER}]},
     "layer everywhere": {"layers": [{"area": (0.0, 1.0, 0.0, 1.0), **LAYER}]},
+    "thickness 1 : 3": {"variation": {"thickness": [[1.0, 3.0, 1.0], [1.0, 1.0, 2.0]]}},
     "heavy corner": {"layers": [{"area": (0.0, 0.3, 0.0, 0.3), **LAYER, "density": 1e5}]},
     "spring": {"oscillators": [{"area": (0.4, 0.6, 0.4, 0.6), "stiffness": 1e6}]},
     "heavy mass": {"oscillators": [{"area": (0.45, 0.7, 0.3, 0.6), "mass": 50.0, "stiffness": 1e5, "damping": 3.0}]},

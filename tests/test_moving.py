@@ -75,10 +75,8 @@ def test_drives_on_and_off(loaded, weighing, size):
     scene = loaded(weighing, size=size, start=(-0.05, 0.05), velocity=(speed, 0.0))
     force, _ = forces(scene)
     middle = -0.05 + speed * TIMES
-    if size:
-        part = np.clip(np.minimum(middle + size / 2, WIDTH) - np.maximum(middle - size / 2, 0), 0, None) / size
-    else:
-        part = (middle > -1e-9) & (middle < WIDTH + 1e-9)
+    width = size or speed * TIME_STEP  # a point counts for the part of the step that it is there
+    part = np.clip(np.minimum(middle + width / 2, WIDTH) - np.maximum(middle - width / 2, 0), 0, None) / width
     np.testing.assert_allclose(force, 3 * part, atol=1e-9)
     assert not force[middle > WIDTH + size].any()
     assert (part == 0).any()

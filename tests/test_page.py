@@ -131,7 +131,7 @@ def test_heights_grow_with_their_slider(opened):
     factor = page.evaluate("factor()")
     page.locator("#heights").fill("1")
     assert page.evaluate("factor()") == pytest.approx(2 * factor, rel=0.01)
-    assert page.inner_text("#factor") == f"× {page.evaluate('factor()')}"
+    until(page, "document.getElementById('factor').textContent === `× ${factor()}`")
     # The crest covers more of the plate behind it, and rises towards its back corner.
     red = [np.argwhere(picture[..., 0] - picture[..., 2] > 100)[:, 0].min() for picture in (before, pixels(page))]
     assert red[1] < red[0] - 5

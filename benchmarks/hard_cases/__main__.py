@@ -73,8 +73,8 @@ def measured(case: Case, device: str, long: bool) -> tuple[dict[str, object], di
         for path in ("resident", "streaming"):
             found = case.measure(Where(device, path, precision, long and path == "resident"))
             shown.setdefault(precision, found)
-            values[precision][path] = found.value if math.isfinite(found.value) else None
-            kept &= found.value <= case.allowed[precision]
+            values[precision][path] = float(found.value) if math.isfinite(found.value) else None
+            kept = kept and bool(found.value <= case.allowed[precision])
     row = {
         "group": case.group,
         "name": case.name,
@@ -137,7 +137,8 @@ def draw(pictures: list[tuple[Case, dict[str, Measured]]], path: Path) -> None:
         last = shown["float64"]
         if last.curve is None and last.shape is not None:
             shape = shown["float32"].shape if case.name.startswith("rounding") else last.shape
-            axes.imshow(shape, origin="lower", aspect="auto", cmap="RdBu_r")
+            end = max(abs(shape[shape == shape]).max(initial=0.0), 1e-300)
+            axes.imshow(shape, origin="lower", aspect="auto", cmap="RdBu_r", vmin=-end, vmax=end)
             axes.set_xticks([])
             axes.set_yticks([])
             continue

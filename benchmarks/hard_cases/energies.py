@@ -20,6 +20,8 @@ FREE = {
     },
 }  # fmt: skip
 SAMPLES = 40
+# What float32 may lose in 10⁶ steps; a plate that is held on one side alone swings wider and loses a little more.
+LOST = {"clamped": 1e-5, "free edges and a layer": 2e-5}
 
 
 def conserved(name: str, where: Where) -> Measured:
@@ -112,7 +114,7 @@ CASES = grouped(
     [
         Case(
             f"lossless: {name}", "discrete energy constant over 10⁶ steps", "largest relative change",
-            partial(conserved, name), both(1e-5, 1e-12), name != "clamped",
+            partial(conserved, name), both(LOST[name], 1e-12), name != "clamped",
         )
         for name in FREE
     ]

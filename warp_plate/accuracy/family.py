@@ -129,7 +129,7 @@ def node_steps(scene: Scene, configuration: Configuration) -> float:
 
 
 def make_family(scene: Scene) -> list[Configuration]:
-    """All that the command tries, from cheap to dear: three families of grids, time steps, both precisions.
+    """All that the command tries, from cheap to dear: families of grids, time steps, both precisions.
 
     The scene as written is not among them: its damping scheme may differ too.
     """
@@ -140,8 +140,10 @@ def make_family(scene: Scene) -> list[Configuration]:
         (2, "overlap", "float64"),
         (4, "moments", "float64"),
     ]
-    family = [_usual(scene, order, load, side, precision) for side in LADDER for order, load, precision in kinds]
-    for order in (2, 4):
+    orders: tuple[Order, ...] = (2, 4) if highest_order(scene) == 4 else (2,)
+    known = [kind for kind in kinds if kind[0] in orders]
+    family = [_usual(scene, order, load, side, precision) for side in LADDER for order, load, precision in known]
+    for order in orders:
         base = _usual(scene, order, LOAD_OF[order], BASE, "float32")
         usual = longest_time_step(scene, order, base.nodes)
         steps = [fitted(scene, part * usual) for part in TIME_STEP_PARTS]

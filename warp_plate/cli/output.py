@@ -164,14 +164,13 @@ def print_accuracy(result: Result, console: Console) -> None:
 
 def warnings_of(result: Result) -> list[str]:
     """What the result's scene calls for but does not name, going by the drive that was asked for or found."""
-    from warp_plate.search.warnings import exceeded
+    from warp_plate.search.warnings import exceeded, why_no_energies
 
     case = result.cases.get("best") or next(iter(result.cases.values()))
-    if case.status != "ok":
-        return [f"The plate's status: {case.status}; it has no energies."]
+    lost = next((one.status for one in result.cases.values() if one.status != "ok"), None)
+    if lost is not None:
+        return [why_no_energies(result.scene, lost)]
     peak = float(abs(case.displacement).max()) if case.displacement.size else 0.0
-    if not all(math.isfinite(energy) for one in result.cases.values() for energy in one.energy.values()):
-        peak = math.nan
     return exceeded(result.scene, peak)
 
 

@@ -56,7 +56,7 @@ def moving_weights(scene: Scene, time_step: float, steps: int) -> MovingWeights:
             f"{0.5 / time_step:.6g} Hz; lower it, or write a smaller grid.time_step"
         )
     times = time_step * np.arange(steps)
-    wave = _strength(load, times, time_step)
+    wave = _strength(load, times, time_step, _presence(load, scene, 2 * time_step * steps))
     # Where it is when it sets in and when it ends, for the steps that reach over these moments.
     since = np.clip(times, load.from_time, load.to_time) - load.from_time
     along = [
@@ -74,10 +74,24 @@ def moving_weights(scene: Scene, time_step: float, steps: int) -> MovingWeights:
     return MovingWeights(wave, *along)
 
 
-def _strength(load: MovingLoad, times: np.ndarray, time_step: float) -> np.ndarray:
+def _presence(load: MovingLoad, scene: Scene, latest: float) -> tuple[float, float]:
+    """Begin and end [s] of the force: as the scene says and, of a point, while it is on the plate; the same if never.
+    What comes after the run counts as ``latest`` [s].
+
+    A point that drives on or off is then right to second order, as one that sets in is.
+    """
+    begin, end = load.from_time, math.inf if load.to_time is None else load.to_time
+    for start, speed, side, nodes in zip(load.start, load.velocity, scene.plate.size, scene.grid.nodes, strict=True):
+        spacing, slack = side / (nodes - 1), 1e-12 * side
+        if load.size / spacing < POINT and speed != 0:
+            ways = sorted((edge - start) / speed + load.from_time for edge in (-slack, side + slack))
+            begin, end = max(begin, ways[0]), min(end, ways[1])
+    return min(begin, latest), min(max(begin, end), latest)
+
+
+def _strength(load: MovingLoad, times: np.ndarray, time_step: float, presence: tuple[float, float]) -> np.ndarray:
     """(steps,) force [N]."""
-    end = math.inf if load.to_time is None else load.to_time
-    present = step_means(lambda time: np.clip(time, load.from_time, end), time_step, times.size)
+    present = step_means(lambda time: np.clip(time, *presence), time_step, times.size)
     force: np.ndarray = load.force * present * np.cos(2 * math.pi * (load.frequency or 0.0) * times)
     return force
 
@@ -91,8 +105,9 @@ def _shares(middle: np.ndarray, size: float, side: float, nodes: int, cubic: boo
     centre = np.where(np.abs(centre - inside) < 1e-12 * nodes, inside, centre)
     width = size / spacing
     if width < POINT:
-        on = (centre >= 0) & (centre <= nodes - 1)
-        return on[:, None] * _basis(inside, nodes, 4 if cubic else 2)
+        # Half a step before it drives on, and after it drives off, its force stands at the edge.
+        near = np.abs(centre - inside) <= np.abs(np.diff(centre)).max(initial=0.0)
+        return near[:, None] * _basis(inside, nodes, 4 if cubic else 2)
     low, high = (np.clip(centre + sign * width / 2, 0, nodes - 1) for sign in (-1, 1))
     if cubic or width < 1:
         points = 4 if cubic else 2

@@ -114,7 +114,8 @@ def make_signals(scene: Scene, time_step: float, steps: int, folder: Path | None
     check_rate(scene, time_step)
     drive, square = scene.drive, scene.drive.electrostatic
     actuators = len(scene.actuators)
-    envelope = np.ones(1) if drive.burst is None else _burst(drive.burst, time_step, steps)
+    envelope = np.ones(1) if drive.burst is None else _burst(drive.burst, time_step, steps, 1)
+    squared = envelope if drive.burst is None or square is None else _burst(drive.burst, time_step, steps, 2)
     shaped = drive.burst is not None
     flat = np.ones(steps)
     terms: _Terms = {}
@@ -129,9 +130,10 @@ def make_signals(scene: Scene, time_step: float, steps: int, folder: Path | None
         if square.bias:
             _add(terms, (0, 0.0, 0), flat, _ONE, square.gain * square.bias**2 * who)
             _add(terms, (shaped, frequency, other), shape, _PHASOR, 2 * square.gain * square.bias * who)
-        size = flat if steady and not shaped else flat * np.abs(shape) ** 2
+        size = flat if steady and not shaped else flat * squared * np.abs(carrier) ** 2
         _add(terms, (2 * shaped, 0.0, 0 if steady else -1), size, _SQUARE, square.gain / 2 * who)
-        _add(terms, (2 * shaped, 2 * frequency, 2 * other), shape**2, _PHASOR_SQUARED, square.gain / 2 * who)
+        twice = squared * carrier**2
+        _add(terms, (2 * shaped, 2 * frequency, 2 * other), twice, _PHASOR_SQUARED, square.gain / 2 * who)
     features = LINEAR_FEATURES if square is None else len(FEATURES)
     wave, mixing = _columns(terms, steps, features, actuators)
     wave[0] /= 2
@@ -200,23 +202,30 @@ def _sweep(chirp: Chirp, start: float, times: np.ndarray) -> np.ndarray:
     return angle
 
 
-def _burst(burst: Burst, time_step: float, steps: int) -> np.ndarray:
-    """(steps,) the envelope, its ramps ½(1 − cos πt/ramp)."""
+def _burst(burst: Burst, time_step: float, steps: int, power: int) -> np.ndarray:
+    """(steps,) means over a step of the envelope, or of its square (power 1 or 2), its ramps ½(1 − cos πt/ramp)."""
     duration, ramp = burst.duration, burst.ramp
+    whole_ramp = ramp / 2 if power == 1 else 3 * ramp / 8
 
     def risen(time: np.ndarray) -> np.ndarray:
         """Integral of the rise up to ``time`` within 0 ... ramp."""
-        return (time - ramp / math.pi * np.sin(math.pi * time / ramp)) / 2 if ramp else 0 * time
+        if not ramp:
+            return 0 * time
+        turn = math.pi / ramp
+        if power == 1:
+            return (time - np.sin(turn * time) / turn) / 2
+        return 3 * time / 8 - np.sin(turn * time) / (2 * turn) + np.sin(2 * turn * time) / (16 * turn)
 
     def once(time: np.ndarray) -> np.ndarray:
         top = np.clip(time - ramp, 0, max(duration - 2 * ramp, 0))
         falling = np.clip(time - (duration - ramp), 0, ramp)
-        return risen(np.clip(time, 0, ramp)) + top + (ramp / 2 - risen(ramp - falling))
+        return risen(np.clip(time, 0, ramp)) + top + (whole_ramp - risen(ramp - falling))
 
     def integral(time: np.ndarray) -> np.ndarray:
         since = time - burst.start
         past = np.zeros(since.shape) if burst.period is None else np.maximum(np.floor(since / burst.period), 0)
-        return past * (duration - ramp) + once(since - past * (burst.period or 0.0))
+        each = max(duration - 2 * ramp, 0) + 2 * whole_ramp
+        return past * each + once(since - past * (burst.period or 0.0))
 
     return step_means(integral, time_step, steps)
 

@@ -68,7 +68,8 @@ def make_signal(scene: Scene, case: Case, rate: int, duration: float, full_scale
         full_scale: the pressure [N/m²] that 1.0 stands for; left out: the largest magnitude of the drive.
 
     Raises:
-        SceneError: a drive that does not repeat, at rest or above the full scale, too few samples or less than a period, or no room.
+        SceneError: a drive that does not repeat, is at rest or above the full scale; too few samples or less than a
+            period, or no room.
     """
     if (key := scene.not_periodic) is not None and key != "effects.moving_load":
         raise SceneError(f"{key}: only tones of drive.frequency are written, which this drive is not")

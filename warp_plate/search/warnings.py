@@ -81,7 +81,7 @@ def decay_rate(scene: Scene) -> float:
 def _amplitude(scene: Scene, peak: float) -> Finding:
     value = peak / scene.plate.thickness
     if not math.isfinite(value):
-        return Finding("displacement / thickness", value, MOST_AMPLITUDE, _why_not_finite(scene), True)
+        return Finding("displacement / thickness", value, MOST_AMPLITUDE, why_no_energies(scene), True)
     named = scene.effects.stretching is not None
     high = value > MOST_AMPLITUDE
     sentence = f"The largest displacement is {value:.2g} of the thickness (threshold {MOST_AMPLITUDE:g}): "
@@ -94,13 +94,22 @@ def _amplitude(scene: Scene, peak: float) -> Finding:
     return Finding("displacement / thickness", value, MOST_AMPLITUDE, sentence, high and not named)
 
 
-def _why_not_finite(scene: Scene) -> str:
-    """A linear plate cannot grow below the stability limit; the limit leaves out what stretching pulls with."""
-    sentence = "The numbers of a plate grew until they were none, and so did what is computed from them: "
+def why_no_energies(scene: Scene, status: str = "its numbers grew until they were none") -> str:
+    """A sentence about a plate whose status is not "ok", with its likely cause.
+
+    A linear plate cannot grow below the stability limit; the limit leaves out what stretching pulls with.
+    """
+    scheme = make_scheme(scene, allow_unstable=True)
+    sentence = f"A plate has no energies, {status}: "
+    if not scheme.stable:
+        return sentence + (
+            f"the time step of {scheme.time_step:.6g} s is above the stability limit of {scheme.limit:.6g} s; write a "
+            "shorter grid.time_step."
+        )
     if scene.effects.stretching is None:
-        return sentence + f"drive it less (magnitudes are in N/m², precision is {scene.grid.precision})."
+        return sentence + f"drive it otherwise (magnitudes are in N/m², precision is {scene.grid.precision})."
     return sentence + (
-        f"stretching pulled harder than the time step of {make_scheme(scene).time_step:.3g} s allows; write a shorter "
+        f"stretching pulled harder than the time step of {scheme.time_step:.3g} s allows; write a shorter "
         "grid.time_step, or drive it less."
     )
 
