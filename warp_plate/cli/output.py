@@ -71,8 +71,7 @@ def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int, str], 
 
 def drive_table(case: Case, scene: Scene) -> Table:
     """A drive as the source paper's Table 1 gives it."""
-    unit = "N/m²" if scene.drive.electrostatic is None else "V"
-    made = table("actuator", f"magnitude ({unit})", "phase (rad)", "phase / π", title="Drive found")
+    made = table("actuator", f"magnitude ({scene.drive_unit})", "phase (rad)", "phase / π", title="Drive found")
     for actuator, magnitude, phase in zip(scene.actuators, case.magnitude, case.phase, strict=True):
         made.add_row(actuator.name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}")
     return made

@@ -30,7 +30,7 @@ def simulate(
     Parameters
     ----------
     scene
-        A preset's name (paper, paper-supported) or a TOML file.
+        A preset's name (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file.
     drive
         scene (the magnitudes and phases in the scene), equal, single (the best single actuator), or a result file
         (.h5), whose best drive is taken.

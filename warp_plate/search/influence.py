@@ -109,7 +109,10 @@ def _other(scene: Scene, name: str, device: str) -> tuple[PlateSolver | None, st
     change = without(name) if on else TYPICAL.get(name)
     if change is None:
         return None, "no typical value is known"
-    other, text = change(scene)
+    try:
+        other, text = change(scene)
+    except SceneError as refusal:
+        return None, f"refused: {refusal}"
     try:
         return PlateSolver(other.with_tables(), device), text
     except SceneError as refusal:
