@@ -230,16 +230,21 @@ def test_a_plate_that_leaves_the_finite_numbers_is_told_with_the_cause(command, 
     assert not told[1]
 
 
-def test_too_strong_a_drive_is_told_with_the_cause(command, panel):
-    """A linear plate: nothing but the drive can do that."""
-    loud = tuple(one.model_copy(update={"magnitude": 1e300}) for one in panel.actuators)
-    effects = panel.effects.model_copy(update={"stretching": None})
-    text = dump_scene(panel.model_copy(update={"actuators": loud, "effects": effects}))
+def test_too_long_a_step_is_told_with_the_cause(command, panel):
+    step = 3 * make_scheme(panel).limit
+    text = dump_scene(panel.model_copy(update={"grid": panel.grid.model_copy(update={"time_step": step})}))
     Path("panel.toml").write_text(text, encoding="utf-8")
-    status, out, _ = command("simulate", "panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate")
+    options = ("--device", "cpu", "--no-pictures", "--no-estimate", "--allow-unstable")
+    status, out, _ = command("simulate", "panel.toml", *options)
     assert status == 0
     assert "! The numbers of a plate grew until they were none" in out
-    assert "drive it less (magnitudes are in N/m²" in " ".join(out.split())
+    assert f"the time step of {step:.3g} s is above the stability limit" in " ".join(out.split())
+
+
+def test_too_strong_a_drive_is_told_with_the_cause_and_its_unit(scene):
+    """A linear plate at a stable step: nothing but the drive can do that."""
+    for made, unit in ((scene(), "N/m²"), (scene(drive={"frequency": 290.0, "electrostatic": {"gain": 1.0}}), "V")):
+        assert f"drive it less (magnitudes are in {unit}," in exceeded(made, math.nan)[0]
 
 
 @pytest.mark.parametrize("name", ["simulate", "localize"])

@@ -165,10 +165,11 @@ def warnings_of(result: Result) -> list[str]:
     """What the result's scene calls for but does not name, going by the drive that was asked for or found."""
     from warp_plate.search.warnings import exceeded
 
-    case = result.cases.get("best") or next(iter(result.cases.values()))
+    case = result.judged
     if case.status != "ok":
-        return [f"The plate's status: {case.status}; it has no energies."]
-    peak = float(abs(case.displacement).max()) if case.displacement.size else 0.0
+        told = f"The plate's status: {case.status}; it has no energies."
+        return [told, *(exceeded(result.scene, math.nan) if "grew" in case.status else ())]
+    peak = math.nan if result.peak is None else result.peak
     if not all(math.isfinite(energy) for one in result.cases.values() for energy in one.energy.values()):
         peak = math.nan
     return exceeded(result.scene, peak)

@@ -70,7 +70,7 @@ class Orthotropic(Table):
 
 
 def _rows(value: object) -> object:
-    if not isinstance(value, list | tuple) or not all(isinstance(row, list | tuple) for row in value):
+    if not isinstance(value, list | tuple) or not value or not all(isinstance(row, list | tuple) for row in value):
         raise PydanticCustomError("rows", "should be an array of rows such as [[1.0, 1.0]], or a file's name")
     return value
 

@@ -29,7 +29,7 @@ def _edge_word(value: object) -> object:
     if value not in ("clamped", "supported", "free"):
         raise PydanticCustomError(
             "edge_word",
-            "should be 'clamped', 'supported', 'free', or a table of springs such as {{ translation = 1e6 }}",
+            "should be 'clamped', 'supported', 'free', or a table of springs such as { translation = 1e6 }",
         )
     return value
 

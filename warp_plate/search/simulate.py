@@ -15,12 +15,12 @@ from warp_plate.search.localize import (
     cases_of,
     device_name,
     estimated,
-    record_times,
     reference_drives,
     resolve,
     versions,
 )
 from warp_plate.search.objective import unit_of_drives
+from warp_plate.search.peak import run_and_look
 from warp_plate.solve.solver import PlateSolver, Progress, as_phasors
 
 
@@ -61,7 +61,7 @@ def simulate(
         phasors = np.full(len(scene.actuators), unit_of_drives(scene), dtype=complex)
     else:
         phasors = reference_drives(scene, lambda drives: solver.run(drives).energy)[drive]
-    run = solver.run(phasors[None], record_times(scene), scene.record.points, progress)
+    run, peak = run_and_look(solver, phasors[None], progress)
     seconds |= {"compile": solver.compile_seconds, "solve": time.perf_counter() - started}
     drives = {"drive": phasors}
     if estimate and run.finite.all():
@@ -81,6 +81,7 @@ def simulate(
         node_steps=solver.node_steps,
         versions=versions(),
         accuracy=accuracy,
+        peak=peak,
     )
 
 
