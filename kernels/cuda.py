@@ -1,6 +1,6 @@
 """The primitives that the CUDA paths need and Warp's Python has no word for, each one line of CUDA.
 
-They exist on CUDA only: a kernel that calls one of them must never be launched on CPU.
+They are for CUDA: on CPU, where a block has one thread, ``barrier`` and ``anew`` do nothing and the others are missing.
 """
 
 from functools import cache
@@ -8,7 +8,14 @@ from functools import cache
 import warp as wp
 
 _FROM_LANE = "\nreturn __shfl_sync(0xffffffffu, value, lane);\n"
-_BARRIER = "\n__syncthreads();\n"
+_BARRIER = "\n#if defined(__CUDA_ARCH__)\n__syncthreads();\n#endif\n"
+_ANEW = """
+#if defined(__CUDA_ARCH__)
+asm volatile("" : "+r"(value));
+__builtin_assume(value >= 0);
+#endif
+return value;
+"""
 _SHARED_MEMORY = "\nextern __shared__ char dynamic_smem_base[]; return (wp::uint64)dynamic_smem_base;\n"
 
 LANES = 32
@@ -33,4 +40,13 @@ def barrier():
 @wp.func_native(_SHARED_MEMORY)
 def shared_memory() -> wp.uint64:
     """Address of the block's shared memory; its size is that of the tiles that the kernel takes."""
+    ...
+
+
+@wp.func_native(_ANEW)
+def anew(value: int) -> int:
+    """A value of at least zero, of which the compiler knows nothing more: it works out what follows where it stands.
+
+    Else all that a loop makes of numbers from before it is made before it, in more registers than there are.
+    """
     ...

@@ -16,6 +16,7 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.fused import make_fused
 from warp_plate.kernels.load import make_moving_load
 from warp_plate.kernels.update import make_parameters, make_update
 
@@ -94,9 +95,38 @@ def mirror(index: int, count: int):
 
 
 @cache
+def make_moment(effects, real):
+    """A moment from the curvatures along and across it; a constant pull acts like one: (Mx − Tx u)_xx."""
+    fused = make_fused(real)
+
+    @wp.func
+    def moment(rigidity: real, along: real, rigidity_across: real, across: real, tension: real, here: real):
+        if wp.static(effects.tension):
+            return fused(rigidity, along, rigidity_across * across) - tension * here
+        else:
+            return fused(rigidity, along, rigidity_across * across)
+
+    return moment
+
+
+@cache
+def make_hang(real):
+    """An oscillator's push on the plate, and the place and the pace of its mass a step and half a step later."""
+
+    @wp.func
+    def hang(place: real, pace: real, under: real, speed: real, oscillators: wp.array2d[real], o: int):
+        push = oscillators[o, 0] * (place - under) + oscillators[o, 1] * (pace - speed)
+        new = pace - oscillators[o, 2] * push
+        return push, place + new, new
+
+    return hang
+
+
+@cache
 def make_bend_node(effects, real):
     """Moments at a node, the twist of the cell to its upper right, and u_xx + κu_yy where stretching asks for it."""
     Material, Fields = make_structs(real)
+    moment = make_moment(effects, real)
 
     @wp.func
     def strained(f: Fields, m: Material, k: int, j: int, i: int):
@@ -119,16 +149,17 @@ def make_bend_node(effects, real):
         n = strained(f, m, k, north, i)
         along_x = strained(f, m, k, j, west) + e - real(2.0) * c
         along_y = m.aspect * (strained(f, m, k, south, i) + n - real(2.0) * c)
-        f.mx[k, j, i] = m.bend_xx[j, i] * along_x + m.bend_xy[j, i] * along_y
-        f.my[k, j, i] = m.bend_xy[j, i] * along_x + m.bend_yy[j, i] * along_y
+        here = f.u[k, j, i]
+        tension_x = real(0.0)
+        tension_y = real(0.0)
+        if wp.static(effects.tension):
+            tension_x = m.tension_x
+            tension_y = m.tension_y
+        f.mx[k, j, i] = moment(m.bend_xx[j, i], along_x, m.bend_xy[j, i], along_y, tension_x, here)
+        f.my[k, j, i] = moment(m.bend_yy[j, i], along_y, m.bend_xy[j, i], along_x, tension_y, here)
         if i < nx - 1 and j < ny - 1:
             f.mxy[k, j, i] = m.twist[j, i] * (m.root_aspect * (strained(f, m, k, j + 1, i + 1) - e - n + c))
-        if wp.static(effects.tension):
-            # A constant pull acts like a moment: (Mx − Tx u)_xx.
-            f.mx[k, j, i] = f.mx[k, j, i] - m.tension_x * f.u[k, j, i]
-            f.my[k, j, i] = f.my[k, j, i] - m.tension_y * f.u[k, j, i]
         if wp.static(effects.stretching):
-            here = f.u[k, j, i]
             pull = f.u[k, j, west] + f.u[k, j, east] - real(2.0) * here
             pull_y = m.aspect * (f.u[k, south, i] + f.u[k, north, i] - real(2.0) * here)
             f.pull[k, j, i] = pull + m.stretch_ratio * pull_y
@@ -165,6 +196,7 @@ def make_sum_row(effects, real):
 def make_finish_sum(effects, real):
     """From the rows' sums the plate's tension, or an oscillator's push and its mass half a step and a step later."""
     Material, Fields = make_structs(real)
+    hang = make_hang(real)
     first = 1 if effects.stretching else 0
 
     @wp.func
@@ -180,12 +212,9 @@ def make_finish_sum(effects, real):
         if wp.static(effects.oscillators):
             if which >= wp.static(first):
                 o = which - wp.static(first)
-                place = f.hung[k, o, 0]
-                pace = f.hung[k, o, 1]
-                push = m.oscillators[o, 0] * (place - total) + m.oscillators[o, 1] * (pace - speed)
-                pace = pace - m.oscillators[o, 2] * push
+                push, place, pace = hang(f.hung[k, o, 0], f.hung[k, o, 1], total, speed, m.oscillators, o)
                 f.push[k, o] = push
-                f.hung[k, o, 0] = place + pace
+                f.hung[k, o, 0] = place
                 f.hung[k, o, 1] = pace
 
     return finish_sum

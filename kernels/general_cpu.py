@@ -12,7 +12,7 @@ import warp as wp
 
 from warp_plate.kernels.denormals import flush_denormals, restore_denormals
 from warp_plate.kernels.fused import make_fused
-from warp_plate.kernels.general import make_other_forces
+from warp_plate.kernels.general import make_hang, make_moment, make_other_forces
 from warp_plate.kernels.load import make_moving_load
 from warp_plate.kernels.update import make_parameters, make_update
 
@@ -38,6 +38,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
     """
     update = make_update(effects, real)
     other_forces = make_other_forces(effects, real)
+    moment, hang = make_moment(effects, real), make_hang(real)
     moving_load = make_moving_load(real)
     fused = make_fused(real)
     Parameters = make_parameters(real)
@@ -89,12 +90,8 @@ def make_run(effects, real, ny, stride, compiler_flags):
             n = v[i + wp.static(2 * stride + 1)]
             along_x = west[i] * v[i + wp.static(stride)] + (east[i] * e - real(2.0) * c)
             along_y = south[i] * v[i + 1] + (north[i] * n - real(2.0) * aspect * c)
-            if wp.static(effects.tension):
-                mx[i] = bend_xx[i] * along_x + bend_xy[i] * along_y - tension_x * u[i]
-                my[i] = bend_xy[i] * along_x + bend_yy[i] * along_y - tension_y * u[i]
-            else:
-                mx[i] = bend_xx[i] * along_x + bend_xy[i] * along_y
-                my[i] = bend_xy[i] * along_x + bend_yy[i] * along_y
+            mx[i] = moment(bend_xx[i], along_x, bend_xy[i], along_y, tension_x, u[i])
+            my[i] = moment(bend_yy[i], along_y, bend_xy[i], along_x, tension_y, u[i])
             mxy[i] = twist[i] * root_aspect * ((v[i + wp.static(2 * stride + 2)] - e) - (n - c))
 
     @wp.func
@@ -292,9 +289,8 @@ def make_run(effects, real, ny, stride, compiler_flags):
                     hold = holds.ptr + wp.uint64(o) * step + row
                     total = sum_of_products(hold, u_at, strained)
                     speed = sum_of_products(hold, rate_at, strained)
-                    push = oscillators[o, 0] * (hung[k, o, 0] - total) + oscillators[o, 1] * (hung[k, o, 1] - speed)
-                    pace = hung[k, o, 1] - oscillators[o, 2] * push
-                    hung[k, o, 0] = hung[k, o, 0] + pace
+                    push, place, pace = hang(hung[k, o, 0], hung[k, o, 1], total, speed, oscillators, o)
+                    hung[k, o, 0] = place
                     hung[k, o, 1] = pace
                     add_times(push, hold, pressed)
             summed = real(0.0)

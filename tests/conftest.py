@@ -5,7 +5,10 @@ import itertools
 import math
 import os
 import secrets
+import shutil
+import subprocess
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,6 +32,7 @@ SIDES = ("left", "bottom", "right", "top")
 THREE_PATCHES = ((0.15, 0.3, 0.2, 0.35), (0.6, 0.85, 0.15, 0.4), (0.25, 0.65, 0.55, 0.8))
 # A quarter turn a step: the load is cos(0) = 1 at the first step and cos(π/2) = 6e-17 at the second.
 STEPS_A_PERIOD = 4
+BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "chrome")
 
 
 def scene_of(
@@ -94,6 +98,30 @@ def pytest_generate_tests(metafunc):
         metafunc.parametrize("edges", all_edges(), ids=edges_id)
 
 
+@pytest.fixture(scope="session")
+def display():
+    """The name of an X display of its own, for tests that press keys and drag the mouse by xdotool."""
+    lacking = [program for program in ("Xvfb", "xdotool") if shutil.which(program) is None]
+    if lacking:
+        pytest.skip(f"{' and '.join(lacking)} not installed: apt-get install xvfb xdotool")
+    reading, writing = os.pipe()
+    # Without -noreset it starts anew whenever its last window closes, and then refuses the next for a moment.
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1600x1000x24", "-noreset", "-nolisten", "tcp"],
+        pass_fds=[writing],
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(writing)
+    with os.fdopen(reading) as answer:
+        number = answer.readline().strip()
+    if not number:
+        server.wait()
+        pytest.skip("Xvfb does not start here")
+    yield f":{number}"
+    server.terminate()
+    server.wait()
+
+
 @pytest.fixture
 def pairs():
     """All (device, path) pairs of this machine."""
@@ -157,6 +185,20 @@ def fitting_solver():
             raise
 
     return make
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Headless Chromium: one of the system's, else Playwright's own; skips where there is none."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is missing: pip install playwright")
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    with playwright.sync_playwright() as started:
+        if found is None and not Path(started.chromium.executable_path).exists():
+            pytest.skip("there is no Chromium: apt-get install chromium-headless-shell, or playwright install chromium")
+        # Containers often forbid Chromium its sandbox; it only meets pages from here.
+        made = started.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        yield made
+        made.close()
 
 
 @pytest.fixture

@@ -20,20 +20,27 @@ SCIENCE = {"numpy", "scipy"}
 # single module, is found by the longest name that fits.
 RULES: dict[str, tuple[set[str], set[str]]] = {
     "kernels": ({"kernels"}, {"warp"}),
-    "scene": ({"scene"}, {*SCIENCE, "pydantic", "pydantic_core", "tomli", "tomllib"}),
+    "scene": ({"scene", "viz.html"}, {*SCIENCE, "pydantic", "pydantic_core", "tomli", "tomllib"}),
     "plate": ({"plate", "scene"}, SCIENCE),
     "reference": ({"reference", "plate", "scene"}, SCIENCE),
-    "result": ({"result", "plate", "scene"}, {*SCIENCE, "h5py"}),
+    "result": ({"result", "plate", "scene", "viz.html"}, {*SCIENCE, "h5py"}),
     "solve": ({"solve", "kernels", "plate", "scene"}, {*SCIENCE, "warp"}),
     "bench": ({"bench", "solve", "kernels", "plate", "scene", ""}, {*SCIENCE, "warp"}),
     "accuracy": ({"accuracy", "solve", "reference", "plate", "scene", ""}, {*SCIENCE, "pydantic", "warp"}),
     "search": ({"search", "accuracy", "solve", "result", "plate", "scene", ""}, {*SCIENCE, "warp"}),
     "search.pso": (set(), SCIENCE),
-    "viz": ({"viz", "result", "scene"}, {*SCIENCE, "pyvista", "vtkmodules", "matplotlib", "PIL"}),
+    "viz": (
+        {"viz", "result", "scene"},
+        {*SCIENCE, "pyvista", "vtkmodules", "matplotlib", "PIL", "imageio_ffmpeg"},
+    ),
+    "viz.explorer_page": ({"viz", "result", "scene"}, {"pyvista", "trame", "aiohttp"}),
+    # Scenes and results ask it how to show themselves in a notebook, when they are shown.
+    "viz.html": ({"viz", "result", "scene"}, set()),
     "cli": (
         {"cli", "accuracy", "bench", "search", "solve", "result", "plate", "scene", "viz", ""},
         {*SCIENCE, "cyclopts", "rich"},
     ),
+    "notebook": ({"search", "viz", "result", "scene"}, set()),
     "__main__": ({"cli"}, set()),
     "": (set(), set()),
 }
@@ -108,8 +115,19 @@ def test_pictures_are_imported_only_when_drawn():
     rooms = "viz|solve|search|accuracy|bench|kernels"
     late = re.compile(rf"(warp|pyvista|matplotlib|vtkmodules|warp_plate\.({rooms}))(\.|$)")
     for path, module in sources():
-        if room_of(module) in ("cli", "__main__", ""):
+        if room_of(module) in ("cli", "notebook", "__main__", ""):
             assert not [name for name, inner in imports(path) if not inner and late.match(name)], path
+
+
+def test_scenes_and_results_ask_for_pictures_only_when_shown():
+    late = {
+        module: inner
+        for path, module in sources()
+        if room_of(module) in ("scene", "result")
+        for name, inner in imports(path)
+        if name == "warp_plate.viz.html"
+    }
+    assert late == {"scene.model": True, "result.model": True}
 
 
 def test_the_rules_are_checked():

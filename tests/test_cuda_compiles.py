@@ -9,7 +9,9 @@ import warp as wp
 
 from warp_plate.kernels import (
     energy,
-    general_paths,
+    general_blocks,
+    general_passes,
+    general_plan,
     limits,
     load,
     record,
@@ -28,6 +30,8 @@ CPU_MODULES = ("resident_cpu", "general_cpu")
 ORDER_OF = {"resident_lanes": 2, "resident_strips": 2, "streaming_march": 2, "resident_wide": 4}
 # Plates for a warp, for a block, and for a block that keeps the sums in shared memory; each with its padded columns.
 SMALL, LARGE, LARGEST = (27, 27, 32), (41, 43, 48), (97, 89, 112)
+# And one that no multiprocessor holds.
+HUGE = (257, 129, 272)
 
 
 def cuda_kernels(effects, real):
@@ -39,9 +43,14 @@ def cuda_kernels(effects, real):
     yield "record.advance_clock", record.advance_clock
     yield "record.make_record", record.make_record(real)
     if not effects.plain:
-        for kernel in general_paths.make_passes(effects, real):
-            yield "general_paths.make_passes", kernel
-        yield "general_paths.make_run", general_paths.make_run(effects, real, 256)
+        for kernel in general_passes.make_passes(effects, real):
+            yield "general_passes.make_passes", kernel
+        hanging = 2 if effects.oscillators else 0
+        for nx, ny, stride in (SMALL, HUGE):
+            blocks = general_plan.plan(nx, ny, real, effects, hanging, few=False)
+            assert blocks.on_chip == bool(blocks.held) == (nx < HUGE[0])
+            run = general_blocks.make_run(effects, real, nx, ny, stride, hanging, blocks)
+            yield "general_blocks.make_run", run
         return
     yield "streaming.make_bend", streaming.make_bend(effects, real)
     yield "streaming.make_move", streaming.make_move(effects, real)
@@ -134,7 +143,7 @@ def factories(effects):
         own = ("streaming.", "streaming_march.", "resident_")
         return {name for name in made if not name.startswith(own)}
     of_order = {name for name in made if ORDER_OF.get(name.split(".")[0], effects.order) == effects.order}
-    return {name for name in of_order if not name.startswith("general_paths.")}
+    return {name for name in of_order if not name.startswith("general_")}
 
 
 def test_a_fault_in_cuda_code_is_found(tmp_path):

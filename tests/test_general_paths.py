@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver, SceneError
+from warp_plate.kernels import general_plan
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.reference.numpy_general import run_general
+from warp_plate.solve import general, paths
 
 TOLERANCE = {"float32": 3e-4, "float64": 1e-11}
 # (nodes, sides) [m]: odd, even, oblong, and the smallest; cells are square in the first alone.
@@ -220,6 +222,24 @@ def test_all_effects_at_once(device, path, precision, full, random):
     reference = run_general(made, drives)
     check(PlateSolver(made, device, path).run(drives, (0.003, 0.0055)), made, reference)
     assert np.abs(reference.displacement).max() > 0.3 * made.plate.thickness
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_the_kernel_of_blocks_on_cpu(held, mix, full, random, monkeypatch):
+    """A block of one thread runs anywhere: all numbers in memory, or all that can be in registers."""
+    made, drives = mix(*GRIDS["smallest"], stretching=True) if held else full("float64", 2, random)
+
+    def one_thread(specialized):
+        effects, (nx, ny) = specialized.effects, specialized.scheme.nodes
+        names = (*general_plan.FIRST, "pull", *general_plan.used(effects)) if held else ()
+        planes = general_plan.planes_of(effects, names)
+        # One node beyond the plate.
+        return general.blocks_path(specialized, general_plan.Blocks(1, nx * ny + 1, names, planes, False, 64))
+
+    monkeypatch.setitem(paths.GENERAL, "resident", one_thread)
+    points = [tuple(np.multiply((0.3, 0.9), made.plate.size))]
+    run = PlateSolver(made, "cpu", "resident").run(drives, (made.window.end / 2,), points)
+    check(run, made, run_general(made, drives), points)
 
 
 @pytest.mark.parametrize("precision", TOLERANCE)

@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 from warp_plate import Scene
-from warp_plate.kernels import general_cpu, general_paths, resident_cpu, streaming
+from warp_plate.kernels import general_blocks, general_cpu, general_passes, general_plan, resident_cpu, streaming
 from warp_plate.kernels.effects import Effects
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.solve.cpu import compiler_flags
@@ -36,6 +36,12 @@ def source_of(kernel, folder):
     return text
 
 
+def passes_of(effects, folder):
+    """The source of all passes of the streaming path."""
+    kernels = general_passes.make_passes(effects, wp.float32)
+    return "".join(source_of(kernel, folder / str(index)) for index, kernel in enumerate(kernels))
+
+
 def reads(source, name):
     """Whether a member of that name is read anywhere."""
     return re.search(rf"\(\(var_\w+\)\.{name}\)", source) is not None
@@ -43,11 +49,23 @@ def reads(source, name):
 
 @pytest.mark.parametrize("effect", TRACES)
 def test_an_effect_that_is_off_is_not_in_the_source(effect, tmp_path):
-    on = source_of(general_paths.make_run(Effects(moments=True, **{effect: True}), wp.float32, 1), tmp_path / "on")
-    off = source_of(general_paths.make_run(Effects(moments=True), wp.float32, 1), tmp_path / "off")
+    on = passes_of(Effects(moments=True, **{effect: True}), tmp_path / "on")
+    off = passes_of(Effects(moments=True), tmp_path / "off")
     assert reads(on, TRACES[effect])
     assert not reads(off, TRACES[effect])
     assert len(on) > len(off)
+
+
+@pytest.mark.parametrize("effect", TRACES)
+def test_nor_is_it_in_that_of_blocks(effect, tmp_path):
+    """What a plate's block holds and reads, and what it makes of it."""
+    made = {}
+    for name, effects in (("on", Effects(moments=True, **{effect: True})), ("off", Effects(moments=True))):
+        blocks = general_plan.Blocks(1, 81, (), general_plan.planes_of(effects, ()), False, 64)
+        hanging = 1 if effects.oscillators else 0
+        run = general_blocks.make_run(effects, wp.float32, 9, 9, 16, hanging, blocks)
+        made[name] = source_of(run, tmp_path / name)
+    assert made["on"].count("wp::mul") > made["off"].count("wp::mul")
 
 
 @pytest.mark.parametrize("effect", TRACES)

@@ -14,7 +14,8 @@ from warp_plate.result import Case, Result
 from warp_plate.scene import Scene
 from warp_plate.viz import availability
 from warp_plate.viz.figures import _evenly
-from warp_plate.viz.surface import FIELD, Scale, caption, plate_meshes, scale_over
+from warp_plate.viz.quantity import Scale, scale_over
+from warp_plate.viz.surface import FIELD, caption, plate_meshes
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
 
@@ -85,7 +86,7 @@ def test_colours_are_symmetric_and_hold_for_all_times(result):
         largest = np.abs(case.displacement).max()
         assert low == -high
         assert largest <= scale.limit < 1.1 * largest
-        assert scale.limit * scale.per_metre == pytest.approx(high)
+        assert scale.limit * scale.per_base == pytest.approx(high)
 
 
 def test_colours_of_several_cases_are_those_of_the_largest(result):
@@ -153,12 +154,12 @@ def test_outlines_lie_on_the_warped_surface(paper, random):
     triangles = Triangulation(points[:, 0], points[:, 1], meshes.surface.faces.reshape(-1, 4)[:, 1:])
     height = LinearTriInterpolator(triangles, points[:, 2])
     assert np.abs(points[:, 2]).max() > 0.01
-    for name in ("lines", "rim", "target", "actuators"):
-        lines = getattr(meshes, name)
+    for outline in meshes.outlines:
+        lines = outline.mesh
         on_line = np.concatenate([np.linspace(*ends, 7)[1:-1] for ends in segments(lines)])
         # Points on the edge of the plate can be found a rounding error outside of all triangles.
         inside = np.clip(on_line[:, :2], 1e-7, 0.2 - 1e-7)
-        np.testing.assert_allclose(on_line[:, 2], height(*inside.T).filled(np.nan), atol=2e-6, err_msg=name)
+        np.testing.assert_allclose(on_line[:, 2], height(*inside.T).filled(np.nan), atol=2e-6)
 
 
 def segments(lines):
@@ -174,11 +175,12 @@ def segments(lines):
 def test_outlines_go_round_the_target_and_each_actuator(paper):
     field = wave((27, 27), (2, 3))
     meshes = plate_meshes(paper, field, scale_over([field], paper.plate.size))
-    lengths = {name: flat_length(getattr(meshes, name)) for name in ("rim", "target", "actuators")}
-    assert lengths == pytest.approx({"rim": 0.8, "target": 0.4, "actuators": 4 * 4 * 0.012}, rel=1e-5)
+    drawn = {"clamped": meshes.sides["clamped"], "target": meshes.target, "actuators": meshes.actuators}
+    lengths = {name: flat_length(outline.mesh) for name, outline in drawn.items()}
+    assert lengths == pytest.approx({"clamped": 0.8, "target": 0.4, "actuators": 4 * 4 * 0.012}, rel=1e-5)
     for x0, x1, y0, y1 in (actuator.area for actuator in paper.actuators):
         for corner in ((x0, y0), (x0, y1), (x1, y0), (x1, y1)):
-            distance = np.hypot(*(meshes.actuators.points[:, :2] - corner).T)
+            distance = np.hypot(*(meshes.actuators.mesh.points[:, :2] - corner).T)
             assert distance.min() < 1e-7
 
 
@@ -209,7 +211,7 @@ def test_a_plate_in_a_plotter_has_fixed_colours_no_lighting_and_its_text(result,
         for step in range(2):
             plotter = pyvista.Plotter(off_screen=True, window_size=[300, 200])
             text = caption("single actuator", TIMES[step], case.localization_factor)
-            mesh = viz.scene3d.add_plate(plotter, result.scene, case.displacement[step], scale, text).surface
+            mesh = viz.scene3d.add_plate(plotter, result.scene, case.displacement[step], scale, text).meshes.surface
             surface = next(actor for actor in plotter.actors.values() if actor.mapper.dataset is mesh)
             assert surface.mapper.scalar_range == pytest.approx(scale.limits)
             assert not surface.prop.lighting

@@ -25,6 +25,7 @@ from typing import Any
 from warp_plate.result.whole import whole_file
 
 WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
+X_WINDOW = "vtkXOpenGLRenderWindow"
 EXTRA = "pip install 'warp-plate[viz]'"
 SYSTEM = (
     "'apt-get install libegl1 libgl1-mesa-dri' (Debian, Ubuntu) or "
@@ -91,6 +92,48 @@ def missing_plots() -> str | None:
     if importlib.util.find_spec("matplotlib") is None:
         return f"curves cannot be plotted without Matplotlib: {EXTRA}"
     return None
+
+
+def missing_meshes() -> str | None:
+    """The same for what is drawn elsewhere, as in a browser, and needs PyVista's meshes but no window."""
+    if importlib.util.find_spec("pyvista") is None:
+        return f"the plate cannot be drawn without PyVista: {EXTRA}"
+    return missing_plots()
+
+
+def missing_window() -> str | None:
+    """None where a window can be shown; otherwise why not, in a few words.
+
+    On Linux it is tried in a process of its own: where something is missing, VTK ends the process.
+    """
+    for module in ("pyvista", "vtkmodules"):
+        if importlib.util.find_spec(module) is None:
+            return f"PyVista is not installed: {EXTRA}"
+    if not sys.platform.startswith("linux"):
+        return None
+    display = os.environ.get("DISPLAY")
+    if not display:
+        return "there is no display: DISPLAY is not set"
+    try:
+        connected = _connects(display)
+    except OSError:
+        return "the system library libX11.so.6 is missing"
+    # VTK's kind of window for X draws off screen without an X server too, so this alone would not do.
+    drawn, _ = _try_window(X_WINDOW) if connected else (False, "")
+    return None if drawn else f"the display {display} cannot be {'drawn on' if connected else 'reached'}"
+
+
+def _connects(display: str) -> bool:
+    """Whether an X server answers there. Raises OSError without Xlib."""
+    import ctypes
+
+    library = ctypes.CDLL("libX11.so.6")
+    library.XOpenDisplay.restype = ctypes.c_void_p
+    connection = library.XOpenDisplay(display.encode())
+    if not connection:
+        return False
+    library.XCloseDisplay(ctypes.c_void_p(connection))
+    return True
 
 
 def plot_beside(
@@ -189,7 +232,7 @@ def _windows() -> list[str | None]:
         return [None]
     without_display: list[str | None] = ["vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"]
     # With a display the X kind comes first, as for a window on the screen: GLX and EGL in one process clash.
-    return ["vtkXOpenGLRenderWindow", *without_display] if os.environ.get("DISPLAY") else without_display
+    return [X_WINDOW, *without_display] if os.environ.get("DISPLAY") else without_display
 
 
 def _try_window(window: str | None) -> tuple[bool, str]:

@@ -11,19 +11,16 @@ import numpy as np
 from warp_plate.result.model import Case, Result
 from warp_plate.result.whole import whole_file
 from warp_plate.viz.availability import missing, missing_plots, off_screen, prepare
-from warp_plate.viz.scene3d import add_colour_bar, add_key, add_plate
-from warp_plate.viz.surface import caption, scale_over
+from warp_plate.viz.comparison import DRIVES, ordered
+from warp_plate.viz.lettering import add_legend
+from warp_plate.viz.quantity import scale_over
+from warp_plate.viz.scene3d import add_plate
+from warp_plate.viz.surface import caption
 
 if TYPE_CHECKING:
     import pyvista
     from matplotlib.axes import Axes
 
-DRIVES = {
-    "equal": "equal drive",
-    "single": "single actuator",
-    "best": "best drive found",
-    "drive": "given drive",
-}
 # A row has at most this many pictures; of more times, some that lie evenly between first and last are drawn.
 COLUMNS = 6
 # Drawn so many times larger and shrunk, for VTK's own smoothing (SSAA) garbles subplots in VTK 9.4. Twice looks hardly
@@ -84,8 +81,8 @@ def draw_surfaces(result: Result, path: str | Path) -> Path:
         return _draw_surfaces(result, Path(path))
 
 
-def draw_history(result: Result, path: str | Path) -> Path:
-    """Figure 3 of the paper: loss (1 − localization factor) against iteration; PNG, SVG or PDF by ending.
+def draw_history(result: Result, path: str | Path, form: str | None = None) -> Path:
+    """Figure 3 of the paper: loss (1 − localization factor) against iteration; PNG, SVG or PDF by ``form`` or ending.
 
     The bound is a line where the result claims one; the published final loss stands beside it for the preset
     "paper" only.
@@ -104,7 +101,7 @@ def draw_history(result: Result, path: str | Path) -> Path:
         figure = Figure(figsize=(5, 3.2), layout="constrained")
         FigureCanvasAgg(figure)
         _plot_history(figure.add_subplot(), result)
-        figure.savefig(path, dpi=320)
+        figure.savefig(path, dpi=320, format=form)
     return Path(path)
 
 
@@ -141,7 +138,7 @@ def _draw_surfaces(result: Result, path: Path) -> Path:
     import pyvista
     from PIL import Image
 
-    cases = _ordered(result)
+    cases = list(ordered(result.cases).items())
     shown = _evenly(result.times.size, COLUMNS)
     cell = min(730, max(520, (1600 - BAR_WIDTH) // len(shown)))
     width, height = cell * len(shown) + BAR_WIDTH, ROW_HEIGHT * len(cases)
@@ -178,15 +175,7 @@ def _draw_row(
         text = caption(drive, float(result.times[index]), case.localization_factor)
         add_plate(plotter, result.scene, case.displacement[index], scale, text, font_size, bar=False)
     plotter.subplot(row, len(shown))
-    add_colour_bar(plotter, scale, font_size, left=0.1)
-    add_key(plotter, font_size, left=0.1)
-
-
-def _ordered(result: Result) -> list[tuple[str, Case]]:
-    """The cases in the paper's order, then any others; a file gives them back by alphabet."""
-    names = [name for name in DRIVES if name in result.cases]
-    names += [name for name in result.cases if name not in DRIVES]
-    return [(name, result.cases[name]) for name in names]
+    add_legend(plotter, result.scene, scale, font_size)
 
 
 def _evenly(size: int, largest: int) -> list[int]:

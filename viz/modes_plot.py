@@ -10,19 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.scene.model import Scene
+from warp_plate.viz.plan import frame, outline, side_lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLOURS = "RdBu_r"
 INK, PATCH = "#1a1a1a", "#1b7837"
-# Colour, width in points and dashes of a side, by what holds it; and the words of the key.
-SIDES = {
-    "clamped": ("#1a1a1a", 3.2, "-", "clamped"),
-    "supported": ("#1a1a1a", 1.2, "-", "supported"),
-    "springs": ("#e6820e", 2.2, (0, (1.2, 0.8)), "on springs"),
-    "free": ("#9a9a9a", 1.0, (0, (4, 3)), "free"),
-}
 # In inches: the longer side of a plate, and of a row or column of them at most.
 PICTURE, WIDEST = 1.9, 6
 # Of the peak: what is rounding, and the height of a spot of the other sign, as in clamped corners, that means nothing.
@@ -84,11 +78,6 @@ def frequency_text(frequency: float) -> str:
     return f"{frequency:.{digits}f} Hz"
 
 
-def edge_kind(edge: object) -> str:
-    """Which of SIDES a side is."""
-    return edge if isinstance(edge, str) else "springs"
-
-
 def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray) -> object:
     width, height = scene.plate.size
     ny, nx = shape.shape
@@ -98,19 +87,10 @@ def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray) -> object:
     if np.nanmin(field) < 0 < np.nanmax(field):
         axes.contour(fine_x, fine_y, field, levels=[0.0], colors=INK, linewidths=0.9)
     for one in scene.effects.layers:
-        _outline(axes, one.area, "-")
+        outline(axes, one.area, PATCH)
     for one in scene.effects.oscillators:
-        _outline(axes, one.area, ":")
-    for side, ends in _ends(width, height).items():
-        colour, thickness, dashes, _ = SIDES[edge_kind(getattr(scene.edges, side))]
-        looks = {"color": colour, "linewidth": thickness, "linestyle": dashes, "solid_capstyle": "projecting"}
-        axes.plot(*ends, clip_on=False, **looks)
-    axes.set_aspect("equal")
-    axes.set_xlim(0, width)
-    axes.set_ylim(0, height)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    axes.spines[:].set_visible(False)
+        outline(axes, one.area, PATCH, ":")
+    frame(axes, scene)
     return drawn
 
 
@@ -147,30 +127,10 @@ def nodal_field(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return fine_x, fine_y, field
 
 
-def _ends(width: float, height: float) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
-    """x and y of both ends of each side."""
-    return {
-        "left": ((0, 0), (0, height)),
-        "bottom": ((0, width), (0, 0)),
-        "right": ((width, width), (0, height)),
-        "top": ((0, width), (height, height)),
-    }
-
-
-def _outline(axes: Axes, area: Sequence[float], dashes: str) -> None:
-    x0, x1, y0, y1 = area
-    axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=PATCH, linewidth=0.9, linestyle=dashes)
-
-
 def _key(figure: object, scene: Scene) -> None:
     from matplotlib.lines import Line2D
 
-    kinds = {edge_kind(edge) for _, edge in scene.edges}
-    lines = [
-        Line2D([], [], color=colour, linewidth=width, linestyle=dashes, label=words)
-        for kind, (colour, width, dashes, words) in SIDES.items()
-        if kind in kinds
-    ]
+    lines = side_lines(scene)
     lines.append(Line2D([], [], color=INK, linewidth=0.9, label="nodal line"))
     if scene.effects.layers:
         lines.append(Line2D([], [], color=PATCH, linewidth=0.9, label="layer"))

@@ -1,4 +1,4 @@
-"""What is drawn of a displacement field: scales, texts and PyVista meshes, as data and without a window.
+"""What is drawn of a plate: PyVista meshes that follow a field, as data and without a window.
 
 Heights are exaggerated: a node at (x, y) with displacement u is drawn at (x, y, factor × u), all in metres.
 """
@@ -6,157 +6,215 @@ Heights are exaggerated: a node at (x, y) with displacement u is drawn at (x, y,
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warp_plate.scene.model import Area, Scene
+from warp_plate.viz.quantity import Scale
+from warp_plate.viz.sides import SIDES, kinds_of
 
 if TYPE_CHECKING:
     import pyvista
 
-FIELD = "displacement"
-# The largest displacement of a case is drawn this high, as a share of the plate's shorter side.
-TALLEST = 0.12
+FIELD = "colour"
 # About as many grid lines as the paper's 27 x 27 nodes have; finer grids show every second, third, ... line.
 LINES = 26
-UNITS = (("nm", 1e9), ("µm", 1e6), ("mm", 1e3), ("m", 1.0))
+# A width of a dashed side's line, as a share of the mean side of the plate.
+DASH = 0.008
 
 
 @dataclass(frozen=True)
-class Scale:
-    """What all pictures that are to be compared share.
+class OnSurface:
+    """Polylines on the triangles of the surface.
 
-    limit: colours run from −limit to limit [m]; factor: how many times heights are exaggerated;
-    unit: of the colour bar; per_metre: how many of it make a metre.
+    nodes: (points, 3) the corners of the triangle that holds a point; shares: (points, 3) of their heights in its own.
     """
 
-    limit: float
-    factor: float
-    unit: str
-    per_metre: float
+    mesh: pyvista.PolyData
+    nodes: np.ndarray
+    shares: np.ndarray
 
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Ends of the colour bar in its unit."""
-        end = self.limit * self.per_metre
-        return -end, end
-
-    @property
-    def heights(self) -> str:
-        """The height factor in words."""
-        return f"heights × {self.factor:.15g}"
+    def follow(self, heights: np.ndarray) -> None:
+        """Lift every point onto the surface; heights: (nodes,) x fastest [m]."""
+        self.mesh.points[:, 2] = np.einsum("pc,pc->p", heights[self.nodes], self.shares)
 
 
 @dataclass(frozen=True)
 class PlateMeshes:
-    """The parts of one picture.
+    """The parts of one picture; :meth:`show` moves them all.
 
-    surface: one point a node, x fastest, with point data "displacement" in the colour bar's unit.
-    lines: grid lines inside the plate; rim: its edge; target, actuators: outlines. All lie on the surface.
+    surface: one point a node, x fastest, with the point data FIELD in the colour bar's unit. lines: grid lines inside
+    the plate; sides: its edge, by what holds it (keys of SIDES); target, actuators: outlines. All lie on the surface.
     """
 
     surface: pyvista.PolyData
-    lines: pyvista.PolyData
-    rim: pyvista.PolyData
-    target: pyvista.PolyData
-    actuators: pyvista.PolyData
+    lines: OnSurface
+    sides: Mapping[str, OnSurface]
+    target: OnSurface
+    actuators: OnSurface
+
+    @property
+    def outlines(self) -> tuple[OnSurface, ...]:
+        """All that follows the surface."""
+        return self.lines, *self.sides.values(), self.target, self.actuators
+
+    def show(self, displacement: np.ndarray, scale: Scale, colours: np.ndarray | None = None) -> None:
+        """Move to another field, in place.
+
+        Args:
+            displacement: (ny, nx) [m]; drawn at rest where it is not finite, which VTK could not place.
+            colours: (ny, nx) of the scale's quantity in its SI unit; left out: the displacement.
+        """
+        heights = (np.where(np.isfinite(displacement), displacement, 0) * scale.factor).ravel()
+        self.surface.points[:, 2] = heights
+        shown = displacement if colours is None else colours
+        self.surface.point_data[FIELD][:] = np.asarray(shown, dtype=float).ravel() * scale.per_base
+        for outline in self.outlines:
+            outline.follow(heights)
 
 
-def scale_over(displacements: Iterable[np.ndarray], size: tuple[float, float]) -> Scale:
-    """The scale that holds for all the fields given: those of one case over its times, or of several cases.
+def plate_meshes(
+    scene: Scene, displacement: np.ndarray, scale: Scale, colours: np.ndarray | None = None
+) -> PlateMeshes:
+    """Everything that is drawn of one field; see :meth:`PlateMeshes.show`."""
+    import pyvista
 
-    displacements: arrays of any shape [m]; size: sides of the plate [m]. The limit is the largest
-    displacement, rounded up to two digits so that the colour bar has short numbers. Values that are not
-    finite are passed over; where nothing moves, the scale is 1 µm and heights are true.
-    """
-    limit = max((_largest(field) for field in displacements), default=0.0)
-    if limit == 0:
-        return Scale(limit=1e-6, factor=1.0, unit="µm", per_metre=1e6)
-    limit = _rounded_up(limit)
-    unit, per_metre = next((pair for pair in UNITS if limit * pair[1] < 1000), UNITS[-1])
-    return Scale(limit, _two_digits(TALLEST * min(size) / limit), unit, per_metre)
-
-
-def plate_meshes(scene: Scene, displacement: np.ndarray, scale: Scale) -> PlateMeshes:
-    """Everything that is drawn of one field: displacement (ny, nx) [m]."""
-    sheet = _Sheet(scene.plate.size, displacement, scale.factor)
-    whole = (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
-    return PlateMeshes(
-        surface=_surface(sheet, scale.per_metre),
-        lines=_polylines(_grid_lines(sheet)),
-        rim=_polylines([sheet.outline(whole)]),
-        target=_polylines([sheet.outline(scene.target.area)]),
-        actuators=_polylines([sheet.outline(actuator.area) for actuator in scene.actuators]),
+    sheet = _Sheet(scene.plate.size, (displacement.shape[1], displacement.shape[0]))
+    surface = pyvista.PolyData.from_regular_faces(sheet.flat, sheet.triangles)
+    surface.point_data[FIELD] = np.zeros(displacement.size)
+    meshes = PlateMeshes(
+        surface=surface,
+        lines=sheet.lay(sheet.grid_lines()),
+        sides={kind: sheet.lay(sheet.sides(kind, names)) for kind, names in kinds_of(scene).items()},
+        target=sheet.lay([sheet.outline(scene.target.area)]),
+        actuators=sheet.lay([sheet.outline(actuator.area) for actuator in scene.actuators]),
     )
+    meshes.show(displacement, scale, colours)
+    return meshes
 
 
-def caption(drive: str, time: float, localization_factor: float) -> str:
-    """Two lines: the drive and the time [s]; the localization factor in percent."""
+def caption(drive: str, time: float, localization_factor: float, decimals: int | None = None) -> str:
+    """Two lines: the drive and the time [s]; the localization factor in percent.
+
+    decimals: of the time, so that the text of a moving picture keeps its length; left out: four digits.
+    """
     share = f"{100 * localization_factor:.2f} %" if math.isfinite(localization_factor) else "not defined"
-    return f"{drive}, t = {time:.4g} s\nlocalization factor {share}"
+    moment = f"{time:.4g}" if decimals is None else f"{time:.{decimals}f}"
+    return f"{drive}, t = {moment} s\nlocalization factor {share}"
 
 
 @dataclass(frozen=True)
 class _Sheet:
-    """A field on its grid, drawn with exaggerated heights.
+    """The grid, flat: sides of the plate [m] and nodes along them.
 
     Each cell is two flat triangles, split from its lower left to its upper right node, so that it is certain
     where a line on the surface runs.
     """
 
     size: tuple[float, float]
-    displacement: np.ndarray
-    factor: float
+    nodes: tuple[int, int]
 
     @property
     def x(self) -> np.ndarray:
-        return np.linspace(0, self.size[0], self.displacement.shape[1])
+        return np.linspace(0, self.size[0], self.nodes[0])
 
     @property
     def y(self) -> np.ndarray:
-        return np.linspace(0, self.size[1], self.displacement.shape[0])
+        return np.linspace(0, self.size[1], self.nodes[1])
 
     @property
-    def nodes(self) -> np.ndarray:
-        """(ny, nx, 3) where the nodes are drawn; at rest where u is not finite, which VTK could not place."""
+    def flat(self) -> np.ndarray:
+        """(nodes, 3) where the nodes rest, x fastest."""
         x, y = np.meshgrid(self.x, self.y)
-        heights = np.where(np.isfinite(self.displacement), self.displacement, 0) * self.factor
-        return np.stack([x, y, heights], -1)
+        return np.stack([x, y, np.zeros_like(x)], -1).reshape(-1, 3)
 
     @property
     def triangles(self) -> np.ndarray:
         """(triangles, 3) indices of nodes, x fastest."""
-        index = np.arange(self.displacement.size).reshape(self.displacement.shape)
+        index = np.arange(math.prod(self.nodes)).reshape(self.nodes[::-1])
         corner, right, up, across = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
         lower, upper = np.stack([corner, right, across], -1), np.stack([corner, across, up], -1)
         return np.concatenate([lower.reshape(-1, 3), upper.reshape(-1, 3)])
 
-    def outline(self, area: Area) -> np.ndarray:
-        """(points, 3) closed way around a rectangle, with a point wherever it crosses a triangle's side."""
-        x0, x1, y0, y1 = area
-        bottom, top = (_crossings(x0, x1, self.x, _offset(y, self.y)) for y in (y0, y1))
-        left, right = (_crossings(y0, y1, self.y, _offset(x, self.x)) for x in (x0, x1))
-        sides = [
-            (bottom, np.full(bottom.size, y0)),
-            (np.full(right.size, x1), right),
-            (top[::-1], np.full(top.size, y1)),
-            (np.full(left.size, x0), left[::-1]),
-        ]
-        x, y = (np.concatenate(way) for way in zip(*sides, strict=True))
-        return np.column_stack([x, y, self._heights_at(x, y)])
+    def line(self, start: Sequence[float], end: Sequence[float]) -> np.ndarray:
+        """(points, 2) a way along one axis, with a point wherever it crosses a triangle's side."""
+        axis = 0 if start[1] == end[1] else 1
+        (along, across), other = ((self.x, self.y), 1) if axis == 0 else ((self.y, self.x), 0)
+        low, high = sorted((start[axis], end[axis]))
+        way = _crossings(low, high, along, _offset(start[other], across))
+        points = np.full((way.size, 2), start[other])
+        points[:, axis] = way if start[axis] <= end[axis] else way[::-1]
+        return points
 
-    def _heights_at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Heights of the triangles at the points x, y."""
-        j, right = _cell(x, self.x)
-        i, up = _cell(y, self.y)
-        heights = self.nodes[..., 2]
-        corner, across = heights[i, j], heights[i + 1, j + 1]
-        side = np.where(right >= up, heights[i, j + 1], heights[i + 1, j])
+    def outline(self, area: Area) -> np.ndarray:
+        """(points, 2) closed way around a rectangle."""
+        x0, x1, y0, y1 = area
+        corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
+        return np.concatenate([self.line(*ends) for ends in pairwise(corners)])
+
+    def sides(self, kind: str, names: Sequence[str]) -> list[np.ndarray]:
+        """The sides of one kind, or their dashes."""
+        width, height = self.size
+        ends = {
+            "left": ((0, 0), (0, height)),
+            "bottom": ((0, 0), (width, 0)),
+            "right": ((width, 0), (width, height)),
+            "top": ((0, height), (width, height)),
+        }
+        dashes = SIDES[kind].dashes
+        ways = []
+        for name in names:
+            start, end = (np.array(corner, dtype=float) for corner in ends[name])
+            for low, high in _dashes(dashes, float(np.abs(end - start).max()), DASH * math.sqrt(math.prod(self.size))):
+                ways.append(self.line(start + low * (end - start), start + high * (end - start)))
+        return ways
+
+    def grid_lines(self) -> list[np.ndarray]:
+        step_x, step_y = (max(1, round((n - 1) / LINES)) for n in self.nodes)
+        x, y = self.x, self.y
+        return [
+            *(np.column_stack([x, np.full_like(x, at)]) for at in y[step_y:-1:step_y]),
+            *(np.column_stack([np.full_like(y, at), y]) for at in x[step_x:-1:step_x]),
+        ]
+
+    def lay(self, ways: Sequence[np.ndarray]) -> OnSurface:
+        """Ways (points, 2) as polylines of one mesh that can follow the surface."""
+        import pyvista
+
+        points = np.concatenate(ways)
+        starts = np.cumsum([0, *(len(way) for way in ways)])
+        cells = [
+            np.concatenate([[len(way)], np.arange(start, start + len(way))])
+            for way, start in zip(ways, starts[:-1], strict=True)
+        ]
+        mesh = pyvista.PolyData(np.column_stack([points, np.zeros(len(points))]), lines=np.concatenate(cells))
+        return OnSurface(mesh, *self._held_by(points))
+
+    def _held_by(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(points, 3) the nodes of the triangle that each point lies in, and their shares."""
+        j, right = _cell(points[:, 0], self.x)
+        i, up = _cell(points[:, 1], self.y)
+        lower = right >= up
+        row = self.nodes[0]
+        corner, across = i * row + j, (i + 1) * row + j + 1
+        side = np.where(lower, i * row + j + 1, (i + 1) * row + j)
         first, second = np.maximum(right, up), np.minimum(right, up)
-        return corner + first * (side - corner) + second * (across - side)
+        return np.stack([corner, side, across], -1), np.stack([1 - first, first - second, second], -1)
+
+
+def _dashes(dashes: tuple[float, float] | None, length: float, unit: float) -> list[tuple[float, float]]:
+    """Beginnings and ends of the dashes of a line, as shares of its length; a solid line is one."""
+    if dashes is None:
+        return [(0.0, 1.0)]
+    drawn, gap = (part * unit for part in dashes)
+    count = max(1, round((length + gap) / (drawn + gap)))
+    pitch = 1 / (count - gap / (drawn + gap))
+    share = pitch * drawn / (drawn + gap)
+    return [(index * pitch, min(index * pitch + share, 1.0)) for index in range(count)]
 
 
 def _cell(at: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -175,43 +233,3 @@ def _crossings(start: float, end: float, nodes: np.ndarray, offset: float) -> np
     """Where a line along this axis crosses grid lines and, the share ``offset`` behind them, diagonals."""
     sides = np.concatenate([nodes, nodes[:-1] + offset * nodes[1]])
     return np.array([start, *np.unique(sides[(sides > start) & (sides < end)]), end])
-
-
-def _surface(sheet: _Sheet, per_metre: float) -> pyvista.PolyData:
-    import pyvista
-
-    mesh = pyvista.PolyData.from_regular_faces(sheet.nodes.reshape(-1, 3), sheet.triangles)
-    mesh.point_data[FIELD] = np.asarray(sheet.displacement, dtype=float).ravel() * per_metre
-    return mesh
-
-
-def _grid_lines(sheet: _Sheet) -> list[np.ndarray]:
-    nodes = sheet.nodes
-    step_y, step_x = (max(1, round((n - 1) / LINES)) for n in nodes.shape[:2])
-    return [*nodes[step_y:-1:step_y], *nodes[:, step_x:-1:step_x].swapaxes(0, 1)]
-
-
-def _polylines(ways: list[np.ndarray]) -> pyvista.PolyData:
-    """One mesh with a polyline for each way (points, 3)."""
-    import pyvista
-
-    starts = np.cumsum([0, *(len(way) for way in ways)])
-    cells = [
-        np.concatenate([[len(way)], np.arange(start, start + len(way))])
-        for way, start in zip(ways, starts[:-1], strict=True)
-    ]
-    return pyvista.PolyData(np.concatenate(ways), lines=np.concatenate(cells))
-
-
-def _largest(field: np.ndarray) -> float:
-    return float(np.max(np.abs(field), initial=0.0, where=np.isfinite(field)))
-
-
-def _rounded_up(value: float) -> float:
-    """To two significant digits; never below the value."""
-    digit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return max(value, float(f"{math.ceil(value / digit * (1 - 1e-12)) * digit:.2g}"))
-
-
-def _two_digits(value: float) -> float:
-    return float(f"{value:.2g}")

@@ -29,6 +29,7 @@ _HOME = {
     "Result": "warp_plate.result",
     "load_result": "warp_plate.result",
     "save_result": "warp_plate.result",
+    "view": "warp_plate.notebook",
 }
 __all__ = ["__version__", *sorted(_HOME)]
 

@@ -11,11 +11,15 @@ from warp_plate.cli.accuracy import accuracy
 from warp_plate.cli.bench import bench
 from warp_plate.cli.check import check
 from warp_plate.cli.effects import effects
+from warp_plate.cli.explore import explore
+from warp_plate.cli.export import export
 from warp_plate.cli.init import init
 from warp_plate.cli.localize import localize
 from warp_plate.cli.modes import modes
 from warp_plate.cli.output import tell
+from warp_plate.cli.render import render
 from warp_plate.cli.simulate import simulate
+from warp_plate.cli.view import view
 from warp_plate.scene.errors import SceneError
 
 app = cyclopts.App(
@@ -25,7 +29,7 @@ app = cyclopts.App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (localize, simulate, check, modes, effects, accuracy, init, bench):
+for command in (localize, simulate, check, modes, effects, accuracy, view, explore, render, export, init, bench):
     app.command(command)
 
 

@@ -8,7 +8,8 @@ as h⁴. By nodes, as in the source paper, it is one for the nodes inside the ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Area, Scene
 
 REGIONS = ("plate", "target")
+NO_AREAS: Mapping[str, Area] = MappingProxyType({})
 # The nodes of each side in an array (ny, nx).
 EDGE_LINES: dict[str, Any] = {"left": np.s_[:, 0], "bottom": np.s_[0], "right": np.s_[:, -1], "top": np.s_[-1]}
 _PLATE, _TARGET = REGIONS.index("plate"), REGIONS.index("target")
@@ -86,16 +88,16 @@ def moving_nodes(scene: Scene) -> np.ndarray:
     return moves
 
 
-def region_weights(scene: Scene) -> np.ndarray:
-    """(regions, ny, nx) weights of the REGIONS, in cells; times hx·hy they are areas [m²].
+def region_weights(scene: Scene, areas: Mapping[str, Area] = NO_AREAS) -> np.ndarray:
+    """(regions, ny, nx) weights of the REGIONS and of further ``areas`` by name, in cells; times hx·hy areas [m²].
 
     By moments where loads are weighed so, else by overlap.
     """
     weigh = moments if scene.grid.load == "moments" else overlap
     x, y = _positions(scene)
     width, height = scene.plate.size
-    areas = {"plate": (0.0, width, 0.0, height), "target": scene.target.area}
-    return np.stack([_product(weigh, x, y, areas[name]) for name in REGIONS])
+    own = {"plate": (0.0, width, 0.0, height), "target": scene.target.area}
+    return np.stack([_product(weigh, x, y, area) for area in (*(own[name] for name in REGIONS), *areas.values())])
 
 
 def localization_factor(energy: np.ndarray) -> np.ndarray:

@@ -33,7 +33,7 @@ FORMAT = "warp-plate result 1"
 
 
 def save_result(result: Result, path: str | Path) -> Path:
-    """Write the file whole or not at all: to a temporary name beside it first, then renamed.
+    """Write the file whole or not at all.
 
     Raises:
         SceneError: the folder is missing or cannot be written to, or the disk is full.

@@ -12,7 +12,7 @@ import os
 import re
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from warp_plate.scene.errors import SceneError
@@ -49,6 +49,22 @@ def whole_file(path: Path, previous: Path | None = None) -> Iterator[Path]:
     finally:
         temporary.unlink(missing_ok=True)
     _settle(path.parent)
+
+
+@contextmanager
+def written_whole(*paths: Path) -> Iterator[list[Path]]:
+    """Names to write to instead of ``paths``; they take the paths' places, in this order, once the block ended well.
+
+    Raises:
+        SceneError: a folder is missing or cannot be written to, or the disk is full; names the last path.
+    """
+    try:
+        with ExitStack() as stack:
+            # The last one entered is the first one to leave.
+            temporaries = [stack.enter_context(whole_file(path)) for path in reversed(paths)]
+            yield temporaries[::-1]
+    except OSError as error:
+        raise SceneError(f"{paths[-1]}: cannot be written: {error.strerror or error}") from None
 
 
 def write_whole(content: bytes, path: Path, previous: Path | None = None) -> None:

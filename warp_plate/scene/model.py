@@ -286,13 +286,18 @@ class Scene(Table):
     @property
     def not_harmonic(self) -> str | None:
         """The first key for which the drive is no tone of one frequency from t = 0 on; or None."""
-        for name in ("burst", "chirp", "signal", "electrostatic"):
+        return self.not_periodic or ("drive.electrostatic" if self.drive.electrostatic is not None else None)
+
+    @property
+    def not_periodic(self) -> str | None:
+        """The first key for which the load does not repeat with the drive's period from t = 0 on; or None."""
+        for name in ("burst", "chirp", "signal"):
             if getattr(self.drive, name) is not None:
                 return f"drive.{name}"
         for index, actuator in enumerate(self.actuators):
             if actuator.frequency not in (None, self.drive.frequency):
                 return f"actuators[{index}].frequency"
-        return None
+        return None if self.effects.moving_load is None else "effects.moving_load"
 
     @property
     def drive_unit(self) -> str:
@@ -303,3 +308,9 @@ class Scene(Table):
     def drive_angular_frequency(self) -> float:
         """2πf [rad/s]."""
         return 2 * math.pi * self.drive.frequency
+
+    def _repr_html_(self) -> str:
+        """How a notebook shows it: see :mod:`warp_plate.viz.html`."""
+        from warp_plate.viz.html import scene_html
+
+        return scene_html(self)

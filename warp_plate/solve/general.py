@@ -8,15 +8,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels import general_cpu, general_paths, record
+from warp_plate.kernels import general_blocks, general_cpu, general_passes, general_plan, record
 from warp_plate.kernels.general import make_structs
 from warp_plate.plate.bending import oscillator_shares
 from warp_plate.solve.cpu import compiler_flags, shared_among_threads
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
-
-# Threads that share a plate on CUDA.
-BLOCK = 256
 
 
 def material_of(specialized: Specialized) -> Any:
@@ -116,7 +113,7 @@ class Rooms:
 def streaming_path(specialized: Specialized) -> Advance:
     """A launch for each pass of a step."""
     device, effects = specialized.device, specialized.effects
-    bend, sum_rows, finish_sums, move = general_paths.make_passes(effects, specialized.real)
+    bend, sum_rows, finish_sums, move = general_passes.make_passes(effects, specialized.real)
     keep = record.make_record(specialized.real)
     for kernel in (bend, sum_rows, finish_sums, move, keep):
         wp.load_module(module=kernel.module, device=device)
@@ -147,15 +144,55 @@ def resident_path(specialized: Specialized) -> Advance:
 
 
 def _blocks(specialized: Specialized) -> Advance:
-    device = specialized.device
-    kernel = general_paths.make_run(specialized.effects, specialized.real, BLOCK)
-    wp.load_module(module=kernel.module, device=device, block_dim=BLOCK)
-    material, rooms = material_of(specialized), Rooms(specialized)
-    window = wp.vec2i(*specialized.scheme.window)
+    """Compiled twice, for few plates and for many, where the two differ."""
+    (nx, ny), device, hanging = specialized.scheme.nodes, specialized.device, len(specialized.scene.effects.oscillators)
+    few_plan, many_plan = (
+        general_plan.plan(nx, ny, specialized.real, specialized.effects, hanging, few) for few in (True, False)
+    )
+    many = blocks_path(specialized, many_plan)
+    few = many if few_plan == many_plan else blocks_path(specialized, few_plan)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
-        inputs = [rooms.fields(state, start), material, window, 0, start, stop, state.inner_nodes, state.trace]
-        wp.launch(kernel, dim=plates * BLOCK, inputs=inputs, device=device, block_dim=BLOCK)
+        (few if plates <= device.sm_count else many)(state, plates, start, stop)
+
+    return advance
+
+
+def blocks_path(specialized: Specialized, blocks: general_plan.Blocks) -> Advance:
+    """A block a plate, shared among its threads as ``blocks`` says."""
+    (nx, ny), stride, device, real = specialized.scheme.nodes, specialized.stride, specialized.device, specialized.real
+    effects, hanging = specialized.effects, len(specialized.scene.effects.oscillators)
+    kernel = general_blocks.make_run(effects, real, nx, ny, stride, hanging, blocks)
+    wp.load_module(module=kernel.module, device=device, block_dim=blocks.threads)
+    material = material_of(specialized)
+    named = {name: getattr(material, name).numpy() for name in general_plan.SHARED if name != "press"}
+    named["press"] = named["mobility"] / named["weight"]
+
+    def lines(planes: list[np.ndarray]) -> wp.array:
+        """(planes, threads × nodes), node after node without padding between rows."""
+        values = np.zeros((len(planes), blocks.threads * blocks.nodes))
+        for line, plane in zip(values, planes, strict=True):
+            line[: nx * ny] = np.pad(plane, ((0, ny - plane.shape[0]), (0, nx - plane.shape[1]))).ravel()
+        return specialized.to_device(values)
+
+    shared = [material, lines([named[name] for name in general_plan.used(effects)])]
+    shared += [lines(list(material.holds.numpy())), wp.vec2i(*specialized.scheme.window)]
+    room_size = 0 if blocks.on_chip else general_plan.layout(nx, hanging, blocks)["end"]
+    rooms: dict[str, wp.array] = {}
+    state_of_rooms: State | None = None
+
+    def advance(state: State, plates: int, start: int, stop: int) -> None:
+        nonlocal state_of_rooms
+        if state is not state_of_rooms:
+            state_of_rooms = state
+            rooms["room"] = wp.zeros((state.capacity, room_size), dtype=real, device=device)
+            rooms["hung"] = wp.zeros((state.capacity, hanging, 2), dtype=real, device=device)
+        if start == 0:  # at rest; all plates of a chunk begin together
+            rooms["hung"].zero_()
+        inputs = [*shared, start, stop, state.units, state.moving, state.inner_nodes, state.loads]
+        outputs = [rooms["room"], state.u, state.rate, state.squares, rooms["hung"], state.trace]
+        dim, threads = plates * blocks.threads, blocks.threads
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, block_dim=threads)
 
     return advance
 

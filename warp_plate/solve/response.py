@@ -23,13 +23,13 @@ RANK_TOLERANCE = 1e-10
 
 @dataclass(frozen=True)
 class Response:
-    """Symmetric matrices (regions, 2M, 2M) with energy = zᵀ matrix z [J per (N/m²)²]; float64."""
+    """Symmetric matrices (regions, 2M, 2M) with energy = zᵀ matrix z [J per (N/m²)²]; float64; REGIONS come first."""
 
     matrices: np.ndarray
 
     def energy(self, drives: np.ndarray) -> np.ndarray:
         """(plates, regions) energies [J] of drives (plates, actuators), as ``PlateSolver.run`` would give them."""
-        z = _real_parts(drives)
+        z = real_parts(drives)
         return np.einsum("pa,rab,pb->pr", z, self.matrices, z)
 
     def bound(self) -> float:
@@ -62,7 +62,7 @@ def measure_response(solver: PlateSolver, progress: Progress | None = None) -> R
     energy = solver.run(unit_drives(actuators), progress=progress).energy
     count = 2 * actuators
     first, second = np.triu_indices(count, k=1)
-    matrices = np.zeros((len(REGIONS), count, count))
+    matrices = np.zeros((energy.shape[1], count, count))
     diagonal, mixed = energy[:count], energy[count:]
     for matrix, own, pair in zip(matrices, diagonal.T, mixed.T, strict=True):
         matrix[np.diag_indices(count)] = own
@@ -70,7 +70,8 @@ def measure_response(solver: PlateSolver, progress: Progress | None = None) -> R
     return Response(matrices)
 
 
-def _real_parts(drives: np.ndarray) -> np.ndarray:
+def real_parts(drives: np.ndarray) -> np.ndarray:
+    """(plates, 2M) z = (Re Z, −Im Z) of drives (plates, actuators)."""
     drives = np.asarray(drives, dtype=complex)
     return np.concatenate([drives.real, -drives.imag], axis=1)
 

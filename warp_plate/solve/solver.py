@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
 from warp_plate.plate.scheme import Scheme
-from warp_plate.plate.weights import REGIONS, bilinear
+from warp_plate.plate.weights import NO_AREAS, bilinear
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Area, Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import load_drives, make_engine, region_sums
 from warp_plate.solve.paths import why_streaming
@@ -77,6 +77,7 @@ class PlateSolver:
         chunk: plates that run at once, at least 1; left out: as many as memory holds.
         threads: of the CPU; left out: as many as it has.
         allow_unstable: whether to take a time step above the stability limit too.
+        areas: by name, further regions x0, x1, y0, y1 [m] whose energy runs give beside the plate's and the target's.
 
     Raises:
         SceneError: unstable time step, an actuator that covers no node, no such device or path.
@@ -90,15 +91,17 @@ class PlateSolver:
         chunk: int | None = None,
         threads: int | None = None,
         allow_unstable: bool = False,
+        areas: Mapping[str, Area] = NO_AREAS,
     ) -> None:
         started = time.perf_counter()
         if chunk is not None and chunk < 1:
             raise SceneError(f"chunk = {chunk}: must be at least 1 plate")
         self.scene = scene
         self.device = find_device(device)
-        self.engine = make_engine(specialize(scene, self.device, threads, allow_unstable), path)
+        self.engine = make_engine(specialize(scene, self.device, threads, allow_unstable, areas), path)
         self.path = self.engine.path
         self._chunk = chunk
+        self._areas = areas
         self._state: State | None = None
         self.node_steps = 0  # of all runs so far
         self.compile_seconds = time.perf_counter() - started
@@ -149,7 +152,9 @@ class PlateSolver:
         plates, (nx, ny) = len(phasors), scheme.nodes
         if points and self.device.is_cuda and self.path == "resident":
             # A plate that stays in registers shows nothing between launches: traces are streamed.
-            streaming = PlateSolver(self.scene, self.device.alias, "streaming", self._chunk, None, allow_unstable=True)
+            streaming = PlateSolver(
+                self.scene, self.device.alias, "streaming", self._chunk, allow_unstable=True, areas=self._areas
+            )
             self.compile_seconds += streaming.compile_seconds
             traced = streaming.run(drives, times, points, progress)
             self.node_steps += traced.node_steps
@@ -157,7 +162,7 @@ class PlateSolver:
         snapshots = [scheme.step_of(t) for t in times]
         corners, shares = bilinear(points, scheme.nodes, self.scene.plate.size)
         nodes: wp.array = wp.array(corners.reshape(-1, 2) + np.array([1, 0], np.int32), dtype=int, device=self.device)
-        energy = np.empty((plates, len(REGIONS)))
+        energy = np.empty((plates, len(self.specialized.regions)))
         displacement = np.full((plates, len(snapshots), ny, nx), np.nan)
         trace = np.empty((plates, len(points), scheme.steps))
         status, caught = np.empty(plates, dtype=object), np.full(plates, np.nan)
@@ -190,7 +195,7 @@ class PlateSolver:
         self.node_steps += total
         return Run(
             energy=energy,
-            regions=REGIONS,
+            regions=self.specialized.regions,
             displacement=displacement,
             times=np.array(snapshots) * scheme.time_step,
             trace=trace,

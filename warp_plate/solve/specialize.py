@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,9 +15,9 @@ from warp_plate.plate.limit import needs_moments
 from warp_plate.plate.moving import MovingWeights, moving_weights
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.signals import Signals, make_signals, own_frequencies
-from warp_plate.plate.weights import patches, region_weights
+from warp_plate.plate.weights import NO_AREAS, REGIONS, patches, region_weights
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Area, Scene
 from warp_plate.solve.devices import cpu_threads
 
 # Rows are padded to whole cache lines, which are also whole vector registers.
@@ -27,7 +28,8 @@ LINE_BYTES = 64
 class Specialized:
     """A scene made ready for the kernels of one device; arrays in the layout of ``warp_plate.kernels``.
 
-    real: wp.float32 or wp.float64; rows = ny + 2; stride: columns with padding; threads: of the CPU to use.
+    real: wp.float32 or wp.float64; rows = ny + 2; stride: columns with padding; threads: of the CPU to use; regions:
+    names of those whose energy is summed.
     support: (covered nodes, 2), patches: (actuators, covered nodes), weights: (regions, rows, stride),
     wave: (steps, terms), all on the device; signals, moving: what drives and a moving load do in time; parameters:
     the kernels' struct.
@@ -41,6 +43,7 @@ class Specialized:
     stride: int
     device: wp.Device
     threads: int
+    regions: tuple[str, ...]
     parameters: Any
     support: wp.array
     patches: wp.array
@@ -117,9 +120,13 @@ def general_effects(scene: Scene) -> dict[str, bool]:
 
 
 def specialize(
-    scene: Scene, device: wp.Device, threads: int | None = None, allow_unstable: bool = False
+    scene: Scene,
+    device: wp.Device,
+    threads: int | None = None,
+    allow_unstable: bool = False,
+    areas: Mapping[str, Area] = NO_AREAS,
 ) -> Specialized:
-    """Make a scene ready for a device; ``threads`` of the CPU, or as many as it has.
+    """Make a scene ready for a device; ``threads`` of the CPU, or as many as it has; ``areas``: further regions.
 
     Raises:
         SceneError: unstable time step, empty window, or an actuator that covers no node.
@@ -131,7 +138,7 @@ def specialize(
     line = LINE_BYTES // dtype.itemsize
     stride = -(-nx // line) * line
     fields = patches(scene)
-    regions = region_weights(scene)
+    regions = region_weights(scene, areas)
     if scheme.bending is not None:
         # A pressure moves a node by its share of what the node's own part of the cell weighs.
         loss = 0.0 if scheme.backward else scheme.viscous * scheme.time_step / scheme.bending.mass
@@ -161,6 +168,7 @@ def specialize(
         stride=stride,
         device=device,
         threads=threads or cpu_threads(),
+        regions=(*REGIONS, *areas),
         parameters=parameters,
         support=wp.array((support + [1, 0]).astype(np.int32), dtype=int, device=device),
         patches=wp.array(fields[:, support[:, 0], support[:, 1]].astype(dtype), dtype=real, device=device),

@@ -12,8 +12,8 @@ from warp_plate.solve.specialize import Specialized
 
 # u, rate, squares, u_next, rate_next; and a load for each term
 FIELDS = 5
-# And of the general paths: mx, my, mxy, ∇²u
-GENERAL_FIELDS = 4
+# And of the general paths at most: u, mx, my, mxy, ∇²u and what strains
+GENERAL_FIELDS = 6
 
 
 @dataclass

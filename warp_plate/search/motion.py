@@ -1,0 +1,126 @@
+"""Plates in motion from a result: its scene is run once more under its drives, and every frame is a step of that run.
+
+A result keeps the few displacements that its scene records; what a movie needs is computed again when it is wanted. The
+run is the same to the last bit on the same device, so nothing is interpolated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from warp_plate.plate.bending import make_bending
+from warp_plate.plate.modes import natural_modes
+from warp_plate.plate.scheme import make_scheme
+from warp_plate.result.model import Case
+from warp_plate.result.motion import Motion
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Record, Scene
+from warp_plate.solve.solver import PlateSolver, Progress
+
+# Frames of a period, if it has so many steps, and of a longer span at most.
+A_PERIOD, MOST = 60, 600
+# What the recorded fields may take; by default there are fewer frames of large grids, but not fewer than these.
+MOST_BYTES, FEWEST = 2 * 2**30, 24
+
+
+def motions(
+    scene: Scene,
+    cases: Mapping[str, Case],
+    span: tuple[float, float] | None = None,
+    frames: int | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> list[Motion]:
+    """The plate under each drive, frame by frame.
+
+    Args:
+        scene: of the result. cases: drives and their localization factors; their names become the motions'.
+        span: beginning and end [s]; left out: the last period of the drive.
+        frames: in the span, at the steps nearest to even times, so at most as many as there are steps; left out: 60 a
+            period, fewer for large grids, and not more than 600.
+        progress: see :meth:`PlateSolver.run`.
+
+    Raises:
+        SceneError: see :class:`PlateSolver`; a span outside the run; too few frames or steps, or too many bytes.
+    """
+    scheme = make_scheme(scene)
+    end = scheme.steps * scheme.time_step
+    period = 1 / scene.drive.frequency
+    first, last = span or (end - period, end)
+    if not 0 <= first < last <= scene.window.end * (1 + 1e-9):
+        if span is None:
+            raise SceneError(f"window.end = {scene.window.end:g}: the run is shorter than a period of {period:g} s")
+        raise SceneError(f"start = {first:g}, end = {last:g}: must lie inside the run, which goes from 0 to {end:g} s")
+    field = 8 * math.prod(scheme.nodes) * len(cases)
+    count = frames or _frames((last - first) / period, field)
+    if count < 2 or 2 * count * field > MOST_BYTES:
+        most = max(2, MOST_BYTES // (2 * field))
+        raise SceneError(f"frames = {count}: must be from 2 to {most} for {len(cases)} plates of this grid")
+    wanted = np.linspace(first, last, count, endpoint=False) / scheme.time_step
+    steps = np.unique(np.clip(np.rint(wanted).astype(int), 0, scheme.steps - 1))
+    if len(steps) < 2:
+        raise SceneError(f"{first:g} ... {last:g} s: holds less than two steps of {scheme.time_step:g} s")
+    recorded = np.unique(np.concatenate([steps, steps + 1]))
+    solver = PlateSolver(scene.model_copy(update={"record": Record()}), device)
+    drives = np.array([case.drive for case in cases.values()])
+    run = solver.run(drives, (recorded * scheme.time_step).tolist(), progress=progress)
+    at, after = np.searchsorted(recorded, steps), np.searchsorted(recorded, steps + 1)
+    mass = surface_density(scene)
+    return [
+        Motion(
+            name=name,
+            frequency=scene.drive.frequency,
+            span=(first, last),
+            times=steps * scheme.time_step,
+            displacement=field[at].astype(np.float32),
+            velocity=((field[after] - field[at]) / scheme.time_step).astype(np.float32),
+            surface_density=mass,
+            localization_factor=case.localization_factor,
+        )
+        for (name, case), field in zip(cases.items(), run.displacement, strict=True)
+    ]
+
+
+def mode_motions(scene: Scene, numbers: Sequence[int], frames: int = A_PERIOD) -> list[Motion]:
+    """The natural shapes with these numbers, from 1 on, each over one period of its own; the largest height is 1.
+
+    Raises:
+        SceneError: a number below 1, or one that the grid has no mode for.
+    """
+    if min(numbers) < 1:
+        raise SceneError(f"mode {min(numbers)}: modes are counted from 1")
+    found = natural_modes(scene, max(numbers))
+    if max(numbers) > len(found.frequencies):
+        raise SceneError(f"mode {max(numbers)}: the grid has {len(found.frequencies)}")
+    turn = 2 * math.pi * np.arange(frames)[:, None, None] / frames
+    mass = surface_density(scene)
+    made = []
+    for number in numbers:
+        frequency, shape = float(found.frequencies[number - 1]), found.shapes[number - 1]
+        period = 1 / frequency if frequency > 0 else 1.0
+        made.append(
+            Motion(
+                name=f"mode {number}, {frequency:.4g} Hz",
+                frequency=frequency,
+                span=(0.0, period),
+                times=np.arange(frames) * period / frames,
+                displacement=(np.cos(turn) * shape).astype(np.float32),
+                velocity=(-2 * math.pi * frequency * np.sin(turn) * shape).astype(np.float32),
+                surface_density=mass,
+            )
+        )
+    return made
+
+
+def surface_density(scene: Scene) -> np.ndarray:
+    """(ny, nx) mass of plate and layers per area [kg/m²]."""
+    return make_bending(scene).mass
+
+
+def _frames(periods: float, field: int) -> int:
+    """How many frames suit a span of so many periods and fields of so many bytes."""
+    wanted = min(MOST, math.ceil(A_PERIOD * max(1.0, periods) - 1e-6))
+    return min(wanted, max(FEWEST, MOST_BYTES // 4 // (2 * field)))
