@@ -57,7 +57,7 @@ def refusal(text):
         ("plate", "density", "7.85e6", "plate.density", "100000"),
         ("plate", "density", "nan", "plate.density", "finite"),
         ("plate", "density", "1" + 400 * "0", "plate.density", "number"),
-        ("edges", "left", '"held"', "edges.left = 'held'", "'clamped', 'supported' or 'free'"),
+        ("edges", "left", '"held"', "edges.left = 'held'", "'clamped', 'supported', 'free', or a table of springs"),
         ("edges", "front", '"clamped"', "edges.front", "left, bottom, right, top"),
         ("grid", "nodes", "[27.5, 27]", "grid.nodes[0] = 27.5", "integer"),
         ("grid", "nodes", "[4, 27]", "grid.nodes[0] = 4", "5"),
