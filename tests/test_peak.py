@@ -22,7 +22,7 @@ BURST = {"frequency": 290.0, "burst": {"duration": 0.003, "ramp": 0.001}}
 @pytest.fixture
 def struck(scene):
     """A damped plate whose burst is long over when it is recorded, at the middle of the run and its end."""
-    return scene(damping=600.0, window=(0.02, 0.03), drive=BURST)
+    return scene(damping=200.0, window=(0.04, 0.06), drive=BURST)
 
 
 def traced_peak(made):
@@ -37,7 +37,7 @@ def test_a_burst_between_the_recorded_times_is_seen(struck):
     found = simulate(struck, device="cpu", estimate=False)
     case = found.cases["drive"]
     assert found.peak == pytest.approx(traced_peak(struck), rel=0.02)
-    assert np.abs(case.displacement).max() < 0.1 * found.peak
+    assert np.abs(case.displacement).max() < 0.5 * found.peak
     assert case.displacement.shape[0] == found.times.size == len(record_times(struck))
 
 
@@ -64,12 +64,12 @@ def test_few_looks_still_see_a_burst_and_a_passing_load(struck, monkeypatch):
     monkeypatch.setattr(peak, "MOST_LOOKS", 32)
     late = struck.with_tables(
         drive={"frequency": 290.0, "burst": {"start": 0.011, "duration": 0.002}},
-        effects={"moving_load": {"force": 1.0, "start": (0.1, 0.1), "from_time": 0.025, "to_time": 0.026}},
+        effects={"moving_load": {"force": 1.0, "start": (0.1, 0.1), "from_time": 0.045, "to_time": 0.046}},
     )
     times = np.array(look_times(late))
     assert times.size <= 32
     assert ((times >= 0.011) & (times <= 0.013)).sum() >= 10
-    assert ((times >= 0.025) & (times <= 0.026)).sum() >= 10
+    assert ((times >= 0.045) & (times <= 0.046)).sum() >= 10
     assert times.min() >= 0
     assert times.max() <= late.window.end
 
@@ -92,7 +92,7 @@ def test_looks_take_no_more_memory_than_said(scene):
 
 @pytest.mark.parametrize("name", ["simulate", "effects"])
 def test_commands_warn_of_a_burst_s_peak(struck, name, tmp_path, monkeypatch, capsys):
-    """Driven to 0.3 thicknesses before the first recorded time, to less than a tenth of that at it."""
+    """Driven to 0.3 thicknesses before the first recorded time, to less than half of that at it."""
     monkeypatch.chdir(tmp_path)
     loud = float(0.3 * struck.plate.thickness / traced_peak(struck))
     actuators = tuple(one.model_copy(update={"magnitude": loud}) for one in struck.actuators)

@@ -132,6 +132,21 @@ def test_csv_of_one_and_two_columns(tmp_path):
     assert (two.rate, two.start) == (pytest.approx(50), 0.1)
 
 
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        ("0,0;1,05\n0,1;1,10\n", "line 1 has a comma in a number; write a decimal point"),
+        ("time, s;value\n0;1,05\n1;2\n", "line 2 has a comma in a number"),
+        ("0.0;1\n0.1,2\n", "line 2 has a comma in a number"),
+        ("0\t1\n1,5\t2\n", "line 2 has a comma in a number"),
+        ("0,1\n1;2\n", "line 2 is not made of numbers"),
+    ],
+)
+def test_a_file_has_one_separator_and_decimal_points(tmp_path, content, why):
+    with pytest.raises(SceneError, match=why):
+        read(tmp_path, content)
+
+
 def test_times_may_be_rounded(tmp_path):
     """44.1 kHz written with six digits after the point: off by 2 % of a step, but even."""
     lines = "".join(f"{index / 44100:.6f},{index % 7}\n" for index in range(2000))

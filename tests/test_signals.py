@@ -288,6 +288,16 @@ def test_what_steps_cannot_carry_is_refused(driven_scene, own, drive, named):
     assert str(caught.value).startswith(named)
 
 
+def test_a_moving_load_s_frequency_bounds_the_step(driven_scene):
+    """Which nothing doubles."""
+    load = {"force": 1.0, "start": (0.1, 0.1), "frequency": 900.0}
+    scene = driven_scene(effects={"moving_load": load}, electrostatic={"gain": 1.0})
+    assert highest_frequency(scene) == 900
+    assert highest_frequency(driven_scene(electrostatic={"gain": 1.0})) == 580
+    with pytest.raises(SceneError, match=r"^effects\.moving_load\.frequency = 900: a step of .* carries less than 500"):
+        make_signals(scene, 1e-3, STEPS)
+
+
 def test_unused_drive_frequency_bounds_nothing(driven_scene):
     """With every actuator on its own frequency, the drive's is nobody's."""
     scene = driven_scene((200.0, 300.0, 300.0), frequency=9000.0)
