@@ -295,7 +295,7 @@ def test_a_moving_load_s_frequency_bounds_the_step(driven_scene):
     assert highest_frequency(scene) == 900
     assert highest_frequency(driven_scene(electrostatic={"gain": 1.0})) == 580
     with pytest.raises(SceneError, match=r"^effects\.moving_load\.frequency = 900: a step of .* carries less than 500"):
-        make_signals(scene, 1e-3, STEPS)
+        make_signals(driven_scene(effects={"moving_load": load}), 1e-3, STEPS)
 
 
 def test_unused_drive_frequency_bounds_nothing(driven_scene):

@@ -40,7 +40,8 @@ class Signal:
     """The signals of all actuators over a whole number of periods.
 
     drive: (actuators,) phasors in units of ``full_scale``, which is in ``unit``; frequency [Hz]; rate: samples a
-    second; seam: phase jump [degrees] where the end meets the beginning, 0 where a period's multiple is whole in samples.
+    second; seam: phase jump [degrees] where the end meets the beginning, 0 where a period's multiple is whole in
+    samples.
     """
 
     names: tuple[str, ...]
@@ -66,7 +67,7 @@ def make_signal(scene: Scene, case: Case, rate: int, duration: float, full_scale
 
     Args:
         rate: samples a second; duration: at most so long [s].
-        full_scale: what 1.0 stands for, in the unit of the scene's drives; left out: the largest magnitude of the drive.
+        full_scale: what 1.0 stands for, in the unit of the scene's drives; left out: the drive's largest magnitude.
 
     Raises:
         SceneError: a drive that does not repeat, at rest or above the full scale, too few samples or less than a

@@ -39,7 +39,8 @@ class LiveModel:
         progress: of the first simulation, which is over when this returns.
 
     Raises:
-        SceneError: a load that does not repeat; see :class:`PlateSolver`; later ones are told by ``status`` and leave the last reading as it is.
+        SceneError: a load that does not repeat; see :class:`PlateSolver`; later ones are told by ``status`` and leave
+            the last reading as it is.
     """
 
     def __init__(

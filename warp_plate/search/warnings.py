@@ -206,7 +206,7 @@ def _signal(scene: Scene, signal: SampledSignal) -> Finding:
     highest, named = read_samples(signal, scene.folder).highest_frequency(), scene.drive.frequency
     value = highest / named
     high = value > MOST_BEYOND
-    sentence = f"99.9 % of the energy in {signal.file!r} lies below {highest:.4g} Hz, and drive.frequency says "
+    sentence = f"99 % of the energy in {signal.file!r} lies below {highest:.4g} Hz, and drive.frequency says "
     sentence += f"{named:g} Hz (threshold {MOST_BEYOND:g} times that): "
     sentence += "time step and grid may be too coarse; write drive.frequency higher." if high else "it covers the file."
     return Finding("file's frequency / drive.frequency", value, MOST_BEYOND, sentence, high)
