@@ -41,10 +41,15 @@ def test_a_burst_between_the_recorded_times_is_seen(struck):
     assert case.displacement.shape[0] == found.times.size == len(record_times(struck))
 
 
-def test_looks_change_nothing_of_the_run(struck):
+@pytest.mark.parametrize("path", ["resident", "streaming"])
+@pytest.mark.parametrize(
+    "effects", [{}, {"stretching": {}, "moving_load": {"force": 1e-3, "start": (0.1, 0.1), "velocity": (1.0, 0.0)}}]
+)
+def test_looks_change_nothing_of_the_run(struck, path, effects):
     """To the last bit: a plate that is looked at is stopped, copied and gone on with."""
-    solver, drives = PlateSolver(struck, "cpu"), scene_drive(struck)[None]
-    plain = solver.run(drives, record_times(struck))
+    made = struck.with_tables(effects=effects, grid={"nodes": (17, 15), "precision": "float32"})
+    solver, drives = PlateSolver(made, "cpu", path), np.stack([scene_drive(made), 2j * scene_drive(made)])
+    plain = solver.run(drives, record_times(made))
     looked, _ = run_and_look(solver, drives)
     np.testing.assert_array_equal(looked.energy, plain.energy)
     np.testing.assert_array_equal(looked.displacement, plain.displacement)
