@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -298,6 +299,12 @@ def test_an_unsure_reference_is_refused(panel, monkeypatch):
     monkeypatch.setattr(choosing, "REFERENCE_SECONDS", 0.0)
     with pytest.raises(SceneError, match=r"^accuracy = 1e-09: the reference solution[^\n]*$"):
         choose(panel, 1e-9, "cpu")
+
+
+def test_what_an_unsure_reference_allows_is_rounded_up(panel, monkeypatch):
+    monkeypatch.setattr(choosing, "find_truth", lambda *_: SimpleNamespace(uncertainty=0.0523))
+    with pytest.raises(SceneError, match=r"is known to 0\.052 only; ask for 0\.11 or more$"):
+        choose(panel, 0.05, "cpu")
 
 
 def test_chance_does_not_count(panel, monkeypatch):

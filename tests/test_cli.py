@@ -14,7 +14,7 @@ import pytest
 import warp_plate
 from warp_plate import Scene, load_result
 from warp_plate.cli.main import main
-from warp_plate.scene import preset_text
+from warp_plate.scene import preset_names, preset_text
 from warp_plate.scene.load import dump_scene
 
 ROOT = Path(__file__).parents[1]
@@ -113,6 +113,26 @@ def test_simulate_a_drive_that_was_found(command, panel):
     for drive in ("panel-localize.h5", "again.h5"):
         _, out, _ = command("simulate", "panel.toml", "--drive", drive, "--out", "again.h5", "--json", *QUIET)
         assert json.loads(out)["localization_factor"] == pytest.approx(best, rel=1e-9)
+
+
+def test_a_drive_of_another_unit_is_refused(command, panel):
+    """Volts of an electrostatic scene are not pressures; the files say which they hold."""
+    volts = panel.with_tables(drive={"frequency": 290.0, "electrostatic": {"bias": 1.0, "gain": 1.0}})
+    Path("volts.toml").write_text(dump_scene(volts), encoding="utf-8")
+    for name, unit in (("volts", "V"), ("panel", "N/m^2")):
+        command("simulate", f"{name}.toml", *QUIET, "--json")
+        with h5py.File(f"{name}-simulate.h5") as file:
+            assert file["cases/drive/magnitude"].attrs["units"] == unit
+    status, _, err = command("simulate", "panel.toml", "--drive", "volts-simulate.h5", *QUIET)
+    assert status == 2
+    assert "--drive volts-simulate.h5: holds magnitudes in V, those of the scene are in N/m²" in err
+    assert len(err.splitlines()) == 1
+
+
+def test_help_lists_the_presets(command):
+    status, out, _ = command("init", "--help")
+    assert status == 0
+    assert all(name in out for name in preset_names())
 
 
 @pytest.mark.parametrize("drive", ["equal", "single"])

@@ -158,3 +158,14 @@ def test_a_fault_in_cuda_code_is_found(tmp_path):
 
     with pytest.raises(Exception, match="CUDA kernel build failed"):
         wp.compile_aot_module(kernel.module, device=None, arch=90, module_dir=tmp_path, use_ptx=False)
+
+
+@pytest.mark.parametrize("real", [wp.float32, wp.float64])
+def test_a_quarter_of_a_multiprocessor_has_room_for_its_warps(real):
+    """It has 16384 registers, and takes a fourth of the warps of a block, the last of them whole."""
+    effects = Effects(moments=True, material_damping=True, tension=True)
+    for nx, ny in itertools.product((5, 9, 17, 27, 28, 33, 53, 65, 105, 160), repeat=2):
+        for few in (False, True):
+            blocks = general_plan.plan(nx, ny, real, effects, 0, few)
+            assert -(-blocks.threads // 128) * 32 * blocks.registers <= 16384
+            assert blocks.threads * blocks.nodes >= nx * ny

@@ -231,6 +231,23 @@ def test_a_plate_that_leaves_the_finite_numbers_is_told_with_the_cause(command, 
     assert not told[1]
 
 
+def test_too_long_a_step_is_told_with_the_cause(command, panel):
+    step = 3 * make_scheme(panel).limit
+    text = dump_scene(panel.model_copy(update={"grid": panel.grid.model_copy(update={"time_step": step})}))
+    Path("panel.toml").write_text(text, encoding="utf-8")
+    options = ("--device", "cpu", "--no-pictures", "--no-estimate", "--allow-unstable")
+    status, out, _ = command("simulate", "panel.toml", *options)
+    assert status == 0
+    assert "! A plate has no energies, " in out
+    assert f"the time step of {step:.6g} s is above the stability limit" in " ".join(out.split())
+
+
+def test_too_strong_a_drive_is_told_with_the_cause_and_its_unit(scene):
+    """A linear plate at a stable step: nothing but the drive can do that."""
+    for made, unit in ((scene(), "N/m²"), (scene(drive={"frequency": 290.0, "electrostatic": {"gain": 1.0}}), "V")):
+        assert f"drive it otherwise (magnitudes are in {unit}," in exceeded(made, math.nan)[0]
+
+
 @pytest.mark.parametrize("name", ["simulate", "localize"])
 def test_commands_print_warnings(command, panel, name):
     options = ("panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate")

@@ -142,7 +142,7 @@ def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_behind(result, tmp
 def test_an_interrupted_write_keeps_the_old_file_too(result, tmp_path, monkeypatch):
     path = save_result(result, tmp_path / "run.h5")
 
-    def interrupt(file, at, case):
+    def interrupt(file, at, case, unit):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(store, "_write_case", interrupt)

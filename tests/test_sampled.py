@@ -99,7 +99,7 @@ def test_the_end_is_not_heard_at_the_beginning():
 
 
 def test_highest_frequency_is_where_the_energy_ends():
-    both = tone(100, 8000) + 0.1 * tone(900, 8000)
+    both = tone(100, 8000) + 0.2 * tone(900, 8000)
     assert Samples(both, 8000, 0.0, False).highest_frequency() == 900
     assert Samples(both + 1e-3 * tone(3000, 8000), 8000, 0.0, False).highest_frequency() == 900
 
@@ -130,6 +130,21 @@ def test_csv_of_one_and_two_columns(tmp_path):
     two = read(tmp_path, "\ufefftime; value\n0.10; 1\n0.12;2\n0.14;4\n")
     np.testing.assert_array_equal(two.values, [1, 2, 4])
     assert (two.rate, two.start) == (pytest.approx(50), 0.1)
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        ("0,0;1,05\n0,1;1,10\n", "line 1 has a comma in a number; write a decimal point"),
+        ("time, s;value\n0;1,05\n1;2\n", "line 2 has a comma in a number"),
+        ("0.0;1\n0.1,2\n", "line 2 is not made of numbers"),
+        ("0\t1\n1,5\t2\n", "line 2 has a comma in a number"),
+        ("0,1\n1;2\n", "line 2 is not made of numbers"),
+    ],
+)
+def test_a_file_has_one_separator_and_decimal_points(tmp_path, content, why):
+    with pytest.raises(SceneError, match=why):
+        read(tmp_path, content)
 
 
 def test_times_may_be_rounded(tmp_path):

@@ -57,7 +57,7 @@ def refusal(text):
         ("plate", "density", "7.85e6", "plate.density", "100000"),
         ("plate", "density", "nan", "plate.density", "finite"),
         ("plate", "density", "1" + 400 * "0", "plate.density", "number"),
-        ("edges", "left", '"held"', "edges.left = 'held'", "'clamped', 'supported' or 'free'"),
+        ("edges", "left", '"held"', "edges.left = 'held'", "'clamped', 'supported', 'free', or a table of springs"),
         ("edges", "front", '"clamped"', "edges.front", "left, bottom, right, top"),
         ("grid", "nodes", "[27.5, 27]", "grid.nodes[0] = 27.5", "integer"),
         ("grid", "nodes", "[4, 27]", "grid.nodes[0] = 4", "5"),
@@ -94,12 +94,32 @@ def refusal(text):
         ("actuators", "name", '"upper left"', "actuators[1].name: 'upper left'", "its own"),
         ("actuators", "magnitude", '"loud"', "actuators[0].magnitude = 'loud'", "number"),
         ("actuators", "phase", "inf", "actuators[0].phase", "finite"),
+        ("drive", "electrostatic", "{ gain = 0.0 }", "drive.electrostatic.gain = 0.0", "must not be 0"),
+        ("drive", "signal", '{ file = "a.wav", gain = 0 }', "drive.signal.gain = 0", "must not be 0"),
     ],
 )  # fmt: skip
 def test_refused_by_name(table, key, value, named, right):
     line = refusal(edited(table, key, value))
     assert line.startswith(named)
     assert right in line
+
+
+LAYER = "[{ area = [0.0, 0.1, 0.0, 0.1], thickness = 0.05, young_modulus = 1e9, density = 1e3 }]"
+
+
+@pytest.mark.parametrize(
+    ("line", "named", "right"),
+    [
+        ("variation.thickness = [1.0, 1.0]", "effects.variation.thickness = [1.0, 1.0]", "such as [[1.0, 1.0]]"),
+        ("variation.density = 2.0", "effects.variation.density = 2.0", "such as [[1.0, 1.0]]"),
+        ("variation.density = []", "effects.variation.density = []", "such as [[1.0, 1.0]]"),
+        (f"layers = {LAYER}", "effects.layers[0].thickness: 0.05 m", "at most a fifth"),
+    ],
+)
+def test_effects_that_the_paper_lacks_are_refused_by_name(line, named, right):
+    refused = refusal(PAPER.replace("[effects.damping]", f"[effects]\n{line}\n[effects.damping]"))
+    assert refused.startswith(named)
+    assert right in refused
 
 
 def test_edits_are_what_they_seem():

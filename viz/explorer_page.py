@@ -226,7 +226,8 @@ class ExplorerPage:
         for index in range(len(names)):
             html.Div(f"{{{{ names[{index}] }}}}", style="font-weight: 600; margin-top: 10px; overflow-wrap: anywhere")
             with html.Div(style=pair):
-                add("w [N/m²]", f"magnitude_{index}", (0.0, ranges.magnitude), self._magnitude(index))
+                words = f"w [{self.model.scene.drive_unit}]"
+                add(words, f"magnitude_{index}", (0.0, ranges.magnitude), self._magnitude(index))
                 add("φ [rad]", f"phase_{index}", (0.0, 2 * math.pi), self._phase(index))
 
     def _magnitude(self, index: int) -> Callable[[float], None]:

@@ -84,7 +84,7 @@ class ExplorerWindow:
             self._names.append(add_text(plotter, "", (0.04, top), FONT_SIZE, QUIET))
             top -= 1.6 * self._line
             magnitude, phase = partial(self._set_magnitude, slot), partial(self._set_phase, slot)
-            add(f"magnitude {slot}", "w [N/m²]", (0.0, ranges.magnitude), left, magnitude)
+            add(f"magnitude {slot}", f"w [{model.scene.drive_unit}]", (0.0, ranges.magnitude), left, magnitude)
             add(f"phase {slot}", "φ [rad]", (0.0, 2 * math.pi), right, phase)
         top -= 4.4 * self._line
         words = {key: f"{number} {word}" for number, (key, word) in enumerate(CHOICES.items(), start=1)}

@@ -35,7 +35,7 @@ def scene_html(scene: Scene) -> str:
         (actuator.name, _area(actuator.area), f"{actuator.magnitude:g}", f"{actuator.phase:.4g}")
         for actuator in scene.actuators
     ]
-    _add_table(tables, ("actuator", "x, y (m)", "magnitude (N/m²)", "phase (rad)"), rows)
+    _add_table(tables, ("actuator", "x, y (m)", f"magnitude ({scene.drive_unit})", "phase (rad)"), rows)
     body.append(scene_plan(scene))
     return tostring(card, encoding="unicode")
 
@@ -55,7 +55,8 @@ def result_html(result: Result) -> str:
         for actuator, magnitude, phase in zip(result.scene.actuators, case.magnitude, case.phase, strict=True)
     ]
     words = DRIVES.get(name, name)
-    _add_table(tables, (f"actuator, {words}", "magnitude (N/m²)", "phase (rad)", "phase / π"), drive)
+    magnitude = f"magnitude ({result.scene.drive_unit})"
+    _add_table(tables, (f"actuator, {words}", magnitude, "phase (rad)", "phase / π"), drive)
     for line in _notes(result):
         SubElement(card, "p").text = line
     _add_picture(card, result, f"Displacement of the plate under the {words}")

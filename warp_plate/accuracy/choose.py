@@ -61,7 +61,7 @@ def choose(scene: Scene, accuracy: float, device: str = "auto", drives: np.ndarr
         possible = truth.uncertainty < 0.2
         advice = f"ask for {_rounded_up(2 * truth.uncertainty):g} or more" if possible else "write a grid instead"
         raise SceneError(
-            f"accuracy = {accuracy:g}: the reference solution of this scene is known to {truth.uncertainty:.1g} only; "
+            f"accuracy = {accuracy:g}: the reference solution of this scene is known to {truth.uncertainty:.2g} only; "
             f"{advice}"
         )
     aim = Aim(scene, truth, AIM * accuracy - truth.uncertainty, device, drives)
@@ -149,6 +149,6 @@ def _others(aim: Aim, found: dict[Order, Trial], chosen: Configuration) -> str:
 
 
 def _rounded_up(value: float) -> float:
-    """To one digit."""
-    unit = 10.0 ** math.floor(math.log10(value))
+    """To two digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return math.ceil(value / unit) * unit

@@ -47,7 +47,7 @@ def accuracy(
     Parameters
     ----------
     scene
-        A preset's name (paper, paper-supported) or a TOML file.
+        A preset's name (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file.
     device
         cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
     budget

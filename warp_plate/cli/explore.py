@@ -37,7 +37,7 @@ def explore(
     Parameters
     ----------
     scene
-        A preset's name (paper, paper-supported) or a TOML file.
+        A preset's name (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file.
     web
         In the browser instead of a window (needs the extra web); also the way on a machine without a display.
     host

@@ -73,7 +73,8 @@ def export(
     duration
         Of the same: at most so many seconds; 1 when left out.
     full_scale
-        Of the same: the pressure in N/m² that 1.0 stands for; the drive's largest magnitude when left out.
+        Of the same: the pressure in N/m² (or the voltage) that 1.0 stands for; the drive's largest magnitude when left
+        out.
     encoding
         Of drive-wav: float32 (when left out) or pcm16.
     out
@@ -185,6 +186,7 @@ def _signal_record(signal: Signal) -> dict[str, object]:
         "seconds": signal.samples / signal.rate,
         "seam_degrees": signal.seam,
         "full_scale": signal.full_scale,
+        "unit": signal.unit,
     }
 
 
@@ -198,5 +200,6 @@ def _lines(to: Format, told: Mapping[str, Any]) -> list[str]:
     seam = "without a seam" if told["seam_degrees"] == 0 else f"with a phase jump of {told['seam_degrees']:.2g} degrees"
     return [
         f"Drive {told['case']}: {told['periods']} periods of {told['frequency']:g} Hz in {told['samples']} samples at "
-        f"{told['rate']} Hz, which repeat {seam}. 1.0 stands for {told['full_scale']:.6g} N/m² in every channel."
+        f"{told['rate']} Hz, which repeat {seam}. 1.0 stands for {told['full_scale']:.6g} {told['unit']} in "
+        "every channel."
     ]

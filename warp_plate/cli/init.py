@@ -13,7 +13,7 @@ def init(name: str, /, *, out: Path | None = None) -> None:
     Parameters
     ----------
     name
-        The preset: paper, paper-supported.
+        The preset: paper, paper-supported, touch-panel, cantilever-display, composite-panel or large-amplitude.
     out
         The file to write; NAME.toml in this folder when left out. An existing file is never overwritten.
     """

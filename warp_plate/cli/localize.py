@@ -49,8 +49,9 @@ def localize(
 ) -> None:
     """Search the drive that puts most of the plate's kinetic energy into the target.
 
-    Every actuator's magnitude and phase is searched, with the first actuator's held at 1 and 0; those that the scene
-    gives are for simulate.
+    Every actuator's magnitude and phase is searched, with the first actuator's held at 1 and 0. In a scene that is not
+    linear in its drives (stretching, electrostatic force, a moving load) the first one's magnitude is the largest of
+    those that the scene gives, which otherwise are for simulate.
 
     Ctrl-C ends the search with the best so far, and leaves a checkpoint beside the result: --resume goes on from it as
     if there had been no stop, to the same result to the last bit. So does a search that runs longer than
@@ -59,7 +60,8 @@ def localize(
     Parameters
     ----------
     scene
-        A preset's name (paper, paper-supported) or a TOML file. With --resume it may be left out.
+        A preset's name (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file. With
+        --resume it may be left out.
     device
         cpu, cuda, cuda:1, ... or auto, which takes a CUDA device where there is one; auto when left out, with --resume
         the kind that the search began on. Another kind rounds in another way: the result may differ.

@@ -36,7 +36,7 @@ def modes(
     Parameters
     ----------
     scene
-        A preset's name (paper, paper-supported) or a TOML file.
+        A preset's name (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file.
     count
         How many modes, from the lowest.
     accuracy

@@ -71,8 +71,7 @@ def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int, str], 
 
 def drive_table(case: Case, scene: Scene) -> Table:
     """A drive as the source paper's Table 1 gives it."""
-    unit = "N/m²" if scene.drive.electrostatic is None else "V"
-    made = table("actuator", f"magnitude ({unit})", "phase (rad)", "phase / π", title="Drive found")
+    made = table("actuator", f"magnitude ({scene.drive_unit})", "phase (rad)", "phase / π", title="Drive found")
     for actuator, magnitude, phase in zip(scene.actuators, case.magnitude, case.phase, strict=True):
         made.add_row(actuator.name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}")
     return made
@@ -166,12 +165,10 @@ def warnings_of(result: Result) -> list[str]:
     """What the result's scene calls for but does not name, going by the drive that was asked for or found."""
     from warp_plate.search.warnings import exceeded, why_no_energies
 
-    case = result.cases.get("best") or next(iter(result.cases.values()))
     lost = next((one.status for one in result.cases.values() if one.status != "ok"), None)
     if lost is not None:
         return [why_no_energies(result.scene, lost)]
-    peak = float(abs(case.displacement).max()) if case.displacement.size else 0.0
-    return exceeded(result.scene, peak)
+    return exceeded(result.scene, result.peak)
 
 
 def print_warnings(result: Result, console: Console) -> None:

@@ -54,27 +54,32 @@ def digests(scene: Scene) -> dict[str, str]:
 def number_rows(data: bytes) -> list[tuple[int, list[float]]]:
     """The lines of a text table with their numbers in the file, counted from 1.
 
-    Columns are parted by commas, semicolons or tabs; a first line without a number in it, empty lines and # lines are
-    passed over.
+    Columns are parted by semicolons or tabs where the first line of numbers has one, else by commas; a first line
+    without a number in it, empty lines and # lines are passed over.
 
     Raises:
-        ValueError: not UTF-8, a cell is no number, lines differ in length, or there are more than MOST_ROWS.
+        ValueError: not UTF-8, a cell is no number or has a decimal comma, lines differ in length, or there are more
+            than MOST_ROWS.
     """
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise ValueError("not UTF-8 text") from None
     rows: list[tuple[int, list[float]]] = []
-    first = True
+    first, separator = True, ""
     for number, line in enumerate(io.StringIO(text), 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         if len(rows) == MOST_ROWS:
             raise ValueError(f"more than {MOST_ROWS} lines")
-        cells = line.replace(";", ",").replace("\t", ",").split(",")
+        separator = separator or next((mark for mark in ";\t" if mark in line), ",")
+        cells = line.split(separator)
+        if separator != "," and any("," in cell and _number(cell.replace(",", ".")) is not None for cell in cells):
+            raise ValueError(f"line {number} has a comma in a number; write a decimal point, such as 1.05")
         row = [value for cell in cells if (value := _number(cell)) is not None]
         names, first = first and not row, False
         if names:
+            separator = ""
             continue
         if len(row) < len(cells):
             raise ValueError(f"line {number} is not made of numbers")

@@ -42,14 +42,12 @@ class Signals:
     wave: (steps, terms), below two in size. The first step is halved: the plate is at rest at t = 0, when the load
     sets in, and half a step later its velocity is half of Δt·f/ρH; a whole first load would be an error of first order.
     mixing: (terms, features, actuators); linear: whether coefficients are linear in the phasors' real and imaginary
-    parts, without which no bound holds; highest_frequency [Hz]: of the pressure; of a sampled one that below which
-    99.9 % of its energy lies.
+    parts, without which no bound holds.
     """
 
     wave: np.ndarray
     mixing: np.ndarray
     linear: bool
-    highest_frequency: float
 
     @property
     def terms(self) -> int:
@@ -67,11 +65,12 @@ class Signals:
 
 
 def highest_frequency(scene: Scene) -> float:
-    """[Hz] that the time step must carry: of tones and sweeps, twice that where the voltage is squared.
+    """[Hz] that the time step must carry: of tones and sweeps, twice that where the voltage is squared; and of a
+    moving load.
 
     Where a file is the carrier, it is what ``drive.frequency`` says instead; no file is opened.
     """
-    return max(frequency for _, frequency in _named_frequencies(scene)) * _square(scene)
+    return max(times * frequency for _, frequency, times in _named_frequencies(scene))
 
 
 def own_frequencies(scene: Scene) -> tuple[float, ...]:
@@ -88,8 +87,7 @@ def check_rate(scene: Scene, time_step: float) -> None:
     Raises:
         SceneError: a frequency of half the steps' rate or more, or a burst shorter than a step.
     """
-    square = _square(scene)
-    for key, frequency in _named_frequencies(scene):
+    for key, frequency, square in _named_frequencies(scene):
         if square * frequency >= 0.5 / time_step:
             why = "" if square == 1 else " under drive.electrostatic, which doubles it"
             raise SceneError(
@@ -137,10 +135,7 @@ def make_signals(scene: Scene, time_step: float, steps: int, folder: Path | None
     features = LINEAR_FEATURES if square is None else len(FEATURES)
     wave, mixing = _columns(terms, steps, features, actuators)
     wave[0] /= 2
-    highest = highest_frequency(scene)
-    if samples is not None:
-        highest = min(samples.highest_frequency() * (1 if square is None else 2), 0.5 / time_step)
-    return Signals(wave, mixing, square is None, highest)
+    return Signals(wave, mixing, square is None)
 
 
 def step_means(integral: Callable[[np.ndarray], np.ndarray], time_step: float, steps: int) -> np.ndarray:
@@ -158,16 +153,19 @@ def _square(scene: Scene) -> int:
     return 1 if scene.drive.electrostatic is None else 2
 
 
-def _named_frequencies(scene: Scene) -> Iterator[tuple[str, float]]:
-    """Every frequency [Hz] that some actuator has at some time, with its key."""
-    own = [actuator.frequency for actuator in scene.actuators]
+def _named_frequencies(scene: Scene) -> Iterator[tuple[str, float, int]]:
+    """Every frequency [Hz] that some actuator or the moving load has at some time, with its key, and by how much the
+    drive multiplies it."""
+    own, load, square = [actuator.frequency for actuator in scene.actuators], scene.effects.moving_load, _square(scene)
     if scene.drive.signal is not None or None in own:
-        yield "drive.frequency", scene.drive.frequency
+        yield "drive.frequency", scene.drive.frequency, square
     for index, frequency in enumerate(own):
         if frequency is not None:
-            yield f"actuators[{index}].frequency", frequency
+            yield f"actuators[{index}].frequency", frequency, square
     if scene.drive.chirp is not None:
-        yield "drive.chirp.end_frequency", scene.drive.chirp.end_frequency
+        yield "drive.chirp.end_frequency", scene.drive.chirp.end_frequency, square
+    if load is not None and load.frequency is not None:
+        yield "effects.moving_load.frequency", load.frequency, 1
 
 
 def _carriers(

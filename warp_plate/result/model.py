@@ -15,8 +15,8 @@ from warp_plate.scene.model import Scene
 class Case:
     """One drive and what the plate did under it.
 
-    drive: (actuators,) complex phasors Z [N/m²]; the load is Re(Z exp(iωt)), so magnitude |Z| and phase lag
-        −arg Z.
+    drive: (actuators,) complex phasors Z [N/m², or V: ``Scene.drive_unit``]; the load is Re(Z exp(iωt)) or what the
+        scene makes of Z, so magnitude |Z| and phase lag −arg Z.
     energy: kinetic energy averaged over the window [J], for each region by name.
     displacement: (times, ny, nx) [m].
     trace: (points, steps) displacement [m].
@@ -36,7 +36,7 @@ class Case:
 
     @property
     def magnitude(self) -> np.ndarray:
-        """(actuators,) magnitudes w [N/m²]."""
+        """(actuators,) magnitudes w, in the unit of ``drive``."""
         return np.abs(self.drive)
 
     @property
@@ -57,6 +57,7 @@ class Result:
     accuracy: what is known of the result's errors, of numbers and texts only: "asked" and "reason" where the scene
         asked for an accuracy instead of a grid, "estimate" of the localization factors.
     node_steps: nodes updated × steps × plates. path: how plates were stepped.
+    peak: largest displacement [m] seen over the run under the drive of ``judged``; None where nothing was looked at.
     """
 
     command: str
@@ -78,6 +79,12 @@ class Result:
     interrupted: bool = False
     versions: Mapping[str, str] = field(default_factory=dict)
     accuracy: Mapping[str, Any] = field(default_factory=dict)
+    peak: float | None = None
+
+    @property
+    def judged(self) -> Case:
+        """The case that the result is about: the best drive found, or the one that was asked for."""
+        return self.cases.get("best") or next(iter(self.cases.values()))
 
     @property
     def x(self) -> np.ndarray:

@@ -1,7 +1,7 @@
 """What to play to the actuators: the drive as WAV or CSV for an amplifier, a channel for each actuator.
 
 Channel k holds w_k cos(2πft − φ_k) divided by the full scale, so that 1.0 stands for one and the same pressure [N/m²]
-in every channel. It lasts a whole number of periods, so that it can be played over and over.
+or voltage in every channel. It lasts a whole number of periods, so that it can be played over and over.
 """
 
 from __future__ import annotations
@@ -39,13 +39,15 @@ BLOCK = 2**16
 class Signal:
     """The signals of all actuators over a whole number of periods.
 
-    drive: (actuators,) phasors in units of ``full_scale`` [N/m²]; frequency [Hz]; rate: samples a second;
-    seam: phase jump [degrees] where the end meets the beginning, 0 where a period's multiple is whole in samples.
+    drive: (actuators,) phasors in units of ``full_scale``, which is in ``unit``; frequency [Hz]; rate: samples a
+    second; seam: phase jump [degrees] where the end meets the beginning, 0 where a period's multiple is whole in
+    samples.
     """
 
     names: tuple[str, ...]
     drive: np.ndarray
     full_scale: float
+    unit: str
     frequency: float
     rate: int
     samples: int
@@ -65,7 +67,7 @@ def make_signal(scene: Scene, case: Case, rate: int, duration: float, full_scale
 
     Args:
         rate: samples a second; duration: at most so long [s].
-        full_scale: the pressure [N/m²] that 1.0 stands for; left out: the largest magnitude of the drive.
+        full_scale: what 1.0 stands for, in the unit of the scene's drives; left out: the drive's largest magnitude.
 
     Raises:
         SceneError: a drive that does not repeat, is at rest or above the full scale; too few samples or less than a
@@ -73,13 +75,13 @@ def make_signal(scene: Scene, case: Case, rate: int, duration: float, full_scale
     """
     if (key := scene.not_periodic) is not None and key != "effects.moving_load":
         raise SceneError(f"{key}: only tones of drive.frequency are written, which this drive is not")
-    frequency, largest = scene.drive.frequency, float(case.magnitude.max())
+    frequency, largest, unit = scene.drive.frequency, float(case.magnitude.max()), scene.drive_unit
     full_scale = largest if full_scale is None else full_scale
     if not largest > 0:
         raise SceneError("its drive is zero: there is nothing to play")
     if not largest <= full_scale < float("inf"):
         raise SceneError(
-            f"--full-scale {full_scale:g}: must be at least the drive's largest magnitude, {largest!r} N/m²"
+            f"--full-scale {full_scale:g}: must be at least the drive's largest magnitude, {largest!r} {unit}"
         )
     if rate <= 2 * frequency:
         raise SceneError(f"--rate {rate}: {frequency:g} Hz takes more than {2 * frequency:g} samples a second")
@@ -92,7 +94,7 @@ def make_signal(scene: Scene, case: Case, rate: int, duration: float, full_scale
         raise SceneError(f"--duration {duration:g}: {len(scene.actuators)} channels take more than 4 GiB; write less")
     periods, samples, seam = whole_periods(frequency, rate, duration)
     names = tuple(actuator.name for actuator in scene.actuators)
-    return Signal(names, case.drive / full_scale, full_scale, frequency, rate, samples, periods, seam)
+    return Signal(names, case.drive / full_scale, full_scale, unit, frequency, rate, samples, periods, seam)
 
 
 def whole_periods(frequency: float, rate: int, duration: float) -> tuple[int, int, float]:
@@ -117,7 +119,7 @@ def write_drive_csv(signal: Signal, path: str | Path) -> list[Path]:
         SceneError: the file cannot be written.
     """
     path = Path(path)
-    unit = f"[1 = {signal.full_scale:.9g} N/m^2]"
+    unit = f"[1 = {signal.full_scale:.9g} {signal.unit.replace('²', '^2')}]"
     heading = ["time [s]", *(f"{name} {unit}" for name in signal.names)]
     write_table(path, heading, signal.blocks())
     return [path]
@@ -159,7 +161,8 @@ def _wav_head(signal: Signal, form: int, size: int) -> bytes:
     layout = struct.pack("<HHIIHH", EXTENSIBLE, len(signal.names), signal.rate, signal.rate * frame, frame, 8 * size)
     layout += struct.pack("<HHII", 22, 8 * size, 0, form) + GUID_END
     channels = ", ".join(f"channel {number} = {name}" for number, name in enumerate(signal.names, 1))
-    comment = f"{channels}; {signal.frequency!r} Hz; full scale = {signal.full_scale:.9g} N/m^2"
+    unit = signal.unit.replace("²", "^2")
+    comment = f"{channels}; {signal.frequency!r} Hz; full scale = {signal.full_scale:.9g} {unit}"
     facts = struct.pack("<I", signal.samples)
     return (
         _chunk(b"fmt ", layout)

@@ -2,6 +2,7 @@
 
     /x, /y, /times, /trace_times         coordinates
     /localization_factor/CASE            scalars, and /localization_factor/bound
+    /peak_displacement                   scalar
     /cases/CASE/magnitude, phase, energy, displacement, trace
     /history/evaluations, best, mean
     attributes of /: command, source, scene (TOML), device, seed, effects, versions, seconds, ...
@@ -80,15 +81,17 @@ def _write(file: h5py.File, result: Result) -> None:
     factor = "share of the plate's kinetic energy in the target"
     for name, case in result.cases.items():
         put(file, f"localization_factor/{name}", case.localization_factor, "1", factor)
-        _write_case(file, f"cases/{name}", case)
+        _write_case(file, f"cases/{name}", case, result.scene.drive_unit.replace("²", "^2"))
+    if result.peak is not None:
+        put(file, "peak_displacement", result.peak, "m", "largest displacement seen over the run")
     if result.bound is not None:
         put(file, "localization_factor/bound", result.bound, "1", "largest that any drive can reach")
     for name, values in result.history.items():
         put(file, f"history/{name}", values, "1", f"{HISTORY.get(name, name)}, after each iteration")
 
 
-def _write_case(file: h5py.File, at: str, case: Case) -> None:
-    put(file, f"{at}/magnitude", case.magnitude, "N/m^2", "drive magnitude of each actuator")
+def _write_case(file: h5py.File, at: str, case: Case, unit: str) -> None:
+    put(file, f"{at}/magnitude", case.magnitude, unit, "drive magnitude of each actuator")
     put(file, f"{at}/phase", case.phase, "rad", "drive phase lag of each actuator")
     energy = np.array(list(case.energy.values()))
     put(file, f"{at}/energy", energy, "J", "kinetic energy averaged over the window, for each region")
@@ -125,6 +128,7 @@ def _read(file: h5py.File, name: str) -> Result:
         interrupted=bool(count(file, "interrupted")),
         versions=table(file, "versions"),
         accuracy=table(file, "accuracy"),
+        peak=float(numbers(file, "peak_displacement", ())) if "peak_displacement" in file else None,
     )
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from warp_plate.scene.table import Instant, Moderate, NotNegative, Positive, Table, check_file_name
+from warp_plate.scene.table import Gain, Instant, Moderate, NotNegative, Positive, Table, check_file_name
 
 Place = Annotated[float, Field(ge=-1e6, le=1e6)]
 
@@ -63,7 +63,7 @@ class SampledSignal(Table):
 
     file: str
     rate: Annotated[float, Field(ge=1e-3, le=1e7)] | None = None
-    gain: Moderate = 1.0
+    gain: Gain = 1.0
     repeat: bool = False
 
     @model_validator(mode="after")
@@ -82,7 +82,7 @@ class Electrostatic(Table):
     """
 
     bias: Moderate = 0.0
-    gain: Moderate
+    gain: Gain
 
 
 class Drive(Table):

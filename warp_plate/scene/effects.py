@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic_core import PydanticCustomError
 
 from warp_plate.scene.drive import MovingLoad
 from warp_plate.scene.table import Area, Moderate, NotNegative, Positive, Table, check_file_name
@@ -68,9 +69,15 @@ class Orthotropic(Table):
         return self
 
 
+def _rows(value: object) -> object:
+    if not isinstance(value, list | tuple) or not value or not all(isinstance(row, list | tuple) for row in value):
+        raise PydanticCustomError("rows", "should be an array of rows such as [[1.0, 1.0]], or a file's name")
+    return value
+
+
 Factor = Annotated[float, Field(ge=LEAST_FACTOR, le=MOST_FACTOR)]
 FactorRow = Annotated[tuple[Factor, ...], Field(min_length=1)]
-FactorRows = Annotated[tuple[FactorRow, ...], Field(min_length=1)]
+FactorRows = Annotated[tuple[FactorRow, ...], Field(min_length=1), BeforeValidator(_rows)]
 Factors = Annotated[
     Annotated[str, Tag("word")] | Annotated[FactorRows, Tag("rows")],
     Discriminator(lambda value: "word" if isinstance(value, str) else "rows"),

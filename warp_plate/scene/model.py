@@ -6,7 +6,8 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, PrivateAttr, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, PrivateAttr, Tag, model_validator
+from pydantic_core import PydanticCustomError
 
 from warp_plate.scene.drive import Drive, check_drive
 from warp_plate.scene.effects import Effects
@@ -24,8 +25,18 @@ class ElasticEdge(Table):
     rotation: NotNegative = 0.0
 
 
+def _edge_word(value: object) -> object:
+    if value not in ("clamped", "supported", "free"):
+        raise PydanticCustomError(
+            "edge_word",
+            "should be 'clamped', 'supported', 'free', or a table of springs such as { translation = 1e6 }",
+        )
+    return value
+
+
 Edge = Annotated[
-    Annotated[Literal["clamped", "supported", "free"], Tag("word")] | Annotated[ElasticEdge, Tag("springs")],
+    Annotated[Literal["clamped", "supported", "free"], BeforeValidator(_edge_word), Tag("word")]
+    | Annotated[ElasticEdge, Tag("springs")],
     Discriminator(lambda value: "springs" if isinstance(value, dict | ElasticEdge) else "word"),
 ]
 
@@ -287,6 +298,11 @@ class Scene(Table):
             if actuator.frequency not in (None, self.drive.frequency):
                 return f"actuators[{index}].frequency"
         return None if self.effects.moving_load is None else "effects.moving_load"
+
+    @property
+    def drive_unit(self) -> str:
+        """Of the actuators' magnitudes and of every drive: N/m², or V where the voltage is squared."""
+        return "N/m²" if self.drive.electrostatic is None else "V"
 
     @property
     def drive_angular_frequency(self) -> float:

@@ -24,7 +24,14 @@ def _moderate(value: float) -> float:
     return value
 
 
+def _not_zero(value: float) -> float:
+    if value == 0:
+        raise PydanticCustomError("not_zero", "must not be 0, which leaves nothing of the drive")
+    return value
+
+
 Moderate = Annotated[float, AfterValidator(_moderate)]
+Gain = Annotated[Moderate, AfterValidator(_not_zero)]
 Positive = Annotated[float, Field(gt=0), AfterValidator(_moderate)]
 NotNegative = Annotated[float, Field(ge=0), AfterValidator(_moderate)]
 # What nothing is divided by may be as small as it likes.

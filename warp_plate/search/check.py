@@ -10,20 +10,14 @@ import numpy as np
 
 from warp_plate.plate.bending import Bending
 from warp_plate.plate.limit import Limit, find_limit
-from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.model import Scene
-from warp_plate.search.warnings import Finding, warnings, wavelengths
+from warp_plate.search.warnings import Finding, slowest_frequency, warnings, wavelengths
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import choose_path
 from warp_plate.solve.specialize import specialize
 from warp_plate.solve.state import bytes_per_plate
-
-# The lowest frequency is looked for on a grid of at most so many nodes a side, which is fine enough for it.
-MOST_SIDE = 49
-# Modes that are asked for until one is no rigid motion: of a free plate three are.
-MODES = 6
 
 
 @dataclass(frozen=True)
@@ -127,7 +121,7 @@ def check(scene: Scene, device: str = "auto", allow_unstable: bool = False) -> C
         frequency=highest_frequency(scene),
         steps_a_period=1 / (highest_frequency(scene) * scheme.time_step),
         points_a_wavelength=min(wave / spacing for wave, spacing in pairs),
-        slowest=_slowest(scene),
+        slowest=slowest_frequency(scene),
         fastest=limit.frequency,
         amplitude=_amplitude(scene, scheme, bending, limit) if scene.effects.stretching and bending else None,
         plate_bytes=bytes_per_plate(specialized, 4 * len(scene.record.points)),
@@ -136,14 +130,6 @@ def check(scene: Scene, device: str = "auto", allow_unstable: bool = False) -> C
         path=choose_path(specialized),
         findings=tuple(warnings(scene, None)),
     )
-
-
-def _slowest(scene: Scene) -> float:
-    """The lowest natural frequency [Hz] that is not zero."""
-    nodes = tuple(min(count, MOST_SIDE) for count in scene.grid.nodes)
-    grid = {"nodes": nodes, "load": scene.grid.load, "precision": "float64"}
-    found = natural_modes(scene.with_tables(grid=grid), MODES).frequencies
-    return float(found[found > 0].min(initial=math.inf)) if (found > 0).any() else 0.0
 
 
 def _amplitude(scene: Scene, scheme: Scheme, bending: Bending, limit: Limit) -> float:

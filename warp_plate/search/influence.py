@@ -13,12 +13,11 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.effects import MovingLoad
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.search.peak import largest, look_times
 from warp_plate.search.simulate import scene_drive
 from warp_plate.search.typical import TYPICAL, bare_scene, is_on, names, with_value, without
 from warp_plate.solve.solver import PlateSolver
 
-# Displacements are looked at so many times in the run's last period: between two, a sine rises by 2 % at most.
-PHASES = 16
 # The name of the bare plate among the timed ones.
 BARE = "bare"
 # Rounds in which all runs are timed in turn, so that a disturbance of the machine meets all alike.
@@ -36,8 +35,8 @@ class Switch:
 
     on: whether the scene names it; price: what it adds to a step of a plate, in % of a step of the bare plate
     (clamped or supported edges and no effects); spread: median distance of the timed rounds from it; steps: how many
-    times as many steps the plate takes with it as without; localization_factor, peak (largest displacement in the last
-    period of the run [m]): with it switched to the other state. All five are None where the other state is refused.
+    times as many steps the plate takes with it as without; localization_factor, peak (largest displacement seen over
+    the run [m]): with it switched to the other state. All five are None where the other state is refused.
     switched: what the other state is, or why it is refused.
     """
 
@@ -109,7 +108,10 @@ def _other(scene: Scene, name: str, device: str) -> tuple[PlateSolver | None, st
     change = without(name) if on else TYPICAL.get(name)
     if change is None:
         return None, "no typical value is known"
-    other, text = change(scene)
+    try:
+        other, text = change(scene)
+    except SceneError as refusal:
+        return None, f"refused: {refusal}"
     try:
         return PlateSolver(other.with_tables(), device), text
     except SceneError as refusal:
@@ -126,10 +128,8 @@ def _other(scene: Scene, name: str, device: str) -> tuple[PlateSolver | None, st
 def _run(solver: PlateSolver) -> tuple[float, float]:
     """Localization factor under the scene's own drive, and the peak displacement [m]."""
     scene = solver.scene
-    span = min(1 / scene.drive.frequency, scene.window.end)
-    times = scene.window.end - span * np.arange(PHASES) / PHASES
-    run = solver.run(scene_drive(scene)[None], times.tolist())
-    return float(localization_factor(run.energy)[0]), float(np.abs(run.displacement).max())
+    run = solver.run(scene_drive(scene)[None], look_times(scene))
+    return float(localization_factor(run.energy)[0]), largest(run.displacement)
 
 
 def seconds_a_step(solvers: Mapping[str, PlateSolver], device: str, rounds: int = ROUNDS) -> dict[str, np.ndarray]:

@@ -23,6 +23,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
 from warp_plate.search.checkpoints import CheckpointFile
 from warp_plate.search.objective import drives_of, unit_of_drives
+from warp_plate.search.peak import run_and_look
 from warp_plate.search.pso import Swarm
 from warp_plate.search.run_swarm import Energies, Told, history_of, run_swarm, settings_of
 from warp_plate.solve.devices import device_aliases, find_device, processor_of
@@ -173,7 +174,7 @@ def _finish(
     singles = unit_of_drives(scene) * np.eye(len(scene.actuators), dtype=complex)
     drives = {"equal": singles.sum(axis=0), "single": singles[begun.single]}
     drives["best"] = drives["single"] if found is None else unit_of_drives(scene) * drives_of(found[None])[0]
-    run = solver.run(np.array(list(drives.values())), record_times(scene), scene.record.points)
+    run, peak = run_and_look(solver, np.array(list(drives.values())))
     seconds["solve"] = seconds.get("solve", 0.0) + time.perf_counter() - started
     accuracy = dict(begun.accuracy)
     if estimate:
@@ -198,6 +199,7 @@ def _finish(
         node_steps=begun.node_steps + solver.node_steps - stepped,
         evaluations=swarm.result.evaluations if swarm is not None else 0,
         accuracy=accuracy,
+        peak=peak,
     )
 
 
@@ -255,11 +257,6 @@ def reference_drives(scene: Scene, energies: Energies) -> dict[str, np.ndarray]:
     singles = unit_of_drives(scene) * np.eye(len(scene.actuators), dtype=complex)
     best = int(np.argmax(np.nan_to_num(localization_factor(energies(singles)), nan=-1.0)))
     return {"equal": singles.sum(axis=0), "single": singles[best]}
-
-
-def record_times(scene: Scene) -> tuple[float, ...]:
-    """The times [s] that the scene names, else the middle of the run and its end."""
-    return scene.record.times or (scene.window.end / 2, scene.window.end)
 
 
 def cases_of(drives: dict[str, np.ndarray], run: Run) -> dict[str, Case]:

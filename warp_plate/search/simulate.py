@@ -15,12 +15,12 @@ from warp_plate.search.localize import (
     cases_of,
     device_name,
     estimated,
-    record_times,
     reference_drives,
     resolve,
     versions,
 )
 from warp_plate.search.objective import unit_of_drives
+from warp_plate.search.peak import run_and_look
 from warp_plate.solve.solver import PlateSolver, Progress, as_phasors
 
 
@@ -48,7 +48,7 @@ def simulate(
     Raises:
         SceneError: see :class:`PlateSolver`; a drive that is none of these or that has other actuators.
     """
-    file_drive = None if drive in ("scene", "equal", "single") else drive_of_file(drive, len(scene.actuators))
+    file_drive = None if drive in ("scene", "equal", "single") else drive_of_file(drive, scene)
     named = scene_drive(scene) if drive == "scene" else file_drive
     scene, accuracy, seconds, stage = resolve(scene, device, None if named is None else named[None])
     solver = PlateSolver(scene, device, path, allow_unstable=allow_unstable)
@@ -61,7 +61,7 @@ def simulate(
         phasors = np.full(len(scene.actuators), unit_of_drives(scene), dtype=complex)
     else:
         phasors = reference_drives(scene, lambda drives: solver.run(drives).energy)[drive]
-    run = solver.run(phasors[None], record_times(scene), scene.record.points, progress)
+    run, peak = run_and_look(solver, phasors[None], progress)
     seconds |= {"compile": solver.compile_seconds, "solve": time.perf_counter() - started}
     drives = {"drive": phasors}
     if estimate and run.finite.all():
@@ -81,26 +81,32 @@ def simulate(
         node_steps=solver.node_steps,
         versions=versions(),
         accuracy=accuracy,
+        peak=peak,
     )
 
 
 def scene_drive(scene: Scene) -> np.ndarray:
-    """(actuators,) the phasors [N/m²] of the magnitudes and phases that the scene gives its actuators."""
+    """(actuators,) the phasors of the magnitudes and phases that the scene gives its actuators."""
     magnitude = np.array([[actuator.magnitude for actuator in scene.actuators]])
     phase = np.array([[actuator.phase for actuator in scene.actuators]])
     return as_phasors((magnitude, phase), len(scene.actuators))[0]
 
 
-def drive_of_file(name: str, actuators: int) -> np.ndarray:
-    """(actuators,) the best drive [N/m²] of a result file.
+def drive_of_file(name: str, scene: Scene) -> np.ndarray:
+    """(actuators,) the best drive of a result file, in the unit of the scene's drives.
 
     Raises:
-        SceneError: not a drive's name or result file, or a result for another number of actuators.
+        SceneError: not a drive's name or result file, or a result for another number of actuators or in another unit.
     """
     if not name.endswith(".h5"):
         raise SceneError(f"--drive {name}: is none of scene, equal, single and no result file (.h5)")
-    cases = load_result(Path(name)).cases
-    drive = (cases.get("best") or next(iter(cases.values()))).drive
+    result, actuators = load_result(Path(name)), len(scene.actuators)
+    drive = result.judged.drive
     if drive.shape != (actuators,):
         raise SceneError(f"--drive {name}: holds {drive.size} actuators, the scene has {actuators}")
+    if result.scene.drive_unit != scene.drive_unit:
+        raise SceneError(
+            f"--drive {name}: holds magnitudes in {result.scene.drive_unit}, those of the scene are in "
+            f"{scene.drive_unit}; take a result of a scene that is driven alike, or the scene's own drive"
+        )
     return drive

@@ -19,6 +19,7 @@ from warp_plate.scene.effects import (
     Tension,
     Variation,
 )
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Edges, ElasticEdge, Scene
 
 # Of both kinds of damping, at the drive's frequency: that of plastics and of glued joints is of this order.
@@ -157,6 +158,8 @@ def _moving_load(scene: Scene) -> tuple[Scene, str]:
 
 
 def _own_frequencies(scene: Scene) -> tuple[Scene, str]:
+    if len(scene.actuators) == 1:
+        raise SceneError("one actuator has one frequency")
     other, (*rest, last) = OTHER_FREQUENCY * scene.drive.frequency, scene.actuators
     actuators = (*rest, last.model_copy(update={"frequency": other}))
     return scene.model_copy(update={"actuators": actuators}), f"the last actuator at {other:.3g} Hz"

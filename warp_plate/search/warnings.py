@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from warp_plate.plate.modes import natural_modes
+from warp_plate.plate.sampled import read_samples
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.signals import highest_frequency
+from warp_plate.plate.signals import highest_frequency, own_frequencies
+from warp_plate.scene.drive import SampledSignal
 from warp_plate.scene.model import Scene
 from warp_plate.search.typical import film, rigidity
 
@@ -26,12 +29,18 @@ MOST_ADDED_MASS = 0.05
 # Part of the start-up motion that is left when the window opens. What it beats with is of the order of the steady
 # motion, so that the energies averaged over the window are then wrong by some 1 %.
 MOST_LEFT = 0.01
+# Highest frequency of a signal's file over drive.frequency, which bounds the time step and the numbers above.
+MOST_BEYOND = 1.2
+# The lowest natural frequency is looked for on a grid of at most so many nodes a side, which is fine enough for it, and
+# among so many modes: of a free plate three are rigid motions.
+MOST_SIDE, MODES = 49, 6
 
 
 @dataclass(frozen=True)
 class Finding:
-    """name: of the number; value, threshold: both without a unit; sentence: for people; exceeded: whether the value
-    is on the wrong side of the threshold and the scene does not name what it calls for."""
+    """name: of the number; value, threshold: both without a unit, the value NaN where it is not judged; sentence: for
+    people; exceeded: whether the value is on the wrong side of the threshold and the scene does not name what it calls
+    for."""
 
     name: str
     value: float
@@ -41,17 +50,22 @@ class Finding:
 
 
 def warnings(scene: Scene, peak_displacement: float | None) -> list[Finding]:
-    """All numbers of a scene with a grid, whose largest displacement is ``peak_displacement`` [m], if it is known."""
+    """All numbers of a scene with a grid, whose largest displacement is ``peak_displacement`` [m], if it is known.
+
+    Raises:
+        SceneError: the file of ``[drive.signal]`` cannot be read.
+    """
     return [
         *([] if peak_displacement is None else [_amplitude(scene, peak_displacement)]),
         _thinness(scene),
         _points(scene),
         _added_mass(scene),
         _left_at_start(scene),
+        *([] if scene.drive.signal is None else [_signal(scene, scene.drive.signal)]),
     ]
 
 
-def exceeded(scene: Scene, peak_displacement: float) -> list[str]:
+def exceeded(scene: Scene, peak_displacement: float | None) -> list[str]:
     """The sentences of those that are exceeded; ``peak_displacement`` [m]."""
     return [warning.sentence for warning in warnings(scene, peak_displacement) if warning.exceeded]
 
@@ -66,16 +80,38 @@ def wavelengths(scene: Scene) -> tuple[float, float]:
 
 
 def decay_rate(scene: Scene) -> float:
-    """Rate [1/s] at which free motion of the drive's frequency dies out: c/2ρH + time·ω²/2, oscillators' left out.
+    """Rate [1/s] at which start-up motion dies out: c/2ρH + time·ω²/2, oscillators' left out.
 
-    Start-up motion is strongest in the modes next to the drive's frequency, so its ω stands for theirs.
+    It is strongest in the modes next to the tones' frequencies, so the lowest of these stands for theirs. The square of
+    a voltage has a constant part, too, whose step at t = 0 rings the lowest modes.
     """
     effects = scene.effects
     viscous = effects.damping.viscous if effects.damping else 0.0
     viscous += effects.foundation.damping if effects.foundation else 0.0
     retardation = effects.material_damping.time if effects.material_damping else 0.0
     own = viscous / (2 * scene.plate.density * scene.plate.thickness)
-    return own + retardation * scene.drive_angular_frequency**2 / 2
+    if not retardation:
+        return own
+    lowest = min(own_frequencies(scene))
+    if scene.drive.electrostatic is not None:
+        lowest = min(lowest, slowest_frequency(scene))
+    return own + retardation * (2 * math.pi * lowest) ** 2 / 2
+
+
+def slowest_frequency(scene: Scene) -> float:
+    """The lowest natural frequency [Hz] that is not zero; 0 where none is."""
+    nodes = tuple(min(count, MOST_SIDE) for count in scene.grid.nodes)
+    grid = {"nodes": nodes, "load": scene.grid.load, "precision": "float64"}
+    found = natural_modes(scene.with_tables(grid=grid), MODES).frequencies
+    return float(found[found > 0].min(initial=math.inf)) if (found > 0).any() else 0.0
+
+
+def _never_steady(scene: Scene) -> str | None:
+    """The first table for which the motion never becomes steady, or None."""
+    for name in ("burst", "chirp", "signal"):
+        if getattr(scene.drive, name) is not None:
+            return f"drive.{name}"
+    return None if scene.effects.moving_load is None else "effects.moving_load"
 
 
 def _amplitude(scene: Scene, peak: float) -> Finding:
@@ -84,7 +120,8 @@ def _amplitude(scene: Scene, peak: float) -> Finding:
         return Finding("displacement / thickness", value, MOST_AMPLITUDE, why_no_energies(scene), True)
     named = scene.effects.stretching is not None
     high = value > MOST_AMPLITUDE
-    sentence = f"The largest displacement is {value:.2g} of the thickness (threshold {MOST_AMPLITUDE:g}): "
+    sentence = f"The largest displacement seen over the run is {value:.2g} of the thickness (threshold "
+    sentence += f"{MOST_AMPLITUDE:g}): "
     if named:
         sentence += "stretching is named and in the numbers."
     elif high:
@@ -107,7 +144,8 @@ def why_no_energies(scene: Scene, status: str = "its numbers grew until they wer
             "shorter grid.time_step."
         )
     if scene.effects.stretching is None:
-        return sentence + f"drive it otherwise (magnitudes are in N/m², precision is {scene.grid.precision})."
+        units = f"magnitudes are in {scene.drive_unit}, precision is {scene.grid.precision}"
+        return f"{sentence}drive it otherwise ({units})."
     return sentence + (
         f"stretching pulled harder than the time step of {scheme.time_step:.3g} s allows; write a shorter "
         "grid.time_step, or drive it less."
@@ -156,9 +194,23 @@ def _added_mass(scene: Scene) -> Finding:
 
 
 def _left_at_start(scene: Scene) -> Finding:
+    never = _never_steady(scene)
+    if never is not None:
+        sentence = f"The motion is not meant to be steady ({never}), so what is left of its start is not judged."
+        return Finding("start-up motion left", math.nan, MOST_LEFT, sentence, False)
     value = math.exp(-decay_rate(scene) * scene.window.start)
     high = value > MOST_LEFT
     sentence = f"When the window opens, {100 * value:.2g} % of the start-up motion is left (threshold "
     sentence += f"{100 * MOST_LEFT:g} %): "
     sentence += "the motion is not steady; start the window later." if high else "the motion is steady."
     return Finding("start-up motion left", value, MOST_LEFT, sentence, high)
+
+
+def _signal(scene: Scene, signal: SampledSignal) -> Finding:
+    highest, named = read_samples(signal, scene.folder).highest_frequency(), scene.drive.frequency
+    value = highest / named
+    high = value > MOST_BEYOND
+    sentence = f"99 % of the energy in {signal.file!r} lies below {highest:.4g} Hz, and drive.frequency says "
+    sentence += f"{named:g} Hz (threshold {MOST_BEYOND:g} times that): "
+    sentence += "time step and grid may be too coarse; write drive.frequency higher." if high else "it covers the file."
+    return Finding("file's frequency / drive.frequency", value, MOST_BEYOND, sentence, high)

@@ -285,7 +285,7 @@ class PlateSolver:
                     seen[(seen < 0) & outgrown(state.rate.numpy()[:plates], step * fastest)] = step
             if stop in snapshots:
                 kept = [index for index, snapshot in enumerate(snapshots) if snapshot == stop]
-                displacement[:, kept] = state.u.numpy()[:plates, None, 1 : ny + 1, :nx]
+                displacement[:, kept] = state.u[:plates].numpy()[:, None, 1 : ny + 1, :nx]
             wp.synchronize_device(self.device)
             tell(step * node_steps)
             if (seen >= 0).all():

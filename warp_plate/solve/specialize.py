@@ -14,7 +14,7 @@ from warp_plate.kernels.update import make_parameters
 from warp_plate.plate.limit import needs_moments
 from warp_plate.plate.moving import MovingWeights, moving_weights
 from warp_plate.plate.scheme import Scheme, make_scheme
-from warp_plate.plate.signals import Signals, make_signals
+from warp_plate.plate.signals import Signals, make_signals, own_frequencies
 from warp_plate.plate.weights import NO_AREAS, REGIONS, patches, region_weights
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Area, Scene
@@ -92,13 +92,14 @@ def effect_names(scene: Scene) -> tuple[str, ...]:
     damping = scene.effects.damping
     named = {
         f"viscous damping ({damping.scheme})" if damping else "": damping,
-        "bending by moments": not scene.uniform,
+        "bending by moments": needs_moments(scene),
         "material damping": scene.effects.material_damping,
         "tension": scene.effects.tension,
         "foundation": scene.effects.foundation,
         "oscillators": scene.effects.oscillators,
         "stretching": scene.effects.stretching,
         "moving load": scene.effects.moving_load,
+        "several waves": scene.drive.electrostatic or len(own_frequencies(scene)) > 1,
     }
     return tuple(name for name, table in named.items() if table)
 
