@@ -19,6 +19,14 @@ return value;
 _SHARED_MEMORY = "\nextern __shared__ char dynamic_smem_base[]; return (wp::uint64)dynamic_smem_base;\n"
 
 LANES = 32
+# Of one multiprocessor of sm_90: its quarters, which share out the warps among them, the registers of each quarter, the
+# most that a thread can hold, and bytes of shared memory a block can take.
+QUARTERS, REGISTERS, THREAD_REGISTERS, SHARED_BYTES = 4, 16384, 255, 224 * 1024
+
+
+def most_registers(warps):
+    """Registers that a thread can have where so many warps share a multiprocessor; the fullest quarter decides."""
+    return min(THREAD_REGISTERS, REGISTERS // (LANES * -(-warps // QUARTERS)) // 8 * 8)
 
 
 @cache

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import warp as wp
 
-from warp_plate.kernels.cuda import LANES
+from warp_plate.kernels.cuda import LANES, SHARED_BYTES, most_registers
 from warp_plate.kernels.general_edges import WORD
 
 # What a node alone reads of what all plates share, in this order; press: mobility / weight.
@@ -12,9 +12,6 @@ SHARED = ("mobility", "bend_xx", "bend_xy", "bend_yy", "twist", "decay", "spring
 # What pays most in registers first: numbers that change, then what both passes read. ``middle`` is a node's own share
 # in the force on it.
 FIRST = ("rate", "squares", "middle", "u")
-# Of one multiprocessor of sm_90: its quarters, which share out the warps of a block among them, the registers of each,
-# the most that a thread can hold, and bytes of shared memory a block can take.
-QUARTERS, REGISTERS, THREAD_REGISTERS, SHARED_BYTES = 4, 16384, 255, 224 * 1024
 # Registers for addresses, neighbours and the like; and the most nodes a thread that are written out one by one.
 OVERHEAD, MOST_NODES = 30, 16
 
@@ -67,8 +64,7 @@ def share(nx, ny, real, effects, hanging, threads, blocks):
     """How ``threads`` threads share a plate, of which so many ``blocks`` shall run on a multiprocessor."""
     words = 1 if real is wp.float32 else 2
     nodes = -(-nx * ny // threads)
-    warps = -(-threads * blocks // (LANES * QUARTERS))  # of the fullest quarter
-    registers = min(THREAD_REGISTERS, REGISTERS // (LANES * warps) // 8 * 8)
+    registers = most_registers(-(-threads // LANES) * blocks)
     wanted = [*FIRST, *(["pull"] if effects.stretching else []), *used(effects)]
     most = max(0, registers - OVERHEAD) // (words * nodes) if nodes <= MOST_NODES else 0
     held = tuple(wanted[:most])

@@ -14,7 +14,15 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.cuda import LANES, barrier, make_from_lane, shared_memory
+from warp_plate.kernels.cuda import (
+    LANES,
+    SHARED_BYTES,
+    THREAD_REGISTERS,
+    barrier,
+    make_from_lane,
+    most_registers,
+    shared_memory,
+)
 from warp_plate.kernels.stencil import make_laplacian
 from warp_plate.kernels.update import make_parameters, make_update
 
@@ -33,8 +41,6 @@ class Strips:
     registers: int | None = None
 
 
-# Of one multiprocessor of sm_90: registers, the most a thread can hold, and bytes of shared memory a block can take.
-REGISTERS, THREAD_REGISTERS, SHARED_BYTES = 65536, 255, 224 * 1024
 # Rows a warp that were fastest on an H200, first choice first, for so many columns a lane.
 ROWS = {1: (13, 20, 9), 2: (13, 20, 9, 7), 3: (13, 20, 9), 4: (9, 13, 11), 5: (20, 16)}
 
@@ -48,7 +54,7 @@ def plan(nx, ny, real):
         squares_shared = columns > 2
         # Displacement and rate, the sums where they are kept, three rows of curvature, and addresses and the like.
         needed = words * ((2 if squares_shared else 3) * rows * columns + 6 * columns) + 24
-        registers = min(THREAD_REGISTERS, REGISTERS // (LANES * warps) // 8 * 8)
+        registers = most_registers(warps)
         squares = rows * warps if squares_shared else 0
         shared = 4 * words * columns * LANES * (2 * 4 * (warps + 2) + squares)
         if needed <= registers and shared <= SHARED_BYTES:

@@ -17,8 +17,7 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.cuda import LANES, barrier, make_from_lane, shared_memory
-from warp_plate.kernels.resident_strips import REGISTERS, SHARED_BYTES, THREAD_REGISTERS
+from warp_plate.kernels.cuda import LANES, SHARED_BYTES, barrier, make_from_lane, most_registers, shared_memory
 from warp_plate.kernels.stencil import make_weighed, make_weighed_evenly
 from warp_plate.kernels.update import make_parameters, make_update
 
@@ -45,7 +44,7 @@ def plan(nx, ny, real):
         # The first and the last strip hold all rows whose taps are their own.
         if rows > LANES or (warps - 1) * rows > ny - BORDER or rows < BORDER + 1:
             continue
-        registers = min(THREAD_REGISTERS, REGISTERS // (LANES * warps) // 8 * 8)
+        registers = most_registers(warps)
         # Displacement, rate and sums, taps of both passes, rows of curvature, and addresses and the like.
         needed = words * columns * (3 * rows + 10 + 7) + 30
         shared = 4 * words * 2 * 2 * BORDER * columns * LANES * (warps + 2)

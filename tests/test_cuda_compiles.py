@@ -164,8 +164,10 @@ def test_a_fault_in_cuda_code_is_found(tmp_path):
 def test_a_quarter_of_a_multiprocessor_has_room_for_its_warps(real):
     """It has 16384 registers, and takes a fourth of the warps of a block, the last of them whole."""
     effects = Effects(moments=True, material_damping=True, tension=True)
-    for nx, ny in itertools.product((5, 9, 17, 27, 28, 33, 53, 65, 105, 160), repeat=2):
-        for few in (False, True):
-            blocks = general_plan.plan(nx, ny, real, effects, 0, few)
-            assert -(-blocks.threads // 128) * 32 * blocks.registers <= 16384
-            assert blocks.threads * blocks.nodes >= nx * ny
+    for nx, ny in itertools.product((9, 17, 28, 33, 53, 65, 81, 105, 113, 129, 160), repeat=2):
+        blocks = [general_plan.plan(nx, ny, real, effects, 0, few) for few in (False, True)]
+        assert all(one.threads * one.nodes >= nx * ny for one in blocks)
+        cut = [plan for plan in (resident_strips.plan(nx, ny, real), resident_wide.plan(nx, ny, real)) if plan]
+        shares = [(one.threads, one.registers) for one in blocks] + [(32 * one.warps, one.registers) for one in cut]
+        for threads, registers in shares:
+            assert -(-threads // 128) * 32 * registers <= 16384
