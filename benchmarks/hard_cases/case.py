@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from warp_plate import PlateSolver, Scene
+from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.scheme import make_scheme
 
 SIDES = ("left", "bottom", "right", "top")
@@ -27,11 +27,14 @@ class Where:
     long: bool = False
 
     def solver(self, scene: Scene, allow_unstable: bool = False) -> PlateSolver:
-        """For a scene, in this precision."""
-        grid = scene.grid.model_copy(update={"precision": self.precision})
-        return PlateSolver(
-            scene.model_copy(update={"grid": grid}), self.device, self.path, allow_unstable=allow_unstable
-        )
+        """For a scene, in this precision; streaming where a plate has no room on the chip."""
+        scene = scene.model_copy(update={"grid": scene.grid.model_copy(update={"precision": self.precision})})
+        try:
+            return PlateSolver(scene, self.device, self.path, allow_unstable=allow_unstable)
+        except SceneError as error:
+            if "do not fit on one multiprocessor" not in str(error):
+                raise
+            return PlateSolver(scene, self.device, "streaming", allow_unstable=allow_unstable)
 
     def steps(self, asked: int, fewer: int) -> int:
         """As many as asked for, or fewer."""
