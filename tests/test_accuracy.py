@@ -141,6 +141,7 @@ def test_the_operator_is_symmetric(scene):
         assert abs(matrix - matrix.T).max() < 1e-12 * abs(matrix).max()
 
 
+@pytest.mark.slow
 def test_ritz_agrees_with_the_series(panel):
     """Energies of the exact modes of a supported plate, summed in another way."""
     found = truth.find_truth(panel, "ritz", "cpu", 1e-4)

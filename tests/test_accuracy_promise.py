@@ -60,7 +60,7 @@ SCENES = {
         [(0.0, 0.3, 0.0, 0.2), (0.5, 1.0, 0.6, 1.0)],
     ),
 }  # fmt: skip
-QUICK = ("oblong, supported", "one actuator")
+QUICK = ("oblong, supported",)
 ASKED = 0.01
 
 

@@ -152,6 +152,7 @@ def goes_on(scene):
     assert all(np.isfinite(field).all() for field in fields)
 
 
+@pytest.mark.slow
 def test_every_number_at_its_ends():
     """Each number of each table in turn, with all other tables there and with none of the optional ones."""
     for way in leaves(WHOLE):
@@ -199,7 +200,7 @@ def test_any_scene_goes_on_or_is_refused(tables):
 
 
 @pytest.mark.slow
-@settings(max_examples=10_000, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=1500, suppress_health_check=[HealthCheck.too_slow])
 @given(scenes())
 def test_very_many_scenes_go_on_or_are_refused(tables):
     goes_on(read(tables))
@@ -248,7 +249,7 @@ def test_any_plain_scene_runs_right_or_is_refused(tables):
 
 
 @pytest.mark.slow
-@settings(max_examples=500, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=80, suppress_health_check=[HealthCheck.too_slow])
 @given(scaled(["damping", "material_damping", "tension", "foundation", "layers", "oscillators", "orthotropic"]))
 def test_any_scene_with_effects_runs_right_or_is_refused(tables):
     runs_right(tables)

@@ -92,7 +92,9 @@ def published_eigenvalues(edges):
 
 
 @pytest.mark.parametrize("order", [2, 4])
-@pytest.mark.parametrize("held", ["SSSS", "CCCC", "SCSC"])
+@pytest.mark.parametrize(
+    "held", ["CCCC", *(pytest.param(held, marks=pytest.mark.slow) for held in ("SSSS", "SCSC"))]
+)
 def test_natural_frequencies(held, order, point_scene, discrete_operator):
     """√ of the eigenvalues of the ∇⁴ that the default path computes, against a Ritz solution.
 

@@ -14,7 +14,10 @@ from warp_plate import viz
 from warp_plate.scene.load import dump_scene
 from warp_plate.viz.explorer_page import missing_page
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT to send to one process")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT to send to one process"),
+]
 
 ROOT = Path(__file__).parents[1]
 # Shared machines are slow at times; nothing here waits so long where all is well.

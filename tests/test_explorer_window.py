@@ -128,6 +128,7 @@ def hand(display, tmp_path, scene):
     process.communicate()
 
 
+@pytest.mark.slow
 def test_mouse_and_keys(hand):
     """Everything of the window once, for opening it takes seconds."""
     start = hand.state

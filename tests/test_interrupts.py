@@ -156,7 +156,7 @@ def test_progress_that_raises_leaves_a_usable_solver(device, path, scene, phasor
     np.testing.assert_array_equal(solver.run(drives).energy, expected)
 
 
-@pytest.mark.parametrize("after", [0.004, 0.012, 0.02])
+@pytest.mark.parametrize("after", [0.012, *(pytest.param(one, marks=pytest.mark.slow) for one in (0.004, 0.02))])
 def test_amid_a_launch_leaves_a_usable_solver(after, device, path, scene, phasors):
     """The next run starts only when the interrupted one has let go of the plates."""
     made = scene(precision="float32", window=(0.01, 3.0))

@@ -91,7 +91,7 @@ def test_both_evaluators_walk_the_same_way(scene):
     np.testing.assert_allclose(direct.cases["best"].drive, response.cases["best"].drive, rtol=1e-6)
 
 
-@pytest.mark.parametrize("preset", ["paper", "paper-supported"])
+@pytest.mark.parametrize("preset", ["paper", pytest.param("paper-supported", marks=pytest.mark.slow)])
 def test_the_paper_s_search_comes_near_the_bound(preset):
     """The best drive lies within 0.002 of the bound for at least 9 of 10 seeds, with the preset's own
     settings."""

@@ -44,6 +44,7 @@ GRIDS_OF_FOURTH_ORDER = {
     "high": ((9, 43), (0.05, 0.35)),
 }
 SIZES = [(2, *grid) for grid in GRIDS.items()] + [(4, *grid) for grid in GRIDS_OF_FOURTH_ORDER.items()]
+LARGE = dict.fromkeys(("row by row", "threads share a plate"), pytest.mark.slow)
 TIMES = (0.0, 0.004, 0.0071, 0.012)
 
 
@@ -119,8 +120,7 @@ def test_all_edges_and_dampings_of_fourth_order(
 @pytest.mark.parametrize("precision", TOLERANCE)
 @pytest.mark.parametrize(
     ("order", "nodes", "size"),
-    [(order, *grid) for order, _, grid in SIZES],
-    ids=[f"{order}-{name}" for order, name, _ in SIZES],
+    [pytest.param(order, *grid, id=f"{order}-{name}", marks=LARGE.get(name, ())) for order, name, grid in SIZES],
 )
 def test_all_sizes(device, path, order, nodes, size, precision, scene, fitting_solver, random, phasors):
     areas = random_areas(random, size)

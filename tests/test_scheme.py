@@ -82,7 +82,7 @@ def test_limit_of_backward_damping(loss):
 
 
 @pytest.mark.parametrize("damping", ["undamped", "centred", "backward"])
-@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("precision", [pytest.param("float32", marks=pytest.mark.slow), "float64"])
 def test_just_below_the_limit_stays_bounded(device, path, damping, precision, scene, phasors):
     """20000 steps at 0.999 of the limit, undamped or nearly so.
 

@@ -240,6 +240,7 @@ def desk(display, result, tmp_path, monkeypatch):
     made.process.communicate()
 
 
+@pytest.mark.slow
 def test_keys_and_clicks_do_what_they_say(desk):
     desk.press("space")
     still = desk.picture()
