@@ -1,5 +1,5 @@
 """The catalogue of hard cases (docs/hard-cases.md): every case keeps to what is asked of it, on every path and in both
-precisions. A few take as many steps as the catalogue asks for; those of all, minutes of work, are the committed figures."""
+precisions. A few take as many steps as the catalogue asks for; the figures of all, minutes of work, are committed."""
 
 import json
 from pathlib import Path
