@@ -200,7 +200,7 @@ def test_any_scene_goes_on_or_is_refused(tables):
 
 
 @pytest.mark.slow
-@settings(max_examples=1500, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=300, suppress_health_check=[HealthCheck.too_slow])
 @given(scenes())
 def test_very_many_scenes_go_on_or_are_refused(tables):
     goes_on(read(tables))
@@ -249,7 +249,7 @@ def test_any_plain_scene_runs_right_or_is_refused(tables):
 
 
 @pytest.mark.slow
-@settings(max_examples=80, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=20, suppress_health_check=[HealthCheck.too_slow])
 @given(scaled(["damping", "material_damping", "tension", "foundation", "layers", "oscillators", "orthotropic"]))
 def test_any_scene_with_effects_runs_right_or_is_refused(tables):
     runs_right(tables)

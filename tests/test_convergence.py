@@ -58,7 +58,7 @@ def relative_error(scheme, shape, found, drive, squared_wavenumber):
 
 @pytest.mark.parametrize("order", [2, 4])
 @pytest.mark.parametrize("phase", PHASES)
-@pytest.mark.parametrize("mode", [(1, 1), (2, 1)])
+@pytest.mark.parametrize("mode", [(1, 1), pytest.param((2, 1), marks=pytest.mark.slow)])
 def test_order_in_space(device, path, mode, phase, order, point_scene):
     """The exact transient of one sine mode, on grids with Δt ∝ h², so that the error in time falls as h⁴."""
     cells, drive, errors = (10, 20, 40), PHASES[phase], []
