@@ -23,7 +23,7 @@ FORBIDDEN_ATTRIBUTES = {"popen", "execv", "spawnv", "fromstring"}
 # no shell.
 STARTS_PROCESSES = {"viz/availability.py", "viz/pictures.py", "warp_plate/bench/machine.py"}
 # Serves a page, on 127.0.0.1.
-SERVES = {"viz/explorer_page.py": {"asyncio"}}
+SERVES = {"viz/explorer_page.py": {"asyncio", "socket"}}
 
 
 def sources():
