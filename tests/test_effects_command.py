@@ -13,7 +13,7 @@ from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.scene.effects import Damping, Effects
 from warp_plate.scene.load import dump_scene
-from warp_plate.scene.model import Search
+from warp_plate.scene.search import Search
 from warp_plate.search import influence
 from warp_plate.search.influence import switches
 from warp_plate.search.simulate import scene_drive

@@ -11,11 +11,11 @@ from pydantic_core import PydanticCustomError
 
 from warp_plate.scene.drive import Drive, check_drive
 from warp_plate.scene.effects import Effects
+from warp_plate.scene.search import Search
 from warp_plate.scene.table import Area, Coordinate, Instant, Moderate, Name, NotNegative, Positive, Table, Text
 
 # Part of a side that an area must cover; what is less would be lost in float32.
 NARROWEST = 1e-6
-Weight = Annotated[float, Field(ge=0, le=1e6)]
 
 
 class ElasticEdge(Table):
@@ -124,20 +124,6 @@ class Record(Table):
 
     times: tuple[Instant, ...] = ()
     points: tuple[tuple[Coordinate, Coordinate], ...] = ()
-
-
-class Search(Table):
-    """The particle swarm, with the paper's names: w (inertia), κ (decay), c₁ (cognitive), c₂ (social)."""
-
-    particles: Annotated[int, Field(ge=2, le=10_000_000)] = 20
-    iterations: Annotated[int, Field(ge=1)] = 80
-    inertia: Weight = 0.4
-    decay: Annotated[float, Field(gt=0, le=1)] = 0.99
-    cognitive: Weight = 2.0
-    social: Weight = 2.0
-    velocity_limit: Annotated[float, Field(gt=0, le=1e100)] | None = None
-    stall: Annotated[int, Field(ge=1)] | None = None
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
 
 
 class Actuator(Table):

@@ -1,0 +1,152 @@
+"""The table ``[search]``: what may vary, what is sought, under which limits, against which scatter, by which method.
+
+A table named after a variable frees it; what none frees stays as the scene has it. Without any such table the search
+is the source paper's: all magnitudes and phases, those of the first actuator held at 1 and 0.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from warp_plate.scene.table import Area, Instant, Name, NotNegative, Positive, Table
+
+Weight = Annotated[float, Field(ge=0, le=1e6)]
+# A part of a number's own size: 0.05 is ± 5 %.
+Tolerance = Annotated[float, Field(ge=0, lt=1)]
+
+
+def _check_range(low: float, high: float) -> None:
+    if high <= low:
+        raise ValueError(f"range: [{low:g}, {high:g}] has no inside; write the smaller number first")
+
+
+class FreePhase(Table):
+    """Phases are sought, of all actuators or of the ones named; they wrap at 2π."""
+
+    actuators: tuple[Name, ...] | None = None
+
+
+class FreeMagnitude(Table):
+    """Magnitudes [N/m²; V under ``[drive.electrostatic]``] are sought within ``range``, of all actuators or of the
+    ones named."""
+
+    range: tuple[NotNegative, NotNegative]
+    actuators: tuple[Name, ...] | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> FreeMagnitude:
+        _check_range(*self.range)
+        return self
+
+
+class FreeFrequency(Table):
+    """The frequency [Hz] is sought within ``range``: one for all actuators, or with ``own`` one for each."""
+
+    range: tuple[Positive, Positive]
+    own: bool = False
+    actuators: tuple[Name, ...] | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> FreeFrequency:
+        _check_range(*self.range)
+        return self
+
+
+class FreePosition(Table):
+    """Actuators are moved, all or the ones named, each staying whole within ``area`` [m] (None: the plate)."""
+
+    area: Area | None = None
+    actuators: tuple[Name, ...] | None = None
+
+
+class FreeDelay(Table):
+    """The burst's start [s] is sought within ``range``: one for all actuators, or with ``own`` one for each."""
+
+    range: tuple[Instant, Instant]
+    own: bool = False
+    actuators: tuple[Name, ...] | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> FreeDelay:
+        _check_range(*self.range)
+        return self
+
+
+class Objective(Table):
+    """One thing that is sought; several are added with their weights.
+
+    "localization": share of the plate's kinetic energy in the target. "contrast": mean kinetic energy density of the
+    target over that of the rest [dB]. "velocity", "displacement": RMS over target and window [m/s, m]; ``rest_limit``
+    is what the RMS over the rest of the plate may reach, in the same unit. "uniformity": 1 where the kinetic energy
+    density is the same all over the target.
+    """
+
+    kind: Literal["localization", "contrast", "velocity", "displacement", "uniformity"] = "localization"
+    weight: Annotated[float, Field(gt=0, le=1e30)] = 1.0
+    rest_limit: Positive | None = None
+
+    @model_validator(mode="after")
+    def _limit_fits(self) -> Objective:
+        if self.rest_limit is not None and self.kind not in ("velocity", "displacement"):
+            raise ValueError(f"rest_limit: {self.kind!r} has none; it is for 'velocity' and 'displacement'")
+        return self
+
+
+class Limits(Table):
+    """What the amplifier can do: largest magnitude of any actuator and of power, Σ magnitude², in the magnitudes' unit
+    and its square; ``equal_magnitudes``: all actuators have the same."""
+
+    magnitude: Positive | None = None
+    power: Positive | None = None
+    equal_magnitudes: bool = False
+
+
+class Robust(Table):
+    """The panel that one really has: every drive is judged by ``scenarios`` plates drawn evenly within tolerances.
+
+    young_modulus, thickness, damping, gain (of each actuator): parts of the nominal values, 0.05 for ± 5 %. place [m]:
+    by which each actuator may be off along x and y. without_oscillators: probability that the scene's oscillators (a
+    finger) are away. measure: the mean, the worst case, or the loss that only 1 − ``quantile`` of the scenarios pass.
+    """
+
+    scenarios: Annotated[int, Field(ge=1, le=100_000)] = 16
+    measure: Literal["mean", "worst", "quantile"] = "mean"
+    quantile: Annotated[float, Field(gt=0, lt=1)] = 0.9
+    young_modulus: Tolerance = 0.0
+    thickness: Tolerance = 0.0
+    damping: Tolerance = 0.0
+    gain: Tolerance = 0.0
+    place: NotNegative = 0.0
+    without_oscillators: Annotated[float, Field(ge=0, le=1)] = 0.0
+    fresh: Annotated[int, Field(ge=1, le=100_000)] = 200
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+
+
+class Search(Table):
+    """How the drive is sought.
+
+    The swarm has the paper's names: w (inertia), κ (decay), c₁ (cognitive), c₂ (social). Other methods take particles ×
+    iterations as the evaluations that they may make.
+    """
+
+    method: Literal["pso", "constriction", "ring", "cma", "gradient", "exact"] = "pso"
+    particles: Annotated[int, Field(ge=2, le=10_000_000)] = 20
+    iterations: Annotated[int, Field(ge=1)] = 80
+    restarts: Annotated[int, Field(ge=0, le=10_000)] = 0
+    inertia: Weight = 0.4
+    decay: Annotated[float, Field(gt=0, le=1)] = 0.99
+    cognitive: Weight = 2.0
+    social: Weight = 2.0
+    velocity_limit: Annotated[float, Field(gt=0, le=1e100)] | None = None
+    stall: Annotated[int, Field(ge=1)] | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    magnitude: FreeMagnitude | None = None
+    phase: FreePhase | None = None
+    frequency: FreeFrequency | None = None
+    position: FreePosition | None = None
+    delay: FreeDelay | None = None
+    objectives: tuple[Objective, ...] = (Objective(),)
+    limits: Limits = Limits()
+    robust: Robust | None = None
