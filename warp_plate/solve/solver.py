@@ -130,7 +130,7 @@ class PlateSolver:
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects in the compiled kernel."""
-        return effect_names(self.scene)
+        return effect_names(self.scene, several_waves=self.specialized.carriers > 1)
 
     def path_words(self, traced: bool = False) -> str:
         """How plates are stepped, for people: the path, and why it streams where it could not do better."""
