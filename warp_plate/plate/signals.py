@@ -30,9 +30,9 @@ LINEAR_FEATURES = 2
 _ONE, _SQUARE = FEATURES.index("1"), FEATURES.index("|Z|²")
 _PHASOR, _PHASOR_SQUARED = FEATURES.index("Re Z"), FEATURES.index("Re Z²")
 
-# What tells waves apart → wave, mixing. Power of the envelope; frequency [Hz], 0 where there is none; and for what is
-# no tone the power of the carrier, −1 for its size squared.
-_Terms: TypeAlias = dict[tuple[int, float, int], tuple[np.ndarray, np.ndarray]]
+# What tells waves apart → wave, mixing. Power of the envelope; its start [s]; frequency [Hz], 0 where there is none;
+# and for what is no tone the power of the carrier, −1 for its size squared.
+_Terms: TypeAlias = dict[tuple[int, float, float, int], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -111,29 +111,34 @@ def make_signals(scene: Scene, time_step: float, steps: int, folder: Path | None
     """
     check_rate(scene, time_step)
     drive, square = scene.drive, scene.drive.electrostatic
-    actuators = len(scene.actuators)
-    envelope = np.ones(1) if drive.burst is None else _burst(drive.burst, time_step, steps, 1)
-    squared = envelope if drive.burst is None or square is None else _burst(drive.burst, time_step, steps, 2)
-    shaped = drive.burst is not None
-    flat = np.ones(steps)
+    shaped, flat = drive.burst is not None, np.ones(steps)
     terms: _Terms = {}
     samples = None if drive.signal is None else read_samples(drive.signal, folder)
-    for carrier, frequency, steady, who in _carriers(scene, time_step, steps, samples):
-        # Actuators share a wave that has the same key: a tone squared is the tone of twice the frequency, a sweep not.
-        other = 0 if frequency and drive.chirp is None else 1
-        shape = envelope * carrier
-        if square is None:
-            _add(terms, (shaped, frequency, other), shape, _PHASOR, who)
-            continue
-        if square.bias:
-            _add(terms, (0, 0.0, 0), flat, _ONE, square.gain * square.bias**2 * who)
-            _add(terms, (shaped, frequency, other), shape, _PHASOR, 2 * square.gain * square.bias * who)
-        size = flat if steady and not shaped else flat * squared * np.abs(carrier) ** 2
-        _add(terms, (2 * shaped, 0.0, 0 if steady else -1), size, _SQUARE, square.gain / 2 * who)
-        twice = squared * carrier**2
-        _add(terms, (2 * shaped, 2 * frequency, 2 * other), twice, _PHASOR_SQUARED, square.gain / 2 * who)
+    carriers = list(_carriers(scene, time_step, steps, samples))
+    for start, begun in _starts(scene):
+        burst = None if drive.burst is None else drive.burst.model_copy(update={"start": start})
+        envelope = np.ones(1) if burst is None else _burst(burst, time_step, steps, 1)
+        squared = envelope if burst is None or square is None else _burst(burst, time_step, steps, 2)
+        for carrier, frequency, steady, carried in carriers:
+            who = begun * carried
+            if not who.any():
+                continue
+            # Actuators share a wave that has the same key: a tone squared is the tone of twice the frequency, a sweep
+            # not.
+            other = 0 if frequency and drive.chirp is None else 1
+            shape = envelope * carrier
+            if square is None:
+                _add(terms, (shaped, start, frequency, other), shape, _PHASOR, who)
+                continue
+            if square.bias:
+                _add(terms, (0, 0.0, 0.0, 0), flat, _ONE, square.gain * square.bias**2 * who)
+                _add(terms, (shaped, start, frequency, other), shape, _PHASOR, 2 * square.gain * square.bias * who)
+            size = flat if steady and not shaped else flat * squared * np.abs(carrier) ** 2
+            _add(terms, (2 * shaped, start, 0.0, 0 if steady else -1), size, _SQUARE, square.gain / 2 * who)
+            twice = squared * carrier**2
+            _add(terms, (2 * shaped, start, 2 * frequency, 2 * other), twice, _PHASOR_SQUARED, square.gain / 2 * who)
     features = LINEAR_FEATURES if square is None else len(FEATURES)
-    wave, mixing = _columns(terms, steps, features, actuators)
+    wave, mixing = _columns(terms, steps, features, len(scene.actuators))
     wave[0] /= 2
     return Signals(wave, mixing, square is None)
 
@@ -187,6 +192,15 @@ def _carriers(
         yield np.cos(angle) + 1j * np.sin(angle), frequency, True, (own == frequency).astype(float)
 
 
+def _starts(scene: Scene) -> Iterator[tuple[float, np.ndarray]]:
+    """Each different start of a burst [s], and (actuators,) one for those whose burst it is; without a burst 0."""
+    burst = scene.drive.burst
+    common = 0.0 if burst is None else burst.start
+    own = np.array([common if actuator.delay is None else actuator.delay for actuator in scene.actuators])
+    for start in dict.fromkeys(own.tolist()):
+        yield start, (own == start).astype(float)
+
+
 def _sweep(chirp: Chirp, start: float, times: np.ndarray) -> np.ndarray:
     """(steps,) phase [rad] of a sweep from ``start`` [Hz], the integral of 2πf over time."""
     span, end = chirp.duration, chirp.end_frequency
@@ -228,7 +242,7 @@ def _burst(burst: Burst, time_step: float, steps: int, power: int) -> np.ndarray
     return step_means(integral, time_step, steps)
 
 
-def _add(terms: _Terms, key: tuple[int, float, int], wave: np.ndarray, feature: int, factor: np.ndarray) -> None:
+def _add(terms: _Terms, key: tuple[int, float, float, int], wave: np.ndarray, feature: int, factor: np.ndarray) -> None:
     """Put a term in, or onto one with the same wave; a complex wave is two terms, and takes two features."""
     if key not in terms:
         terms[key] = (wave, np.zeros((len(FEATURES), factor.size)))
