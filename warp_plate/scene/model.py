@@ -128,13 +128,14 @@ class Record(Table):
 
 class Actuator(Table):
     """A patch that presses on the plate: area x0, x1, y0, y1 [m], magnitude [N/m²; V under ``[drive.electrostatic]``],
-    phase lag [rad], frequency [Hz] (None: the drive's)."""
+    phase lag [rad], frequency [Hz] (None: the drive's), delay [s] (None: its burst begins at ``drive.burst.start``)."""
 
     name: Name
     area: Area
     magnitude: Moderate = 1.0
     phase: Moderate = 0.0
     frequency: Positive | None = None
+    delay: Instant | None = None
 
 
 def _check_area(key: str, area: Area, size: tuple[float, float]) -> None:
@@ -195,7 +196,10 @@ class Scene(Table):
                 raise ValueError(f"actuators[{index}].name: {actuator.name!r} is taken; give each actuator its own")
             names.add(actuator.name)
         _check_area("target.area", self.target.area, size)
-        check_drive(self.drive, [actuator.frequency for actuator in self.actuators], self.window.end)
+        delays = [actuator.delay for actuator in self.actuators]
+        check_drive(self.drive, [actuator.frequency for actuator in self.actuators], delays, self.window.end)
+        if self.search.position is not None and self.search.position.area is not None:
+            _check_area("search.position.area", self.search.position.area, size)
         for index, layer in enumerate(self.effects.layers):
             _check_area(f"effects.layers[{index}].area", layer.area, size)
             if layer.thickness > min(size) / 5:
