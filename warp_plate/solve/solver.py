@@ -11,9 +11,9 @@ import numpy as np
 import warp as wp
 
 from warp_plate.plate.scheme import Scheme
-from warp_plate.plate.weights import NO_AREAS, bilinear
+from warp_plate.plate.weights import NO_AREAS, Region, bilinear
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Area, Scene
+from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import load_drives, make_engine, region_sums
 from warp_plate.solve.paths import why_streaming
@@ -77,7 +77,8 @@ class PlateSolver:
         chunk: plates that run at once, at least 1; left out: as many as memory holds.
         threads: of the CPU; left out: as many as it has.
         allow_unstable: whether to take a time step above the stability limit too.
-        areas: by name, further regions x0, x1, y0, y1 [m] whose energy runs give beside the plate's and the target's.
+        areas: by name, further regions whose energy runs give beside the plate's and the target's: rectangles x0, x1,
+            y0, y1 [m], shapes, or weights (ny, nx) in cells.
 
     Raises:
         SceneError: unstable time step, an actuator that covers no node, no such device or path.
@@ -91,7 +92,7 @@ class PlateSolver:
         chunk: int | None = None,
         threads: int | None = None,
         allow_unstable: bool = False,
-        areas: Mapping[str, Area] = NO_AREAS,
+        areas: Mapping[str, Region] = NO_AREAS,
     ) -> None:
         started = time.perf_counter()
         if chunk is not None and chunk < 1:
