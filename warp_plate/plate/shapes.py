@@ -101,6 +101,24 @@ def shape_weights(scene: Scene, key: str, target: Target, within: Area | None = 
     return weights
 
 
+def bounds(scene: Scene, key: str, target: Target) -> Area:
+    """x0, x1, y0, y1 [m] of the smallest rectangle that holds a target.
+
+    Raises:
+        SceneError: see :func:`shape_weights`.
+    """
+    corners = target.corners(DISC_CORNERS)
+    if corners is None:
+        values = read_mask(scene, key, target)
+        ends = []
+        for side, some in zip(scene.plate.size, (values.any(axis=0), values.any(axis=1)), strict=True):
+            first, last = np.flatnonzero(some)[[0, -1]]
+            ends.append(np.clip(np.array([first - 1, last + 1]) / max(some.size - 1, 1), 0, 1) * side)
+        corners = np.column_stack(ends)
+    (x0, y0), (x1, y1) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+    return x0, x1, y0, y1
+
+
 def polygon_weights(corners: np.ndarray, across: Axis, up: Axis) -> np.ndarray:
     """(nodes of up, nodes of across) weights of a polygon (corners, 2), in spacings, on the plate."""
     weights = np.zeros((up.nodes, across.nodes))
