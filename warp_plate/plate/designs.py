@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -165,7 +166,7 @@ def _edges(scene: Scene, own: Own, centre: np.ndarray) -> np.ndarray:
     half = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1) / 2
     low, high = centre - half, centre + half
     spaces, slack = actuator_spaces(scene, own), SLACK * np.array(scene.plate.size)
-    inside: np.ndarray = ((low >= spaces[:, [0, 2]] - slack) & (high <= spaces[:, [1, 3]] + slack)).all(axis=-1)
+    inside: Any = ((low >= spaces[:, [0, 2]] - slack) & (high <= spaces[:, [1, 3]] + slack)).all(axis=-1)
     _refuse(scene, "centre", centre, inside, "a place where the actuator stays whole within its area")
     return np.stack([low[..., 0], high[..., 0], low[..., 1], high[..., 1]], axis=-1)
 

@@ -253,14 +253,11 @@ def _named_frequencies(scene: Scene) -> Iterator[tuple[str, float, int]]:
     """Every frequency [Hz] that some actuator or the moving load has at some time, with its key, and by how much the
     drive multiplies it."""
     own, load, square = [actuator.frequency for actuator in scene.actuators], scene.effects.moving_load, _square(scene)
-    sought = scene.search.frequency
     if scene.drive.signal is not None or None in own:
         yield "drive.frequency", scene.drive.frequency, square
     for index, frequency in enumerate(own):
         if frequency is not None:
             yield f"actuators[{index}].frequency", frequency, square
-    if sought is not None:
-        yield "search.frequency.range", sought.range[1], square
     if scene.drive.chirp is not None:
         yield "drive.chirp.end_frequency", scene.drive.chirp.end_frequency, square
     if load is not None and load.frequency is not None:

@@ -147,6 +147,14 @@ class Search(Table):
     frequency: FreeFrequency | None = None
     position: FreePosition | None = None
     delay: FreeDelay | None = None
-    objectives: tuple[Objective, ...] = (Objective(),)
+    objectives: Annotated[tuple[Objective, ...], Field(min_length=1)] = (Objective(),)
     limits: Limits = Limits()
     robust: Robust | None = None
+
+    @model_validator(mode="after")
+    def _each_kind_once(self) -> Search:
+        kinds = [one.kind for one in self.objectives]
+        for index, kind in enumerate(kinds):
+            if kind in kinds[:index]:
+                raise ValueError(f"objectives[{index}].kind: {kind!r} is there already; add their weights instead")
+        return self

@@ -11,9 +11,9 @@ import numpy as np
 import warp as wp
 
 from warp_plate.plate.designs import NOTHING_OWN, Designs, Own, OwnValues, check_designs
-from warp_plate.plate.weights import NO_AREAS, bilinear
+from warp_plate.plate.weights import NO_AREAS, Region, bilinear
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Area, Scene
+from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import load_drives, make_engine, region_sums
 from warp_plate.solve.paths import why_streaming
@@ -85,7 +85,8 @@ class PlateSolver:
         chunk: plates that run at once, at least 1; left out: as many as memory holds.
         threads: of the CPU; left out: as many as it has.
         allow_unstable: whether to take a time step above the stability limit too.
-        areas: by name, further regions x0, x1, y0, y1 [m] whose energy runs give beside the plate's and the target's.
+        areas: by name, further regions whose energy runs give beside the plate's and the target's: rectangles x0, x1,
+            y0, y1 [m], shapes, or weights (ny, nx) in cells.
         own: what plates may have of their own beside drives, see ``plate.designs``. The time step is the scene's: it
             must carry their frequencies (that of a scene with ``search.frequency`` does).
         quantity: "velocity" or "displacement", of which energies are, see :class:`Run`.
@@ -104,7 +105,7 @@ class PlateSolver:
         chunk: int | None = None,
         threads: int | None = None,
         allow_unstable: bool = False,
-        areas: Mapping[str, Area] = NO_AREAS,
+        areas: Mapping[str, Region] = NO_AREAS,
         own: Own = NOTHING_OWN,
         quantity: Quantity = "velocity",
     ) -> None:

@@ -16,9 +16,9 @@ from warp_plate.plate.limit import needs_moments
 from warp_plate.plate.moving import MovingWeights, moving_weights
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.signals import Signals, make_signals, running_sums, waves_apart
-from warp_plate.plate.weights import NO_AREAS, REGIONS, patches, reachable_nodes, region_weights
+from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, patches, reachable_nodes, region_weights
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Area, Scene
+from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import cpu_threads
 
 # Rows are padded to whole cache lines, which are also whole vector registers.
@@ -142,7 +142,7 @@ def specialize(
     device: wp.Device,
     threads: int | None = None,
     allow_unstable: bool = False,
-    areas: Mapping[str, Area] = NO_AREAS,
+    areas: Mapping[str, Region] = NO_AREAS,
     own: Own = NOTHING_OWN,
     quantity: Quantity = "velocity",
 ) -> Specialized:
