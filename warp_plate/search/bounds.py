@@ -58,7 +58,8 @@ class Allowed:
     @staticmethod
     def all_drives(actuators: int) -> Allowed:
         """No limit at all."""
-        return Allowed(*(np.full(actuators, value) for value in (-math.inf, math.inf, math.nan)))
+        low, high, free = (np.full(actuators, value) for value in (-math.inf, math.inf, math.nan))
+        return Allowed(low, high, free)
 
     @property
     def at_any_scale(self) -> bool:
