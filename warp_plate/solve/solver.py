@@ -77,6 +77,7 @@ class PlateSolver:
         chunk: plates that run at once, at least 1; left out: as many as memory holds.
         threads: of the CPU; left out: as many as it has.
         allow_unstable: whether to take a time step above the stability limit too.
+        share: the part of the memory for plates that this solver may take, where several have plates at a time.
         areas: by name, further regions x0, x1, y0, y1 [m] whose energy runs give beside the plate's and the target's.
 
     Raises:
@@ -92,6 +93,7 @@ class PlateSolver:
         threads: int | None = None,
         allow_unstable: bool = False,
         areas: Mapping[str, Area] = NO_AREAS,
+        share: float = 1.0,
     ) -> None:
         started = time.perf_counter()
         if chunk is not None and chunk < 1:
@@ -102,6 +104,7 @@ class PlateSolver:
         self.path = self.engine.path
         self._chunk = chunk
         self._areas = areas
+        self._share = share
         self._state: State | None = None
         self.node_steps = 0  # of all runs so far
         self.compile_seconds = time.perf_counter() - started
@@ -225,7 +228,9 @@ class PlateSolver:
     def _plates_at_once(self, plates: int, traced_nodes: int) -> int:
         if self._chunk is not None:
             return min(self._chunk, plates)
-        budget = CUDA_CHUNK_SHARE * self.device.free_memory if self.device.is_cuda else CPU_CHUNK_BYTES
+        budget = self._share * (
+            CUDA_CHUNK_SHARE * self.device.free_memory if self.device.is_cuda else CPU_CHUNK_BYTES
+        )
         if self._state is not None and self.device.is_cuda:
             budget += self._state.capacity * bytes_per_plate(self.specialized, self._state.nodes.shape[0])
         each = bytes_per_plate(self.specialized, traced_nodes)
