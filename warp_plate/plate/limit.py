@@ -62,13 +62,13 @@ class Limit:
     place: tuple[float, float] | None = None
 
 
-def find_limit(scene: Scene) -> tuple[Limit, Bending | None]:
-    """The limit of a scene with a grid; and the plate as moments, where it goes that way.
+def find_limit(scene: Scene, general: bool = False) -> tuple[Limit, Bending | None]:
+    """The limit of a scene with a grid; and the plate as moments, where it goes that way, or ``general`` says so.
 
     Raises:
         SceneError: the plate buckles, or fourth order is asked of one that does not know it.
     """
-    if not needs_moments(scene):
+    if not (general or needs_moments(scene)):
         return _limit_of_plain(scene), None
     if scene.grid.order == 4:
         raise SceneError(
