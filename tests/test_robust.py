@@ -1,12 +1,15 @@
 """Robust searches: plates × scenarios against scenes run one by one, Gram matrices against plates, the measures."""
 
+import importlib
+from pkgutil import iter_modules
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from warp_plate import PlateSolver
+from warp_plate import PlateSolver, kernels
 from warp_plate.plate.designs import Designs
 from warp_plate.scene.search import Robust
 from warp_plate.search.robust import Panels, in_scenario, measure_scenarios, measured, solve_directly, worst_tail
@@ -76,6 +79,27 @@ def test_bits_do_not_depend_on_how_a_batch_is_cut(robust, phasors, monkeypatch):
     np.testing.assert_array_equal(energies(gram, designs), whole)
 
 
+def test_kernels_do_not_grow_with_scenarios(robust):
+    """One set with the finger and one without; on CUDA rows that some actuator presses on are compiled in too."""
+    scenarios = draw_scenarios(robust(True, place=0.03), 12, 0)
+    with_finger = [bool(one.scene.effects.oscillators) for one in scenarios]
+    first = {there: with_finger.index(there) for there in (True, False)}
+    solve_directly([scenarios[at] for at in first.values()], "cpu")
+    compiled = kernels_made()
+    solvers = solve_directly(scenarios, "cpu").solvers
+    assert kernels_made() == compiled > 0
+    assert {tuple(solver.specialized.loaded_rows) for solver in solvers} == {tuple(solvers[0].specialized.loaded_rows)}
+    covered = {tuple(PlateSolver(one.scene, "cpu").specialized.loaded_rows) for one in scenarios}
+    assert len(covered) > 1
+
+
+def kernels_made():
+    """Entries in the caches of all factories of kernels."""
+    modules = [importlib.import_module(f"warp_plate.kernels.{one.name}") for one in iter_modules(kernels.__path__)]
+    factories = {made for module in modules for made in vars(module).values() if hasattr(made, "cache_info")}
+    return sum(made.cache_info().currsize for made in factories)
+
+
 def test_solvers_share_the_memory(robust, monkeypatch):
     """All plates of all scenarios at a time take what one solver would."""
     asked = []
@@ -109,6 +133,23 @@ def test_places_of_their_own_are_off_as_well_and_stay_on_the_plate(robust):
     np.testing.assert_allclose(moved, np.clip(centre + one.offset, half, 0.2 - half))
     assert np.any(moved != centre + one.offset)
     assert np.any(moved == centre + one.offset)
+
+
+@pytest.mark.parametrize("searched", [False, True])
+def test_actuators_are_off_by_their_offsets(device, path, robust, phasors, searched):
+    """Whether or not places are searched: a scene written out with its patches where they are moves the same."""
+    made = robust(tables={"position": {}} if searched else {}, place=0.01)
+    one = draw_scenarios(made, 1, 4)[0]
+    drives, centre = phasors(1, 3), np.array([[[0.05, 0.05], [0.1, 0.14], [0.11, 0.1]]])
+    panels = solve_directly([one], device, path)
+    found = energies(panels, Designs(drives, centre=centre if searched else None))[0]
+    tables = [actuator.model_dump() for actuator in made.actuators]
+    for table, middle, offset in zip(tables, centre[0], one.offset, strict=True):
+        area = np.array(table["area"]).reshape(2, 2)
+        place = (middle if searched else area.mean(axis=1)) + offset
+        table["area"] = (area + (place - area.mean(axis=1))[:, None]).ravel().tolist()
+    written = one.scene.with_tables(actuators=tables)
+    np.testing.assert_allclose(found, PlateSolver(written, device, path).run(drives * one.gain).energy, rtol=1e-10)
 
 
 losses_of_plates = arrays(float, st.tuples(st.integers(1, 4), st.integers(1, 12)), elements=st.floats(0, 1))

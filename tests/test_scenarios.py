@@ -88,9 +88,7 @@ def test_draws_are_even(robust):
 
 def test_the_seed_alone_decides(robust):
     made = robust(**TOLERANCES, without_oscillators=0.5)
-    one, same, other, fresh = (
-        draw_scenarios(made, 8, *arguments) for arguments in ((5,), (5,), (6,), (5, True))
-    )
+    one, same, other, fresh = (draw_scenarios(made, 8, *arguments) for arguments in ((5,), (5,), (6,), (5, True)))
     for scenario, again, others in zip(one, same, zip(other, fresh, strict=True), strict=True):
         assert scenario.scene == again.scene
         np.testing.assert_array_equal(scenario.gain, again.gain)
@@ -178,6 +176,11 @@ def test_bad_tables_are_refused_in_one_line(line, scene):
     with pytest.raises(SceneError, match="^" + line.replace(".", r"\.")) as caught:
         scene().with_tables(search={"robust": BAD[line]})
     assert "\n" not in str(caught.value)
+
+
+def test_places_in_jumps_are_refused(scene):
+    with pytest.raises(SceneError, match=r'^search\.robust\.place: grid\.load = "nodes" .* not by 0\.002 m'):
+        scene(load="nodes").with_tables(search={"robust": {"place": 0.002}})
 
 
 def test_scenarios_that_are_no_plates_are_refused(scene):

@@ -125,7 +125,7 @@ class Robust(Table):
     fresh: Annotated[int, Field(ge=1, le=100_000)] = 200
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
 
-    def check(self, effects: Effects) -> None:
+    def check(self, effects: Effects, load: str) -> None:
         """Raise ValueError, naming the key, where nothing is drawn, or what is drawn is not in the scene."""
         drawn = (self.young_modulus, self.thickness, self.damping, self.gain, self.place, self.without_oscillators)
         if not any(drawn):
@@ -141,6 +141,11 @@ class Robust(Table):
             raise ValueError(
                 f"search.robust.without_oscillators: {self.without_oscillators:g}, but there is none; write "
                 "[[effects.oscillators]], or delete the key"
+            )
+        if self.place and load == "nodes":
+            raise ValueError(
+                f'search.robust.place: grid.load = "nodes" moves an actuator by whole nodes, not by {self.place:g} m; '
+                'write load = "overlap" or "moments"'
             )
 
 

@@ -62,7 +62,7 @@ class Panels:
             yield from whole.swapaxes(0, 1)
             return
         for scenario, solver in zip(self.scenarios, self.solvers, strict=True):
-            yield solver.run(in_scenario(designs, scenario).drives).energy
+            yield solver.run(in_scenario(designs, scenario)).energy
 
 
 def in_scenario(designs: Designs, scenario: Scenario) -> Designs:
@@ -82,9 +82,8 @@ def solve_directly(scenarios: Sequence[Scenario], device: str = "auto", path: st
         SceneError: see :class:`PlateSolver`.
     """
     share = 1 / len(scenarios)
-    return Panels(
-        tuple(scenarios), tuple(PlateSolver(one.scene, device, path, share=share) for one in scenarios)
-    )
+    solvers = (PlateSolver(one.scene, device, path, own=one.own, share=share) for one in scenarios)
+    return Panels(tuple(scenarios), tuple(solvers))
 
 
 def measure_scenarios(
@@ -100,7 +99,7 @@ def measure_scenarios(
     """
     matrices, seconds, node_steps = [], 0.0, 0
     for index, one in enumerate(scenarios):
-        solver = PlateSolver(_in_float64(one.scene), device, path)
+        solver = PlateSolver(_in_float64(one.scene), device, path, own=one.own)
         gain = np.tile(one.gain, 2)
         matrices.append(measure_response(solver).matrices * np.outer(gain, gain))
         seconds, node_steps = seconds + solver.compile_seconds, node_steps + solver.node_steps

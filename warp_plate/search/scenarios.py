@@ -6,11 +6,12 @@ draw as it was, and the first of many scenarios are the same panels as those of 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from warp_plate.plate.designs import Own, own_of
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.scene.errors import SceneError
@@ -27,12 +28,14 @@ class Scenario:
 
     scene: with its stiffness, thickness, damping, oscillators and actuators where they are; gain: (actuators,) by which
     drives are multiplied; offset: (actuators, 2) x, y by which actuators are off [m], as drawn: ``scene`` keeps them on
-    the plate.
+    the plate. own: what its solver is made for, the same for all scenarios of a scene, so that they share kernels
+    wherever their actuators are.
     """
 
     scene: Scene
     gain: np.ndarray
     offset: np.ndarray
+    own: Own
 
 
 def draw_scenarios(scene: Scene, count: int, seed: int, fresh: bool = False) -> tuple[Scenario, ...]:
@@ -54,14 +57,8 @@ def draw_scenarios(scene: Scene, count: int, seed: int, fresh: bool = False) -> 
     numbers = np.random.default_rng([seed, int(fresh)]).random((count, 4 + 3 * actuators))
     drawn = [_scenario(scene, robust, row) for row in numbers]
     step = _common_step(scene, drawn)
-    return tuple(
-        Scenario(
-            one.scene.model_copy(update={"grid": scene.grid.model_copy(update={"time_step": step})}),
-            one.gain,
-            one.offset,
-        )
-        for one in drawn
-    )
+    grid = scene.grid.model_copy(update={"time_step": step})
+    return tuple(replace(one, scene=one.scene.model_copy(update={"grid": grid})) for one in drawn)
 
 
 def kept_on_plate(centre: np.ndarray, half: np.ndarray, size: tuple[float, float]) -> np.ndarray:
@@ -86,7 +83,7 @@ def _scenario(scene: Scene, robust: Robust, numbers: np.ndarray) -> Scenario:
         actuators=_moved(scene, offset),
         search={**scene.search.model_dump(), "robust": None},
     )
-    return Scenario(made, 1 + robust.gain * (2 * gains - 1), offset)
+    return Scenario(made, 1 + robust.gain * (2 * gains - 1), offset, _own(scene, robust.place))
 
 
 def _effects(scene: Scene, stiffer: float, thicker: float, damped: float, bare: bool) -> dict[str, Any]:
@@ -113,6 +110,16 @@ def _moved(scene: Scene, offset: np.ndarray) -> list[dict[str, Any]]:
         {**actuator.model_dump(), "area": tuple(area.ravel().tolist())}
         for actuator, area in zip(scene.actuators, moved, strict=True)
     ]
+
+
+def _own(scene: Scene, place: float) -> Own:
+    """What plates have of their own, each actuator's area being wider by ``place`` [m] on all sides."""
+    own = own_of(scene)
+    if not place:
+        return own
+    areas = np.array(own.areas or [actuator.area for actuator in scene.actuators])
+    wider = np.clip(areas + place * np.array([-1, 1, -1, 1]), 0, np.repeat(scene.plate.size, 2))
+    return replace(own, centre=True, areas=tuple(map(tuple, wider.tolist())))
 
 
 def _common_step(scene: Scene, drawn: list[Scenario]) -> float:
