@@ -206,6 +206,8 @@ class Scene(Table):
                 )
         for index, oscillator in enumerate(self.effects.oscillators):
             check_area(f"effects.oscillators[{index}].area", oscillator.area, size)
+        if self.search.robust is not None:
+            self.search.robust.check(self.effects, self.grid.load)
         for index, time in enumerate(self.record.times):
             if time > self.window.end * (1 + 1e-9):
                 raise ValueError(

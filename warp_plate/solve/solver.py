@@ -90,6 +90,7 @@ class PlateSolver:
         own: what plates may have of their own beside drives, see ``plate.designs``. The time step is the scene's: it
             must carry their frequencies (that of a scene with ``search.frequency`` does).
         quantity: "velocity" or "displacement", of which energies are, see :class:`Run`.
+        share: the part of the memory for plates that this solver may take, where several have plates at a time.
 
     Raises:
         SceneError: unstable time step, an actuator that covers no node, no such device or path; a scene that cannot
@@ -108,6 +109,7 @@ class PlateSolver:
         areas: Mapping[str, Region] = NO_AREAS,
         own: Own = NOTHING_OWN,
         quantity: Quantity = "velocity",
+        share: float = 1.0,
     ) -> None:
         started = time.perf_counter()
         if chunk is not None and chunk < 1:
@@ -119,6 +121,7 @@ class PlateSolver:
         self.path = self.engine.path
         self._chunk = chunk
         self._areas = areas
+        self._share = share
         self._state: State | None = None
         self.node_steps = 0  # of all runs so far
         self.compile_seconds = time.perf_counter() - started
@@ -251,7 +254,9 @@ class PlateSolver:
     def _plates_at_once(self, plates: int, traced_nodes: int) -> int:
         if self._chunk is not None:
             return min(self._chunk, plates)
-        budget = CUDA_CHUNK_SHARE * self.device.free_memory if self.device.is_cuda else CPU_CHUNK_BYTES
+        budget = self._share * (
+            CUDA_CHUNK_SHARE * self.device.free_memory if self.device.is_cuda else CPU_CHUNK_BYTES
+        )
         if self._state is not None and self.device.is_cuda:
             budget += self._state.capacity * bytes_per_plate(self.specialized, self._state.nodes.shape[0])
         each = bytes_per_plate(self.specialized, traced_nodes)
