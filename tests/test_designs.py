@@ -39,7 +39,7 @@ OWN = {
     "centre": Own(centre=True),
     "all": Own(frequency=True, delay=True, centre=True),
 }
-EACH = Own(frequency=True, centre=True, each=True)
+EACH = Own(frequency=True, delay=True, centre=True, each=True)
 CASES = [(kind, own) for kind in KINDS for own in OWN if own == "all" or kind in ("small", "general")]
 STEPS = 90
 
@@ -98,8 +98,8 @@ def written(made, designs, plate):
         if designs.centre is not None:
             (x, y), (width, height) = designs.centre[plate, index], half
             actuator["area"] = (x - width, x + width, y - height, y + height)
-    if designs.delay is not None:
-        tables["drive"]["burst"]["start"] = designs.delay[plate, 0]
+        if designs.delay is not None:
+            actuator["delay"] = designs.delay[plate, index]
     return made.with_tables(**tables)
 
 
@@ -140,7 +140,7 @@ def test_each_plate_is_its_own_scene(device, path, kind, own, precision, burst_s
 
 @pytest.mark.parametrize("precision", TOLERANCE)
 @pytest.mark.parametrize("kind", ["small", "general"])
-def test_a_frequency_for_each_actuator(device, path, kind, precision, burst_scene, draw):
+def test_a_frequency_and_a_delay_for_each_actuator(device, path, kind, precision, burst_scene, draw):
     made = burst_scene(precision, **KINDS[kind])
     designs = draw(made, EACH, 3)
     solver = PlateSolver(made, device, path, own=EACH)
@@ -152,21 +152,6 @@ def test_a_frequency_for_each_actuator(device, path, kind, precision, burst_scen
     # What is not given is the scene's.
     plain = PlateSolver(made, device, path).run(designs.drives)
     np.testing.assert_allclose(solver.run(designs.drives).energy, plain.energy, rtol=TOLERANCE[precision])
-
-
-def test_a_delay_for_each_actuator(device, path, burst_scene, draw):
-    """The plate's displacement is the sum of what each actuator does alone in a scene that has its delay."""
-    made = burst_scene(**KINDS["small"])
-    own, times = Own(delay=True, each=True), (40 * made.grid.time_step, made.window.end)
-    designs = draw(made, own, 2)
-    run = PlateSolver(made, device, path, own=own).run(designs, times)
-    total = np.zeros(run.displacement.shape)
-    for plate in range(2):
-        for index in range(len(made.actuators)):
-            alone = np.where(np.arange(len(made.actuators)) == index, designs.drives[plate], 0)[None]
-            late = Designs(alone, delay=np.full((1, len(made.actuators)), designs.delay[plate, index]))
-            total[plate] += PlateSolver(written(made, late, 0), device, path).run(alone, times).displacement[0]
-    np.testing.assert_allclose(run.displacement, total, rtol=0, atol=1e-11 * np.abs(total).max())
 
 
 def test_the_kernel_of_blocks_on_cpu(burst_scene, draw, monkeypatch):
@@ -270,15 +255,12 @@ def test_waves_are_those_of_the_scene(name, each, scene, draw, phasors, pairs):
     """Host and device, and both against the signals of a scene with one plate's values."""
     drive = {"frequency": 290.0, "burst": {"start": 0.001, "duration": 0.006, "ramp": 0.002}, **DRIVES[name]}
     made = scene((9, 9), time_step=8e-5, drive=drive)
-    own = Own(frequency=True, delay=drive["burst"] is not None and not each, each=each)
+    own = Own(frequency=True, delay=drive["burst"] is not None, each=each)
     designs, steps = draw(made, own, 4), make_scheme(made).steps
     drives = phasors(1, 3)
     columns = slice(None) if each else slice(1)
     frequency = designs.frequency[:, columns]
-    burst = made.drive.burst
-    delay = None if burst is None else np.full(frequency.shape, burst.start)
-    if designs.delay is not None:
-        delay = designs.delay[:, columns]
+    delay = None if designs.delay is None else designs.delay[:, columns]
     shared = make_signals(made, 8e-5, steps, each=each)
     waves = own_waves(made, 8e-5, steps, frequency, delay)
     assert waves.shape == (4, steps, shared.terms)
@@ -331,7 +313,6 @@ def test_waves_and_places_count_as_memory(scene):
 
 
 def test_what_a_search_frees_is_own(scene):
-    """And its time step carries the highest frequency that may be asked for."""
     made = scene((9, 9), drive={"frequency": 290.0, "burst": {"duration": 0.01}})
     assert own_of(made) == Own()
     position = {"actuators": ["0", "2"], "area": (0.0, 0.15, 0.0, 0.15)}
@@ -340,7 +321,6 @@ def test_what_a_search_frees_is_own(scene):
     )
     areas = ((0.0, 0.15, 0.0, 0.15), made.actuators[1].area, (0.0, 0.15, 0.0, 0.15))
     assert own_of(free) == Own(frequency=True, delay=True, centre=True, each=True, areas=areas)
-    assert make_scheme(free).time_step <= 1 / (20 * 9e3) < make_scheme(made).time_step
 
 
 def refused(message, call, *arguments, **options):
