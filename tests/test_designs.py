@@ -217,7 +217,7 @@ def test_patches_are_those_of_the_scene(load, effects, burst_scene, draw, pairs)
             solver.run(Designs(np.eye(count)[[index] * 12], centre=designs.centre))
             found = solver._state.in_phase.numpy()[:12]
             for plate in range(12):
-                alone = PlateSolver(written(made, designs, plate), device)
+                alone = PlateSolver(written(made, designs, plate), "cpu")
                 alone.run(np.eye(count)[[index]])
                 expected = alone._state.in_phase.numpy()[0]
                 np.testing.assert_allclose(found[plate], expected, rtol=0, atol=1e-13 * np.abs(expected).max())
