@@ -40,8 +40,8 @@ from warp_plate.scene.model import Scene
 
 # With so many nodes a side, the end of a periodic plate's spectrum is at most 0.8 % above that of a plate with edges.
 FORMULA_NODES = 24
-# Relative, of the largest eigenvalue: Lanczos' method stops there, and the limit keeps MARGIN below what it finds. At 1e-3
-# it was seen to stop at the second largest, 0.3 % below.
+# Relative, of the largest eigenvalue: Lanczos' method stops there, and the limit keeps MARGIN below what it finds. At
+# 1e-3 it was seen to stop at the second largest, 0.3 % below.
 LANCZOS_TOLERANCE, MARGIN = 1e-4, 3e-3
 # Up to so many unknowns all eigenvalues are worked out, and the limit keeps off by rounding alone.
 DENSE, ROUNDING = 200, 1e-9
