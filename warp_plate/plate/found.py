@@ -1,4 +1,4 @@
-"""From what a plate of a batch had of its own to a scene that is that plate."""
+"""From what a plate of a batch had of its own to a scene that is that plate, and back."""
 
 from __future__ import annotations
 
@@ -47,6 +47,14 @@ def scene_with(
             x0, x1, y0, y1 = actuator["area"]
             actuator["area"] = (*_span(x0, x1, x), *_span(y0, y1, y))
     return scene.with_tables(drive=drive, actuators=actuators)
+
+
+def scene_drive(scene: Scene) -> np.ndarray:
+    """(actuators,) the phasors of the magnitudes and phases that the scene gives its actuators."""
+    magnitude = np.array([actuator.magnitude for actuator in scene.actuators])
+    phase = np.array([actuator.phase for actuator in scene.actuators])
+    drive: np.ndarray = magnitude * np.exp(-1j * phase)
+    return drive
 
 
 def middles(scene: Scene) -> np.ndarray:

@@ -34,7 +34,7 @@ from warp_plate.plate.bending import (
     with_oscillators,
 )
 from warp_plate.plate.operator import LARGEST, biharmonic, make_taps
-from warp_plate.plate.signals import own_frequencies
+from warp_plate.plate.signals import shares_waves
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -62,13 +62,13 @@ class Limit:
     place: tuple[float, float] | None = None
 
 
-def find_limit(scene: Scene) -> tuple[Limit, Bending | None]:
-    """The limit of a scene with a grid; and the plate as moments, where it goes that way.
+def find_limit(scene: Scene, general: bool = False) -> tuple[Limit, Bending | None]:
+    """The limit of a scene with a grid; and the plate as moments, where it goes that way, or ``general`` says so.
 
     Raises:
         SceneError: the plate buckles, or fourth order is asked of one that does not know it.
     """
-    if not needs_moments(scene):
+    if not (general or needs_moments(scene)):
         return _limit_of_plain(scene), None
     if scene.grid.order == 4:
         raise SceneError(
@@ -110,7 +110,7 @@ def needs_moments(scene: Scene) -> bool:
         scene.drive.electrostatic,
     )  # fmt: skip
     named = any(table is not None for table in rest) or bool(effects.oscillators)
-    return not scene.uniform or named or len(own_frequencies(scene)) > 1
+    return not scene.uniform or named or not shares_waves(scene)
 
 
 def plain_edge(edge: object) -> str:

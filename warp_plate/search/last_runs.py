@@ -1,19 +1,18 @@
-"""The drives that a result is about, each run once more for its pictures: two references, and the best that was found."""
+"""The drives that a result is about, each run once more for its pictures: two references, and the best one found."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from warp_plate.plate.found import scene_drive
 from warp_plate.plate.weights import localization_factor
 from warp_plate.result.model import Case
 from warp_plate.scene.model import Scene
 from warp_plate.search.objective import unit_of_drives
 from warp_plate.search.peak import run_and_look
-from warp_plate.search.problem import Problem
-from warp_plate.search.simulate import scene_drive
+from warp_plate.search.problem import Energies, Problem
 from warp_plate.solve.solver import PlateSolver, Run
 
 

@@ -65,7 +65,10 @@ def localize(
     if not 0 <= seed < 2**63:
         raise SceneError(f"seed = {seed}: must be a whole number from 0 to 2^63 - 1")
     asked, files = scene, digests(scene)
-    scene, accuracy, seconds, stage = resolve(scene, device)
+    # A frequency that is searched is judged where it asks most of a grid.
+    hardest = at_highest_frequency(asked)
+    chosen, accuracy, seconds, stage = resolve(hardest, device)
+    scene = chosen.model_copy(update={"actuators": asked.actuators})
     started = time.perf_counter()
     problem = make_problem(scene, device, path, evaluator)
     drives = reference_drives(problem.scene, problem.energies_of_drives)
@@ -172,8 +175,8 @@ def _finish(
     seconds["solve"] = seconds.get("solve", 0.0) + time.perf_counter() - started
     accuracy = dict(begun.accuracy)
     if estimate:
-        kept = stage if found.scene is scene else None
-        accuracy |= estimated(found.scene, found.drives, found.run, seconds, problem.plain.device.alias, kept)
+        known = stage if found.scene is scene else None  # the reference of another plate tells nothing
+        accuracy |= estimated(found.scene, found.drives, found.run, seconds, problem.plain.device.alias, known)
     made = make_spectrum(problem, seconds) if spectrum and not interrupted else {}
     return Result(
         command="localize",
@@ -211,12 +214,9 @@ def resolve(
     if scene.grid.accuracy is None:
         return scene, {}, {}, None
     started = time.perf_counter()
-    # A frequency that is searched is judged where it asks most of a grid.
-    choice = choose(at_highest_frequency(scene), scene.grid.accuracy, device, drives)
+    choice = choose(scene, scene.grid.accuracy, device, drives)
     kept = {"asked": choice.asked, "expected": choice.error, "reason": choice.reason}
-    chosen = choice.scene.model_copy(update={"actuators": scene.actuators})
-    stage = choice.truth.stage if scene.search.frequency is None else None
-    return chosen, kept, {"choose": time.perf_counter() - started}, stage
+    return choice.scene, kept, {"choose": time.perf_counter() - started}, choice.truth.stage
 
 
 def estimated(

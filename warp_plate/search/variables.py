@@ -17,6 +17,7 @@ import numpy as np
 
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.found import middles, scene_with
+from warp_plate.plate.signals import actuator_frequencies, actuator_starts
 from warp_plate.scene.model import Scene
 from warp_plate.search.free import Number, free_numbers, frees, only_ratios
 from warp_plate.search.objective import unit_of_drives
@@ -124,15 +125,14 @@ class Variables:
     @cached_property
     def _held(self) -> dict[str, np.ndarray]:
         """(actuators,) of each kind as the scene has it; in the paper's reading magnitude 1 and phase 0."""
-        actuators, drive = self.scene.actuators, self.scene.drive
-        own, burst = frees(self.scene), drive.burst
+        actuators, own = self.scene.actuators, frees(self.scene)
         return {
             "magnitude": np.array([one.magnitude if own else 1.0 for one in actuators]),
             "phase": np.array([one.phase if own else 0.0 for one in actuators]),
-            "frequency": np.array([one.frequency or drive.frequency for one in actuators]),
+            "frequency": actuator_frequencies(self.scene),
             "x": middles(self.scene)[:, 0],
             "y": middles(self.scene)[:, 1],
-            "delay": np.array([burst.start if burst and one.delay is None else one.delay or 0.0 for one in actuators]),
+            "delay": actuator_starts(self.scene),
         }
 
     def _turns(self, phase: np.ndarray) -> np.ndarray:
