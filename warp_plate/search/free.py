@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from warp_plate.plate.designs import own_of
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.signals import actuator_frequencies, actuator_starts
+from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Search
@@ -205,7 +205,7 @@ def _delays(scene: Scene) -> Iterator[Number]:
             f"{scene.window.end:g} s; end it earlier"
         )
     for group in [(one,) for one in who] if free.own else [who]:
-        held = float(actuator_starts(scene)[group[0]])
+        held = float(actuator_delays(scene)[group[0]])
         yield Number(_title(scene, "delay", group), "delay", group, held, (low, high), low, high)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.found import middles, scene_with
-from warp_plate.plate.signals import actuator_frequencies, actuator_starts
+from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.scene.model import Scene
 from warp_plate.search.free import Number, free_numbers, frees, only_ratios
 from warp_plate.search.objective import unit_of_drives
@@ -132,7 +132,7 @@ class Variables:
             "frequency": actuator_frequencies(self.scene),
             "x": middles(self.scene)[:, 0],
             "y": middles(self.scene)[:, 1],
-            "delay": actuator_starts(self.scene),
+            "delay": actuator_delays(self.scene),
         }
 
     def _turns(self, phase: np.ndarray) -> np.ndarray:

@@ -34,11 +34,11 @@ class Response:
 
     def bound(self) -> float:
         """The largest localization factor that any drive can reach."""
-        return _largest_ratio(self.matrices)[0]
+        return largest_ratio(self.matrices)[0]
 
     def best_drive(self) -> np.ndarray:
         """(actuators,) a drive [N/m²] that reaches the bound; its first actuator with magnitude at most one."""
-        z = _largest_ratio(self.matrices)[1]
+        z = largest_ratio(self.matrices)[1]
         cosine, sine = np.split(z, 2)
         drive: np.ndarray = cosine - 1j * sine
         return drive / np.abs(drive).max()
@@ -80,7 +80,7 @@ def real_parts(drives: np.ndarray) -> np.ndarray:
     return np.concatenate([drives.real, -drives.imag], axis=1)
 
 
-def _largest_ratio(matrices: np.ndarray) -> tuple[float, np.ndarray]:
+def largest_ratio(matrices: np.ndarray) -> tuple[float, np.ndarray]:
     """Largest λ of A z = λ B z and its z, within the drives that move the plate; (NaN, 0) if none does."""
     target, plate = matrices[REGIONS.index("target")], matrices[REGIONS.index("plate")]
     # Actuators of very different size must not make each other look like rounding: units of equal energy first.
