@@ -52,12 +52,12 @@ def moments(positions: np.ndarray, low: float, high: float) -> np.ndarray:
         # In the middle of the four nodes' span the polynomials are best conditioned.
         start, stop = np.clip(ends, interval, interval + 1) - first - 1.5
         powers = np.arange(1, 5)
-        weights[first : first + 4] += np.linalg.solve(_CUBICS, (stop**powers - start**powers) / powers)
+        weights[first : first + 4] += np.linalg.solve(CUBICS, (stop**powers - start**powers) / powers)
     return weights
 
 
-# Row k holds x^k at the four nodes: weights w keep moments m when _CUBICS @ w = m.
-_CUBICS = np.vander([-1.5, -0.5, 0.5, 1.5], 4, increasing=True).T
+# Row k holds x^k at the four nodes: weights w keep moments m when CUBICS @ w = m.
+CUBICS = np.vander([-1.5, -0.5, 0.5, 1.5], 4, increasing=True).T
 
 
 def patches(scene: Scene) -> np.ndarray:
@@ -67,7 +67,7 @@ def patches(scene: Scene) -> np.ndarray:
         SceneError: an actuator touches no node that can move.
     """
     weigh = {"overlap": overlap, "nodes": inside, "moments": moments}[scene.grid.load]
-    x, y = _positions(scene)
+    x, y = node_positions(scene)
     fields = np.stack([_product(weigh, x, y, actuator.area) for actuator in scene.actuators])
     fields[:, ~moving_nodes(scene)] = 0
     for index, field in enumerate(fields):
@@ -77,6 +77,19 @@ def patches(scene: Scene) -> np.ndarray:
                 f"a grid of {x.size} x {y.size} nodes; enlarge it, use more nodes, or load = \"overlap\""
             )
     return fields
+
+
+def reachable_nodes(scene: Scene, areas: np.ndarray) -> np.ndarray:
+    """(ny, nx) whether a node that moves is loaded by a patch somewhere in one of ``areas`` (areas, 4) x0, x1, y0, y1
+    [m]: those under it and, by moments, two more on each side."""
+    found, beyond = np.zeros(scene.grid.nodes[::-1], dtype=bool), 2 if scene.grid.load == "moments" else 0
+    for x0, x1, y0, y1 in areas:
+        reached = []
+        for low, high, side, count in ((y0, y1, 1, scene.grid.nodes[1]), (x0, x1, 0, scene.grid.nodes[0])):
+            spacing, node = scene.plate.size[side] / (count - 1), np.arange(count)
+            reached.append((node >= np.floor(low / spacing) - beyond) & (node <= np.ceil(high / spacing) + beyond))
+        found |= np.outer(*reached)
+    return found & moving_nodes(scene)
 
 
 def moving_nodes(scene: Scene) -> np.ndarray:
@@ -94,7 +107,7 @@ def region_weights(scene: Scene, areas: Mapping[str, Area] = NO_AREAS) -> np.nda
     By moments where loads are weighed so, else by overlap.
     """
     weigh = moments if scene.grid.load == "moments" else overlap
-    x, y = _positions(scene)
+    x, y = node_positions(scene)
     width, height = scene.plate.size
     own = {"plate": (0.0, width, 0.0, height), "target": scene.target.area}
     return np.stack([_product(weigh, x, y, area) for area in (*(own[name] for name in REGIONS), *areas.values())])
@@ -120,7 +133,8 @@ def bilinear(
     return corners.astype(np.int32), across * along
 
 
-def _positions(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def node_positions(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """x (nx,) and y (ny,) of the nodes [m]."""
     (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
     return np.linspace(0, width, nx), np.linspace(0, height, ny)
 
