@@ -103,6 +103,11 @@ class NamedTarget(Target):
 
     name: Annotated[Name, Field(pattern=r"^[^/\x00]*$")]
 
+    @property
+    def unnamed(self) -> Target:
+        """Its shape alone."""
+        return Target(area=self.area, disc=self.disc, polygon=self.polygon, mask=self.mask)
+
 
 def area_within(corners: np.ndarray) -> float:
     """The area [m²] of a polygon (corners, 2), negative where they go round clockwise."""
