@@ -12,7 +12,7 @@ from functools import cache
 
 # Rows of a block; so few rows take one call and no thread. More threads than these wait for memory.
 ROWS = 8192
-MOST_THREADS = 8
+MOST_THREADS = 16
 
 
 def over_blocks(task: Callable[[slice], object], rows: int) -> None:

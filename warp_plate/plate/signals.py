@@ -74,11 +74,14 @@ class Signals:
     def coefficients(self, phasors: np.ndarray) -> np.ndarray:
         """(plates, terms, actuators) real factors of the waves for phasors Z (plates, actuators)."""
         features = [phasors.real, -phasors.imag]
-        if not self.linear:
-            with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite harms its own plate alone
-                squared = phasors**2
-                features += [np.ones(phasors.shape), np.abs(phasors) ** 2, squared.real, -squared.imag]
-        return np.einsum("tfk,fpk->ptk", self.mixing, np.stack(features))
+        with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite harms its own plate alone
+            if self.linear:
+                # Powers of two and zeros: exact, and much quicker than the general sum.
+                first, second = self.mixing.transpose(1, 0, 2)
+                return first * features[0][:, None] + second * features[1][:, None]
+            squared = phasors**2
+            features += [np.ones(phasors.shape), np.abs(phasors) ** 2, squared.real, -squared.imag]
+            return np.einsum("tfk,fpk->ptk", self.mixing, np.stack(features))
 
 
 def highest_frequency(scene: Scene) -> float:
