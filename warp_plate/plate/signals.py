@@ -76,9 +76,12 @@ class Signals:
         features = [phasors.real, -phasors.imag]
         with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite harms its own plate alone
             if self.linear:
-                # Powers of two and zeros: exact, and much quicker than the general sum.
-                first, second = self.mixing.transpose(1, 0, 2)
-                return first * features[0][:, None] + second * features[1][:, None]
+                # Powers of two and zeros: exact in any order. Plates innermost: NumPy is slow along short rows.
+                columns = np.zeros((self.terms, phasors.shape[1], len(phasors)))
+                for term, feature, actuator in np.argwhere(self.mixing):
+                    part = features[feature][:, actuator]
+                    columns[term, actuator] += self.mixing[term, feature, actuator] * part
+                return columns.transpose(2, 0, 1)
             squared = phasors**2
             features += [np.ones(phasors.shape), np.abs(phasors) ** 2, squared.real, -squared.imag]
             return np.einsum("tfk,fpk->ptk", self.mixing, np.stack(features))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import reduce
-
 import numpy as np
 
 from warp_plate.plate.blocks import over_blocks
@@ -25,15 +23,14 @@ def scaled_coefficients(
 
     def fill(rows: slice) -> None:
         with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite harms its own plate alone
-            coefficients = signals.coefficients(phasors[rows])
-            coefficients *= (sizes if len(sizes) == 1 else sizes[rows])[..., None]
-            # Column by column: NumPy is slow along short rows.
-            columns = np.abs(coefficients).reshape(len(coefficients), -1).T
-            pressure = np.maximum(reduce(np.maximum, columns), least)
+            # Plates innermost: NumPy is slow along short rows.
+            columns = signals.coefficients(phasors[rows]).transpose(1, 2, 0)
+            columns *= (sizes if len(sizes) == 1 else sizes[rows]).T[:, None]
+            pressure = np.maximum(np.abs(columns).max(axis=(0, 1)), least)
             pressure[(pressure != 0) & ~((pressure >= SMALLEST_DRIVE) & (pressure <= LARGEST_DRIVE))] = np.nan
             scale[rows] = pressure
-            coefficients /= np.where(pressure == 0, 1, pressure)[:, None, None]
-            into[rows] = coefficients
+            columns /= np.where(pressure == 0, 1, pressure)
+            into[rows] = columns.transpose(2, 0, 1)
 
     over_blocks(fill, len(phasors))
     return scale
