@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from warp_plate.plate.signals import actuator_frequencies, own_frequencies
+from warp_plate.plate.signals import actuator_delays, actuator_frequencies, waves_apart
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Area, Scene
 
@@ -96,7 +97,7 @@ def carriers_of(scene: Scene, own: Own) -> int:
         return 0
     if scene.drive.signal is not None:
         raise SceneError("drive.signal: a file has no frequency or burst that differs from plate to plate; delete it")
-    return len(scene.actuators) if own.each or len(own_frequencies(scene)) > 1 else 1
+    return len(scene.actuators) if own.each or waves_apart(scene) > 1 else 1
 
 
 @dataclass(frozen=True)
@@ -136,13 +137,13 @@ def check_designs(designs: Designs, scene: Scene, own: Own, time_step: float) ->
         if frequency is None:
             frequency = np.broadcast_to(actuator_frequencies(scene), shape)
         if delay is None and scene.drive.burst is not None:
-            delay = np.full(shape, scene.drive.burst.start)
+            delay = np.broadcast_to(actuator_delays(scene), shape)
         square = 1 if scene.drive.electrostatic is None else 2
         most = 0.5 / time_step / square
-        _refuse(scene, "frequency", frequency, (frequency > 0) & (frequency < most), f"0 ... {most:.6g} Hz")
+        _refuse(scene, "frequency", frequency, np.asarray((frequency > 0) & (frequency < most)), f"0 ... {most:.6g} Hz")
         if delay is not None:
             end = scene.window.end
-            _refuse(scene, "delay", delay, (delay >= 0) & (delay < end), f"0 ... {end:g} s")
+            _refuse(scene, "delay", delay, np.asarray((delay >= 0) & (delay < end)), f"0 ... {end:g} s")
         if carriers_of(scene, own) == 1:
             for name, values in (("frequency", frequency), ("delay", delay)):
                 if values is not None:
@@ -165,8 +166,8 @@ def _edges(scene: Scene, own: Own, centre: np.ndarray) -> np.ndarray:
     half = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1) / 2
     low, high = centre - half, centre + half
     spaces, slack = actuator_spaces(scene, own), SLACK * np.array(scene.plate.size)
-    inside = (low >= spaces[:, [0, 2]] - slack) & (high <= spaces[:, [1, 3]] + slack)
-    _refuse(scene, "centre", centre, inside.all(axis=-1), "a place where the actuator stays whole within its area")
+    inside: Any = ((low >= spaces[:, [0, 2]] - slack) & (high <= spaces[:, [1, 3]] + slack)).all(axis=-1)
+    _refuse(scene, "centre", centre, inside, "a place where the actuator stays whole within its area")
     return np.stack([low[..., 0], high[..., 0], low[..., 1], high[..., 1]], axis=-1)
 
 

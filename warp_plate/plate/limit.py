@@ -34,14 +34,14 @@ from warp_plate.plate.bending import (
     with_oscillators,
 )
 from warp_plate.plate.operator import LARGEST, biharmonic, make_taps
-from warp_plate.plate.signals import own_frequencies
+from warp_plate.plate.signals import waves_apart
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 # With so many nodes a side, the end of a periodic plate's spectrum is at most 0.8 % above that of a plate with edges.
 FORMULA_NODES = 24
-# Relative, of the largest eigenvalue: Lanczos' method stops there, and the limit keeps MARGIN below what it finds. At 1e-3
-# it was seen to stop at the second largest, 0.3 % below.
+# Relative, of the largest eigenvalue: Lanczos' method stops there, and the limit keeps MARGIN below what it finds. At
+# 1e-3 it was seen to stop at the second largest, 0.3 % below.
 LANCZOS_TOLERANCE, MARGIN = 1e-4, 3e-3
 # Up to so many unknowns all eigenvalues are worked out, and the limit keeps off by rounding alone.
 DENSE, ROUNDING = 200, 1e-9
@@ -111,7 +111,7 @@ def needs_moments(scene: Scene) -> bool:
         scene.drive.electrostatic,
     )  # fmt: skip
     named = any(table is not None for table in rest) or bool(effects.oscillators)
-    return not scene.uniform or named or len(own_frequencies(scene)) > 1
+    return not scene.uniform or named or waves_apart(scene) > 1
 
 
 def plain_edge(edge: object) -> str:

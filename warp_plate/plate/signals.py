@@ -31,9 +31,10 @@ LINEAR_FEATURES = 2
 _ONE, _SQUARE = FEATURES.index("1"), FEATURES.index("|Z|²")
 _PHASOR, _PHASOR_SQUARED = FEATURES.index("Re Z"), FEATURES.index("Re Z²")
 
-# What tells waves apart → wave (..., steps), mixing. Power of the envelope; frequency [Hz], 0 where there is none; for
-# what is no tone the power of the carrier, −1 for its size squared; and the carrier's number where each is kept apart.
-_Key: TypeAlias = tuple[int, float, int, int]
+# What tells waves apart → wave (..., steps), mixing. Power of the envelope; its start [s]; frequency [Hz], 0 where none
+# is; for what is no tone the power of the carrier, −1 for its size squared; and the carrier's number where each is kept
+# apart.
+_Key: TypeAlias = tuple[int, float, float, int, int]
 _Terms: TypeAlias = dict[_Key, tuple[np.ndarray, np.ndarray]]
 # envelope or its square (..., steps), by its power
 _Envelope: TypeAlias = Callable[[int], np.ndarray]
@@ -42,13 +43,15 @@ _Envelope: TypeAlias = Callable[[int], np.ndarray]
 @dataclass(frozen=True)
 class _Carrier:
     """wave: (..., steps) complex; frequency at t = 0 [Hz], 0 of a file's; steady: whether its size is one throughout;
-    actuators: (actuators,) one for those that it drives; number: from 1 on where it shares no wave with others."""
+    actuators: (actuators,) one for those that it drives; start: of its burst [s], 0 without one and where plates
+    differ in it; number: from 1 on where it shares no wave with others."""
 
     wave: np.ndarray
     frequency: float
     steady: bool
     actuators: np.ndarray
     envelope: _Envelope
+    start: float = 0.0
     number: int = 0
 
 
@@ -104,9 +107,24 @@ def own_frequencies(scene: Scene) -> tuple[float, ...]:
     return tuple(dict.fromkeys(actuator_frequencies(scene).tolist()))
 
 
+def waves_apart(scene: Scene) -> int:
+    """How many different carriers there are, each with its burst."""
+    frequencies = own_frequencies(scene)[:1] * len(scene.actuators)
+    if scene.drive.signal is None:
+        frequencies = tuple(actuator_frequencies(scene).tolist())
+    return len(set(zip(frequencies, actuator_delays(scene).tolist(), strict=True)))
+
+
 def actuator_frequencies(scene: Scene) -> np.ndarray:
     """(actuators,) frequency at t = 0 [Hz] of each actuator's tone."""
     return np.array([actuator.frequency or scene.drive.frequency for actuator in scene.actuators])
+
+
+def actuator_delays(scene: Scene) -> np.ndarray:
+    """(actuators,) start [s] of each actuator's burst; 0 without one."""
+    burst = scene.drive.burst
+    common = 0.0 if burst is None else burst.start
+    return np.array([common if actuator.delay is None else actuator.delay for actuator in scene.actuators])
 
 
 def check_rate(scene: Scene, time_step: float) -> None:
@@ -145,8 +163,8 @@ def make_signals(
     samples = None if scene.drive.signal is None else read_samples(scene.drive.signal, folder)
     burst = scene.drive.burst
 
-    def envelope(power: int) -> np.ndarray:
-        return np.ones(1) if burst is None else _burst(burst, burst.start, time_step, steps, power)
+    def envelope(start: float, power: int) -> np.ndarray:
+        return np.ones(1) if burst is None else _burst(burst, start, time_step, steps, power)
 
     terms = _terms(scene, steps, _carriers(scene, time_step, steps, samples, envelope, each))
     features = LINEAR_FEATURES if scene.drive.electrostatic is None else len(FEATURES)
@@ -174,7 +192,7 @@ def own_waves(
     made = [
         _Carrier(
             _tone(scene, frequency[:, index, None], time_step, steps), 1.0, True, who,
-            partial(envelope, index=index), index + 1,
+            partial(envelope, index=index), number=index + 1,
         )
         for index, who in enumerate(drives)
     ]
@@ -202,22 +220,23 @@ def _terms(scene: Scene, steps: int, carriers: Iterable[_Carrier]) -> _Terms:
     flat = np.ones(steps)
     terms: _Terms = {}
     for one in carriers:
-        carrier, frequency, who, number = one.wave, one.frequency, one.actuators, one.number
+        carrier, frequency, who, start, number = one.wave, one.frequency, one.actuators, one.start, one.number
         # Actuators share a wave that has the same key: a tone squared is the tone of twice the frequency, a sweep not.
         other = 0 if frequency and drive.chirp is None else 1
         shape = one.envelope(1) * carrier
         if square is None:
-            _add(terms, (shaped, frequency, other, number), shape, _PHASOR, who)
+            _add(terms, (shaped, start, frequency, other, number), shape, _PHASOR, who)
             continue
         squared = one.envelope(2)
         if square.bias:
-            _add(terms, (0, 0.0, 0, 0), flat, _ONE, square.gain * square.bias**2 * who)
-            _add(terms, (shaped, frequency, other, number), shape, _PHASOR, 2 * square.gain * square.bias * who)
+            _add(terms, (0, 0.0, 0.0, 0, 0), flat, _ONE, square.gain * square.bias**2 * who)
+            _add(terms, (shaped, start, frequency, other, number), shape, _PHASOR, 2 * square.gain * square.bias * who)
         size = flat if one.steady and not shaped else flat * squared * np.abs(carrier) ** 2
-        of_size = (2 * shaped, 0.0, 0 if one.steady else -1, number if shaped else 0)
+        of_size = (2 * shaped, start, 0.0, 0 if one.steady else -1, number if shaped else 0)
         _add(terms, of_size, size, _SQUARE, square.gain / 2 * who)
         twice = squared * carrier**2
-        _add(terms, (2 * shaped, 2 * frequency, 2 * other, number), twice, _PHASOR_SQUARED, square.gain / 2 * who)
+        of_twice = (2 * shaped, start, 2 * frequency, 2 * other, number)
+        _add(terms, of_twice, twice, _PHASOR_SQUARED, square.gain / 2 * who)
     return terms
 
 
@@ -240,14 +259,11 @@ def _named_frequencies(scene: Scene) -> Iterator[tuple[str, float, int]]:
     """Every frequency [Hz] that some actuator or the moving load has at some time, with its key, and by how much the
     drive multiplies it."""
     own, load, square = [actuator.frequency for actuator in scene.actuators], scene.effects.moving_load, _square(scene)
-    sought = scene.search.frequency
     if scene.drive.signal is not None or None in own:
         yield "drive.frequency", scene.drive.frequency, square
     for index, frequency in enumerate(own):
         if frequency is not None:
             yield f"actuators[{index}].frequency", frequency, square
-    if sought is not None:
-        yield "search.frequency.range", sought.range[1], square
     if scene.drive.chirp is not None:
         yield "drive.chirp.end_frequency", scene.drive.chirp.end_frequency, square
     if load is not None and load.frequency is not None:
@@ -255,23 +271,37 @@ def _named_frequencies(scene: Scene) -> Iterator[tuple[str, float, int]]:
 
 
 def _carriers(
-    scene: Scene, time_step: float, steps: int, samples: Samples | None, envelope: _Envelope, each: bool
+    scene: Scene,
+    time_step: float,
+    steps: int,
+    samples: Samples | None,
+    envelope: Callable[[float, int], np.ndarray],
+    each: bool,
 ) -> Iterator[_Carrier]:
-    """Each different carrier, or each actuator's."""
+    """Each different carrier with each different start of its burst, or each actuator's.
+
+    ``envelope``: of its start [s] and its power, 1 or 2.
+    """
     actuators = len(scene.actuators)
-    if samples is not None:
-        # Squaring doubles the band, so only half of it may be filled.
-        band = 1 / _square(scene)
-        yield _Carrier(resample(samples, time_step, steps, band), 0.0, False, np.ones(actuators), envelope)
-        return
-    own = actuator_frequencies(scene)
-    if each:
+    own, starts = actuator_frequencies(scene), actuator_delays(scene)
+    if each and samples is None:
         for index, who in enumerate(np.eye(actuators)):
-            yield _Carrier(_tone(scene, own[index], time_step, steps), 1.0, True, who, envelope, index + 1)
+            start = float(starts[index])
+            tone = _tone(scene, own[index], time_step, steps)
+            yield _Carrier(tone, 1.0, True, who, partial(envelope, start), start, index + 1)
         return
-    for frequency in own_frequencies(scene):
-        who = (own == frequency).astype(float)
-        yield _Carrier(_tone(scene, np.float64(frequency), time_step, steps), frequency, True, who, envelope)
+    # Squaring doubles the band of a file, so only half of it may be filled.
+    file = None if samples is None else resample(samples, time_step, steps, 1 / _square(scene))
+    for start in dict.fromkeys(starts.tolist()):
+        shape = partial(envelope, start)
+        if file is not None:
+            yield _Carrier(file, 0.0, False, (starts == start).astype(float), shape, start)
+            continue
+        for frequency in dict.fromkeys(own[starts == start].tolist()):
+            who = ((own == frequency) & (starts == start)).astype(float)
+            yield _Carrier(
+                _tone(scene, np.float64(frequency), time_step, steps), frequency, True, who, shape, start
+            )
 
 
 def _tone(scene: Scene, frequency: np.ndarray | np.float64, time_step: float, steps: int) -> np.ndarray:

@@ -14,11 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.plate.shapes import shape_weights
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Area, Scene
+from warp_plate.scene.model import Area, Scene, Target
 
 REGIONS = ("plate", "target")
-NO_AREAS: Mapping[str, Area] = MappingProxyType({})
+# A rectangle x0, x1, y0, y1 [m], a shape, or weights (ny, nx) in cells.
+Region = Area | Target | np.ndarray
+NO_AREAS: Mapping[str, Region] = MappingProxyType({})
 # The nodes of each side in an array (ny, nx).
 EDGE_LINES: dict[str, Any] = {"left": np.s_[:, 0], "bottom": np.s_[0], "right": np.s_[:, -1], "top": np.s_[-1]}
 _PLATE, _TARGET = REGIONS.index("plate"), REGIONS.index("target")
@@ -101,16 +104,18 @@ def moving_nodes(scene: Scene) -> np.ndarray:
     return moves
 
 
-def region_weights(scene: Scene, areas: Mapping[str, Area] = NO_AREAS) -> np.ndarray:
+def region_weights(scene: Scene, areas: Mapping[str, Region] = NO_AREAS) -> np.ndarray:
     """(regions, ny, nx) weights of the REGIONS and of further ``areas`` by name, in cells; times hx·hy areas [m²].
 
     By moments where loads are weighed so, else by overlap.
+
+    Raises:
+        SceneError: a target of which no node that moves has a part, or whose mask cannot be read.
     """
-    weigh = moments if scene.grid.load == "moments" else overlap
-    x, y = node_positions(scene)
     width, height = scene.plate.size
-    own = {"plate": (0.0, width, 0.0, height), "target": scene.target.area}
-    return np.stack([_product(weigh, x, y, area) for area in (*(own[name] for name in REGIONS), *areas.values())])
+    own: dict[str, Region] = {"plate": (0.0, width, 0.0, height), "target": scene.target}
+    regions = {**{name: own[name] for name in REGIONS}, **areas}
+    return np.stack([_region(scene, name, region) for name, region in regions.items()])
 
 
 def localization_factor(energy: np.ndarray) -> np.ndarray:
@@ -137,6 +142,22 @@ def node_positions(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """x (nx,) and y (ny,) of the nodes [m]."""
     (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
     return np.linspace(0, width, nx), np.linspace(0, height, ny)
+
+
+def _region(scene: Scene, name: str, region: Region) -> np.ndarray:
+    if isinstance(region, np.ndarray):
+        return region
+    if not isinstance(region, Target):
+        return _product(moments if scene.grid.load == "moments" else overlap, *node_positions(scene), region)
+    key = name if name == "target" else f"targets ({name!r})"
+    field = shape_weights(scene, key, region) if region.area is None else _region(scene, name, region.area)
+    if not field[moving_nodes(scene)].any():
+        nx, ny = scene.grid.nodes
+        raise SceneError(
+            f"{key}.{region.words}: covers no node that can move on a grid of {nx} x {ny} nodes; enlarge it, or use "
+            "more nodes"
+        )
+    return field
 
 
 def _product(weigh: Callable[..., np.ndarray], x: np.ndarray, y: np.ndarray, area: Area) -> np.ndarray:

@@ -34,11 +34,11 @@ class Response:
 
     def bound(self) -> float:
         """The largest localization factor that any drive can reach."""
-        return _largest_ratio(self.matrices)[0]
+        return largest_ratio(self.matrices)[0]
 
     def best_drive(self) -> np.ndarray:
         """(actuators,) a drive [N/m²] that reaches the bound; its first actuator with magnitude at most one."""
-        z = _largest_ratio(self.matrices)[1]
+        z = largest_ratio(self.matrices)[1]
         cosine, sine = np.split(z, 2)
         drive: np.ndarray = cosine - 1j * sine
         return drive / np.abs(drive).max()
@@ -59,7 +59,11 @@ def measure_response(solver: PlateSolver, progress: Progress | None = None) -> R
     """
     actuators = len(solver.scene.actuators)
     refuse_beyond_memory(100.0 * actuators**3, f"actuators: {actuators}, which makes {2 * actuators**2} unit drives;")
-    energy = solver.run(unit_drives(actuators), progress=progress).energy
+    return response_of(solver.run(unit_drives(actuators), progress=progress).energy, actuators)
+
+
+def response_of(energy: np.ndarray, actuators: int) -> Response:
+    """The response whose plates had these energies (M(2M + 1), regions) [J] under ``unit_drives``."""
     count = 2 * actuators
     first, second = np.triu_indices(count, k=1)
     matrices = np.zeros((energy.shape[1], count, count))
@@ -76,7 +80,7 @@ def real_parts(drives: np.ndarray) -> np.ndarray:
     return np.concatenate([drives.real, -drives.imag], axis=1)
 
 
-def _largest_ratio(matrices: np.ndarray) -> tuple[float, np.ndarray]:
+def largest_ratio(matrices: np.ndarray) -> tuple[float, np.ndarray]:
     """Largest λ of A z = λ B z and its z, within the drives that move the plate; (NaN, 0) if none does."""
     target, plate = matrices[REGIONS.index("target")], matrices[REGIONS.index("plate")]
     # Actuators of very different size must not make each other look like rounding: units of equal energy first.

@@ -11,9 +11,9 @@ import numpy as np
 import warp as wp
 
 from warp_plate.plate.designs import NOTHING_OWN, Designs, Own, OwnValues, check_designs
-from warp_plate.plate.weights import NO_AREAS, bilinear
+from warp_plate.plate.weights import NO_AREAS, Region, bilinear
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Area, Scene
+from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import load_drives, make_engine, region_sums
 from warp_plate.solve.paths import why_streaming
@@ -84,10 +84,12 @@ class PlateSolver:
         chunk: plates that run at once, at least 1; left out: as many as memory holds.
         threads: of the CPU; left out: as many as it has.
         allow_unstable: whether to take a time step above the stability limit too.
-        areas: by name, further regions x0, x1, y0, y1 [m] whose energy runs give beside the plate's and the target's.
+        areas: by name, further regions whose energy runs give beside the plate's and the target's: rectangles x0, x1,
+            y0, y1 [m], shapes, or weights (ny, nx) in cells.
         own: what plates may have of their own beside drives, see ``plate.designs``. The time step is the scene's: it
             must carry their frequencies (that of a scene with ``search.frequency`` does).
         quantity: "velocity" or "displacement", of which energies are, see :class:`Run`.
+        share: the part of the memory for plates that this solver may take, where several have plates at a time.
 
     Raises:
         SceneError: unstable time step, an actuator that covers no node, no such device or path; a scene that cannot
@@ -103,9 +105,10 @@ class PlateSolver:
         chunk: int | None = None,
         threads: int | None = None,
         allow_unstable: bool = False,
-        areas: Mapping[str, Area] = NO_AREAS,
+        areas: Mapping[str, Region] = NO_AREAS,
         own: Own = NOTHING_OWN,
         quantity: Quantity = "velocity",
+        share: float = 1.0,
     ) -> None:
         started = time.perf_counter()
         if chunk is not None and chunk < 1:
@@ -117,6 +120,7 @@ class PlateSolver:
         self.path = self.engine.path
         self._chunk = chunk
         self._areas = areas
+        self._share = share
         self._state: State | None = None
         self.node_steps = 0  # of all runs so far
         self.compile_seconds = time.perf_counter() - started
@@ -249,7 +253,9 @@ class PlateSolver:
     def _plates_at_once(self, plates: int, traced_nodes: int) -> int:
         if self._chunk is not None:
             return min(self._chunk, plates)
-        budget = CUDA_CHUNK_SHARE * self.device.free_memory if self.device.is_cuda else CPU_CHUNK_BYTES
+        budget = self._share * (
+            CUDA_CHUNK_SHARE * self.device.free_memory if self.device.is_cuda else CPU_CHUNK_BYTES
+        )
         if self._state is not None and self.device.is_cuda:
             budget += self._state.capacity * bytes_per_plate(self.specialized, self._state.nodes.shape[0])
         each = bytes_per_plate(self.specialized, traced_nodes)

@@ -15,10 +15,10 @@ from warp_plate.plate.designs import NOTHING_OWN, Own, actuator_spaces, carriers
 from warp_plate.plate.limit import needs_moments
 from warp_plate.plate.moving import MovingWeights, moving_weights
 from warp_plate.plate.scheme import Scheme, make_scheme
-from warp_plate.plate.signals import Signals, make_signals, own_frequencies, running_sums
-from warp_plate.plate.weights import NO_AREAS, REGIONS, patches, reachable_nodes, region_weights
+from warp_plate.plate.signals import Signals, make_signals, running_sums, waves_apart
+from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, patches, reachable_nodes, region_weights
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Area, Scene
+from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import cpu_threads
 
 # Rows are padded to whole cache lines, which are also whole vector registers.
@@ -117,7 +117,7 @@ def effect_names(scene: Scene) -> tuple[str, ...]:
         "oscillators": scene.effects.oscillators,
         "stretching": scene.effects.stretching,
         "moving load": scene.effects.moving_load,
-        "several waves": scene.drive.electrostatic or len(own_frequencies(scene)) > 1,
+        "several waves": scene.drive.electrostatic or waves_apart(scene) > 1,
     }
     return tuple(name for name, table in named.items() if table)
 
@@ -142,7 +142,7 @@ def specialize(
     device: wp.Device,
     threads: int | None = None,
     allow_unstable: bool = False,
-    areas: Mapping[str, Area] = NO_AREAS,
+    areas: Mapping[str, Region] = NO_AREAS,
     own: Own = NOTHING_OWN,
     quantity: Quantity = "velocity",
 ) -> Specialized:

@@ -1,0 +1,177 @@
+"""``warp-plate compare SCENE``: several methods and seeds on one scene, with equal budgets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import cyclopts
+
+from warp_plate.cli import output
+from warp_plate.cli.options import Whole
+from warp_plate.scene.errors import SceneError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from warp_plate.result.comparison import Comparison
+
+# A trial has found the bound when its loss is this near.
+NEAR = 1e-6
+LEGEND = (
+    "of the seeds' results, best, median and worst; gap: of the median from the bound. evaluations, seconds: of the "
+    "median trial."
+)
+
+
+def compare(
+    scene: str,
+    /,
+    *,
+    methods: str | None = None,
+    seeds: Whole = 10,
+    evaluations: Whole | None = None,
+    evaluator: Literal["direct", "response"] | None = None,
+    device: str = "auto",
+    path: Literal["auto", "resident", "streaming"] = "auto",
+    out: Path | None = None,
+    pictures: bool = True,
+    json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+) -> None:
+    """Compare search methods on a scene: each from several seeds, with the same number of evaluations.
+
+    What they found is held against the bound that no drive passes, where one can be proved. Ctrl-C keeps the trials
+    that are done.
+
+    Parameters
+    ----------
+    scene
+        A preset's name (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file.
+    methods
+        Such as pso,ring,cma: of pso, constriction, ring, cma, gradient and exact; all that fit the scene when left
+        out.
+    seeds
+        How many, from the scene's own on.
+    evaluations
+        That each trial may make, particles at a time; the scene's particles times iterations when left out.
+    evaluator
+        direct simulates a plate for each evaluation; response uses Gram matrices of unit responses instead. response
+        when left out, where energies are quadratic forms of the drives, else direct.
+    device
+        cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
+    path
+        How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch).
+    out
+        The file of results (.h5); SCENE-compare.h5 in this folder when left out. The picture is written beside it.
+    pictures
+        Plot what was found against evaluations and seconds (needs the extra viz).
+    json
+        Print one JSON object instead of a table.
+    """
+    target = output.output_file(out, scene, "compare")
+    for option, value in (("--seeds", seeds), ("--evaluations", evaluations)):
+        if value is not None and not 1 <= value <= 10**9:
+            raise SceneError(f"{option} {value}: must be a whole number from 1 to 10^9")
+    names = None if methods is None else [name.strip() for name in methods.split(",")]
+    loaded = output.load_scene(scene)
+    from warp_plate.search.compare import compare as run
+
+    with output.progress_bar("comparing", shown=not json) as show:
+        result = run(loaded, scene, names, seeds, device, path, evaluator, evaluations, show)
+    files, missing = _write(result, target, pictures)
+    if json:
+        output.print_json(as_json(result, files))
+        return
+    _print(result, output.console())
+    output.print_files(files, missing)
+
+
+def _write(result: Comparison, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
+    """The file and its picture; returns the files, and why a picture is missing."""
+    from warp_plate.result.comparison import save_comparison
+    from warp_plate.search.interrupts import interrupts_held
+
+    with interrupts_held():
+        save_comparison(result, path)
+    if not pictures:
+        return [path], None
+    from warp_plate.viz.compare_plot import draw_comparison_beside
+
+    drawn, missing = draw_comparison_beside(result, path)
+    return [path, *drawn], missing
+
+
+def rows(result: Comparison) -> list[dict[str, object]]:
+    """For each method what the table shows: losses, the gap, how many seeds came near the bound, and the cost."""
+    import numpy as np
+
+    made: list[dict[str, object]] = []
+    for method in result.methods:
+        trials = result.of(method)
+        found = np.array([trial.found for trial in trials])
+        best, median, worst = float(found.min()), float(np.median(found)), float(found.max())
+        made.append(
+            {
+                "method": method,
+                "seeds": len(trials),
+                "best": best,
+                "median": median,
+                "worst": worst,
+                "gap": None if result.bound is None else median - result.bound,
+                "at_bound": None if result.bound is None else int((found - result.bound <= NEAR).sum()),
+                "evaluations": float(np.median([trial.evaluations[-1] for trial in trials])),
+                "seconds": float(np.median([trial.seconds[-1] for trial in trials])),
+            }
+        )
+    return made
+
+
+def as_json(result: Comparison, files: list[Path]) -> dict[str, object]:
+    """Losses throughout; 1 − loss is the localization factor where ``localization`` says so."""
+    bound = {"loss": result.bound, "kind": result.bound_kind, "sentence": result.bound_sentence}
+    return {
+        "command": "compare",
+        "scene": result.source,
+        "device": result.device,
+        "evaluator": result.evaluator,
+        "budget": result.budget,
+        "localization": result.localization,
+        "bound": None if result.bound is None else bound,
+        "methods": rows(result),
+        "trials": [
+            {
+                "method": trial.method,
+                "seed": trial.seed,
+                "loss": trial.found,
+                "evaluations": int(trial.evaluations[-1]),
+                "seconds": float(trial.seconds[-1]),
+            }
+            for trial in result.trials
+        ],
+        "skipped": dict(result.skipped),
+        "interrupted": result.interrupted,
+        "versions": dict(result.versions),
+        "files": [str(file) for file in files],
+    }
+
+
+def _print(result: Comparison, console: Console) -> None:
+    title = "localization factor" if result.localization else "loss"
+    console.print(f"{result.scene.title or result.source} on {result.device}, evaluator {result.evaluator}\n")
+    made = output.table(title, "best", "median", "worst", "gap", f"within {NEAR:g}", "evaluations", "seconds")
+    for row in rows(result):
+        losses = [float(str(row[name])) for name in ("best", "median", "worst")]
+        shown = [f"{1 - loss if result.localization else loss:.6f}" for loss in losses]
+        near = ["–", "–"] if row["gap"] is None else [f"{row['gap']:.1e}", f"{row['at_bound']} of {row['seeds']}"]
+        made.add_row(str(row["method"]), *shown, *near, f"{row['evaluations']:.0f}", f"{row['seconds']:.3g}")
+    console.print(made)
+    if result.bound is None:
+        console.print("\nbound: none claimed")
+    else:
+        value = 1 - result.bound if result.localization else result.bound
+        console.print(f"\n{result.bound_kind}: {value:.6f}, {result.bound_sentence}")
+    console.print(LEGEND)
+    for method, reason in result.skipped.items():
+        console.print(f"{method}: not tried: {reason}")
+    if result.interrupted:
+        console.print("Interrupted by Ctrl-C: the trials that were done are shown.")

@@ -1,0 +1,149 @@
+"""Several methods on one problem: each from several seeds, with the same number of evaluations, on one clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from warp_plate.result.comparison import Comparison, Trial
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+from warp_plate.search.interrupts import interrupts_held
+from warp_plate.search.localize import device_name, resolve, versions
+from warp_plate.search.methods import Method, make_searcher
+from warp_plate.search.problem import Evaluator, Problem, make_problem
+
+METHODS = ("pso", "constriction", "ring", "cma", "gradient", "exact")
+# Methods that find the same from every seed.
+SEEDLESS = ("exact",)
+# Told during a trial: evaluations done, in all, and what is tried.
+Told = Callable[[int, int, str], object]
+
+
+def compare(
+    scene: Scene,
+    source: str = "",
+    methods: Sequence[str] | None = None,
+    seeds: int = 10,
+    device: str = "auto",
+    path: str = "auto",
+    evaluator: Evaluator | None = None,
+    evaluations: int | None = None,
+    told: Told | None = None,
+) -> Comparison:
+    """Run every method from every seed, in turn, so that a disturbance of the machine meets all alike.
+
+    Args:
+        methods: of METHODS; left out: all that fit the scene. seeds: how many, from the scene's own on.
+        device, path: see :class:`PlateSolver`.
+        evaluator: left out: "response" where energies are quadratic forms of the drives, else "direct".
+        evaluations: that each trial may make; left out: the scene's particles × iterations.
+        told: called after each iteration.
+
+    Ctrl-C ends it; the trials that are done are kept. Seconds are those of ``ask``, losses and ``tell``, after each
+    method was warmed by one iteration that does not count.
+
+    Raises:
+        SceneError: a method that was named does not fit the scene; see :func:`make_problem`.
+        KeyboardInterrupt: Ctrl-C before the first trial was done.
+    """
+    scene = resolve(scene, device)[0]
+    search = scene.search
+    if evaluations is not None:
+        search = search.model_copy(update={"iterations": max(1, evaluations // search.particles)})
+        scene = scene.model_copy(update={"search": search})
+    problem = make_problem(scene, device, path, evaluator or "direct")
+    if evaluator is None and problem.response is not None:
+        problem = make_problem(scene, device, path, "response", problem.response.matrices)
+    budget = search.particles * search.iterations
+
+    def begin(method: str, seed: int) -> Method:
+        named = search.model_copy(update={"method": method})
+        return make_searcher(named, problem.space, seed, problem.quadratic)
+
+    fitting, skipped = _fitting(methods, begin, search.seed)
+    trials, interrupted = [], False
+    pairs = [
+        (method, search.seed + index)
+        for index in range(seeds)
+        for method in fitting
+        if index == 0 or method not in SEEDLESS
+    ]
+    try:
+        for method in fitting:
+            _warm(begin(method, search.seed), problem)
+        for index, (method, seed) in enumerate(pairs):
+
+            def tell(done: int, before: int = index * budget, note: str = f"{method}, seed {seed}") -> None:
+                if told is not None:
+                    told(before + done, len(pairs) * budget, note)
+
+            trials.append(_trial(begin(method, seed), method, seed, problem, budget, tell))
+    except KeyboardInterrupt:
+        if not trials:
+            raise
+        interrupted = True
+    bound = problem.bound_of_loss
+    return Comparison(
+        source=source,
+        scene=problem.scene,
+        device=device_name(problem.plain.device),
+        evaluator=problem.evaluator,
+        budget=budget,
+        localization=problem.only_localization,
+        trials=tuple(sorted(trials, key=lambda trial: (fitting.index(trial.method), trial.seed))),
+        bound=None if bound is None else bound.value,
+        bound_kind="" if bound is None else bound.kind,
+        bound_sentence="" if bound is None else bound.sentence,
+        skipped=skipped,
+        interrupted=interrupted,
+        versions=versions(),
+    )
+
+
+def _fitting(
+    methods: Sequence[str] | None, begin: Callable[[str, int], Method], seed: int
+) -> tuple[list[str], dict[str, str]]:
+    """The methods to try, and by name why others are not."""
+    fitting, skipped = [], {}
+    for method in methods or METHODS:
+        if method not in METHODS:
+            raise SceneError(f"--methods {method}: there is no such method; there are {', '.join(METHODS)}")
+        try:
+            begin(method, seed)
+        except SceneError as error:
+            if methods:
+                raise
+            skipped[method] = str(error)
+        else:
+            fitting.append(method)
+    return list(dict.fromkeys(fitting)), skipped
+
+
+def _warm(searcher: Method, problem: Problem) -> None:
+    """One iteration, so that what is compiled, loaded or allocated once costs no method its first."""
+    positions = searcher.ask()
+    searcher.tell(positions, problem.losses(positions))
+
+
+def _trial(
+    searcher: Method, method: str, seed: int, problem: Problem, budget: int, tell: Callable[[int], None]
+) -> Trial:
+    evaluated, rows = 0, []
+    best, spent = np.inf, 0.0
+    with interrupts_held() as let_through:
+        while not searcher.stop() and evaluated < budget:
+            started = time.perf_counter()
+            positions = searcher.ask()
+            with let_through():
+                losses = problem.losses(positions)
+            searcher.tell(positions, losses)
+            spent += time.perf_counter() - started
+            evaluated += len(positions)
+            best = min(best, float(np.min(losses, initial=np.inf, where=np.isfinite(losses))))
+            rows.append((evaluated, spent, best))
+            tell(evaluated)
+    counts, seconds, found = np.array(rows, dtype=float).T
+    return Trial(method, seed, counts.astype(int), seconds, found)

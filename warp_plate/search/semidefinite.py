@@ -1,0 +1,159 @@
+"""Upper bounds of quadratic forms under quadratic limits: the dual of the semidefinite relaxation, by a barrier.
+
+To be bounded: the largest zᵀA z of all z with zᵀC_i z ≤ c_i. Any multipliers μ with
+
+    S(μ) = Σ μ_i C_i − A ⪰ 0,    μ_i ≥ 0 (of any sign where the limit is an equation)
+
+give zᵀA z ≤ Σ μ_i zᵀC_i z ≤ Σ μ_i c_i, so Σ μ_i c_i bounds it, whether or not these μ are the best ones: what is left
+undone makes the bound wider, never wrong. The best ones are found by Newton's method on
+
+    φ(μ) = t Σ μ_i c_i − log det S(μ) − Σ log μ_i,    t → ∞,
+
+whose points all keep S ≻ 0 (S. Boyd, L. Vandenberghe: Convex Optimization, 2004, sections 5.9 and 11.6; the relaxation
+itself: N. Z. Shor, Sov. J. Comput. Syst. Sci. 25, 1987).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+# The barrier's weight t grows by this factor, until what it hides, (size + limits)/t, is below GAP of the bound.
+GROWTH, GAP = 8.0, 1e-10
+# Newton steps at one t, and the decrement at which they end.
+MOST_STEPS, SETTLED = 60, 1e-8
+# Roundings that an entry of a small symmetric matrix and its eigenvalues may gather.
+ROUNDINGS = 64
+
+
+@dataclass(frozen=True)
+class Limits:
+    """matrices: (limits, n, n) C_i, symmetric; values: (limits,) c_i; equation: (limits,) whether zᵀC_i z is c_i."""
+
+    matrices: np.ndarray
+    values: np.ndarray
+    equation: np.ndarray
+
+
+def least_majorant(objective: np.ndarray, limits: Limits) -> tuple[float, np.ndarray]:
+    """The bound Σ μ_i c_i and the slack S(μ), (n, n), whose smallest eigenvector is near the z that comes nearest.
+
+    Infinity and an empty slack where no multipliers are found. The value lies above the exact one of its μ by what
+    rounding may have taken.
+    """
+    size = float(np.abs(objective).max())
+    if size == 0:
+        return 0.0, np.zeros_like(objective)
+    norms = np.abs(limits.matrices).max(axis=(1, 2))
+    norms = np.where(norms > 0, norms, 1.0)
+    scaled = replace(limits, matrices=limits.matrices / norms[:, None, None], values=limits.values / norms)
+    start = _inside(objective / size, scaled)
+    if start is None:
+        return np.inf, np.empty((0, 0))
+    multipliers = _follow(objective / size, scaled, start)
+    slack = _slack(objective / size, scaled, multipliers)
+    # S is computed with errors; one that is positive definite by more than these is so in truth.
+    error = ROUNDINGS * np.finfo(float).eps * (1 + np.abs(multipliers).sum()) * len(slack)
+    if np.linalg.eigvalsh(slack)[0] <= error:
+        multipliers, slack = start, _slack(objective / size, scaled, start)
+    value = float(scaled.values @ multipliers)
+    value += ROUNDINGS * np.finfo(float).eps * float(np.abs(scaled.values) @ np.abs(multipliers))
+    return float(size * value), slack
+
+
+def _follow(objective: np.ndarray, limits: Limits, multipliers: np.ndarray) -> np.ndarray:
+    """The multipliers at the end of the central path, from ones inside."""
+    count = len(objective) + np.count_nonzero(~limits.equation)
+    weight = count / max(abs(float(limits.values @ multipliers)), 1e-3)
+    error = ROUNDINGS * np.finfo(float).eps * len(objective)
+    while True:
+        multipliers, settled = _centre(objective, limits, multipliers, weight)
+        value = abs(float(limits.values @ multipliers))
+        smallest = np.linalg.eigvalsh(_slack(objective, limits, multipliers))[0]
+        near_rounding = smallest < 100 * error * (1 + np.abs(multipliers).sum())
+        if not settled or near_rounding or count / weight < GAP * value:
+            return multipliers
+        weight *= GROWTH
+
+
+def _centre(
+    objective: np.ndarray, limits: Limits, multipliers: np.ndarray, weight: float, stop_below: float = -np.inf
+) -> tuple[np.ndarray, bool]:
+    """Newton's method at one t; whether it settled. Ends early where the last multiplier falls below ``stop_below``."""
+    level = _barrier(objective, limits, multipliers, weight)
+    for _ in range(MOST_STEPS):
+        step, decrement = _newton(objective, limits, multipliers, weight)
+        # Below what rounding leaves of φ no descent can be seen.
+        if not decrement >= max(SETTLED, ROUNDINGS * np.finfo(float).eps * abs(level)):
+            return multipliers, bool(np.isfinite(decrement))
+        length = 1.0
+        while True:
+            tried = multipliers + length * step
+            found = _barrier(objective, limits, tried, weight)
+            if found <= level - 0.1 * length * decrement:
+                break
+            length /= 2
+            if length < 1e-10:
+                return multipliers, decrement < 1e-2
+        multipliers, level = tried, found
+        if multipliers[-1] < stop_below:
+            return multipliers, True
+    return multipliers, False
+
+
+def _newton(
+    objective: np.ndarray, limits: Limits, multipliers: np.ndarray, weight: float
+) -> tuple[np.ndarray, float]:
+    """Newton's step for φ, and by how much φ falls along it to first order."""
+    try:
+        inverse = np.linalg.inv(_slack(objective, limits, multipliers))
+    except np.linalg.LinAlgError:  # at the edge, as far as numbers tell
+        return np.zeros_like(multipliers), np.nan
+    turned = inverse @ limits.matrices
+    bent = np.where(limits.equation, 0.0, 1 / np.where(limits.equation, 1.0, multipliers))
+    slope = weight * limits.values - np.trace(turned, axis1=1, axis2=2) - bent
+    curvature = np.einsum("iab,jba->ij", turned, turned) + np.diag(bent**2)
+    if not np.isfinite(curvature).all():  # where nothing bounds the objective, S runs off
+        return np.zeros_like(multipliers), np.nan
+    size = np.sqrt(np.maximum(np.diag(curvature), 1e-30 * curvature.max()))
+    step = -np.linalg.lstsq(curvature / np.outer(size, size), slope / size, rcond=None)[0] / size
+    return step, float(-slope @ step)
+
+
+def _barrier(objective: np.ndarray, limits: Limits, multipliers: np.ndarray, weight: float) -> float:
+    """φ, infinite outside."""
+    bounded = multipliers[~limits.equation]
+    if (bounded <= 0).any():
+        return np.inf
+    try:
+        root = np.linalg.cholesky(_slack(objective, limits, multipliers))
+    except np.linalg.LinAlgError:
+        return np.inf
+    logs = 2 * np.log(np.diag(root)).sum() + np.log(bounded).sum()
+    return float(weight * limits.values @ multipliers - logs)
+
+
+def _inside(objective: np.ndarray, limits: Limits) -> np.ndarray | None:
+    """Multipliers with S ≻ 0: the least s with S + s·1 ⪰ 0 is sought until it is below zero; None if it never is."""
+    count, size = len(limits.values), len(objective)
+    wider = Limits(
+        np.concatenate([limits.matrices, np.eye(size)[None]]),
+        np.append(np.zeros(count), 1.0),
+        np.append(limits.equation, True),
+    )
+    multipliers = np.append(np.where(limits.equation, 0.0, 1.0), 0.0)
+    multipliers[-1] = 1 - np.linalg.eigvalsh(_slack(objective, wider, multipliers))[0]
+    weight = size / multipliers[-1]
+    for _ in range(20):
+        multipliers, _ = _centre(objective, wider, multipliers, weight, stop_below=-1e-9)
+        # What counts is S without s, as a Cholesky factor finds it.
+        if multipliers[-1] < -1e-9 and np.isfinite(_barrier(objective, limits, multipliers[:-1], 1.0)):
+            return multipliers[:-1]
+        weight *= GROWTH
+    return None
+
+
+def _slack(objective: np.ndarray, limits: Limits, multipliers: np.ndarray) -> np.ndarray:
+    slack: np.ndarray = np.tensordot(multipliers, limits.matrices, 1) - objective
+    return slack
