@@ -27,16 +27,15 @@ def make_structs(real):
 
     Material: bend_xx, bend_xy, bend_yy (ny, nx), twist (ny − 1, nx − 1): the C above; mobility: one over the mass of a
     node, zero where it is held; decay; spring: of the bed and of elastic edges; weight: share of a node's cell that is
-    on the plate; wave: (steps, terms), see ``load``; strength (steps,), along_y (steps, ny), along_x (steps, nx): of
-    the moving load; holds: (oscillators, ny, nx) share of each node in an oscillator's
-    patch; oscillators: (oscillators, 4) stiffness, damping, one over the mass, 0; aspect: (hx/hy)², and its root;
-    tension_x, tension_y; retardation: in steps; stretching: tension per Σ weight · (−u · pull), in SI displacements,
-    pull being u_xx + κ u_yy; stretch_ratio: κ.
+    on the plate; strength (steps,), along_y (steps, ny), along_x (steps, nx): of the moving load; holds: (oscillators,
+    ny, nx) share of each node in an oscillator's patch; oscillators: (oscillators, 4) stiffness, damping, one over the
+    mass, 0; aspect: (hx/hy)², and its root; tension_x, tension_y; retardation: in steps; stretching: tension per
+    Σ weight · (−u · pull), in SI displacements, pull being u_xx + κ u_yy; stretch_ratio: κ.
 
-    Fields: loads (terms, plates, ny, nx); u, rate, squares, mx, my, mxy, pull (plates, ny, nx); units: (plates,)
-    displacements that one stands for [m]; moving: (plates,) the moving load's size; row_sums (plates, sums, 2, ny);
-    tension: (plates,); hung: (plates, oscillators, 2) displacement and rate of the masses; push: (plates, oscillators)
-    on the plate.
+    Fields: wave (plates, steps, terms), see ``wave``; loads (terms, plates, ny, nx); u, rate, squares, mx, my, mxy,
+    pull (plates, ny, nx); units: (plates,) displacements that one stands for [m]; moving: (plates,) the moving load's
+    size; row_sums (plates, sums, 2, ny); tension: (plates,); hung: (plates, oscillators, 2) displacement and rate of
+    the masses; push: (plates, oscillators) on the plate.
     """
 
     @wp.struct
@@ -49,7 +48,6 @@ def make_structs(real):
         decay: wp.array2d[real]
         spring: wp.array2d[real]
         weight: wp.array2d[real]
-        wave: wp.array2d[real]
         strength: wp.array[real]
         along_x: wp.array2d[real]
         along_y: wp.array2d[real]
@@ -65,6 +63,7 @@ def make_structs(real):
 
     @wp.struct
     class Fields:
+        wave: wp.array3d[real]
         loads: wp.array4d[real]
         u: wp.array3d[real]
         rate: wp.array3d[real]
@@ -271,7 +270,7 @@ def make_move_node(effects, real):
             here = f.u[k, j, i]
             load = real(0.0)
             for term in range(wp.static(effects.terms)):
-                load += m.wave[n, term] * f.loads[term, k, j, i]
+                load += f.wave[k, n, term] * f.loads[term, k, j, i]
             if wp.static(effects.moving_load):
                 pressed = moving_load(f.moving[k] * m.strength[n], m.along_y[n, j], m.along_x[n, i])
                 load += mobility / m.weight[j, i] * pressed

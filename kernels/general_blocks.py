@@ -26,9 +26,9 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
 
     shared_planes: (planes that are ``used``, threads × nodes), holds: (hanging, threads × nodes) shares of the
     oscillators' patches, both with zeros beyond the plate; room: (plates, ``layout``'s end) where it is not shared
-    memory; loads: (terms, plates, rows, stride); u, rate, squares: (plates, rows, stride); hung: (plates, hanging, 2)
-    place and pace of the masses; nodes: (traced nodes, 2), row of the plate and column; trace: (plates, traced nodes,
-    steps).
+    memory; wave: (plates, steps, terms); loads: (terms, plates, rows, stride); u, rate, squares: (plates, rows,
+    stride); hung: (plates, hanging, 2) place and pace of the masses; nodes: (traced nodes, 2), row of the plate and
+    column; trace: (plates, traced nodes, steps).
     """
     update, other_forces = make_update(effects, real), make_other_forces(effects, real)
     moment, hang, moving_load = make_moment(effects, real), make_hang(real), make_moving_load(real)
@@ -141,6 +141,7 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
         window: wp.vec2i,
         start: int,
         stop: int,
+        wave: wp.array3d[real],
         units: wp.array[real],
         moving: wp.array[real],
         nodes: wp.array2d[int],
@@ -202,13 +203,14 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
                 kinds[kinds_of] = kinds[kinds_of] | (kind << (BITS * (m % WORD)))
         barrier()
 
+        own_wave = wave[k]
         for n in range(start, stop):
             own = anew(thread)
             word = int(0)
             stretched = real(0.0)
             waves = Waves()
             for at_term in range(wp.static(effects.terms)):
-                waves[at_term] = p.wave[n, at_term]
+                waves[at_term] = own_wave[n, at_term]
             for m in range(mine):
                 i = own + m * threads
                 if m % WORD == 0:

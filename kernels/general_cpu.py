@@ -33,8 +33,9 @@ def make_run(effects, real, ny, stride, compiler_flags):
     shared: (len(SHARED), rows, stride) planes; west ... north factors of the neighbours, those along y times (hx/hy)²;
     cells: of the cells around a node; press: mobility / weight; room: (threads, len(ROOM), rows, stride), of which the
     launch uses line ``thread``; holds: (oscillators, rows, stride); oscillators: (oscillators, 4) as in ``general``;
-    loads: (terms, plates and a spare one, rows, stride); window, nodes, trace: as in ``resident_cpu``; wave, strength,
-    along_y, along_x, moving, tension_x ... stretch_ratio: as in ``general``, along_x with padding to ``stride``.
+    loads: (terms, plates and a spare one, rows, stride); window, nodes, trace: as in ``resident_cpu``; wave:
+    (plates, steps, terms); strength, along_y, along_x, moving, tension_x ... stretch_ratio: as in ``general``, along_x
+    with padding to ``stride``.
     """
     update = make_update(effects, real)
     other_forces = make_other_forces(effects, real)
@@ -217,7 +218,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
     )
     def run(
         shared: wp.array3d[real],
-        wave: wp.array2d[real],
+        wave: wp.array3d[real],
         strength: wp.array[real],
         along_x: wp.array2d[real],
         along_y: wp.array2d[real],
@@ -283,7 +284,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
             if wp.static(effects.terms != 2):
                 clear(loaded)
                 for t in range(wp.static(effects.terms)):
-                    add_times(wave[n, t], first_load + wp.uint64(t) * term, loaded)
+                    add_times(wave[k, n, t], first_load + wp.uint64(t) * term, loaded)
             if wp.static(effects.oscillators):
                 for o in range(oscillators.shape[0]):
                     hold = holds.ptr + wp.uint64(o) * step + row
@@ -298,7 +299,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
                 summed = real(1.0)
             move(
                 shared.ptr, mx, my, mxy, pull, pressed, first_load, first_load + term, loaded,
-                u_at, rate_at, squares.ptr + plane, wave[n, 0], wave[n, 1], summed, tension, aspect, root_aspect,
+                u_at, rate_at, squares.ptr + plane, wave[k, n, 0], wave[k, n, 1], summed, tension, aspect, root_aspect,
             )
             for m in range(nodes.shape[0]):
                 trace[k, m, n] = u[k, nodes[m, 0], nodes[m, 1]]

@@ -66,8 +66,8 @@ def make_run(effects, real, ny, stride, compiler_flags):
     by row; of fourth order five lines of ``line_of`` taps, and move_x the same for the second pass;
     bend_y, move_y: (1, 1) the aspect, or (ny, 5) taps, where the two edges' rows weigh the five rows inside them;
     stiffness: of the nodes of the longest range of the second pass, zero where a node is held or padding;
-    wave: (steps, 2), cos and sin ωt; window: first and last + 1 of the steps whose rate² is summed;
-    nodes: (traced nodes, 2), row and column; trace: (plates, traced nodes, steps).
+    wave: (plates, steps, 2), cos and sin ωt, see ``wave``; window: first and last + 1 of the steps whose rate² is
+    summed; nodes: (traced nodes, 2), row and column; trace: (plates, traced nodes, steps).
     """
     Parameters = make_parameters(real)
     order, reach = effects.order, effects.order // 2
@@ -130,7 +130,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
         bend_y: wp.array2d[real],
         move_y: wp.array2d[real],
         stiffness: wp.array[real],
-        wave: wp.array2d[real],
+        wave: wp.array3d[real],
         window: wp.vec2i,
         start: int,
         stop: int,
@@ -163,7 +163,7 @@ def make_run(effects, real, ny, stride, compiler_flags):
         goal = int(0)
         for n in range(start, stop):
             summed = n >= window[0] and n < window[1]
-            waves = wave_of(wave[n, 0], wave[n, 1])
+            waves = wave_of(wave[k, n, 0], wave[k, n, 1])
             if wp.static(whole is not None):
                 for walk in range(wp.static(len(bends))):
                     if wp.static(bends[walk][1] == rows_bent):

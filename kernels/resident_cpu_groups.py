@@ -30,8 +30,8 @@ def make_run_groups(effects, real, nx, ny, stride, lanes, compiler_flags):
     Plates from ``last`` on are not there: their lanes run empty. room: (threads, room_of(nx, ny, lanes, order)), of
     which the launch uses line ``thread``. bend_x, move_x, bend_y, move_y: as in ``resident_cpu``, those along x
     repeated for each lane, the factors of second order for the bottom, an inner and the top row; loaded: (ny + 2,) one
-    for the rows of the tensor in which some node is loaded, else zero; wave, window,
-    nodes, trace: as in ``resident_cpu``.
+    for the rows of the tensor in which some node is loaded, else zero; wave: (steps, 2), the same for all plates;
+    window, nodes, trace: as in ``resident_cpu``.
     """
     Parameters = make_parameters(real)
     reach, places = effects.order // 2, effects.order + 1

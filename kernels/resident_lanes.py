@@ -31,7 +31,7 @@ def make_run(effects, real, ny, loaded, summed, registers=None):
     summed: whether these steps lie in the window, where rate² is summed;
     registers: at most so many a thread; the compiler orders a step for speed alone where it has many.
     factor_x: (nx,), factor_y: (ny,) factors on the curvature, 2 or 0 at the ends, the latter times ``aspect``;
-    wave: (steps, 2).
+    wave: (plates, steps, 2).
     """
     laplacian = make_laplacian(effects.square_cells, real)
     update = make_update(effects, real)
@@ -51,7 +51,7 @@ def make_run(effects, real, ny, loaded, summed, registers=None):
         p: Parameters,
         factor_x: wp.array[real],
         factor_y: wp.array[real],
-        wave: wp.array2d[real],
+        wave: wp.array3d[real],
         start: int,
         stop: int,
         in_phase: wp.array3d[real],
@@ -95,9 +95,10 @@ def make_run(effects, real, ny, loaded, summed, registers=None):
 
         bottom = factor_y[0]
         top = factor_y[wp.static(ny - 1)]
+        own_wave = wave[k]
         for n in range(start, stop):
-            wave_cosine = wave[n, 0]
-            wave_sine = wave[n, 1]
+            wave_cosine = own_wave[n, 0]
+            wave_sine = own_wave[n, 1]
             below = bottom * displacement[0]
             here = laplacian(
                 displacement[0], from_lane(displacement[0], west), from_lane(displacement[0], east),

@@ -69,7 +69,7 @@ def make_run(effects, real, nx, ny, stride, strips, summed):
     """Steps ``start`` ... ``stop`` − 1; launch over (plates × threads,) with blocks of 32 × warps threads.
 
     summed: whether these steps lie in the window, where rate² is summed.
-    factor_x: (nx,), factor_y: (ny,) factors on the curvature, the latter times ``aspect``; wave: (steps, 2);
+    factor_x: (nx,), factor_y: (ny,) factors on the curvature, the latter times ``aspect``; wave: (plates, steps, 2);
     loaded: (ny + 2,) one for the rows of the tensor in which some node is loaded, else zero.
     """
     laplacian = make_laplacian(effects.square_cells, real)
@@ -126,8 +126,8 @@ def make_run(effects, real, nx, ny, stride, strips, summed):
         p: Parameters,
         factor_x: wp.array[real],
         factor_y: wp.array[real],
-        wave: wp.array2d[real],
         loaded: wp.array[int],
+        wave: wp.array3d[real],
         start: int,
         stop: int,
         in_phase: wp.array3d[real],
@@ -187,9 +187,10 @@ def make_run(effects, real, nx, ny, stride, strips, summed):
         right_factor = factor_x[wp.static(nx - 1)]
         bottom_factor = factor_y[0]
         top_factor = factor_y[wp.static(ny - 1)]
+        own_wave = wave[k]
         for n in range(start, stop):
-            wave_cosine = wave[n, 0]
-            wave_sine = wave[n, 1]
+            wave_cosine = own_wave[n, 0]
+            wave_sine = own_wave[n, 1]
             own = (n & 1) * wp.static(buffer) + (warp + 1) * wp.static(4 * columns * LANES) + lane
             for c in range(wp.static(columns)):
                 shared[own + c * LANES] = displacement[0, c]

@@ -75,7 +75,7 @@ def make_run(effects, real, nx, ny, stride, wide, summed):
     """Steps ``start`` ... ``stop`` − 1; launch over (plates × threads,) with blocks of 32 × warps threads.
 
     summed: whether these steps lie in the window, where rate² is summed.
-    bend_x, move_x: (nx, 5) taps along x of both passes; wave: (steps, 2);
+    bend_x, move_x: (nx, 5) taps along x of both passes; wave: (plates, steps, 2);
     loaded: (ny + 2,) one for the rows of the tensor in which some node is loaded, else zero.
     """
     weighed = make_weighed(real)
@@ -153,8 +153,8 @@ def make_run(effects, real, nx, ny, stride, wide, summed):
         closures: Closures,
         bend_x: wp.array2d[real],
         move_x: wp.array2d[real],
-        wave: wp.array2d[real],
         loaded: wp.array[int],
+        wave: wp.array3d[real],
         start: int,
         stop: int,
         in_phase: wp.array3d[real],
@@ -210,9 +210,10 @@ def make_run(effects, real, nx, ny, stride, wide, summed):
                 shared[m] = real(0.0)
             barrier()
 
+        own_wave = wave[k]
         for n in range(start, stop):
-            wave_cosine = wave[n, 0]
-            wave_sine = wave[n, 1]
+            wave_cosine = own_wave[n, 0]
+            wave_sine = own_wave[n, 1]
             if wp.static(warps > 1):
                 own = (n & 1) * wp.static(buffer) + (warp + 1) * wp.static(2 * BORDER * line) + lane
                 for j in range(wp.static(BORDER)):

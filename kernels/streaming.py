@@ -52,8 +52,8 @@ def make_bend(effects, real):
 def make_move(effects, real):
     """One step of all nodes that move; launch over (plates, ny − 2, nx − 2).
 
-    wave: (steps, 2), cos and sin ωt; window: first and last + 1 of the steps whose rate² is summed; the step is
-    clock[0] + offset.
+    wave: (plates, steps, 2), cos and sin ωt, see ``wave``; window: first and last + 1 of the steps whose rate² is
+    summed; the step is clock[0] + offset.
     """
     weigh = make_weigh(effects.order, real)
     update = make_update(effects, real)
@@ -64,7 +64,7 @@ def make_move(effects, real):
         p: Parameters,
         taps_x: wp.array2d[real],
         taps_y: wp.array2d[real],
-        wave: wp.array2d[real],
+        wave: wp.array3d[real],
         window: wp.vec2i,
         clock: wp.array[int],
         offset: int,
@@ -80,7 +80,7 @@ def make_move(effects, real):
         row = inner_row + 2  # one row of zeros lies below the plate
         n = clock[0] + offset
         biharmonic = weigh(curvature, taps_x, taps_y, k, inner_row + 1, i)
-        load = wave[n, 0] * in_phase[k, row, i] + wave[n, 1] * quadrature[k, row, i]
+        load = wave[k, n, 0] * in_phase[k, row, i] + wave[k, n, 1] * quadrature[k, row, i]
         new = update(rate[k, row, i], biharmonic, load, p.stiffness, p)
         rate[k, row, i] = new
         u[k, row, i] = u[k, row, i] + new

@@ -30,7 +30,7 @@ def make_march(effects, real, nx, ny, stride, columns, levels, summed, registers
 
     columns: 1 or 2, so that the column beside an edge that a lane may read is zero;
     summed: whether these steps lie in the window, where rate² is summed.
-    factor_x: (nx,), factor_y: (ny,) factors on the curvature; wave: (steps, 2);
+    factor_x: (nx,), factor_y: (ny,) factors on the curvature; wave: (plates, steps, 2);
     loaded: (ny + 2,) one for the rows of the tensor in which some node is loaded, else zero.
     """
     laplacian = make_laplacian(effects.square_cells, real)
@@ -72,8 +72,8 @@ def make_march(effects, real, nx, ny, stride, columns, levels, summed, registers
         p: Parameters,
         factor_x: wp.array[real],
         factor_y: wp.array[real],
-        wave: wp.array2d[real],
         loaded: wp.array[int],
+        wave: wp.array3d[real],
         clock: wp.array[int],
         offset: int,
         tiles: int,
@@ -124,9 +124,10 @@ def make_march(effects, real, nx, ny, stride, columns, levels, summed, registers
         bottom = factor_y[0]
         top = factor_y[wp.static(ny - 1)]
         waves = wave_of()
+        own_wave = wave[k]
         for level in range(wp.static(levels)):
-            waves[level, 0] = wave[n + level, 0]
-            waves[level, 1] = wave[n + level, 1]
+            waves[level, 0] = own_wave[n + level, 0]
+            waves[level, 1] = own_wave[n + level, 1]
 
         # For each level: the last two rows of what it reads, the last two curvatures, rates and sums in waiting.
         u_1 = levels_of()

@@ -28,7 +28,9 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "bench": ({"bench", "solve", "kernels", "plate", "scene", ""}, {*SCIENCE, "warp"}),
     "accuracy": ({"accuracy", "solve", "reference", "plate", "scene", ""}, {*SCIENCE, "pydantic", "warp"}),
     "search": ({"search", "accuracy", "solve", "result", "plate", "scene", ""}, {*SCIENCE, "warp"}),
-    "search.pso": (set(), SCIENCE),
+    "search.pso": ({"search.pso_settings", "plate.blocks"}, SCIENCE),
+    "search.pso_settings": (set(), SCIENCE),
+    "plate.blocks": (set(), set()),
     "viz": (
         {"viz", "result", "scene"},
         {*SCIENCE, "pyvista", "vtkmodules", "matplotlib", "PIL", "imageio_ffmpeg"},

@@ -10,7 +10,7 @@ from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import REGIONS, region_weights
 from warp_plate.result.motion import Motion
-from warp_plate.search.motion import mode_motions, motions, surface_density
+from warp_plate.search.motion import mode_motions, motions, surface_density, usual_span
 from warp_plate.search.simulate import simulate
 
 # Light layers on a quarter of the plate, so that mass is not the same everywhere.
@@ -129,6 +129,40 @@ def test_what_cannot_be_shown_is_refused(result):
         mode_motions(scene, [0])
     with pytest.raises(SceneError, match="mode 9999: the grid has 121"):
         mode_motions(scene, [9999])
+
+
+@pytest.mark.parametrize(
+    ("tables", "span"),
+    [
+        ({}, (0.1 - 1 / 290, 0.1)),
+        ({"drive": {"frequency": 290.0, "burst": {"start": 0.01, "duration": 0.02, "period": 0.03}}}, (0.01, 0.03)),
+        ({"drive": {"frequency": 290.0, "burst": {"start": 0.09, "duration": 0.02}}}, (0.09, 0.1)),
+        ({"drive": {"frequency": 290.0, "chirp": {"end_frequency": 400.0, "duration": 0.1}}}, (0.06, 0.1)),
+        ({"effects": {"moving_load": {"force": 1.0, "start": (0.1, 0.1)}}}, (0.06, 0.1)),
+        # 600 frames show no more than 50 periods.
+        ({"drive": {"frequency": 290.0, "chirp": {"end_frequency": 2900.0, "duration": 0.1}}}, (0.1 - 50 / 2900, 0.1)),
+        ({"drive": {"frequency": 2900.0, "burst": {"start": 0.01, "duration": 0.08}}}, (0.01, 0.01 + 50 / 2900)),
+    ],
+    ids=["tone", "bursts", "burst-beyond-the-end", "chirp", "moving-load", "fast-chirp", "long-burst"],
+)
+def test_the_span_that_is_shown_suits_the_drive(scene, tables, span):
+    made = scene(window=(0.06, 0.1)).with_tables(**tables)
+    assert usual_span(made, 0.1, 600) == pytest.approx(span)
+
+
+def test_of_several_frequencies_the_window_is_shown(scene):
+    """With frames for the fastest; where few are asked for, of less time."""
+    made = scene(window=(0.06, 0.1))
+    fast = made.actuators[0].model_copy(update={"frequency": 580.0})
+    made = made.model_copy(update={"actuators": [fast, *made.actuators[1:]]})
+    cases = simulate(made, device="cpu", estimate=False).cases
+    (motion,) = motions(made, cases, device="cpu")
+    step = make_scheme(made).time_step
+    assert motion.times[[0, -1]] == pytest.approx([0.06, 0.1 - step], abs=step)
+    np.testing.assert_allclose(np.diff(motion.times), step)  # this scene has fewer than 60 steps a period
+    (few,) = motions(made, cases, frames=24, device="cpu")
+    assert few.times[[0, -1]] == pytest.approx([0.1 - 2 / 580, 0.1 - step], abs=step)
+    assert len(few.times) == 24
 
 
 def test_more_frames_than_steps_are_the_steps(result):

@@ -16,6 +16,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 from warp_plate.result.model import Case, Result
 from warp_plate.scene.model import Scene
+from warp_plate.scene.target import Target
 from warp_plate.viz.availability import missing, missing_plots
 from warp_plate.viz.comparison import DRIVES, ordered
 from warp_plate.viz.figures import draw_history, draw_surfaces
@@ -133,10 +134,16 @@ def _scene_rows(scene: Scene) -> list[tuple[str, str]]:
         ("grid", chosen),
         ("drive", f"{scene.drive.frequency:g} Hz"),
         ("energy averaged", f"{scene.window.start:g} … {scene.window.end:g} s"),
-        ("target", f"{_area(scene.target.area)} m"),
+        *_target_rows(scene),
         ("effects", ", ".join(effects)),
         ("search", f"{scene.search.particles} particles × {scene.search.iterations} iterations"),
     ]
+
+
+def _target_rows(scene: Scene) -> list[tuple[str, str]]:
+    named: dict[str, Target] = {f"target {target.name}": target for target in scene.targets}
+    rows = named or {"target": scene.target}
+    return [(name, f"{_area(one.area)} m" if one.area is not None else one.words) for name, one in rows.items()]
 
 
 def _edges(scene: Scene) -> str:

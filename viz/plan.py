@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.result.motion import Motion
+from warp_plate.result.outlines import outlines
 from warp_plate.scene.model import Area, Scene
 from warp_plate.viz.comparison import common_scale, heading, quantity_of, rows_and_columns
 from warp_plate.viz.lettering import INK, TARGET
@@ -121,7 +122,8 @@ def _draw(axes: Axes, scene: Scene, field: np.ndarray, scale: Scale) -> None:
     axes.imshow(painted, origin="lower", extent=extent, interpolation="bilinear")
     for actuator in scene.actuators:
         outline(axes, actuator.area, INK)
-    outline(axes, scene.target.area, TARGET, width=1.4, above=4)
+    for way in outlines(scene):
+        axes.plot(*way.T, color=TARGET, linewidth=1.4, clip_on=False, zorder=4)
     frame(axes, scene)
     axes.set_xticks([0, width / 2, width])
     axes.set_yticks([0, height / 2, height])

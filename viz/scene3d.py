@@ -143,10 +143,8 @@ def lines_of(meshes: PlateMeshes) -> list[Line]:
     lines = [Line(meshes.lines, GRID, 0.033, 300)]
     for kind, side in meshes.sides.items():
         lines.append(Line(side, SIDES[kind].colour, SIDES[kind].width / 18, 400 if kind == "clamped" else 560))
-    for outline, colour, width, nearer in (
-        (meshes.target, TARGET, 0.125, 500),
-        (meshes.actuators, INK, 0.1, 600),
-    ):
+    drawn = [(meshes.target, TARGET, 0.125, 500), (meshes.actuators, INK, 0.1, 600)]
+    for outline, colour, width, nearer in drawn if meshes.target.mesh.n_points else drawn[1:]:
         # A light rim, for dark colours.
         lines += [Line(outline, "#ffffff", width + 0.1, nearer - 20, 0.5), Line(outline, colour, width, nearer)]
     return lines

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from xml.etree.ElementTree import Element, SubElement
 
+from warp_plate.result.outlines import outlines
 from warp_plate.scene.model import Area, Scene
+from warp_plate.scene.target import NamedTarget, Target
 from warp_plate.viz.lettering import INK, TARGET
 from warp_plate.viz.sides import NAMES, SIDES, edge_kind
 
@@ -41,10 +43,23 @@ def scene_plan(scene: Scene) -> Element:
         rectangle = SubElement(svg, "rect", place | looks)
         SubElement(rectangle, "title").text = f"{words}: x {x0:g} … {x1:g} m, y {y0:g} … {y1:g} m"
 
+    def add_target(key: str, target: Target) -> None:
+        looks = {"fill": TARGET, "fill-opacity": "0.15", "stroke": TARGET, "stroke-width": "2"}
+        words = f"target {target.name}" if isinstance(target, NamedTarget) else "target"
+        if target.area is not None:
+            return add(target.area, words, looks)
+        ways = [
+            " ".join(f"{MARGIN + x * scale:.6g},{MARGIN + (height - y) * scale:.6g}" for x, y in way.tolist())
+            for way in outlines(scene, key, target)
+        ]
+        shape = SubElement(svg, "path", {"d": " ".join(f"M {way} Z" for way in ways), "fill-rule": "evenodd"} | looks)
+        SubElement(shape, "title").text = f"{words}: {target.words}"
+
     add((0.0, width, 0.0, height), "plate", {"fill": "white"})
     for layer in scene.effects.layers:
         add(layer.area, "layer", {"fill": LAYER, "fill-opacity": "0.3"})
-    add(scene.target.area, "target", {"fill": TARGET, "fill-opacity": "0.15", "stroke": TARGET, "stroke-width": "2"})
+    for key, target in scene.targets_by_key.items():
+        add_target(key, target)
     for oscillator in scene.effects.oscillators:
         add(oscillator.area, "oscillator", {"fill": "none", "stroke": OSCILLATOR, "stroke-width": "2"})
     for actuator in scene.actuators:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warp_plate.result.outlines import outlines
 from warp_plate.scene.model import Area, Scene
 from warp_plate.viz.quantity import Scale
 from warp_plate.viz.sides import SIDES, kinds_of
@@ -90,7 +91,7 @@ def plate_meshes(
         surface=surface,
         lines=sheet.lay(sheet.grid_lines()),
         sides={kind: sheet.lay(sheet.sides(kind, names)) for kind, names in kinds_of(scene).items()},
-        target=sheet.lay([sheet.outline(scene.target.area)]),
+        target=sheet.lay([sheet.along(way) for way in outlines(scene)]),
         actuators=sheet.lay([sheet.outline(actuator.area) for actuator in scene.actuators]),
     )
     meshes.show(displacement, scale, colours)
@@ -134,27 +135,36 @@ class _Sheet:
 
     @property
     def triangles(self) -> np.ndarray:
-        """(triangles, 3) indices of nodes, x fastest."""
+        """(triangles, 3) indices of nodes, cell by cell, x fastest.
+
+        A cell's two stand together, so that what draws them finds most of their nodes at hand.
+        """
         index = np.arange(math.prod(self.nodes)).reshape(self.nodes[::-1])
         corner, right, up, across = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
         lower, upper = np.stack([corner, right, across], -1), np.stack([corner, across, up], -1)
-        return np.concatenate([lower.reshape(-1, 3), upper.reshape(-1, 3)])
+        return np.stack([lower, upper], axis=2).reshape(-1, 3)
 
     def line(self, start: Sequence[float], end: Sequence[float]) -> np.ndarray:
-        """(points, 2) a way along one axis, with a point wherever it crosses a triangle's side."""
-        axis = 0 if start[1] == end[1] else 1
-        (along, across), other = ((self.x, self.y), 1) if axis == 0 else ((self.y, self.x), 0)
-        low, high = sorted((start[axis], end[axis]))
-        way = _crossings(low, high, along, _offset(start[other], across))
-        points = np.full((way.size, 2), start[other])
-        points[:, axis] = way if start[axis] <= end[axis] else way[::-1]
-        return points
+        """(points, 2) a straight way, with a point wherever it crosses a triangle's side."""
+        ends = np.array([start, end], dtype=float)
+        x, y = (ends / self.size * (np.array(self.nodes) - 1)).T
+        shares = [np.array([0.0, 1.0])]
+        # Lines of the grid along y and along x, and the cells' diagonals, are where one of these is a whole number.
+        for low, high in (x, y, x - y):
+            whole = np.arange(math.ceil(min(low, high)), math.floor(max(low, high)) + 1)
+            shares.append((whole - low) / (high - low) if low != high else np.empty(0))
+        share = np.unique(np.concatenate(shares))[:, None]
+        return (1 - share) * ends[0] + share * ends[1]
+
+    def along(self, way: np.ndarray) -> np.ndarray:
+        """(points, 2) a way through given points (points, 2)."""
+        return np.concatenate([self.line(*ends) for ends in pairwise(way)])
 
     def outline(self, area: Area) -> np.ndarray:
         """(points, 2) closed way around a rectangle."""
         x0, x1, y0, y1 = area
         corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
-        return np.concatenate([self.line(*ends) for ends in pairwise(corners)])
+        return self.along(np.array(corners))
 
     def sides(self, kind: str, names: Sequence[str]) -> list[np.ndarray]:
         """The sides of one kind, or their dashes."""
@@ -185,13 +195,14 @@ class _Sheet:
         """Ways (points, 2) as polylines of one mesh that can follow the surface."""
         import pyvista
 
-        points = np.concatenate(ways)
+        points = np.concatenate([np.empty((0, 2)), *ways])
         starts = np.cumsum([0, *(len(way) for way in ways)])
         cells = [
             np.concatenate([[len(way)], np.arange(start, start + len(way))])
             for way, start in zip(ways, starts[:-1], strict=True)
         ]
-        mesh = pyvista.PolyData(np.column_stack([points, np.zeros(len(points))]), lines=np.concatenate(cells))
+        places = np.column_stack([points, np.zeros(len(points))])
+        mesh = pyvista.PolyData(places, lines=np.concatenate(cells)) if cells else pyvista.PolyData()
         return OnSurface(mesh, *self._held_by(points))
 
     def _held_by(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -222,14 +233,3 @@ def _cell(at: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     position = np.clip(at / nodes[-1], 0, 1) * (nodes.size - 1)
     cell = np.minimum(position.astype(int), nodes.size - 2)
     return cell, position - cell
-
-
-def _offset(at: float, nodes: np.ndarray) -> float:
-    """How far into its cell a point is, as a share of the cell."""
-    return float(_cell(np.array([at]), nodes)[1][0])
-
-
-def _crossings(start: float, end: float, nodes: np.ndarray, offset: float) -> np.ndarray:
-    """Where a line along this axis crosses grid lines and, the share ``offset`` behind them, diagonals."""
-    sides = np.concatenate([nodes, nodes[:-1] + offset * nodes[1]])
-    return np.array([start, *np.unique(sides[(sides > start) & (sides < end)]), end])

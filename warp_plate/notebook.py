@@ -46,7 +46,8 @@ def view(
     Args:
         cases: names of the result's cases; left out: the best, or the only one.
         quantity: in colour: displacement, velocity, energy, rms-velocity or phase.
-        span: beginning and end of what is shown [s], frames: how many; left out: 60 over the last period of the drive.
+        span: beginning and end of what is shown [s], frames: how many; left out: 60 over the last period of the drive,
+            or over the first burst or the window where the drive does not repeat.
         rate: frames a second at first; height: of the frame in the notebook [pixels].
         device: where the plates run: cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
 

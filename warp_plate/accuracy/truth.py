@@ -118,8 +118,8 @@ def find_truth(
     The uncertainty is that of the bound and of equal drive, best single actuator, best drive and ``drives``.
 
     Raises:
-        SceneError: kind = "ritz" and the scene has an edge or an effect that the reference does not know; no such
-            device.
+        SceneError: kind = "ritz" and the scene has an edge, an effect or a target that the reference does not know;
+            no such device.
     """
     stage = grow(scene, kind, device, wanted, seconds, more=drives)
     largest, best = bound(stage.matrices)
@@ -201,7 +201,7 @@ def _stages(scene: Scene, kind: str, device: str, probes: Probes) -> Iterator[St
         try:
             yield from _ritz_stages(scene, probes)
             return
-        except (SceneError, ValueError):  # an effect that it does not know, or an undamped resonance
+        except (SceneError, ValueError):  # an effect or a target that it does not know, or an undamped resonance
             if kind == "ritz":
                 raise
     yield from _richardson_stages(scene, device, probes)
@@ -209,6 +209,7 @@ def _stages(scene: Scene, kind: str, device: str, probes: Probes) -> Iterator[St
 
 def _ritz_stages(scene: Scene, probes: Probes) -> Iterator[Stage]:
     plate = thin_plate(scene)
+    scene.target.rectangle()  # before any work
     kept: list[np.ndarray] = []
     for count, seconds in RITZ_SECONDS.items():
         functions = _functions(plate.size, count)

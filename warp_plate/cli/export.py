@@ -63,7 +63,8 @@ def export(
         equal, single, best or drive; give it again for more. Left out: all cases; for a drive the best one.
     start, end
         Of pvd and vtkhdf: run the scene again and take even times between these, in seconds, instead of those that it
-        records; velocities are written too. The last period of the drive when only frames are given.
+        records; velocities are written too. When only frames are given, the last
+        period of the drive, or of a drive that does not repeat the first burst, else the scene's window.
     frames
         How many between them; 60 a period, or as many as there are steps, when left out.
     device

@@ -69,11 +69,12 @@ def render(
     time
         Of a picture, in seconds; the moment when what is in colour is largest, when left out.
     start
-        Of the frames, in seconds; the last period of the drive when both this and --end are left out.
+        Of the frames, in seconds; when both this and --end are left out, the last period of the drive, or of a drive
+        that does not repeat the first burst, else the scene's window.
     end
         Of the frames, in seconds; the end of the run when only --start is there.
     frames
-        How many; 60 a period, or as many as there are steps, when left out.
+        How many; 60 a period, or as many as there are steps, and 600 at most, when left out.
     rate
         Frames a second in movies and pages; 30, or what plays a period in 1.4 s, when left out.
     width

@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+
+from warp_plate.plate.signals import actuator_delays, actuator_frequencies, waves_apart
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Area, Scene
+
+# An actuator may reach over the border of its area by so much of the plate's side: rounding.
+SLACK = 1e-9
 
 
 @dataclass(frozen=True)
@@ -32,3 +40,141 @@ class Designs:
     def only_drives(self) -> bool:
         """Whether plates differ in nothing but their drives, so that superposition holds between them."""
         return self.frequency is None and self.centre is None and self.delay is None
+
+
+@dataclass(frozen=True)
+class Own:
+    """What the plates of a solver may have of their own beside their drives: it is compiled for that.
+
+    frequency, delay, centre: whether ``Designs`` may bring it. each: frequency and delay differ from actuator to
+    actuator, which takes two waves for each of them and the general way; else one value serves all actuators of a
+    plate. areas: (x0, x1, y0, y1) [m] for every actuator, in which it stays whole; None: the plate.
+    """
+
+    frequency: bool = False
+    delay: bool = False
+    centre: bool = False
+    each: bool = False
+    areas: tuple[Area, ...] | None = None
+
+
+NOTHING_OWN = Own()
+
+
+def own_of(scene: Scene) -> Own:
+    """What plates need of their own for the free variables of ``[search]``."""
+    search = scene.search
+    free, areas = search.position, None
+    if free is not None:
+        kept = {one.name for one in scene.actuators} - set(free.actuators or [one.name for one in scene.actuators])
+        whole = free.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
+        areas = tuple(one.area if one.name in kept else whole for one in scene.actuators)
+    named = search.frequency is not None and search.frequency.actuators is not None
+    return Own(
+        frequency=search.frequency is not None,
+        delay=search.delay is not None,
+        centre=free is not None,
+        each=any(one is not None and one.own for one in (search.frequency, search.delay)) or named,
+        areas=areas,
+    )
+
+
+def carriers_of(scene: Scene, own: Own) -> int:
+    """How many carriers each plate has of its own: none, one, or one for each actuator.
+
+    Raises:
+        SceneError: the scene has no carrier or no burst that could differ, or a load that cannot be moved.
+    """
+    if own.centre and scene.grid.load == "nodes":
+        raise SceneError(
+            'grid.load = "nodes": actuators would jump from node to node; to move them write "overlap" or "moments"'
+        )
+    if own.areas is not None and len(own.areas) != len(scene.actuators):
+        raise SceneError(f"own.areas: {len(own.areas)} instead of {len(scene.actuators)}, one for each actuator")
+    if own.delay and scene.drive.burst is None:
+        raise SceneError("drive.burst: missing; a delay of its own needs a burst that is delayed")
+    if not (own.frequency or own.delay):
+        return 0
+    if scene.drive.signal is not None:
+        raise SceneError("drive.signal: a file has no frequency or burst that differs from plate to plate; delete it")
+    return len(scene.actuators) if own.each or waves_apart(scene) > 1 else 1
+
+
+@dataclass(frozen=True)
+class OwnValues:
+    """Designs made ready: frequency and delay (plates, carriers), edges (plates, actuators, 4) x0, x1, y0, y1 [m];
+    None where the plates share the scene's."""
+
+    frequency: np.ndarray | None
+    delay: np.ndarray | None
+    edges: np.ndarray | None
+
+    def __getitem__(self, some: slice) -> OwnValues:
+        return OwnValues(*(None if one is None else one[some] for one in (self.frequency, self.delay, self.edges)))
+
+
+def check_designs(designs: Designs, scene: Scene, own: Own, time_step: float) -> OwnValues:
+    """What a solver made for ``own`` needs of designs.
+
+    Raises:
+        SceneError: they bring what the solver was not made for, arrays of another shape, values that differ between
+            actuators that share them, a frequency that the steps cannot carry, a delay outside the run, or a place
+            outside an actuator's area; one line with plate and actuator.
+    """
+    shape = (len(designs), len(scene.actuators))
+    given: dict[str, np.ndarray] = {}
+    for name, more in (("frequency", ()), ("delay", ()), ("centre", (2,))):
+        values = getattr(designs, name)
+        if values is None:
+            continue
+        if not getattr(own, name):
+            raise SceneError(f"designs.{name}: this solver is not made for it; make it with own = Own({name}=True)")
+        given[name] = np.asarray(values, dtype=float)
+        if given[name].shape != (*shape, *more):
+            raise SceneError(f"designs.{name}: shape {given[name].shape} instead of {(*shape, *more)}")
+    frequency, delay = given.get("frequency"), given.get("delay")
+    if frequency is not None or delay is not None:
+        if frequency is None:
+            frequency = np.broadcast_to(actuator_frequencies(scene), shape)
+        if delay is None and scene.drive.burst is not None:
+            delay = np.broadcast_to(actuator_delays(scene), shape)
+        square = 1 if scene.drive.electrostatic is None else 2
+        most = 0.5 / time_step / square
+        _refuse(scene, "frequency", frequency, np.asarray((frequency > 0) & (frequency < most)), f"0 ... {most:.6g} Hz")
+        if delay is not None:
+            end = scene.window.end
+            _refuse(scene, "delay", delay, np.asarray((delay >= 0) & (delay < end)), f"0 ... {end:g} s")
+        if carriers_of(scene, own) == 1:
+            for name, values in (("frequency", frequency), ("delay", delay)):
+                if values is not None:
+                    alike = np.asarray(values == values[:, :1])
+                    _refuse(scene, name, values, alike, "one value for all actuators, or a solver with Own(each=True)")
+            frequency, delay = frequency[:, :1], None if delay is None else delay[:, :1]
+    return OwnValues(frequency, delay, _edges(scene, own, given["centre"]) if "centre" in given else None)
+
+
+def actuator_spaces(scene: Scene, own: Own) -> np.ndarray:
+    """(actuators, 4) x0, x1, y0, y1 [m] within which, and on the plate, each actuator stays whole."""
+    plate = (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
+    spaces = np.array(own.areas if own.areas is not None else [plate] * len(scene.actuators))
+    return np.clip(spaces, 0, np.repeat(scene.plate.size, 2))
+
+
+def _edges(scene: Scene, own: Own, centre: np.ndarray) -> np.ndarray:
+    """(plates, actuators, 4) the rectangles of actuators in other places."""
+    areas = np.array([actuator.area for actuator in scene.actuators])
+    half = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1) / 2
+    low, high = centre - half, centre + half
+    spaces, slack = actuator_spaces(scene, own), SLACK * np.array(scene.plate.size)
+    inside: Any = ((low >= spaces[:, [0, 2]] - slack) & (high <= spaces[:, [1, 3]] + slack)).all(axis=-1)
+    _refuse(scene, "centre", centre, inside, "a place where the actuator stays whole within its area")
+    return np.stack([low[..., 0], high[..., 0], low[..., 1], high[..., 1]], axis=-1)
+
+
+def _refuse(scene: Scene, name: str, values: np.ndarray, good: np.ndarray, right: str) -> None:
+    if not good.all():
+        plate, actuator = np.argwhere(~good)[0]
+        raise SceneError(
+            f"designs.{name}: {np.round(values[plate, actuator], 9).tolist()} of actuator "
+            f"{scene.actuators[actuator].name!r} on plate {plate}; must be {right}"
+        )

@@ -46,6 +46,7 @@ def digests(scene: Scene) -> dict[str, str]:
     named |= {
         f"effects.variation.{key}": value for key, value in scene.effects.variation or () if isinstance(value, str)
     }
+    named |= {f"{key}.mask": target.mask for key, target in scene.targets_by_key.items() if target.mask is not None}
     return {
         key: hashlib.sha256(read_beside(key, name, scene.folder)).hexdigest() for key, name in named.items()
     }

@@ -92,8 +92,9 @@ class Scheme:
         return min(max(round(time / self.time_step), 0), self.steps)
 
 
-def make_scheme(scene: Scene, allow_unstable: bool = False) -> Scheme:
-    """The scheme of a scene; ``allow_unstable``: with a time step above the stability limit too.
+def make_scheme(scene: Scene, allow_unstable: bool = False, general: bool = False) -> Scheme:
+    """The scheme of a scene; ``allow_unstable``: with a time step above the stability limit too; ``general``: by
+    moments, also where a plain plate would do.
 
     Raises:
         SceneError: the scene asks for an accuracy instead of a grid; its time step is above the stability limit or too
@@ -106,14 +107,14 @@ def make_scheme(scene: Scene, allow_unstable: bool = False) -> Scheme:
             f"grid.accuracy = {grid.accuracy:g}: no grid is chosen yet; warp_plate.accuracy.choose(scene, "
             f"{grid.accuracy:g}).scene has one"
         )
-    check_grid_memory(scene, needs_moments(scene))
+    check_grid_memory(scene, general or needs_moments(scene))
     spacing = (plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1))
     rigidity = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
     surface_density = plate.density * plate.thickness
     kappa = math.sqrt(rigidity / surface_density)
     viscous, backward = viscous_damping(scene)
     rate_of_loss = viscous / surface_density
-    found, bending = find_limit(scene)
+    found, bending = find_limit(scene, general)
     limit = found.time_step
     longest = min(SAFETY * limit, 1 / (STEPS_A_PERIOD * highest_frequency(scene)))
     time_step = grid.time_step or scene.window.end / math.ceil(scene.window.end / longest)

@@ -14,11 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.plate.shapes import shape_weights
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Area, Scene
+from warp_plate.scene.model import Area, Scene, Target
 
 REGIONS = ("plate", "target")
-NO_AREAS: Mapping[str, Area] = MappingProxyType({})
+# A rectangle x0, x1, y0, y1 [m], a shape, or weights (ny, nx) in cells.
+Region = Area | Target | np.ndarray
+NO_AREAS: Mapping[str, Region] = MappingProxyType({})
 # The nodes of each side in an array (ny, nx).
 EDGE_LINES: dict[str, Any] = {"left": np.s_[:, 0], "bottom": np.s_[0], "right": np.s_[:, -1], "top": np.s_[-1]}
 _PLATE, _TARGET = REGIONS.index("plate"), REGIONS.index("target")
@@ -52,12 +55,12 @@ def moments(positions: np.ndarray, low: float, high: float) -> np.ndarray:
         # In the middle of the four nodes' span the polynomials are best conditioned.
         start, stop = np.clip(ends, interval, interval + 1) - first - 1.5
         powers = np.arange(1, 5)
-        weights[first : first + 4] += np.linalg.solve(_CUBICS, (stop**powers - start**powers) / powers)
+        weights[first : first + 4] += np.linalg.solve(CUBICS, (stop**powers - start**powers) / powers)
     return weights
 
 
-# Row k holds x^k at the four nodes: weights w keep moments m when _CUBICS @ w = m.
-_CUBICS = np.vander([-1.5, -0.5, 0.5, 1.5], 4, increasing=True).T
+# Row k holds x^k at the four nodes: weights w keep moments m when CUBICS @ w = m.
+CUBICS = np.vander([-1.5, -0.5, 0.5, 1.5], 4, increasing=True).T
 
 
 def patches(scene: Scene) -> np.ndarray:
@@ -67,7 +70,7 @@ def patches(scene: Scene) -> np.ndarray:
         SceneError: an actuator touches no node that can move.
     """
     weigh = {"overlap": overlap, "nodes": inside, "moments": moments}[scene.grid.load]
-    x, y = _positions(scene)
+    x, y = node_positions(scene)
     fields = np.stack([_product(weigh, x, y, actuator.area) for actuator in scene.actuators])
     fields[:, ~moving_nodes(scene)] = 0
     for index, field in enumerate(fields):
@@ -79,6 +82,19 @@ def patches(scene: Scene) -> np.ndarray:
     return fields
 
 
+def reachable_nodes(scene: Scene, areas: np.ndarray) -> np.ndarray:
+    """(ny, nx) whether a node that moves is loaded by a patch somewhere in one of ``areas`` (areas, 4) x0, x1, y0, y1
+    [m]: those under it and, by moments, two more on each side."""
+    found, beyond = np.zeros(scene.grid.nodes[::-1], dtype=bool), 2 if scene.grid.load == "moments" else 0
+    for x0, x1, y0, y1 in areas:
+        reached = []
+        for low, high, side, count in ((y0, y1, 1, scene.grid.nodes[1]), (x0, x1, 0, scene.grid.nodes[0])):
+            spacing, node = scene.plate.size[side] / (count - 1), np.arange(count)
+            reached.append((node >= np.floor(low / spacing) - beyond) & (node <= np.ceil(high / spacing) + beyond))
+        found |= np.outer(*reached)
+    return found & moving_nodes(scene)
+
+
 def moving_nodes(scene: Scene) -> np.ndarray:
     """(ny, nx) whether a node moves: all but those on clamped and supported edges."""
     moves = np.ones(scene.grid.nodes[::-1], dtype=bool)
@@ -88,16 +104,18 @@ def moving_nodes(scene: Scene) -> np.ndarray:
     return moves
 
 
-def region_weights(scene: Scene, areas: Mapping[str, Area] = NO_AREAS) -> np.ndarray:
+def region_weights(scene: Scene, areas: Mapping[str, Region] = NO_AREAS) -> np.ndarray:
     """(regions, ny, nx) weights of the REGIONS and of further ``areas`` by name, in cells; times hx·hy areas [m²].
 
     By moments where loads are weighed so, else by overlap.
+
+    Raises:
+        SceneError: a target of which no node that moves has a part, or whose mask cannot be read.
     """
-    weigh = moments if scene.grid.load == "moments" else overlap
-    x, y = _positions(scene)
     width, height = scene.plate.size
-    own = {"plate": (0.0, width, 0.0, height), "target": scene.target.area}
-    return np.stack([_product(weigh, x, y, area) for area in (*(own[name] for name in REGIONS), *areas.values())])
+    own: dict[str, Region] = {"plate": (0.0, width, 0.0, height), "target": scene.target}
+    regions = {**{name: own[name] for name in REGIONS}, **areas}
+    return np.stack([_region(scene, name, region) for name, region in regions.items()])
 
 
 def localization_factor(energy: np.ndarray) -> np.ndarray:
@@ -120,9 +138,26 @@ def bilinear(
     return corners.astype(np.int32), across * along
 
 
-def _positions(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def node_positions(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """x (nx,) and y (ny,) of the nodes [m]."""
     (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
     return np.linspace(0, width, nx), np.linspace(0, height, ny)
+
+
+def _region(scene: Scene, name: str, region: Region) -> np.ndarray:
+    if isinstance(region, np.ndarray):
+        return region
+    if not isinstance(region, Target):
+        return _product(moments if scene.grid.load == "moments" else overlap, *node_positions(scene), region)
+    key = name if name == "target" else f"targets ({name!r})"
+    field = shape_weights(scene, key, region) if region.area is None else _region(scene, name, region.area)
+    if not field[moving_nodes(scene)].any():
+        nx, ny = scene.grid.nodes
+        raise SceneError(
+            f"{key}.{region.words}: covers no node that can move on a grid of {nx} x {ny} nodes; enlarge it, or use "
+            "more nodes"
+        )
+    return field
 
 
 def _product(weigh: Callable[..., np.ndarray], x: np.ndarray, y: np.ndarray, area: Area) -> np.ndarray:

@@ -96,13 +96,16 @@ def transient_matrices(modes: Modes, scene: Scene) -> np.ndarray:
     """(2, 2M, 2M) matrices of plate and target, zᵀ matrix z being the energy averaged over the scene's window [J].
 
     The averages are closed forms. z as above, in (N/m²).
+
+    Raises:
+        SceneError: the target is no rectangle.
     """
     start, end = scene.window.start, scene.window.end
     motion = motion_from_rest(modes, scene.drive.frequency, end)
     forces = modes.patch_forces([actuator.area for actuator in scene.actuators])
     parts = [(s, s * a * forces) for s, a in zip(motion.exponents, motion.amplitudes, strict=True)]
     matrices = []
-    for overlaps in (None, modes.overlaps(scene.target.area)):
+    for overlaps in (None, modes.overlaps(scene.target.rectangle())):
         both = np.zeros((2, len(forces), len(forces)), dtype=complex)
         for i, (first, first_rate) in enumerate(parts):
             for j, (second, second_rate) in enumerate(parts[i:], start=i):
@@ -120,7 +123,7 @@ def steady_matrices(modes: Modes, scene: Scene) -> np.ndarray:
     rate = 2j * math.pi * scene.drive.frequency * _steady_amplitudes(modes, scene.drive.frequency)
     rates = rate * modes.patch_forces([actuator.area for actuator in scene.actuators])
     plate = rates.conj() @ rates.T
-    target = rates.conj() @ modes.overlaps(scene.target.area) @ rates.T
+    target = rates.conj() @ modes.overlaps(scene.target.rectangle()) @ rates.T
     nothing = np.zeros_like(plate)
     matrices = [_real_matrix(nothing, plate), _real_matrix(nothing, target)]
     return 0.5 * modes.plate.surface_density * np.array(matrices)
@@ -171,7 +174,8 @@ def converge(
     steady: of the steady vibration instead of the scene's window; frequencies: how many of them to keep.
 
     Raises:
-        SceneError: an edge or an effect that the references do not know; see :func:`thin_plate`.
+        SceneError: an edge or an effect that the references do not know, see :func:`thin_plate`, or a target that is
+            no rectangle.
     """
     plate = thin_plate(scene)
     rows: list[Converged] = []

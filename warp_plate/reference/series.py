@@ -171,8 +171,11 @@ def kinetic_energies(scene: Scene, drive: np.ndarray, terms: int = 32) -> np.nda
     """(2,) kinetic energies of plate and target averaged over the scene's window [J].
 
     The average over time is exact to rounding for the modes that are kept; the plate's energy comes from below.
+
+    Raises:
+        SceneError: the target is no rectangle.
     """
-    (width, height), (x0, x1, y0, y1) = scene.plate.size, scene.target.area
+    (width, height), (x0, x1, y0, y1) = scene.plate.size, scene.target.rectangle()
     along, across = _sine_products(width, x0, x1, terms), _sine_products(height, y0, y1, terms)
     sums = np.zeros(2)
     for rates, shares in _window_rates(scene, drive, terms):

@@ -1,9 +1,9 @@
 """One HDF5 file that holds a search between two of its iterations, so that it can go on as if it had never stopped.
 
-    /swarm/positions, velocities, personal_positions, personal_losses, history
+    /swarm/positions, history, ...       arrays of the search's state; see warp_plate.result.search_state
     /matrices                            energies of all drives of a linear scene (see warp_plate.solve.response)
     attributes of /: scene (with its grid) and asked (as written), both TOML, seed, evaluator, path, device, ...
-    attributes of /swarm: format, random (JSON; the state of NumPy's bit generator), asked, improved_loss, improved_at
+    attributes of /swarm: shapes, numbers  JSON of the arrays' shapes, and of the rest of the state
 
 Behind the HDF5 content stands a seal, see ``warp_plate.result.whole``.
 """
@@ -20,22 +20,15 @@ import h5py
 import numpy as np
 
 from warp_plate.plate.weights import REGIONS
-from warp_plate.result.plain import count, names_in, numbers, opened, put, save_hdf5, table, text
+from warp_plate.result.plain import count, numbers, opened, put, save_hdf5, table, text
+from warp_plate.result.search_state import put_state, read_state
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene
 
-FORMAT = "warp-plate checkpoint 1"
+FORMAT = "warp-plate checkpoint 2"
 ENDING = ".checkpoint.h5"
 PREVIOUS_ENDING = ".checkpoint.previous.h5"
-# Arrays of the swarm: rows and columns, P particles, D numbers of a position.
-ARRAYS = {
-    "positions": ("P D", "1, rad", "magnitudes and phases of all actuators but the first"),
-    "velocities": ("P D", "1, rad", "what a position moved by in the last iteration"),
-    "personal_positions": ("P D", "1, rad", "best position of each particle"),
-    "personal_losses": ("P", "1", "1 - localization factor there"),
-    "history": ("any 4", "1", "after each iteration: best, mean and worst loss, and how many were not finite"),
-}
 
 
 @dataclass(frozen=True)
@@ -48,7 +41,7 @@ class Checkpoint:
     accuracy, seconds, versions: as in :class:`Result`, until here. node_steps: nodes updated × steps × plates.
     single: index of the best single actuator.
     matrices: (regions, 2 actuators, 2 actuators) of the response; None where the scene is not linear in its drives.
-    swarm: the state of the swarm, see ``Swarm.state``, without its settings; None where one actuator leaves no choice.
+    swarm: the state of the search, see ``Swarm.state``; None where one actuator leaves no choice.
     """
 
     asked: Scene
@@ -134,16 +127,8 @@ def _write(file: h5py.File, checkpoint: Checkpoint) -> None:
     file.attrs["format"] = FORMAT
     if checkpoint.matrices is not None:
         put(file, "matrices", checkpoint.matrices, "J/(N/m^2)^2", "energy of each region by the drives' real parts")
-    swarm = checkpoint.swarm
-    if swarm is None:
-        return
-    arrays = {**swarm, "history": np.reshape(swarm["history"], (-1, 4))}  # which may be empty
-    for name, (_, units, meaning) in ARRAYS.items():
-        put(file, f"swarm/{name}", arrays[name], units, meaning)
-    file["swarm"].attrs["format"] = swarm["format"]
-    file["swarm"].attrs["random"] = json.dumps(swarm["random"])
-    for name, kind in (("asked", int), ("improved_loss", float), ("improved_at", int)):
-        file["swarm"].attrs[name] = kind(swarm[name])
+    if checkpoint.swarm is not None:
+        put_state(file, "swarm", checkpoint.swarm)
 
 
 def _read(file: h5py.File, name: str) -> Checkpoint:
@@ -174,22 +159,5 @@ def _read(file: h5py.File, name: str) -> Checkpoint:
         node_steps=count(file, "node_steps"),
         single=single,
         matrices=numbers(file, "matrices", (len(REGIONS), *2 * (2 * actuators,))) if "matrices" in file else None,
-        swarm=_read_swarm(file, scene) if names_in(file, "swarm") else None,
+        swarm=read_state(file, "swarm") if "swarm" in file else None,
     )
-
-
-def _read_swarm(file: h5py.File, scene: Scene) -> dict[str, Any]:
-    lengths = {"P": scene.search.particles, "D": 2 * (len(scene.actuators) - 1), "any": None, "4": 4}
-    arrays = {
-        name: numbers(file, f"swarm/{name}", tuple(lengths[letter] for letter in shape.split()))
-        for name, (shape, _, _) in ARRAYS.items()
-    }
-    group = file["swarm"]
-    return {
-        **arrays,
-        "format": text(group, "format"),
-        "random": table(group, "random"),
-        "asked": bool(count(group, "asked")),
-        "improved_loss": float(group.attrs["improved_loss"]),
-        "improved_at": count(group, "improved_at"),
-    }

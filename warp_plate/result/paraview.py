@@ -15,10 +15,10 @@ from xml.sax.saxutils import quoteattr
 import h5py
 import numpy as np
 
-from warp_plate.plate.weights import overlap
+from warp_plate.plate.weights import REGIONS, region_weights
 from warp_plate.result.whole import written_whole
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Area, Scene
+from warp_plate.scene.model import Scene
 
 # By the first word of a field's name.
 UNITS = {"displacement": "m", "velocity": "m/s", "target": "1", "actuators": "1"}
@@ -87,14 +87,11 @@ def _fields(times: np.ndarray, fields: Mapping[str, np.ndarray]) -> dict[str, np
 
 def _still_fields(scene: Scene) -> dict[str, np.ndarray]:
     """(ny, nx) share of each node's cell that is covered, by name of the array."""
-    x, y = (np.linspace(0, size, count) for size, count in zip(scene.plate.size, scene.grid.nodes, strict=True))
-
-    def covered(area: Area) -> np.ndarray:
-        x0, x1, y0, y1 = area
-        return np.outer(overlap(y, y0, y1), overlap(x, x0, x1))
-
-    actuators = sum(covered(actuator.area) for actuator in scene.actuators)
-    shares = {"target": covered(scene.target.area), "actuators": np.minimum(actuators, 1)}
+    areas = {str(index): actuator.area for index, actuator in enumerate(scene.actuators)}
+    by_overlap = scene.model_copy(update={"grid": scene.grid.model_copy(update={"load": "overlap"})})
+    weights = region_weights(by_overlap, areas)
+    actuators = weights[len(REGIONS) :].sum(axis=0)
+    shares = {"target": weights[REGIONS.index("target")], "actuators": np.minimum(actuators, 1)}
     return {name: share.astype("<f4") for name, share in shares.items()}
 
 

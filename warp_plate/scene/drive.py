@@ -128,13 +128,24 @@ class MovingLoad(Table):
         return self
 
 
-def check_drive(drive: Drive, own_frequencies: Sequence[float | None], end: float) -> None:
-    """Compare the drive with the actuators' own frequencies [Hz] and the end of the run [s].
+def check_drive(
+    drive: Drive, own_frequencies: Sequence[float | None], delays: Sequence[float | None], end: float
+) -> None:
+    """Compare the drive with the actuators' own frequencies [Hz] and delays [s], and with the end of the run [s].
 
     Raises:
-        ValueError: an actuator has a frequency where a file is the carrier, or the first burst comes after the run;
-            the message begins with the key.
+        ValueError: an actuator has a frequency where a file is the carrier, or a delay where there is no burst, or the
+            first burst comes after the run; the message begins with the key.
     """
+    for index, delay in enumerate(delays):
+        if delay is None:
+            continue
+        if drive.burst is None:
+            raise ValueError(f"actuators[{index}].delay: there is no burst to delay; write [drive.burst], or delete it")
+        if delay >= end:
+            raise ValueError(
+                f"actuators[{index}].delay: {delay:g} s is after the run, which ends at window.end = {end:g} s"
+            )
     for index, frequency in enumerate(own_frequencies):
         if frequency is not None and drive.signal is not None:
             raise ValueError(

@@ -137,12 +137,15 @@ def dump_scene(scene: Scene) -> str:
     data = scene.model_dump(exclude_none=True)
     if scene.grid.accuracy is not None:
         data["grid"] = {"accuracy": scene.grid.accuracy}
-    actuators = data.pop("actuators")
+    several = {key: data.pop(key) for key in ("targets", "actuators")}
+    if several["targets"]:
+        del data["target"]
     lines = [f"title = {_toml(data.pop('title'))}"]
     for table, keys in data.items():
         lines += _table_lines(table, keys)
-    for actuator in actuators:
-        lines += ["", "[[actuators]]", *(f"{key} = {_toml(value)}" for key, value in actuator.items())]
+    for table, rows in several.items():
+        for row in rows:
+            lines += ["", f"[[{table}]]", *(f"{key} = {_toml(value)}" for key, value in row.items())]
     return "\n".join(lines) + "\n"
 
 

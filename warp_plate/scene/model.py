@@ -6,16 +6,25 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, PrivateAttr, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, PrivateAttr, Tag, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from warp_plate.scene.drive import Drive, check_drive
 from warp_plate.scene.effects import Effects
 from warp_plate.scene.search import Search
-from warp_plate.scene.table import Area, Coordinate, Instant, Moderate, Name, NotNegative, Positive, Table, Text
-
-# Part of a side that an area must cover; what is less would be lost in float32.
-NARROWEST = 1e-6
+from warp_plate.scene.table import (
+    Area,
+    Coordinate,
+    Instant,
+    Moderate,
+    Name,
+    NotNegative,
+    Positive,
+    Table,
+    Text,
+    check_area,
+)
+from warp_plate.scene.target import NamedTarget, Target
 
 
 class ElasticEdge(Table):
@@ -113,12 +122,6 @@ class Window(Table):
         return self
 
 
-class Target(Table):
-    """The part of the plate that should vibrate: x0, x1, y0, y1 [m]."""
-
-    area: Area
-
-
 class Record(Table):
     """What is kept beside energies: displacement at ``times`` [s], its trace at ``points`` (x, y) [m]."""
 
@@ -128,32 +131,14 @@ class Record(Table):
 
 class Actuator(Table):
     """A patch that presses on the plate: area x0, x1, y0, y1 [m], magnitude [N/m²; V under ``[drive.electrostatic]``],
-    phase lag [rad], frequency [Hz] (None: the drive's)."""
+    phase lag [rad], frequency [Hz] (None: the drive's), delay [s] (None: its burst begins at ``drive.burst.start``)."""
 
     name: Name
     area: Area
     magnitude: Moderate = 1.0
     phase: Moderate = 0.0
     frequency: Positive | None = None
-
-
-def _check_area(key: str, area: Area, size: tuple[float, float]) -> None:
-    """Raise ValueError, naming ``key``, unless the rectangle has an inside and lies on the plate."""
-    x0, x1, y0, y1 = area
-    if x1 <= x0 or y1 <= y0:
-        raise ValueError(f"{key}: {list(area)} has no inside; write x0, x1, y0, y1 with x0 < x1 and y0 < y1")
-    slack_x, slack_y = (1e-9 * side for side in size)
-    if x0 < -slack_x or y0 < -slack_y or x1 > size[0] + slack_x or y1 > size[1] + slack_y:
-        raise ValueError(
-            f"{key}: {list(area)} reaches off the plate; x must stay in 0 ... {size[0]:g}, "
-            f"y in 0 ... {size[1]:g} (metres)"
-        )
-    for low, high, side, axis in ((x0, x1, size[0], "x"), (y0, y1, size[1], "y")):
-        if high - low < NARROWEST * side:
-            raise ValueError(
-                f"{key}: {list(area)} is {high - low:.3g} m wide along {axis}; at least {NARROWEST:g} of the plate's "
-                f"side are needed, {NARROWEST * side:.3g} m"
-            )
+    delay: Instant | None = None
 
 
 class Scene(Table):
@@ -165,6 +150,8 @@ class Scene(Table):
     grid: Grid = Grid()
     window: Window = Window()
     drive: Drive
+    targets: tuple[NamedTarget, ...] = ()
+    # The first of ``targets``, where there are such.
     target: Target
     record: Record = Record()
     effects: Effects = Effects()
@@ -184,27 +171,43 @@ class Scene(Table):
 
         return load_scene(source)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _first_of_targets(cls, tables: Any) -> Any:
+        if not isinstance(tables, dict) or "target" in tables or not tables.get("targets"):
+            return tables
+        try:
+            first = NamedTarget.model_validate(tables["targets"][0]).model_dump(exclude={"name"})
+        except (ValidationError, LookupError, TypeError):  # which the check of ``targets`` will tell
+            first = {"area": (0.0, 1.0, 0.0, 1.0)}
+        return {**tables, "target": first}
+
     @model_validator(mode="after")
     def _fits(self) -> Scene:
         size = self.plate.size
         for index, actuator in enumerate(self.actuators):
-            _check_area(f"actuators[{index}].area ({actuator.name!r})", actuator.area, size)
+            check_area(f"actuators[{index}].area ({actuator.name!r})", actuator.area, size)
         names: set[str] = set()
         for index, actuator in enumerate(self.actuators):
             if actuator.name in names:
                 raise ValueError(f"actuators[{index}].name: {actuator.name!r} is taken; give each actuator its own")
             names.add(actuator.name)
-        _check_area("target.area", self.target.area, size)
-        check_drive(self.drive, [actuator.frequency for actuator in self.actuators], self.window.end)
+        self._check_targets()
+        delays = [actuator.delay for actuator in self.actuators]
+        check_drive(self.drive, [actuator.frequency for actuator in self.actuators], delays, self.window.end)
+        if self.search.position is not None and self.search.position.area is not None:
+            check_area("search.position.area", self.search.position.area, size)
         for index, layer in enumerate(self.effects.layers):
-            _check_area(f"effects.layers[{index}].area", layer.area, size)
+            check_area(f"effects.layers[{index}].area", layer.area, size)
             if layer.thickness > min(size) / 5:
                 raise ValueError(
                     f"effects.layers[{index}].thickness: {layer.thickness:g} m is not thin; at most a fifth of the "
                     f"plate's shorter side, {min(size) / 5:g} m"
                 )
         for index, oscillator in enumerate(self.effects.oscillators):
-            _check_area(f"effects.oscillators[{index}].area", oscillator.area, size)
+            check_area(f"effects.oscillators[{index}].area", oscillator.area, size)
+        if self.search.robust is not None:
+            self.search.robust.check(self.effects, self.grid.load)
         for index, time in enumerate(self.record.times):
             if time > self.window.end * (1 + 1e-9):
                 raise ValueError(
@@ -219,6 +222,15 @@ class Scene(Table):
                 )
         return self
 
+    def _check_targets(self) -> None:
+        for key, one in self.targets_by_key.items():
+            one.check(key, self.plate.size)
+        for index, target in enumerate(self.targets):
+            if target.name in [other.name for other in self.targets[:index]]:
+                raise ValueError(f"targets[{index}].name: {target.name!r} is taken; give each target its own")
+        if self.targets and self.target.model_dump() != self.targets[0].model_dump(exclude={"name"}):
+            raise ValueError("target: there are [[targets]] too, whose first is the target; write one of the two")
+
     @property
     def uniform(self) -> bool:
         """Whether the plate is isotropic, the same everywhere, and clamped or supported all around."""
@@ -230,7 +242,14 @@ class Scene(Table):
     def names_files(self) -> bool:
         """Whether some of the scene lies in other files."""
         variation = self.effects.variation
-        return self.drive.signal is not None or (variation is not None and any(variation.files))
+        masks = any(target.mask is not None for target in self.targets_by_key.values())
+        return masks or self.drive.signal is not None or (variation is not None and any(variation.files))
+
+    @property
+    def targets_by_key(self) -> dict[str, Target]:
+        """All targets by their keys: ``target``, or ``targets[0]``, ..."""
+        several: dict[str, Target] = {f"targets[{index}]": target for index, target in enumerate(self.targets)}
+        return several or {"target": self.target}
 
     @property
     def folder(self) -> Path | None:

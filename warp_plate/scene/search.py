@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from warp_plate.scene.effects import Effects
 from warp_plate.scene.table import Area, Instant, Name, NotNegative, Positive, Table
 
 Weight = Annotated[float, Field(ge=0, le=1e6)]
@@ -109,6 +110,7 @@ class Robust(Table):
     young_modulus, thickness, damping, gain (of each actuator): parts of the nominal values, 0.05 for ± 5 %. place [m]:
     by which each actuator may be off along x and y. without_oscillators: probability that the scene's oscillators (a
     finger) are away. measure: the mean, the worst case, or the loss that only 1 − ``quantile`` of the scenarios pass.
+    fresh: other scenarios, over which the drive that was found is compared with the nominal one.
     """
 
     scenarios: Annotated[int, Field(ge=1, le=100_000)] = 16
@@ -122,6 +124,29 @@ class Robust(Table):
     without_oscillators: Annotated[float, Field(ge=0, le=1)] = 0.0
     fresh: Annotated[int, Field(ge=1, le=100_000)] = 200
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+
+    def check(self, effects: Effects, load: str) -> None:
+        """Raise ValueError, naming the key, where nothing is drawn, or what is drawn is not in the scene."""
+        drawn = (self.young_modulus, self.thickness, self.damping, self.gain, self.place, self.without_oscillators)
+        if not any(drawn):
+            raise ValueError(
+                "search.robust: all scenarios are alike; write a tolerance such as young_modulus = 0.05, or delete it"
+            )
+        bed = effects.foundation is not None and effects.foundation.damping
+        if self.damping and not (effects.damping or effects.material_damping or bed):
+            raise ValueError(
+                f"search.robust.damping: {self.damping:g} of no damping; write [effects.damping], or delete the key"
+            )
+        if self.without_oscillators and not effects.oscillators:
+            raise ValueError(
+                f"search.robust.without_oscillators: {self.without_oscillators:g}, but there is none; write "
+                "[[effects.oscillators]], or delete the key"
+            )
+        if self.place and load == "nodes":
+            raise ValueError(
+                f'search.robust.place: grid.load = "nodes" moves an actuator by whole nodes, not by {self.place:g} m; '
+                'write load = "overlap" or "moments"'
+            )
 
 
 class Search(Table):
@@ -147,6 +172,14 @@ class Search(Table):
     frequency: FreeFrequency | None = None
     position: FreePosition | None = None
     delay: FreeDelay | None = None
-    objectives: tuple[Objective, ...] = (Objective(),)
+    objectives: Annotated[tuple[Objective, ...], Field(min_length=1)] = (Objective(),)
     limits: Limits = Limits()
     robust: Robust | None = None
+
+    @model_validator(mode="after")
+    def _each_kind_once(self) -> Search:
+        kinds = [one.kind for one in self.objectives]
+        for index, kind in enumerate(kinds):
+            if kind in kinds[:index]:
+                raise ValueError(f"objectives[{index}].kind: {kind!r} is there already; add their weights instead")
+        return self

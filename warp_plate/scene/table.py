@@ -10,6 +10,8 @@ from pydantic_core import PydanticCustomError
 
 # Far beyond any panel on both sides, and so near to one that fourth powers and products of several are still numbers.
 SMALLEST, LARGEST = 1e-30, 1e30
+# Part of a side that an area must cover; what is less would be lost in float32.
+NARROWEST = 1e-6
 
 
 class Table(BaseModel):
@@ -55,3 +57,22 @@ def check_file_name(key: str, name: str, endings: tuple[str, ...]) -> None:
             f"{key}: {shown!r} is not the name of a {' or '.join(endings)} file; it lies beside the scene file, and is "
             "written without folders"
         )
+
+
+def check_area(key: str, area: Area, size: tuple[float, float]) -> None:
+    """Raise ValueError, naming ``key``, unless the rectangle has an inside and lies on the plate."""
+    x0, x1, y0, y1 = area
+    if x1 <= x0 or y1 <= y0:
+        raise ValueError(f"{key}: {list(area)} has no inside; write x0, x1, y0, y1 with x0 < x1 and y0 < y1")
+    slack_x, slack_y = (1e-9 * side for side in size)
+    if x0 < -slack_x or y0 < -slack_y or x1 > size[0] + slack_x or y1 > size[1] + slack_y:
+        raise ValueError(
+            f"{key}: {list(area)} reaches off the plate; x must stay in 0 ... {size[0]:g}, "
+            f"y in 0 ... {size[1]:g} (metres)"
+        )
+    for low, high, side, axis in ((x0, x1, size[0], "x"), (y0, y1, size[1], "y")):
+        if high - low < NARROWEST * side:
+            raise ValueError(
+                f"{key}: {list(area)} is {high - low:.3g} m wide along {axis}; at least {NARROWEST:g} of the plate's "
+                f"side are needed, {NARROWEST * side:.3g} m"
+            )

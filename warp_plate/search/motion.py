@@ -14,6 +14,7 @@ import numpy as np
 from warp_plate.plate.bending import make_bending
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.signals import highest_frequency
 from warp_plate.result.model import Case
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import SceneError
@@ -24,6 +25,8 @@ from warp_plate.solve.solver import PlateSolver, Progress
 A_PERIOD, MOST = 60, 600
 # What the recorded fields may take; by default there are fewer frames of large grids, but not fewer than these.
 MOST_BYTES, FEWEST = 2 * 2**30, 24
+# Frames of a period of the highest frequency below which a motion is no longer seen as one.
+LEAST_A_PERIOD = 12
 
 
 def motions(
@@ -38,9 +41,10 @@ def motions(
 
     Args:
         scene: of the result. cases: drives and their localization factors; their names become the motions'.
-        span: beginning and end [s]; left out: the last period of the drive.
+        span: beginning and end [s]; left out: see :func:`usual_span`.
         frames: in the span, at the steps nearest to even times, so at most as many as there are steps; left out: 60 a
-            period, fewer for large grids, and not more than 600.
+            period (of the highest frequency, where the drive does not repeat), fewer for large grids, and not more
+            than 600.
         progress: see :meth:`PlateSolver.run`.
 
     Raises:
@@ -48,14 +52,15 @@ def motions(
     """
     scheme = make_scheme(scene)
     end = scheme.steps * scheme.time_step
-    period = 1 / scene.drive.frequency
-    first, last = span or (end - period, end)
+    field = 8 * math.prod(scheme.nodes) * len(cases)
+    first, last = span or usual_span(scene, end, frames or _frames(math.inf, field))
     if not 0 <= first < last <= scene.window.end * (1 + 1e-9):
         if span is None:
+            period = 1 / scene.drive.frequency
             raise SceneError(f"window.end = {scene.window.end:g}: the run is shorter than a period of {period:g} s")
         raise SceneError(f"start = {first:g}, end = {last:g}: must lie inside the run, which goes from 0 to {end:g} s")
-    field = 8 * math.prod(scheme.nodes) * len(cases)
-    count = frames or _frames((last - first) / period, field)
+    fastest = scene.drive.frequency if scene.not_periodic is None else highest_frequency(scene)
+    count = frames or _frames((last - first) * fastest, field)
     if count < 2 or 2 * count * field > MOST_BYTES:
         most = max(2, MOST_BYTES // (2 * field))
         raise SceneError(f"frames = {count}: must be from 2 to {most} for {len(cases)} plates of this grid")
@@ -82,6 +87,22 @@ def motions(
         )
         for (name, case), field in zip(cases.items(), run.displacement, strict=True)
     ]
+
+
+def usual_span(scene: Scene, end: float, frames: int) -> tuple[float, float]:
+    """What is shown of a run where no span is asked for: beginning and end [s].
+
+    The last period of a drive that repeats; else the first burst, where there are bursts; else the scene's window. Of a
+    burst only the beginning and of a window only the end, where ``frames`` would be less than 12 a period of the
+    highest frequency. ``end``: of the run [s].
+    """
+    if scene.not_periodic is None:
+        return end - 1 / scene.drive.frequency, end
+    longest = frames / LEAST_A_PERIOD / highest_frequency(scene)
+    burst = scene.drive.burst
+    if burst is not None:
+        return burst.start, min(burst.start + min(burst.duration, longest), end)
+    return max(scene.window.start, end - longest), end
 
 
 def mode_motions(scene: Scene, numbers: Sequence[int], frames: int = A_PERIOD) -> list[Motion]:
@@ -122,5 +143,5 @@ def surface_density(scene: Scene) -> np.ndarray:
 
 def _frames(periods: float, field: int) -> int:
     """How many frames suit a span of so many periods and fields of so many bytes."""
-    wanted = min(MOST, math.ceil(A_PERIOD * max(1.0, periods) - 1e-6))
+    wanted = math.ceil(min(MOST, A_PERIOD * max(1.0, periods) - 1e-6))
     return min(wanted, max(FEWEST, MOST_BYTES // 4 // (2 * field)))

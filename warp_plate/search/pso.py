@@ -14,6 +14,9 @@ Where the paper is read otherwise than printed, or leaves a choice:
 - The paper does not say whether U is one number for a particle or one for each component. The default is one
   for each component; `random_numbers="particle"` is the other reading.
 - Evaluating the first swarm is iteration 1: 80 iterations of 20 particles are 1600 evaluations.
+
+Beyond the paper (`SwarmSettings`): constriction, neighbours in a ring (Kennedy and Mendes, CEC 2002, "lbest"), numbers
+that wrap, and restarts.
 """
 
 from __future__ import annotations
@@ -27,74 +30,20 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-STATE_FORMAT = "swarm 1"
-ARRAYS = ("positions", "velocities", "personal_positions", "personal_losses")
+from warp_plate.plate.blocks import over_blocks
+from warp_plate.search.pso_settings import LARGEST, SwarmSettings
+
+STATE_FORMAT = "swarm 2"
+ARRAYS = ("positions", "velocities", "personal_positions", "personal_losses", "kept_position")
+NUMBERS = {
+    "asked": bool,
+    "improved_loss": float,
+    "improved_at": int,
+    "kept_loss": float,
+    "restarts": int,
+    "restarted_at": int,
+}
 HISTORY = ("best", "mean", "worst", "nonfinite")
-# Ranges and speeds end here, so that the positions of a swarm that flies apart stay finite numbers.
-LARGEST = 1e100
-
-
-@dataclass(frozen=True)
-class SwarmSettings:
-    """What a swarm search is told before it starts; all checked, and kept as plain numbers and tuples.
-
-    `position_range` and `velocity_range` are the (lowest, highest) values that the first positions and
-    velocities are drawn from; `bounds` are the (lower, upper) limits of positions, infinite where there is
-    none. Each end is one number or `dimension` numbers, and so is `velocity_limit`, the largest size of a
-    velocity component. `start`, shape (up to `particles`, `dimension`), replaces the first drawn positions.
-    The search stops after `iterations`, or after `stall` of them in a row that together lower the best loss
-    by no more than `stall_tolerance`.
-
-    Raises ValueError, one line with the setting's name, its value and what would be right.
-    """
-
-    dimension: int
-    particles: int = 20
-    iterations: int = 80
-    inertia: float = 0.4
-    decay: float = 0.99
-    cognitive: float = 2.0
-    social: float = 2.0
-    seed: int = 0
-    position_range: tuple[ArrayLike, ArrayLike] = (-2.0, 2.0)
-    velocity_range: tuple[ArrayLike, ArrayLike] = (-2.0, 2.0)
-    bounds: tuple[ArrayLike, ArrayLike] | None = None
-    velocity_limit: ArrayLike | None = None
-    start: ArrayLike | None = None
-    stall: int | None = None
-    stall_tolerance: float = 1e-6
-    random_numbers: str = "component"
-
-    def __post_init__(self) -> None:
-        for name, least in (("dimension", 1), ("particles", 1), ("iterations", 1), ("seed", 0), ("stall", 1)):
-            if name != "stall" or self.stall is not None:
-                self._keep(name, _whole(name, getattr(self, name), least))
-        for name in ("inertia", "decay", "cognitive", "social", "stall_tolerance"):
-            self._keep(name, _real(name, getattr(self, name), 1.0 if name == "decay" else 1e6))
-        if self.random_numbers not in ("component", "particle"):
-            raise _refusal("random_numbers", self.random_numbers, "'component' or 'particle'")
-        for name, largest in (("position_range", LARGEST), ("velocity_range", LARGEST), ("bounds", math.inf)):
-            if name != "bounds" or self.bounds is not None:
-                self._keep(name, _pair(name, getattr(self, name), self.dimension, largest))
-        lower, upper = self.limits()
-        lowest, highest = np.array(self.position_range)
-        if np.any((lowest > upper) | (highest < lower)):
-            raise _refusal("position_range", self.position_range, f"one that meets bounds = {self.bounds}")
-        if self.velocity_limit is not None:
-            limit = _numbers("velocity_limit", self.velocity_limit, self.dimension)
-            if not np.all((limit > 0) & (limit <= LARGEST)):
-                raise _refusal("velocity_limit", self.velocity_limit, f"above 0 and at most {LARGEST:g}")
-            self._keep("velocity_limit", tuple(limit.tolist()))
-        if self.start is not None:
-            self._keep("start", _start(self.start, self.particles, lower, upper))
-
-    def _keep(self, name: str, value: object) -> None:
-        object.__setattr__(self, name, value)
-
-    def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper limits of positions, each of shape (dimension,); infinite without bounds."""
-        lower, upper = (-math.inf, math.inf) if self.bounds is None else self.bounds
-        return np.full(self.dimension, lower), np.full(self.dimension, upper)
 
 
 @dataclass(frozen=True)
@@ -121,16 +70,19 @@ class Swarm:
     def __init__(self, settings: SwarmSettings) -> None:
         self.settings = settings
         self.random = np.random.default_rng(settings.seed)
+        self._lower, self._upper = settings.limits()
+        self._period = np.full(settings.dimension, np.inf if settings.period is None else settings.period)
+        self._wraps = np.flatnonzero(np.isfinite(self._period))
         self._draw()
         if settings.start is not None:
             start = np.array(settings.start)
             self.positions[: len(start)] = start
-        self.personal_positions = self.positions.copy()
-        self.personal_losses = np.full(settings.particles, np.inf)
         self._history: list[list[float]] = []  # a row of HISTORY for each iteration
+        self._begin()
+        self.kept_position = np.full(settings.dimension, np.nan)  # the best of the swarms before a restart
+        self._kept_loss = math.inf
         self._asked = False
-        self._improved_loss = math.inf
-        self._improved_at = 0
+        self._restarts = self._restarted_at = 0
 
     @property
     def iterations(self) -> int:
@@ -153,25 +105,32 @@ class Swarm:
     def result(self) -> SwarmResult:
         """The best so far."""
         best = int(np.argmin(self.personal_losses))
-        loss = float(self.personal_losses[best])
-        position = self.personal_positions[best].copy() if math.isfinite(loss) else None
-        evaluations, nonfinite = self.settings.particles * self.iterations, self.history["nonfinite"].sum()
-        return SwarmResult(position, loss, evaluations, self.iterations, int(nonfinite))
+        position, loss = self.personal_positions[best], float(self.personal_losses[best])
+        if not loss < self._kept_loss:
+            position, loss = self.kept_position, self._kept_loss
+        evaluations, nonfinite = self.settings.particles * self.iterations, sum(row[-1] for row in self._history)
+        found = position.copy() if math.isfinite(loss) else None
+        return SwarmResult(found, loss, evaluations, self.iterations, int(nonfinite))
 
     def ask(self) -> np.ndarray:
-        """Positions to evaluate, shape (particles, dimension); the same ones until their losses are told."""
+        """Positions to evaluate, shape (particles, dimension), read-only; the same ones until their losses are told."""
         if not self._asked:
-            if self.iterations:
+            if self._stalled() and self._restarts < self.settings.restarts:
+                self._restart()
+            elif self.iterations:
                 self._move()
             self._asked = True
-        return self.positions.copy()
+        # Positions are never changed in place, so that these need not be a copy.
+        self.positions.flags.writeable = False
+        return self.positions
 
     def tell(self, solutions: ArrayLike, losses: ArrayLike) -> None:
         """Take the losses, shape (particles,), of the positions that `ask` gave. Not finite counts as worst.
 
         Raises ValueError if `solutions` are not those positions or `losses` has another shape.
         """
-        if not self._asked or not np.array_equal(np.asarray(solutions), self.positions):
+        same = solutions is self.positions or np.array_equal(np.asarray(solutions), self.positions)
+        if not self._asked or not same:
             raise ValueError("tell: solutions must be the positions that the last ask() gave, told once")
         told = np.array(losses, dtype=float)
         if told.shape != (self.settings.particles,):
@@ -180,9 +139,13 @@ class Swarm:
         told[~finite] = np.inf
         # A particle without a finite loss yet has no place to return to: its own best is where it is.
         better = (told < self.personal_losses) | np.isinf(self.personal_losses)
-        self.personal_positions[better] = self.positions[better]
-        self.personal_losses[better] = told[better]
-        self._record(told[finite])
+
+        def keep(rows: slice) -> None:
+            np.copyto(self.personal_positions[rows], self.positions[rows], where=better[rows, None])
+
+        over_blocks(keep, len(told))
+        np.copyto(self.personal_losses, told, where=better)
+        self._record(told if finite.all() else told[finite])
         self._asked = False
 
     def stop(self) -> dict[str, int]:
@@ -190,56 +153,120 @@ class Swarm:
         reasons = {}
         if self.iterations >= self.settings.iterations:
             reasons["iterations"] = self.iterations
-        stalled = self.iterations - self._improved_at
-        if self.settings.stall is not None and stalled >= self.settings.stall:
-            reasons["stall"] = stalled
+        if self._stalled() and self._restarts >= self.settings.restarts:
+            reasons["stall"] = self.iterations - self._improved_at
         return reasons
+
+    def _stalled(self) -> bool:
+        return self.settings.stall is not None and self.iterations - self._improved_at >= self.settings.stall
+
+    def _begin(self) -> None:
+        """A swarm that was drawn just now has no past."""
+        self.personal_positions = self.positions.copy()
+        self.personal_losses = np.full(self.settings.particles, np.inf)
+        self._improved_loss, self._improved_at = math.inf, self.iterations
+
+    def _restart(self) -> None:
+        """Draw the swarm anew; of the old one the best is kept."""
+        best = self.result
+        if best.xbest is not None:
+            self.kept_position, self._kept_loss = best.xbest, best.fbest
+        self._draw()
+        self._begin()
+        self._restarts, self._restarted_at = self._restarts + 1, self.iterations
 
     def _draw(self) -> None:
         """Draw positions, from the part of their range that is within the bounds, and then velocities."""
         settings = self.settings
         shape = (settings.particles, settings.dimension)
-        lower, upper = settings.limits()
-        lowest, highest = np.clip(np.array(settings.position_range), lower, upper)
+        lowest, highest = np.clip(np.array(settings.position_range), self._lower, self._upper)
         slowest, fastest = np.array(settings.velocity_range)
         # The sum may round up past the upper limit, so clip once more.
-        self.positions = np.clip(lowest + (highest - lowest) * self.random.random(shape), lower, upper)
-        self.velocities = self._limited(slowest + (fastest - slowest) * self.random.random(shape))
+        drawn = lowest + (highest - lowest) * self.random.random(shape)
+        self.positions = np.clip(drawn, self._lower, self._upper)
+        self.velocities = slowest + (fastest - slowest) * self.random.random(shape)
+        self._limit(self.velocities)
 
     def _move(self) -> None:
         """Equations (7) and (8). A particle that would leave the bounds stops at the wall."""
-        settings = self.settings
+        settings, particles = self.settings, self.settings.particles
         best = int(np.argmin(self.personal_losses))
         if math.isinf(self.personal_losses[best]):
             # No finite loss so far, so nothing to be drawn to: look elsewhere.
             self._draw()
             return
-        width = settings.dimension if settings.random_numbers == "component" else 1
-        own, common = self.random.random((2, settings.particles, width))
-        self.velocities = self._limited(
-            settings.inertia * settings.decay**self.iterations * self.velocities
-            + settings.cognitive * own * (self.personal_positions - self.positions)
-            + settings.social * common * (self.personal_positions[best] - self.positions)
+        leaders = (
+            np.full(particles, best) if settings.neighbours is None else self._best_neighbours(settings.neighbours)
         )
-        lower, upper = settings.limits()
-        moved = self.positions + self.velocities
-        self.velocities[(moved < lower) | (moved > upper)] = 0.0
-        self.positions = np.clip(moved, lower, upper)
+        width = settings.dimension if settings.random_numbers == "component" else 1
+        inertia = settings.inertia * settings.decay ** (self.iterations - self._restarted_at)
+        drawn, moved = particles * width, np.empty(self.positions.shape)
 
-    def _limited(self, velocities: np.ndarray) -> np.ndarray:
+        def move(rows: slice) -> None:
+            position, velocity, own_best = self.positions[rows], self.velocities[rows], self.personal_positions[rows]
+            common = self.personal_positions[leaders[rows]]
+            velocity *= inertia
+            for factor, goal, first in ((settings.cognitive, own_best, 0), (settings.social, common, drawn)):
+                # The numbers that one call for the whole swarm would give to these rows.
+                numbers = self._random_after(first + rows.start * width)
+                pull = goal - position
+                self._shorten(pull)
+                pull *= factor * numbers.random((len(position), width))
+                velocity += pull
+            self._limit(velocity)
+            np.add(position, velocity, out=moved[rows])
+            self._confine(moved[rows], velocity)
+
+        over_blocks(move, particles)
+        self.random = self._random_after(2 * drawn)
+        self.positions = moved
+
+    def _random_after(self, count: int) -> np.random.Generator:
+        """What the generator will be after so many numbers from 0 to 1."""
+        bits: Any = np.random.PCG64(0)
+        bits.state = self.random.bit_generator.state
+        return np.random.Generator(bits.advance(count))
+
+    def _best_neighbours(self, reach: int) -> np.ndarray:
+        """(particles,) which of itself and ``reach`` others on each side has the best loss; of equals the nearest."""
+        each = np.arange(self.settings.particles)
+        best = each
+        for distance in range(1, min(reach, self.settings.particles // 2) + 1):
+            for other in (np.roll(each, distance), np.roll(each, -distance)):
+                best = np.where(self.personal_losses[other] < self.personal_losses[best], other, best)
+        return best
+
+    def _shorten(self, way: np.ndarray) -> None:
+        """Go the shorter way round where numbers wrap, in place."""
+        for column in self._wraps:
+            period = self._period[column]
+            way[:, column] -= period * np.round(way[:, column] / period)
+
+    def _limit(self, velocities: np.ndarray) -> None:
         limit = LARGEST if self.settings.velocity_limit is None else np.array(self.settings.velocity_limit)
-        return np.clip(velocities, -limit, limit)
+        np.clip(velocities, -limit, limit, out=velocities)
+
+    def _confine(self, positions: np.ndarray, velocities: np.ndarray) -> None:
+        """Keep to the bounds and within one period, in place."""
+        if self.settings.bounds is not None:
+            velocities[(positions < self._lower) | (positions > self._upper)] = 0.0
+            np.clip(positions, self._lower, self._upper, out=positions)
+        for column in self._wraps:
+            period, lowest = self._period[column], np.array(self.settings.position_range)[0, column]
+            positions[:, column] -= period * np.floor((positions[:, column] - lowest) / period)
 
     def _record(self, finite_losses: np.ndarray) -> None:
-        best = float(self.personal_losses.min())
+        ours = float(self.personal_losses.min())
         mean = worst = math.nan
         if finite_losses.size:
             with np.errstate(over="ignore"):
                 mean, worst = float(finite_losses.mean()), float(finite_losses.max())
-        self._history.append([best, mean, worst, float(self.settings.particles - finite_losses.size)])
+        self._history.append(
+            [min(ours, self._kept_loss), mean, worst, float(self.settings.particles - finite_losses.size)]
+        )
         # Compared with the last loss that counted, so that many small steps together do count.
-        if best < self._improved_loss - self.settings.stall_tolerance:
-            self._improved_loss = best
+        if ours < self._improved_loss - self.settings.stall_tolerance:
+            self._improved_loss = ours
             self._improved_at = self.iterations
 
     def state(self, plain: bool = True) -> dict[str, Any]:
@@ -253,17 +280,15 @@ class Swarm:
             "settings": kept(asdict(self.settings)),
             "random": self.random.bit_generator.state,
             **{name: kept(getattr(self, name)) for name in ARRAYS},
-            "asked": self._asked,
-            "history": kept(self._history),
-            "improved_loss": kept(self._improved_loss),
-            "improved_at": self._improved_at,
+            **{name: kept(getattr(self, f"_{name}")) for name in NUMBERS},
+            "history": kept(np.reshape(self._history, (-1, len(HISTORY)))),
         }
 
     @classmethod
     def from_state(cls, state: dict[str, Any]) -> Swarm:
         """The swarm that `state()` was taken from, bit for bit. Raises ValueError for anything else."""
         if state.get("format") != STATE_FORMAT:
-            raise _refusal("swarm state: format", state.get("format"), repr(STATE_FORMAT))
+            raise ValueError(f"swarm state: format = {state.get('format')!r}: must be {STATE_FORMAT!r}")
         try:
             swarm = cls(SwarmSettings(**state["settings"]))
             swarm.random.bit_generator.state = state["random"]
@@ -272,10 +297,9 @@ class Swarm:
                 if values.shape != shape:
                     raise ValueError(f"swarm state: {name} of shape {values.shape}: must be {shape}")
                 setattr(swarm, name, values)
-            swarm._asked = bool(state["asked"])
-            swarm._history = [[float(value) for value in row] for row in state["history"]]
-            swarm._improved_loss = float(state["improved_loss"])
-            swarm._improved_at = int(state["improved_at"])
+            for name, kind in NUMBERS.items():
+                setattr(swarm, f"_{name}", kind(state[name]))
+            swarm._history = np.array(state["history"], dtype=float).reshape(-1, len(HISTORY)).tolist()
         except (KeyError, TypeError, OverflowError) as error:
             raise ValueError(f"swarm state: {error} is missing or of a wrong kind") from None
         return swarm
@@ -324,48 +348,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(entry) for entry in value]
     return repr(value) if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _refusal(name: str, value: object, right: str) -> ValueError:
-    shown = " ".join(repr(value).split())
-    return ValueError(f"{name} = {shown if len(shown) < 80 else shown[:76] + ' ...'}: must be {right}")
-
-
-def _whole(name: str, value: Any, least: int) -> int:
-    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
-        raise _refusal(name, value, f"a whole number, at least {least}")
-    return int(value)
-
-
-def _real(name: str, value: Any, most: float) -> float:
-    if not isinstance(value, (int, float, np.integer, np.floating)) or not 0 <= value <= most:
-        raise _refusal(name, value, f"a number from 0 to {most:g}")
-    return float(value)
-
-
-def _numbers(name: str, value: Any, dimension: int) -> np.ndarray:
-    try:
-        return np.broadcast_to(np.asarray(value, dtype=float), (dimension,))
-    except (TypeError, ValueError):
-        raise _refusal(name, value, f"one number or {dimension} numbers") from None
-
-
-def _pair(name: str, value: Any, dimension: int, largest: float) -> tuple[tuple[float, ...], ...]:
-    if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != 2:
-        raise _refusal(name, value, "a pair (lowest, highest)")
-    lowest, highest = (_numbers(name, end, dimension) for end in value)
-    if not np.all((-largest <= lowest) & (lowest <= highest) & (highest <= largest)):
-        raise _refusal(name, value, f"(lowest, highest) in this order, from {-largest:g} to {largest:g}")
-    return tuple(lowest.tolist()), tuple(highest.tolist())
-
-
-def _start(value: Any, particles: int, lower: np.ndarray, upper: np.ndarray) -> tuple[tuple[float, ...], ...]:
-    right = f"finite numbers within the bounds, of shape (1 to {particles}, {len(lower)})"
-    try:
-        start = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise _refusal("start", value, right) from None
-    shaped = start.ndim == 2 and 1 <= len(start) <= particles and start.shape[1] == len(lower)
-    if not shaped or not np.all(np.isfinite(start) & (start >= lower) & (start <= upper)):
-        raise _refusal("start", value, right)
-    return tuple(tuple(row) for row in start.tolist())

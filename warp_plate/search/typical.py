@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
+
 from warp_plate.plate.signals import own_frequencies
+from warp_plate.plate.weights import REGIONS, region_weights
 from warp_plate.scene.drive import Burst, Chirp, Drive, Electrostatic, MovingLoad
 from warp_plate.scene.effects import (
     Damping,
@@ -20,7 +23,7 @@ from warp_plate.scene.effects import (
     Variation,
 )
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Edges, ElasticEdge, Scene
+from warp_plate.scene.model import Area, Edges, ElasticEdge, Scene
 
 # Of both kinds of damping, at the drive's frequency: that of plastics and of glued joints is of this order.
 LOSS_FACTOR = 0.02
@@ -142,12 +145,22 @@ def _layers(scene: Scene) -> tuple[Scene, str]:
 
 
 def _oscillators(scene: Scene) -> tuple[Scene, str]:
-    x0, x1, y0, y1 = scene.target.area
+    x0, x1, y0, y1 = scene.target.area or _middle_of_target(scene)
     half = min(5e-3, (x1 - x0) / 2, (y1 - y0) / 2)
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
     finger = Oscillator(area=(x - half, x + half, y - half, y + half), mass=5e-3, stiffness=500.0, damping=2.0)
     text = "a fingertip in the target's middle: 5 g, 500 N/m, 2 N·s/m (orders of magnitude of a light touch)"
     return with_value(scene, "oscillators", (finger,)), text
+
+
+def _middle_of_target(scene: Scene) -> Area:
+    """A square of at most a quarter of the target's area around its centre of area, on the plate."""
+    weights = region_weights(scene)[REGIONS.index("target")]
+    (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
+    x = float(weights.sum(axis=0) @ np.linspace(0, width, nx) / weights.sum())
+    y = float(weights.sum(axis=1) @ np.linspace(0, height, ny) / weights.sum())
+    half = min(math.sqrt(weights.sum() * width * height / (nx - 1) / (ny - 1)) / 4, x, width - x, y, height - y)
+    return x - half, x + half, y - half, y + half
 
 
 def _moving_load(scene: Scene) -> tuple[Scene, str]:

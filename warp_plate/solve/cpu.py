@@ -109,7 +109,7 @@ def _cpu_share(
     """Plates first ... last − 1 on one thread: in groups as long as these are full enough, the rest singly."""
     low, high = plates
     grouped = low
-    if by_groups is not None:
+    if by_groups is not None and not state.own_waves:  # the plates of a group share their waves
         launch, lanes, fill = by_groups
         groups, rest = divmod(high - low, lanes)
         grouped = high if rest >= fill * lanes else low + groups * lanes
@@ -125,11 +125,12 @@ def _cpu_singly(specialized: Specialized) -> Callable[..., None]:
     kernel = resident_cpu.make_run(specialized.effects, specialized.real, ny, stride, compiler_flags())
     wp.load_module(module=kernel.module, device=device)
     shared: list[Any] = [specialized.parameters, *_taps_along_x(specialized), *_taps_along_y(specialized)]
-    shared += [_stiffnesses(specialized), specialized.wave, wp.vec2i(*specialized.scheme.window)]
+    stiffnesses, window = _stiffnesses(specialized), wp.vec2i(*specialized.scheme.window)
     alone = (1, 0, wp.zeros(1, dtype=int, device=device))
 
     def launch(state: State, first: int, last: int, start: int, stop: int, crew: tuple[Any, ...] = alone) -> None:
-        inputs = [*shared, start, stop, first, *crew, _YIELD, state.nodes, state.in_phase, state.quadrature]
+        inputs = [*shared, stiffnesses, state.wave, window, start, stop, first, *crew, _YIELD, state.nodes]
+        inputs += [state.in_phase, state.quadrature]
         outputs = [state.u, state.rate, state.squares, state.u_next, state.trace]
         wp.launch(kernel, dim=last - first, inputs=inputs, outputs=outputs, device=device)
 

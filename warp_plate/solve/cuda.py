@@ -80,7 +80,7 @@ def wide_path(specialized: Specialized, wide: resident_wide.Wide) -> Advance:
     closures.move_high = scheme.aspect * y.move[: -special - 1 : -1]
     bend_x, _, move_x, _ = specialized.taps
     loaded: wp.array = wp.array(specialized.loaded_rows, dtype=int, device=specialized.device)
-    inputs = [specialized.parameters, closures, bend_x, move_x, specialized.wave, loaded]
+    inputs = [specialized.parameters, closures, bend_x, move_x, loaded]
     threads = LANES * wide.warps
     return _cuda_advance(specialized, kernels, inputs, threads, threads)
 
@@ -121,11 +121,11 @@ def strips_path(specialized: Specialized, strips: resident_strips.Strips) -> Adv
 
 
 def _edges(specialized: Specialized) -> list[Any]:
-    """The first arguments of the resident kernels of second order: parameters, factors of the edges, wave."""
+    """The first arguments of the resident kernels of second order: parameters, factors of the edges."""
     scheme = specialized.scheme
     # Along y these kernels take the curvature of an edge from its inner neighbour alone: ∇²u there is aspect·u.
     edges = [specialized.to_device(f) for f in (scheme.taps_x.factors, scheme.aspect * scheme.taps_y.factors)]
-    return [specialized.parameters, *edges, specialized.wave]
+    return [specialized.parameters, *edges]
 
 
 def _cuda_advance(
@@ -141,7 +141,7 @@ def _cuda_advance(
             wp.launch(
                 kernels[summed],
                 dim=plates * threads,
-                inputs=[*inputs, low, high, state.in_phase, state.quadrature],
+                inputs=[*inputs, state.wave, low, high, state.in_phase, state.quadrature],
                 outputs=[state.u, state.rate, state.squares],
                 device=device,
                 block_dim=block_dim,
@@ -172,7 +172,7 @@ def streaming_path(specialized: Specialized, march: March | None = None) -> Adva
         wp.load_module(module=kernel.module, device=device)
     loaded: wp.array = wp.array(specialized.loaded_rows, dtype=int, device=device)
     factors = [specialized.to_device(taps.factors) for taps in (scheme.taps_x, scheme.taps_y)]
-    shared = [specialized.parameters, *factors, specialized.wave, loaded]
+    shared = [specialized.parameters, *factors, loaded]
     clock = wp.zeros(1, dtype=int, device=device)
     graphs: dict[tuple[int, ...], wp.Graph] = {}
 
@@ -183,7 +183,7 @@ def streaming_path(specialized: Specialized, march: March | None = None) -> Adva
             wp.launch(
                 kernels[levels, summed],
                 dim=plates * strips * tiles * LANES,
-                inputs=[*shared, clock, index * levels, tiles, -(-(ny - 2) // tiles)]
+                inputs=[*shared, state.wave, clock, index * levels, tiles, -(-(ny - 2) // tiles)]
                 + [state.in_phase, state.quadrature, state.u, state.rate],
                 outputs=[state.u_next, state.rate_next, state.squares],
                 device=device,
@@ -200,7 +200,7 @@ def streaming_path(specialized: Specialized, march: March | None = None) -> Adva
     def replay(state: State, plates: int, levels: int, summed: bool) -> None:
         # A graph holds addresses: it serves one number of plates, one state, and one order of the two buffers.
         arrays = (state.u, state.u_next, state.rate, state.squares, state.in_phase, state.nodes, state.trace)
-        key = (plates, levels, int(summed), *(array.ptr or 0 for array in arrays))
+        key = (plates, levels, int(summed), state.wave.ptr, *(array.ptr or 0 for array in arrays))
         if key not in graphs:
             with wp.ScopedCapture(device=device) as capture:
                 launches(state, plates, GRAPH_LAUNCHES, levels, summed)

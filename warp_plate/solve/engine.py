@@ -13,6 +13,7 @@ import warp as wp
 from warp_plate.kernels.energy import make_sum_along_columns, make_sum_columns
 from warp_plate.kernels.load import make_spread_drives
 from warp_plate.scene.errors import SceneError
+from warp_plate.solve.own import OwnKernels, make_own_kernels
 from warp_plate.solve.paths import choose_path, paths_of
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
@@ -26,6 +27,7 @@ class Engine:
     path: str
     advance: Advance
     spread_drives: wp.Kernel
+    own: OwnKernels
     sum_along_columns: wp.Kernel
     sum_columns: wp.Kernel
 
@@ -40,23 +42,33 @@ def make_engine(specialized: Specialized, path: str = "auto") -> Engine:
     path = choose_path(specialized) if path == "auto" else path
     if path not in paths_of(device):
         raise SceneError(f"path = {path!r}: no such path; there are: auto, {', '.join(paths_of(device))}")
-    kernels = (make_spread_drives(specialized.real), make_sum_along_columns(specialized.real), make_sum_columns())
-    for kernel in kernels:
+    spread, along_columns, columns = (
+        make_spread_drives(specialized.real), make_sum_along_columns(specialized.real), make_sum_columns()
+    )
+    for kernel in (spread, along_columns, columns):
         wp.load_module(module=kernel.module, device=device)
-    return Engine(specialized, path, paths_of(device, specialized.effects.plain)[path](specialized), *kernels)
+    advance = paths_of(device, specialized.effects.plain)[path](specialized)
+    return Engine(specialized, path, advance, spread, make_own_kernels(specialized), along_columns, columns)
 
 
-def load_drives(engine: Engine, state: State, coefficients: np.ndarray) -> None:
-    """Turn coefficients (plates, terms, actuators) into load fields of the first plates; the others stay."""
+def load_drives(engine: Engine, state: State, coefficients: np.ndarray, edges: np.ndarray | None = None) -> None:
+    """Turn coefficients (plates, terms, actuators) into load fields of the first plates; the others stay.
+
+    edges: (plates, actuators, 4) x0, x1, y0, y1 [m] of actuators in places of each plate's own; None: the scene's.
+    """
     specialized = engine.specialized
     plates, terms, _ = coefficients.shape
     parts = np.zeros(state.coefficients.shape, dtype=specialized.scene.grid.precision)
     parts[:plates] = coefficients
     state.coefficients.assign(parts)
+    spread, inputs = engine.spread_drives, [specialized.support, specialized.patches]
+    if edges is not None:
+        engine.own.put_places(state, edges)
+        spread, inputs = engine.own.spread_moved_drives, [*engine.own.inputs, state.along_x, state.along_y]
     wp.launch(
-        engine.spread_drives,
+        spread,
         dim=(plates, terms, specialized.support.shape[0]),
-        inputs=[state.coefficients, specialized.support, specialized.patches],
+        inputs=[state.coefficients, *inputs],
         outputs=[state.loads],
         device=specialized.device,
     )

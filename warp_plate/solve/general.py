@@ -52,7 +52,6 @@ def material_of(specialized: Specialized) -> Any:
     }
     for name, values in arrays.items():
         setattr(material, name, specialized.to_device(values))
-    material.wave = specialized.wave
     strength, along_x, along_y = _travel(specialized)
     material.strength, material.along_x, material.along_y = map(specialized.to_device, (strength, along_x, along_y))
     material.aspect = scheme.aspect
@@ -87,7 +86,7 @@ class Rooms:
         if start == 0:
             self._fields.hung.zero_()
             self._fields.push.zero_()
-        self._fields.units, self._fields.moving = state.units, state.moving
+        self._fields.units, self._fields.moving, self._fields.wave = state.units, state.moving, state.wave
         return self._fields
 
     def _make(self, state: State) -> Any:
@@ -189,7 +188,7 @@ def blocks_path(specialized: Specialized, blocks: general_plan.Blocks) -> Advanc
             rooms["hung"] = wp.zeros((state.capacity, hanging, 2), dtype=real, device=device)
         if start == 0:  # at rest; all plates of a chunk begin together
             rooms["hung"].zero_()
-        inputs = [*shared, start, stop, state.units, state.moving, state.inner_nodes, state.loads]
+        inputs = [*shared, start, stop, state.wave, state.units, state.moving, state.inner_nodes, state.loads]
         outputs = [rooms["room"], state.u, state.rate, state.squares, rooms["hung"], state.trace]
         dim, threads = plates * blocks.threads, blocks.threads
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, block_dim=threads)
@@ -208,8 +207,8 @@ def _threads(specialized: Specialized) -> Advance:
     strength, along_x, along_y = _travel(specialized)
     along_x = np.pad(along_x, ((0, 0), (0, stride - along_x.shape[1])))
     travel = map(specialized.to_device, (strength, along_x, along_y))
-    shared: list[Any] = [_planes(specialized, material), specialized.wave, *travel]
-    shared += [wp.vec2i(*specialized.scheme.window), *numbers]
+    planes = _planes(specialized, material)
+    shared: list[Any] = [*travel, wp.vec2i(*specialized.scheme.window), *numbers]
     holds = np.array([_padded(specialized, one) for one in material.holds.numpy()]).reshape(-1, rows, stride)
     shared += [material.oscillators, specialized.to_device(holds)]
     # A pass reads a node beyond the last row of its plane.
@@ -222,7 +221,8 @@ def _threads(specialized: Specialized) -> Advance:
             hung = wp.zeros((state.capacity, hanging, 2), dtype=real, device=device)
 
         def share(thread: int, first: int, last: int) -> Callable[[], None]:
-            inputs = [*shared, state.units, state.moving, start, stop, first, thread, state.nodes, state.loads]
+            inputs = [planes, state.wave, *shared, state.units, state.moving, start, stop, first, thread]
+            inputs += [state.nodes, state.loads]
             outputs = [room, state.u, state.rate, state.squares, hung, state.trace]
             return lambda: wp.launch(kernel, dim=last - first, inputs=inputs, outputs=outputs, device=device)
 

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from warp_plate.plate.scheme import Scheme
-from warp_plate.plate.weights import NO_AREAS, bilinear
+from warp_plate.plate.designs import NOTHING_OWN, Designs, Own, OwnValues, check_designs
+from warp_plate.plate.weights import NO_AREAS, Region, bilinear
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Area, Scene
+from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import load_drives, make_engine, region_sums
 from warp_plate.solve.paths import why_streaming
-from warp_plate.solve.specialize import Specialized, effect_names, specialize
+from warp_plate.solve.specialize import Quantity, Specialized, effect_names, specialize
 from warp_plate.solve.state import State, bytes_per_plate, make_state
 from warp_plate.solve.status import OK, fastest_per_step, outgrown, status_of, watched_steps
 
@@ -38,8 +38,10 @@ Progress = Callable[[int, int], None]
 class Run:
     """What the plates did.
 
-    energy: (plates, regions) kinetic energy averaged over the window [J]; NaN for a plate whose status is not "ok",
-    such as one whose drive is of a size beyond SMALLEST_DRIVE ... LARGEST_DRIVE. regions: their names. displacement:
+    energy: (plates, regions) kinetic energy ½∫ρH v² averaged over the window [J]; of a solver of displacements the same
+    with u in place of v [kg·m²], u being that at the end of each of the window's steps. NaN for a plate whose status is
+    not "ok", such as one whose drive is of a size beyond SMALLEST_DRIVE ... LARGEST_DRIVE. regions: their names;
+    masses: (regions,) [kg]. displacement:
     (plates, times, ny, nx) [m]; times: (times,) [s], those of the grid that lie nearest to the ones asked for. trace:
     (plates, points, steps) [m]; trace_times: (steps,) [s]. node_steps: nodes updated × steps × plates. status:
     (plates,) "ok" or what went wrong, see ``solve.status``; caught: (plates,) time at which a plate was seen to grow
@@ -48,6 +50,7 @@ class Run:
 
     energy: np.ndarray
     regions: tuple[str, ...]
+    masses: np.ndarray
     displacement: np.ndarray
     times: np.ndarray
     trace: np.ndarray
@@ -60,6 +63,11 @@ class Run:
     def finite(self) -> np.ndarray:
         """(plates,) whether a plate's energies are numbers."""
         return np.isfinite(self.energy).all(axis=1)
+
+    @property
+    def mean_square(self) -> np.ndarray:
+        """(plates, regions) velocity² [m²/s²], or displacement² [m²]: mean over the window and the region's mass."""
+        return 2 * self.energy / self.masses
 
     def fault(self, plate: int) -> str:
         """What went wrong with a plate, for people; "ok" where nothing did."""
@@ -77,10 +85,17 @@ class PlateSolver:
         chunk: plates that run at once, at least 1; left out: as many as memory holds.
         threads: of the CPU; left out: as many as it has.
         allow_unstable: whether to take a time step above the stability limit too.
-        areas: by name, further regions x0, x1, y0, y1 [m] whose energy runs give beside the plate's and the target's.
+        areas: by name, further regions whose energy runs give beside the plate's and the target's: rectangles x0, x1,
+            y0, y1 [m], shapes, or weights (ny, nx) in cells.
+        own: what plates may have of their own beside drives, see ``plate.designs``. The time step is the scene's: it
+            must carry their frequencies (that of a scene with ``search.frequency`` does).
+        quantity: "velocity" or "displacement", of which energies are, see :class:`Run`.
+        share: the part of the memory for plates that this solver may take, where several have plates at a time.
 
     Raises:
-        SceneError: unstable time step, an actuator that covers no node, no such device or path.
+        SceneError: unstable time step, an actuator that covers no node, no such device or path; a scene that cannot
+            have what ``own`` asks for (a frequency or a delay where a file is the carrier, a delay without
+            drive.burst, places where grid.load = "nodes"), or displacements of a scene that is not linear.
     """
 
     def __init__(
@@ -91,17 +106,22 @@ class PlateSolver:
         chunk: int | None = None,
         threads: int | None = None,
         allow_unstable: bool = False,
-        areas: Mapping[str, Area] = NO_AREAS,
+        areas: Mapping[str, Region] = NO_AREAS,
+        own: Own = NOTHING_OWN,
+        quantity: Quantity = "velocity",
+        share: float = 1.0,
     ) -> None:
         started = time.perf_counter()
         if chunk is not None and chunk < 1:
             raise SceneError(f"chunk = {chunk}: must be at least 1 plate")
         self.scene = scene
         self.device = find_device(device)
-        self.engine = make_engine(specialize(scene, self.device, threads, allow_unstable, areas), path)
+        specialized = specialize(scene, self.device, threads, allow_unstable, areas, own, quantity)
+        self.engine = make_engine(specialized, path)
         self.path = self.engine.path
         self._chunk = chunk
         self._areas = areas
+        self._share = share
         self._state: State | None = None
         self.node_steps = 0  # of all runs so far
         self.compile_seconds = time.perf_counter() - started
@@ -128,7 +148,7 @@ class PlateSolver:
 
     def run(
         self,
-        drives: np.ndarray | Sequence[Sequence[complex]] | tuple[np.ndarray, np.ndarray],
+        drives: np.ndarray | Sequence[Sequence[complex]] | tuple[np.ndarray, np.ndarray] | Designs,
         times: Sequence[float] = (),
         points: Sequence[tuple[float, float]] = (),
         progress: Progress | None = None,
@@ -138,22 +158,28 @@ class PlateSolver:
         Args:
             drives: (plates, actuators) complex phasors Z [N/m²], the load being Re(Z exp(iωt)) on each patch, or what
                 the scene's drive makes of Z (see ``plate.signals``); or a tuple (magnitude, phase) of such arrays, Z =
-                magnitude · exp(−i phase).
+                magnitude · exp(−i phase); or Designs, of which every plate may have frequencies, places and delays of
+                its own.
             times: at which to keep the displacement [s].
             points: (x, y) [m] at which to keep the displacement of every step (bilinear between nodes).
             progress: called with (node-steps done, node-steps in all) between launches.
 
         Raises:
-            SceneError: drives of another shape or kind, a time outside the run, a point off the plate.
+            SceneError: drives of another shape or kind, a time outside the run, a point off the plate; designs that
+                this solver was not made for, or that ``plate.designs.check_designs`` refuses; times or points of a
+                solver of displacements, whose plates move by running sums.
         """
-        phasors = as_phasors(drives, len(self.scene.actuators))
+        designs = drives if isinstance(drives, Designs) else Designs(as_phasors(drives, len(self.scene.actuators)))
+        phasors = as_phasors(designs.drives, len(self.scene.actuators))
         scheme = self.specialized.scheme
         self._check(times, points)
+        values = check_designs(designs, self.scene, self.specialized.own, scheme.time_step)
         plates, (nx, ny) = len(phasors), scheme.nodes
         if points and self.device.is_cuda and self.path == "resident":
             # A plate that stays in registers shows nothing between launches: traces are streamed.
             streaming = PlateSolver(
-                self.scene, self.device.alias, "streaming", self._chunk, allow_unstable=True, areas=self._areas
+                self.scene, self.device.alias, "streaming", self._chunk, allow_unstable=True, areas=self._areas,
+                own=self.specialized.own,
             )
             self.compile_seconds += streaming.compile_seconds
             traced = streaming.run(drives, times, points, progress)
@@ -171,7 +197,7 @@ class PlateSolver:
         total = plates * self.node_steps_per_plate
         for first in range(0, plates, chunk):
             some = slice(first, min(first + chunk, plates))
-            state, scale = self._start(phasors[some], chunk, nodes)
+            state, scale = self._start(phasors[some], values[some], chunk, nodes)
             count, before = len(scale), first * self.node_steps_per_plate
 
             def tell(done: int, before: int = before) -> None:
@@ -183,7 +209,7 @@ class PlateSolver:
             unit = scale * scheme.load_scale
             with np.errstate(invalid="ignore", over="ignore"):  # of plates that left the finite numbers
                 sums = region_sums(self.engine, state, count)
-                energy[some] = sums * kinetic_energy_unit(scheme) * scale[:, None] ** 2
+                energy[some] = sums * energy_unit(self.specialized) * scale[:, None] ** 2
                 most = (scheme.window[1] - scheme.window[0]) * fastest**2
                 status[some] = status_of(phasors[some], scale, seen, sums, energy[some], most)
                 energy[some][status[some] != OK] = np.nan
@@ -196,6 +222,7 @@ class PlateSolver:
         return Run(
             energy=energy,
             regions=self.specialized.regions,
+            masses=self.specialized.masses,
             displacement=displacement,
             times=np.array(snapshots) * scheme.time_step,
             trace=trace,
@@ -214,6 +241,8 @@ class PlateSolver:
                 shape = ()
             if shape != (0,) and (not shape or shape[1:] != each):
                 raise SceneError(f"{name}: must be a list of {'numbers' if each == () else 'pairs of numbers'}")
+        if self.specialized.quantity == "displacement" and len(times) + len(points):
+            raise SceneError('times, points: a solver with quantity = "displacement" keeps none; make another')
         for time_asked in times:
             if not 0 <= time_asked <= self.scene.window.end * (1 + 1e-9):
                 raise SceneError(f"times: {time_asked:g} s is outside the run, which goes from 0 to {end:g} s")
@@ -225,7 +254,9 @@ class PlateSolver:
     def _plates_at_once(self, plates: int, traced_nodes: int) -> int:
         if self._chunk is not None:
             return min(self._chunk, plates)
-        budget = CUDA_CHUNK_SHARE * self.device.free_memory if self.device.is_cuda else CPU_CHUNK_BYTES
+        budget = self._share * (
+            CUDA_CHUNK_SHARE * self.device.free_memory if self.device.is_cuda else CPU_CHUNK_BYTES
+        )
         if self._state is not None and self.device.is_cuda:
             budget += self._state.capacity * bytes_per_plate(self.specialized, self._state.nodes.shape[0])
         each = bytes_per_plate(self.specialized, traced_nodes)
@@ -239,7 +270,9 @@ class PlateSolver:
             most = min(most, max(FEWEST_PLATES, int(SEGMENT_NODE_STEPS["cpu"] / self.node_steps_per_plate)))
         return max(1, min(plates, most))
 
-    def _start(self, phasors: np.ndarray, capacity: int, nodes: wp.array) -> tuple[State, np.ndarray]:
+    def _start(
+        self, phasors: np.ndarray, values: OwnValues, capacity: int, nodes: wp.array
+    ) -> tuple[State, np.ndarray]:
         """Plates at rest under their loads, and (plates,) the pressure [N/m²] that each is scaled by."""
         state = self._state
         if state is None or state.capacity < capacity or nodes.shape[0] or state.nodes.shape[0]:
@@ -248,12 +281,13 @@ class PlateSolver:
         specialized, precision = self.specialized, self.scene.grid.precision
         with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite harms its own plate alone
             coefficients = specialized.signals.coefficients(phasors)
+            coefficients *= self.engine.own.put_waves(state, values)[..., None]
             travelling = specialized.moving.largest if specialized.moving else 0.0
             scale: np.ndarray = np.maximum(np.abs(coefficients).max(axis=(1, 2)), travelling)
             scale[(scale != 0) & ~((scale >= SMALLEST_DRIVE) & (scale <= LARGEST_DRIVE))] = np.nan
             divisor = np.where(scale == 0, 1, scale)
             units, moving = np.zeros(state.capacity), np.zeros(state.capacity)
-            load_drives(self.engine, state, coefficients / divisor[:, None, None])
+            load_drives(self.engine, state, coefficients / divisor[:, None, None], values.edges)
             units[: len(scale)] = scale * specialized.scheme.load_scale
             moving[: len(scale)] = travelling / divisor
             state.units.assign(units.astype(precision))
@@ -293,10 +327,12 @@ class PlateSolver:
         return step, seen
 
 
-def kinetic_energy_unit(scheme: Scheme) -> float:
-    """½ρH·hx·hy·(load_scale/Δt)²/steps [J]: turns weighted sums of rate² into energy averaged over the window."""
+def energy_unit(specialized: Specialized) -> float:
+    """½ρH·hx·hy·(load_scale/Δt)²/steps [J], of displacements without Δt [kg·m²]: turns weighted sums of rate² into
+    energy averaged over the window."""
+    scheme = specialized.scheme
     (hx, hy), (first, last) = scheme.spacing, scheme.window
-    speed = scheme.load_scale / scheme.time_step
+    speed = scheme.load_scale / (scheme.time_step if specialized.quantity == "velocity" else 1.0)
     return 0.5 * scheme.surface_density * hx * hy * speed**2 / (last - first)
 
 

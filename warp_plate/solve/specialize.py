@@ -4,24 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 import warp as wp
 
 from warp_plate.kernels.effects import Effects
 from warp_plate.kernels.update import make_parameters
+from warp_plate.plate.designs import NOTHING_OWN, Own, actuator_spaces, carriers_of
 from warp_plate.plate.limit import needs_moments
 from warp_plate.plate.moving import MovingWeights, moving_weights
 from warp_plate.plate.scheme import Scheme, make_scheme
-from warp_plate.plate.signals import Signals, make_signals, own_frequencies
-from warp_plate.plate.weights import NO_AREAS, REGIONS, patches, region_weights
+from warp_plate.plate.signals import Signals, make_signals, running_sums, waves_apart
+from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, patches, reachable_nodes, region_weights
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Area, Scene
+from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import cpu_threads
 
 # Rows are padded to whole cache lines, which are also whole vector registers.
 LINE_BYTES = 64
+# What a run's energies are of.
+Quantity = Literal["velocity", "displacement"]
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,9 @@ class Specialized:
     support: (covered nodes, 2), patches: (actuators, covered nodes), weights: (regions, rows, stride),
     wave: (steps, terms), all on the device; signals, moving: what drives and a moving load do in time; parameters:
     the kernels' struct.
+    own: what plates may have of their own; carriers: of each plate's own, or 0; share: (covered nodes,) what a pressure
+    of one on a node's whole cell is worth there. quantity: what energies are of; for "displacement" the wave holds
+    running sums, divided by sizes (terms,), powers of two.
     """
 
     scene: Scene
@@ -51,12 +57,24 @@ class Specialized:
     signals: Signals
     moving: MovingWeights | None
     wave: wp.array
+    own: Own
+    carriers: int
+    share: np.ndarray
+    quantity: Quantity
+    sizes: np.ndarray
 
     @property
     def interior_nodes(self) -> int:
         """Nodes that move."""
         nx, ny = self.scheme.nodes
         return (nx - 2) * (ny - 2)
+
+    @property
+    def masses(self) -> np.ndarray:
+        """(regions,) mass of each region [kg]."""
+        hx, hy = self.scheme.spacing
+        masses: np.ndarray = self.weights.numpy().sum(axis=(1, 2)) * self.scheme.surface_density * hx * hy
+        return masses
 
     @property
     def loaded_rows(self) -> np.ndarray:
@@ -99,13 +117,13 @@ def effect_names(scene: Scene) -> tuple[str, ...]:
         "oscillators": scene.effects.oscillators,
         "stretching": scene.effects.stretching,
         "moving load": scene.effects.moving_load,
-        "several waves": scene.drive.electrostatic or len(own_frequencies(scene)) > 1,
+        "several waves": scene.drive.electrostatic or waves_apart(scene) > 1,
     }
     return tuple(name for name, table in named.items() if table)
 
 
-def general_effects(scene: Scene) -> dict[str, bool]:
-    """The part of the compile key that is off for a plain plate."""
+def general_effects(scene: Scene, general: bool = False) -> dict[str, bool]:
+    """The part of the compile key that is off for a plain plate; ``general``: taken by moments all the same."""
     effects = scene.effects
     elastic = any(not isinstance(edge, str) for _, edge in scene.edges)
     found = {
@@ -116,7 +134,7 @@ def general_effects(scene: Scene) -> dict[str, bool]:
         "oscillators": bool(effects.oscillators),
         "moving_load": effects.moving_load is not None,
     }
-    return {"moments": needs_moments(scene), **found}
+    return {"moments": general or needs_moments(scene), **found}
 
 
 def specialize(
@@ -124,29 +142,42 @@ def specialize(
     device: wp.Device,
     threads: int | None = None,
     allow_unstable: bool = False,
-    areas: Mapping[str, Area] = NO_AREAS,
+    areas: Mapping[str, Region] = NO_AREAS,
+    own: Own = NOTHING_OWN,
+    quantity: Quantity = "velocity",
 ) -> Specialized:
     """Make a scene ready for a device; ``threads`` of the CPU, or as many as it has; ``areas``: further regions.
 
     Raises:
-        SceneError: unstable time step, empty window, or an actuator that covers no node.
+        SceneError: unstable time step, empty window, an actuator that covers no node, or a scene that cannot have what
+            ``own`` or ``quantity`` ask for.
     """
-    scheme = make_scheme(scene, allow_unstable)
+    _check_quantity(scene, quantity)
+    carriers = carriers_of(scene, own)
+    scheme = make_scheme(scene, allow_unstable, general=carriers > 1)
     real = {"float32": wp.float32, "float64": wp.float64}[scene.grid.precision]
     dtype = np.dtype(scene.grid.precision)
     nx, ny = scheme.nodes
     line = LINE_BYTES // dtype.itemsize
     stride = -(-nx // line) * line
     fields = patches(scene)
+    reached = fields.any(axis=0)
+    if own.centre:
+        reached |= reachable_nodes(scene, actuator_spaces(scene, own))
+    share = np.ones(fields.shape[1:])
     regions = region_weights(scene, areas)
     if scheme.bending is not None:
         # A pressure moves a node by its share of what the node's own part of the cell weighs.
         loss = 0.0 if scheme.backward else scheme.viscous * scheme.time_step / scheme.bending.mass
         ratio = scheme.bending.mass / scheme.surface_density
-        fields = fields / (scheme.bending.weight * ratio * (1 + loss / 2))
+        heavy = scheme.bending.weight * ratio * (1 + loss / 2)
+        fields, share = fields / heavy, share / heavy
         regions = regions * ratio
-    signals = make_signals(scene, scheme.time_step, scheme.steps, scene.folder)
-    support = np.argwhere(fields.any(axis=0))
+    signals = make_signals(scene, scheme.time_step, scheme.steps, scene.folder, each=carriers > 1)
+    wave, sizes = signals.wave, np.ones(signals.terms)
+    if quantity == "displacement":
+        wave, sizes = running_sums(wave)
+    support = np.argwhere(reached)
     parameters = make_parameters(real)()
     parameters.stiffness = scheme.stiffness
     parameters.aspect = scheme.aspect
@@ -161,7 +192,7 @@ def specialize(
             square_cells=scheme.square_cells or scheme.order == 4,
             order=scheme.order,
             terms=signals.terms,
-            **general_effects(scene),
+            **general_effects(scene, general=carriers > 1),
         ),
         real=real,
         rows=ny + 2,
@@ -175,5 +206,20 @@ def specialize(
         weights=wp.array(weights, dtype=wp.float64, device=device),
         signals=signals,
         moving=moving_weights(scene, scheme.time_step, scheme.steps) if scene.effects.moving_load else None,
-        wave=wp.array(signals.wave.astype(dtype), dtype=real, device=device),
+        wave=wp.array(wave.astype(dtype), dtype=real, device=device),
+        own=own,
+        carriers=carriers,
+        share=share[support[:, 0], support[:, 1]],
+        quantity=quantity,
+        sizes=sizes,
     )
+
+
+def _check_quantity(scene: Scene, quantity: str) -> None:
+    if quantity not in get_args(Quantity):
+        raise SceneError(f"quantity = {quantity!r}: no such quantity; there are: {', '.join(get_args(Quantity))}")
+    if quantity == "displacement" and not scene.linear:
+        raise SceneError(
+            f"{scene.not_linear}: displacements are not linear in the load, whose running sums would be taken; "
+            "delete it, or measure velocities"
+        )

@@ -26,6 +26,8 @@ class State:
     (capacity,) displacement that one stands for [m]; moving: (capacity,) the moving load's size in units of pressure;
     nodes: (traced nodes, 2), row of the tensor and column; inner_nodes: the same with the row of the plate; trace:
     (capacity, traced nodes, steps).
+    wave: (capacity, steps, terms) that a run takes, which is shared_wave, or own_wave where plates have their own; of
+    places of their own, along_x (capacity, actuators, nx) and along_y; see ``own``.
     """
 
     capacity: int
@@ -45,6 +47,16 @@ class State:
     trace: wp.array
     column_sums: wp.array
     energy: wp.array
+    wave: wp.array
+    shared_wave: wp.array
+    own_wave: wp.array
+    along_x: wp.array
+    along_y: wp.array
+
+    @property
+    def own_waves(self) -> bool:
+        """Whether the plates of the run at hand have waves of their own."""
+        return self.wave is self.own_wave
 
     def clear(self) -> None:
         """Back to rest at t = 0; the load fields stay."""
@@ -63,7 +75,9 @@ def bytes_per_plate(specialized: Specialized, traced_nodes: int) -> int:
     regions, rows, stride = specialized.weights.shape
     count = FIELDS + specialized.effects.terms + (0 if specialized.effects.plain else GENERAL_FIELDS)
     fields = count * rows * stride + traced_nodes * specialized.scheme.steps
-    return fields * itemsize + 8 * regions * (stride + 1)
+    own_wave = specialized.scheme.steps * specialized.effects.terms if specialized.carriers else 0
+    places = specialized.patches.shape[0] * (sum(specialized.scheme.nodes) + 4) if specialized.own.centre else 0
+    return (fields + own_wave) * itemsize + 8 * (regions * (stride + 1) + places)
 
 
 def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> State:
@@ -78,7 +92,10 @@ def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> Stat
     def field(*more: int) -> wp.array:
         return wp.zeros((*more, capacity + spare, specialized.rows, specialized.stride), dtype=real, device=device)
 
-    loads = field(terms)
+    loads, steps, (nx, ny) = field(terms), specialized.scheme.steps, specialized.scheme.nodes
+    wave = shared_wave(specialized.wave, capacity)
+    own = capacity if specialized.carriers else 0
+    moved = capacity if specialized.own.centre else 0
 
     return State(
         capacity=capacity,
@@ -98,4 +115,18 @@ def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> Stat
         trace=wp.zeros((capacity, nodes.shape[0], specialized.scheme.steps), dtype=real, device=device),
         column_sums=wp.zeros((capacity, regions, specialized.stride), dtype=wp.float64, device=device),
         energy=wp.zeros((capacity, regions), dtype=wp.float64, device=device),
+        wave=wave,
+        shared_wave=wave,
+        own_wave=wp.zeros((own, steps, terms), dtype=real, device=device),
+        along_x=wp.zeros((moved, actuators, nx), dtype=wp.float64, device=device),
+        along_y=wp.zeros((moved, actuators, ny), dtype=wp.float64, device=device),
     )
+
+
+def shared_wave(wave: wp.array, plates: int) -> wp.array:
+    """One wave (steps, terms) as that of so many plates, without a copy: the stride from plate to plate is zero."""
+    made: wp.array = wp.array(
+        ptr=wave.ptr, dtype=wave.dtype, shape=(plates, *wave.shape), strides=(0, *wave.strides), device=wave.device
+    )
+    made._ref = wave  # type: ignore[assignment]  # which owns the numbers
+    return made

@@ -26,10 +26,22 @@ def fastest_per_step(specialized: Specialized) -> float:
     """The rate, in the kernels' numbers, that no bounded plate reaches per step since the start."""
     patches = specialized.patches.numpy().astype(float)
     # Waves are below two in size and coefficients at most one.
-    load = 2 * specialized.signals.terms * np.linalg.norm(patches, axis=1).sum()
+    sizes = np.linalg.norm(patches, axis=1)
+    if specialized.own.centre:
+        sizes = np.maximum(sizes, largest_patches(specialized))
+    load = 2 * specialized.signals.terms * sizes.sum()
     if specialized.moving is not None:
         load += np.sqrt(specialized.interior_nodes)
     return SLACK * float(load)
+
+
+def largest_patches(specialized: Specialized) -> np.ndarray:
+    """(actuators,) what the norm of an actuator's load field is at most, wherever it is."""
+    areas = np.array([actuator.area for actuator in specialized.scene.actuators])
+    sides = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1)
+    covered = (sides / specialized.scheme.spacing + 2).prod(axis=1)
+    largest: np.ndarray = specialized.share.max() * np.sqrt(covered)
+    return largest
 
 
 def watched_steps(specialized: Specialized, plates: int) -> int | None:

@@ -24,7 +24,7 @@ def streaming_path(specialized: Specialized) -> Advance:
     def replay(state: State, plates: int) -> None:
         # A graph holds addresses: it serves one number of plates and one state.
         arrays = (state.u, state.u_next, state.rate, state.squares, state.in_phase, state.nodes, state.trace)
-        key = (plates, *(array.ptr or 0 for array in arrays))
+        key = (plates, state.wave.ptr, *(array.ptr or 0 for array in arrays))
         if key not in graphs:
             with wp.ScopedCapture(device=device) as capture:
                 launches(state, plates, clock, GRAPH_STEPS)
@@ -50,7 +50,8 @@ def _launches(specialized: Specialized) -> Callable[[State, int, wp.array, int],
         wp.load_module(module=kernel.module, device=device)
     nx, ny = specialized.scheme.nodes
     bend_x, bend_y, move_x, move_y = specialized.taps
-    shared = [specialized.parameters, move_x, move_y, specialized.wave, wp.vec2i(*specialized.scheme.window)]
+    shared = [specialized.parameters, move_x, move_y]
+    window = wp.vec2i(*specialized.scheme.window)
 
     def launches(state: State, plates: int, clock: wp.array, steps: int) -> None:
         for offset in range(steps):
@@ -61,7 +62,7 @@ def _launches(specialized: Specialized) -> Callable[[State, int, wp.array, int],
             wp.launch(
                 move,
                 dim=(plates, ny - 2, nx - 2),
-                inputs=[*shared, clock, offset, state.in_phase, state.quadrature, curvature],
+                inputs=[*shared, state.wave, window, clock, offset, state.in_phase, state.quadrature, curvature],
                 outputs=[state.u, state.rate, state.squares],
                 device=device,
             )

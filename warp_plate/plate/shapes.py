@@ -1,0 +1,243 @@
+"""Weights of discs, polygons and masks: integrals over a shape of what each node counts.
+
+A node counts φ_i(x) φ_j(y), φ being one in the node's cell and zero elsewhere (overlap) or the Lagrange polynomial
+through four nodes (moments), see ``plate.weights``. Over a polygon, by Green's theorem,
+
+    ∫∫ φ_i(x) φ_j(y) dx dy = ∮ Φ_i(x) φ_j(y) dy,   Φ_i(x) = ∫ φ_i from the plate's left side to x,
+
+counterclockwise: each side of the polygon is cut where φ changes its formula, along x and along y, and Gauss's rule is
+exact on every part of it. Left of a part, Φ_i is the whole integral of φ_i over each interval, so that these are added
+by one sum along x. That is exact to rounding for any simple polygon, and its work goes with the nodes near the outline.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+from numpy.polynomial import legendre
+
+from warp_plate.plate.files import number_rows, read_beside
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Area, Scene, Target
+from warp_plate.scene.target import area_within
+
+# A disc is a polygon of its area, whose outline is off by at most 2e-7 of the radius.
+DISC_CORNERS = 4096
+# What is left of a sum that is zero, as a part of the polygon's height.
+ROUNDING = 1e-13
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What the nodes along one axis count, as polynomials on intervals; lengths in spacings from the first node.
+
+    breaks: (intervals + 1,); first: (intervals,) the first node that counts on each; middle: (intervals,) from where
+    polynomials are written; powers: (nodes of an interval, degree + 1) their coefficients.
+    """
+
+    nodes: int
+    breaks: np.ndarray
+    first: np.ndarray
+    middle: np.ndarray
+    powers: np.ndarray
+
+    def interval(self, at: np.ndarray) -> np.ndarray:
+        """The interval that holds each point."""
+        return np.clip(np.searchsorted(self.breaks, at, side="right") - 1, 0, self.first.size - 1)
+
+    def values(self, interval: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """(..., nodes of an interval) φ."""
+        return _polynomials(self.powers, at - self.middle[interval])
+
+    def integrals(self, interval: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """(..., nodes of an interval) ∫ φ from the beginning of the interval."""
+        raised = np.zeros((len(self.powers), self.powers.shape[1] + 1))
+        raised[:, 1:] = self.powers / np.arange(1, self.powers.shape[1] + 1)
+        start, middle = self.breaks[interval], self.middle[interval]
+        return _polynomials(raised, at - middle) - _polynomials(raised, start - middle)
+
+
+def cells(nodes: int) -> Axis:
+    """One in the node's cell, half a spacing to each side and on the plate, and zero elsewhere."""
+    breaks = np.concatenate([[0.0], np.arange(nodes - 1) + 0.5, [nodes - 1.0]])
+    index = np.arange(nodes)
+    return Axis(nodes, breaks, index, index.astype(float), np.ones((1, 1)))
+
+
+def cubics(nodes: int) -> Axis:
+    """Lagrange's polynomials: between two nodes through these and the next on each side, at the ends the outermost."""
+    first = np.clip(np.arange(nodes - 1) - 1, 0, nodes - 4)
+    vandermonde = np.vander([-1.5, -0.5, 0.5, 1.5], 4, increasing=True).T
+    return Axis(nodes, np.arange(nodes, dtype=float), first, first + 1.5, np.linalg.inv(vandermonde))
+
+
+def shape_weights(scene: Scene, key: str, target: Target, within: Area | None = None) -> np.ndarray:
+    """(ny, nx) weights of a target, or of its part in a rectangle ``within`` [m], in cells.
+
+    By moments where loads are weighed so, else by overlap; exact for what the shape is: a disc is a polygon of
+    DISC_CORNERS and of its area, a mask what is bilinear between its numbers.
+
+    Args:
+        key: of the scene that has the target, for errors.
+
+    Raises:
+        SceneError: a mask's file that cannot be read or holds no such array; one line.
+    """
+    axis = cubics if scene.grid.load == "moments" else cells
+    across, up = (axis(count) for count in scene.grid.nodes)
+    spacing = np.array(scene.plate.size) / (np.array(scene.grid.nodes) - 1)
+    corners = target.corners(DISC_CORNERS)
+    if corners is not None:
+        if within is not None:
+            corners = clipped(corners, within)
+        return polygon_weights(corners / spacing, across, up)
+    values = read_mask(scene, key, target)
+    x0, x1, y0, y1 = (0.0, scene.plate.size[0], 0.0, scene.plate.size[1]) if within is None else within
+    along_x = _mask_matrix(across, values.shape[1], x0 / spacing[0], x1 / spacing[0])
+    along_y = _mask_matrix(up, values.shape[0], y0 / spacing[1], y1 / spacing[1])
+    weights: np.ndarray = (along_x @ (along_y @ values).T).T
+    return weights
+
+
+def bounds(scene: Scene, key: str, target: Target) -> Area:
+    """x0, x1, y0, y1 [m] of the smallest rectangle that holds a target.
+
+    Raises:
+        SceneError: see :func:`shape_weights`.
+    """
+    corners = target.corners(DISC_CORNERS)
+    if corners is None:
+        values = read_mask(scene, key, target)
+        ends = []
+        for side, some in zip(scene.plate.size, (values.any(axis=0), values.any(axis=1)), strict=True):
+            first, last = np.flatnonzero(some)[[0, -1]]
+            ends.append(np.clip(np.array([first - 1, last + 1]) / max(some.size - 1, 1), 0, 1) * side)
+        corners = np.column_stack(ends)
+    (x0, y0), (x1, y1) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+    return x0, x1, y0, y1
+
+
+def polygon_weights(corners: np.ndarray, across: Axis, up: Axis) -> np.ndarray:
+    """(nodes of up, nodes of across) weights of a polygon (corners, 2), in spacings, on the plate."""
+    weights = np.zeros((up.nodes, across.nodes))
+    if len(corners) < 3:
+        return weights
+    corners = np.clip(corners, 0, [across.breaks[-1], up.breaks[-1]])
+    start, end = _parts(corners, np.roll(corners, -1, axis=0), across, up)
+    middle = (start + end) / 2
+    column, row = across.interval(middle[:, 0]), up.interval(middle[:, 1])
+    nodes, shares = legendre.leggauss(4)  # exact up to the power of seven: four of Φ and three of φ
+    at = start[:, None] + (nodes[:, None] + 1) / 2 * (end - start)[:, None]
+    rise = shares / 2 * (end - start)[:, 1:]
+    behind = rise[:, :, None] * up.values(row[:, None], at[:, :, 1])
+    own = np.einsum("pgj,pgi->pji", behind, across.integrals(column[:, None], at[:, :, 0]))
+    lines = up.first[row][:, None] + np.arange(own.shape[1])
+    np.add.at(weights, (lines[:, :, None], across.first[column][:, None, None] + np.arange(own.shape[2])), own)
+    # Of each interval, what the parts to the right of it make of its whole integral.
+    passed = np.zeros((up.nodes, across.first.size))
+    np.add.at(passed, (lines, column[:, None]), behind.sum(axis=1))
+    passed = passed[:, ::-1].cumsum(axis=1)[:, ::-1] - passed
+    every = np.arange(across.first.size)
+    whole = across.integrals(every, across.breaks[1:])
+    for node in range(whole.shape[1]):
+        spread = scipy.sparse.csr_array((whole[:, node], (across.first + node, every)), (across.nodes, every.size))
+        weights += (spread @ passed.T).T
+    weights[np.abs(weights) < ROUNDING * np.ptp(corners[:, 1])] = 0
+    return weights if area_within(corners) > 0 else -weights
+
+
+def clipped(corners: np.ndarray, area: Area) -> np.ndarray:
+    """(corners, 2) the part of a polygon in a rectangle x0, x1, y0, y1; parts that do not touch are joined by sides
+    there and back, which hold no area (Sutherland and Hodgman 1974)."""
+    for axis, limit, sign in ((0, area[0], 1), (0, area[1], -1), (1, area[2], 1), (1, area[3], -1)):
+        if not len(corners):
+            break
+        before, now = np.roll(corners, 1, axis=0), corners
+        depth, depth_before = sign * (now[:, axis] - limit), sign * (before[:, axis] - limit)
+        inside, crosses = depth >= 0, (depth >= 0) != (depth_before >= 0)
+        fall = np.where(crosses, depth_before - depth, 1)
+        cut = before + (depth_before / fall)[:, None] * (now - before)
+        cut[:, axis] = limit
+        both = np.stack([cut, now], axis=1).reshape(-1, 2)
+        corners = both[np.stack([crosses, inside], axis=1).ravel()]
+    return corners
+
+
+def read_mask(scene: Scene, key: str, target: Target) -> np.ndarray:
+    """(rows, columns) numbers of a target's mask.
+
+    Raises:
+        SceneError: see :func:`shape_weights`.
+    """
+    name = target.mask or ""
+    try:
+        rows = number_rows(read_beside(f"{key}.mask", name, scene.folder))
+        if not rows:
+            raise ValueError("holds no numbers")
+        for number, row in rows:
+            for column, value in enumerate(row, 1):
+                if not 0 <= value <= 1:
+                    raise ValueError(f"line {number}, column {column}: {value:g} is no number from 0 to 1")
+        values = np.array([row for _, row in rows])
+        if not values.any():
+            raise ValueError("holds no number above 0, so that the target has no inside")
+    except ValueError as error:
+        raise error if isinstance(error, SceneError) else SceneError(f"{key}.mask = {name!r}: {error}") from None
+    return values
+
+
+def _polynomials(powers: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """(..., polynomials) of coefficients (polynomials, degree + 1)."""
+    made = np.zeros((*at.shape, len(powers)))
+    for column in powers.T[::-1]:
+        made = made * at[..., None] + column
+    return made
+
+
+def _parts(start: np.ndarray, end: np.ndarray, across: Axis, up: Axis) -> tuple[np.ndarray, np.ndarray]:
+    """Ends (parts, 2) of the sides' parts, each in one interval along x and in one along y."""
+    sides, shares = [np.repeat(np.arange(len(start)), 2)], [np.tile([0.0, 1.0], len(start))]
+    for axis, breaks in enumerate((across.breaks, up.breaks)):
+        low, high = np.minimum(start[:, axis], end[:, axis]), np.maximum(start[:, axis], end[:, axis])
+        first, after = np.searchsorted(breaks, low, side="right"), np.searchsorted(breaks, high, side="left")
+        counts = np.maximum(after - first, 0)
+        side = np.repeat(np.arange(len(start)), counts)
+        which = np.arange(side.size) - np.repeat(np.cumsum(counts) - counts, counts) + first[side]
+        sides.append(side)
+        shares.append((breaks[which] - start[side, axis]) / (end - start)[side, axis])
+    side, share = np.concatenate(sides), np.concatenate(shares)
+    order = np.lexsort((share, side))
+    side, share = side[order], share[order]
+    point = start[side] + share[:, None] * (end - start)[side]
+    last = np.flatnonzero(share == 1)
+    point[last] = end[side[last]]
+    together = side[1:] == side[:-1]
+    return point[:-1][together], point[1:][together]
+
+
+def _mask_matrix(axis: Axis, count: int, low: float, high: float) -> scipy.sparse.csr_array:
+    """(nodes, count) ∫ φ_i(s) · hat_k(s) ds from ``low`` to ``high`` [spacings], of ``count`` samples edge to edge."""
+    samples = np.linspace(0, axis.breaks[-1], count) if count > 1 else np.zeros(1)
+    low, high = (float(np.clip(end, 0, axis.breaks[-1])) for end in (low, high))
+    cuts = np.unique(np.concatenate([axis.breaks, samples, [low, high]]))
+    cuts = cuts[(cuts >= low) & (cuts <= high)]
+    if cuts.size < 2:
+        return scipy.sparse.csr_array((axis.nodes, count))
+    nodes, shares = legendre.leggauss(3)  # exact up to the power of five: three of φ and one of the hat
+    length, middle = np.diff(cuts)[:, None], (cuts[:-1] + cuts[1:])[:, None] / 2
+    at = middle + nodes / 2 * length
+    interval = axis.interval(middle)
+    values = shares / 2 * length * axis.values(interval, at).transpose(2, 0, 1)  # (nodes of an interval, parts, points)
+    lower = np.clip(np.searchsorted(samples, middle, side="right") - 1, 0, max(count - 2, 0))
+    upper = np.minimum(lower + 1, count - 1)
+    part = (at - samples[lower]) / np.where(upper > lower, samples[upper] - samples[lower], 1)
+    part = np.where(upper > lower, part, 0.0)
+    rows = axis.first[interval][:, 0] + np.arange(len(values))[:, None]
+    matrix = scipy.sparse.csr_array((axis.nodes, count))
+    for share, sample in ((1 - part, lower), (part, upper)):
+        columns = np.broadcast_to(sample[:, 0], rows.shape)
+        entries = (values * share).sum(axis=2).ravel()
+        matrix = matrix + scipy.sparse.csr_array((entries, (rows.ravel(), columns.ravel())), matrix.shape)
+    return matrix

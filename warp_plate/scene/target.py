@@ -1,0 +1,160 @@
+"""The tables ``[target]`` and ``[[targets]]``: a part of the plate as a rectangle, a disc, a polygon or a mask."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.table import NARROWEST, Area, Coordinate, Name, Positive, Table, check_area, check_file_name
+
+Corner = tuple[Coordinate, Coordinate]
+SHAPES = ("area", "disc", "polygon", "mask")
+
+
+class Target(Table):
+    """A part of the plate, by exactly one of its shapes.
+
+    area: x0, x1, y0, y1 [m]. disc: x, y of its middle, and its radius [m]. polygon: x, y [m] of its corners, in either
+    sense, whose sides meet only there. mask: name of a CSV file beside the scene file with numbers from 0 to 1, the
+    part of the plate that belongs to the target around each of its points: rows from y = 0 to the plate's other side,
+    columns from x = 0, evenly spaced from edge to edge, and bilinear in between.
+    """
+
+    area: Area | None = None
+    disc: tuple[Coordinate, Coordinate, Positive] | None = None
+    polygon: Annotated[tuple[Corner, ...], Field(min_length=3, max_length=1000)] | None = None
+    mask: str | None = None
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Target:
+        given = [name for name in SHAPES if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise ValueError(f"{given[1]}: {given[0]} is given too; write one of them")
+        if not given:
+            raise ValueError("area: no shape is given; write one of area, disc, polygon and mask")
+        if self.mask is not None:
+            check_file_name("mask", self.mask, (".csv",))
+        return self
+
+    @property
+    def shape(self) -> str:
+        """One of SHAPES."""
+        return next(name for name in SHAPES if getattr(self, name) is not None)
+
+    @property
+    def words(self) -> str:
+        """The key and what it says, for errors and for tables."""
+        value = getattr(self, self.shape)
+        if self.shape == "polygon" and len(value) > 6:
+            return f"polygon of {len(value)} corners"
+        numbers = [list(one) if isinstance(one, tuple) else one for one in value] if self.mask is None else value
+        return f"{self.shape} = {numbers!r}"
+
+    def rectangle(self) -> Area:
+        """Its area [m].
+
+        Raises:
+            SceneError: it is no rectangle, of which alone the references know integrals.
+        """
+        if self.area is None:
+            raise SceneError(f"target.{self.words}: the reference solutions know rectangles only; write target.area")
+        return self.area
+
+    def corners(self, of_disc: int) -> np.ndarray | None:
+        """(corners, 2) x, y [m], without the first one again at the end; a disc's are so many; None for a mask.
+
+        A disc's polygon has the disc's area; with n corners its outline is nowhere farther off than (π/n)²/3 radii.
+        """
+        if self.area is not None:
+            x0, x1, y0, y1 = self.area
+            return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+        if self.disc is not None:
+            x, y, radius = self.disc
+            angle = 2 * math.pi * (np.arange(of_disc) + 0.5) / of_disc
+            outer = radius * math.sqrt(2 * math.pi / of_disc / math.sin(2 * math.pi / of_disc))
+            return np.column_stack([x + outer * np.cos(angle), y + outer * np.sin(angle)])
+        return None if self.polygon is None else np.array(self.polygon)
+
+    def check(self, key: str, size: tuple[float, float]) -> None:
+        """Raise ValueError, naming ``key``, unless it has an inside and lies on the plate of these sides [m]."""
+        if self.area is not None:
+            check_area(f"{key}.area", self.area, size)
+        if self.disc is not None:
+            x, y, radius = self.disc
+            if min(x - radius, y - radius) < -1e-9 * min(size) or any(
+                middle + radius > side * (1 + 1e-9) for middle, side in zip((x, y), size, strict=True)
+            ):
+                raise ValueError(
+                    f"{key}.disc: {[x, y, radius]} reaches off the plate; write x, y, radius with the whole disc "
+                    f"in 0 ... {size[0]:g}, 0 ... {size[1]:g} (metres)"
+                )
+            if 2 * radius < NARROWEST * max(size):
+                raise ValueError(f"{key}.disc: a radius of {radius:.3g} m; at least {NARROWEST / 2 * max(size):.3g} m")
+        if self.polygon is not None:
+            _check_polygon(f"{key}.polygon", np.array(self.polygon), size)
+
+
+class NamedTarget(Target):
+    """One of several targets."""
+
+    name: Name
+
+
+def area_within(corners: np.ndarray) -> float:
+    """The area [m²] of a polygon (corners, 2), negative where they go round clockwise."""
+    x, y = (corners - corners.mean(axis=0)).T
+    return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
+
+
+def _check_polygon(key: str, corners: np.ndarray, size: tuple[float, float]) -> None:
+    for index, (x, y) in enumerate(corners.tolist()):
+        if not all(-1e-9 * side <= at <= side * (1 + 1e-9) for at, side in zip((x, y), size, strict=True)):
+            raise ValueError(
+                f"{key}[{index}]: {[x, y]} is off the plate; x must stay in 0 ... {size[0]:g}, "
+                f"y in 0 ... {size[1]:g} (metres)"
+            )
+    if np.ptp(corners, axis=0).min() < NARROWEST * max(size):
+        raise ValueError(f"{key}: is less than {NARROWEST * max(size):.3g} m wide along x or y; write a wider one")
+    crossed = _crossed_sides(corners / size)
+    if crossed is not None:
+        first, second = crossed
+        raise ValueError(
+            f"{key}: the sides that begin at corners {first} and {second} meet or cross; write the corners in the "
+            "order in which they follow each other around it, and none twice"
+        )
+    if abs(area_within(corners)) < (NARROWEST**2) * size[0] * size[1]:
+        raise ValueError(f"{key}: its corners lie on one line, so that it has no inside")
+
+
+def _crossed_sides(corners: np.ndarray) -> tuple[int, int] | None:
+    """Two sides of a polygon (corners, 2) that meet where they should not, by their first corners; or None."""
+    ahead = np.roll(corners, -1, axis=0)
+    along = ahead - corners
+
+    def turn(points: np.ndarray) -> np.ndarray:
+        """(sides, points) on which hand of each side a point lies, −1, 0 or 1; 0 also within rounding of its line."""
+        way = points[None] - corners[:, None]
+        value = along[:, None, 0] * way[..., 1] - along[:, None, 1] * way[..., 0]
+        return np.where(np.abs(value) < 1e-15, 0, np.sign(value))
+
+    def between(points: np.ndarray) -> np.ndarray:
+        """(sides, points) whether a point lies in the box around each side."""
+        low, high = np.minimum(corners, ahead)[:, None], np.maximum(corners, ahead)[:, None]
+        return ((points[None] >= low - 1e-15) & (points[None] <= high + 1e-15)).all(axis=2)
+
+    start, end = turn(corners), turn(ahead)
+    touched = ((start == 0) & between(corners)) | ((end == 0) & between(ahead))
+    met = ((start * end < 0) & (start * end < 0).T) | touched
+    count = len(corners)
+    index = np.arange(count)
+    following = (index + 1) % count
+    # Neighbours share a corner; they meet elsewhere too where the next side's end lies on this one, or the other way.
+    back = ((end == 0) & between(ahead))[index, following] | ((start == 0) & between(corners))[following, index]
+    met[index, index] = met[index, following] = met[following, index] = False
+    met[index, following] |= back | (along == 0).all(axis=1)
+    found = np.argwhere(met)
+    return None if not len(found) else (int(found[0].min()), int(found[0].max()))

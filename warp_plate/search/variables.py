@@ -1,0 +1,195 @@
+"""What a scene's search may choose: from a position, a row of numbers, to drives, places, frequencies, and a scene.
+
+Without a table that frees something the search is the source paper's (section II.C of Jo, Yang and Shin, 2024): a
+position is w₂ ... w_M, φ₂ ... φ_M with w₁ = 1 and φ₁ = 0, first drawn from −2 ... 2 and without limits, because a
+common factor does not change the localization factor, nor does a common phase once the plate vibrates steadily (in the
+scene ``paper`` what is left of the start moves it by 4e-5). With such tables, what they free has the limits that they
+give, in the scene's own units, and the rest stays as the scene has it. Z = w exp(−iφ) either way.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from warp_plate.plate.designs import Designs
+from warp_plate.scene.model import Scene
+from warp_plate.scene.table import SMALLEST
+from warp_plate.search.free import Number, free_numbers, frees, only_ratios
+from warp_plate.search.objective import unit_of_drives
+from warp_plate.search.space import Space
+
+
+@dataclass(frozen=True)
+class Variables:
+    """A scene's free numbers, in the order in which they stand in a position.
+
+    scene: whose time step carries every frequency that may be found, see ``with_step``.
+    """
+
+    scene: Scene
+    numbers: tuple[Number, ...]
+
+    @cached_property
+    def space(self) -> Space:
+        """The numbers without their meaning, for methods."""
+        columns = [(one.lower, one.upper, *one.first, one.period) for one in self.numbers]
+        return Space(tuple(one.name for one in self.numbers), *np.array(columns, dtype=float).reshape(-1, 5).T)
+
+    @property
+    def only_drives(self) -> bool:
+        """Whether nothing but drives is searched."""
+        return all(one.kind in ("magnitude", "phase") for one in self.numbers)
+
+    @property
+    def quadratic(self) -> bool:
+        """Whether every energy is a quadratic form of the drive, so that Gram matrices hold for all positions."""
+        return self.scene.linear and self.only_drives
+
+    @cached_property
+    def unit(self) -> float:
+        """What a magnitude of one stands for [N/m², or V: ``Scene.drive_unit``]."""
+        return 1.0 if frees(self.scene) else unit_of_drives(self.scene)
+
+    def designs(self, positions: np.ndarray) -> Designs:
+        """What the plates of positions (n, dimension) have of their own; within the scene's limits of drives."""
+        values = self._values(np.asarray(positions, dtype=float))
+        drives = self.unit * (self._limited(values["magnitude"]) * self._turns(values["phase"]))
+        kinds = {one.kind for one in self.numbers}
+        return Designs(
+            drives,
+            values["frequency"] if "frequency" in kinds else None,
+            np.stack([values["x"], values["y"]], axis=2) if kinds & {"x", "y"} else None,
+            values["delay"] if "delay" in kinds else None,
+        )
+
+    def positions_of(self, designs: Designs) -> np.ndarray:
+        """(n, dimension) the positions of designs, cut off at the limits of the space.
+
+        Where the first actuator's magnitude or phase is held because a common one changes nothing, the whole drive is
+        turned, and with the source paper's reading also scaled, until the first one fits.
+        """
+        drives, held = designs.drives / self.unit, self._values(np.zeros((1, len(self.numbers))))
+        if self._first_is_held("phase"):
+            drives = drives * np.exp(-1j * (np.angle(drives[:, :1]) + held["phase"][:, :1]))
+        if not frees(self.scene) and not self.scene.search.limits.equal_magnitudes:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                drives = np.nan_to_num(drives / np.abs(drives[:, :1]))
+        values = {
+            "magnitude": np.abs(drives),
+            "phase": np.mod(-np.angle(drives), 2 * math.pi),
+            "frequency": designs.frequency,
+            "x": None if designs.centre is None else designs.centre[:, :, 0],
+            "y": None if designs.centre is None else designs.centre[:, :, 1],
+            "delay": designs.delay,
+        }
+        columns = []
+        for one in self.numbers:
+            own = values[one.kind]
+            columns.append(np.full(len(designs), one.held) if own is None else own[:, one.actuators[0]])
+        positions = np.stack(columns, axis=1) if columns else np.empty((len(designs), 0))
+        return np.clip(positions, self.space.lower, self.space.upper)
+
+    def scene_of(self, position: np.ndarray) -> Scene:
+        """The scene with what a position (dimension,) stands for, which runs as the position's plate does.
+
+        Raises:
+            SceneError: a number that no scene may have, such as a magnitude beyond 1e30.
+        """
+        values = {kind: row[0] for kind, row in self._values(np.asarray(position, dtype=float)[None]).items()}
+        values["magnitude"] = self.unit * self._limited(values["magnitude"][None])[0]
+        found: list[dict[str, Any]] = [actuator.model_dump() for actuator in self.scene.actuators]
+        for actuator, magnitude, phase in zip(found, values["magnitude"], values["phase"], strict=True):
+            actuator |= {"magnitude": _moderate(magnitude), "phase": _moderate(phase)}
+        drive, everyone = self.scene.drive.model_dump(), len(found)
+        for one in self.numbers:
+            value = float(values[one.kind][one.actuators[0]])
+            if one.kind == "frequency" and len(one.actuators) == everyone:
+                drive["frequency"] = value
+            if one.kind == "delay" and len(one.actuators) == everyone:
+                drive["burst"]["start"] = value
+            for index in one.actuators:
+                if one.kind in ("frequency", "delay"):
+                    found[index][one.kind] = None if len(one.actuators) == everyone else value
+                elif one.kind in ("x", "y"):
+                    found[index]["area"] = _moved(found[index]["area"], one.kind, value)
+        return self.scene.with_tables(drive=drive, actuators=found)
+
+    def _values(self, positions: np.ndarray) -> dict[str, np.ndarray]:
+        """(n, actuators) of each kind, before limits of drives."""
+        if positions.ndim != 2 or positions.shape[1] != len(self.numbers):
+            raise ValueError(f"positions of shape {positions.shape}: must be (n, {len(self.numbers)})")
+        values = {kind: np.tile(row, (len(positions), 1)) for kind, row in self._held.items()}
+        for column, one in zip(positions.T, self.numbers, strict=True):
+            values[one.kind][:, one.actuators] = (
+                column[:, None] if math.isinf(one.period) else np.mod(column, one.period)[:, None]
+            )
+        return values
+
+    @cached_property
+    def _held(self) -> dict[str, np.ndarray]:
+        """(actuators,) of each kind as the scene has it; in the paper's reading magnitude 1 and phase 0."""
+        actuators, drive = self.scene.actuators, self.scene.drive
+        own, burst = frees(self.scene), drive.burst
+        return {
+            "magnitude": np.array([one.magnitude if own else 1.0 for one in actuators]),
+            "phase": np.array([one.phase if own else 0.0 for one in actuators]),
+            "frequency": np.array([one.frequency or drive.frequency for one in actuators]),
+            "x": np.array([(one.area[0] + one.area[1]) / 2 for one in actuators]),
+            "y": np.array([(one.area[2] + one.area[3]) / 2 for one in actuators]),
+            "delay": np.array([burst.start if burst and one.delay is None else one.delay or 0.0 for one in actuators]),
+        }
+
+    def _turns(self, phase: np.ndarray) -> np.ndarray:
+        """exp(−iφ); one row serves all where no phase is free."""
+        free = sorted(index for one in self.numbers if one.kind == "phase" for index in one.actuators)
+        turns = np.tile(np.exp(-1j * self._held["phase"]) + 0, (len(phase), 1))
+        turns[:, free] = np.exp(-1j * phase[:, free])
+        return turns
+
+    def _limited(self, magnitude: np.ndarray) -> np.ndarray:
+        """Magnitudes (n, actuators) in units of ``unit``, cut off or scaled down to the scene's limits."""
+        limits = self.scene.search.limits
+        if limits.magnitude is not None:
+            most = limits.magnitude / self.unit
+            if only_ratios(self.scene):
+                magnitude = magnitude * _down_to(most, np.abs(magnitude).max(axis=1))
+            else:
+                magnitude = np.clip(magnitude, -most, most)
+        if limits.power is not None:
+            size = np.sqrt((magnitude**2).sum(axis=1))
+            magnitude = magnitude * _down_to(math.sqrt(limits.power) / self.unit, size)
+        return magnitude
+
+    def _first_is_held(self, kind: str) -> bool:
+        return not any(one.kind == kind and 0 in one.actuators for one in self.numbers)
+
+
+def variables_of(scene: Scene) -> Variables:
+    """What the scene's tables ``[search.magnitude]`` and so on free; see ``free.free_numbers``.
+
+    Raises:
+        SceneError: nothing is free, or a table does not fit the scene; names the key.
+    """
+    return Variables(scene, free_numbers(scene))
+
+
+def _down_to(most: float, sizes: np.ndarray) -> np.ndarray:
+    """(n, 1) factors that bring sizes down to ``most``; one where they are no larger."""
+    return (most / np.maximum(sizes, most))[:, None]
+
+
+def _moderate(value: float) -> float:
+    """As a scene takes it: what is too small to be told from zero is zero."""
+    return float(value) if abs(value) >= SMALLEST else 0.0
+
+
+def _moved(area: tuple[float, ...], axis: str, centre: float) -> tuple[float, ...]:
+    """An area with its middle at another x or y."""
+    low, high = area[:2] if axis == "x" else area[2:]
+    span = (centre - (high - low) / 2, centre + (high - low) / 2)
+    return (*span, *area[2:]) if axis == "x" else (*area[:2], *span)
