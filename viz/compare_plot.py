@@ -84,7 +84,8 @@ def spread(trials: Sequence[Trial], clock: str, budget: int) -> tuple[np.ndarray
         np.array([np.pad(getattr(trial, name), (0, count - len(trial.loss)), mode="edge") for trial in trials], float)
         for name in (clock, "loss")
     )
-    clocks, found = np.median(times, axis=0), np.stack([losses.min(axis=0), np.median(losses, axis=0), losses.max(axis=0)])
+    clocks = np.median(times, axis=0)
+    found = np.stack([losses.min(axis=0), np.median(losses, axis=0), losses.max(axis=0)])
     if clock == "evaluations" and clocks[-1] < budget:
         clocks, found = np.append(clocks, budget), np.pad(found, ((0, 0), (0, 1)), mode="edge")
     return clocks, found

@@ -135,6 +135,7 @@ def as_json(result: Comparison, files: list[Path]) -> dict[str, object]:
         "device": result.device,
         "evaluator": result.evaluator,
         "budget": result.budget,
+        "seconds": {"prepare": result.prepared},
         "localization": result.localization,
         "bound": None if result.bound is None else bound,
         "methods": rows(result),
@@ -172,6 +173,8 @@ def _print(result: Comparison, console: Console) -> None:
         words = {"attained": "bound (no method can pass)", "bound only": "bound only (may not be reached)"}
         console.print(f"\n{words[result.bound_kind]}: {value:.6g}, {result.bound_sentence}")
     console.print(LEGEND)
+    if result.prepared > 0:
+        console.print(f"before the clock: {result.prepared:.2g} s for the plates that all methods share.")
     for method, reason in result.skipped.items():
         console.print(f"{method}: not tried: {reason}")
     if result.interrupted:
