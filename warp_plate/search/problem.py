@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from warp_plate.plate.designs import Designs
+from warp_plate.plate.designs import Designs, own_of
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
 from warp_plate.search.free import with_step
@@ -30,14 +30,15 @@ class Problem:
     variables: what is free; plain: plates of the scene that differ in their drives alone; solver: the ones that the
     search runs, which is the same where nothing but drives is free; response: energies of all drives in Gram matrices,
     None where they are no quadratic forms; evaluator: "response" takes energies from these instead of from plates;
-    spent: seconds that compiling took, and node-steps of what was measured, before the search.
+    path: as asked for; spent: seconds that compiling took, and node-steps of what was measured, before the search.
     """
 
     variables: Variables
     plain: PlateSolver
     solver: PlateSolver
     response: Response | None
-    evaluator: Evaluator
+    evaluator: str
+    path: str
     spent: tuple[float, int]
 
     @property
@@ -86,7 +87,7 @@ def make_problem(
     scene: Scene,
     device: str = "auto",
     path: str = "auto",
-    evaluator: Evaluator = "direct",
+    evaluator: str = "direct",
     matrices: np.ndarray | None = None,
 ) -> Problem:
     """The problem of a scene with a grid.
@@ -104,18 +105,15 @@ def make_problem(
     if evaluator == "response" and not variables.quadratic:
         raise SceneError(f"evaluator = 'response': {_why_not_quadratic(variables)}; write 'direct'")
     plain = PlateSolver(scene, device, path)
-    solver = plain
-    if not variables.only_drives:
-        from warp_plate.plate.designs import own_of
-
-        solver = PlateSolver(scene, device, path, own=own_of(scene))
+    solver = plain if variables.only_drives else PlateSolver(scene, device, path, own=own_of(scene))
     spent = 0.0, 0
     if matrices is None and variables.quadratic:
-        exact = plain if scene.grid.precision == "float64" else PlateSolver(_in_float64(scene), device, path)
+        exact = plain if scene.grid.precision == "float64" else PlateSolver(in_float64(scene), device, path)
         matrices = measure_response(exact).matrices
         if exact is not plain:
             spent = exact.compile_seconds, exact.node_steps
-    return Problem(variables, plain, solver, None if matrices is None else Response(matrices), evaluator, spent)
+    response = None if matrices is None else Response(matrices)
+    return Problem(variables, plain, solver, response, evaluator, path, spent)
 
 
 def _why_not_quadratic(variables: Variables) -> str:
@@ -125,5 +123,6 @@ def _why_not_quadratic(variables: Variables) -> str:
     return f"no Gram matrix holds where {', '.join(kinds)} is searched"
 
 
-def _in_float64(scene: Scene) -> Scene:
+def in_float64(scene: Scene) -> Scene:
+    """For energies whose differences lose digits; nothing is recorded."""
     return scene.model_copy(update={"grid": scene.grid.model_copy(update={"precision": "float64"}), "record": Record()})
