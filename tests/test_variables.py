@@ -252,7 +252,7 @@ def test_what_does_not_fit_is_told_in_one_line(search, tables, words):
 
 def test_a_time_step_that_carries_too_little_is_told_with_its_numbers():
     scene = scene_of(nodes=(9, 9), time_step=1e-4, search={"frequency": {"range": [200.0, 6000.0]}})
-    with pytest.raises(SceneError, match=r"search.frequency.range = 6000: .*0.0001 s carries less than 5000 Hz"):
+    with pytest.raises(SceneError, match=r"search.frequency.range = .*0.0001 s carries less than 5000 Hz"):
         make_problem(scene, "cpu")
 
 

@@ -76,14 +76,22 @@ def with_step(scene: Scene) -> Scene:
     """The scene with one time step for all the frequencies and starts that its search may find.
 
     Raises:
-        SceneError: see ``make_scheme``.
+        SceneError: the scene's own time step does not carry the range; see ``make_scheme``.
     """
-    search, own = scene.search, own_of(scene)
-    if (search.frequency is None and search.delay is None) or scene.grid.time_step is not None:
-        return scene
-    # Plates whose actuators differ in these go the general way, which has a limit of its own.
-    step = min(make_scheme(scene, general=general).time_step for general in {False, own.each})
-    return scene.with_tables(grid={**scene.grid.model_dump(), "time_step": step})
+    free, step = scene.search.frequency, scene.grid.time_step
+    if step is None and (free is not None or scene.search.delay is not None):
+        hardest = at_highest_frequency(scene)
+        # Plates whose actuators differ in these go the general way, which has a limit of its own.
+        step = min(make_scheme(hardest, general=general).time_step for general in {False, own_of(scene).each})
+        return scene.with_tables(grid={**scene.grid.model_dump(), "time_step": step})
+    if step is not None and free is not None:
+        carried = 0.5 / step / (1 if scene.drive.electrostatic is None else 2)
+        if free.range[1] >= carried:
+            raise SceneError(
+                f"search.frequency.range = {list(free.range)}: a step of {step:g} s carries less than {carried:.6g} "
+                "Hz; end the range lower, or write a smaller grid.time_step"
+            )
+    return scene
 
 
 def at_highest_frequency(scene: Scene) -> Scene:

@@ -90,8 +90,8 @@ def localize(
         versions=versions(),
         node_steps=problem.node_steps,
         single=int(np.argmax(np.abs(drives["single"]))),
-        matrices=None if problem.response is None else problem.response.matrices,
-        swarm=None if searcher is None else searcher.state(plain=False),
+        matrices=problem.matrices,
+        swarm=None if searcher is None else searcher.state(False),
     )
     return _finish(begun, problem, told, estimate, checkpoints, stage, spectrum)
 
@@ -191,7 +191,7 @@ def _finish(
         trace_times=found.run.trace_times,
         seconds=seconds,
         bound=problem.bound,
-        history=history_of(searcher),
+        history=history_of(searcher, problem),
         evaluator=begun.evaluator,
         interrupted=interrupted,
         versions=begun.versions,
