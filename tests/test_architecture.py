@@ -28,7 +28,9 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "bench": ({"bench", "solve", "kernels", "plate", "scene", ""}, {*SCIENCE, "warp"}),
     "accuracy": ({"accuracy", "solve", "reference", "plate", "scene", ""}, {*SCIENCE, "pydantic", "warp"}),
     "search": ({"search", "accuracy", "solve", "result", "plate", "scene", ""}, {*SCIENCE, "warp"}),
-    "search.pso": ({"search.pso_settings", "plate.blocks"}, SCIENCE),
+    "search.cma_es": ({"search", "scene"}, {*SCIENCE, "cma"}),
+    "search.pso": ({"search.pso_settings", "search.record", "plate.blocks"}, SCIENCE),
+    "search.record": (set(), SCIENCE),
     "search.pso_settings": (set(), SCIENCE),
     "plate.blocks": (set(), set()),
     "viz": (

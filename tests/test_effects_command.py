@@ -9,6 +9,7 @@ import pytest
 
 from warp_plate import PlateSolver, Scene
 from warp_plate.cli.main import main
+from warp_plate.plate.found import scene_drive
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.scene.effects import Damping, Effects
@@ -16,7 +17,6 @@ from warp_plate.scene.load import dump_scene
 from warp_plate.scene.search import Search
 from warp_plate.search import influence
 from warp_plate.search.influence import switches
-from warp_plate.search.simulate import scene_drive
 from warp_plate.search.typical import DRIVES, bare_scene, is_on
 from warp_plate.search.warnings import exceeded, warnings
 from warp_plate.solve.specialize import effect_names

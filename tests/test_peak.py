@@ -9,12 +9,13 @@ import pytest
 
 from warp_plate import PlateSolver
 from warp_plate.cli.main import main
+from warp_plate.plate.found import scene_drive
 from warp_plate.scene.load import dump_scene
 from warp_plate.search import peak
 from warp_plate.search.influence import switches
 from warp_plate.search.localize import localize
 from warp_plate.search.peak import look_times, record_times, run_and_look
-from warp_plate.search.simulate import scene_drive, simulate
+from warp_plate.search.simulate import simulate
 
 BURST = {"frequency": 290.0, "burst": {"duration": 0.003, "ramp": 0.001}}
 

@@ -19,7 +19,6 @@ from typing import Any
 import h5py
 import numpy as np
 
-from warp_plate.plate.weights import REGIONS
 from warp_plate.result.plain import count, numbers, opened, put, save_hdf5, table, text
 from warp_plate.result.search_state import put_state, read_state
 from warp_plate.scene.errors import SceneError
@@ -40,7 +39,8 @@ class Checkpoint:
     processor: its model; earlier: others that it ran on before, for people. path: as asked for.
     accuracy, seconds, versions: as in :class:`Result`, until here. node_steps: nodes updated × steps × plates.
     single: index of the best single actuator.
-    matrices: (regions, 2 actuators, 2 actuators) of the response; None where the scene is not linear in its drives.
+    matrices: (regions, 2 actuators, 2 actuators) of the response; None where energies are no quadratic forms of what is
+        searched.
     swarm: the state of the search, see ``Swarm.state``; None where one actuator leaves no choice.
     """
 
@@ -140,7 +140,7 @@ def _read(file: h5py.File, name: str) -> Checkpoint:
     actuators, single = len(scene.actuators), count(file, "single")
     if single >= actuators:
         raise SceneError(f"attribute single is {single}, of {actuators} actuators")
-    if text(file, "evaluator") not in ("direct", "response") or scene.linear != ("matrices" in file):
+    if text(file, "evaluator") not in ("direct", "response") or (not scene.linear and "matrices" in file):
         raise SceneError("evaluator and matrices do not fit the scene")
     return Checkpoint(
         asked=asked,
@@ -158,6 +158,6 @@ def _read(file: h5py.File, name: str) -> Checkpoint:
         versions=table(file, "versions"),
         node_steps=count(file, "node_steps"),
         single=single,
-        matrices=numbers(file, "matrices", (len(REGIONS), *2 * (2 * actuators,))) if "matrices" in file else None,
+        matrices=numbers(file, "matrices", (None, *2 * (2 * actuators,))) if "matrices" in file else None,
         swarm=read_state(file, "swarm") if "swarm" in file else None,
     )

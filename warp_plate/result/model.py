@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.plate.found import scene_with
 from warp_plate.scene.model import Scene
 
 
@@ -21,6 +22,8 @@ class Case:
     displacement: (times, ny, nx) [m].
     trace: (points, steps) displacement [m].
     status: "ok", or why the plate has no energies (NaN): what was wrong with its drive, or when it grew without bound.
+    frequency, delay: (actuators,) frequencies [Hz] and burst starts [s]; centre: (actuators, 2) x, y of the actuators'
+        middles [m]; None where they are the scene's.
     """
 
     drive: np.ndarray
@@ -28,6 +31,9 @@ class Case:
     displacement: np.ndarray
     trace: np.ndarray
     status: str = "ok"
+    frequency: np.ndarray | None = None
+    centre: np.ndarray | None = None
+    delay: np.ndarray | None = None
 
     @property
     def localization_factor(self) -> float:
@@ -58,6 +64,8 @@ class Result:
         asked for an accuracy instead of a grid, "estimate" of the localization factors.
     node_steps: nodes updated × steps × plates. path: how plates were stepped.
     peak: largest displacement [m] seen over the run under the drive of ``judged``; None where nothing was looked at.
+    spectrum: of a search for a frequency, over the "frequency" [Hz] of its range, the localization factors "equal",
+        "single" and "best" (of any drive), and the "resonances" [Hz] in it; empty where none was made.
     """
 
     command: str
@@ -80,6 +88,21 @@ class Result:
     versions: Mapping[str, str] = field(default_factory=dict)
     accuracy: Mapping[str, Any] = field(default_factory=dict)
     peak: float | None = None
+    spectrum: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    def placed(self, case: Case) -> Scene:
+        """The scene with a case's frequencies, places and burst starts."""
+        if case.frequency is None and case.centre is None and case.delay is None:
+            return self.scene
+        return scene_with(self.scene, None, None, case.frequency, case.centre, case.delay)
+
+    def scene_of(self, case: Case) -> Scene:
+        """The scene that ``simulate`` runs as this case: ``placed``, and with its drive.
+
+        Raises:
+            SceneError: a magnitude beyond what a scene may have.
+        """
+        return scene_with(self.placed(case), case.magnitude, case.phase)
 
     @property
     def judged(self) -> Case:

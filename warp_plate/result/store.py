@@ -4,7 +4,9 @@
     /localization_factor/CASE            scalars, and /localization_factor/bound
     /peak_displacement                   scalar
     /cases/CASE/magnitude, phase, energy, displacement, trace
+    /cases/CASE/frequency, centre, delay     where the plate had its own
     /history/evaluations, best, mean
+    /spectrum/frequency, equal, single, best, resonances
     attributes of /: command, source, scene (TOML), device, seed, effects, versions, seconds, ...
 
 Behind the HDF5 content stands a seal, see ``warp_plate.result.whole``.
@@ -29,7 +31,20 @@ HISTORY = {
     "best": "largest localization factor so far",
     "mean": "mean localization factor of the swarm",
 }
-FORMAT = "warp-plate result 1"
+SPECTRUM = {
+    "frequency": ("Hz", "where the localization factors were taken"),
+    "equal": ("1", "localization factor of all actuators alike"),
+    "single": ("1", "localization factor of the best single actuator"),
+    "best": ("1", "largest localization factor of any drive"),
+    "resonances": ("Hz", "natural frequencies of the plate"),
+}
+# What a plate may have of its own: unit, meaning, and shape after the actuators.
+OWN = {
+    "frequency": ("Hz", "frequency of each actuator", ()),
+    "centre": ("m", "x, y of the middle of each actuator", (2,)),
+    "delay": ("s", "start of each actuator's burst", ()),
+}
+FORMAT = "warp-plate result 2"
 
 
 def save_result(result: Result, path: str | Path) -> Path:
@@ -88,6 +103,8 @@ def _write(file: h5py.File, result: Result) -> None:
         put(file, "localization_factor/bound", result.bound, "1", "largest that any drive can reach")
     for name, values in result.history.items():
         put(file, f"history/{name}", values, "1", f"{HISTORY.get(name, name)}, after each iteration")
+    for name, values in result.spectrum.items():
+        put(file, f"spectrum/{name}", values, *SPECTRUM[name])
 
 
 def _write_case(file: h5py.File, at: str, case: Case, unit: str) -> None:
@@ -99,6 +116,10 @@ def _write_case(file: h5py.File, at: str, case: Case, unit: str) -> None:
     file[f"{at}/energy"].attrs["status"] = case.status
     put(file, f"{at}/displacement", case.displacement, "m", "displacement (times, y, x)")
     put(file, f"{at}/trace", case.trace, "m", "displacement at the recorded points (points, steps)")
+    for name, (units, meaning, _) in OWN.items():
+        values = getattr(case, name)
+        if values is not None:
+            put(file, f"{at}/{name}", values, units, meaning)
 
 
 def _read(file: h5py.File, name: str) -> Result:
@@ -129,7 +150,16 @@ def _read(file: h5py.File, name: str) -> Result:
         versions=table(file, "versions"),
         accuracy=table(file, "accuracy"),
         peak=float(numbers(file, "peak_displacement", ())) if "peak_displacement" in file else None,
+        spectrum=_read_spectrum(file),
     )
+
+
+def _read_spectrum(file: h5py.File) -> dict[str, np.ndarray]:
+    if "spectrum" not in file:
+        return {}
+    frequencies = numbers(file, "spectrum/frequency", (None,))
+    lengths = {name: None if name == "resonances" else len(frequencies) for name in SPECTRUM}
+    return {name: numbers(file, f"spectrum/{name}", (length,)) for name, length in lengths.items()}
 
 
 def _read_case(file: h5py.File, at: str, scene: Scene, times: np.ndarray, steps: np.ndarray) -> Case:
@@ -148,4 +178,9 @@ def _read_case(file: h5py.File, at: str, scene: Scene, times: np.ndarray, steps:
         displacement=numbers(file, f"{at}/displacement", (len(times), ny, nx)),
         trace=trace,
         status=text(file[f"{at}/energy"], "status"),
+        **{
+            name: numbers(file, f"{at}/{name}", (actuators, *more))
+            for name, (_, _, more) in OWN.items()
+            if f"{at}/{name}" in file
+        },
     )

@@ -6,10 +6,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from warp_plate.plate.designs import own_of
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.signals import highest_frequency
+from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.scene.search import Search
 
 # The tables that free something; without any the search is the source paper's.
 TABLES = ("magnitude", "phase", "frequency", "position", "delay")
@@ -40,6 +42,13 @@ def frees(scene: Scene) -> bool:
     return any(getattr(scene.search, name) is not None for name in TABLES)
 
 
+def without_tables(scene: Scene) -> Scene:
+    """The scene with the source paper's search for its localization factor, and the swarm that its own has."""
+    plain = Search()
+    fixed = {name: getattr(plain, name) for name in (*TABLES, "objectives", "limits", "robust")}
+    return scene.model_copy(update={"search": scene.search.model_copy(update=fixed)})
+
+
 def only_ratios(scene: Scene) -> bool:
     """Whether a factor that all actuators have in common changes nothing that is sought."""
     return scene.linear and all(one.kind in RATIOS for one in scene.search.objectives)
@@ -64,23 +73,24 @@ def free_numbers(scene: Scene) -> tuple[Number, ...]:
 
 
 def with_step(scene: Scene) -> Scene:
-    """The scene with a time step that carries the highest frequency that its search may find.
+    """The scene with one time step for all the frequencies and starts that its search may find.
 
     Raises:
-        SceneError: the scene's own time step does not, or see ``make_scheme``.
+        SceneError: the scene's own time step does not carry the range; see ``make_scheme``.
     """
     free, step = scene.search.frequency, scene.grid.time_step
-    if free is None:
-        return scene
-    hardest = at_highest_frequency(scene)
-    if step is None:
-        return scene.with_tables(grid={**scene.grid.model_dump(), "time_step": make_scheme(hardest).time_step})
-    carried = 0.5 / step / (1 if scene.drive.electrostatic is None else 2)
-    if max(free.range[1], highest_frequency(scene)) >= carried:
-        raise SceneError(
-            f"search.frequency.range = {list(free.range)}: a step of {step:g} s carries less than {carried:.6g} Hz; "
-            "end the range lower, or write a smaller grid.time_step"
-        )
+    if step is None and (free is not None or scene.search.delay is not None):
+        hardest = at_highest_frequency(scene)
+        # Plates whose actuators differ in these go the general way, which has a limit of its own.
+        step = min(make_scheme(hardest, general=general).time_step for general in {False, own_of(scene).each})
+        return scene.with_tables(grid={**scene.grid.model_dump(), "time_step": step})
+    if step is not None and free is not None:
+        carried = 0.5 / step / (1 if scene.drive.electrostatic is None else 2)
+        if free.range[1] >= carried:
+            raise SceneError(
+                f"search.frequency.range = {list(free.range)}: a step of {step:g} s carries less than {carried:.6g} "
+                "Hz; end the range lower, or write a smaller grid.time_step"
+            )
     return scene
 
 
@@ -159,7 +169,7 @@ def _frequencies(scene: Scene) -> Iterator[Number]:
             raise SceneError(f"search.frequency: drive.{key} says which frequencies there are; delete one of them")
     who, (low, high) = _named(scene, "frequency"), free.range
     for group in [(one,) for one in who] if free.own else [who]:
-        held = scene.actuators[group[0]].frequency or scene.drive.frequency
+        held = float(actuator_frequencies(scene)[group[0]])
         yield Number(_title(scene, "frequency", group), "frequency", group, held, (low, high), low, high)
 
 
@@ -203,8 +213,7 @@ def _delays(scene: Scene) -> Iterator[Number]:
             f"{scene.window.end:g} s; end it earlier"
         )
     for group in [(one,) for one in who] if free.own else [who]:
-        own = scene.actuators[group[0]].delay
-        held = scene.drive.burst.start if own is None else own
+        held = float(actuator_delays(scene)[group[0]])
         yield Number(_title(scene, "delay", group), "delay", group, held, (low, high), low, high)
 
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.plate.found import scene_drive
 from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.effects import MovingLoad
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.search.peak import largest, look_times
-from warp_plate.search.simulate import scene_drive
 from warp_plate.search.typical import TYPICAL, bare_scene, is_on, names, with_value, without
 from warp_plate.solve.solver import PlateSolver
 

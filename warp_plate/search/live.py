@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.plate.found import scene_drive
 from warp_plate.result.live import Reading, SwarmReading
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.search.last_runs import reference_drives
 from warp_plate.search.live_settings import Settings, changed_scene, polar, ranges_of
-from warp_plate.search.localize import reference_drives
 from warp_plate.search.objective import unit_of_drives
-from warp_plate.search.simulate import scene_drive
 from warp_plate.search.superposition import Simulated, UnitResponses, live_solver, unit_responses
 from warp_plate.search.watch import WatchedSearch
 from warp_plate.solve.solver import Progress

@@ -6,7 +6,7 @@ import platform
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -18,19 +18,17 @@ from warp_plate.accuracy.truth import Stage
 from warp_plate.plate.files import digests
 from warp_plate.plate.weights import localization_factor
 from warp_plate.result.checkpoint import Checkpoint
-from warp_plate.result.model import Case, Result
+from warp_plate.result.model import Result
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Record, Scene
+from warp_plate.scene.model import Scene
 from warp_plate.search.checkpoints import CheckpointFile
-from warp_plate.search.objective import drives_of, unit_of_drives
-from warp_plate.search.peak import run_and_look
-from warp_plate.search.pso import Swarm
-from warp_plate.search.run_swarm import Energies, Told, history_of, run_swarm, settings_of
+from warp_plate.search.free import at_highest_frequency
+from warp_plate.search.last_runs import last_runs, reference_drives
+from warp_plate.search.problem import Evaluator, Problem, make_problem
+from warp_plate.search.run_swarm import Told, history_of, run_search, searcher_of
+from warp_plate.search.spectrum import make_spectrum
 from warp_plate.solve.devices import device_aliases, find_device, processor_of
-from warp_plate.solve.response import Response, measure_response
-from warp_plate.solve.solver import PlateSolver, Run
-
-Evaluator = Literal["direct", "response"]
+from warp_plate.solve.solver import Run
 
 
 def localize(
@@ -43,6 +41,7 @@ def localize(
     told: Told | None = None,
     estimate: bool = True,
     checkpoints: CheckpointFile | None = None,
+    spectrum: bool = True,
 ) -> Result:
     """Search the drive with the largest share of the plate's kinetic energy in the target.
 
@@ -54,6 +53,7 @@ def localize(
         told: called after each iteration.
         estimate: whether to estimate the errors of the localization factors at the end.
         checkpoints: where to keep what :func:`resume` goes on from.
+        spectrum: whether a search for one frequency of all actuators ends with the factors over its range.
 
     A scene with ``grid.accuracy`` gets the grid that keeps it first. Ctrl-C ends the search early; the result then
     holds the best so far and says that it was interrupted.
@@ -64,38 +64,36 @@ def localize(
     seed = scene.search.seed if seed is None else seed
     if not 0 <= seed < 2**63:
         raise SceneError(f"seed = {seed}: must be a whole number from 0 to 2^63 - 1")
-    if evaluator == "response" and not scene.linear:
-        raise SceneError(f"evaluator = 'response': {scene.not_linear} is not linear in the drives; write 'direct'")
     asked, files = scene, digests(scene)
-    scene, accuracy, seconds, stage = resolve(scene, device)
-    solver = PlateSolver(scene, device, path)
-    needs_exact = scene.linear and scene.grid.precision != "float64"
-    exact = PlateSolver(_in_float64(scene), device, path) if needs_exact else solver
+    # A frequency that is searched is judged where it asks most of a grid.
+    hardest = at_highest_frequency(asked)
+    chosen, accuracy, seconds, stage = resolve(hardest, device)
+    scene = chosen.model_copy(update={"actuators": asked.actuators})
     started = time.perf_counter()
-    response = measure_response(exact) if scene.linear else None
-    drives = reference_drives(scene, _energies(solver, response, evaluator))
-    swarm = Swarm(settings_of(scene, seed)) if len(scene.actuators) > 1 else None
-    compiling = sum(one.compile_seconds for one in {solver, exact})
+    problem = make_problem(scene, device, path, evaluator)
+    drives = reference_drives(problem.scene, problem.energies_of_drives)
+    searcher = searcher_of(problem, seed)
+    compiling = problem.compile_seconds
     begun = Checkpoint(
         asked=asked,
-        scene=scene,
+        scene=problem.scene,
         source=source,
         files=files,
-        device=solver.device.alias,
-        processor=processor_of(solver.device),
+        device=problem.plain.device.alias,
+        processor=processor_of(problem.plain.device),
         earlier="",
         path=path,
         evaluator=evaluator,
         seed=seed,
         accuracy=accuracy,
-        seconds=seconds | {"compile": compiling, "solve": time.perf_counter() - started},
+        seconds=seconds | {"compile": compiling, "solve": time.perf_counter() - started - compiling},
         versions=versions(),
-        node_steps=sum(one.node_steps for one in {solver, exact}),
+        node_steps=problem.node_steps,
         single=int(np.argmax(np.abs(drives["single"]))),
-        matrices=None if response is None else response.matrices,
-        swarm=None if swarm is None else swarm.state(plain=False),
+        matrices=problem.matrices,
+        swarm=None if searcher is None else searcher.state(False),
     )
-    return _finish(begun, solver, told, estimate, checkpoints, stage)
+    return _finish(begun, problem, told, estimate, checkpoints, stage, spectrum)
 
 
 def resume(
@@ -104,6 +102,7 @@ def resume(
     told: Told | None = None,
     estimate: bool = True,
     checkpoints: CheckpointFile | None = None,
+    spectrum: bool = True,
 ) -> Result:
     """Go on with a search, to the result that it would have had without a stop.
 
@@ -112,7 +111,7 @@ def resume(
 
     Args:
         device: another one than the search began on: its rounding may be another; left out: the same.
-        told, estimate, checkpoints: see :func:`localize`.
+        told, estimate, checkpoints, spectrum: see :func:`localize`.
 
     Raises:
         SceneError: there is no such device any more; a file that the scene names is missing or another; or the
@@ -122,8 +121,11 @@ def resume(
     for key, digest in digests(checkpoint.scene).items():
         if checkpoint.files.get(key) != digest:
             raise SceneError(f"{key}: the file holds something else than when the search began")
-    solver = PlateSolver(checkpoint.scene, device or same_device(checkpoint), checkpoint.path)
-    spent = dict(checkpoint.seconds)
+    on, matrices = device or same_device(checkpoint), checkpoint.matrices
+    problem = make_problem(checkpoint.scene, on, checkpoint.path, checkpoint.evaluator, matrices)
+    if problem.variables.quadratic and matrices is None:
+        raise SceneError("checkpoint: the matrices of its scene's response are missing")
+    solver, spent = problem.plain, dict(checkpoint.seconds)
     spent["compile"] = spent.get("compile", 0.0) + time.perf_counter() - started
     processor, earlier = processor_of(solver.device), checkpoint.earlier
     if processor != checkpoint.processor:
@@ -136,7 +138,7 @@ def resume(
         seconds=spent,
         versions=_with_earlier(checkpoint.versions),
     )
-    return _finish(begun, solver, told, estimate, checkpoints)
+    return _finish(begun, problem, told, estimate, checkpoints, None, spectrum)
 
 
 def same_device(checkpoint: Checkpoint) -> str:
@@ -158,55 +160,47 @@ def same_device(checkpoint: Checkpoint) -> str:
 
 def _finish(
     begun: Checkpoint,
-    solver: PlateSolver,
+    problem: Problem,
     told: Told | None,
     estimate: bool,
     checkpoints: CheckpointFile | None,
-    stage: Stage | None = None,
+    stage: Stage | None,
+    spectrum: bool,
 ) -> Result:
     """From a checkpoint, which may be that of iteration 0, to the result: a search knows nothing else of its past."""
-    scene, seconds = begun.scene, dict(begun.seconds)
-    started, stepped = time.perf_counter(), solver.node_steps
-    response = None if begun.matrices is None else Response(begun.matrices)
-    energies = _energies(solver, response, begun.evaluator)
-    swarm, interrupted = run_swarm(begun, energies, lambda: solver.node_steps, told, checkpoints)
-    found = swarm.result.xbest if swarm is not None else None
-    singles = unit_of_drives(scene) * np.eye(len(scene.actuators), dtype=complex)
-    drives = {"equal": singles.sum(axis=0), "single": singles[begun.single]}
-    drives["best"] = drives["single"] if found is None else unit_of_drives(scene) * drives_of(found[None])[0]
-    run, peak = run_and_look(solver, np.array(list(drives.values())))
+    scene, seconds = problem.scene, dict(begun.seconds)
+    started, stepped = time.perf_counter(), problem.node_steps
+    searcher, interrupted = run_search(begun, problem, told, checkpoints)
+    found = last_runs(problem, begun.single, None if searcher is None else searcher.result.xbest)
     seconds["solve"] = seconds.get("solve", 0.0) + time.perf_counter() - started
     accuracy = dict(begun.accuracy)
     if estimate:
-        accuracy |= estimated(scene, drives, run, seconds, solver.device.alias, stage)
+        known = stage if found.scene is scene else None  # the reference of another plate tells nothing
+        accuracy |= estimated(found.scene, found.drives, found.run, seconds, problem.plain.device.alias, known)
+    made = make_spectrum(problem, seconds) if spectrum and not interrupted else {}
     return Result(
         command="localize",
         source=begun.source,
         scene=scene,
-        device=begun.earlier + device_name(solver.device),
+        device=begun.earlier + device_name(problem.plain.device),
         seed=begun.seed,
-        effects=solver.effects,
-        path=solver.path_words(bool(scene.record.points)),
-        cases=cases_of(drives, run),
-        times=run.times,
-        trace_times=run.trace_times,
+        effects=problem.solver.effects,
+        path=problem.solver.path_words(bool(scene.record.points)),
+        cases=found.cases,
+        times=found.run.times,
+        trace_times=found.run.trace_times,
         seconds=seconds,
-        bound=response.bound() if response is not None else None,
-        history=history_of(swarm),
+        bound=problem.bound,
+        history=history_of(searcher, problem),
         evaluator=begun.evaluator,
         interrupted=interrupted,
         versions=begun.versions,
-        node_steps=begun.node_steps + solver.node_steps - stepped,
-        evaluations=swarm.result.evaluations if swarm is not None else 0,
+        node_steps=begun.node_steps + problem.node_steps + found.node_steps - stepped,
+        evaluations=searcher.result.evaluations if searcher is not None else 0,
         accuracy=accuracy,
-        peak=peak,
+        peak=found.peak,
+        spectrum=made,
     )
-
-
-def _energies(solver: PlateSolver, response: Response | None, evaluator: str) -> Energies:
-    if evaluator == "response" and response is not None:
-        return response.energy
-    return lambda drives: solver.run(drives).energy
 
 
 def resolve(
@@ -252,29 +246,6 @@ def estimated(
     return {"estimate": {"cases": list(drives), **found.as_json(), "line": found.line()}}
 
 
-def reference_drives(scene: Scene, energies: Energies) -> dict[str, np.ndarray]:
-    """The drives that the search is compared with: all actuators alike, and the best single one."""
-    singles = unit_of_drives(scene) * np.eye(len(scene.actuators), dtype=complex)
-    best = int(np.argmax(np.nan_to_num(localization_factor(energies(singles)), nan=-1.0)))
-    return {"equal": singles.sum(axis=0), "single": singles[best]}
-
-
-def cases_of(drives: dict[str, np.ndarray], run: Run) -> dict[str, Case]:
-    """The plates of a run by the names of their drives."""
-    with np.errstate(over="ignore"):  # beyond float32's range a displacement becomes infinite
-        displacement, trace = run.displacement.astype(np.float32), run.trace.astype(np.float32)
-    return {
-        name: Case(
-            drive=drive,
-            energy=dict(zip(run.regions, run.energy[index].tolist(), strict=True)),
-            displacement=displacement[index],
-            trace=trace[index],
-            status=run.fault(index),
-        )
-        for index, (name, drive) in enumerate(drives.items())
-    }
-
-
 def device_name(device: wp.Device) -> str:
     """For people: Warp's name for the device, and the processor's."""
     return f"{device.alias} ({device.name or platform.machine()})"
@@ -297,7 +268,3 @@ def _with_earlier(earlier: Mapping[str, str]) -> dict[str, str]:
         for name, now in versions().items()
         if name in earlier
     }
-
-
-def _in_float64(scene: Scene) -> Scene:
-    return scene.model_copy(update={"grid": scene.grid.model_copy(update={"precision": "float64"}), "record": Record()})

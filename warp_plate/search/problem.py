@@ -9,11 +9,15 @@ from typing import Literal
 
 import numpy as np
 
-from warp_plate.plate.designs import Designs
+from warp_plate.plate.designs import Designs, own_of
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
-from warp_plate.search.free import with_step
-from warp_plate.search.objective import loss
+from warp_plate.scene.search import Limits
+from warp_plate.search.bounds import Bound
+from warp_plate.search.free import frees, with_step
+from warp_plate.search.judge import Judge, make_judge
+from warp_plate.search.loss_bound import bound_loss
+from warp_plate.search.quadratic import Quadratic
 from warp_plate.search.space import Space
 from warp_plate.search.variables import Variables, variables_of
 from warp_plate.solve.response import Response, measure_response
@@ -27,17 +31,23 @@ Energies = Callable[[np.ndarray], np.ndarray]
 class Problem:
     """A scene's search, compiled.
 
-    variables: what is free; plain: plates of the scene that differ in their drives alone; solver: the ones that the
-    search runs, which is the same where nothing but drives is free; response: energies of all drives in Gram matrices,
-    None where they are no quadratic forms; evaluator: "response" takes energies from these instead of from plates;
-    spent: seconds that compiling took, and node-steps of what was measured, before the search.
+    variables: what is free; judge: of energies. plain: plates of the scene that differ in their drives alone; solver:
+    the ones that the search runs, which is the same where nothing but drives is free; moved: the same for ½ ∫ ρH u² dA,
+    None where displacements are not judged. response, moved_response: of plain and moved, energies of all drives in
+    Gram matrices, None where they are no quadratic forms. evaluator: "response" takes energies from these instead of
+    from plates; path: as asked for; spent: seconds that compiling took, and node-steps of what was measured, before the
+    search.
     """
 
     variables: Variables
+    judge: Judge
     plain: PlateSolver
     solver: PlateSolver
+    moved: PlateSolver | None
     response: Response | None
-    evaluator: Evaluator
+    moved_response: Response | None
+    evaluator: str
+    path: str
     spent: tuple[float, int]
 
     @property
@@ -51,14 +61,25 @@ class Problem:
         return self.variables.space
 
     @property
+    def only_localization(self) -> bool:
+        """Whether losses are 1 − LF."""
+        return self.judge.only_localization
+
+    @property
     def node_steps(self) -> int:
         """Of all plates so far."""
-        return self.spent[1] + sum(one.node_steps for one in {self.plain, self.solver})
+        return self.spent[1] + sum(one.node_steps for one in self._solvers)
 
     @property
     def compile_seconds(self) -> float:
         """Of all solvers."""
-        return self.spent[0] + sum(one.compile_seconds for one in {self.plain, self.solver})
+        return self.spent[0] + sum(one.compile_seconds for one in self._solvers)
+
+    @property
+    def matrices(self) -> np.ndarray | None:
+        """(regions, 2M, 2M) of the response, and after them those of displacements; what ``make_problem`` takes."""
+        known = [one.matrices for one in (self.response, self.moved_response) if one is not None]
+        return np.concatenate(known) if known else None
 
     def energies(self, designs: Designs) -> np.ndarray:
         """(plates, regions) energies [J]."""
@@ -72,50 +93,108 @@ class Problem:
             return self.response.energy(drives)
         return self.plain.run(drives).energy
 
+    def losses_of(self, designs: Designs) -> np.ndarray:
+        """(plates,) what is to be made small; NaN where a plate has no energies."""
+        displaced = None
+        if self.evaluator == "response" and self.moved_response is not None:
+            displaced = self.moved_response.energy(designs.drives)
+        elif self.moved is not None:
+            displaced = self.moved.run(designs).energy
+        return self.judge.losses(self.energies(designs), displaced)
+
     def losses(self, positions: np.ndarray) -> np.ndarray:
-        """(n,) what is to be made small, of positions (n, dimension); NaN where a plate has no energies."""
-        return loss(self.energies(self.variables.designs(positions)))
+        """(n,) the same of positions (n, dimension)."""
+        return self.losses_of(self.variables.designs(positions))
+
+    def value_of(self, loss: float | np.ndarray) -> float | np.ndarray:
+        """What people want large: LF, or the weighted sum of the objectives."""
+        return 1 - loss if self.only_localization else -loss
+
+    @cached_property
+    def quadratic(self) -> Quadratic | None:
+        """For methods that need no plates; None where energies are no quadratic forms of the drive."""
+        if self.response is None or self.matrices is None:
+            return None
+        count = len(self.response.matrices)
+
+        def losses_of(energy: np.ndarray) -> np.ndarray:
+            return self.judge.losses(energy[:, :count], energy[:, count:] if self.moved_response else None)
+
+        return Quadratic(
+            matrices=self.matrices,
+            drives=lambda positions: self.variables.designs(positions).drives,
+            positions=lambda drives: self.variables.positions_of(Designs(drives)),
+            losses_of=losses_of,
+            localization=self.only_localization,
+        )
+
+    @cached_property
+    def bound_of_loss(self) -> Bound | None:
+        """The least loss that is proved to be out of reach; None where none is claimed."""
+        if self.scene.search.robust is not None:
+            return None
+        return bound_loss(self.variables, self.judge, self.response, self.moved_response)
 
     @cached_property
     def bound(self) -> float | None:
-        """The largest localization factor that any drive can reach; None where none is claimed."""
-        return None if self.response is None else self.response.bound()
+        """The largest localization factor that any drive can reach; None where none is claimed, or something else is
+        sought."""
+        if self.response is None or not self.only_localization or self.bound_of_loss is None:
+            return None
+        limited = frees(self.scene) or self.scene.search.limits != Limits()
+        return 1 - self.bound_of_loss.value if limited else self.response.bound()
+
+    @property
+    def _solvers(self) -> set[PlateSolver]:
+        return {one for one in (self.plain, self.solver, self.moved) if one is not None}
 
 
 def make_problem(
     scene: Scene,
     device: str = "auto",
     path: str = "auto",
-    evaluator: Evaluator = "direct",
+    evaluator: str = "direct",
     matrices: np.ndarray | None = None,
 ) -> Problem:
     """The problem of a scene with a grid.
 
     Args:
         device, path: see :class:`PlateSolver`; evaluator: see :class:`Problem`.
-        matrices: of the response, where they are known already.
+        matrices: see ``Problem.matrices``, where they are known already.
 
     Raises:
-        SceneError: see ``variables_of``, ``with_step`` and :class:`PlateSolver`; "response" for what is no quadratic
-            form of the drives.
+        SceneError: see ``variables_of``, ``with_step``, ``make_judge`` and :class:`PlateSolver`; "response" for what is
+            no quadratic form of the drives.
     """
     variables = variables_of(with_step(scene))
-    scene = variables.scene
+    scene, own = variables.scene, own_of(variables.scene)
     if evaluator == "response" and not variables.quadratic:
         raise SceneError(f"evaluator = 'response': {_why_not_quadratic(variables)}; write 'direct'")
-    plain = PlateSolver(scene, device, path)
-    solver = plain
+    judge = make_judge(scene)
+    plain = PlateSolver(scene, device, path, areas=judge.regions)
+    solver, moved = plain, None
     if not variables.only_drives:
-        from warp_plate.plate.designs import own_of
-
-        solver = PlateSolver(scene, device, path, own=own_of(scene))
-    spent = 0.0, 0
+        solver = PlateSolver(scene, device, path, areas=judge.regions, own=own)
+    if judge.needs_displacement:
+        moved = PlateSolver(scene, device, path, areas=judge.regions, own=own, quantity="displacement")
+    seconds, node_steps = 0.0, 0
     if matrices is None and variables.quadratic:
-        exact = plain if scene.grid.precision == "float64" else PlateSolver(_in_float64(scene), device, path)
-        matrices = measure_response(exact).matrices
-        if exact is not plain:
-            spent = exact.compile_seconds, exact.node_steps
-    return Problem(variables, plain, solver, None if matrices is None else Response(matrices), evaluator, spent)
+        parts = []
+        for one in (plain, moved):
+            if one is not None:
+                exact = one if scene.grid.precision == "float64" else _in_float64(one, path)
+                parts.append(measure_response(exact).matrices)
+                if exact is not one:
+                    seconds, node_steps = seconds + exact.compile_seconds, node_steps + exact.node_steps
+        matrices = np.concatenate(parts)
+    sets = 1 if moved is None else 2
+    if matrices is not None and len(matrices) != sets * len(plain.specialized.regions):
+        raise SceneError(f"matrices: of {len(matrices)} regions; must be {sets * len(plain.specialized.regions)}")
+    known = [] if matrices is None else np.split(matrices, sets)
+    responses = [Response(one) for one in known] + [None, None]
+    return Problem(
+        variables, judge, plain, solver, moved, responses[0], responses[1], evaluator, path, (seconds, node_steps)
+    )
 
 
 def _why_not_quadratic(variables: Variables) -> str:
@@ -125,5 +204,11 @@ def _why_not_quadratic(variables: Variables) -> str:
     return f"no Gram matrix holds where {', '.join(kinds)} is searched"
 
 
-def _in_float64(scene: Scene) -> Scene:
+def in_float64(scene: Scene) -> Scene:
+    """For energies whose differences lose digits; nothing is recorded."""
     return scene.model_copy(update={"grid": scene.grid.model_copy(update={"precision": "float64"}), "record": Record()})
+
+
+def _in_float64(solver: PlateSolver, path: str) -> PlateSolver:
+    made, quantity = in_float64(solver.scene), solver.specialized.quantity
+    return PlateSolver(made, solver.device.alias, path, areas=make_judge(made).regions, quantity=quantity)

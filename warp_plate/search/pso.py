@@ -24,7 +24,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any, Protocol
 
 import numpy as np
@@ -32,6 +32,8 @@ from numpy.typing import ArrayLike
 
 from warp_plate.plate.blocks import over_blocks
 from warp_plate.search.pso_settings import LARGEST, SwarmSettings
+from warp_plate.search.record import SearchResult
+from warp_plate.search.record import plain as as_plain
 
 STATE_FORMAT = "swarm 2"
 ARRAYS = ("positions", "velocities", "personal_positions", "personal_losses", "kept_position")
@@ -44,20 +46,6 @@ NUMBERS = {
     "restarted_at": int,
 }
 HISTORY = ("best", "mean", "worst", "nonfinite")
-
-
-@dataclass(frozen=True)
-class SwarmResult:
-    """The best position found, shape (dimension,), and its loss; None and infinity before any finite loss.
-
-    The first four names are pycma's. `nonfinite` counts the losses that were infinite or not a number.
-    """
-
-    xbest: np.ndarray | None
-    fbest: float
-    evaluations: int
-    iterations: int
-    nonfinite: int
 
 
 class Swarm:
@@ -102,7 +90,7 @@ class Swarm:
         return {"evaluations": self.settings.particles * np.arange(1, self.iterations + 1), **history}
 
     @property
-    def result(self) -> SwarmResult:
+    def result(self) -> SearchResult:
         """The best so far."""
         best = int(np.argmin(self.personal_losses))
         position, loss = self.personal_positions[best], float(self.personal_losses[best])
@@ -110,7 +98,7 @@ class Swarm:
             position, loss = self.kept_position, self._kept_loss
         evaluations, nonfinite = self.settings.particles * self.iterations, sum(row[-1] for row in self._history)
         found = position.copy() if math.isfinite(loss) else None
-        return SwarmResult(found, loss, evaluations, self.iterations, int(nonfinite))
+        return SearchResult(found, loss, evaluations, self.iterations, int(nonfinite))
 
     def ask(self) -> np.ndarray:
         """Positions to evaluate, shape (particles, dimension), read-only; the same ones until their losses are told."""
@@ -204,7 +192,7 @@ class Swarm:
 
         def move(rows: slice) -> None:
             position, velocity, own_best = self.positions[rows], self.velocities[rows], self.personal_positions[rows]
-            common = self.personal_positions[leaders[rows]]
+            common = self.personal_positions.take(leaders[rows], axis=0)
             velocity *= inertia
             for factor, goal, first in ((settings.cognitive, own_best, 0), (settings.social, common, drawn)):
                 # The numbers that one call for the whole swarm would give to these rows.
@@ -274,7 +262,7 @@ class Swarm:
 
         With ``plain`` false arrays stay arrays, and numbers numbers.
         """
-        kept = _plain if plain else copy.deepcopy
+        kept = as_plain if plain else copy.deepcopy
         return {
             "format": STATE_FORMAT,
             "settings": kept(asdict(self.settings)),
@@ -336,15 +324,3 @@ def optimize(
         if callback is not None and callback(searcher):
             break
     return searcher.result
-
-
-def _plain(value: Any) -> Any:
-    """Arrays and tuples as lists, and each number that JSON does not have as text that float() reads back."""
-    if isinstance(value, np.ndarray):
-        # Large swarms: no walk through the numbers where all are finite.
-        return value.tolist() if np.isfinite(value).all() else _plain(value.tolist())
-    if isinstance(value, dict):
-        return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(entry) for entry in value]
-    return repr(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,64 +1,53 @@
-"""The swarm of a scene, run from a checkpoint (that of iteration 0 is the beginning) to its end or to Ctrl-C."""
+"""A problem's search, run from a checkpoint (that of iteration 0 is the beginning) to its end or to Ctrl-C."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import asdict, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
 from warp_plate.search.checkpoints import CheckpointFile
 from warp_plate.search.interrupts import interrupts_held
-from warp_plate.search.objective import drives_of, loss, unit_of_drives
-from warp_plate.search.pso import Swarm, SwarmSettings, optimize
+from warp_plate.search.methods import Method, make_searcher, searcher_from_state
+from warp_plate.search.problem import Problem
+from warp_plate.search.pso import optimize
 
-Energies = Callable[[np.ndarray], np.ndarray]
-# Told after each iteration: iterations done, iterations in all, best localization factor so far.
+# Told after each iteration: iterations done, iterations in all, best so far: the localization factor, or the weighted
+# sum of the objectives.
 Told = Callable[[int, int, float], object]
 
 
-def settings_of(scene: Scene, seed: int) -> SwarmSettings:
-    """What the scene's swarm is told.
+def searcher_of(problem: Problem, seed: int, state: Mapping[str, Any] | None = None) -> Method | None:
+    """What searches the problem, from its beginning or from a state; None where one actuator leaves no choice.
 
     Raises:
-        SceneError: it takes more memory than there is.
+        SceneError: see ``make_searcher``; the state does not fit the problem.
     """
-    search, dimension = scene.search, 2 * (len(scene.actuators) - 1)
-    refuse_beyond_memory(
-        # positions, velocities, own bests, random numbers, drives and what makes them, energies
-        search.particles * (120.0 * dimension + 100.0),
-        f"search.particles = {search.particles} with {len(scene.actuators)} actuators",
-    )
-    return SwarmSettings(
-        dimension=dimension,
-        particles=search.particles,
-        iterations=search.iterations,
-        inertia=search.inertia,
-        decay=search.decay,
-        cognitive=search.cognitive,
-        social=search.social,
-        velocity_limit=search.velocity_limit,
-        stall=search.stall,
-        seed=seed,
-    )
+    search, space = problem.scene.search, problem.space
+    if not space.dimension:
+        return None
+    if state is None:
+        return make_searcher(search, space, seed, problem.quadratic)
+    try:
+        return searcher_from_state(search, space, seed, state, problem.quadratic)
+    except SceneError:
+        raise
+    except ValueError as error:
+        raise SceneError(f"checkpoint: {error}") from None
 
 
-def run_swarm(
-    begun: Checkpoint,
-    energies: Energies,
-    node_steps: Callable[[], int],
-    told: Told | None,
-    checkpoints: CheckpointFile | None,
-) -> tuple[Swarm | None, bool]:
-    """The swarm after its search, and whether Ctrl-C ended it; no swarm where one actuator leaves no choice.
+def run_search(
+    begun: Checkpoint, problem: Problem, told: Told | None, checkpoints: CheckpointFile | None
+) -> tuple[Method | None, bool]:
+    """The searcher after its search, and whether Ctrl-C ended it; none where one actuator leaves no choice.
 
     Args:
-        begun: the search until now; energies: of drives, (plates, regions); node_steps: the count that they raise.
+        begun: the search until now; problem: made from its scene.
         told: called after each iteration; checkpoints: written when due, and when Ctrl-C ends the search.
 
     Raises:
@@ -67,12 +56,10 @@ def run_swarm(
     """
     if begun.swarm is None:
         return None, False
-    try:
-        swarm = Swarm.from_state({**begun.swarm, "settings": asdict(settings_of(begun.scene, begun.seed))})
-    except ValueError as error:
-        raise SceneError(f"checkpoint: {error}") from None
-    unit = unit_of_drives(begun.scene)
-    started, first_steps = time.perf_counter(), node_steps()
+    searcher = searcher_of(problem, begun.seed, begun.swarm)
+    if searcher is None:
+        raise SceneError("checkpoint: has the state of a search, and its scene leaves nothing to search")
+    started, first_steps = time.perf_counter(), problem.node_steps
     counted = first_steps  # of an iteration that Ctrl-C cuts short nothing is kept, nor are its steps
 
     def save() -> None:
@@ -82,45 +69,40 @@ def run_swarm(
         checkpoints.save(
             replace(
                 begun,
-                swarm=swarm.state(plain=False),
+                swarm=searcher.state(False),
                 seconds={**begun.seconds, "solve": spent},
                 node_steps=begun.node_steps + counted - first_steps,
             )
         )
 
-    def after(swarm: Swarm) -> None:
+    def after(searcher: Method) -> None:
         nonlocal counted
-        counted = node_steps()
+        counted = problem.node_steps
         if checkpoints is not None and checkpoints.due():
             save()
         if told is not None:
-            told(swarm.iterations, begun.scene.search.iterations, 1 - swarm.result.fbest)
+            told(searcher.iterations, begun.scene.search.iterations, float(problem.value_of(searcher.result.fbest)))
 
     with interrupts_held() as let_through:
 
         def losses(positions: np.ndarray) -> np.ndarray:
-            drives = unit * drives_of(positions)
             with let_through():
-                energy = energies(drives)
-            return loss(energy)
+                return problem.losses(positions)
 
         try:
             if checkpoints is not None and checkpoints.due():
                 save()
-            optimize(swarm, losses, after)
+            optimize(searcher, losses, after)
         except KeyboardInterrupt:
             save()
-            return swarm, True
-    return swarm, False
+            return searcher, True
+    return searcher, False
 
 
-def history_of(swarm: Swarm | None) -> dict[str, np.ndarray]:
-    """Localization factors after each iteration; nothing without a swarm."""
-    if swarm is None:
+def history_of(searcher: Method | None, problem: Problem) -> dict[str, np.ndarray]:
+    """What ``Problem.value_of`` is after each iteration; nothing without a search."""
+    if searcher is None:
         return {}
-    history = swarm.history
-    return {
-        "evaluations": history["evaluations"],
-        "best": 1 - history["best"],
-        "mean": 1 - history["mean"],
-    }
+    history = searcher.history
+    values = {name: np.asarray(problem.value_of(history[name])) for name in ("best", "mean")}
+    return {"evaluations": history["evaluations"], **values}

@@ -7,21 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
+from warp_plate.plate.found import scene_drive
 from warp_plate.result.model import Result
 from warp_plate.result.store import load_result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.search.localize import (
-    cases_of,
-    device_name,
-    estimated,
-    reference_drives,
-    resolve,
-    versions,
-)
+from warp_plate.search.last_runs import cases_of, reference_drives
+from warp_plate.search.localize import device_name, estimated, resolve, versions
 from warp_plate.search.objective import unit_of_drives
 from warp_plate.search.peak import run_and_look
-from warp_plate.solve.solver import PlateSolver, Progress, as_phasors
+from warp_plate.solve.solver import PlateSolver, Progress
 
 
 def simulate(
@@ -83,13 +78,6 @@ def simulate(
         accuracy=accuracy,
         peak=peak,
     )
-
-
-def scene_drive(scene: Scene) -> np.ndarray:
-    """(actuators,) the phasors of the magnitudes and phases that the scene gives its actuators."""
-    magnitude = np.array([[actuator.magnitude for actuator in scene.actuators]])
-    phase = np.array([[actuator.phase for actuator in scene.actuators]])
-    return as_phasors((magnitude, phase), len(scene.actuators))[0]
 
 
 def drive_of_file(name: str, scene: Scene) -> np.ndarray:

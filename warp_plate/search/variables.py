@@ -12,13 +12,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
+from warp_plate.plate.blocks import over_blocks
 from warp_plate.plate.designs import Designs
+from warp_plate.plate.found import middles, scene_with
+from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.scene.model import Scene
-from warp_plate.scene.table import SMALLEST
 from warp_plate.search.free import Number, free_numbers, frees, only_ratios
 from warp_plate.search.objective import unit_of_drives
 from warp_plate.search.space import Space
@@ -57,15 +58,22 @@ class Variables:
 
     def designs(self, positions: np.ndarray) -> Designs:
         """What the plates of positions (n, dimension) have of their own; within the scene's limits of drives."""
-        values = self._values(np.asarray(positions, dtype=float))
-        drives = self.unit * (self._limited(values["magnitude"]) * self._turns(values["phase"]))
-        kinds = {one.kind for one in self.numbers}
-        return Designs(
-            drives,
-            values["frequency"] if "frequency" in kinds else None,
-            np.stack([values["x"], values["y"]], axis=2) if kinds & {"x", "y"} else None,
-            values["delay"] if "delay" in kinds else None,
-        )
+        positions = np.asarray(positions, dtype=float)
+        kinds, shape = {one.kind for one in self.numbers}, (len(positions), len(self.scene.actuators))
+        own = {kind: np.empty(shape) for kind in kinds - {"magnitude", "phase"}}
+        if kinds & {"x", "y"}:
+            own |= {"x": np.empty(shape), "y": np.empty(shape)}
+        drives = np.empty(shape, dtype=complex)
+
+        def fill(rows: slice) -> None:
+            values = self._values(positions[rows])
+            drives[rows] = self.unit * (self._limited(values["magnitude"]) * self._turns(values["phase"]))
+            for kind, into in own.items():
+                into[rows] = values[kind]
+
+        over_blocks(fill, len(positions))
+        centre = np.stack([own["x"], own["y"]], axis=2) if "x" in own else None
+        return Designs(drives, own.get("frequency"), centre, own.get("delay"))
 
     def positions_of(self, designs: Designs) -> np.ndarray:
         """(n, dimension) the positions of designs, cut off at the limits of the space.
@@ -100,24 +108,16 @@ class Variables:
         Raises:
             SceneError: a number that no scene may have, such as a magnitude beyond 1e30.
         """
-        values = {kind: row[0] for kind, row in self._values(np.asarray(position, dtype=float)[None]).items()}
-        values["magnitude"] = self.unit * self._limited(values["magnitude"][None])[0]
-        found: list[dict[str, Any]] = [actuator.model_dump() for actuator in self.scene.actuators]
-        for actuator, magnitude, phase in zip(found, values["magnitude"], values["phase"], strict=True):
-            actuator |= {"magnitude": _moderate(magnitude), "phase": _moderate(phase)}
-        drive, everyone = self.scene.drive.model_dump(), len(found)
-        for one in self.numbers:
-            value = float(values[one.kind][one.actuators[0]])
-            if one.kind == "frequency" and len(one.actuators) == everyone:
-                drive["frequency"] = value
-            if one.kind == "delay" and len(one.actuators) == everyone:
-                drive["burst"]["start"] = value
-            for index in one.actuators:
-                if one.kind in ("frequency", "delay"):
-                    found[index][one.kind] = None if len(one.actuators) == everyone else value
-                elif one.kind in ("x", "y"):
-                    found[index]["area"] = _moved(found[index]["area"], one.kind, value)
-        return self.scene.with_tables(drive=drive, actuators=found)
+        values = self._values(np.asarray(position, dtype=float)[None])
+        magnitude, kinds = self.unit * self._limited(values["magnitude"])[0], {one.kind for one in self.numbers}
+        return scene_with(
+            self.scene,
+            magnitude,
+            values["phase"][0],
+            values["frequency"][0] if "frequency" in kinds else None,
+            np.stack([values["x"][0], values["y"][0]], axis=1) if kinds & {"x", "y"} else None,
+            values["delay"][0] if "delay" in kinds else None,
+        )
 
     def _values(self, positions: np.ndarray) -> dict[str, np.ndarray]:
         """(n, actuators) of each kind, before limits of drives."""
@@ -133,15 +133,14 @@ class Variables:
     @cached_property
     def _held(self) -> dict[str, np.ndarray]:
         """(actuators,) of each kind as the scene has it; in the paper's reading magnitude 1 and phase 0."""
-        actuators, drive = self.scene.actuators, self.scene.drive
-        own, burst = frees(self.scene), drive.burst
+        actuators, own = self.scene.actuators, frees(self.scene)
         return {
             "magnitude": np.array([one.magnitude if own else 1.0 for one in actuators]),
             "phase": np.array([one.phase if own else 0.0 for one in actuators]),
-            "frequency": np.array([one.frequency or drive.frequency for one in actuators]),
-            "x": np.array([(one.area[0] + one.area[1]) / 2 for one in actuators]),
-            "y": np.array([(one.area[2] + one.area[3]) / 2 for one in actuators]),
-            "delay": np.array([burst.start if burst and one.delay is None else one.delay or 0.0 for one in actuators]),
+            "frequency": actuator_frequencies(self.scene),
+            "x": middles(self.scene)[:, 0],
+            "y": middles(self.scene)[:, 1],
+            "delay": actuator_delays(self.scene),
         }
 
     def _turns(self, phase: np.ndarray) -> np.ndarray:
@@ -181,15 +180,3 @@ def variables_of(scene: Scene) -> Variables:
 def _down_to(most: float, sizes: np.ndarray) -> np.ndarray:
     """(n, 1) factors that bring sizes down to ``most``; one where they are no larger."""
     return (most / np.maximum(sizes, most))[:, None]
-
-
-def _moderate(value: float) -> float:
-    """As a scene takes it: what is too small to be told from zero is zero."""
-    return float(value) if abs(value) >= SMALLEST else 0.0
-
-
-def _moved(area: tuple[float, ...], axis: str, centre: float) -> tuple[float, ...]:
-    """An area with its middle at another x or y."""
-    low, high = area[:2] if axis == "x" else area[2:]
-    span = (centre - (high - low) / 2, centre + (high - low) / 2)
-    return (*span, *area[2:]) if axis == "x" else (*area[:2], *span)

@@ -11,9 +11,11 @@ import numpy as np
 from warp_plate.plate.weights import localization_factor
 from warp_plate.result.live import SwarmReading
 from warp_plate.scene.model import Scene
+from warp_plate.search.free import without_tables
+from warp_plate.search.methods import swarm_settings
 from warp_plate.search.objective import drives_of
 from warp_plate.search.pso import Swarm, optimize
-from warp_plate.search.run_swarm import settings_of
+from warp_plate.search.variables import variables_of
 
 # Told the best drive (actuators,) after each iteration that found a better one.
 Found = Callable[[np.ndarray], object]
@@ -44,9 +46,10 @@ class WatchedSearch:
         self._best: list[float] = []
         self._ended = threading.Event()
         self._reading: SwarmReading | None = None
-        self._thread = threading.Thread(
-            target=self._run, args=(Swarm(settings_of(scene, scene.search.seed)),), name="swarm", daemon=True
-        )
+        # What is free in the scene's own search is for ``localize``: here it is always the drives.
+        space = variables_of(without_tables(scene)).space
+        swarm = Swarm(swarm_settings(scene.search, space, scene.search.seed))
+        self._thread = threading.Thread(target=self._run, args=(swarm,), name="swarm", daemon=True)
         self._thread.start()
 
     def read(self) -> SwarmReading | None:

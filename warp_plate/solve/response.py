@@ -59,7 +59,11 @@ def measure_response(solver: PlateSolver, progress: Progress | None = None) -> R
     """
     actuators = len(solver.scene.actuators)
     refuse_beyond_memory(100.0 * actuators**3, f"actuators: {actuators}, which makes {2 * actuators**2} unit drives;")
-    energy = solver.run(unit_drives(actuators), progress=progress).energy
+    return response_of(solver.run(unit_drives(actuators), progress=progress).energy, actuators)
+
+
+def response_of(energy: np.ndarray, actuators: int) -> Response:
+    """The response whose plates had these energies (M(2M + 1), regions) [J] under ``unit_drives``."""
     count = 2 * actuators
     first, second = np.triu_indices(count, k=1)
     matrices = np.zeros((energy.shape[1], count, count))
