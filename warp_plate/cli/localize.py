@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import cyclopts
 
 from warp_plate.cli import output
+from warp_plate.cli.crosstalk import crosstalk_json, crosstalk_table
 from warp_plate.cli.options import Whole
 from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
 from warp_plate.cli.resume import read_checkpoint, result_beside, way_on
@@ -169,6 +170,7 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
                 result.scene.actuators, best.magnitude.tolist(), best.phase.tolist(), strict=True
             )
         ],
+        "crosstalk": crosstalk_json(result),
         "evaluations": result.evaluations,
         "node_steps": result.node_steps,
         "seconds": dict(result.seconds),
@@ -197,6 +199,9 @@ def _print(result: Result, console: Console) -> None:
     console.print()
     console.print(output.drive_table(result.cases["best"], result.scene))
     console.print()
+    if result.several:
+        console.print(crosstalk_table(result))
+        console.print()
     if result.interrupted:
         console.print("Interrupted by Ctrl-C: the best so far is shown.")
     if published:
