@@ -180,7 +180,8 @@ def _finish(
     if estimate:
         known = stage if found.scene is scene else None  # the reference of another plate tells nothing
         accuracy |= estimated(found.scene, found.drives, found.run, seconds, problem.plain.device.alias, known)
-    made = make_spectrum(problem, seconds) if spectrum and not searched.interrupted else {}
+    best = found.cases["best"]
+    made = make_spectrum(problem, best, seconds) if spectrum and not searched.interrupted else {}
     return Result(
         command="localize",
         source=begun.source,
