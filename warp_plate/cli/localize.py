@@ -165,24 +165,29 @@ def _write(result: Result, target: Path, pictures: bool, kept: CheckpointFile) -
 
 
 def _write_found(result: Result, path: Path) -> list[Path]:
-    """The scene that was found, for ``simulate``; nothing where no scene may have its numbers, which is told."""
+    """The scene that was found, for ``simulate``, and of several targets one for each, numbered from the second on;
+    nothing where no scene may have its numbers, which is told."""
+    from warp_plate.result.crosstalk import found_scenes
     from warp_plate.result.whole import write_whole
     from warp_plate.scene.load import dump_scene
 
     try:
-        scene = result.scene_of(result.cases["best"])
+        scenes = found_scenes(result)
     except SceneError as error:
         output.tell(f"{path} is not written: {error}")
         return []
-    head = f"# Found by: warp-plate localize {result.source}\n# Run it by: warp-plate simulate {path.name}\n"
-    write_whole((printable(head) + dump_scene(scene)).encode(), path)
-    return [path]
+    files = []
+    for number, scene in enumerate(scenes.values(), 1):
+        file = path if number == 1 else path.with_suffix(f".{number}.toml")
+        head = f"# Found by: warp-plate localize {result.source}\n# Run it by: warp-plate simulate {file.name}\n"
+        write_whole((printable(head) + dump_scene(scene)).encode(), file)
+        files.append(file)
+    return files
 
 
 def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -> dict[str, object]:
     """The object that ``--json`` prints; ``checkpoint``: what an interrupted search goes on from."""
     best = result.cases["best"]
-    own = {"frequency": best.frequency, "centre": best.centre, "delay": best.delay}
     factors = {name: case.localization_factor for name, case in result.cases.items()}
     history = {name: values.tolist() for name, values in result.history.items()}
     return {
@@ -191,15 +196,7 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
         "path": result.path,
         "seed": result.seed,
         "localization_factor": {**factors, "bound": result.bound},
-        "drive": [
-            {
-                "actuator": actuator.name,
-                "magnitude": float(best.magnitude[index]),
-                "phase": float(best.phase[index]),
-                **{name: values[index].tolist() for name, values in own.items() if values is not None},
-            }
-            for index, actuator in enumerate(result.scene.actuators)
-        ],
+        "drive": output.drive_json(best, result.scene),
         "crosstalk": crosstalk_json(result),
         "evaluations": result.evaluations,
         "node_steps": result.node_steps,

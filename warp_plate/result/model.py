@@ -98,8 +98,8 @@ class Result:
     peak: largest displacement [m] seen over the run under the drive of ``judged``; None where nothing was looked at.
     spectrum: of a search for a frequency, over the "frequency" [Hz] of its range, the localization factors "equal",
         "single" and "best" (of any drive), and the "resonances" [Hz] in it; empty where none was made.
-    several: of a scene with several targets, the search for each that was come to; ``bound`` and ``history`` are those of
-        the first. Cases: see ``result.crosstalk``.
+    several: of a scene with several targets, the search for each that was come to; ``bound`` and ``history`` are the
+        first's. Cases: see ``result.crosstalk``.
     """
 
     command: str

@@ -57,8 +57,8 @@ def localize(
         spectrum: whether a search for one frequency of all actuators ends with the factors over its range.
 
     A scene with several targets has one search after the other, and a best drive for each (see ``result.crosstalk``).
-    A scene with ``grid.accuracy`` gets the grid that keeps it first, for its first target. Ctrl-C ends the search early; the result then
-    holds the best so far and says that it was interrupted.
+    A scene with ``grid.accuracy`` gets the grid that keeps it first, for its first target. Ctrl-C ends the search
+    early; the result then holds the best so far and says that it was interrupted.
 
     Raises:
         SceneError: see :class:`PlateSolver`.
