@@ -216,7 +216,8 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
 def _print(result: Result, console: Console) -> None:
     published = PUBLISHED if result.source == "paper" else {}
     factors = {name: case.localization_factor for name, case in result.cases.items()}
-    headings = ("localization factor", "this run") + (("published",) if published else ())
+    first = f", target {result.scene.targets[0].name}" if result.several else ""
+    headings = (f"localization factor{first}", "this run") + (("published",) if published else ())
     console.print(result.scene.title or result.source)
     made = output.table(*headings)
     for name, meaning in MEANING.items():
