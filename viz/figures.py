@@ -37,7 +37,7 @@ PUBLISHED_LOSS = 0.28
 
 
 def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
-    """Draw what the result holds into ``<stem>-history.png``, ``-spectrum.png``, ``-crosstalk.png`` and ``-surfaces.png``.
+    """Draw what the result holds: ``<stem>-history.png``, ``-crosstalk.png``, ``-spectrum.png`` and ``-surfaces.png``.
 
     Nothing that is wrong with a library or a file ends the run.
 
