@@ -87,7 +87,7 @@ class PlateSolver:
         areas: by name, further regions whose energy runs give beside the plate's and the target's: rectangles x0, x1,
             y0, y1 [m], shapes, or weights (ny, nx) in cells.
         own: what plates may have of their own beside drives, see ``plate.designs``. The time step is the scene's: it
-            must carry their frequencies (that of a scene with ``search.frequency`` does).
+            must carry their frequencies.
         quantity: "velocity" or "displacement", of which energies are, see :class:`Run`.
         share: the part of the memory for plates that this solver may take, where several have plates at a time.
 
@@ -133,7 +133,7 @@ class PlateSolver:
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects in the compiled kernel."""
-        return effect_names(self.scene)
+        return effect_names(self.scene, several_waves=self.specialized.carriers > 1)
 
     def path_words(self, traced: bool = False) -> str:
         """How plates are stepped, for people: the path, and why it streams where it could not do better."""
