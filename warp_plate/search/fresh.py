@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from warp_plate.plate.designs import Designs
 from warp_plate.result.robust import RobustComparison
 from warp_plate.search.panels import solve_directly
 from warp_plate.search.robust import RobustProblem

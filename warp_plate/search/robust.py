@@ -76,7 +76,9 @@ class RobustProblem(Problem):
         if self.panels.matrices is None:
             return None
         least = []
-        for panel, matrices in zip(self.panels.each, np.split(self.panels.matrices, len(self.panels.each)), strict=True):
+        for panel, matrices in zip(
+            self.panels.each, np.split(self.panels.matrices, len(self.panels.each)), strict=True
+        ):
             forms = [Response(one) for one in np.split(matrices, 2 if panel.judge.needs_displacement else 1)]
             bound = bound_loss(self.variables, panel.judge, *forms)
             if bound is None:
