@@ -161,7 +161,7 @@ def test_paper_table(command, tmp_path, monkeypatch):
     single, published = map(float, rows["best single actuator"])
     assert single == pytest.approx(0.6367, abs=0.0005)
     assert published == 0.6367
-    assert rows["found by the swarm"][1] == "0.7200"
+    assert rows["found by the search"][1] == "0.7200"
     assert re.search(r"can't be\s+reproduced", out)
     for text in (
         "lower left",

@@ -21,7 +21,7 @@ from warp_plate.viz.comparison import common_scale, heading, quantity_of, rows_a
 from warp_plate.viz.lettering import key_of, lookup_table
 from warp_plate.viz.quantity import DISPLACEMENT, MODE
 from warp_plate.viz.scene3d import Line, lines_of
-from warp_plate.viz.surface import OnSurface, plate_meshes
+from warp_plate.viz.surface import OnSurface, PlateMeshes, plate_meshes
 
 # Fields are whole numbers up to PEAK in the page; STILL stands for what is no number.
 PEAK, STILL = 32767, -32768
@@ -88,16 +88,22 @@ def page_data(
         "table": _base64(lookup_table(scale).values.astype(np.uint8)),
         "key": key_of(scene),
         "triangles": _base64(meshes.surface.faces.reshape(-1, 4)[:, 1:].astype("<u4")),
-        "outlines": [_outline(line) for line in sorted(lines_of(meshes), key=lambda line: line.nearer)],
+        "outlines": _outlines(meshes),
         "plates": [
             {
                 "headings": [heading(motion, frame) for frame in range(len(motion.times))],
                 "heights": _whole(motion.displacement, peak),
                 "colours": None if same else _whole(shown.values(motion), scale.limit),
+                # Where its actuators are elsewhere; null: as the others'.
+                "outlines": _outlines(plate_meshes(motion.scene, fields[0][0], scale)) if motion.scene else None,
             }
             for motion in motions
         ],
     }
+
+
+def _outlines(meshes: PlateMeshes) -> list[dict[str, Any]]:
+    return [_outline(line) for line in sorted(lines_of(meshes), key=lambda line: line.nearer)]
 
 
 def _outline(line: Line) -> dict[str, Any]:

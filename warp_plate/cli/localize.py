@@ -12,7 +12,7 @@ from warp_plate.cli import output
 from warp_plate.cli.options import Whole
 from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
 from warp_plate.cli.resume import read_checkpoint, result_beside, way_on
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,11 +22,13 @@ if TYPE_CHECKING:
     from warp_plate.result.model import Result
     from warp_plate.search.checkpoints import CheckpointFile
 
-TRIED = {"direct": "plates simulated for the swarm", "response": "drives tried by the swarm on the Gram matrices"}
+TRIED = {"direct": "plates simulated for the search", "response": "drives tried by the search on the Gram matrices"}
+# Ending of the scene that is found.
+FOUND = ".best.toml"
 MEANING = {
     "equal": "all actuators alike",
     "single": "best single actuator",
-    "best": "found by the swarm",
+    "best": "found by the search",
     "bound": "bound: no drive passes it",
 }
 
@@ -41,6 +43,7 @@ def localize(
     path: Literal["auto", "resident", "streaming"] | None = None,
     accuracy: str | None = None,
     estimate: bool = True,
+    spectrum: bool = True,
     checkpoint_every: float = 30.0,
     resume: Path | None = None,
     out: Path | None = None,
@@ -52,6 +55,10 @@ def localize(
     Every actuator's magnitude and phase is searched, with the first actuator's held at 1 and 0. In a scene that is not
     linear in its drives (stretching, electrostatic force, a moving load) the first one's magnitude is the largest of
     those that the scene gives, which otherwise are for simulate.
+
+    A scene says by [search.magnitude], [search.phase], [search.frequency], [search.position] and [search.delay] what
+    else, and what not, is searched, by [search.limits] what the amplifier can do: see docs/searching.md. The scene that
+    is found is written beside the result as OUT.best.toml, which simulate runs.
 
     Ctrl-C ends the search with the best so far, and leaves a checkpoint beside the result: --resume goes on from it as
     if there had been no stop, to the same result to the last bit. So does a search that runs longer than
@@ -77,6 +84,9 @@ def localize(
         Such as 1% or 0.01: the relative error that localization factors may have, instead of the scene's grid.
     estimate
         End with an estimate of the result's error.
+    spectrum
+        After a search for one frequency of all actuators, take the localization factor over its whole range: of equal
+        drive, of the best single actuator and of the best drive at each frequency, with the plate's resonances.
     checkpoint_every
         Seconds between two checkpoints, at the end of an iteration: OUT.checkpoint.h5 for OUT.h5, and
         OUT.checkpoint.previous.h5, the one before. 0: after each iteration; inf: only after Ctrl-C.
@@ -95,7 +105,7 @@ def localize(
         raise SceneError("localize needs a SCENE (a preset's name or a TOML file), or --resume FILE")
     beside = None if resume is None else result_beside(resume)
     target = output.output_file(out or beside, scene or "", "localize")
-    loaded = None if scene is None else output.load_scene(scene, accuracy)
+    loaded = None if scene is None else output.load_scene(scene, accuracy, searched=True)
     from warp_plate.result.checkpoint import ENDING
     from warp_plate.search.checkpoints import CheckpointFile
 
@@ -113,7 +123,7 @@ def localize(
     elif loaded is not None:
         on = "auto" if device is None else device
         run = partial(search, loaded, scene or "", on, seed, evaluator or "direct", path or "auto")
-    result = _run(run, estimate, kept, shown=not json)
+    result = _run(partial(run, spectrum=spectrum), estimate, kept, shown=not json)
     files, missing = _write(result, target, pictures, kept)
     if json:
         output.print_json(as_json(result, files, kept.path if result.interrupted and kept.saved else None))
@@ -141,6 +151,7 @@ def _write(result: Result, target: Path, pictures: bool, kept: CheckpointFile) -
     """The result and its pictures, see ``output.write_files``; the checkpoint goes once the search is done."""
     try:
         files, missing = output.write_files(result, target, pictures)
+        files[1:1] = _write_found(result, target.with_suffix(FOUND))
     except SceneError as error:
         if kept.saved is None:
             raise
@@ -152,9 +163,25 @@ def _write(result: Result, target: Path, pictures: bool, kept: CheckpointFile) -
     return files, missing
 
 
+def _write_found(result: Result, path: Path) -> list[Path]:
+    """The scene that was found, for ``simulate``; nothing where no scene may have its numbers, which is told."""
+    from warp_plate.result.whole import write_whole
+    from warp_plate.scene.load import dump_scene
+
+    try:
+        scene = result.scene_of(result.cases["best"])
+    except SceneError as error:
+        output.tell(f"{path} is not written: {error}")
+        return []
+    head = f"# Found by: warp-plate localize {result.source}\n# Run it by: warp-plate simulate {path.name}\n"
+    write_whole((printable(head) + dump_scene(scene)).encode(), path)
+    return [path]
+
+
 def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -> dict[str, object]:
     """The object that ``--json`` prints; ``checkpoint``: what an interrupted search goes on from."""
     best = result.cases["best"]
+    own = {"frequency": best.frequency, "centre": best.centre, "delay": best.delay}
     factors = {name: case.localization_factor for name, case in result.cases.items()}
     history = {name: values.tolist() for name, values in result.history.items()}
     return {
@@ -164,16 +191,20 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
         "seed": result.seed,
         "localization_factor": {**factors, "bound": result.bound},
         "drive": [
-            {"actuator": actuator.name, "magnitude": magnitude, "phase": phase}
-            for actuator, magnitude, phase in zip(
-                result.scene.actuators, best.magnitude.tolist(), best.phase.tolist(), strict=True
-            )
+            {
+                "actuator": actuator.name,
+                "magnitude": float(best.magnitude[index]),
+                "phase": float(best.phase[index]),
+                **{name: values[index].tolist() for name, values in own.items() if values is not None},
+            }
+            for index, actuator in enumerate(result.scene.actuators)
         ],
         "evaluations": result.evaluations,
         "node_steps": result.node_steps,
         "seconds": dict(result.seconds),
         "effects": list(result.effects),
         "history": [dict(zip(history, row, strict=True)) for row in zip(*history.values(), strict=True)],
+        "spectrum": {name: values.tolist() for name, values in result.spectrum.items()},
         "evaluator": result.evaluator,
         "accuracy": dict(result.accuracy),
         "warnings": output.warnings_of(result),

@@ -70,10 +70,13 @@ def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int, str], 
 
 
 def drive_table(case: Case, scene: Scene) -> Table:
-    """A drive as the source paper's Table 1 gives it."""
-    made = table("actuator", f"magnitude ({scene.drive_unit})", "phase (rad)", "phase / π", title="Drive found")
-    for actuator, magnitude, phase in zip(scene.actuators, case.magnitude, case.phase, strict=True):
-        made.add_row(actuator.name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}")
+    """A drive as the source paper's Table 1 gives it, and after it what else was found."""
+    headings = ("actuator", f"magnitude ({scene.drive_unit})", "phase (rad)", "phase / π", *case.own)
+    made = table(*headings, title="Drive found")
+    for index, actuator in enumerate(scene.actuators):
+        magnitude, phase = case.magnitude[index], case.phase[index]
+        own = (f"{values[index]:.5g}" for values in case.own.values())
+        made.add_row(actuator.name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}", *own)
     return made
 
 
@@ -99,14 +102,16 @@ def output_file(out: Path | None, source: str, command: str, endings: Sequence[s
     return path
 
 
-def load_scene(source: str, accuracy: str | None = None, allow_unstable: bool = False) -> Scene:
+def load_scene(
+    source: str, accuracy: str | None = None, allow_unstable: bool = False, searched: bool = False
+) -> Scene:
     """The scene, with the checks that need its grid already made, so that their errors name the file as well.
 
     accuracy: what ``--accuracy`` says; it takes the place of the scene's grid. allow_unstable: whether its time step
-    may be above the limit.
+    may be above the limit. searched: whether what its search frees must fit too.
 
     Raises:
-        SceneError: see ``Scene.load``, ``make_scheme`` and ``patches``; or no accuracy.
+        SceneError: see ``Scene.load``, ``make_scheme``, ``patches`` and ``variables_of``; or no accuracy.
     """
     from warp_plate.plate.scheme import make_scheme
     from warp_plate.plate.weights import patches
@@ -120,6 +125,11 @@ def load_scene(source: str, accuracy: str | None = None, allow_unstable: bool = 
     try:
         make_scheme(scene, allow_unstable)
         patches(scene)
+        if searched:
+            from warp_plate.search.free import with_step
+            from warp_plate.search.variables import variables_of
+
+            variables_of(with_step(scene))
     except SceneError as error:
         raise SceneError(f"{source}: {error}") from None
     return scene
@@ -168,7 +178,7 @@ def warnings_of(result: Result) -> list[str]:
     lost = next((one.status for one in result.cases.values() if one.status != "ok"), None)
     if lost is not None:
         return [why_no_energies(result.scene, lost)]
-    return exceeded(result.scene, result.peak)
+    return exceeded(result.placed(result.judged), result.peak)
 
 
 def print_warnings(result: Result, console: Console) -> None:

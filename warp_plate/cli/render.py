@@ -165,7 +165,8 @@ def _around(
     last = result.scene.window.end
     if not 0 <= time <= last:
         raise SceneError(f"--time {time:g}: must be from 0 to {last:g} s")
-    period = min(1 / result.scene.drive.frequency, last)
+    lowest = min(result.placed(case).drive.frequency for case in result.cases.values())
+    period = min(1 / lowest, last)
     first = min(time, last - period)
     return first, first + period
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from warp_plate.plate.found import scene_with
 from warp_plate.scene.model import Scene
+from warp_plate.scene.search import Objective
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,21 @@ class Case:
         return np.where(self.drive == 0, 0.0, np.mod(-np.angle(self.drive), 2 * np.pi))
 
 
+    @property
+    def own(self) -> dict[str, np.ndarray]:
+        """(actuators,) by headings for people, what is not the scene's."""
+        x, y = (None, None) if self.centre is None else self.centre.T
+        found = {"frequency (Hz)": self.frequency, "x (m)": x, "y (m)": y, "burst from (s)": self.delay}
+        return {heading: values for heading, values in found.items() if values is not None}
+
+
+def placed(scene: Scene, case: Case) -> Scene:
+    """The scene of a result with a case's frequencies, places and burst starts; itself where it has none."""
+    if not case.own:
+        return scene
+    return scene_with(scene, None, None, case.frequency, case.centre, case.delay)
+
+
 @dataclass(frozen=True)
 class Result:
     """Everything that ``localize`` or ``simulate`` found, with all that is needed to run it again.
@@ -58,7 +74,8 @@ class Result:
     cases: by name; ``localize`` has "equal", "single" and "best", ``simulate`` has "drive".
     times: (times,) of the displacements [s]; trace_times: (steps,) of the traces [s].
     bound: largest localization factor that any drive can reach; None where none is claimed.
-    history: for each iteration of the search, arrays "evaluations", "best", "mean" (localization factors).
+    history: for each iteration of the search, arrays "evaluations", "best", "mean": localization factors, or weighted
+        sums of what else is sought.
     seconds: "compile" and "solve", and "choose" and "estimate" where these were done.
     accuracy: what is known of the result's errors, of numbers and texts only: "asked" and "reason" where the scene
         asked for an accuracy instead of a grid, "estimate" of the localization factors.
@@ -92,9 +109,7 @@ class Result:
 
     def placed(self, case: Case) -> Scene:
         """The scene with a case's frequencies, places and burst starts."""
-        if case.frequency is None and case.centre is None and case.delay is None:
-            return self.scene
-        return scene_with(self.scene, None, None, case.frequency, case.centre, case.delay)
+        return placed(self.scene, case)
 
     def scene_of(self, case: Case) -> Scene:
         """The scene that ``simulate`` runs as this case: ``placed``, and with its drive.
@@ -103,6 +118,11 @@ class Result:
             SceneError: a magnitude beyond what a scene may have.
         """
         return scene_with(self.placed(case), case.magnitude, case.phase)
+
+    @property
+    def only_localization(self) -> bool:
+        """Whether the localization factor is all that was sought."""
+        return self.scene.search.objectives == (Objective(),)
 
     @property
     def judged(self) -> Case:

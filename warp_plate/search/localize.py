@@ -177,7 +177,7 @@ def _finish(
     if estimate:
         known = stage if found.scene is scene else None  # the reference of another plate tells nothing
         accuracy |= estimated(found.scene, found.drives, found.run, seconds, problem.plain.device.alias, known)
-    made = make_spectrum(problem, seconds) if spectrum and not interrupted else {}
+    made = make_spectrum(problem, found.cases["best"], seconds) if spectrum and not interrupted else {}
     return Result(
         command="localize",
         source=begun.source,
