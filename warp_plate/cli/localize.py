@@ -12,6 +12,7 @@ from warp_plate.cli import output
 from warp_plate.cli.options import Whole
 from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
 from warp_plate.cli.resume import read_checkpoint, result_beside, way_on
+from warp_plate.cli.robust_table import print_robust, robust_json
 from warp_plate.scene.errors import SceneError, printable
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ FOUND = ".best.toml"
 MEANING = {
     "equal": "all actuators alike",
     "single": "best single actuator",
+    "nominal": "found without scatter",
     "best": "found by the search",
     "bound": "bound: no drive passes it",
 }
@@ -60,6 +62,9 @@ def localize(
     else, and what not, is searched, by [search.limits] what the amplifier can do: see docs/searching.md. The scene that
     is found is written beside the result as OUT.best.toml, which simulate runs.
 
+    With [search.robust] the drive is judged by many panels drawn within tolerances, and compared over fresh ones with
+    what the same search finds for the nominal panel alone: see docs/robust.md.
+
     Ctrl-C ends the search with the best so far, and leaves a checkpoint beside the result: --resume goes on from it as
     if there had been no stop, to the same result to the last bit. So does a search that runs longer than
     --checkpoint-every, in case the machine stops. A search that comes to its end takes its checkpoint away.
@@ -76,7 +81,7 @@ def localize(
         Of the swarm; the scene's when left out.
     evaluator
         direct simulates a plate for each particle; response uses Gram matrices of unit responses instead. direct when
-        left out.
+        left out, of a robust search response where it holds.
     path
         How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch). auto,
         the faster one, when left out.
@@ -122,7 +127,7 @@ def localize(
         run = partial(go_on, checkpoint, device)
     elif loaded is not None:
         on = "auto" if device is None else device
-        run = partial(search, loaded, scene or "", on, seed, evaluator or "direct", path or "auto")
+        run = partial(search, loaded, scene or "", on, seed, evaluator, path or "auto")
     result = _run(partial(run, spectrum=spectrum), estimate, kept, shown=not json)
     files, missing = _write(result, target, pictures, kept)
     if json:
@@ -204,6 +209,7 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
         "seconds": dict(result.seconds),
         "effects": list(result.effects),
         "history": [dict(zip(history, row, strict=True)) for row in zip(*history.values(), strict=True)],
+        "robust": robust_json(result.robust),
         "spectrum": {name: values.tolist() for name, values in result.spectrum.items()},
         "evaluator": result.evaluator,
         "accuracy": dict(result.accuracy),
@@ -221,11 +227,14 @@ def _print(result: Result, console: Console) -> None:
     console.print(result.scene.title or result.source)
     made = output.table(*headings)
     for name, meaning in MEANING.items():
+        if name not in factors and name != "bound":
+            continue
         value = result.bound if name == "bound" else factors[name]
         row = [meaning, "none claimed" if value is None else f"{value:.4f}"]
         made.add_row(*row, *([f"{published[name]:.4f}" if name in published else ""] if published else []))
     console.print(made)
     console.print()
+    print_robust(result, console)
     console.print(output.drive_table(result.cases["best"], result.scene))
     console.print()
     if result.interrupted:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from warp_plate.plate.found import scene_with
+from warp_plate.result.robust import RobustComparison
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Objective
 
@@ -83,6 +84,7 @@ class Result:
     peak: largest displacement [m] seen over the run under the drive of ``judged``; None where nothing was looked at.
     spectrum: of a search for a frequency, over the "frequency" [Hz] of its range, the localization factors "equal",
         "single" and "best" (of any drive), and the "resonances" [Hz] in it; empty where none was made.
+    robust: of a robust search, its drive and the "nominal" one, a case too, over fresh scenarios.
     """
 
     command: str
@@ -106,6 +108,7 @@ class Result:
     accuracy: Mapping[str, Any] = field(default_factory=dict)
     peak: float | None = None
     spectrum: Mapping[str, np.ndarray] = field(default_factory=dict)
+    robust: RobustComparison | None = None
 
     def placed(self, case: Case) -> Scene:
         """The scene with a case's frequencies, places and burst starts."""
