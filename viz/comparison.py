@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 DRIVES = {
     "equal": "equal drive",
     "single": "single actuator",
+    "nominal": "found without scatter",
     "best": "best drive found",
     "drive": "given drive",
 }

@@ -51,7 +51,8 @@ def print_robust(result: Result, console: Console) -> None:
     if robust is None:
         return
     if compared is None:
-        console.print("Not compared with the nominal drive: Ctrl-C came first, or a fresh scenario is no plate.\n")
+        why = "none was found, Ctrl-C came first, or a fresh scenario is no plate"
+        console.print(f"Not compared with a nominal drive: {why}.\n")
         return
     what = "localization factor" if compared.localization else "weighted sum of objectives"
     made = output.table(what, "robust drive", "nominal drive")

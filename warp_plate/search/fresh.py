@@ -19,7 +19,7 @@ from warp_plate.search.scenarios import draw_scenarios
 
 
 def against_nominal(
-    problem: RobustProblem, begun: Checkpoint, position: np.ndarray, seconds: dict[str, float]
+    problem: RobustProblem, begun: Checkpoint, position: np.ndarray | None, seconds: dict[str, float]
 ) -> tuple[RobustComparison | None, dict[str, Case], int]:
     """The position (dimension,) that a robust search found, beside what the same search finds without scatter.
 
@@ -27,14 +27,15 @@ def against_nominal(
     of one a scenario. Adds its "robust" seconds.
 
     Returns:
-        The comparison, None where Ctrl-C came first or a fresh scenario is no plate; the nominal drive's case by name;
-        and node-steps of what is not the problem's.
+        The comparison, None where nothing was found, Ctrl-C came first or a fresh scenario is no plate; the nominal
+        drive's case by name; and node-steps of what is not the problem's.
     """
     started, nominal = time.perf_counter(), problem.nominal
     searcher = searcher_of(nominal, begun.seed)
-    assert searcher is not None
+    if searcher is None or position is None:
+        return None, {}, 0
     found, interrupted = run_search(replace(begun, swarm=searcher.state(False)), nominal, None, None)
-    if interrupted or found is None:
+    if interrupted or found is None or found.result.xbest is None:
         return None, {}, 0
     try:
         last = last_runs(nominal, begun.single, found.result.xbest)

@@ -20,7 +20,7 @@ from warp_plate.scene.search import Robust
 from warp_plate.search.bounds import Bound
 from warp_plate.search.loss_bound import bound_loss
 from warp_plate.search.panels import Panels, measure_scenarios, solve_directly
-from warp_plate.search.problem import Evaluator, Problem, make_problem
+from warp_plate.search.problem import Problem, make_problem
 from warp_plate.search.quadratic import Quadratic
 from warp_plate.search.scenarios import draw_scenarios
 from warp_plate.solve.response import Response
@@ -97,7 +97,7 @@ def problem_of(
     scene: Scene,
     device: str = "auto",
     path: str = "auto",
-    evaluator: Evaluator | None = None,
+    evaluator: str | None = None,
     matrices: np.ndarray | None = None,
 ) -> Problem:
     """The problem of a scene with a grid, robust where it has ``[search.robust]``; for the arguments see
