@@ -41,7 +41,7 @@ def test_the_robust_drive_beats_the_nominal_one_in_the_worst_twentieth(robust, s
     assert rows["worst_5_percent"][0] > rows["worst_5_percent"][1]
     assert rows["searched"][0] > rows["searched"][1]
     assert rows["nominal_plate"][0] < rows["nominal_plate"][1]
-    assert compared.bound > rows["searched"][0]
+    assert compared.bound >= rows["searched"][0] - 1e-9  # attained where one scenario alone decides
     assert compared.failed.tolist() == [0, 0]
 
 
@@ -56,7 +56,9 @@ def test_losses_are_the_measure_over_scenarios_and_no_drive_passes_the_bound(rob
     np.testing.assert_array_equal(losses, measured(problem.panels.losses(designs), problem.robust))
     np.testing.assert_allclose(problem.quadratic.losses(positions), losses, rtol=1e-12)
     assert np.all(losses > problem.bound_of_loss.value)
-    np.testing.assert_array_equal(problem.nominal.losses(positions), problem.judge.losses(problem.response.energy(designs.drives)))
+    np.testing.assert_array_equal(
+        problem.nominal.losses(positions), problem.judge.losses(problem.response.energy(designs.drives))
+    )
     direct = problem_of(robust(measure=measure, scenarios=5), "cpu", evaluator="direct")
     assert direct.quadratic is None
     assert direct.bound_of_loss is None
@@ -69,7 +71,9 @@ def test_what_is_not_quadratic_is_simulated(robust):
     stretching = problem_of(robust({"damping": {"viscous": 20.0}, "stretching": {}}, scenarios=3), "cpu")
     for problem in (places, stretching):
         assert problem.evaluator == "direct"
-        start = np.random.default_rng(0).uniform(problem.space.first_low, problem.space.first_high, (4, problem.space.dimension))
+        start = np.random.default_rng(0).uniform(
+            problem.space.first_low, problem.space.first_high, (4, problem.space.dimension)
+        )
         losses = problem.losses(start)
         assert np.isfinite(losses).all()
         scattered = problem.panels.losses(problem.variables.designs(start))
