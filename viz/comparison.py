@@ -25,6 +25,7 @@ DRIVES = {
     "single": "single actuator",
     "time_reversal": "time reversal",
     "inverse_filter": "inverse filter",
+    "nominal": "found without scatter",
     "best": "best drive found",
     "drive": "given drive",
 }

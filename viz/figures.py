@@ -15,6 +15,7 @@ from warp_plate.viz.comparison import DRIVES, ordered
 from warp_plate.viz.crosstalk_plot import draw_crosstalk
 from warp_plate.viz.lettering import add_legend
 from warp_plate.viz.quantity import scale_over
+from warp_plate.viz.robust_plot import draw_robust
 from warp_plate.viz.scene3d import add_plate
 from warp_plate.viz.spectrum_plot import draw_spectrum
 from warp_plate.viz.surface import caption
@@ -37,7 +38,7 @@ PUBLISHED_LOSS = 0.28
 
 
 def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
-    """Draw what the result holds: ``<stem>-history.png``, ``-crosstalk.png``, ``-spectrum.png`` and ``-surfaces.png``.
+    """Draw what the result holds: ``<stem>-history.png``, ``-robust``, ``-crosstalk``, ``-spectrum`` and ``-surfaces``.
 
     Nothing that is wrong with a library or a file ends the run.
 
@@ -49,6 +50,8 @@ def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
         jobs.append((draw_history, "history", missing_plots))
     if result.scene.targets and result.command == "localize":
         jobs.append((draw_crosstalk, "crosstalk", missing_plots))
+    if result.robust is not None and np.isfinite(result.robust.fresh).any():
+        jobs.append((draw_robust, "robust", missing_plots))
     if result.spectrum:
         jobs.append((draw_spectrum, "spectrum", missing_plots))
     if result.times.size:
@@ -125,8 +128,10 @@ def _plot_history(axes: Axes, result: Result) -> None:
         mean = top - _finite(result.history["mean"])
         axes.plot(iteration, mean, color="#9ecae1", linewidth=1.0, marker=marker, label="swarm mean")
     axes.plot(iteration, best, color="#08519c", linewidth=1.6, marker=marker, label="best so far")
-    if result.bound is not None:
-        loss = 1 - result.bound
+    # Of a robust search the history is of its measure, which has a bound of its own.
+    bound = result.bound if result.scene.search.robust is None else getattr(result.robust, "bound", None)
+    if bound is not None:
+        loss = top - bound
         axes.axhline(loss, color="#b2182b", linewidth=1.0, linestyle="--", label=f"bound: {loss:.4f}")
     if result.source == "paper":
         label = f"published: {PUBLISHED_LOSS:g}"

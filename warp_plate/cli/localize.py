@@ -13,6 +13,7 @@ from warp_plate.cli.crosstalk import crosstalk_json, crosstalk_table
 from warp_plate.cli.options import Whole
 from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
 from warp_plate.cli.resume import read_checkpoint, result_beside, way_on
+from warp_plate.cli.robust_table import print_robust, robust_json
 from warp_plate.scene.errors import SceneError, printable
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ MEANING = {
     "single": "best single actuator",
     "time_reversal": "time reversal to the target's middle",
     "inverse_filter": "regularised inverse filter",
+    "nominal": "found without scatter",
     "best": "found by the search",
     "bound": "bound: no drive passes it",
 }
@@ -64,6 +66,9 @@ def localize(
     else, and what not, is searched, by [search.limits] what the amplifier can do: see docs/searching.md. The scene that
     is found is written beside the result as OUT.best.toml, which simulate runs.
 
+    With [search.robust] the drive is judged by many panels drawn within tolerances, and compared over fresh ones with
+    what the same search finds for the nominal panel alone: see docs/robust.md.
+
     Ctrl-C ends the search with the best so far, and leaves a checkpoint beside the result: --resume goes on from it as
     if there had been no stop, to the same result to the last bit. So does a search that runs longer than
     --checkpoint-every, in case the machine stops. A search that comes to its end takes its checkpoint away.
@@ -80,7 +85,7 @@ def localize(
         Of the swarm; the scene's when left out.
     evaluator
         direct simulates a plate for each particle; response uses Gram matrices of unit responses instead. direct when
-        left out.
+        left out, of a robust search response where it holds.
     path
         How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch). auto,
         the faster one, when left out.
@@ -128,7 +133,7 @@ def localize(
         run = partial(go_on, checkpoint, device)
     elif loaded is not None:
         on = "auto" if device is None else device
-        run = partial(search, loaded, scene or "", on, seed, evaluator or "direct", path or "auto")
+        run = partial(search, loaded, scene or "", on, seed, evaluator, path or "auto")
     if baselines:
         from warp_plate.search.baselines import check_baselines, with_baselines
 
@@ -216,6 +221,7 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
         "seconds": dict(result.seconds),
         "effects": list(result.effects),
         "history": [dict(zip(history, row, strict=True)) for row in zip(*history.values(), strict=True)],
+        "robust": robust_json(result.robust),
         "spectrum": {name: values.tolist() for name, values in result.spectrum.items()},
         "evaluator": result.evaluator,
         "accuracy": dict(result.accuracy),
@@ -241,6 +247,7 @@ def _print(result: Result, console: Console) -> None:
         made.add_row(*row, *([f"{published[name]:.4f}" if name in published else ""] if published else []))
     console.print(made)
     console.print()
+    print_robust(result, console)
     console.print(output.drive_table(result.cases["best"], result.scene))
     console.print()
     if result.several:

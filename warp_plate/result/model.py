@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from warp_plate.plate.found import scene_with
+from warp_plate.result.robust import RobustComparison
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Objective
 
@@ -100,6 +101,7 @@ class Result:
         "single" and "best" (of any drive), and the "resonances" [Hz] in it; empty where none was made.
     several: of a scene with several targets, the search for each that was come to; ``bound`` and ``history`` are the
         first's. Cases: see ``result.crosstalk``.
+    robust: of a robust search, its drive and the "nominal" one, a case too, over fresh scenarios.
     """
 
     command: str
@@ -124,6 +126,7 @@ class Result:
     peak: float | None = None
     spectrum: Mapping[str, np.ndarray] = field(default_factory=dict)
     several: tuple[Found, ...] = ()
+    robust: RobustComparison | None = None
 
     def placed(self, case: Case) -> Scene:
         """The scene with a case's frequencies, places and burst starts."""

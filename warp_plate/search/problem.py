@@ -133,8 +133,6 @@ class Problem:
     @cached_property
     def bound_of_loss(self) -> Bound | None:
         """The least loss that is proved to be out of reach; None where none is claimed."""
-        if self.scene.search.robust is not None:
-            return None
         return bound_loss(self.variables, self.judge, self.response, self.moved_response)
 
     @cached_property
