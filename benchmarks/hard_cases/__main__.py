@@ -136,12 +136,12 @@ def draw(pictures: list[tuple[Case, dict[str, Measured]]], path: Path) -> None:
     from matplotlib.figure import Figure
 
     rows = max(1, math.ceil(len(pictures) / COLUMNS))
-    figure = Figure(figsize=(2.9 * COLUMNS, 2.5 * rows), layout="constrained")
+    figure = Figure(figsize=(3.1 * COLUMNS, 2.5 * rows), layout="constrained")
     panels, lines = [], []
     for index, (case, shown) in enumerate(pictures):
         axes = figure.add_subplot(rows, COLUMNS, index + 1)
         panels.append(axes)
-        axes.set_title(textwrap.fill(case.name, 30), fontsize=9)
+        axes.set_title(textwrap.fill(case.name, 34), fontsize=9)
         axes.tick_params(labelsize=8)
         last = shown["float64"]
         if last.curve is None and last.shape is not None:
@@ -158,7 +158,12 @@ def draw(pictures: list[tuple[Case, dict[str, Measured]]], path: Path) -> None:
                 axes.set_xlabel(name_x, fontsize=8)
                 axes.set_ylabel(name_y, fontsize=8)
     bar = figure.colorbar(
-        ScalarMappable(Normalize(-1, 1), colormaps[COLOURS]), ax=panels, location="top", shrink=0.3, aspect=40
+        ScalarMappable(Normalize(-1, 1), colormaps[COLOURS]),
+        ax=panels,
+        location="top",
+        shrink=0.3,
+        aspect=40,
+        pad=0.006,
     )
     bar.set_label("plates: share of the largest value in the panel")
     figure.legend(handles=lines[:2], loc="upper left", title="curves", frameon=False)
