@@ -191,7 +191,7 @@ def _print(result: Result, console: Console) -> None:
     made = output.table(*headings)
     for name, meaning in MEANING.items():
         value = result.bound if name == "bound" else factors[name]
-        row = [meaning, "none claimed" if value is None else f"{value:.4f}"]
+        row = [meaning, "none claimed" if value is None else output.known(value, ".4f")]
         made.add_row(*row, *([f"{published[name]:.4f}" if name in published else ""] if published else []))
     console.print(made)
     console.print()

@@ -21,6 +21,7 @@ import numpy as np
 
 from warp_plate.plate.weights import REGIONS
 from warp_plate.result.plain import count, names_in, numbers, opened, put, save_hdf5, table, text
+from warp_plate.result.whole import intact
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene
@@ -108,6 +109,8 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
 def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
     """The checkpoint; or the one before it and a sentence that says so, where the file is damaged or missing.
 
+    A whole file of another kind is neither: whoever names a result means the checkpoint, not the one before it.
+
     Raises:
         SceneError: neither can be read; says what is wrong with the first.
     """
@@ -115,7 +118,7 @@ def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
         return load_checkpoint(path), None
     except SceneError as error:
         previous = previous_of(path)
-        if previous == path or not previous.exists():
+        if previous == path or not previous.exists() or intact(path):
             raise
         try:
             checkpoint = load_checkpoint(previous)

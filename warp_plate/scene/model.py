@@ -130,7 +130,7 @@ class Search(Table):
     """The particle swarm, with the paper's names: w (inertia), κ (decay), c₁ (cognitive), c₂ (social)."""
 
     particles: Annotated[int, Field(ge=2, le=10_000_000)] = 20
-    iterations: Annotated[int, Field(ge=1)] = 80
+    iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] = 80
     inertia: Weight = 0.4
     decay: Annotated[float, Field(gt=0, le=1)] = 0.99
     cognitive: Weight = 2.0
