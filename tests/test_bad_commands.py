@@ -135,7 +135,8 @@ def test_a_name_that_leaves_no_room_is_refused_before_any_work(folder, command):
     before = files()
     for out in ("y" * (most + 1) + ".h5", "ä" * (most // 2 + 1) + ".h5"):
         for name in ("simulate", "localize"):
-            assert f"beside it take {len(LONGEST_ENDING) - 2} bytes more" in refused(command(name, "panel.toml", "--out", out))
+            line = refused(command(name, "panel.toml", "--out", out))
+            assert f"beside it take {len(LONGEST_ENDING) - 2} bytes more" in line
     for name, ending in (("render", ".png"), ("export", ".pvd")):
         to = ["--to", "pvd"] if name == "export" else []
         line = refused(command(name, "y" * most + ".h5", *to, "--out", "y" * (most + 1) + ending))

@@ -81,7 +81,6 @@ class CheckpointFile:
         for path in (self.path, previous_of(self.path), *left):
             path.unlink(missing_ok=True)
 
-
     def _another_writes(self) -> bool:
         """Whether the file is another search's by now, which is said once."""
         found = _mark(self.path)
