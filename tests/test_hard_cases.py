@@ -13,7 +13,8 @@ from warp_plate.solve import status
 
 ROOT = Path(__file__).parents[1]
 PRECISIONS = ("float32", "float64")
-IN_FULL = [case for case in CASES if case.name.startswith(("lossless", "driven exactly"))]
+# All but those on the finest grids, whose steps take minutes.
+IN_FULL = [case for case in CASES if not case.name.startswith(("rounding on 257", "rounding on 513"))]
 
 
 def marked():
