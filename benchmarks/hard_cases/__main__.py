@@ -3,7 +3,7 @@
     python benchmarks/hard_cases                                  # here, with as many steps as the catalogue asks for
     python benchmarks/hard_cases --short --only limit             # fewer steps, and cases with this in their names
     python benchmarks/hard_cases --device cuda --out h200.json --picture hard-cases.png
-    python benchmarks/hard_cases --only decay --into benchmarks/results/hard-cases-cpu.json  # these rows anew
+    python benchmarks/hard_cases --only decay lossless --into benchmarks/results/hard-cases-cpu.json  # these rows anew
     python benchmarks/hard_cases --page docs/hard-cases.md CPU=a.json H200=b.json   # figures into the page's table
 
 Numbers need warp-plate alone, the picture Matplotlib. The resident path takes all steps; the streaming path, which
@@ -33,7 +33,7 @@ BEGIN, END = "<!-- table of hard cases -->", "<!-- end of the table -->"
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="auto")
-    parser.add_argument("--only", default="", help="cases with this in their names")
+    parser.add_argument("--only", nargs="+", default=[""], help="cases with one of these in their names or groups")
     parser.add_argument("--short", action="store_true", help="fewer steps, as in the tests")
     parser.add_argument("--out", type=Path, help="JSON file to write")
     parser.add_argument("--into", type=Path, help="JSON file of this device whose rows of these cases are replaced")
@@ -45,7 +45,8 @@ def main() -> None:
         write_table(asked.page, dict(pair.split("=", 1) for pair in asked.files))
         return
     device = find_device(asked.device)
-    chosen = [case for case in CASES if asked.only.lower() in f"{case.group} {case.name}".lower()]
+    wanted = [word.lower() for word in asked.only]
+    chosen = [case for case in CASES if any(word in f"{case.group} {case.name}".lower() for word in wanted)]
     rows, pictures = [], []
     try:
         for case in chosen:

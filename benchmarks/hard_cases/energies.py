@@ -34,7 +34,7 @@ def conserved(name: str, where: Where) -> Measured:
 
     In float32 it walks at random, so the root mean square of many plates is what another machine would find as well.
     """
-    steps = where.steps(1_000_000, 8000)
+    steps = where.steps(1_000_000, 3000)
     scene = stepped(scene_of((13, 13), **FREE[name]), 0.9, steps)  # type: ignore[arg-type]
     step = make_scheme(scene).time_step
     frequency = 1 / (41 * step)
@@ -93,10 +93,10 @@ def damped(kind: str, where: Where) -> Measured:
     """Largest displacement over the static one, for damping from none to 10⁶ times critical, driven below resonance."""
     scene = scene_of((13, 13), areas=((0.05, 0.11, 0.06, 0.12),))
     lowest = natural_modes(with_end(scene, 1e-3), 1).frequencies[0]
-    turn, static = 2 * math.pi * lowest, _static(scene)
+    static = _static(scene)
     reached = []
     for factor in FACTORS:
-        trial = _damped_run(scene, kind, factor, lowest, where)
+        trial = _damped_run(scene, kind, factor, lowest, where.steps(400_000, 4000))
         run = where.solver(trial).run([[1.0]], (), [(0.08, 0.09)])
         reached.append(float(np.abs(run.trace).max()) / static if run.status[0] == "ok" else math.inf)
     return Measured(max(reached), (_decades(), np.array(reached), "log₁₀ c/c_crit", "largest u / static"))
@@ -113,7 +113,7 @@ def followed(kind: str, where: Where) -> Measured:
     push = float((weight * patches(scene)[0]).sum()) / make_scheme(scene).surface_density
     apart = []
     for factor in FACTORS:
-        trial = _damped_run(scene, kind, factor, lowest, where)
+        trial = _damped_run(scene, kind, factor, lowest, where.steps(40_000, 4000))
         scheme = make_scheme(trial)
         times = scheme.time_step * np.unique(np.linspace(1, scheme.window[1], SAMPLES).astype(int))
         run = where.solver(trial).run([[1.0]], times)
@@ -136,9 +136,9 @@ def oscillator(times: np.ndarray, loss: float, turn: float, driven: float) -> np
     return (steady * np.exp(1j * driven * times)).real + np.real(free)
 
 
-def _damped_run(scene: Scene, kind: str, factor: float, lowest: float, where: Where) -> Scene:
+def _damped_run(scene: Scene, kind: str, factor: float, lowest: float, most: int) -> Scene:
     """The scene with a part of the critical damping of its lowest mode [Hz], driven at 0.3 of that, over three of its
-    periods, or as many steps as are quick where steps must be short."""
+    periods, or the most steps where these must be short."""
     turn = 2 * math.pi * lowest
     effects = {
         "viscous": {"damping": {"viscous": 2 * 0.5 * turn * factor}},
@@ -147,7 +147,7 @@ def _damped_run(scene: Scene, kind: str, factor: float, lowest: float, where: Wh
     }[kind]
     trial = scene.with_tables(effects=effects)
     limit = make_scheme(with_end(trial, 1e-6)).limit
-    steps = min(where.steps(400_000, 4000), math.ceil(3 / lowest / (0.9 * limit)))
+    steps = min(most, math.ceil(3 / lowest / (0.9 * limit)))
     return stepped(trial, 0.9, steps, 0.3 * lowest)
 
 

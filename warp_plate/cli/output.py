@@ -112,21 +112,22 @@ def refuse_place(path: Path) -> None:
         there = not path.parent.is_dir() and f"no such folder: {path.parent}"
     except (OSError, ValueError) as error:  # a name too long, or with characters that no name may have
         there = f"no name for a file: {getattr(error, 'strerror', None) or error}"
-    there = there or _no_room_beside(path)
+    if not there:
+        there = _no_room_beside(path)
     if there or not os.access(path.parent, os.W_OK):
         raise SceneError(f"--out {path}: {there or f'no permission to write to the folder {path.parent}'}")
 
 
-def _no_room_beside(path: Path) -> str | None:
+def _no_room_beside(path: Path) -> str | bool:
     """Why the longest name of those beside a file is none, if so: the system alone knows how long one may be."""
     try:
         path.with_name(f".{path.stem}{LONGEST_ENDING}").stat()
     except FileNotFoundError:
-        return None
+        return False
     except OSError as error:
         added = len(LONGEST_ENDING) + 1 - len(path.suffix)
         return f"{error.strerror}: those of the files beside it take {added} bytes more"
-    return None
+    return False
 
 
 def load_scene(source: str, accuracy: str | None = None, allow_unstable: bool = False) -> Scene:
