@@ -3,6 +3,7 @@
     python benchmarks/hard_cases                                  # here, with as many steps as the catalogue asks for
     python benchmarks/hard_cases --short --only limit             # fewer steps, and cases with this in their names
     python benchmarks/hard_cases --device cuda --out h200.json --picture hard-cases.png
+    python benchmarks/hard_cases --only decay lossless --into benchmarks/results/hard-cases-cpu.json  # these rows anew
     python benchmarks/hard_cases --page docs/hard-cases.md CPU=a.json H200=b.json   # figures into the page's table
 
 Numbers need warp-plate alone, the picture Matplotlib. The resident path takes all steps; the streaming path, which
@@ -35,9 +36,10 @@ BEGIN, END = "<!-- table of hard cases -->", "<!-- end of the table -->"
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="auto")
-    parser.add_argument("--only", default="", help="cases with this in their names")
+    parser.add_argument("--only", nargs="+", default=[""], help="cases with one of these in their names or groups")
     parser.add_argument("--short", action="store_true", help="fewer steps, as in the tests")
     parser.add_argument("--out", type=Path, help="JSON file to write")
+    parser.add_argument("--into", type=Path, help="JSON file of this device whose rows of these cases are replaced")
     parser.add_argument("--picture", type=Path, help="PNG file to draw")
     parser.add_argument("--page", type=Path, help="page whose table is written anew from the files")
     parser.add_argument("files", nargs="*", help="for --page: COLUMN=FILE.json ...")
@@ -46,7 +48,8 @@ def main() -> None:
         write_table(asked.page, dict(pair.split("=", 1) for pair in asked.files))
         return
     device = find_device(asked.device)
-    chosen = [case for case in CASES if asked.only.lower() in f"{case.group} {case.name}".lower()]
+    wanted = [word.lower() for word in asked.only]
+    chosen = [case for case in CASES if any(word in f"{case.group} {case.name}".lower() for word in wanted)]
     rows, pictures = [], []
     try:
         for case in chosen:
@@ -57,8 +60,10 @@ def main() -> None:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
     found = {"device": device_name(device), "versions": versions(), "long": not asked.short, "cases": rows}
-    if asked.out:
-        asked.out.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    for path in (asked.out, asked.into):
+        if path:
+            whole = merged(found, json.loads(path.read_text(encoding="utf-8"))) if path is asked.into else found
+            path.write_text(json.dumps(whole, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     if asked.picture:
         draw(pictures, asked.picture)
     failed = [row["name"] for row in rows if not row["kept"]]
@@ -66,9 +71,18 @@ def main() -> None:
     sys.exit(bool(failed))
 
 
+def merged(found: dict[str, object], before: dict[str, object]) -> dict[str, object]:
+    """What was found, with the rows of the catalogue that it lacks from before."""
+    if (found["device"], found["long"]) != (before["device"], before["long"]):
+        sys.exit(f"--into: that file is of {before['device']}, long: {before['long']}")
+    rows = {row["name"]: row for row in [*before["cases"], *found["cases"]]}  # type: ignore[misc]
+    return {**found, "cases": [rows[case.name] for case in CASES if case.name in rows]}
+
+
 def measured(case: Case, device: str, long: bool) -> tuple[dict[str, object], dict[str, Measured]]:
     """A row of the table, and what the picture shows, by precision."""
     values: dict[str, dict[str, float | None]] = {}
+    slowdowns: dict[str, float] = {}
     shown = {}
     kept, started = True, time.perf_counter()
     for precision in PRECISIONS:
@@ -78,6 +92,8 @@ def measured(case: Case, device: str, long: bool) -> tuple[dict[str, object], di
             shown.setdefault(precision, found)
             values[precision][path] = float(found.value) if math.isfinite(found.value) else None
             kept = kept and bool(found.value <= case.allowed[precision])
+            if found.slowdown is not None:
+                slowdowns[precision] = round(found.slowdown, 3)
     row = {
         "group": case.group,
         "name": case.name,
@@ -85,6 +101,7 @@ def measured(case: Case, device: str, long: bool) -> tuple[dict[str, object], di
         "quantity": case.quantity,
         "allowed": dict(case.allowed),
         "measured": values,
+        **({"slowdown": slowdowns} if slowdowns else {}),
         "kept": kept,
         "seconds": round(time.perf_counter() - started, 2),
     }
@@ -92,9 +109,11 @@ def measured(case: Case, device: str, long: bool) -> tuple[dict[str, object], di
 
 
 def largest(row: dict[str, object], precision: str) -> str:
-    """The larger value of the two paths, for people."""
+    """The larger value of the two paths, for people; and where runs were timed, the longest over the usual one."""
     values = row["measured"][precision].values()  # type: ignore[index]
-    return "fails" if None in values else f"{max(values):.2g}"
+    slowdown = row.get("slowdown", {}).get(precision)  # type: ignore[attr-defined]
+    timed = "" if slowdown is None else f" ({slowdown:.2f})"
+    return "fails" if None in values else f"{max(values):.2g}{timed}"
 
 
 def line(row: dict[str, object]) -> str:

@@ -126,8 +126,7 @@ def _target(out: Path | None, result: Path, to: Format) -> Path:
     ending = Path(f"x{ENDINGS[to]}").suffix
     if path.suffix != ending:
         raise SceneError(f"--out {path}: must end in {ending}")
-    if not path.parent.is_dir():
-        raise SceneError(f"--out {path}: no such folder: {path.parent}")
+    output.refuse_place(path)
     return path
 
 

@@ -243,7 +243,7 @@ def _print(result: Result, console: Console) -> None:
         if name != "bound" and name not in factors:
             continue
         value = result.bound if name == "bound" else factors[name]
-        row = [meaning, "none claimed" if value is None else f"{value:.4f}"]
+        row = [meaning, "none claimed" if value is None else output.known(value, ".4f")]
         made.add_row(*row, *([f"{published[name]:.4f}" if name in published else ""] if published else []))
     console.print(made)
     console.print()

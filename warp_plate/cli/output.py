@@ -18,6 +18,9 @@ from rich.text import Text
 
 from warp_plate.scene.errors import SceneError, printable
 
+# Of the files beside a result, while they are written.
+LONGEST_ENDING = ".checkpoint.h5.12345678.part.h5"
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -53,6 +56,11 @@ def table(*headings: str, title: str | None = None) -> Table:
     for index, heading in enumerate(headings):
         made.add_column(heading, justify="left" if index == 0 else "right")
     return made
+
+
+def known(value: float | None, digits: str, unit: str = "") -> str:
+    """A number for people; none where there is no such number."""
+    return "none" if value is None or not math.isfinite(value) else f"{value:{digits}}{unit}"
 
 
 @contextmanager
@@ -100,20 +108,43 @@ def output_file(out: Path | None, source: str, command: str, endings: Sequence[s
     source: the name given as SCENE, empty where a command takes none.
 
     Raises:
-        SceneError: another ending, no file can be made there, or its folder is missing; said before any work is done.
+        SceneError: another ending, or see :func:`refuse_place`; said before any work is done.
     """
     path = out or Path(f"{Path(source).stem}-{command}{endings[0]}" if source else f"{command}{endings[0]}")
     if path.suffix not in endings:
         raise SceneError(f"--out {path}: must end in {' or '.join(', '.join(endings).rsplit(', ', 1))}")
+    refuse_place(path)
+    return path
+
+
+def refuse_place(path: Path) -> None:
+    """Nothing, where a file of that name and those beside it (checkpoints, pictures, unfinished ones) can be made.
+
+    Raises:
+        SceneError: no file can be made there, its name leaves those no room, or its folder is missing.
+    """
     try:
         there = stat.S_ISDIR(path.stat().st_mode) and "is a folder"
     except (FileNotFoundError, NotADirectoryError):
         there = not path.parent.is_dir() and f"no such folder: {path.parent}"
     except (OSError, ValueError) as error:  # a name too long, or with characters that no name may have
         there = f"no name for a file: {getattr(error, 'strerror', None) or error}"
+    if not there:
+        there = _no_room_beside(path)
     if there or not os.access(path.parent, os.W_OK):
         raise SceneError(f"--out {path}: {there or f'no permission to write to the folder {path.parent}'}")
-    return path
+
+
+def _no_room_beside(path: Path) -> str | bool:
+    """Why the longest name of those beside a file is none, if so: the system alone knows how long one may be."""
+    try:
+        path.with_name(f".{path.stem}{LONGEST_ENDING}").stat()
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        added = len(LONGEST_ENDING) + 1 - len(path.suffix)
+        return f"{error.strerror}: those of the files beside it take {added} bytes more"
+    return False
 
 
 def load_scene(

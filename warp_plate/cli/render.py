@@ -128,8 +128,7 @@ def _targets(out: list[Path] | None, result: Path, figures: str | None) -> list[
     for target in targets:
         if target.suffix.lower() not in ENDINGS:
             raise SceneError(f"--out {target}: must end in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}")
-        if not target.parent.is_dir():
-            raise SceneError(f"--out {target}: no such folder: {target.parent}")
+        output.refuse_place(target)
     return targets
 
 

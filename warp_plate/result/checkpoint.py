@@ -20,10 +20,16 @@ from typing import Any
 import h5py
 import numpy as np
 
+<<<<<<< HEAD
 from warp_plate.result.model import Found
 from warp_plate.result.plain import count, numbers, opened, put, save_hdf5, table, text
 from warp_plate.result.search_state import put_state, read_state
 from warp_plate.result.several import put_several, read_several
+=======
+from warp_plate.plate.weights import REGIONS
+from warp_plate.result.plain import count, names_in, numbers, opened, put, save_hdf5, table, text
+from warp_plate.result.whole import intact
+>>>>>>> w-n6
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene
@@ -111,6 +117,8 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
 def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
     """The checkpoint; or the one before it and a sentence that says so, where the file is damaged or missing.
 
+    A whole file of another kind is neither: whoever names a result means the checkpoint, not the one before it.
+
     Raises:
         SceneError: neither can be read; says what is wrong with the first.
     """
@@ -118,7 +126,7 @@ def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
         return load_checkpoint(path), None
     except SceneError as error:
         previous = previous_of(path)
-        if previous == path or not previous.exists():
+        if previous == path or not previous.exists() or intact(path):
             raise
         try:
             checkpoint = load_checkpoint(previous)
