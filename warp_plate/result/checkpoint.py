@@ -20,16 +20,11 @@ from typing import Any
 import h5py
 import numpy as np
 
-<<<<<<< HEAD
 from warp_plate.result.model import Found
 from warp_plate.result.plain import count, numbers, opened, put, save_hdf5, table, text
 from warp_plate.result.search_state import put_state, read_state
 from warp_plate.result.several import put_several, read_several
-=======
-from warp_plate.plate.weights import REGIONS
-from warp_plate.result.plain import count, names_in, numbers, opened, put, save_hdf5, table, text
 from warp_plate.result.whole import intact
->>>>>>> w-n6
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene

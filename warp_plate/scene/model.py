@@ -129,23 +129,6 @@ class Record(Table):
     points: tuple[tuple[Coordinate, Coordinate], ...] = ()
 
 
-<<<<<<< HEAD
-=======
-class Search(Table):
-    """The particle swarm, with the paper's names: w (inertia), κ (decay), c₁ (cognitive), c₂ (social)."""
-
-    particles: Annotated[int, Field(ge=2, le=10_000_000)] = 20
-    iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] = 80
-    inertia: Weight = 0.4
-    decay: Annotated[float, Field(gt=0, le=1)] = 0.99
-    cognitive: Weight = 2.0
-    social: Weight = 2.0
-    velocity_limit: Annotated[float, Field(gt=0, le=1e100)] | None = None
-    stall: Annotated[int, Field(ge=1)] | None = None
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-
-
->>>>>>> w-n6
 class Actuator(Table):
     """A patch that presses on the plate: area x0, x1, y0, y1 [m], magnitude [N/m²; V under ``[drive.electrostatic]``],
     phase lag [rad], frequency [Hz] (None: the drive's), delay [s] (None: its burst begins at ``drive.burst.start``)."""
