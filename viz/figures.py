@@ -12,6 +12,7 @@ from warp_plate.result.model import Case, Result
 from warp_plate.result.whole import whole_file
 from warp_plate.viz.availability import missing, missing_plots, off_screen, prepare
 from warp_plate.viz.comparison import DRIVES, ordered
+from warp_plate.viz.crosstalk_plot import draw_crosstalk
 from warp_plate.viz.lettering import add_legend
 from warp_plate.viz.quantity import scale_over
 from warp_plate.viz.scene3d import add_plate
@@ -36,7 +37,7 @@ PUBLISHED_LOSS = 0.28
 
 
 def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
-    """Draw what the result holds into ``<stem>-history.png``, ``<stem>-spectrum.png`` and ``<stem>-surfaces.png``.
+    """Draw what the result holds: ``<stem>-history.png``, ``-spectrum.png``, ``-crosstalk.png``, ``-surfaces.png``.
 
     Nothing that is wrong with a library or a file ends the run.
 
@@ -48,6 +49,8 @@ def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
         jobs.append((draw_history, "history", missing_plots))
     if result.spectrum:
         jobs.append((draw_spectrum, "spectrum", missing_plots))
+    if result.scene.targets and result.command == "localize":
+        jobs.append((draw_crosstalk, "crosstalk", missing_plots))
     if result.times.size:
         prepare()
         jobs.append((draw_surfaces, "surfaces", missing))
