@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 DRIVES = {
     "equal": "equal drive",
     "single": "single actuator",
+    "time_reversal": "time reversal",
+    "inverse_filter": "inverse filter",
     "best": "best drive found",
     "drive": "given drive",
 }

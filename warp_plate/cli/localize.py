@@ -29,6 +29,8 @@ FOUND = ".best.toml"
 MEANING = {
     "equal": "all actuators alike",
     "single": "best single actuator",
+    "time_reversal": "time reversal to the target's middle",
+    "inverse_filter": "regularised inverse filter",
     "best": "found by the search",
     "bound": "bound: no drive passes it",
 }
@@ -45,6 +47,7 @@ def localize(
     accuracy: str | None = None,
     estimate: bool = True,
     spectrum: bool = True,
+    baselines: Annotated[bool, cyclopts.Parameter(negative="")] = False,
     checkpoint_every: float = 30.0,
     resume: Path | None = None,
     out: Path | None = None,
@@ -88,6 +91,8 @@ def localize(
     spectrum
         After a search for one frequency of all actuators, take the localization factor over its whole range: of equal
         drive, of the best single actuator and of the best drive at each frequency, with the plate's resonances.
+    baselines
+        Show the drives that haptics takes without a search beside the one found: time reversal and inverse filter.
     checkpoint_every
         Seconds between two checkpoints, at the end of an iteration: OUT.checkpoint.h5 for OUT.h5, and
         OUT.checkpoint.previous.h5, the one before. 0: after each iteration; inf: only after Ctrl-C.
@@ -124,7 +129,15 @@ def localize(
     elif loaded is not None:
         on = "auto" if device is None else device
         run = partial(search, loaded, scene or "", on, seed, evaluator or "direct", path or "auto")
+    if baselines:
+        from warp_plate.search.baselines import check_baselines, with_baselines
+
+        searched = loaded if checkpoint is None else checkpoint.scene
+        assert searched is not None
+        check_baselines(searched)
     result = _run(partial(run, spectrum=spectrum), estimate, kept, shown=not json)
+    if baselines:
+        result = with_baselines(result, device or "auto", path or "auto")
     files, missing = _write(result, target, pictures, kept)
     if json:
         output.print_json(as_json(result, files, kept.path if result.interrupted and kept.saved else None))
@@ -221,6 +234,8 @@ def _print(result: Result, console: Console) -> None:
     console.print(result.scene.title or result.source)
     made = output.table(*headings)
     for name, meaning in MEANING.items():
+        if name != "bound" and name not in factors:
+            continue
         value = result.bound if name == "bound" else factors[name]
         row = [meaning, "none claimed" if value is None else f"{value:.4f}"]
         made.add_row(*row, *([f"{published[name]:.4f}" if name in published else ""] if published else []))
