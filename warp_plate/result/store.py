@@ -6,6 +6,7 @@
     /cases/CASE/magnitude, phase, energy, displacement, trace
     /cases/CASE/frequency, centre, delay     where the plate had its own
     /history/evaluations, best, mean
+    /crosstalk                           of several targets; /searches/0, ... what was found for each
     /spectrum/frequency, equal, single, best, resonances
     attributes of /: command, source, scene (TOML), device, seed, effects, versions, seconds, ...
 
@@ -20,8 +21,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from warp_plate.result.crosstalk import crosstalk
 from warp_plate.result.model import Case, Result
 from warp_plate.result.plain import count, names_in, numbers, opened, put, save_hdf5, table, text
+from warp_plate.result.several import put_several, read_several
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene
@@ -105,6 +108,10 @@ def _write(file: h5py.File, result: Result) -> None:
         put(file, f"history/{name}", values, "1", f"{HISTORY.get(name, name)}, after each iteration")
     for name, values in result.spectrum.items():
         put(file, f"spectrum/{name}", values, *SPECTRUM[name])
+    if result.several:
+        put_several(file, result.several)
+        put(file, "crosstalk", crosstalk(result), "1", "share of the plate's energy in each target, by each's drive")
+        file["crosstalk"].attrs["targets"] = json.dumps([target.name for target in result.scene.targets])
 
 
 def _write_case(file: h5py.File, at: str, case: Case, unit: str) -> None:
@@ -151,6 +158,7 @@ def _read(file: h5py.File, name: str) -> Result:
         accuracy=table(file, "accuracy"),
         peak=float(numbers(file, "peak_displacement", ())) if "peak_displacement" in file else None,
         spectrum=_read_spectrum(file),
+        several=read_several(file),
     )
 
 
