@@ -124,27 +124,26 @@ def refuse_place(path: Path) -> None:
         SceneError: no file can be made there, its name leaves those no room, or its folder is missing.
     """
     try:
-        there = stat.S_ISDIR(path.stat().st_mode) and "is a folder"
+        there = "is a folder" if stat.S_ISDIR(path.stat().st_mode) else ""
     except (FileNotFoundError, NotADirectoryError):
-        there = not path.parent.is_dir() and f"no such folder: {path.parent}"
+        there = "" if path.parent.is_dir() else f"no such folder: {path.parent}"
     except (OSError, ValueError) as error:  # a name too long, or with characters that no name may have
         there = f"no name for a file: {getattr(error, 'strerror', None) or error}"
-    if not there:
-        there = _no_room_beside(path)
+    there = there or _no_room_beside(path)
     if there or not os.access(path.parent, os.W_OK):
         raise SceneError(f"--out {path}: {there or f'no permission to write to the folder {path.parent}'}")
 
 
-def _no_room_beside(path: Path) -> str | bool:
+def _no_room_beside(path: Path) -> str:
     """Why the longest name of those beside a file is none, if so: the system alone knows how long one may be."""
     try:
         path.with_name(f".{path.stem}{LONGEST_ENDING}").stat()
     except FileNotFoundError:
-        return False
+        return ""
     except OSError as error:
         added = len(LONGEST_ENDING) + 1 - len(path.suffix)
         return f"{error.strerror}: those of the files beside it take {added} bytes more"
-    return False
+    return ""
 
 
 def load_scene(
