@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from warp_plate.cluster.pool import Task
-from warp_plate.cluster.work import run_block
+from warp_plate.cluster.work import designs_in, run_block
 from warp_plate.plate.designs import Designs
 from warp_plate.solve.status import OK
 
@@ -37,7 +37,7 @@ def halves(task: Task) -> list[Task]:
     place, count = task.place, task.place.stop - task.place.start
     if count < 2:
         return []
-    designs, middle = Designs(*(task.payload.get(name) for name in PARTS)), count // 2
+    designs, middle = designs_in(task.payload), count // 2
     others = {name: value for name, value in task.payload.items() if name not in PARTS}
     return [
         _task(designs[:middle], slice(place.start, place.start + middle), others),

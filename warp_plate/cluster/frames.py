@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any, BinaryIO
+from typing import IO, Any
 
 import numpy as np
 
@@ -32,7 +32,7 @@ def encode(message: Mapping[str, Any]) -> list[bytes | memoryview]:
         if isinstance(value, np.ndarray):
             if value.dtype.hasobject:
                 raise TypeError("an array of objects is no plain data")
-            contents.append(memoryview(np.ascontiguousarray(value).reshape(-1)).cast("B") if value.size else b"")
+            contents.append(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
             return {MARK: [value.dtype.str, list(value.shape)]}
         return value.item() if isinstance(value, np.generic) else value
 
@@ -40,14 +40,14 @@ def encode(message: Mapping[str, Any]) -> list[bytes | memoryview]:
     return [len(head).to_bytes(LENGTH, "little"), head, *contents]
 
 
-def send(message: Mapping[str, Any], stream: BinaryIO) -> None:
+def send(message: Mapping[str, Any], stream: IO[bytes]) -> None:
     """Write a frame."""
     for part in encode(message):
         stream.write(part)
     stream.flush()
 
 
-def receive(stream: BinaryIO) -> dict[str, Any] | None:
+def receive(stream: IO[bytes]) -> dict[str, Any] | None:
     """The next message; None where the other end is closed, be it within a frame."""
     head = _exactly(stream, LENGTH)
     text = None if head is None else _exactly(stream, int.from_bytes(head, "little"))
@@ -72,7 +72,7 @@ def receive(stream: BinaryIO) -> dict[str, Any] | None:
     return None if cut else message
 
 
-def _exactly(stream: BinaryIO, count: int) -> bytearray | None:
+def _exactly(stream: IO[bytes], count: int) -> bytearray | None:
     room = bytearray(count)
     view, done = memoryview(room), 0
     while done < count:

@@ -22,6 +22,10 @@ Function = Callable[[Payload], Mapping[str, Any]]
 Fault = Literal["", "lost", "memory", "wrong"]
 
 
+class WorkersGone(SceneError):
+    """No worker is left, and none will come: what was under way can be done later."""
+
+
 @dataclass(eq=False)
 class Task:
     """What a worker is to do.
@@ -56,6 +60,8 @@ class Pool(Protocol):
 
     told: Callable[[int, int], object] | None
     """Called by ``spread`` with tasks done and in all."""
+    device: str
+    """What workers run plates on that were not told otherwise: "auto" for each one's own choice."""
 
     @property
     def words(self) -> str:
@@ -76,7 +82,7 @@ class Pool(Protocol):
         """Answers that came, after at most so many seconds; of given up tasks too.
 
         Raises:
-            SceneError: no worker is left, and none will come.
+            WorkersGone: see there.
         """
 
     def abandon(self) -> None:
@@ -95,13 +101,13 @@ class Here:
         self._tickets = 0
 
     words = "this process"
+    device = "auto"
+    idle = 0
 
     @property
     def free(self) -> int:
         """One at a time."""
         return 1 - len(self._tasks)
-
-    idle = 0
 
     def submit(self, task: Task) -> int:
         """See :class:`Pool`."""
@@ -126,13 +132,17 @@ class Here:
 
 @contextmanager
 def open_pool(
-    devices: str | None, cluster: str | None, tell: Callable[[str], object] = lambda line: None
+    devices: str | None,
+    cluster: str | None,
+    device: str | None = None,
+    tell: Callable[[str], object] = lambda line: None,
 ) -> Iterator[Pool | None]:
     """The pool that ``--devices`` or ``--cluster`` ask for, closed at the end; None where neither is given.
 
     Args:
         devices: such as "cuda:0,cuda:1", or "cpu,cpu": a process for each; a CPU one has one thread.
-        cluster: "local:4", "tcp://host:port" or the path of a scheduler file.
+        cluster: "local:4", "tcp://host:port" or the path of a scheduler file. device: of its workers; left out, each
+            one's own choice.
         tell: takes a line for people.
 
     Raises:
@@ -148,7 +158,7 @@ def open_pool(
     elif cluster is not None:
         from warp_plate.cluster.dask import open_dask
 
-        pool = open_dask(cluster, tell)
+        pool = open_dask(cluster, device or "auto", tell)
     try:
         yield pool
     finally:

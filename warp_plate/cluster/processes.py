@@ -11,12 +11,13 @@ import sys
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from warp_plate.cluster.frames import receive, send
-from warp_plate.cluster.pool import Answer, Task
+from warp_plate.cluster.pool import Answer, Task, WorkersGone
 from warp_plate.cluster.recipe import DEVICE
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.devices import find_device
@@ -57,6 +58,8 @@ class _Worker:
 class Processes:
     """A pool of one process for each device; see ``pool.Pool``."""
 
+    device = "auto"  # each process has but one
+
     def __init__(self, devices: Sequence[str]) -> None:
         self.told: Callable[[int, int], object] | None = None
         self._events: SimpleQueue[tuple[_Worker, dict[str, Any] | None]] = SimpleQueue()
@@ -89,16 +92,14 @@ class Processes:
         worker = min(self._workers, key=lambda one: (len(one.tickets), not one.ready))
         worker.tickets.add(self._tickets)
         assert worker.process.stdin is not None
-        try:
+        with suppress(OSError):  # it has ended: whoever listens to it will say so
             send({"ticket": self._tickets, "name": task.name, "payload": task.payload}, worker.process.stdin)
-        except OSError:
-            pass  # it has ended: whoever listens to it will say so
         return self._tickets
 
     def wait(self, seconds: float) -> list[tuple[int, Answer]]:
         """See ``Pool``."""
         if not self._workers:
-            raise SceneError(f"no worker is left: {STARTS} in a row ended as they started; {self._last}")
+            raise WorkersGone(f"no worker is left: {STARTS} in a row ended as they started; {self._last}")
         answers: list[tuple[int, Answer]] = []
         try:
             answers += self._hear(*self._events.get(timeout=seconds))
@@ -184,7 +185,5 @@ class Processes:
 
 def _hang_up(worker: _Worker) -> None:
     assert worker.process.stdin is not None
-    try:
+    with suppress(OSError):  # of what it did not read any more
         worker.process.stdin.close()
-    except OSError:
-        pass  # with what it did not read any more

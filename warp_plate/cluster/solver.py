@@ -26,11 +26,15 @@ from warp_plate.solve.specialize import Quantity
 
 def solver_on(pool: Pool | None, scene: Scene, device: str = "auto", path: str = "auto", **options: Any) -> PlateSolver:
     """A solver of this process, or where there is a pool one that runs its plates there; see :class:`PlateSolver`."""
-    return PlateSolver(scene, device, path, **options) if pool is None else SpreadSolver(pool, scene, device, path, **options)
+    if pool is None:
+        return PlateSolver(scene, device, path, **options)
+    return SpreadSolver(pool, scene, device, path, **options)
 
 
 class SpreadSolver(PlateSolver):
     """A :class:`PlateSolver` whose energies come from a pool, and displacements and traces, of few plates, from here.
+
+    device: of what runs here; workers have ``pool.device``.
 
     Energies are those of one process to the last bit, where workers are of one kind of processor. lost: plates without
     energies because their block failed for good, by what went wrong; their status says the same.
@@ -53,9 +57,8 @@ class SpreadSolver(PlateSolver):
         super().__init__(scene, device, path, areas=areas, own=own, quantity=quantity, share=share)
         self.pool = pool
         self.lost: Counter[str] = Counter()
-        self._recipe = recipe_of(scene, device, path, areas, own, quantity, share)
+        self._recipe = recipe_of(scene, pool.device, path, areas, own, quantity, share)
         self._made: dict[str, str] = {}
-        self._block = 1  # of the first plate, which tells what the workers are
 
     def run(
         self,
@@ -67,7 +70,7 @@ class SpreadSolver(PlateSolver):
         """See :meth:`PlateSolver.run`.
 
         Raises:
-            SceneError: also where no worker is left, or they are of different kinds or versions.
+            SceneError: also where workers are of different kinds or versions. WorkersGone: see there.
         """
         if len(times) or len(points):
             return super().run(drives, times, points, progress)
@@ -106,7 +109,8 @@ class SpreadSolver(PlateSolver):
 
     def _ask(self) -> None:
         """Let one worker make the solver, which compiles its kernels once for all of a machine, and say what it is."""
-        task = Task(run_block, {"digest": self._recipe.digest, "drives": np.zeros((0, len(self.scene.actuators)), complex)})
+        nothing = np.zeros((0, len(self.scene.actuators)), dtype=complex)
+        task = Task(run_block, {"digest": self._recipe.digest, "drives": nothing})
         for _, answer in spread(self.pool, [task], again=self._with_recipe):
             if answer.fault:
                 raise SceneError(answer.text if answer.fault == "wrong" else self._failed(answer.fault, answer.text))

@@ -45,7 +45,7 @@ def spread(
     the loop early, by Ctrl-C too, ends what is under way.
 
     Raises:
-        SceneError: no worker is left.
+        WorkersGone: see there.
     """
     waiting, running, taken = deque(tasks), dict[int, _Flight](), list[float]()
     done = 0

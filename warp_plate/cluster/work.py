@@ -39,6 +39,11 @@ def perform(name: str, payload: Mapping[str, Any]) -> dict[str, Any]:
         return {"fault": "memory", "text": f"out of memory ({' '.join(str(error).split())})"}
 
 
+def designs_in(payload: Mapping[str, Any]) -> Designs:
+    """What ``run_block`` is given."""
+    return Designs(payload["drives"], *(payload.get(name) for name in ("frequency", "centre", "delay")))
+
+
 def run_block(payload: Mapping[str, Any]) -> dict[str, Any]:
     """Plates of one recipe.
 
@@ -60,7 +65,7 @@ def run_block(payload: Mapping[str, Any]) -> dict[str, Any]:
     _SOLVERS[digest] = solver
     while len(_SOLVERS) > MOST_SOLVERS:
         _SOLVERS.popitem(last=False)
-    run = solver.run(Designs(*(payload.get(name) for name in ("drives", "frequency", "centre", "delay"))))
+    run = solver.run(designs_in(payload))
     wrong = np.flatnonzero(run.status != OK)
     return {
         "energy": run.energy,

@@ -6,7 +6,7 @@ import os
 import sys
 import threading
 from queue import SimpleQueue
-from typing import Any, BinaryIO
+from typing import IO, Any
 
 from warp_plate.cluster.frames import receive, send
 
@@ -25,7 +25,7 @@ def main() -> None:
         send({"ticket": task["ticket"], "answer": perform(task["name"], task["payload"])}, answers)
 
 
-def _listen(stream: BinaryIO, tasks: SimpleQueue[dict[str, Any]]) -> None:
+def _listen(stream: IO[bytes], tasks: SimpleQueue[dict[str, Any]]) -> None:
     """The next task comes while one is done; who gave them is gone when there are no more."""
     while (task := receive(stream)) is not None:
         tasks.put(task)
