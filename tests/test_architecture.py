@@ -28,7 +28,7 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "bench": ({"bench", "solve", "kernels", "plate", "scene", ""}, {*SCIENCE, "warp"}),
     "accuracy": ({"accuracy", "solve", "reference", "plate", "scene", ""}, {*SCIENCE, "pydantic", "warp"}),
     "cluster": ({"cluster", "solve", "plate", "scene", ""}, {*SCIENCE, "warp"}),
-    "cluster.dask": ({"cluster", "scene"}, {"distributed"}),
+    "cluster.dask": ({"cluster", "scene"}, {"dask", "distributed"}),
     "search": ({"search", "accuracy", "cluster", "solve", "result", "plate", "scene", ""}, {*SCIENCE, "warp"}),
     "search.cma_es": ({"search", "scene"}, {*SCIENCE, "cma"}),
     "search.pso": ({"search.pso_settings", "search.record", "plate.blocks"}, SCIENCE),

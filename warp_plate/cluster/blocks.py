@@ -45,9 +45,7 @@ def halves(task: Task) -> list[Task]:
     ]
 
 
-def put(
-    value: Mapping[str, Any], place: slice, energy: np.ndarray, status: np.ndarray, caught: np.ndarray
-) -> None:
+def put(value: Mapping[str, Any], place: slice, energy: np.ndarray, status: np.ndarray, caught: np.ndarray) -> None:
     """Write what ``run_block`` gave into the arrays of all plates, as in :class:`Run`."""
     energy[place] = value["energy"]
     status[place] = OK

@@ -37,7 +37,10 @@ def open_dask(where: str, device: str, tell: Callable[[str], object]) -> Dask:
         import distributed
     except ImportError:
         raise SceneError(f"--cluster {where}: Dask is not installed: pip install 'warp-plate[cluster]'") from None
+    from dask import config
+
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what it says is said here in one line
+    config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"})  # a recipe may name large files
     cluster = None
     head, _, count = where.partition(":")
     if head == "local" and not (count.isdecimal() and int(count) >= 1):

@@ -1,0 +1,159 @@
+"""How much faster a swarm is on more workers, and what it costs to ship a block of plates to them.
+
+    python benchmarks/scaling.py                                    # one and two Dask workers, 4096 plates
+    python benchmarks/scaling.py --devices cuda:0,cuda:1 --plates 131072     # a process each, and one alone; no Dask
+    python benchmarks/scaling.py --cluster local:1 local:4 --plates 16384 --out FILE
+
+Searches the paper's scene with a swarm of so many plates, generation by generation: in this process, and on each pool,
+all in turn, so that a disturbance meets all alike. Medians; the first generation counts for nothing. The losses must
+be the same to the last bit everywhere, or the program ends with an error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from warp_plate import Scene, SceneError
+from warp_plate.bench.machine import busy, describe_machine, describe_versions
+from warp_plate.cluster.blocks import cut, plates_of_block
+from warp_plate.cluster.frames import encode
+from warp_plate.cluster.pool import Pool, Task, open_pool
+from warp_plate.cluster.spread import spread
+from warp_plate.cluster.work import run_block
+from warp_plate.plate.designs import Designs
+from warp_plate.search.methods import make_searcher
+from warp_plate.search.problem import Problem, make_problem
+
+PLATES, GENERATIONS = 4096, 9
+HERE = "this process"
+PARTS = ("ask", "losses", "tell")
+
+
+class Search:
+    """A problem's swarm, a generation at a time; seconds: of each part of each generation."""
+
+    def __init__(self, problem: Problem, plates: int, generations: int) -> None:
+        search = problem.scene.search.model_copy(update={"particles": plates, "iterations": generations})
+        self.problem = problem
+        self.seconds: dict[str, list[float]] = {name: [] for name in PARTS}
+        self.losses = np.empty(0)
+        self._searcher = make_searcher(search, problem.space, 0)
+
+    def generation(self) -> None:
+        """Ask, losses and tell, once."""
+        marks = [time.perf_counter()]
+        positions = self._searcher.ask()
+        marks.append(time.perf_counter())
+        self.losses = self.problem.losses(np.array(positions))
+        marks.append(time.perf_counter())
+        self._searcher.tell(positions, self.losses)
+        marks.append(time.perf_counter())
+        for name, seconds in zip(PARTS, np.diff(marks).tolist(), strict=True):
+            self.seconds[name].append(seconds)
+
+    def row(self) -> dict[str, object]:
+        """Medians, without the first generation [s]."""
+        whole = np.sum(list(self.seconds.values()), axis=0)[1:]
+        medians = {name: float(np.median(values[1:])) for name, values in self.seconds.items()}
+        return {"seconds": float(np.median(whole)), "each": whole.tolist(), "parts": medians}
+
+
+def shipping(pool: Pool, problem: Problem) -> dict[str, object]:
+    """What a block costs beside its plates: bytes there and back, and milliseconds of a task that does nothing, with
+    so many bytes on its way there and without."""
+    designs = Designs(np.ones((4096, len(problem.scene.actuators)), complex))
+    task = cut(designs, 4096, "0" * 64)[0]
+    there, back = sum(map(len, encode(task.payload))), 8 * len(problem.plain.specialized.regions) * 4096
+    found: dict[str, object] = {"plates": 4096, "bytes_there": there, "bytes_back": back}
+    for name, size in (
+        ("milliseconds_empty", 0),
+        ("milliseconds_with_bytes", there),
+        ("milliseconds_of_16_MiB", 2**24),
+    ):
+        # (A recipe that no worker knows: the answer is that it is wanted.)
+        payload = {"digest": "0" * 64, "ballast": np.zeros(size, np.uint8)}
+        taken = []
+        for _ in range(21):
+            started = time.perf_counter()
+            list(spread(pool, [Task(run_block, payload)]))
+            taken.append(time.perf_counter() - started)
+        found[name] = 1e3 * float(np.median(taken))
+    return found
+
+
+def measure(scene: Scene, device: str, pools: dict[str, Pool], plates: int, generations: int) -> dict[str, object]:
+    """A row for this process and for each pool, by its name, and how much faster each is than the first pool.
+
+    Raises:
+        RuntimeError: their losses are not the same.
+    """
+    problems = {name: make_problem(scene, device, pool=pool) for name, pool in {HERE: None, **pools}.items()}
+    searches = {name: Search(problem, plates, generations + 1) for name, problem in problems.items()}
+    for index in range(generations + 1):
+        for name, search in searches.items():
+            search.generation()
+            if search.losses.tobytes() != searches[HERE].losses.tobytes():
+                raise RuntimeError(f"{name}: generation {index} has other losses than {HERE}")
+    rows = {name: search.row() for name, search in searches.items()}
+    kind = "cuda" if problems[HERE].plain.device.is_cuda else "cpu"
+    first = next(iter(pools))
+    return {
+        "plates": plates,
+        "plates_of_block": plates_of_block(problems[HERE].plain.node_steps_per_plate, kind),
+        "rows": rows,
+        "speed_over_first": {name: float(rows[first]["seconds"]) / float(rows[name]["seconds"]) for name in pools},
+        "shipping": {name: shipping(pool, problems[name]) for name, pool in pools.items()},
+    }
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--devices", help="such as cuda:0,cuda:1: the first alone against all")
+    parser.add_argument("--cluster", nargs="+", default=["local:1", "local:2"], help="the first against the others")
+    parser.add_argument("--device", default="cpu", help="of this process and of the cluster's workers")
+    parser.add_argument("--plates", type=int, default=PLATES)
+    parser.add_argument("--generations", type=int, default=GENERATIONS)
+    parser.add_argument("--out", type=Path)
+    given = parser.parse_args()
+    if (warning := busy()) is not None:
+        print(warning)
+    device = given.devices.split(",")[0] if given.devices else given.device
+    try:
+        with ExitStack() as opened:
+            if given.devices:
+                asked = {"one": (device, None), "all": (given.devices, None)}
+            else:
+                asked = {where: (None, where) for where in given.cluster}
+            pools = {
+                name: opened.enter_context(open_pool(devices, cluster, given.device))
+                for name, (devices, cluster) in asked.items()
+            }
+            found = measure(Scene.load("paper"), device, pools, given.plates, given.generations)
+            words = {name: pool.words for name, pool in pools.items()}
+        machine = describe_machine([device])
+    except SceneError as error:
+        parser.error(str(error))
+    print(f"{given.plates} plates, blocks of {found['plates_of_block']}; medians of {given.generations} generations")
+    for name, row in found["rows"].items():
+        parts = ", ".join(f"{part} {1e3 * seconds:.1f}" for part, seconds in row["parts"].items())
+        speed = found["speed_over_first"].get(name)
+        times = "" if speed is None else f"{speed:6.2f} times the first"
+        print(f"{words.get(name, name):40}{1e3 * row['seconds']:10.1f} ms ({parts}){times}")
+    for name, cost in found["shipping"].items():
+        print(f"{words[name]}: a task {cost['milliseconds_empty']:.2f} ms, {cost['bytes_there']} bytes of 4096 plates "
+              f"{cost['milliseconds_with_bytes']:.2f} ms, 16 MiB {cost['milliseconds_of_16_MiB']:.1f} ms")  # fmt: skip
+    if given.out is not None:
+        record = {"machine": asdict(machine), "versions": describe_versions(), "pools": words, **found}
+        given.out.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
