@@ -49,7 +49,6 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
     first_shared = min((row[name] for name in held if name in shared), default=0)
     held_shared = sum(name in shared for name in held)
     Held = wp.types.matrix(shape=(max(1, len(held)), mine if held else 1), dtype=real)
-    Waves = wp.types.vector(length=effects.terms, dtype=real)
 
     def make_own(name):
         """Reads a shared plane at a node, from registers where it is held."""
@@ -203,14 +202,10 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
                 kinds[kinds_of] = kinds[kinds_of] | (kind << (BITS * (m % WORD)))
         barrier()
 
-        own_wave = wave[k]
         for n in range(start, stop):
             own = anew(thread)
             word = int(0)
             stretched = real(0.0)
-            waves = Waves()
-            for at_term in range(wp.static(effects.terms)):
-                waves[at_term] = own_wave[n, at_term]
             for m in range(mine):
                 i = own + m * threads
                 if m % WORD == 0:
@@ -301,7 +296,7 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
                 load = real(0.0)
                 if (kind & LOADED) != 0:
                     for t in range(wp.static(effects.terms)):
-                        load += waves[t] * part_of(loads.ptr + offset + wp.uint64(t) * term, state_at(i))
+                        load += wave[k, n, t] * part_of(loads.ptr + offset + wp.uint64(t) * term, state_at(i))
                 mobility = mobility_of(h, planes, m, i)
                 spring = real(0.0)
                 pull = real(0.0)

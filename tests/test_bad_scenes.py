@@ -17,6 +17,7 @@ from warp_plate.plate.weights import patches, region_weights
 from warp_plate.reference.numpy_general import run_general
 from warp_plate.scene import preset_text
 from warp_plate.scene.load import MOST_BYTES, dump_scene, parse_scene
+from warp_plate.search.judge import make_judge
 
 # Every table and key of docs/scene.md and docs/drives.md but the file of a signal, which tests/test_sampled.py has.
 WHOLE = {
@@ -33,7 +34,11 @@ WHOLE = {
         "chirp": {"end_frequency": 400.0, "duration": 0.003, "law": "linear"},
         "electrostatic": {"bias": 1.0, "gain": 2.0},
     },
-    "target": {"area": [0.0, 0.1, 0.0, 0.1]},
+    "targets": [
+        {"name": "polygon", "polygon": [[0.0, 0.0], [0.1, 0.01], [0.08, 0.05], [0.1, 0.1], [0.0, 0.1]]},
+        {"name": "disc", "disc": [0.13, 0.08, 0.05]},
+        {"name": "area", "area": [0.0, 0.1, 0.0, 0.1]},
+    ],
     "record": {"times": [0.001, 0.004], "points": [[0.1, 0.1], [0.0, 0.15]]},
     "effects": {
         "damping": {"viscous": 88.0, "scheme": "centred"},
@@ -55,6 +60,7 @@ WHOLE = {
     "search": {
         "particles": 4, "iterations": 3, "inertia": 0.4, "decay": 0.99, "cognitive": 2.0, "social": 2.0,
         "velocity_limit": 3.0, "stall": 2, "seed": 1,
+        "objectives": [{"kind": "velocity", "weight": 10.0, "rest_limit": 0.1}, {"kind": "uniformity"}],
     },
     "actuators": [
         {"name": "a", "area": [0.03, 0.06, 0.03, 0.06], "magnitude": 1.0, "phase": 0.5, "frequency": 300.0},
@@ -134,7 +140,9 @@ def goes_on(scene):
         return
     try:
         scheme = make_scheme(scene)
-        fields = [patches(scene), region_weights(scene)]
+        fields = [patches(scene), region_weights(scene, {one.name: one for one in scene.targets[1:]})]
+        judge = make_judge(scene)
+        fields += [judge.areas, judge.masses, judge.cells]
         if scheme.steps <= LONGEST_RUN:
             signals = make_signals(scene, scheme.time_step, scheme.steps)
             fields += [signals.wave, signals.mixing]

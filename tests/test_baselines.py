@@ -1,10 +1,15 @@
 """Drives without a search: transfer functions against traces, and what each drive is best at."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from warp_plate import PlateSolver, SceneError
+from warp_plate import PlateSolver, SceneError, load_result
+from warp_plate.cli.main import main
 from warp_plate.plate.weights import REGIONS, localization_factor, region_weights
+from warp_plate.scene.load import dump_scene
 from warp_plate.search.baselines import (
     BASELINES,
     REGULARISATION,
@@ -119,3 +124,49 @@ def test_different_frequencies_are_refused(scene):
     other = type(made).model_validate({**made.model_dump(exclude_unset=True), "actuators": actuators})
     with pytest.raises(SceneError, match="frequencies differ"):
         transfer_functions(PlateSolver(other, "cpu"))
+
+
+@pytest.fixture
+def command(capsys, tmp_path, monkeypatch, scene):
+    """Run ``localize --baselines`` on a small scene, with tables of its own: (status, standard output, error)."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments, **tables):
+        search = {"particles": 4, "iterations": 3}
+        made = scene(damping=130.0, window=(0.03, 0.05), search=search, **tables)
+        Path("panel.toml").write_text(dump_scene(made), encoding="utf-8")
+        fixed = ("panel.toml", "--device", "cpu", "--baselines", "--no-pictures", "--no-estimate")
+        try:
+            main(["localize", *fixed, *arguments])
+            status = 0
+        except SystemExit as left:
+            status = left.code or 0
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run
+
+
+def test_localize_shows_them_beside_the_drive_found(command):
+    status, out, err = command("--json", record={"times": [0.04]})
+    assert (status, err) == (0, "")
+    factors = json.loads(out)["localization_factor"]
+    assert set(factors) == {"equal", "single", "best", "bound", "time_reversal", "inverse_filter"}
+    assert max(value for name, value in factors.items() if name != "bound") <= factors["bound"]
+    result = load_result("panel-localize.h5")
+    solver = PlateSolver(result.scene, "cpu")
+    expected = baselines(solver, measure_response(solver))
+    for name in ("time_reversal", "inverse_filter"):
+        np.testing.assert_allclose(result.cases[name].drive, expected[name], atol=1e-9)
+        assert result.cases[name].localization_factor == factors[name]
+    status, out, _ = command()
+    assert "time reversal to the target's middle" in out
+    assert "regularised inverse filter" in out
+
+
+def test_localize_refuses_them_before_it_searches(command):
+    status, out, err = command(drive={"frequency": 290.0, "burst": {"start": 0.0, "duration": 0.005}})
+    assert (status, out) == (2, "")
+    assert "baselines: drive.burst is no steady drive" in err
+    assert len(err.splitlines()) == 1
+    assert not Path("panel-localize.h5").exists()

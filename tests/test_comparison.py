@@ -11,6 +11,7 @@ import pytest
 from warp_plate import viz
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Edges
+from warp_plate.viz import page
 from warp_plate.viz.availability import off_screen
 from warp_plate.viz.comparison import Comparison, common_scale, layout, ordered, rows_and_columns
 from warp_plate.viz.page import PEAK, STILL, page_data, write_page
@@ -270,6 +271,38 @@ def test_a_page_marks_what_is_no_number(scene):
     assert data["cyclic"] is True
     assert (colours[0] == STILL).all()
     assert sorted(set(np.abs(colours[4, [2, 7]]))) == [0, PEAK]
+
+
+@pytest.mark.parametrize("quantity", ["displacement", "velocity", "phase"])
+def test_pages_of_fine_grids_show_some_of_the_nodes(scene, monkeypatch, quantity):
+    """Where the file would be too large, every second node; limits and heights stay those of all nodes."""
+    made, motion = scene(), motion_of("best", 3e-7)
+    every = page_data(made, [motion], quantity, 25.0, None)
+    assert every["thinned"] == ""
+    monkeypatch.setattr(page, "MOST_BYTES", 1200.0)
+    data = page_data(made, [motion], quantity, 25.0, None)
+    nx, ny = data["grid"]
+    assert (nx, ny) == (6, 5)
+    assert data["thinned"] == "Of 11 × 9 nodes 6 × 5 are shown."
+    assert (data["peak"], data["factor"], data["limits"]) == (every["peak"], every["factor"], every["limits"])
+    for part in ("heights", "colours"):
+        if every["plates"][0][part] is None:
+            continue
+        fine = decoded(every["plates"][0][part], "<i2").reshape(-1, 9, 11)
+        np.testing.assert_array_equal(decoded(data["plates"][0][part], "<i2").reshape(-1, 5, 6), fine[:, ::2, ::2])
+    assert decoded(data["triangles"], "<u4").max() == 29
+
+
+def test_between_nodes_a_page_interpolates():
+    """Where steps of three to six nodes do not end at the last one; angles take the nearest node's."""
+    assert [page.thinned(nodes, 67_500_000) for nodes in (27, 28, 102, 513, 4)] == [10, 10, 35, 129, 2]
+    assert page.thinned(102, 7_500_000) == 102
+    field = np.arange(12.0).reshape(1, 3, 4) ** 2
+    between = page._at_nodes(field, (3, 3), QUANTITIES["energy"])
+    np.testing.assert_allclose(between[0, 0], [0, (1 + 4) / 2, 9])
+    field[0, 1, 2] = np.nan
+    assert np.isnan(page._at_nodes(field, (2, 4), QUANTITIES["energy"])).sum() == 0
+    assert page._at_nodes(field, (3, 3), QUANTITIES["phase"])[0, 0].tolist() in ([0, 1, 9], [0, 4, 9])
 
 
 def test_a_page_is_one_file_that_asks_for_nothing(scene, tmp_path):

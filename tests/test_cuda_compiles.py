@@ -20,6 +20,7 @@ from warp_plate.kernels import (
     resident_wide,
     streaming,
     streaming_march,
+    wave,
 )
 from warp_plate.kernels.effects import Effects
 
@@ -37,6 +38,11 @@ HUGE = (257, 129, 272)
 def cuda_kernels(effects, real):
     """Every kernel that is launched on CUDA, by its module and factory; a new one is added here."""
     yield "load.make_spread_drives", load.make_spread_drives(real)
+    yield "load.make_spread_moved_drives", load.make_spread_moved_drives(real)
+    for either in (False, True):
+        yield "load.make_weigh_along", load.make_weigh_along(either)
+        yield "wave.make_tones", wave.make_tones(real, either)
+    yield "wave.make_running_sums", wave.make_running_sums(real)
     yield "energy.make_sum_along_columns", energy.make_sum_along_columns(real)
     yield "energy.make_sum_columns", energy.make_sum_columns()
     yield "limits.make_multiply_adds", limits.make_multiply_adds(real, block=1, depth=64, rounds=100, compiler_flags="")

@@ -2,6 +2,7 @@
 
 import math
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -60,6 +61,37 @@ def test_the_plate_is_the_models(stage, model):
     stage.playing = False
     stage.advance(0.2)
     assert stage.turn == pytest.approx(2 * math.pi * 0.5 / 1.5)
+
+
+def test_what_stands_still_is_not_drawn_again(model, drawing, monkeypatch):
+    """A paused window renders when something changes, and only then."""
+    plotter = explorer_window.make_plotter(off_screen=True)
+    window = explorer_window.ExplorerWindow(plotter, model)
+    plotter.show(auto_close=False, interactive=False)
+    drawn = []
+    monkeypatch.setattr(type(plotter), "render", lambda self: drawn.append(1))
+    assert window.tick()
+    window.pause()
+    window.tick()
+    drawn.clear()
+    assert not any(window.tick() for _ in range(3))
+    assert not drawn
+    for change in (
+        lambda: model.set_actuator(1, magnitude=0.5),
+        lambda: model.set_frequency(250.0),
+        lambda: model.choose("found"),
+        lambda: model.set_actuator(1, phase=0.5),
+    ):
+        change()
+        model.wait()
+        drawn.clear()
+        assert window.tick()
+        assert drawn
+        assert not window.tick()
+    window.pause()
+    time.sleep(0.01)
+    assert window.tick()
+    plotter.close()
 
 
 def test_a_harder_drive_moves_more_until_the_scale_ends(stage, model):

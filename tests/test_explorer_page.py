@@ -113,6 +113,16 @@ def test_sliders_and_buttons_change_picture_and_numbers(page):
     wait(lambda: stage.screenshot() == stage.screenshot())
     resting = stage.screenshot()
 
+    # The hand turns it, paused as it is.
+    box = stage.bounding_box()
+    page.mouse.move(box["x"] + 300, box["y"] + 250)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 360, box["y"] + 230, steps=5)
+    page.mouse.up()
+    wait(lambda: stage.screenshot() != resting)
+    wait(lambda: stage.screenshot() == stage.screenshot())
+    resting = stage.screenshot()
+
     # A drive slider: the picture and the factor, not the bound.
     factor = number(page, "#factor")
     drag(page, "magnitude_1", -50)
@@ -158,7 +168,10 @@ def test_a_browser_that_goes_away_is_no_error(browser, served):
     for _ in range(2):
         tab = browser.new_page()
         tab.goto(served)
+        # The second finds it paused, and is sent a picture all the same.
         tab.wait_for_selector("#stage img", timeout=1000 * PATIENCE)
+        tab.wait_for_function("document.querySelector('#stage img').naturalWidth > 300", timeout=1000 * PATIENCE)
+        tab.click("#pause")
         time.sleep(0.3)
     browser.contexts[0].pages[0].close()
     time.sleep(0.3)

@@ -39,7 +39,8 @@ def moved(scene):
     scheme = make_scheme(made)
     history, velocity = run_plate(scheme, ("clamped",) * 4, 88.0, False, patches(made), DRIVES)
     first, last = scheme.window
-    return made, velocity, (history[:, first:last] ** 2).mean(axis=1)
+    # Of displacements, those at the end of each step.
+    return made, velocity, (history[:, first + 1 : last + 1] ** 2).mean(axis=1)
 
 
 def energies_of(made, mean_squares, judge):
@@ -218,3 +219,13 @@ def test_wrong_objectives_are_refused_in_one_line(lines, named, right):
     line = refusal(head + lines + "\n\n" + rest[rest.index("[[actuators]]") :])
     assert line.startswith(named)
     assert right in line
+
+
+def test_a_solver_s_displacement_energies_give_the_same_displacements(moved):
+    made, _, displacement = moved
+    judge = make_judge(made)
+    run = PlateSolver(made, "cpu", areas=judge.regions, quantity="displacement").run(DRIVES)
+    exact = energies_of(made, displacement, judge)
+    found, expected = (judge.values(one, one) for one in (run.energy, exact))
+    for kind in ("displacement", "displacement of the rest"):
+        np.testing.assert_allclose(found[kind], expected[kind], rtol=1e-6)

@@ -1,4 +1,4 @@
-"""Robust searches whole: what they win over the nominal drive, their bound, their checkpoints, files, table and picture."""
+"""Robust searches whole: what they win over the nominal drive, their bound, checkpoints, files, table, picture."""
 
 import json
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from warp_plate.cli.main import main
-from warp_plate.plate.designs import Designs
 from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.result.store import load_result, save_result
 from warp_plate.scene.load import dump_scene

@@ -66,7 +66,7 @@ def test_weights_sum_to_the_exact_area(load, nodes, scene):
 @pytest.mark.parametrize("load", LOADS)
 def test_a_polygon_with_four_right_angles_is_a_rectangle(load, scene, random):
     for _ in range(10):
-        (x0, x1), (y0, y1) = (np.sort(random.uniform(0, side, 2)).tolist() for side in SIZE)
+        (x0, y0), (x1, y1) = (random.uniform(low, high, 2) * SIZE for low, high in ((0, 0.5), (0.6, 1)))
         corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
         rectangle = weights_of(scene, {"area": (x0, x1, y0, y1)}, load=load)
         np.testing.assert_allclose(
@@ -215,8 +215,9 @@ def paper_with(lines):
         (
             '[[targets]]\nname = "a"\ndisc = [0.1, 0.1, 0.05]\n[target]\narea = [0.0, 0.1, 0.0, 0.1]',
             "target: there are [[targets]] too",
-            "one of the two",
+            "none of them; write one of the two",
         ),
+        ('[[targets]]\nname = "a/b"\ndisc = [0.1, 0.1, 0.05]', "targets[0].name = 'a/b'", "pattern"),
     ],
 )  # fmt: skip
 def test_wrong_shapes_are_refused_in_one_line(lines, named, right):
@@ -263,6 +264,9 @@ def test_the_first_of_several_targets_is_the_target(tmp_path):
     assert made.target == Target(disc=(0.1, 0.1, 0.05))
     assert [target.name for target in made.targets] == ["disc", "star", "left"]
     assert parse_scene(dump_scene(made), "").in_folder(tmp_path) == made
+    other = made.aimed_at(1)
+    assert other.target.polygon == made.targets[1].polygon
+    assert parse_scene(dump_scene(other), "").in_folder(tmp_path) == other
     assert set(digests(made)) == {"targets[2].mask"}
     run = PlateSolver(made, "cpu", areas={one.name: one for one in made.targets[1:]}).run(np.ones((1, 4)))
     assert (run.energy[0] > 0).all()

@@ -28,8 +28,8 @@ COLOURS = {
 }
 BOUND_COLOUR = "#111111"
 BOUND_WORDS = {"attained": "bound: no method can pass", "bound only": "bound only: may not be reached"}
-# Columns at which trials of different length are brought together; the smallest distance from the bound that is drawn.
-POINTS, NEAREST = 400, 1e-12
+# The smallest distance from the bound that is drawn: what is below is rounding.
+NEAREST = 1e-12
 
 
 def draw_comparison_beside(comparison: Comparison, path: Path) -> tuple[list[Path], str | None]:
@@ -66,7 +66,7 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> Path:
             grid[-1, column].set_xlabel({"evaluations": "evaluations", "seconds": "seconds"}[clock])
         grid[0, 0].set_ylabel("largest localization factor" if comparison.localization else "smallest loss")
         if comparison.bound is not None:
-            grid[1, 0].set_ylabel("distance from the bound")
+            grid[1, 0].set_ylabel(f"distance from the bound (≥ {NEAREST:g})")
         handles, labels = grid[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
         seeds = len({trial.seed for trial in comparison.trials})
@@ -77,20 +77,18 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> Path:
 
 
 def spread(trials: Sequence[Trial], clock: str, budget: int) -> tuple[np.ndarray, np.ndarray]:
-    """(points,) of a clock, "evaluations" or "seconds", and (3, points) smallest, median and largest loss so far.
-
-    From when every trial has one on; a trial that has ended keeps what it found, as far as the budget goes, or as the
-    slowest trial took.
-    """
-    times = [np.asarray(getattr(trial, clock), dtype=float) for trial in trials]
-    first = max(time[0] for time in times)
-    last = max(float(budget) if clock == "evaluations" else 0.0, *(time[-1] for time in times))
-    points = np.unique(np.append(np.geomspace(max(first, 1e-9), max(last, first, 1e-9), POINTS), first))
-    points = points[points >= first] if (points >= first).any() else points[-1:]
-    losses = [
-        trial.loss[np.searchsorted(time, points, side="right") - 1] for trial, time in zip(trials, times, strict=True)
-    ]
-    return points, np.stack([np.min(losses, axis=0), np.median(losses, axis=0), np.max(losses, axis=0)])
+    """(iterations,) medians of a clock, "evaluations" or "seconds", and (3, iterations) smallest, median and largest
+    loss so far. A trial that has ended keeps what it found; evaluations go on to the budget."""
+    count = max(len(trial.loss) for trial in trials)
+    times, losses = (
+        np.array([np.pad(getattr(trial, name), (0, count - len(trial.loss)), mode="edge") for trial in trials], float)
+        for name in (clock, "loss")
+    )
+    clocks = np.median(times, axis=0)
+    found = np.stack([losses.min(axis=0), np.median(losses, axis=0), losses.max(axis=0)])
+    if clock == "evaluations" and clocks[-1] < budget:
+        clocks, found = np.append(clocks, budget), np.pad(found, ((0, 0), (0, 1)), mode="edge")
+    return clocks, found
 
 
 def _plot_values(axes: Axes, comparison: Comparison, clock: str) -> None:
@@ -121,6 +119,6 @@ def _plot_distances(axes: Axes, comparison: Comparison, clock: str) -> None:
 
 def _plot_line(axes: Axes, method: str, points: np.ndarray, values: np.ndarray) -> None:
     colour = COLOURS.get(method, "#666666")
-    axes.fill_between(points, values[0], values[2], step="post", color=colour, alpha=0.15, linewidth=0)
+    axes.fill_between(points, values[0], values[2], step="post", color=colour, alpha=0.13, linewidth=0)
     marker = {"marker": "D", "markevery": [0], "markersize": 4} if method == "exact" else {}
     axes.plot(points, values[1], drawstyle="steps-post", color=colour, linewidth=1.4, label=method, **marker)

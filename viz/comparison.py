@@ -24,6 +24,8 @@ DRIVES = {
     "equal": "equal drive",
     "single": "single actuator",
     "nominal": "found without scatter",
+    "time_reversal": "time reversal",
+    "inverse_filter": "inverse filter",
     "best": "best drive found",
     "drive": "given drive",
 }

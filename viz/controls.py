@@ -71,12 +71,15 @@ class Slider:
         self.value = float("nan")
         self.show(value)
 
-    def show(self, value: float) -> None:
-        """Move to a value; beyond the slider's end it stays at the end and the text says what it is."""
-        if value != self.value:
-            self.value = value
-            self._bar.SetValue(value)
-            self._text.SetInput(f"{self.name}: {value:.4g}")
+    def show(self, value: float) -> bool:
+        """Move to a value, and tell whether it is another; beyond the slider's end it stays at the end and the text
+        says what it is."""
+        if value == self.value:
+            return False
+        self.value = value
+        self._bar.SetValue(value)
+        self._text.SetInput(f"{self.name}: {value:.4g}")
+        return True
 
     def place(self, value: float) -> tuple[int, int]:
         """Where the knob stands for a value, in pixels from the lower left corner of the window."""

@@ -97,6 +97,7 @@ class Stage:
         self.playing = True
         self.turn = 0.0
         self._reading = model.read()
+        self._turn = math.nan  # nothing has been shown yet
         self._scale = _scale_of(self._reading, None)
         plotter.subplot(0, 0)
         field = self._reading.motion.at(0.0)
@@ -105,11 +106,15 @@ class Stage:
         self.search = SearchCharts(plotter, [actuator.name for actuator in model.scene.actuators], font_size)
         plotter.subplot(0, 0)
 
-    def advance(self, seconds: float) -> None:
-        """Show the model as it is now, so many seconds later."""
+    def advance(self, seconds: float) -> bool:
+        """Show the model as it is now, so many seconds later; whether that is another picture."""
         if self.playing:
             self.turn = (self.turn + 2 * math.pi * seconds / PERIOD) % (2 * math.pi)
         reading = self.model.read()
+        searched = self.search.show(self.model.swarm(), reading.bound)
+        if reading is self._reading and self.turn == self._turn:
+            return searched
+        self._turn = self.turn
         if reading is not self._reading:
             self._reading = reading
             scale = _scale_of(reading, self._scale)
@@ -117,7 +122,7 @@ class Stage:
                 self._scale = scale
                 self.plate.rescale(scale)
         self.plate.update(reading.motion.at(self.turn), text=self._text())
-        self.search.show(self.model.swarm(), reading.bound)
+        return True
 
     def _text(self) -> str:
         reading = self._reading
@@ -156,14 +161,17 @@ class SearchCharts:
         self._shown: SwarmReading | None = None
         self._visible(False)
 
-    def show(self, swarm: SwarmReading | None, bound: float | None) -> None:
-        """The state of a search; None: there is none."""
+    def show(self, swarm: SwarmReading | None, bound: float | None) -> bool:
+        """The state of a search; None: there is none. Whether it is another one than before."""
         if swarm is self._shown:
-            return
+            return False
         self._shown = swarm
         self._visible(swarm is not None)
-        if swarm is None:
-            return
+        if swarm is not None:
+            self._plot(swarm, bound)
+        return True
+
+    def _plot(self, swarm: SwarmReading, bound: float | None) -> None:
         done = np.arange(1, swarm.best.size + 1)
         self._best.update(done, swarm.best)
         self._factors.update(np.full(swarm.factors.size, done[-1]), swarm.factors)

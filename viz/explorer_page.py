@@ -30,9 +30,10 @@ EXTRA = "pip install 'warp-plate[web]'"
 TITLE = "warp-plate explore"
 # Of the stage before a browser has told its own, in pixels, and the text on it.
 SIZE, FONT_SIZE = (900, 800), 16
-# A picture is drawn at most so often, and only when the browser has taken the last but one.
+# A picture is drawn at most so often, and only when the browser has taken the last but one. One that is as before is
+# sent every second only, for a browser that has come meanwhile.
 FRAMES_A_SECOND = 30.0
-AHEAD = 2
+AHEAD, AGAIN = 2, 1.0
 # Without an answer for so long, nobody is looking, or a message was lost.
 PATIENCE = 1.0
 # Where the libraries write of a browser that went away while a picture was on its way to it.
@@ -94,17 +95,19 @@ class ExplorerPage:
 
     async def _show(self) -> None:
         """Picture after picture, as fast as the browser takes them."""
-        last = time.perf_counter()
+        last, drawn = time.perf_counter(), -math.inf
         while True:
             started = time.perf_counter()
-            self._fit()
-            self.stage.advance(started - last)
+            fitted = self._fit()
+            changed = self.stage.advance(started - last) or fitted
             last = started
             with self.server.state as state:
                 self._tell(state)
-                self._view.update()
-                self._sent += 1
-                state.picture = self._sent
+                if changed or started - drawn > AGAIN:
+                    drawn = started
+                    self._view.update()
+                    self._sent += 1
+                    state.picture = self._sent
             await asyncio.sleep(max(0.001, 1 / FRAMES_A_SECOND - (time.perf_counter() - started)))
             while self._sent - self._taken >= AHEAD:
                 self._answered.clear()
@@ -113,11 +116,11 @@ class ExplorerPage:
                 except asyncio.TimeoutError:
                     self._taken = self._sent
 
-    def _fit(self) -> None:
-        """Lay the stage out for the size that the browser has given it."""
+    def _fit(self) -> bool:
+        """Lay the stage out for the size that the browser has given it; whether that is another one."""
         size = tuple(self.plotter.render_window.GetSize())
         if size == self._size:
-            return
+            return False
         self._size = size
         turn, playing = (self.stage.turn, self.stage.playing) if hasattr(self, "stage") else (0.0, True)
         self.plotter.clear()
@@ -125,6 +128,7 @@ class ExplorerPage:
         self.stage = Stage(self.plotter, self.model, font_size)
         self.stage.turn, self.stage.playing = turn, playing
         self.plotter.disable_anti_aliasing()
+        return True
 
     def _tell(self, state: Any) -> None:
         """Sliders and numbers follow the model; what is as the browser has it already is not sent."""

@@ -52,19 +52,23 @@ class ExplorerWindow:
         """As the button does."""
         self.model.choose(choice, SEARCH_SECONDS)
         self.choices.mark(choice)
+        self.plotter.render()
 
     def pause(self) -> None:
         """Stop the motion, or let it go on."""
         self.stage.playing = not self.stage.playing
         self.pages.say("pause", "pause" if self.stage.playing else "play")
-
-    def tick(self) -> None:
-        """Show the model as it is now."""
-        now = time.perf_counter()
-        self.stage.advance(now - self._last)
-        self._last = now
-        self._read()
         self.plotter.render()
+
+    def tick(self) -> bool:
+        """Show the model as it is now, and tell whether that took another picture."""
+        now = time.perf_counter()
+        moved = self.stage.advance(now - self._last)
+        self._last = now
+        changed = self._read() or moved
+        if changed:
+            self.plotter.render()
+        return changed
 
     def _build(self) -> None:
         plotter, model, ranges = self.plotter, self.model, self.model.ranges
@@ -118,23 +122,26 @@ class ExplorerWindow:
         step = ACTUATORS if key == "after" else -ACTUATORS
         self.first = min(max(self.first + step, 0), last)
 
-    def _read(self) -> None:
-        """Sliders and numbers follow the model."""
+    def _read(self) -> bool:
+        """Sliders and numbers follow the model; whether any of them changed."""
         wanted, actuators = self.model.settings, self.model.scene.actuators
-        self.sliders["frequency"].show(wanted.frequency)
-        self.sliders["damping"].show(wanted.damping)
+        shown = [
+            self.sliders["frequency"].show(wanted.frequency),
+            self.sliders["damping"].show(wanted.damping),
+            _say(self.status, _folded(self.model.status(), 48)),
+        ]
         for slot, name in enumerate(self._names):
             index = self.first + slot
-            _say(name, f"{index + 1}  {actuators[index].name}")
-            self.sliders[f"magnitude {slot}"].show(wanted.magnitude[index])
-            self.sliders[f"phase {slot}"].show(wanted.phase[index])
+            shown.append(_say(name, f"{index + 1}  {actuators[index].name}"))
+            shown.append(self.sliders[f"magnitude {slot}"].show(wanted.magnitude[index]))
+            shown.append(self.sliders[f"phase {slot}"].show(wanted.phase[index]))
         reading = self.model.read()
         if reading is not self._shown:
             self._shown = reading
-            _say(self.numbers, _numbers(reading))
+            shown.append(_say(self.numbers, _numbers(reading)))
             for name, share in share_texts(reading).items():
-                _say(self.quadrants[name], f" {share:{FIGURE_SPACE}>7} ")
-        _say(self.status, _folded(self.model.status(), 48))
+                shown.append(_say(self.quadrants[name], f" {share:{FIGURE_SPACE}>7} "))
+        return any(shown)
 
 
 def make_plotter(off_screen: bool = False) -> pyvista.Plotter:
@@ -176,9 +183,12 @@ def _cell(text: vtkTextActor) -> vtkTextActor:
     return text
 
 
-def _say(text: vtkTextActor, words: str) -> None:
-    if text.GetInput() != words:
-        text.SetInput(words)
+def _say(text: vtkTextActor, words: str) -> bool:
+    """Show these words; whether they are others than before."""
+    if text.GetInput() == words:
+        return False
+    text.SetInput(words)
+    return True
 
 
 def _folded(line: str, width: int) -> str:

@@ -12,6 +12,7 @@ from warp_plate.result.model import Case, Result
 from warp_plate.result.whole import whole_file
 from warp_plate.viz.availability import missing, missing_plots, off_screen, prepare
 from warp_plate.viz.comparison import DRIVES, ordered
+from warp_plate.viz.crosstalk_plot import draw_crosstalk
 from warp_plate.viz.lettering import add_legend
 from warp_plate.viz.quantity import scale_over
 from warp_plate.viz.robust_plot import draw_robust
@@ -37,8 +38,8 @@ PUBLISHED_LOSS = 0.28
 
 
 def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
-    """Draw what the result holds into ``<stem>-history.png``, ``<stem>-robust.png``,
-    ``<stem>-spectrum.png`` and ``<stem>-surfaces.png``.
+    """Draw what the result holds: ``<stem>-history.png``, ``-robust.png``, ``-crosstalk.png``, ``-spectrum.png`` and
+    ``-surfaces.png``.
 
     Nothing that is wrong with a library or a file ends the run.
 
@@ -50,6 +51,8 @@ def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
         jobs.append((draw_history, "history", missing_plots))
     if result.robust is not None and np.isfinite(result.robust.fresh).any():
         jobs.append((draw_robust, "robust", missing_plots))
+    if result.scene.targets and result.command == "localize":
+        jobs.append((draw_crosstalk, "crosstalk", missing_plots))
     if result.spectrum:
         jobs.append((draw_spectrum, "spectrum", missing_plots))
     if result.times.size:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 INK, TARGET = "#1a1a1a", "#1b7837"
 # Of the colour bar and the key, in font sizes.
 LEGEND_WIDTH = 8.2
+# Ticks stand at quarters of a limit of two digits, which have four at most.
+TICK = "%.4g"
 # From line to line of the key, in font sizes.
 LINE = 1.35
 
@@ -42,7 +44,7 @@ def add_legend(plotter: pyvista.Plotter, scene: Scene, scale: Scale, font_size: 
         add_text(plotter, words, (left, top - line * index), font_size, colour)
     bar = vtkScalarBarActor()
     bar.SetNumberOfLabels(5)
-    bar.SetLabelFormat("%.3g")
+    bar.SetLabelFormat(f" {TICK}")  # not by the bar's own padding, which moves the labels off their ticks
     bar.SetMaximumNumberOfColors(256)
     bar.UnconstrainedFontSizeOn()
     bar.SetVerticalTitleSeparation(font_size // 2)

@@ -271,6 +271,7 @@ function go(frame) {
 function legend() {
   byId("title").textContent = data.title;
   byId("name").textContent = document.title = data.name;
+  if (data.thinned) byId("hint").append(" " + data.thinned);
   const context = byId("colours").getContext("2d"), table = new Uint8Array(bytes(data.table));
   for (let row = 0; row < 256; row++) {
     context.fillStyle = `rgb(${table.slice(4 * row, 4 * row + 3).join(",")})`;

@@ -1,12 +1,14 @@
 """A page of plates in motion: one HTML file that plays and turns them in any browser, without a network or a server.
 
 The page draws with WebGL 2 what the other pictures show: the meshes, looks and scale of the builder, written into it.
+Of a fine grid it shows every second, third, ... node, so that the file can still be sent and opened.
 """
 
 from __future__ import annotations
 
 import base64
 import json
+import math
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -18,13 +20,15 @@ from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.camera import AZIMUTH, ELEVATION
 from warp_plate.viz.comparison import common_scale, heading, quantity_of, rows_and_columns
-from warp_plate.viz.lettering import key_of, lookup_table
-from warp_plate.viz.quantity import DISPLACEMENT, MODE
+from warp_plate.viz.lettering import TICK, key_of, lookup_table
+from warp_plate.viz.quantity import DISPLACEMENT, MODE, Quantity
 from warp_plate.viz.scene3d import Line, lines_of
 from warp_plate.viz.surface import OnSurface, PlateMeshes, plate_meshes
 
 # Fields are whole numbers up to PEAK in the page; STILL stands for what is no number.
 PEAK, STILL = 32767, -32768
+# What the fields of a page may take as text, about [bytes]; and one whole number, as base64.
+MOST_BYTES, A_NUMBER = 20e6, 8 / 3
 # Of the page's text, for the widths of lines.
 FONT_SIZE = 16
 # What one step of a depth buffer is in the page's depth, −1 ... 1.
@@ -64,13 +68,17 @@ def page_data(
     same = shown in (DISPLACEMENT, MODE)
     fields = [motion.displacement for motion in motions]
     peak = scale.limit if same else max(float(np.abs(np.nan_to_num(field)).max()) for field in fields) or 1.0
+    colours = [] if same else [shown.values(motion) for motion in motions]
+    whole = fields[0].shape[1:]
+    ny, nx = (thinned(nodes, sum(len(field) for field in [*fields, *colours]) * math.prod(whole)) for nodes in whole)
+    fields, colours = ([_at_nodes(field, (ny, nx), shown) for field in of] for of in (fields, colours))
     meshes = plate_meshes(scene, fields[0][0], scale)
     low, high = scale.limits
-    ny, nx = fields[0].shape[1:]
     return {
         "name": scene.title or "Plates in motion",
         "size": list(scene.plate.size),
         "grid": [nx, ny],
+        "thinned": "" if (ny, nx) == whole else f"Of {whole[1]} × {whole[0]} nodes {nx} × {ny} are shown.",
         "frames": len(fields[0]),
         "colourFrames": len(shown.values(motions[0])),
         "columns": rows_and_columns(len(motions))[1],
@@ -82,7 +90,7 @@ def page_data(
         "elevation": ELEVATION,
         "title": scale.title,
         "limits": [low / high, 1.0],
-        "ticks": [f"{tick:.3g}".replace("-", "−") for tick in np.linspace(high, low, 5)],
+        "ticks": [(TICK % tick).replace("-", "−") for tick in np.linspace(high, low, 5)],
         "cyclic": shown.kind == "cyclic",
         "none": _rgb(shown.no_number),
         "table": _base64(lookup_table(scale).values.astype(np.uint8)),
@@ -92,18 +100,43 @@ def page_data(
         "plates": [
             {
                 "headings": [heading(motion, frame) for frame in range(len(motion.times))],
-                "heights": _whole(motion.displacement, peak),
-                "colours": None if same else _whole(shown.values(motion), scale.limit),
+                "heights": _whole(fields[index], peak),
+                "colours": None if same else _whole(colours[index], scale.limit),
                 # Where its actuators are elsewhere; null: as the others'.
                 "outlines": _outlines(plate_meshes(motion.scene, fields[0][0], scale)) if motion.scene else None,
             }
-            for motion in motions
+            for index, motion in enumerate(motions)
         ],
     }
 
 
 def _outlines(meshes: PlateMeshes) -> list[dict[str, Any]]:
     return [_outline(line) for line in sorted(lines_of(meshes), key=lambda line: line.nearer)]
+
+
+def thinned(nodes: int, numbers: int) -> int:
+    """How many nodes along one side are shown of a grid whose fields are so many numbers.
+
+    Every k-th of both sides, k as small as MOST_BYTES allows, and up to twice that where only then the last node is
+    one of them.
+    """
+    least = math.ceil(math.sqrt(A_NUMBER * numbers / MOST_BYTES))
+    step = next((step for step in range(least, 2 * least + 1) if (nodes - 1) % step == 0), least)
+    return max(2, round((nodes - 1) / step) + 1)
+
+
+def _at_nodes(field: np.ndarray, nodes: tuple[int, int], quantity: Quantity) -> np.ndarray:
+    """(frames, *nodes) of a field: at nodes of its own, else between its neighbours; of angles, the nearest one's."""
+    for axis, count in zip((1, 2), nodes, strict=True):
+        at = np.linspace(0, field.shape[axis] - 1, count)
+        near = np.rint(at).astype(int)
+        if quantity.kind == "cyclic" or np.allclose(at, near):
+            field = field.take(near, axis)
+            continue
+        low = np.minimum(at.astype(int), field.shape[axis] - 2)
+        part = (at - low).reshape(-1, 1) if axis == 1 else at - low
+        field = field.take(low, axis) * (1 - part) + field.take(low + 1, axis) * part
+    return field
 
 
 def _outline(line: Line) -> dict[str, Any]:

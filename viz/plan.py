@@ -110,7 +110,8 @@ def side_lines(scene: Scene) -> list[Line2D]:
     return [Line2D([], [], **SIDES[kind].matplotlib, label=SIDES[kind].words) for kind in kinds_of(scene)]
 
 
-def _draw(axes: Axes, scene: Scene, field: np.ndarray, scale: Scale) -> None:
+def paint(axes: Axes, scene: Scene, field: np.ndarray, scale: Scale) -> None:
+    """The field (ny, nx), a node's colour reaching half a cell beyond the plate's edge."""
     from matplotlib import colormaps
 
     (width, height), (ny, nx) = scene.plate.size, field.shape
@@ -120,6 +121,11 @@ def _draw(axes: Axes, scene: Scene, field: np.ndarray, scale: Scale) -> None:
     painted = colours(_norm(scale)(np.ma.masked_invalid(field * scale.per_base)))
     extent = (-half_x, width + half_x, -half_y, height + half_y)
     axes.imshow(painted, origin="lower", extent=extent, interpolation="bilinear")
+
+
+def _draw(axes: Axes, scene: Scene, field: np.ndarray, scale: Scale) -> None:
+    width, height = scene.plate.size
+    paint(axes, scene, field, scale)
     for actuator in scene.actuators:
         outline(axes, actuator.area, INK)
     for way in outlines(scene):

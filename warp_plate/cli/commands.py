@@ -10,6 +10,7 @@ import warp_plate
 from warp_plate.cli.accuracy import accuracy
 from warp_plate.cli.bench import bench
 from warp_plate.cli.check import check
+from warp_plate.cli.compare import compare
 from warp_plate.cli.effects import effects
 from warp_plate.cli.explore import explore
 from warp_plate.cli.export import export
@@ -29,7 +30,10 @@ app = cyclopts.App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
 )
-for command in (localize, simulate, check, modes, effects, accuracy, view, explore, render, export, init, bench):
+COMMANDS = (
+    localize, compare, simulate, check, modes, effects, accuracy, view, explore, render, export, init, bench,
+)  # fmt: skip
+for command in COMMANDS:
     app.command(command)
 
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 # A trial has found the bound when its loss is this near.
 NEAR = 1e-6
 LEGEND = (
-    "of the seeds' results, best, median and worst; gap: of the median from the bound. evaluations, seconds: of the "
-    "median trial."
+    "best, median, worst: of the seeds' results. gap: of the median from the bound. near: how many seeds came within "
+    "1e-6 of it. tried, s: median evaluations and seconds of a trial."
 )
 
 
@@ -135,6 +135,7 @@ def as_json(result: Comparison, files: list[Path]) -> dict[str, object]:
         "device": result.device,
         "evaluator": result.evaluator,
         "budget": result.budget,
+        "seconds": {"prepare": result.prepared},
         "localization": result.localization,
         "bound": None if result.bound is None else bound,
         "methods": rows(result),
@@ -158,19 +159,22 @@ def as_json(result: Comparison, files: list[Path]) -> dict[str, object]:
 def _print(result: Comparison, console: Console) -> None:
     title = "localization factor" if result.localization else "loss"
     console.print(f"{result.scene.title or result.source} on {result.device}, evaluator {result.evaluator}\n")
-    made = output.table(title, "best", "median", "worst", "gap", f"within {NEAR:g}", "evaluations", "seconds")
+    made = output.table("method", "best", "median", "worst", "gap", "near", "tried", "s", title=title)
     for row in rows(result):
         losses = [float(str(row[name])) for name in ("best", "median", "worst")]
-        shown = [f"{1 - loss if result.localization else loss:.6f}" for loss in losses]
-        near = ["–", "–"] if row["gap"] is None else [f"{row['gap']:.1e}", f"{row['at_bound']} of {row['seeds']}"]
-        made.add_row(str(row["method"]), *shown, *near, f"{row['evaluations']:.0f}", f"{row['seconds']:.3g}")
+        shown = [f"{1 - loss if result.localization else loss:.6g}" for loss in losses]
+        near = ["–", "–"] if row["gap"] is None else [f"{row['gap']:.1e}", f"{row['at_bound']}/{row['seeds']}"]
+        made.add_row(str(row["method"]), *shown, *near, f"{row['evaluations']:.0f}", f"{row['seconds']:.2g}")
     console.print(made)
     if result.bound is None:
         console.print("\nbound: none claimed")
     else:
         value = 1 - result.bound if result.localization else result.bound
-        console.print(f"\n{result.bound_kind}: {value:.6f}, {result.bound_sentence}")
+        words = {"attained": "bound (no method can pass)", "bound only": "bound only (may not be reached)"}
+        console.print(f"\n{words[result.bound_kind]}: {value:.6g}, {result.bound_sentence}")
     console.print(LEGEND)
+    if result.prepared > 0:
+        console.print(f"before the clock: {result.prepared:.2g} s for the plates that all methods share.")
     for method, reason in result.skipped.items():
         console.print(f"{method}: not tried: {reason}")
     if result.interrupted:

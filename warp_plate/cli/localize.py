@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import cyclopts
 
 from warp_plate.cli import output
+from warp_plate.cli.crosstalk import crosstalk_json, crosstalk_table
 from warp_plate.cli.options import Whole
 from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
 from warp_plate.cli.resume import read_checkpoint, result_beside, way_on
@@ -30,6 +31,8 @@ MEANING = {
     "equal": "all actuators alike",
     "single": "best single actuator",
     "nominal": "found without scatter",
+    "time_reversal": "time reversal to the target's middle",
+    "inverse_filter": "regularised inverse filter",
     "best": "found by the search",
     "bound": "bound: no drive passes it",
 }
@@ -46,6 +49,7 @@ def localize(
     accuracy: str | None = None,
     estimate: bool = True,
     spectrum: bool = True,
+    baselines: Annotated[bool, cyclopts.Parameter(negative="")] = False,
     checkpoint_every: float = 30.0,
     resume: Path | None = None,
     out: Path | None = None,
@@ -92,6 +96,8 @@ def localize(
     spectrum
         After a search for one frequency of all actuators, take the localization factor over its whole range: of equal
         drive, of the best single actuator and of the best drive at each frequency, with the plate's resonances.
+    baselines
+        Show the drives that haptics takes without a search beside the one found: time reversal and inverse filter.
     checkpoint_every
         Seconds between two checkpoints, at the end of an iteration: OUT.checkpoint.h5 for OUT.h5, and
         OUT.checkpoint.previous.h5, the one before. 0: after each iteration; inf: only after Ctrl-C.
@@ -128,7 +134,15 @@ def localize(
     elif loaded is not None:
         on = "auto" if device is None else device
         run = partial(search, loaded, scene or "", on, seed, evaluator, path or "auto")
+    if baselines:
+        from warp_plate.search.baselines import check_baselines, with_baselines
+
+        searched = loaded if checkpoint is None else checkpoint.scene
+        assert searched is not None
+        check_baselines(searched)
     result = _run(partial(run, spectrum=spectrum), estimate, kept, shown=not json)
+    if baselines:
+        result = with_baselines(result, device or "auto", path or "auto")
     files, missing = _write(result, target, pictures, kept)
     if json:
         output.print_json(as_json(result, files, kept.path if result.interrupted and kept.saved else None))
@@ -169,24 +183,29 @@ def _write(result: Result, target: Path, pictures: bool, kept: CheckpointFile) -
 
 
 def _write_found(result: Result, path: Path) -> list[Path]:
-    """The scene that was found, for ``simulate``; nothing where no scene may have its numbers, which is told."""
+    """The scene that was found, for ``simulate``, and of several targets one for each, numbered from the second on;
+    nothing where no scene may have its numbers, which is told."""
+    from warp_plate.result.crosstalk import found_scenes
     from warp_plate.result.whole import write_whole
     from warp_plate.scene.load import dump_scene
 
     try:
-        scene = result.scene_of(result.cases["best"])
+        scenes = found_scenes(result)
     except SceneError as error:
         output.tell(f"{path} is not written: {error}")
         return []
-    head = f"# Found by: warp-plate localize {result.source}\n# Run it by: warp-plate simulate {path.name}\n"
-    write_whole((printable(head) + dump_scene(scene)).encode(), path)
-    return [path]
+    files = []
+    for number, scene in enumerate(scenes.values(), 1):
+        file = path if number == 1 else path.with_suffix(f".{number}.toml")
+        head = f"# Found by: warp-plate localize {result.source}\n# Run it by: warp-plate simulate {file.name}\n"
+        write_whole((printable(head) + dump_scene(scene)).encode(), file)
+        files.append(file)
+    return files
 
 
 def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -> dict[str, object]:
     """The object that ``--json`` prints; ``checkpoint``: what an interrupted search goes on from."""
     best = result.cases["best"]
-    own = {"frequency": best.frequency, "centre": best.centre, "delay": best.delay}
     factors = {name: case.localization_factor for name, case in result.cases.items()}
     history = {name: values.tolist() for name, values in result.history.items()}
     return {
@@ -195,15 +214,8 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
         "path": result.path,
         "seed": result.seed,
         "localization_factor": {**factors, "bound": result.bound},
-        "drive": [
-            {
-                "actuator": actuator.name,
-                "magnitude": float(best.magnitude[index]),
-                "phase": float(best.phase[index]),
-                **{name: values[index].tolist() for name, values in own.items() if values is not None},
-            }
-            for index, actuator in enumerate(result.scene.actuators)
-        ],
+        "drive": output.drive_json(best, result.scene),
+        "crosstalk": crosstalk_json(result),
         "evaluations": result.evaluations,
         "node_steps": result.node_steps,
         "seconds": dict(result.seconds),
@@ -223,11 +235,12 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
 def _print(result: Result, console: Console) -> None:
     published = PUBLISHED if result.source == "paper" else {}
     factors = {name: case.localization_factor for name, case in result.cases.items()}
-    headings = ("localization factor", "this run") + (("published",) if published else ())
+    first = f", target {result.scene.targets[0].name}" if result.several else ""
+    headings = (f"localization factor{first}", "this run") + (("published",) if published else ())
     console.print(result.scene.title or result.source)
     made = output.table(*headings)
     for name, meaning in MEANING.items():
-        if name not in factors and name != "bound":
+        if name != "bound" and name not in factors:
             continue
         value = result.bound if name == "bound" else factors[name]
         row = [meaning, "none claimed" if value is None else f"{value:.4f}"]
@@ -237,6 +250,9 @@ def _print(result: Result, console: Console) -> None:
     print_robust(result, console)
     console.print(output.drive_table(result.cases["best"], result.scene))
     console.print()
+    if result.several:
+        console.print(crosstalk_table(result))
+        console.print()
     if result.interrupted:
         console.print("Interrupted by Ctrl-C: the best so far is shown.")
     if published:

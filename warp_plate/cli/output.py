@@ -80,6 +80,20 @@ def drive_table(case: Case, scene: Scene) -> Table:
     return made
 
 
+def drive_json(case: Case, scene: Scene) -> list[dict[str, object]]:
+    """A drive for ``--json``, an object for each actuator; with what the search gave it of its own."""
+    own = {"frequency": case.frequency, "centre": case.centre, "delay": case.delay}
+    return [
+        {
+            "actuator": actuator.name,
+            "magnitude": float(case.magnitude[index]),
+            "phase": float(case.phase[index]),
+            **{name: values[index].tolist() for name, values in own.items() if values is not None},
+        }
+        for index, actuator in enumerate(scene.actuators)
+    ]
+
+
 def output_file(out: Path | None, source: str, command: str, endings: Sequence[str] = (".h5",)) -> Path:
     """Where a command's file goes: ``out``, or SCENE-COMMAND with the first of the endings, in this folder.
 
@@ -114,7 +128,8 @@ def load_scene(
         SceneError: see ``Scene.load``, ``make_scheme``, ``patches`` and ``variables_of``; or no accuracy.
     """
     from warp_plate.plate.scheme import make_scheme
-    from warp_plate.plate.weights import patches
+    from warp_plate.plate.weights import patches, region_weights
+    from warp_plate.result.crosstalk import regions_of_targets
     from warp_plate.scene import Scene
 
     scene = Scene.load(source)
@@ -125,6 +140,7 @@ def load_scene(
     try:
         make_scheme(scene, allow_unstable)
         patches(scene)
+        region_weights(scene, regions_of_targets(scene))
         if searched:
             from warp_plate.search.free import with_step
             from warp_plate.search.variables import variables_of

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
-# Rows of a block; so few rows take one call and no thread. More threads than these wait for memory.
+# Rows of a block; so few rows take one call and no thread. More threads than that wait for each other.
 ROWS = 8192
-MOST_THREADS = 8
+MOST_THREADS = 16
 
 
 def over_blocks(task: Callable[[slice], object], rows: int) -> None:
@@ -31,4 +31,6 @@ def over_blocks(task: Callable[[slice], object], rows: int) -> None:
 @cache
 def _pool() -> ThreadPoolExecutor:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return ThreadPoolExecutor(min(cores, MOST_THREADS), thread_name_prefix="rows of arrays")
+    told = os.environ.get("WARP_PLATE_THREADS", "")  # checked where the CPU's own threads are counted
+    threads = int(told) if told.isdecimal() else cores
+    return ThreadPoolExecutor(max(1, min(threads, MOST_THREADS)), thread_name_prefix="rows of arrays")

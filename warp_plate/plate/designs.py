@@ -147,8 +147,8 @@ def check_designs(designs: Designs, scene: Scene, own: Own, time_step: float) ->
         if carriers_of(scene, own) == 1:
             for name, values in (("frequency", frequency), ("delay", delay)):
                 if values is not None:
-                    alike = np.asarray(values == values[:, :1])
-                    _refuse(scene, name, values, alike, "one value for all actuators, or a solver with Own(each=True)")
+                    right = "one value for all actuators, or a solver with Own(each=True)"
+                    _refuse(scene, name, values, values == values[:, :1], right)
             frequency, delay = frequency[:, :1], None if delay is None else delay[:, :1]
     return OwnValues(frequency, delay, _edges(scene, own, given["centre"]) if "centre" in given else None)
 
@@ -171,7 +171,7 @@ def _edges(scene: Scene, own: Own, centre: np.ndarray) -> np.ndarray:
     return np.stack([low[..., 0], high[..., 0], low[..., 1], high[..., 1]], axis=-1)
 
 
-def _refuse(scene: Scene, name: str, values: np.ndarray, good: np.ndarray, right: str) -> None:
+def _refuse(scene: Scene, name: str, values: np.ndarray, good: np.ndarray | np.bool_, right: str) -> None:
     if not good.all():
         plate, actuator = np.argwhere(~good)[0]
         raise SceneError(

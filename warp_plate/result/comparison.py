@@ -45,9 +45,10 @@ class Trial:
 
 @dataclass(frozen=True)
 class Comparison:
-    """evaluator: "response" or "direct"; budget: evaluations that each trial may make; localization: whether a loss is
-    1 − LF; bound: loss that no drive can have less of, None where none is claimed, with its kind ("attained" or "bound
-    only") and sentence; skipped: by method, why it was not tried.
+    """evaluator: "response" or "direct"; budget: evaluations that each trial may make; prepared: seconds that the Gram
+    matrices took, before any trial; localization: whether a loss is 1 − LF; bound: loss that no drive can have less of,
+    None where none is claimed, with its kind ("attained" or "bound only") and sentence; skipped: by method, why it was
+    not tried.
     """
 
     source: str
@@ -55,6 +56,7 @@ class Comparison:
     device: str
     evaluator: str
     budget: int
+    prepared: float
     localization: bool
     trials: tuple[Trial, ...]
     bound: float | None = None
@@ -106,6 +108,7 @@ def _write(file: h5py.File, comparison: Comparison) -> None:
             "device": comparison.device,
             "evaluator": comparison.evaluator,
             "budget": comparison.budget,
+            "seconds": json.dumps({"prepare": comparison.prepared}),
             "localization": int(comparison.localization),
             "bound_kind": comparison.bound_kind,
             "bound_sentence": comparison.bound_sentence,
@@ -140,6 +143,7 @@ def _read(file: h5py.File, scene: Scene) -> Comparison:
         device=text(file, "device"),
         evaluator=text(file, "evaluator"),
         budget=count(file, "budget"),
+        prepared=float(table(file, "seconds")["prepare"]),
         localization=bool(count(file, "localization")),
         trials=tuple(trials),
         bound=float(numbers(file, "bound", ())) if "bound" in file else None,

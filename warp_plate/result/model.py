@@ -69,6 +69,21 @@ def placed(scene: Scene, case: Case) -> Scene:
 
 
 @dataclass(frozen=True)
+class Found:
+    """The search for one target.
+
+    position: (dimension,) the best one in the search's space; None where one actuator leaves no choice, or none had
+    energies. single: index of the best single actuator; bound, history: as in :class:`Result`; evaluations: plates.
+    """
+
+    position: np.ndarray | None
+    single: int
+    bound: float | None
+    evaluations: int
+    history: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
 class Result:
     """Everything that ``localize`` or ``simulate`` found, with all that is needed to run it again.
 
@@ -85,6 +100,8 @@ class Result:
     spectrum: of a search for a frequency, over the "frequency" [Hz] of its range, the localization factors "equal",
         "single" and "best" (of any drive), and the "resonances" [Hz] in it; empty where none was made.
     robust: of a robust search, its drive and the "nominal" one, a case too, over fresh scenarios.
+    several: of a scene with several targets, the search for each that was come to; ``bound`` and ``history`` are the
+        first's. Cases: see ``result.crosstalk``.
     """
 
     command: str
@@ -109,6 +126,7 @@ class Result:
     peak: float | None = None
     spectrum: Mapping[str, np.ndarray] = field(default_factory=dict)
     robust: RobustComparison | None = None
+    several: tuple[Found, ...] = ()
 
     def placed(self, case: Case) -> Scene:
         """The scene with a case's frequencies, places and burst starts."""

@@ -7,6 +7,7 @@
     /cases/CASE/frequency, centre, delay     where the plate had its own
     /history/evaluations, best, mean
     /robust/fresh, searched, nominal_plate   of the robust and the nominal drive
+    /crosstalk                           of several targets; /searches/0, ... what was found for each
     /spectrum/frequency, equal, single, best, resonances
     attributes of /: command, source, scene (TOML), device, seed, effects, versions, seconds, ...
 
@@ -21,9 +22,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from warp_plate.result.crosstalk import crosstalk
 from warp_plate.result.model import Case, Result
 from warp_plate.result.plain import count, names_in, numbers, opened, put, save_hdf5, table, text
 from warp_plate.result.robust import RobustComparison
+from warp_plate.result.several import put_several, read_several
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene
@@ -109,6 +112,10 @@ def _write(file: h5py.File, result: Result) -> None:
         put(file, f"spectrum/{name}", values, *SPECTRUM[name])
     if result.robust is not None:
         _write_comparison(file, result.robust)
+    if result.several:
+        put_several(file, result.several)
+        put(file, "crosstalk", crosstalk(result), "1", "share of the plate's energy in each target, by each's drive")
+        file["crosstalk"].attrs["targets"] = json.dumps([target.name for target in result.scene.targets])
 
 
 def _write_case(file: h5py.File, at: str, case: Case, unit: str) -> None:
@@ -156,6 +163,7 @@ def _read(file: h5py.File, name: str) -> Result:
         peak=float(numbers(file, "peak_displacement", ())) if "peak_displacement" in file else None,
         spectrum=_read_spectrum(file),
         robust=_read_comparison(file),
+        several=read_several(file),
     )
 
 

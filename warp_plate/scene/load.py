@@ -138,7 +138,7 @@ def dump_scene(scene: Scene) -> str:
     if scene.grid.accuracy is not None:
         data["grid"] = {"accuracy": scene.grid.accuracy}
     several = {key: data.pop(key) for key in ("targets", "actuators")}
-    if several["targets"]:
+    if scene.targets and scene.target == scene.targets[0].unnamed:
         del data["target"]
     lines = [f"title = {_toml(data.pop('title'))}"]
     for table, keys in data.items():

@@ -151,7 +151,7 @@ class Scene(Table):
     window: Window = Window()
     drive: Drive
     targets: tuple[NamedTarget, ...] = ()
-    # The first of ``targets``, where there are such.
+    # One of ``targets``, where there are such: the first, unless it is said.
     target: Target
     record: Record = Record()
     effects: Effects = Effects()
@@ -177,9 +177,9 @@ class Scene(Table):
         if not isinstance(tables, dict) or "target" in tables or not tables.get("targets"):
             return tables
         try:
-            first = NamedTarget.model_validate(tables["targets"][0]).model_dump(exclude={"name"})
+            first = NamedTarget.model_validate(tables["targets"][0]).unnamed
         except (ValidationError, LookupError, TypeError):  # which the check of ``targets`` will tell
-            first = {"area": (0.0, 1.0, 0.0, 1.0)}
+            first = Target(area=(0.0, 1.0, 0.0, 1.0))
         return {**tables, "target": first}
 
     @model_validator(mode="after")
@@ -228,8 +228,8 @@ class Scene(Table):
         for index, target in enumerate(self.targets):
             if target.name in [other.name for other in self.targets[:index]]:
                 raise ValueError(f"targets[{index}].name: {target.name!r} is taken; give each target its own")
-        if self.targets and self.target.model_dump() != self.targets[0].model_dump(exclude={"name"}):
-            raise ValueError("target: there are [[targets]] too, whose first is the target; write one of the two")
+        if self.targets and self.target not in [target.unnamed for target in self.targets]:
+            raise ValueError("target: there are [[targets]] too, and it is none of them; write one of the two")
 
     @property
     def uniform(self) -> bool:
@@ -250,6 +250,10 @@ class Scene(Table):
         """All targets by their keys: ``target``, or ``targets[0]``, ..."""
         several: dict[str, Target] = {f"targets[{index}]": target for index, target in enumerate(self.targets)}
         return several or {"target": self.target}
+
+    def aimed_at(self, index: int) -> Scene:
+        """The scene with another one of its several targets as its ``target``."""
+        return self.model_copy(update={"target": self.targets[index].unnamed})
 
     @property
     def folder(self) -> Path | None:

@@ -99,9 +99,14 @@ class Target(Table):
 
 
 class NamedTarget(Target):
-    """One of several targets."""
+    """One of several targets; its name stands in the names of a result's cases, which have no slash."""
 
-    name: Name
+    name: Annotated[Name, Field(pattern=r"^[^/\x00]*$")]
+
+    @property
+    def unnamed(self) -> Target:
+        """Its shape alone."""
+        return Target(area=self.area, disc=self.disc, polygon=self.polygon, mask=self.mask)
 
 
 def area_within(corners: np.ndarray) -> float:

@@ -16,12 +16,16 @@ scene has one for all of them: there is none here.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from warp_plate.plate.signals import own_frequencies
 from warp_plate.plate.weights import REGIONS, bilinear, localization_factor, region_weights
+from warp_plate.result.model import Result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.search.last_runs import cases_of
 from warp_plate.search.superposition import LINEAR_ORDERS, LINEAR_SAMPLES, last_period, motions_of
 from warp_plate.solve.response import Response
 from warp_plate.solve.solver import PlateSolver
@@ -29,8 +33,8 @@ from warp_plate.solve.solver import PlateSolver
 # For people, in the order of a table.
 BASELINES = {
     "single": "best single actuator",
-    "time reversal": "time reversal to the target's middle",
-    "inverse filter": "regularised inverse filter",
+    "time_reversal": "time reversal to the target's middle",
+    "inverse_filter": "regularised inverse filter",
 }
 # The square root of λ, in parts of the largest singular value of √W H: a combination of actuators that moves the plate
 # less than this part of the most effective one is damped, not called for in full.
@@ -52,6 +56,36 @@ def baselines(solver: PlateSolver, response: Response) -> dict[str, np.ndarray]:
     return dict(zip(BASELINES, found, strict=True))
 
 
+def with_baselines(result: Result, device: str = "auto", path: str = "auto") -> Result:
+    """The result of ``localize`` with a case for each of BASELINES beside its own; without them where Ctrl-C comes.
+
+    Raises:
+        SceneError: see ``why_none``.
+    """
+    scene, shown = result.scene, list(BASELINES)[1:]
+    try:
+        solver = PlateSolver(scene, device, path)
+        transfer = transfer_functions(solver)
+        drives = dict(zip(shown, (time_reversal(scene, transfer), inverse_filter(scene, transfer)), strict=True))
+        run = solver.run(np.array(list(drives.values())), scene.record.times, scene.record.points)
+    except KeyboardInterrupt:  # a search is not lost for want of what it is compared with
+        return result
+    return replace(
+        result, cases={**result.cases, **cases_of(drives, run)}, node_steps=result.node_steps + solver.node_steps
+    )
+
+
+def check_baselines(scene: Scene) -> None:
+    """Refuse a scene without such drives, before it is searched.
+
+    Raises:
+        SceneError: see ``why_none``.
+    """
+    reason = why_none(scene)
+    if reason is not None:
+        raise SceneError(f"baselines: {reason}; time reversal and inverse filter need one frequency and linear drives")
+
+
 def why_none(scene: Scene) -> str | None:
     """Why a scene has no such drives, for people; None where it has."""
     if not scene.linear:
@@ -70,9 +104,8 @@ def transfer_functions(solver: PlateSolver) -> np.ndarray:
     Raises:
         SceneError: see ``why_none``.
     """
-    scene, reason = solver.scene, why_none(solver.scene)
-    if reason is not None:
-        raise SceneError(f"baselines: {reason}, and transfer functions need that")
+    scene = solver.scene
+    check_baselines(scene)
     (frequency,) = own_frequencies(scene)
     # ``superposition`` reads the drive's frequency, which here is that of all actuators.
     tone = scene.model_copy(update={"drive": scene.drive.model_copy(update={"frequency": frequency})})

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from warp_plate.plate.designs import Designs
 from warp_plate.result.comparison import Comparison, Trial
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.search.free import at_highest_frequency
 from warp_plate.search.interrupts import interrupts_held
+from warp_plate.search.judge import Judge, make_judge
 from warp_plate.search.localize import device_name, resolve, versions
+from warp_plate.search.loss_bound import bound_loss
 from warp_plate.search.methods import Method, make_searcher
 from warp_plate.search.problem import Evaluator, Problem, make_problem
+from warp_plate.search.quadratic import Quadratic
 
 METHODS = ("pso", "constriction", "ring", "cma", "gradient", "exact")
 # Methods that find the same from every seed.
@@ -42,26 +48,30 @@ def compare(
         evaluations: that each trial may make; left out: the scene's particles × iterations.
         told: called after each iteration.
 
-    Ctrl-C ends it; the trials that are done are kept. Seconds are those of ``ask``, losses and ``tell``, after each
-    method was warmed by one iteration that does not count.
+    Ctrl-C ends it; the trials that are done are kept. Seconds are those of the method's
+    beginning, ``ask``, losses and ``tell``, after each method was warmed by one iteration that does not count; what the
+    Gram matrices took, which all share, is kept apart.
 
     Raises:
         SceneError: a method that was named does not fit the scene; see :func:`make_problem`.
         KeyboardInterrupt: Ctrl-C before the first trial was done.
     """
-    scene = resolve(scene, device)[0]
+    scene = resolve(at_highest_frequency(scene), device)[0].model_copy(update={"actuators": scene.actuators})
     search = scene.search
     if evaluations is not None:
         search = search.model_copy(update={"iterations": max(1, evaluations // search.particles)})
         scene = scene.model_copy(update={"search": search})
+    started = time.perf_counter()
     problem = make_problem(scene, device, path, evaluator or "direct")
+    prepared = time.perf_counter() - started - problem.compile_seconds
     if evaluator is None and problem.response is not None:
-        problem = make_problem(scene, device, path, "response", problem.response.matrices)
-    budget = search.particles * search.iterations
+        problem = replace(problem, evaluator="response")
+    judge, budget = make_judge(problem.scene), search.particles * search.iterations
+    quadratic = _quadratic(problem, judge)
 
     def begin(method: str, seed: int) -> Method:
         named = search.model_copy(update={"method": method})
-        return make_searcher(named, problem.space, seed, problem.quadratic)
+        return make_searcher(named, problem.space, seed, quadratic)
 
     fitting, skipped = _fitting(methods, begin, search.seed)
     trials, interrupted = [], False
@@ -80,19 +90,20 @@ def compare(
                 if told is not None:
                     told(before + done, len(pairs) * budget, note)
 
-            trials.append(_trial(begin(method, seed), method, seed, problem, budget, tell))
+            trials.append(_trial(begin, method, seed, problem, budget, tell))
     except KeyboardInterrupt:
         if not trials:
             raise
         interrupted = True
-    bound = problem.bound_of_loss
+    bound = bound_loss(problem.variables, judge, problem.response)
     return Comparison(
         source=source,
         scene=problem.scene,
         device=device_name(problem.plain.device),
         evaluator=problem.evaluator,
         budget=budget,
-        localization=problem.only_localization,
+        prepared=prepared,
+        localization=judge.only_localization,
         trials=tuple(sorted(trials, key=lambda trial: (fitting.index(trial.method), trial.seed))),
         bound=None if bound is None else bound.value,
         bound_kind="" if bound is None else bound.kind,
@@ -100,6 +111,20 @@ def compare(
         skipped=skipped,
         interrupted=interrupted,
         versions=versions(),
+    )
+
+
+def _quadratic(problem: Problem, judge: Judge) -> Quadratic | None:
+    """The problem for methods that need no plates; None where energies are no quadratic forms of the drives."""
+    variables = problem.variables
+    if problem.response is None or judge.needs_displacement:
+        return None
+    return Quadratic(
+        matrices=problem.response.matrices,
+        drives=lambda positions: variables.designs(positions).drives,
+        positions=lambda drives: variables.positions_of(Designs(drives)),
+        losses_of=judge.losses,
+        localization=judge.only_localization,
     )
 
 
@@ -129,10 +154,17 @@ def _warm(searcher: Method, problem: Problem) -> None:
 
 
 def _trial(
-    searcher: Method, method: str, seed: int, problem: Problem, budget: int, tell: Callable[[int], None]
+    begin: Callable[[str, int], Method],
+    method: str,
+    seed: int,
+    problem: Problem,
+    budget: int,
+    tell: Callable[[int], None],
 ) -> Trial:
-    evaluated, rows = 0, []
-    best, spent = np.inf, 0.0
+    evaluated, rows, best = 0, [], np.inf
+    started = time.perf_counter()
+    searcher = begin(method, seed)
+    spent = time.perf_counter() - started
     with interrupts_held() as let_through:
         while not searcher.stop() and evaluated < budget:
             started = time.perf_counter()

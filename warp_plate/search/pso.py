@@ -192,7 +192,7 @@ class Swarm:
 
         def move(rows: slice) -> None:
             position, velocity, own_best = self.positions[rows], self.velocities[rows], self.personal_positions[rows]
-            common = self.personal_positions[leaders[rows]]
+            common = self.personal_positions.take(leaders[rows], axis=0)
             velocity *= inertia
             for factor, goal, first in ((settings.cognitive, own_best, 0), (settings.social, common, drawn)):
                 # The numbers that one call for the whole swarm would give to these rows.

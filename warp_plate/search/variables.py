@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
+from warp_plate.plate.blocks import over_blocks
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.found import middles, scene_with
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
@@ -57,15 +58,22 @@ class Variables:
 
     def designs(self, positions: np.ndarray) -> Designs:
         """What the plates of positions (n, dimension) have of their own; within the scene's limits of drives."""
-        values = self._values(np.asarray(positions, dtype=float))
-        drives = self.unit * (self._limited(values["magnitude"]) * self._turns(values["phase"]))
-        kinds = {one.kind for one in self.numbers}
-        return Designs(
-            drives,
-            values["frequency"] if "frequency" in kinds else None,
-            np.stack([values["x"], values["y"]], axis=2) if kinds & {"x", "y"} else None,
-            values["delay"] if "delay" in kinds else None,
-        )
+        positions = np.asarray(positions, dtype=float)
+        kinds, shape = {one.kind for one in self.numbers}, (len(positions), len(self.scene.actuators))
+        own = {kind: np.empty(shape) for kind in kinds - {"magnitude", "phase"}}
+        if kinds & {"x", "y"}:
+            own |= {"x": np.empty(shape), "y": np.empty(shape)}
+        drives = np.empty(shape, dtype=complex)
+
+        def fill(rows: slice) -> None:
+            values = self._values(positions[rows])
+            drives[rows] = self.unit * (self._limited(values["magnitude"]) * self._turns(values["phase"]))
+            for kind, into in own.items():
+                into[rows] = values[kind]
+
+        over_blocks(fill, len(positions))
+        centre = np.stack([own["x"], own["y"]], axis=2) if "x" in own else None
+        return Designs(drives, own.get("frequency"), centre, own.get("delay"))
 
     def positions_of(self, designs: Designs) -> np.ndarray:
         """(n, dimension) the positions of designs, cut off at the limits of the space.

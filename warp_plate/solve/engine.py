@@ -51,23 +51,22 @@ def make_engine(specialized: Specialized, path: str = "auto") -> Engine:
     return Engine(specialized, path, advance, spread, make_own_kernels(specialized), along_columns, columns)
 
 
-def load_drives(engine: Engine, state: State, coefficients: np.ndarray, edges: np.ndarray | None = None) -> None:
-    """Turn coefficients (plates, terms, actuators) into load fields of the first plates; the others stay.
+def load_drives(
+    engine: Engine, state: State, coefficients: np.ndarray, plates: int, edges: np.ndarray | None = None
+) -> None:
+    """Turn coefficients (room for plates, terms, actuators) into load fields of the first plates; the others stay.
 
     edges: (plates, actuators, 4) x0, x1, y0, y1 [m] of actuators in places of each plate's own; None: the scene's.
     """
     specialized = engine.specialized
-    plates, terms, _ = coefficients.shape
-    parts = np.zeros(state.coefficients.shape, dtype=specialized.scene.grid.precision)
-    parts[:plates] = coefficients
-    state.coefficients.assign(parts)
+    state.coefficients.assign(coefficients)
     spread, inputs = engine.spread_drives, [specialized.support, specialized.patches]
     if edges is not None:
         engine.own.put_places(state, edges)
         spread, inputs = engine.own.spread_moved_drives, [*engine.own.inputs, state.along_x, state.along_y]
     wp.launch(
         spread,
-        dim=(plates, terms, specialized.support.shape[0]),
+        dim=(plates, coefficients.shape[1], specialized.support.shape[0]),
         inputs=[state.coefficients, *inputs],
         outputs=[state.loads],
         device=specialized.device,

@@ -17,9 +17,10 @@ from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import load_drives, make_engine, region_sums
 from warp_plate.solve.paths import why_streaming
+from warp_plate.solve.scaling import scaled_coefficients
 from warp_plate.solve.specialize import Quantity, Specialized, effect_names, specialize
 from warp_plate.solve.state import State, bytes_per_plate, make_state
-from warp_plate.solve.status import OK, fastest_per_step, outgrown, status_of, watched_steps
+from warp_plate.solve.status import fastest_per_step, outgrown, status_of, watched_steps
 
 # A launch does about this much work, so that progress is shown and Ctrl-C is heard.
 SEGMENT_NODE_STEPS = {"cpu": 1e9, "cuda": 5e10}
@@ -28,8 +29,6 @@ SEGMENT_NODE_STEPS = {"cpu": 1e9, "cuda": 5e10}
 CUDA_CHUNK_SHARE = 0.6
 CPU_CHUNK_BYTES = 256 * 2**20
 FEWEST_PLATES = 64
-# Sizes of drives [N/m²] whose energies, which go with the square, are numbers of full precision.
-SMALLEST_DRIVE, LARGEST_DRIVE = 1e-130, 1e130
 
 Progress = Callable[[int, int], None]
 
@@ -88,7 +87,7 @@ class PlateSolver:
         areas: by name, further regions whose energy runs give beside the plate's and the target's: rectangles x0, x1,
             y0, y1 [m], shapes, or weights (ny, nx) in cells.
         own: what plates may have of their own beside drives, see ``plate.designs``. The time step is the scene's: it
-            must carry their frequencies (that of a scene with ``search.frequency`` does).
+            must carry their frequencies.
         quantity: "velocity" or "displacement", of which energies are, see :class:`Run`.
         share: the part of the memory for plates that this solver may take, where several have plates at a time.
 
@@ -134,7 +133,7 @@ class PlateSolver:
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects in the compiled kernel."""
-        return effect_names(self.scene)
+        return effect_names(self.scene, several_waves=self.specialized.carriers > 1)
 
     def path_words(self, traced: bool = False) -> str:
         """How plates are stepped, for people: the path, and why it streams where it could not do better."""
@@ -211,8 +210,8 @@ class PlateSolver:
                 sums = region_sums(self.engine, state, count)
                 energy[some] = sums * energy_unit(self.specialized) * scale[:, None] ** 2
                 most = (scheme.window[1] - scheme.window[0]) * fastest**2
-                status[some] = status_of(phasors[some], scale, seen, sums, energy[some], most)
-                energy[some][status[some] != OK] = np.nan
+                status[some], wrong = status_of(phasors[some], scale, seen, sums, energy[some], most)
+                energy[some][wrong] = np.nan
                 displacement[some] *= unit[:, None, None, None]
                 if points:
                     corner_traces = state.trace.numpy()[:count].reshape(count, len(points), 4, -1).astype(float)
@@ -279,18 +278,18 @@ class PlateSolver:
             self._state = None  # frees the old room before the new one is taken
             state = self._state = make_state(self.specialized, capacity, nodes)
         specialized, precision = self.specialized, self.scene.grid.precision
-        with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite harms its own plate alone
-            coefficients = specialized.signals.coefficients(phasors)
-            coefficients *= self.engine.own.put_waves(state, values)[..., None]
-            travelling = specialized.moving.largest if specialized.moving else 0.0
-            scale: np.ndarray = np.maximum(np.abs(coefficients).max(axis=(1, 2)), travelling)
-            scale[(scale != 0) & ~((scale >= SMALLEST_DRIVE) & (scale <= LARGEST_DRIVE))] = np.nan
-            divisor = np.where(scale == 0, 1, scale)
-            units, moving = np.zeros(state.capacity), np.zeros(state.capacity)
-            load_drives(self.engine, state, coefficients / divisor[:, None, None], values.edges)
-            units[: len(scale)] = scale * specialized.scheme.load_scale
-            moving[: len(scale)] = travelling / divisor
+        travelling = specialized.moving.largest if specialized.moving else 0.0
+        sizes = self.engine.own.put_waves(state, values)
+        room = np.zeros(state.coefficients.shape, precision)
+        scale = scaled_coefficients(specialized.signals, phasors, sizes, travelling, room)
+        load_drives(self.engine, state, room, len(scale), values.edges)
+        units = np.zeros(state.capacity)
+        units[: len(scale)] = scale * specialized.scheme.load_scale
+        with np.errstate(over="ignore", invalid="ignore"):
             state.units.assign(units.astype(precision))
+        if specialized.moving:
+            moving = np.zeros(state.capacity)
+            moving[: len(scale)] = travelling / np.where(scale == 0, 1, scale)
             state.moving.assign(moving.astype(precision))
         state.clear()
         return state, scale
@@ -348,7 +347,7 @@ def as_phasors(drives: object, actuators: int) -> np.ndarray:
             with np.errstate(invalid="ignore"):  # a drive that is not finite harms its own plate alone
                 phasors = magnitude * np.exp(-1j * phase)
         else:
-            phasors = _numbers(drives, "biufc").astype(complex)
+            phasors = _numbers(drives, "biufc").astype(complex, copy=False)
     except (TypeError, ValueError) as error:
         raise SceneError(f"drives: not an array of numbers ({error})") from None
     if phasors.ndim != 2 or phasors.shape[1] != actuators:

@@ -105,19 +105,21 @@ class Specialized:
         return wp.array(values, dtype=self.real, device=self.device)
 
 
-def effect_names(scene: Scene) -> tuple[str, ...]:
-    """The effects in the compiled kernel, for people and for results."""
+def effect_names(scene: Scene, several_waves: bool = False) -> tuple[str, ...]:
+    """The effects in the compiled kernel, for people and for results; ``several_waves``: also where the scene's drive
+    does not ask for them."""
+    several_waves = several_waves or scene.drive.electrostatic is not None or waves_apart(scene) > 1
     damping = scene.effects.damping
     named = {
         f"viscous damping ({damping.scheme})" if damping else "": damping,
-        "bending by moments": needs_moments(scene),
+        "bending by moments": several_waves or needs_moments(scene),
         "material damping": scene.effects.material_damping,
         "tension": scene.effects.tension,
         "foundation": scene.effects.foundation,
         "oscillators": scene.effects.oscillators,
         "stretching": scene.effects.stretching,
         "moving load": scene.effects.moving_load,
-        "several waves": scene.drive.electrostatic or waves_apart(scene) > 1,
+        "several waves": several_waves,
     }
     return tuple(name for name, table in named.items() if table)
 

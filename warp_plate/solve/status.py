@@ -7,8 +7,11 @@ by SLACK and more grew by itself.
 
 from __future__ import annotations
 
+from functools import reduce
+
 import numpy as np
 
+from warp_plate.plate.blocks import over_blocks
 from warp_plate.solve.specialize import Specialized
 
 OK = "ok"
@@ -63,17 +66,32 @@ def outgrown(rate: np.ndarray, fastest: float) -> np.ndarray:
 
 def status_of(
     drives: np.ndarray, scale: np.ndarray, caught: np.ndarray, sums: np.ndarray, energy: np.ndarray, most: float
-) -> np.ndarray:
-    """(plates,) a word for each.
+) -> tuple[np.ndarray, np.ndarray]:
+    """(plates,) a word for each, and (plates,) whether that is not "ok".
 
-    drives: (plates, actuators); scale: (plates,) pressures that plates are scaled by; caught: (plates,) step at which
-    growth was seen, or −1; sums: (plates, regions) of rate² over the window; energy: the same in joules; most: the
-    largest sum of a bounded plate.
+    drives: (plates, actuators); scale: (plates,) pressures that plates are scaled by, not finite where a drive is not;
+    caught: (plates,) step at which growth was seen, or −1; sums: (plates, regions) of rate² over the window; energy:
+    the same in joules; most: the largest sum of a bounded plate.
     """
-    status = np.full(len(drives), OK, dtype=object)
-    lost = ~np.isfinite(energy).all(axis=1) | ((sums > 0) & (energy == 0)).any(axis=1)
-    grew = (caught >= 0) | ~(sums <= most).all(axis=1)
-    status[lost] = OUT_OF_RANGE
-    status[grew & np.isfinite(scale)] = GREW
-    status[~np.isfinite(drives).all(axis=1)] = NO_DRIVE
-    return status
+    faults = {fault: np.zeros(len(drives), dtype=bool) for fault in (OUT_OF_RANGE, GREW, NO_DRIVE)}
+
+    def look(rows: slice) -> None:
+        total, joules = sums[rows], energy[rows]
+        faults[OUT_OF_RANGE][rows] = ~_every(np.isfinite(joules) & ~((total > 0) & (joules == 0)))
+        faults[GREW][rows] = ((caught[rows] >= 0) | ~_every(total <= most)) & np.isfinite(scale[rows])
+
+    over_blocks(look, len(drives))
+    unscaled = np.flatnonzero(~np.isfinite(scale))
+    faults[NO_DRIVE][unscaled] = ~np.isfinite(drives[unscaled]).all(axis=1)
+    status = np.empty(len(drives), dtype=object)
+    status.fill(OK)  # ten times as quick as np.full
+    for fault, plates in faults.items():  # of several the last counts
+        status[plates] = fault
+    wrong: np.ndarray = reduce(np.logical_or, faults.values())
+    return status, wrong
+
+
+def _every(good: np.ndarray) -> np.ndarray:
+    """(rows,) whether all of a row (rows, columns); column by column, for NumPy is slow along short rows."""
+    every: np.ndarray = reduce(np.logical_and, good.T)
+    return every

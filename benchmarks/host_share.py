@@ -1,0 +1,112 @@
+"""How much of a generation's time the host takes: everything around the plates' own steps.
+
+    python benchmarks/host_share.py [--device cuda:0] [--plates 20 1024 16384 131072] [--generations 9] [--out figures.json]
+
+Searches the paper's scene and prints, for swarms of each size, the time of a whole generation, of the device's steps
+in it (from an idle device to an idle device), and of the parts of the rest: the swarm's ask and tell, positions made
+into designs, and what the solver does around the steps, which is copies, loads, sums and statuses. Medians; the first
+two generations, which find memory and compile, count for nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+from warp_plate import Scene, SceneError
+from warp_plate.bench.machine import busy, describe_machine, describe_versions
+from warp_plate.search.methods import make_searcher
+from warp_plate.search.problem import Problem, make_problem
+
+PLATES = (20, 1024, 16384, 131072)
+GENERATIONS, FIRST = 9, 2
+PARTS = ("ask", "designs", "around the steps", "tell")
+
+
+class Steps:
+    """Seconds that the steps of a problem's plates took on the device since they were asked for last."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._engine, self._device, self._seconds = problem.plain.engine, problem.plain.device, 0.0
+        problem.plain.engine = replace(self._engine, advance=self._advance)
+
+    def _advance(self, state: object, plates: int, start: int, stop: int) -> None:
+        wp.synchronize_device(self._device)
+        began = time.perf_counter()
+        self._engine.advance(state, plates, start, stop)
+        wp.synchronize_device(self._device)
+        self._seconds += time.perf_counter() - began
+
+    def taken(self) -> float:
+        """Those seconds, which are then forgotten."""
+        taken, self._seconds = self._seconds, 0.0
+        return taken
+
+
+def generations(problem: Problem, steps: Steps, plates: int, count: int) -> dict[str, object]:
+    """Medians over so many generations of a swarm of so many particles [s]."""
+    search = problem.scene.search.model_copy(update={"particles": plates, "iterations": count + FIRST})
+    searcher = make_searcher(search, problem.space, 0)
+    taken: dict[str, list[float]] = {name: [] for name in ("whole", "device", *PARTS)}
+    for _ in range(count + FIRST):
+        marks = [time.perf_counter()]
+        positions = searcher.ask()
+        marks.append(time.perf_counter())
+        designs = problem.variables.designs(np.array(positions))
+        marks.append(time.perf_counter())
+        losses = problem.losses_of(designs)
+        marks.append(time.perf_counter())
+        searcher.tell(positions, losses)
+        best = searcher.result.fbest  # looked at after each generation, for the progress bar
+        marks.append(time.perf_counter())
+        device, parts = steps.taken(), np.diff(marks)
+        parts[2] -= device
+        for name, seconds in zip(taken, (marks[-1] - marks[0], device, *parts.tolist()), strict=True):
+            taken[name].append(seconds)
+    assert np.isfinite(best)
+    medians = {name: float(np.median(seconds[FIRST:])) for name, seconds in taken.items()}
+    share = np.array(taken["device"][FIRST:]) / np.array(taken["whole"][FIRST:])
+    return {"plates": plates, "host_share": float(1 - np.median(share)), "seconds": medians}
+
+
+def measure(scene: Scene, device: str, plates: tuple[int, ...] = PLATES, count: int = GENERATIONS) -> list[dict[str, object]]:
+    """The rows of the table."""
+    problem = make_problem(scene, device)
+    steps = Steps(problem)
+    return [generations(problem, steps, each, count) for each in plates]
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--plates", type=int, nargs="+", default=PLATES)
+    parser.add_argument("--generations", type=int, default=GENERATIONS)
+    parser.add_argument("--out", type=Path)
+    given = parser.parse_args()
+    if (warning := busy()) is not None:
+        print(warning)
+    try:
+        rows = measure(Scene.load("paper"), given.device, tuple(given.plates), given.generations)
+        machine = describe_machine([given.device])
+    except SceneError as error:
+        parser.error(str(error))
+    print(f"{'plates':>8}{'generation':>13}{'device':>11}{'host':>8}" + "".join(f"{name:>18}" for name in PARTS))
+    for row in rows:
+        seconds = row["seconds"]
+        parts = "".join(f"{1e3 * seconds[name]:15.3f} ms" for name in PARTS)
+        whole, device = (1e3 * seconds[name] for name in ("whole", "device"))
+        print(f"{row['plates']:8}{whole:10.2f} ms{device:8.2f} ms{100 * row['host_share']:6.1f} %{parts}")
+    if given.out is not None:
+        record = {"machine": asdict(machine), "versions": describe_versions(), "rows": rows}
+        given.out.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

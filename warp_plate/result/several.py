@@ -1,0 +1,50 @@
+"""What the searches for several targets found, one after the other, and how files keep it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import h5py
+
+from warp_plate.result.model import Found
+from warp_plate.result.plain import names_in
+from warp_plate.result.search_state import put_state, read_state
+from warp_plate.scene.errors import SceneError
+
+GROUP = "searches"
+
+
+def put_several(file: h5py.File, several: Sequence[Found]) -> None:
+    """Write the searches, in the order of the scene's targets, as the groups /searches/0, /searches/1, ..."""
+    for index, one in enumerate(several):
+        state: dict[str, Any] = {f"history {name}": values for name, values in one.history.items()}
+        state |= {"single": one.single, "bound": one.bound, "evaluations": one.evaluations}
+        put_state(file, f"{GROUP}/{index}", state | ({} if one.position is None else {"position": one.position}))
+
+
+def read_several(file: h5py.File) -> tuple[Found, ...]:
+    """What :func:`put_several` wrote; nothing where nothing was.
+
+    Raises:
+        SceneError: it is damaged.
+    """
+    several = []
+    for index in range(len(names_in(file, GROUP))):
+        if str(index) not in file[GROUP]:
+            raise SceneError(f"{GROUP}/{index} is missing")
+        state = read_state(file, f"{GROUP}/{index}")
+        several.append(
+            Found(
+                position=state.get("position"),
+                single=int(state["single"]),
+                bound=None if state["bound"] is None else float(state["bound"]),
+                evaluations=int(state["evaluations"]),
+                history={
+                    name.removeprefix("history "): values
+                    for name, values in state.items()
+                    if name.startswith("history ")
+                },
+            )
+        )
+    return tuple(several)
