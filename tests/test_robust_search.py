@@ -1,4 +1,4 @@
-"""Robust searches whole: what they win over the nominal drive, their bound, checkpoints, files, table, picture."""
+"""Robust searches whole: what they win over the nominal drive, their bound, checkpoints, files, table and picture."""
 
 import json
 

@@ -185,7 +185,7 @@ def test_several_frequencies_are_no_file_to_play():
 
 
 def test_the_spectrum_is_that_of_each_frequency_alone():
-    """Equal drive, best single actuator and bound at a frequency, against Gram matrices of a scene of its own."""
+    """Equal drive, best single actuator and bound at a frequency, against Gram matrices of a scene of this one."""
     made = searched("frequency", precision="float64")
     frequencies = np.array([150.0, 290.0, 360.0])
     found = factors_over(made, frequencies, device="cpu")

@@ -7,6 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from conftest import scene_of
 
 from warp_plate import PlateSolver, Scene, SceneError, load_result, localize, resume
 from warp_plate.cli.main import main
@@ -26,33 +27,35 @@ TARGETS = (
 SEARCH = {"particles": 8, "iterations": 9, "seed": 3}
 
 
-@pytest.fixture
-def panel(scene):
+def panel(**tables):
     """A small scene with three targets; with other tables where these are given."""
+    made = scene_of(damping=88.5, precision="float32", **{"search": SEARCH, **tables}).model_dump()
+    return Scene.model_validate({**made, "targets": TARGETS, "target": alone_table(0)})
 
-    def make(**tables):
-        made = scene(damping=88.5, precision="float32", **{"search": SEARCH, **tables}).model_dump()
-        return Scene.model_validate({**{key: value for key, value in made.items() if key != "target"},
-                                     "targets": TARGETS})  # fmt: skip
 
-    return make
+def alone_table(index):
+    """The table ``[target]`` of one of them."""
+    return {key: value for key, value in TARGETS[index].items() if key != "name"}
+
+
+@pytest.fixture(scope="module")
+def found():
+    """What a search without a stop finds."""
+    return localize(panel(), "mine", "cpu", estimate=False)
 
 
 def alone(made, index):
     """The scene with one of its targets only."""
-    one = {key: value for key, value in TARGETS[index].items() if key != "name"}
-    return made.with_tables(targets=(), target=one)
+    return made.with_tables(targets=(), target=alone_table(index))
 
 
-@pytest.mark.parametrize("evaluator", ["direct", "response"])
-def test_each_drive_is_that_of_a_search_of_its_own(evaluator, panel):
-    """To the last bit: drives, energies, bounds, histories; node-steps only where nothing is shared."""
+def test_each_drive_is_that_of_a_search_of_its_own(found):
+    """To the last bit: drives, displacements, bounds, histories."""
     made = panel()
-    found = localize(made, "mine", "cpu", evaluator=evaluator, estimate=False)
     assert list(found.cases) == ["equal", "single", "best", "best left", "best three corners"]
     assert found.evaluations == 3 * 8 * 9
     for index, case in enumerate(cases_of_targets(made).values()):
-        own = localize(alone(made, index), "mine", "cpu", evaluator=evaluator, estimate=False)
+        own = localize(alone(made, index), "mine", "cpu", estimate=False)
         np.testing.assert_array_equal(found.cases[case].drive, own.cases["best"].drive)
         np.testing.assert_array_equal(found.cases[case].displacement, own.cases["best"].displacement)
         assert found.cases[case].localization_factor == own.cases["best"].localization_factor
@@ -63,9 +66,8 @@ def test_each_drive_is_that_of_a_search_of_its_own(evaluator, panel):
     assert found.scene.target == made.target
 
 
-def test_crosstalk_is_the_share_of_each_target_under_each_drive(panel):
+def test_crosstalk_is_the_share_of_each_target_under_each_drive(found):
     """By one run of all three drives in float64, with the targets as regions."""
-    found = localize(panel(), "mine", "cpu", evaluator="response", estimate=False)
     shares = crosstalk(found)
     made = found.scene.with_tables(grid={**found.scene.grid.model_dump(), "precision": "float64"})
     drives = np.array([found.cases[case].drive for case in cases_of_targets(made).values()])
@@ -77,7 +79,7 @@ def test_crosstalk_is_the_share_of_each_target_under_each_drive(panel):
 
 
 @pytest.mark.parametrize(("kinds", "measured"), [(["localization"], 1), (["uniformity"], 3), (["displacement"], 2)])
-def test_gram_matrices_are_measured_once(kinds, measured, panel, monkeypatch):
+def test_gram_matrices_are_measured_once(kinds, measured, monkeypatch):
     """Of displacements too; again for each target where an objective has regions of its own."""
     measure, calls = problem.measure_response, []
     monkeypatch.setattr(problem, "measure_response", lambda *given: calls.append(1) or measure(*given))
@@ -99,12 +101,10 @@ def stopped_at(count):
     return told
 
 
-@pytest.mark.parametrize(("count", "index", "iterations"), [(4, 0, 4), (9, 0, 9), (10, 1, 1), (25, 2, 7)])
-def test_a_stopped_search_goes_on_to_the_same_bits(count, index, iterations, panel, tmp_path):
-    made = panel()
-    whole = localize(made, "mine", "cpu", estimate=False)
+@pytest.mark.parametrize(("count", "index", "iterations"), [(9, 0, 9), (10, 1, 1), (25, 2, 7)])
+def test_a_stopped_search_goes_on_to_the_same_bits(count, index, iterations, found, tmp_path):
     file = CheckpointFile(tmp_path / "one.checkpoint.h5", np.inf)
-    left = localize(made, "mine", "cpu", told=stopped_at(count), estimate=False, checkpoints=file)
+    left = localize(panel(), "mine", "cpu", told=stopped_at(count), estimate=False, checkpoints=file)
     assert left.interrupted
     assert len(left.several) == index + 1
     shares = crosstalk(left)
@@ -113,17 +113,17 @@ def test_a_stopped_search_goes_on_to_the_same_bits(count, index, iterations, pan
     checkpoint = load_checkpoint(file.path)
     name = TARGETS[index]["name"]
     assert checkpoint.progress == f"{iterations} of 9 iterations of target {index + 1} of 3 ({name!r})"
-    found = resume(checkpoint, estimate=False)
-    assert (found.node_steps, found.evaluations) == (whole.node_steps, whole.evaluations)
-    for case, one in whole.cases.items():
-        np.testing.assert_array_equal(found.cases[case].drive, one.drive)
-        assert found.cases[case].energy == one.energy
-    for one, other in zip(found.several, whole.several, strict=True):
+    gone_on = resume(checkpoint, estimate=False)
+    assert (gone_on.node_steps, gone_on.evaluations) == (found.node_steps, found.evaluations)
+    for case, one in found.cases.items():
+        np.testing.assert_array_equal(gone_on.cases[case].drive, one.drive)
+        assert gone_on.cases[case].energy == one.energy
+    for one, other in zip(gone_on.several, found.several, strict=True):
         assert (one.bound, one.single, one.evaluations) == (other.bound, other.single, other.evaluations)
         np.testing.assert_array_equal(one.position, other.position)
 
 
-def test_a_checkpoint_of_other_targets_is_refused(panel, tmp_path):
+def test_a_checkpoint_of_other_targets_is_refused(tmp_path):
     file = CheckpointFile(tmp_path / "one.checkpoint.h5", np.inf)
     localize(panel(), "mine", "cpu", told=stopped_at(12), estimate=False, checkpoints=file)
     checkpoint = load_checkpoint(file.path)
@@ -132,7 +132,7 @@ def test_a_checkpoint_of_other_targets_is_refused(panel, tmp_path):
         load_checkpoint(file.path)
 
 
-def test_one_actuator_leaves_no_choice_for_any_target(panel):
+def test_one_actuator_leaves_no_choice_for_any_target():
     made = panel()
     made = made.with_tables(actuators=[made.actuators[0].model_dump()])
     found = localize(made, "mine", "cpu", estimate=False)
@@ -140,8 +140,7 @@ def test_one_actuator_leaves_no_choice_for_any_target(panel):
     np.testing.assert_allclose(crosstalk(found), crosstalk(found)[[0, 0, 0]], rtol=1e-12)
 
 
-def test_files_keep_it(panel, tmp_path):
-    found = localize(panel(), "mine", "cpu", evaluator="response", estimate=False)
+def test_files_keep_it(found, tmp_path):
     again = load_result(save_result(found, tmp_path / "result.h5"))
     np.testing.assert_array_equal(crosstalk(again), crosstalk(found))
     assert [one.bound for one in again.several] == [one.bound for one in found.several]
@@ -159,7 +158,7 @@ def test_files_keep_it(panel, tmp_path):
 
 
 @pytest.fixture
-def written(panel, tmp_path, monkeypatch):
+def written(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("panel.toml").write_text(dump_scene(panel()), encoding="utf-8")
 
@@ -192,11 +191,10 @@ def test_simulate_tells_of_every_target(written, capsys):
     assert energy["target"] == energy["target disc"]
 
 
-def test_the_picture(panel, tmp_path):
+def test_the_picture(found, tmp_path):
     pytest.importorskip("matplotlib")
     from PIL import Image
 
-    found = localize(panel(), "mine", "cpu", evaluator="response", estimate=False, told=None)
     for result in (found, replace(found, cases={name: found.cases[name] for name in ("equal", "single", "best")})):
         with Image.open(draw_crosstalk(result, tmp_path / "crosstalk.png")) as picture:
             assert min(picture.size) > 300

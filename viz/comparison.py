@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 DRIVES = {
     "equal": "equal drive",
     "single": "single actuator",
-    "nominal": "found without scatter",
     "time_reversal": "time reversal",
     "inverse_filter": "inverse filter",
+    "nominal": "found without scatter",
     "best": "best drive found",
     "drive": "given drive",
 }

@@ -38,8 +38,7 @@ PUBLISHED_LOSS = 0.28
 
 
 def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
-    """Draw what the result holds: ``<stem>-history.png``, ``-robust.png``, ``-crosstalk.png``, ``-spectrum.png`` and
-    ``-surfaces.png``.
+    """Draw what the result holds: ``<stem>-history.png``, ``-robust``, ``-crosstalk``, ``-spectrum`` and ``-surfaces``.
 
     Nothing that is wrong with a library or a file ends the run.
 
@@ -49,10 +48,10 @@ def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
     jobs: list[tuple[Callable[[Result, Path], Path], str, Callable[[], str | None]]] = []
     if result.history:
         jobs.append((draw_history, "history", missing_plots))
-    if result.robust is not None and np.isfinite(result.robust.fresh).any():
-        jobs.append((draw_robust, "robust", missing_plots))
     if result.scene.targets and result.command == "localize":
         jobs.append((draw_crosstalk, "crosstalk", missing_plots))
+    if result.robust is not None and np.isfinite(result.robust.fresh).any():
+        jobs.append((draw_robust, "robust", missing_plots))
     if result.spectrum:
         jobs.append((draw_spectrum, "spectrum", missing_plots))
     if result.times.size:

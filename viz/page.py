@@ -110,10 +110,6 @@ def page_data(
     }
 
 
-def _outlines(meshes: PlateMeshes) -> list[dict[str, Any]]:
-    return [_outline(line) for line in sorted(lines_of(meshes), key=lambda line: line.nearer)]
-
-
 def thinned(nodes: int, numbers: int) -> int:
     """How many nodes along one side are shown of a grid whose fields are so many numbers.
 
@@ -137,6 +133,10 @@ def _at_nodes(field: np.ndarray, nodes: tuple[int, int], quantity: Quantity) -> 
         part = (at - low).reshape(-1, 1) if axis == 1 else at - low
         field = field.take(low, axis) * (1 - part) + field.take(low + 1, axis) * part
     return field
+
+
+def _outlines(meshes: PlateMeshes) -> list[dict[str, Any]]:
+    return [_outline(line) for line in sorted(lines_of(meshes), key=lambda line: line.nearer)]
 
 
 def _outline(line: Line) -> dict[str, Any]:

@@ -26,6 +26,9 @@ from warp_plate.search.localize import device_name, versions
 from warp_plate.solve.devices import find_device
 
 PRECISIONS = ("float32", "float64")
+# Of the picture: panels in a row, how curves of both precisions look, and the colours of plates.
+COLUMNS, COLOURS = 5, "RdBu_r"
+STYLES = ({"linewidth": 2.4, "color": "#9ecae1"}, {"linewidth": 0.8, "color": "#1a1a1a"})
 BEGIN, END = "<!-- table of hard cases -->", "<!-- end of the table -->"
 
 
@@ -124,35 +127,47 @@ def write_table(page: Path, files: dict[str, str]) -> None:
 
 
 def draw(pictures: list[tuple[Case, dict[str, Measured]]], path: Path) -> None:
-    """A panel for each case: its curve in both precisions, or the plate's shape."""
+    """A panel for each case: its curve in both precisions, or the plate as shares of its largest value."""
+    import textwrap
+
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
 
-    columns = 6
-    rows = max(1, math.ceil(len(pictures) / columns))
-    figure = Figure(figsize=(3.0 * columns, 2.3 * rows), layout="constrained")
+    rows = max(1, math.ceil(len(pictures) / COLUMNS))
+    figure = Figure(figsize=(3.1 * COLUMNS, 2.5 * rows), layout="constrained")
+    panels, lines = [], []
     for index, (case, shown) in enumerate(pictures):
-        axes = figure.add_subplot(rows, columns, index + 1)
-        axes.set_title(case.name, fontsize=7)
-        axes.tick_params(labelsize=6)
+        axes = figure.add_subplot(rows, COLUMNS, index + 1)
+        panels.append(axes)
+        axes.set_title(textwrap.fill(case.name, 34), fontsize=9)
+        axes.tick_params(labelsize=8)
         last = shown["float64"]
         if last.curve is None and last.shape is not None:
             shape = shown["float32"].shape if case.name.startswith("rounding") else last.shape
-            end = max(abs(shape[shape == shape]).max(initial=0.0), 1e-300)
-            axes.imshow(shape, origin="lower", aspect="auto", cmap="RdBu_r", vmin=-end, vmax=end)
-            axes.set_xticks([])
-            axes.set_yticks([])
+            end = abs(shape[shape == shape]).max(initial=0.0)
+            axes.imshow(shape / (end or 1.0), origin="lower", aspect="auto", cmap=COLOURS, vmin=-1, vmax=1)
+            axes.set(xticks=[], yticks=[])
+            axes.set_xlabel(f"largest {end:.2g}" if end else "at rest", fontsize=8)
             continue
-        for precision, style in zip(
-            PRECISIONS, ({"linewidth": 1.6}, {"linewidth": 0.7, "color": "black"}), strict=True
-        ):
+        for precision, style in zip(PRECISIONS, STYLES, strict=True):
             if shown[precision].curve is not None:
                 x, y, name_x, name_y = shown[precision].curve
-                axes.plot(x, y, label=precision, **style)
-                axes.set_xlabel(name_x, fontsize=6)
-                axes.set_ylabel(name_y, fontsize=6)
-        if index == 0:
-            axes.legend(fontsize=6)
-    figure.savefig(path, dpi=80)
+                lines = [*lines, *axes.plot(x, y, label=precision, **style)]
+                axes.set_xlabel(name_x, fontsize=8)
+                axes.set_ylabel(name_y, fontsize=8)
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(-1, 1), colormaps[COLOURS]),
+        ax=panels,
+        location="top",
+        shrink=0.3,
+        aspect=40,
+        pad=0.006,
+    )
+    bar.set_label("plates: share of the largest value in the panel")
+    figure.legend(handles=lines[:2], loc="upper left", title="curves", frameon=False)
+    figure.savefig(path, dpi=90)
 
 
 if __name__ == "__main__":

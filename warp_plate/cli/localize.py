@@ -30,9 +30,9 @@ FOUND = ".best.toml"
 MEANING = {
     "equal": "all actuators alike",
     "single": "best single actuator",
-    "nominal": "found without scatter",
     "time_reversal": "time reversal to the target's middle",
     "inverse_filter": "regularised inverse filter",
+    "nominal": "found without scatter",
     "best": "found by the search",
     "bound": "bound: no drive passes it",
 }
@@ -48,8 +48,8 @@ def localize(
     path: Literal["auto", "resident", "streaming"] | None = None,
     accuracy: str | None = None,
     estimate: bool = True,
-    spectrum: bool = True,
     baselines: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+    spectrum: bool = True,
     checkpoint_every: float = 30.0,
     resume: Path | None = None,
     out: Path | None = None,
@@ -93,11 +93,11 @@ def localize(
         Such as 1% or 0.01: the relative error that localization factors may have, instead of the scene's grid.
     estimate
         End with an estimate of the result's error.
+    baselines
+        Show the drives that haptics takes without a search beside the one found: time reversal and inverse filter.
     spectrum
         After a search for one frequency of all actuators, take the localization factor over its whole range: of equal
         drive, of the best single actuator and of the best drive at each frequency, with the plate's resonances.
-    baselines
-        Show the drives that haptics takes without a search beside the one found: time reversal and inverse filter.
     checkpoint_every
         Seconds between two checkpoints, at the end of an iteration: OUT.checkpoint.h5 for OUT.h5, and
         OUT.checkpoint.previous.h5, the one before. 0: after each iteration; inf: only after Ctrl-C.

@@ -99,9 +99,9 @@ class Result:
     peak: largest displacement [m] seen over the run under the drive of ``judged``; None where nothing was looked at.
     spectrum: of a search for a frequency, over the "frequency" [Hz] of its range, the localization factors "equal",
         "single" and "best" (of any drive), and the "resonances" [Hz] in it; empty where none was made.
-    robust: of a robust search, its drive and the "nominal" one, a case too, over fresh scenarios.
     several: of a scene with several targets, the search for each that was come to; ``bound`` and ``history`` are the
         first's. Cases: see ``result.crosstalk``.
+    robust: of a robust search, its drive and the "nominal" one, a case too, over fresh scenarios.
     """
 
     command: str
@@ -125,8 +125,8 @@ class Result:
     accuracy: Mapping[str, Any] = field(default_factory=dict)
     peak: float | None = None
     spectrum: Mapping[str, np.ndarray] = field(default_factory=dict)
-    robust: RobustComparison | None = None
     several: tuple[Found, ...] = ()
+    robust: RobustComparison | None = None
 
     def placed(self, case: Case) -> Scene:
         """The scene with a case's frequencies, places and burst starts."""

@@ -6,8 +6,8 @@
     /cases/CASE/magnitude, phase, energy, displacement, trace
     /cases/CASE/frequency, centre, delay     where the plate had its own
     /history/evaluations, best, mean
-    /robust/fresh, searched, nominal_plate   of the robust and the nominal drive
     /crosstalk                           of several targets; /searches/0, ... what was found for each
+    /robust/fresh, searched, nominal_plate   of the robust and the nominal drive
     /spectrum/frequency, equal, single, best, resonances
     attributes of /: command, source, scene (TOML), device, seed, effects, versions, seconds, ...
 
@@ -110,12 +110,12 @@ def _write(file: h5py.File, result: Result) -> None:
         put(file, f"history/{name}", values, "1", f"{HISTORY.get(name, name)}, after each iteration")
     for name, values in result.spectrum.items():
         put(file, f"spectrum/{name}", values, *SPECTRUM[name])
-    if result.robust is not None:
-        _write_comparison(file, result.robust)
     if result.several:
         put_several(file, result.several)
         put(file, "crosstalk", crosstalk(result), "1", "share of the plate's energy in each target, by each's drive")
         file["crosstalk"].attrs["targets"] = json.dumps([target.name for target in result.scene.targets])
+    if result.robust is not None:
+        _write_comparison(file, result.robust)
 
 
 def _write_case(file: h5py.File, at: str, case: Case, unit: str) -> None:
@@ -162,8 +162,8 @@ def _read(file: h5py.File, name: str) -> Result:
         accuracy=table(file, "accuracy"),
         peak=float(numbers(file, "peak_displacement", ())) if "peak_displacement" in file else None,
         spectrum=_read_spectrum(file),
-        robust=_read_comparison(file),
         several=read_several(file),
+        robust=_read_comparison(file),
     )
 
 

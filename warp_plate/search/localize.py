@@ -180,7 +180,7 @@ def _finish(
     found = runs_of_all(searched)
     seconds["solve"] += time.perf_counter() - started
     cases, compared, beside = found.cases, None, found.node_steps
-    if isinstance(problem, RobustProblem) and not scene.targets and not searched.interrupted:
+    if isinstance(problem, RobustProblem) and first.position is not None and not searched.interrupted:
         compared, nominal, more = against_nominal(problem, begun, first.position, seconds)
         cases, beside = {**cases, **nominal}, beside + more
     accuracy = dict(begun.accuracy)
