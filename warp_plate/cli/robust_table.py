@@ -51,7 +51,7 @@ def print_robust(result: Result, console: Console) -> None:
     if robust is None:
         return
     if compared is None:
-        why = "several targets, none was found, Ctrl-C came first, or a fresh scenario is no plate"
+        why = "none was found, Ctrl-C came first, or a fresh scenario is no plate"
         console.print(f"Not compared with a nominal drive: {why}.\n")
         return
     what = "localization factor" if compared.localization else "weighted sum of objectives"

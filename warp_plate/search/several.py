@@ -19,8 +19,7 @@ from warp_plate.result.model import Case
 from warp_plate.result.several import Found
 from warp_plate.search.checkpoints import CheckpointFile
 from warp_plate.search.last_runs import LastRuns, last_runs, reference_drives
-from warp_plate.search.problem import Problem
-from warp_plate.search.robust import problem_of
+from warp_plate.search.problem import Problem, make_problem
 from warp_plate.search.run_swarm import Told, history_of, run_search, searcher_of
 from warp_plate.solve.solver import PlateSolver
 
@@ -100,7 +99,7 @@ def _next(problem: Problem, index: int, begun: Checkpoint) -> Problem:
         matrices = problem.matrices.reshape(-1, len(regions), *problem.matrices.shape[1:]).copy()
         matrices[:, REGIONS.index("target")] = matrices[:, regions.index(list(regions_of_targets(scene))[index])]
         matrices = matrices.reshape(problem.matrices.shape)
-    return problem_of(scene, problem.plain.device.alias, begun.path, begun.evaluator, matrices)
+    return make_problem(scene, problem.plain.device.alias, begun.path, begun.evaluator, matrices)
 
 
 def _aimed(problem: Problem, index: int) -> Problem:
