@@ -1,6 +1,6 @@
 """How much of a generation's time the host takes: everything around the plates' own steps.
 
-    python benchmarks/host_share.py [--device cuda:0] [--plates 20 1024 16384 131072] [--generations 9] [--out figures.json]
+    python benchmarks/host_share.py [--device cuda:0] [--plates 20 1024 16384 131072] [--generations 9] [--out FILE]
 
 Searches the paper's scene and prints, for swarms of each size, the time of a whole generation, of the device's steps
 in it (from an idle device to an idle device), and of the parts of the rest: the swarm's ask and tell, positions made
@@ -75,7 +75,9 @@ def generations(problem: Problem, steps: Steps, plates: int, count: int) -> dict
     return {"plates": plates, "host_share": float(1 - np.median(share)), "seconds": medians}
 
 
-def measure(scene: Scene, device: str, plates: tuple[int, ...] = PLATES, count: int = GENERATIONS) -> list[dict[str, object]]:
+def measure(
+    scene: Scene, device: str, plates: tuple[int, ...] = PLATES, count: int = GENERATIONS
+) -> list[dict[str, object]]:
     """The rows of the table."""
     problem = make_problem(scene, device)
     steps = Steps(problem)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from warp_plate import load_result
 from warp_plate.cli.main import main
+from warp_plate.cli.output import LONGEST_ENDING
 from warp_plate.plate import memory
 from warp_plate.scene.load import dump_scene
 
@@ -124,6 +125,42 @@ def test_init_into_what_is_no_new_file(out, folder, command):
     before = files()
     refused(command("init", "paper", "--out", out))
     assert files() == before
+
+
+def test_a_name_that_leaves_no_room_is_refused_before_any_work(folder, command):
+    """A checkpoint's unfinished file has the longest name; the longest one that leaves it room is taken."""
+    most = os.pathconf(".", "PC_NAME_MAX") - len(LONGEST_ENDING) - 1
+    status, _, _ = command("simulate", "panel.toml", "--out", "y" * most + ".h5", "--no-pictures", "--no-estimate")
+    assert status == 0
+    before = files()
+    for out in ("y" * (most + 1) + ".h5", "ä" * (most // 2 + 1) + ".h5"):
+        for name in ("simulate", "localize"):
+            line = refused(command(name, "panel.toml", "--out", out))
+            assert f"beside it take {len(LONGEST_ENDING) - 2} bytes more" in line
+    for name, ending in (("render", ".png"), ("export", ".pvd")):
+        to = ["--to", "pvd"] if name == "export" else []
+        line = refused(command(name, "y" * most + ".h5", *to, "--out", "y" * (most + 1) + ending))
+        assert "no name" in line or "bytes more" in line
+    assert files() == before
+
+
+def test_a_search_at_the_longest_name_keeps_its_checkpoints(folder, command):
+    out = "y" * (os.pathconf(".", "PC_NAME_MAX") - len(LONGEST_ENDING) - 1) + ".h5"
+    options = ["--checkpoint-every", "0", "--no-pictures", "--no-estimate", "--device", "cpu"]
+    status, _, err = command("localize", "panel.toml", "--out", out, *options)
+    assert (status, err) == (0, "")
+    assert out in files()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+@pytest.mark.parametrize("words", [["render", "pipe"], ["view", "pipe"], ["localize", "--resume", "pipe"]])
+def test_a_pipe_is_no_result(words, folder, command):
+    """Reading from one that nobody writes to would not end."""
+    os.mkfifo("pipe")
+    assert "pipe: is no file" in refused(command(*words))
+    Path("pipe").unlink()
+    Path("pipe").mkdir()
+    assert "pipe: is no file" in refused(command(*words))
 
 
 WORDS = [*COMMANDS, "init", "wrong.toml", "none", "--", "-", "=", "1", "cpu", "auto", "--no-pictures", "--quick"]

@@ -141,6 +141,7 @@ def test_simulate_tells_the_status(call, too_long, tmp_path, monkeypatch):
     assert float(said["status"].split()[-2]) < 150 * limit
     _, words, _ = call("simulate", path, "--allow-unstable", "--no-pictures", "--device", "cpu")
     assert "grew without bound by t" in words
+    assert "nan" not in words
 
 
 def test_a_run_that_is_well_says_ok(call, tmp_path, monkeypatch):

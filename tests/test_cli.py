@@ -161,7 +161,7 @@ def test_paper_table(command, tmp_path, monkeypatch):
     single, published = map(float, rows["best single actuator"])
     assert single == pytest.approx(0.6367, abs=0.0005)
     assert published == 0.6367
-    assert rows["found by the swarm"][1] == "0.7200"
+    assert rows["found by the search"][1] == "0.7200"
     assert re.search(r"can't be\s+reproduced", out)
     for text in (
         "lower left",
@@ -323,3 +323,26 @@ def test_a_reader_that_leaves_is_no_error(panel):
     os.close(write)
     assert answer.stderr == ""
     assert Path("panel-simulate.h5").exists()
+
+
+def test_what_a_scene_calls_itself_is_printed_as_it_stands(scene, tmp_path, monkeypatch, capsys):
+    """No markup, no emoji, no command to the terminal, in tables, lines and errors."""
+    monkeypatch.chdir(tmp_path)
+    made = scene((9, 9), damping=88.5, search={"particles": 4, "iterations": 3})
+    names = (f"[/b]{index} \x1b[31m :smile:" for index in range(3))
+    named = tuple(one.model_copy(update={"name": name}) for one, name in zip(made.actuators, names, strict=True))
+    made = made.model_copy(update={"title": "[bold][/x] \x1b]0;owned\x07", "actuators": named})
+    Path("panel.toml").write_text(dump_scene(made), encoding="utf-8")
+    main(["localize", "panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate"])
+    out = capsys.readouterr().out
+    assert "[bold][/x] \\x1b]0;owned\\x07" in out
+    assert "[/b]1 \\x1b[31m :smile:" in out
+    assert "\x1b" not in out
+    assert "\x07" not in out
+    wrong = dump_scene(made).replace("magnitude = 1.0", "magnitude = nan")
+    Path("panel.toml").write_text(wrong, encoding="utf-8")
+    with pytest.raises(SystemExit):
+        main(["localize", "panel.toml", "--device", "cpu", "--no-pictures"])
+    err = capsys.readouterr().err
+    assert len(err.splitlines()) == 1
+    assert err.rstrip("\n").isprintable()

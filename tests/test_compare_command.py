@@ -104,6 +104,20 @@ def test_a_scene_that_is_not_linear_claims_no_bound(panel):
         compare(bent, seeds=1, device="cpu", evaluator="response")
 
 
+def test_one_actuator_leaves_nothing_to_compare(scene):
+    with pytest.raises(SceneError, match="nothing to compare"):
+        compare(scene(actuators=[(0.05, 0.08, 0.05, 0.08)]), device="cpu")
+
+
+def test_other_objectives_have_their_own_bound(panel):
+    """The largest RMS velocity of the target under so much power is no method's to pass."""
+    search = {"particles": 8, "iterations": 30, "objectives": [{"kind": "velocity"}], "limits": {"power": 2.0}}
+    made = type(panel).model_validate({**panel.model_dump(exclude_unset=True), "search": search})
+    result = compare(made, seeds=2, methods=["pso", "gradient"], device="cpu")
+    assert not result.localization
+    assert all(result.bound * (1 + 1e-9) <= trial.found < 0 for trial in result.trials)
+
+
 def test_json_file_and_picture(panel, command):
     pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
     arguments = ("--methods", "pso,ring,exact", "--seeds", 2, "--device", "cpu")

@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -59,7 +60,7 @@ def page(browser, served):
     made = browser.new_page(viewport={"width": 1300, "height": 900})
     asked, wrong = [], []
     made.on("request", lambda request: asked.append(request.url))
-    made.on("websocket", lambda socket: asked.append(socket.url))
+    made.on("websocket", lambda opened: asked.append(opened.url))
     made.on("console", lambda message: wrong.append(message.text) if message.type in ("error", "warning") else None)
     made.on("pageerror", lambda error: wrong.append(str(error)))
     made.set_default_timeout(1000 * PATIENCE)
@@ -191,6 +192,16 @@ def test_a_port_that_is_taken(served, tmp_path):
     assert (second.returncode, second.stdout) == (2, "")
     assert second.stderr.startswith(f"warp-plate: --host 127.0.0.1 --port {port}: cannot be listened on: ")
     assert second.stderr.count("\n") == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no second address of their own by default")
+def test_nobody_else_can_reach_it(served):
+    """Listening on all addresses, it would answer on this one too."""
+    port = int(served.rstrip("/").rpartition(":")[2])
+    with socket.create_connection(("127.0.0.1", port), PATIENCE):
+        pass
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.2", port), PATIENCE)
 
 
 def test_no_other_site_is_let_in(browser, served):

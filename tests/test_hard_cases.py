@@ -1,5 +1,5 @@
 """The catalogue of hard cases (docs/hard-cases.md): every case keeps to what is asked of it, on every path and in both
-precisions. A few take as many steps as the catalogue asks for; the figures of all, minutes of work, are committed."""
+precisions, the slow tests with as many steps as the catalogue asks for; the figures of all are committed."""
 
 import json
 from pathlib import Path
@@ -13,7 +13,13 @@ from warp_plate.solve import status
 
 ROOT = Path(__file__).parents[1]
 PRECISIONS = ("float32", "float64")
-IN_FULL = [case for case in CASES if case.name.startswith(("lossless", "driven exactly"))]
+# Cases that take more steps there; not those on the finest grids, which take minutes.
+IN_FULL = [
+    case
+    for case in CASES
+    if case.group in ("The stability limit", "Energy", "Inside the plate")
+    and not case.name.startswith(("1.01", "rounding on 257", "rounding on 513"))
+]
 
 
 def marked():
@@ -40,14 +46,15 @@ def test_case_in_full(case, precision, pairs):
 
 
 def test_the_catalogue_is_the_page():
-    """Every case has a row in the page, and committed figures that are as asked; names are told apart."""
+    """Every case has a row in the page and committed figures of a CPU, and all figures are as asked; names are told
+    apart."""
     names = [case.name for case in CASES]
     assert len(set(names)) == len(names)
     page = (ROOT / "docs" / "hard-cases.md").read_text(encoding="utf-8")
     assert not [name for name in names if f"| {name} |" not in page]
     for file in (ROOT / "benchmarks" / "results").glob("hard-cases-*.json"):
         rows = {row["name"]: row for row in json.loads(file.read_text(encoding="utf-8"))["cases"]}
-        assert set(rows) == set(names)
+        assert set(rows) == set(names) if file.stem.endswith("cpu") else set(rows) <= set(names)
         assert all(row["kept"] for row in rows.values())
 
 

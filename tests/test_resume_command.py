@@ -94,7 +94,7 @@ def test_what_would_change_the_result_is_refused_by_name(options, named, command
         ([], "needs a SCENE .* or --resume FILE"),
         (["--resume", "none.checkpoint.h5"], "none.checkpoint.h5: no such file"),
         (["--resume", "panel.toml"], "panel.toml: damaged: no checksum at its end"),
-        (["--resume", "."], "damaged or not an HDF5 file"),
+        (["--resume", "."], r"\.: is no file"),
         (["--resume", "result.h5"], "result.h5: not a checkpoint of warp-plate"),
     ],
 )
@@ -145,6 +145,37 @@ def test_an_unfinished_search_is_named_before_it_is_replaced(command, panel, lef
     status, _, err = command(*COMMAND)
     assert (status, len(err.splitlines())) == (0, 1)
     assert "panel-localize.checkpoint.h5 is of a search that did not end" in err
+
+
+def test_two_searches_into_one_file(panel, tmp_path):
+    """The one whose checkpoint another search has replaced says so once and leaves that one alone, to the end too."""
+    told = []
+    mine, other = (CheckpointFile(Path("search.checkpoint.h5"), 0.0, warn=told.append) for _ in range(2))
+    go = {"told": stop_after(3), "estimate": False}
+    localize(panel, "panel.toml", "cpu", checkpoints=mine, **go)
+    assert told == []
+    assert mine.saved.iterations == 3
+    localize(panel, "panel.toml", "cpu", 5, checkpoints=CheckpointFile(mine.path, 0.0, warn=told.append), **go)
+    replaced = mine.path.read_bytes()
+    for last in (mine, other):
+        told.clear()
+        for _ in range(2):
+            localize(panel, "panel.toml", "cpu", checkpoints=last, **go)
+        assert len(told) == 1
+        assert "search.checkpoint.h5 is written by another search" in told[0]
+        assert last.saved is None
+        last.remove()
+        assert mine.path.read_bytes() == replaced
+
+
+def test_a_result_in_the_place_of_its_checkpoint(command, panel, left):
+    """Is whole, so the checkpoint before the last one is not what was meant."""
+    previous_of(left).write_bytes(left.read_bytes())
+    status, _, _ = command(*COMMAND, "--out", "whole.h5")
+    Path("whole.h5").replace("panel-localize.h5")
+    status, _, err = command("localize", "--resume", "panel-localize.h5", "--no-pictures", "--no-estimate")
+    assert (status, len(err.splitlines())) == (2, 1)
+    assert "not a checkpoint of warp-plate" in err
 
 
 def killed(arguments, moment, random):

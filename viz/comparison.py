@@ -25,6 +25,7 @@ DRIVES = {
     "single": "single actuator",
     "time_reversal": "time reversal",
     "inverse_filter": "inverse filter",
+    "nominal": "found without scatter",
     "best": "best drive found",
     "drive": "given drive",
 }
@@ -66,8 +67,8 @@ class Comparison:
             row, column = divmod(index, columns)
             plotter.subplot(row, column)
             field, colours = motion.displacement[0], self._colour(index, 0)
-            text = heading(motion, 0)
-            self.plates.append(add_plate(plotter, scene, field, self.scale, text, font_size, False, colours))
+            text, own = heading(motion, 0), motion.scene or scene
+            self.plates.append(add_plate(plotter, own, field, self.scale, text, font_size, False, colours))
         plotter.subplot(*(legend or (0, columns)))
         self._bar = add_legend(plotter, scene, self.scale, font_size)
 

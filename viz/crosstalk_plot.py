@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import SubFigure
 
-# Inches: a cell of the table, the longer side of a plate, and how many of these stand in a row.
-CELL, PLATE, IN_A_ROW = 0.85, 1.9, 4
+# Inches: width and height of a cell of the table, the longer side of a plate, and how many of these stand in a row.
+CELL, PLATE, IN_A_ROW = (0.9, 0.42), 1.9, 4
 
 
 def draw_crosstalk(result: Result, path: str | Path, form: str | None = None) -> Path:
@@ -42,9 +42,10 @@ def draw_crosstalk(result: Result, path: str | Path, form: str | None = None) ->
     drawn = {target: case for target, case in names.items() if case in result.cases and result.times.size}
     rows, columns = math.ceil(len(drawn) / IN_A_ROW), min(len(drawn), IN_A_ROW)
     width, height = (PLATE * side / max(result.scene.plate.size) for side in result.scene.plate.size)
-    table, plates = CELL * len(names) + 1.3, rows * (height + 0.3)
+    (wide, table), plates = (side * len(names) for side in CELL), rows * (height + 0.3)
+    table += 0.6
     with rc_context({"font.size": 8, "axes.linewidth": 0.8, "svg.hashsalt": "warp-plate"}):
-        figure = Figure(figsize=(max(table + 1.6, columns * (width + 0.2), 3.5), table + plates), layout="constrained")
+        figure = Figure(figsize=(max(wide + 1.5, columns * (width + 0.2)), table + plates), layout="constrained")
         FigureCanvasAgg(figure)
         above, below = figure.subfigures(2, 1, height_ratios=[table, plates or 1e-3])
         _table(above.subplots(), list(names), crosstalk(result))
@@ -55,7 +56,7 @@ def draw_crosstalk(result: Result, path: str | Path, form: str | None = None) ->
 
 
 def _table(axes: Axes, names: list[str], shares: np.ndarray) -> None:
-    axes.imshow(np.nan_to_num(shares), cmap="Greens", vmin=0, vmax=1)
+    axes.imshow(np.nan_to_num(shares), cmap="Greens", vmin=0, vmax=1, aspect="auto")
     for (row, column), share in np.ndenumerate(shares):
         against = decibels(shares)[row, column]
         text = f"{100 * share:.1f} %" if math.isfinite(share) else "not\nsearched"

@@ -149,6 +149,8 @@ class SearchCharts:
             self.plane.scatter([0], [0], color=colour, size=5, style="o", label=name) for name, colour in others
         ]
         self._marks = [self.plane.scatter([0], [0], color=colour, size=14, style="x") for _, colour in others]
+        for mark, (_, colour) in zip(self._marks, others, strict=True):
+            mark.pen.color = colour  # a cross is all outline, which PyVista leaves black
         for chart, vertical in ((self.history, vtkChartLegend.BOTTOM), (self.plane, vtkChartLegend.TOP)):
             chart.border_style = None
             chart.legend_visible = True

@@ -15,7 +15,9 @@ from warp_plate.viz.comparison import DRIVES, ordered
 from warp_plate.viz.crosstalk_plot import draw_crosstalk
 from warp_plate.viz.lettering import add_legend
 from warp_plate.viz.quantity import scale_over
+from warp_plate.viz.robust_plot import draw_robust
 from warp_plate.viz.scene3d import add_plate
+from warp_plate.viz.spectrum_plot import draw_spectrum
 from warp_plate.viz.surface import caption
 
 if TYPE_CHECKING:
@@ -36,7 +38,7 @@ PUBLISHED_LOSS = 0.28
 
 
 def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
-    """Draw what the result holds into ``<stem>-history.png``, ``<stem>-crosstalk.png`` and ``<stem>-surfaces.png``.
+    """Draw what the result holds: ``<stem>-history.png``, ``-robust``, ``-crosstalk``, ``-spectrum`` and ``-surfaces``.
 
     Nothing that is wrong with a library or a file ends the run.
 
@@ -46,6 +48,10 @@ def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
     jobs: list[tuple[Callable[[Result, Path], Path], str, Callable[[], str | None]]] = []
     if result.history:
         jobs.append((draw_history, "history", missing_plots))
+    if result.robust is not None and np.isfinite(result.robust.fresh).any():
+        jobs.append((draw_robust, "robust", missing_plots))
+    if result.spectrum:
+        jobs.append((draw_spectrum, "spectrum", missing_plots))
     if result.scene.targets and result.command == "localize":
         jobs.append((draw_crosstalk, "crosstalk", missing_plots))
     if result.times.size:
@@ -85,7 +91,9 @@ def draw_surfaces(result: Result, path: str | Path) -> Path:
 
 
 def draw_history(result: Result, path: str | Path, form: str | None = None) -> Path:
-    """Figure 3 of the paper: loss (1 − localization factor) against iteration; PNG, SVG or PDF by ``form`` or ending.
+    """Figure 3 of the paper: loss against iteration; PNG, SVG or PDF by ``form`` or ending.
+
+    The loss is 1 − localization factor, or less the weighted sum of what else is sought.
 
     The bound is a line where the result claims one; the published final loss stands beside it for the preset
     "paper" only.
@@ -111,21 +119,25 @@ def draw_history(result: Result, path: str | Path, form: str | None = None) -> P
 def _plot_history(axes: Axes, result: Result) -> None:
     from matplotlib.ticker import MaxNLocator
 
-    best = 1 - np.fmax.accumulate(_finite(result.history["best"]))
+    localization = result.only_localization
+    top = 1 if localization else 0
+    best = top - np.fmax.accumulate(_finite(result.history["best"]))
     iteration = np.arange(1, best.size + 1)
     marker = "." if best.size < 10 else None
     if "mean" in result.history:
-        mean = 1 - _finite(result.history["mean"])
+        mean = top - _finite(result.history["mean"])
         axes.plot(iteration, mean, color="#9ecae1", linewidth=1.0, marker=marker, label="swarm mean")
     axes.plot(iteration, best, color="#08519c", linewidth=1.6, marker=marker, label="best so far")
-    if result.bound is not None:
-        loss = 1 - result.bound
+    # Of a robust search the history is of its measure, which has a bound of its own.
+    bound = result.bound if result.scene.search.robust is None else getattr(result.robust, "bound", None)
+    if bound is not None:
+        loss = top - bound
         axes.axhline(loss, color="#b2182b", linewidth=1.0, linestyle="--", label=f"bound: {loss:.4f}")
     if result.source == "paper":
         label = f"published: {PUBLISHED_LOSS:g}"
         axes.axhline(PUBLISHED_LOSS, color="#8a8a8a", linewidth=1.0, linestyle=":", label=label)
     axes.set_xlabel("iteration")
-    axes.set_ylabel("loss (1 − localization factor)")
+    axes.set_ylabel("loss (1 − localization factor)" if localization else "loss (− weighted sum of objectives)")
     axes.set_xlim((1, best.size) if best.size > 1 else (0, 2))
     axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
     axes.spines[["top", "right"]].set_visible(False)
@@ -176,7 +188,7 @@ def _draw_row(
     for column, index in enumerate(shown):
         plotter.subplot(row, column)
         text = caption(drive, float(result.times[index]), case.localization_factor)
-        add_plate(plotter, result.scene, case.displacement[index], scale, text, font_size, bar=False)
+        add_plate(plotter, result.placed(case), case.displacement[index], scale, text, font_size, bar=False)
     plotter.subplot(row, len(shown))
     add_legend(plotter, result.scene, scale, font_size)
 

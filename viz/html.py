@@ -52,12 +52,14 @@ def result_html(result: Result) -> str:
     _add_table(tables, ("drive", "localization factor"), rows)
     name, case = shown_case(result)
     drive = [
-        (actuator.name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}")
-        for actuator, magnitude, phase in zip(result.scene.actuators, case.magnitude, case.phase, strict=True)
+        (actuator.name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}", *(f"{one:.5g}" for one in own))
+        for actuator, magnitude, phase, *own in zip(
+            result.scene.actuators, case.magnitude, case.phase, *case.own.values(), strict=True
+        )
     ]
     words = DRIVES.get(name, name)
     magnitude = f"magnitude ({result.scene.drive_unit})"
-    _add_table(tables, (f"actuator, {words}", magnitude, "phase (rad)", "phase / π"), drive)
+    _add_table(tables, (f"actuator, {words}", magnitude, "phase (rad)", "phase / π", *case.own), drive)
     for line in _notes(result):
         SubElement(card, "p").text = line
     _add_picture(card, result, f"Displacement of the plate under the {words}")

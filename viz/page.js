@@ -162,7 +162,7 @@ class Plate {
     this.corners = gl.createBuffer();
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.corners);
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, this.triangles, gl.STATIC_DRAW);
-    this.outlines = data.outlines.map((outline) => ({ ...outline, ...lineArrays(gl, this.line, outline) }));
+    this.outlines = (plate.outlines ?? data.outlines).map((outline) => ({ ...outline, ...lineArrays(gl, this.line, outline) }));
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.LEQUAL);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);

@@ -23,7 +23,7 @@ from warp_plate.viz.comparison import common_scale, heading, quantity_of, rows_a
 from warp_plate.viz.lettering import TICK, key_of, lookup_table
 from warp_plate.viz.quantity import DISPLACEMENT, MODE, Quantity
 from warp_plate.viz.scene3d import Line, lines_of
-from warp_plate.viz.surface import OnSurface, plate_meshes
+from warp_plate.viz.surface import OnSurface, PlateMeshes, plate_meshes
 
 # Fields are whole numbers up to PEAK in the page; STILL stands for what is no number.
 PEAK, STILL = 32767, -32768
@@ -96,12 +96,14 @@ def page_data(
         "table": _base64(lookup_table(scale).values.astype(np.uint8)),
         "key": key_of(scene),
         "triangles": _base64(meshes.surface.faces.reshape(-1, 4)[:, 1:].astype("<u4")),
-        "outlines": [_outline(line) for line in sorted(lines_of(meshes), key=lambda line: line.nearer)],
+        "outlines": _outlines(meshes),
         "plates": [
             {
                 "headings": [heading(motion, frame) for frame in range(len(motion.times))],
                 "heights": _whole(fields[index], peak),
                 "colours": None if same else _whole(colours[index], scale.limit),
+                # Where its actuators are elsewhere; null: as the others'.
+                "outlines": _outlines(plate_meshes(motion.scene, fields[0][0], scale)) if motion.scene else None,
             }
             for index, motion in enumerate(motions)
         ],
@@ -131,6 +133,10 @@ def _at_nodes(field: np.ndarray, nodes: tuple[int, int], quantity: Quantity) -> 
         part = (at - low).reshape(-1, 1) if axis == 1 else at - low
         field = field.take(low, axis) * (1 - part) + field.take(low + 1, axis) * part
     return field
+
+
+def _outlines(meshes: PlateMeshes) -> list[dict[str, Any]]:
+    return [_outline(line) for line in sorted(lines_of(meshes), key=lambda line: line.nearer)]
 
 
 def _outline(line: Line) -> dict[str, Any]:

@@ -54,7 +54,7 @@ def draw_plan(
         panels = figure.subplots(rows, columns, squeeze=False)
         for axes, motion in zip(panels.flat, motions, strict=False):
             fields = shown.values(motion)
-            _draw(axes, scene, fields[frame_shown % len(fields)], scale)
+            _draw(axes, motion.scene or scene, fields[frame_shown % len(fields)], scale)
             title = heading(motion, frame_shown)
             # A field that is the same at all times has no moment.
             axes.set_title(title if len(fields) > 1 else _without_time(title), fontsize=8, pad=6)

@@ -60,7 +60,7 @@ def made(name: str) -> Scene:
 def below(name: str, where: Where) -> Measured:
     """Largest speed in the last tenth over the largest in the first tenth, after a push of four steps, which has all
     motions in it up to the fastest."""
-    steps = where.steps(100_000, 4000)
+    steps = where.steps(100_000, 2000)
     scene = stepped(made(name), 0.999, steps)
     step = make_scheme(scene).time_step
     scene = scene.with_tables(drive={"frequency": scene.drive.frequency, "burst": {"duration": 4 * step}})

@@ -21,19 +21,7 @@ def crosstalk_json(result: Result) -> dict[str, object] | None:
     if not cases:
         return None
     shares = crosstalk(result)
-    drives = {
-        case: [
-            {"actuator": actuator.name, "magnitude": magnitude, "phase": phase}
-            for actuator, magnitude, phase in zip(
-                result.scene.actuators,
-                result.cases[case].magnitude.tolist(),
-                result.cases[case].phase.tolist(),
-                strict=True,
-            )
-        ]
-        for case in cases.values()
-        if case in result.cases
-    }
+    found = {name: result.cases[name] for name in cases.values() if name in result.cases}
     return {
         "targets": list(cases),
         "cases": list(cases.values()),
@@ -41,7 +29,7 @@ def crosstalk_json(result: Result) -> dict[str, object] | None:
         "decibels": decibels(shares).tolist(),
         "bound": [one.bound for one in result.several],
         "evaluations": [one.evaluations for one in result.several],
-        "drives": drives,
+        "drives": {name: output.drive_json(case, result.scene) for name, case in found.items()},
     }
 
 

@@ -126,8 +126,7 @@ def _target(out: Path | None, result: Path, to: Format) -> Path:
     ending = Path(f"x{ENDINGS[to]}").suffix
     if path.suffix != ending:
         raise SceneError(f"--out {path}: must end in {ending}")
-    if not path.parent.is_dir():
-        raise SceneError(f"--out {path}: no such folder: {path.parent}")
+    output.refuse_place(path)
     return path
 
 
@@ -153,7 +152,9 @@ def _write_series(
         motions = chosen_motions(result, name, choice, "displacement", quiet)
         times, fields = motions[0].times, {f"displacement_{motion.name}": motion.displacement for motion in motions}
         fields |= {f"velocity_{motion.name}": motion.velocity for motion in motions}
-    files = (write_pvd if to == "pvd" else write_vtkhdf)(result.scene, times, fields, target)
+    # The actuators are shown where the first case has them.
+    scene = result.placed(result.cases[choice.cases[0]])
+    files = (write_pvd if to == "pvd" else write_vtkhdf)(scene, times, fields, target)
     return files, {"times": len(times), "recorded": recorded, "fields": list(fields)}
 
 
@@ -168,7 +169,7 @@ def _signal(result: Result, case: Case, rate: int | None, duration: float | None
     from warp_plate.result.signals import make_signal
 
     rate = RATE if rate is None else rate
-    return make_signal(result.scene, case, rate, DURATION if duration is None else duration, full_scale)
+    return make_signal(result.placed(case), case, rate, DURATION if duration is None else duration, full_scale)
 
 
 def _write_signal(signal: Signal, to: Format, target: Path, encoding: Encoding) -> list[Path]:

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import cyclopts
 
 from warp_plate.cli import output
+from warp_plate.cli.crosstalk import crosstalk_json, crosstalk_table
 from warp_plate.cli.options import Whole
 from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
 from warp_plate.cli.resume import read_checkpoint, result_beside, way_on
-from warp_plate.scene.errors import SceneError
+from warp_plate.cli.robust_table import print_robust, robust_json
+from warp_plate.scene.errors import SceneError, printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,13 +24,16 @@ if TYPE_CHECKING:
     from warp_plate.result.model import Result
     from warp_plate.search.checkpoints import CheckpointFile
 
-TRIED = {"direct": "plates simulated for the swarm", "response": "drives tried by the swarm on the Gram matrices"}
+TRIED = {"direct": "plates simulated for the search", "response": "drives tried by the search on the Gram matrices"}
+# Ending of the scene that is found.
+FOUND = ".best.toml"
 MEANING = {
     "equal": "all actuators alike",
     "single": "best single actuator",
     "time_reversal": "time reversal to the target's middle",
     "inverse_filter": "regularised inverse filter",
-    "best": "found by the swarm",
+    "nominal": "found without scatter",
+    "best": "found by the search",
     "bound": "bound: no drive passes it",
 }
 
@@ -44,6 +49,7 @@ def localize(
     accuracy: str | None = None,
     estimate: bool = True,
     baselines: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+    spectrum: bool = True,
     checkpoint_every: float = 30.0,
     resume: Path | None = None,
     out: Path | None = None,
@@ -55,6 +61,13 @@ def localize(
     Every actuator's magnitude and phase is searched, with the first actuator's held at 1 and 0. In a scene that is not
     linear in its drives (stretching, electrostatic force, a moving load) the first one's magnitude is the largest of
     those that the scene gives, which otherwise are for simulate.
+
+    A scene says by [search.magnitude], [search.phase], [search.frequency], [search.position] and [search.delay] what
+    else, and what not, is searched, by [search.limits] what the amplifier can do: see docs/searching.md. The scene that
+    is found is written beside the result as OUT.best.toml, which simulate runs.
+
+    With [search.robust] the drive is judged by many panels drawn within tolerances, and compared over fresh ones with
+    what the same search finds for the nominal panel alone: see docs/robust.md.
 
     Ctrl-C ends the search with the best so far, and leaves a checkpoint beside the result: --resume goes on from it as
     if there had been no stop, to the same result to the last bit. So does a search that runs longer than
@@ -72,7 +85,7 @@ def localize(
         Of the swarm; the scene's when left out.
     evaluator
         direct simulates a plate for each particle; response uses Gram matrices of unit responses instead. direct when
-        left out.
+        left out, of a robust search response where it holds.
     path
         How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch). auto,
         the faster one, when left out.
@@ -82,6 +95,9 @@ def localize(
         End with an estimate of the result's error.
     baselines
         Show the drives that haptics takes without a search beside the one found: time reversal and inverse filter.
+    spectrum
+        After a search for one frequency of all actuators, take the localization factor over its whole range: of equal
+        drive, of the best single actuator and of the best drive at each frequency, with the plate's resonances.
     checkpoint_every
         Seconds between two checkpoints, at the end of an iteration: OUT.checkpoint.h5 for OUT.h5, and
         OUT.checkpoint.previous.h5, the one before. 0: after each iteration; inf: only after Ctrl-C.
@@ -100,7 +116,7 @@ def localize(
         raise SceneError("localize needs a SCENE (a preset's name or a TOML file), or --resume FILE")
     beside = None if resume is None else result_beside(resume)
     target = output.output_file(out or beside, scene or "", "localize")
-    loaded = None if scene is None else output.load_scene(scene, accuracy)
+    loaded = None if scene is None else output.load_scene(scene, accuracy, searched=True)
     from warp_plate.result.checkpoint import ENDING
     from warp_plate.search.checkpoints import CheckpointFile
 
@@ -117,14 +133,14 @@ def localize(
         run = partial(go_on, checkpoint, device)
     elif loaded is not None:
         on = "auto" if device is None else device
-        run = partial(search, loaded, scene or "", on, seed, evaluator or "direct", path or "auto")
+        run = partial(search, loaded, scene or "", on, seed, evaluator, path or "auto")
     if baselines:
         from warp_plate.search.baselines import check_baselines, with_baselines
 
         searched = loaded if checkpoint is None else checkpoint.scene
         assert searched is not None
         check_baselines(searched)
-    result = _run(run, estimate, kept, shown=not json)
+    result = _run(partial(run, spectrum=spectrum), estimate, kept, shown=not json)
     if baselines:
         result = with_baselines(result, device or "auto", path or "auto")
     files, missing = _write(result, target, pictures, kept)
@@ -154,6 +170,7 @@ def _write(result: Result, target: Path, pictures: bool, kept: CheckpointFile) -
     """The result and its pictures, see ``output.write_files``; the checkpoint goes once the search is done."""
     try:
         files, missing = output.write_files(result, target, pictures)
+        files[1:1] = _write_found(result, target.with_suffix(FOUND))
     except SceneError as error:
         if kept.saved is None:
             raise
@@ -163,6 +180,27 @@ def _write(result: Result, target: Path, pictures: bool, kept: CheckpointFile) -
     elif kept.saved is not None:
         output.tell(f"interrupted{way_on(kept.saved, kept.path)}")
     return files, missing
+
+
+def _write_found(result: Result, path: Path) -> list[Path]:
+    """The scene that was found, for ``simulate``, and of several targets one for each, numbered from the second on;
+    nothing where no scene may have its numbers, which is told."""
+    from warp_plate.result.crosstalk import found_scenes
+    from warp_plate.result.whole import write_whole
+    from warp_plate.scene.load import dump_scene
+
+    try:
+        scenes = found_scenes(result)
+    except SceneError as error:
+        output.tell(f"{path} is not written: {error}")
+        return []
+    files = []
+    for number, scene in enumerate(scenes.values(), 1):
+        file = path if number == 1 else path.with_suffix(f".{number}.toml")
+        head = f"# Found by: warp-plate localize {result.source}\n# Run it by: warp-plate simulate {file.name}\n"
+        write_whole((printable(head) + dump_scene(scene)).encode(), file)
+        files.append(file)
+    return files
 
 
 def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -> dict[str, object]:
@@ -176,17 +214,15 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
         "path": result.path,
         "seed": result.seed,
         "localization_factor": {**factors, "bound": result.bound},
-        "drive": [
-            {"actuator": actuator.name, "magnitude": magnitude, "phase": phase}
-            for actuator, magnitude, phase in zip(
-                result.scene.actuators, best.magnitude.tolist(), best.phase.tolist(), strict=True
-            )
-        ],
+        "drive": output.drive_json(best, result.scene),
+        "crosstalk": crosstalk_json(result),
         "evaluations": result.evaluations,
         "node_steps": result.node_steps,
         "seconds": dict(result.seconds),
         "effects": list(result.effects),
         "history": [dict(zip(history, row, strict=True)) for row in zip(*history.values(), strict=True)],
+        "robust": robust_json(result.robust),
+        "spectrum": {name: values.tolist() for name, values in result.spectrum.items()},
         "evaluator": result.evaluator,
         "accuracy": dict(result.accuracy),
         "warnings": output.warnings_of(result),
@@ -199,19 +235,24 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
 def _print(result: Result, console: Console) -> None:
     published = PUBLISHED if result.source == "paper" else {}
     factors = {name: case.localization_factor for name, case in result.cases.items()}
-    headings = ("localization factor", "this run") + (("published",) if published else ())
+    first = f", target {result.scene.targets[0].name}" if result.several else ""
+    headings = (f"localization factor{first}", "this run") + (("published",) if published else ())
     console.print(result.scene.title or result.source)
     made = output.table(*headings)
     for name, meaning in MEANING.items():
         if name != "bound" and name not in factors:
             continue
         value = result.bound if name == "bound" else factors[name]
-        row = [meaning, "none claimed" if value is None else f"{value:.4f}"]
+        row = [meaning, "none claimed" if value is None else output.known(value, ".4f")]
         made.add_row(*row, *([f"{published[name]:.4f}" if name in published else ""] if published else []))
     console.print(made)
     console.print()
+    print_robust(result, console)
     console.print(output.drive_table(result.cases["best"], result.scene))
     console.print()
+    if result.several:
+        console.print(crosstalk_table(result))
+        console.print()
     if result.interrupted:
         console.print("Interrupted by Ctrl-C: the best so far is shown.")
     if published:

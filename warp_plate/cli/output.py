@@ -18,6 +18,9 @@ from rich.text import Text
 
 from warp_plate.scene.errors import SceneError, printable
 
+# Of the files beside a result, while they are written.
+LONGEST_ENDING = ".checkpoint.h5.12345678.part.h5"
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -55,6 +58,11 @@ def table(*headings: str, title: str | None = None) -> Table:
     return made
 
 
+def known(value: float | None, digits: str, unit: str = "") -> str:
+    """A number for people; none where there is no such number."""
+    return "none" if value is None or not math.isfinite(value) else f"{value:{digits}}{unit}"
+
+
 @contextmanager
 def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int, str], None]]:
     """A bar with time left where standard error is a terminal; the yielded function takes (done, total, note)."""
@@ -70,11 +78,28 @@ def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int, str], 
 
 
 def drive_table(case: Case, scene: Scene) -> Table:
-    """A drive as the source paper's Table 1 gives it."""
-    made = table("actuator", f"magnitude ({scene.drive_unit})", "phase (rad)", "phase / π", title="Drive found")
-    for actuator, magnitude, phase in zip(scene.actuators, case.magnitude, case.phase, strict=True):
-        made.add_row(actuator.name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}")
+    """A drive as the source paper's Table 1 gives it, and after it what else was found."""
+    headings = ("actuator", f"magnitude ({scene.drive_unit})", "phase (rad)", "phase / π", *case.own)
+    made = table(*headings, title="Drive found")
+    for index, actuator in enumerate(scene.actuators):
+        magnitude, phase = case.magnitude[index], case.phase[index]
+        own = (f"{values[index]:.5g}" for values in case.own.values())
+        made.add_row(actuator.name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}", *own)
     return made
+
+
+def drive_json(case: Case, scene: Scene) -> list[dict[str, object]]:
+    """A drive for ``--json``, an object for each actuator; with what the search gave it of its own."""
+    own = {"frequency": case.frequency, "centre": case.centre, "delay": case.delay}
+    return [
+        {
+            "actuator": actuator.name,
+            "magnitude": float(case.magnitude[index]),
+            "phase": float(case.phase[index]),
+            **{name: values[index].tolist() for name, values in own.items() if values is not None},
+        }
+        for index, actuator in enumerate(scene.actuators)
+    ]
 
 
 def output_file(out: Path | None, source: str, command: str, endings: Sequence[str] = (".h5",)) -> Path:
@@ -83,33 +108,58 @@ def output_file(out: Path | None, source: str, command: str, endings: Sequence[s
     source: the name given as SCENE, empty where a command takes none.
 
     Raises:
-        SceneError: another ending, no file can be made there, or its folder is missing; said before any work is done.
+        SceneError: another ending, or see :func:`refuse_place`; said before any work is done.
     """
     path = out or Path(f"{Path(source).stem}-{command}{endings[0]}" if source else f"{command}{endings[0]}")
     if path.suffix not in endings:
         raise SceneError(f"--out {path}: must end in {' or '.join(', '.join(endings).rsplit(', ', 1))}")
-    try:
-        there = stat.S_ISDIR(path.stat().st_mode) and "is a folder"
-    except (FileNotFoundError, NotADirectoryError):
-        there = not path.parent.is_dir() and f"no such folder: {path.parent}"
-    except (OSError, ValueError) as error:  # a name too long, or with characters that no name may have
-        there = f"no name for a file: {getattr(error, 'strerror', None) or error}"
-    if there or not os.access(path.parent, os.W_OK):
-        raise SceneError(f"--out {path}: {there or f'no permission to write to the folder {path.parent}'}")
+    refuse_place(path)
     return path
 
 
-def load_scene(source: str, accuracy: str | None = None, allow_unstable: bool = False) -> Scene:
+def refuse_place(path: Path) -> None:
+    """Nothing, where a file of that name and those beside it (checkpoints, pictures, unfinished ones) can be made.
+
+    Raises:
+        SceneError: no file can be made there, its name leaves those no room, or its folder is missing.
+    """
+    try:
+        there = "is a folder" if stat.S_ISDIR(path.stat().st_mode) else ""
+    except (FileNotFoundError, NotADirectoryError):
+        there = "" if path.parent.is_dir() else f"no such folder: {path.parent}"
+    except (OSError, ValueError) as error:  # a name too long, or with characters that no name may have
+        there = f"no name for a file: {getattr(error, 'strerror', None) or error}"
+    there = there or _no_room_beside(path)
+    if there or not os.access(path.parent, os.W_OK):
+        raise SceneError(f"--out {path}: {there or f'no permission to write to the folder {path.parent}'}")
+
+
+def _no_room_beside(path: Path) -> str:
+    """Why the longest name of those beside a file is none, if so: the system alone knows how long one may be."""
+    try:
+        path.with_name(f".{path.stem}{LONGEST_ENDING}").stat()
+    except FileNotFoundError:
+        return ""
+    except OSError as error:
+        added = len(LONGEST_ENDING) + 1 - len(path.suffix)
+        return f"{error.strerror}: those of the files beside it take {added} bytes more"
+    return ""
+
+
+def load_scene(
+    source: str, accuracy: str | None = None, allow_unstable: bool = False, searched: bool = False
+) -> Scene:
     """The scene, with the checks that need its grid already made, so that their errors name the file as well.
 
     accuracy: what ``--accuracy`` says; it takes the place of the scene's grid. allow_unstable: whether its time step
-    may be above the limit.
+    may be above the limit. searched: whether what its search frees must fit too.
 
     Raises:
-        SceneError: see ``Scene.load``, ``make_scheme`` and ``patches``; or no accuracy.
+        SceneError: see ``Scene.load``, ``make_scheme``, ``patches`` and ``variables_of``; or no accuracy.
     """
     from warp_plate.plate.scheme import make_scheme
-    from warp_plate.plate.weights import patches
+    from warp_plate.plate.weights import patches, region_weights
+    from warp_plate.result.crosstalk import regions_of_targets
     from warp_plate.scene import Scene
 
     scene = Scene.load(source)
@@ -120,6 +170,12 @@ def load_scene(source: str, accuracy: str | None = None, allow_unstable: bool = 
     try:
         make_scheme(scene, allow_unstable)
         patches(scene)
+        region_weights(scene, regions_of_targets(scene))
+        if searched:
+            from warp_plate.search.free import with_step
+            from warp_plate.search.variables import variables_of
+
+            variables_of(with_step(scene))
     except SceneError as error:
         raise SceneError(f"{source}: {error}") from None
     return scene
@@ -168,7 +224,7 @@ def warnings_of(result: Result) -> list[str]:
     lost = next((one.status for one in result.cases.values() if one.status != "ok"), None)
     if lost is not None:
         return [why_no_energies(result.scene, lost)]
-    return exceeded(result.scene, result.peak)
+    return exceeded(result.placed(result.judged), result.peak)
 
 
 def print_warnings(result: Result, console: Console) -> None:

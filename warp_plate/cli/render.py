@@ -128,8 +128,7 @@ def _targets(out: list[Path] | None, result: Path, figures: str | None) -> list[
     for target in targets:
         if target.suffix.lower() not in ENDINGS:
             raise SceneError(f"--out {target}: must end in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}")
-        if not target.parent.is_dir():
-            raise SceneError(f"--out {target}: no such folder: {target.parent}")
+        output.refuse_place(target)
     return targets
 
 
@@ -165,7 +164,8 @@ def _around(
     last = result.scene.window.end
     if not 0 <= time <= last:
         raise SceneError(f"--time {time:g}: must be from 0 to {last:g} s")
-    period = min(1 / result.scene.drive.frequency, last)
+    lowest = min(result.placed(case).drive.frequency for case in result.cases.values())
+    period = min(1 / lowest, last)
     first = min(time, last - period)
     return first, first + period
 

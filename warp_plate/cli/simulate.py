@@ -87,10 +87,10 @@ def simulate(
     made = output.table("quantity", "value")
     if case.status != "ok":
         made.add_row("status", case.status)
-    made.add_row("localization factor", f"{case.localization_factor:.4f}")
+    made.add_row("localization factor", output.known(case.localization_factor, ".4f"))
     for region, energy in case.energy.items():
-        made.add_row(f"kinetic energy of the {region}, averaged over the window", f"{energy:.4g} J")
-    made.add_row("largest displacement seen over the run", f"{result.peak:.4g} m")
+        made.add_row(f"kinetic energy of the {region}, averaged over the window", output.known(energy, ".4g", " J"))
+    made.add_row("largest displacement seen over the run", output.known(result.peak, ".4g", " m"))
     console.print(made)
     console.print(
         f"{result.node_steps:.3g} node-steps on {result.device}, {result.path}: {result.seconds['solve']:.2f} s "

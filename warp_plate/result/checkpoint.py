@@ -1,6 +1,7 @@
 """One HDF5 file that holds a search between two of its iterations, so that it can go on as if it had never stopped.
 
     /swarm/positions, history, ...       arrays of the search's state; see warp_plate.result.search_state
+    /searches/0, ...                     of several targets, what was found for those before
     /matrices                            energies of all drives of a linear scene (see warp_plate.solve.response)
     attributes of /: scene (with its grid) and asked (as written), both TOML, seed, evaluator, path, device, ...
     attributes of /swarm: shapes, numbers  JSON of the arrays' shapes, and of the rest of the state
@@ -19,8 +20,11 @@ from typing import Any
 import h5py
 import numpy as np
 
+from warp_plate.result.model import Found
 from warp_plate.result.plain import count, numbers, opened, put, save_hdf5, table, text
 from warp_plate.result.search_state import put_state, read_state
+from warp_plate.result.several import put_several, read_several
+from warp_plate.result.whole import intact
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene
@@ -42,6 +46,7 @@ class Checkpoint:
     matrices: (regions, 2 actuators, 2 actuators) of the response; None where energies are no quadratic forms of what is
         searched.
     swarm: the state of the search, see ``Swarm.state``; None where one actuator leaves no choice.
+    several: of several targets, those that were searched before; ``scene`` is aimed at the one that is searched.
     """
 
     asked: Scene
@@ -61,6 +66,7 @@ class Checkpoint:
     single: int
     matrices: np.ndarray | None
     swarm: Mapping[str, Any] | None
+    several: tuple[Found, ...] = ()
 
     @property
     def iterations(self) -> int:
@@ -70,7 +76,12 @@ class Checkpoint:
     @property
     def progress(self) -> str:
         """For people."""
-        return f"{self.iterations} of {self.scene.search.iterations} iterations"
+        done = f"{self.iterations} of {self.scene.search.iterations} iterations"
+        targets = self.scene.targets
+        if not targets:
+            return done
+        index = len(self.several)
+        return f"{done} of target {index + 1} of {len(targets)} ({targets[index].name!r})"
 
 
 def previous_of(path: Path) -> Path:
@@ -101,6 +112,8 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
 def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
     """The checkpoint; or the one before it and a sentence that says so, where the file is damaged or missing.
 
+    A whole file of another kind is neither: whoever names a result means the checkpoint, not the one before it.
+
     Raises:
         SceneError: neither can be read; says what is wrong with the first.
     """
@@ -108,7 +121,7 @@ def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
         return load_checkpoint(path), None
     except SceneError as error:
         previous = previous_of(path)
-        if previous == path or not previous.exists():
+        if previous == path or not previous.exists() or intact(path):
             raise
         try:
             checkpoint = load_checkpoint(previous)
@@ -129,6 +142,7 @@ def _write(file: h5py.File, checkpoint: Checkpoint) -> None:
         put(file, "matrices", checkpoint.matrices, "J/(N/m^2)^2", "energy of each region by the drives' real parts")
     if checkpoint.swarm is not None:
         put_state(file, "swarm", checkpoint.swarm)
+    put_several(file, checkpoint.several)
 
 
 def _read(file: h5py.File, name: str) -> Checkpoint:
@@ -142,6 +156,11 @@ def _read(file: h5py.File, name: str) -> Checkpoint:
         raise SceneError(f"attribute single is {single}, of {actuators} actuators")
     if text(file, "evaluator") not in ("direct", "response") or (not scene.linear and "matrices" in file):
         raise SceneError("evaluator and matrices do not fit the scene")
+    several = read_several(file)
+    if several and (
+        len(several) >= len(scene.targets) or scene.target != scene.targets[len(several)].unnamed
+    ):
+        raise SceneError(f"{len(several)} searches do not fit the scene's targets")
     return Checkpoint(
         asked=asked,
         scene=scene,
@@ -160,4 +179,5 @@ def _read(file: h5py.File, name: str) -> Checkpoint:
         single=single,
         matrices=numbers(file, "matrices", (None, *2 * (2 * actuators,))) if "matrices" in file else None,
         swarm=read_state(file, "swarm") if "swarm" in file else None,
+        several=several,
     )

@@ -8,6 +8,7 @@ own "target".
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,6 +25,21 @@ def regions_of_targets(scene: Scene) -> dict[str, NamedTarget]:
 def cases_of_targets(scene: Scene) -> dict[str, str]:
     """The case of the best drive for each of the several targets, by the target's name."""
     return {target.name: f"best {target.name}" if index else "best" for index, target in enumerate(scene.targets)}
+
+
+def found_scenes(result: Result) -> dict[str, Scene]:
+    """By case, the scene that ``simulate`` runs as each best drive; aimed at its own target where there are several.
+
+    Raises:
+        SceneError: a magnitude beyond what a scene may have.
+    """
+    scene = result.scene
+    aims = {name: scene.aimed_at(index) for index, name in enumerate(cases_of_targets(scene).values())}
+    return {
+        name: replace(result, scene=aim).scene_of(result.cases[name])
+        for name, aim in (aims or {"best": scene}).items()
+        if name in result.cases
+    }
 
 
 def crosstalk(result: Result) -> np.ndarray:

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from warp_plate.plate.found import scene_with
+from warp_plate.result.robust import RobustComparison
 from warp_plate.scene.model import Scene
+from warp_plate.scene.search import Objective
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,36 @@ class Case:
         return np.where(self.drive == 0, 0.0, np.mod(-np.angle(self.drive), 2 * np.pi))
 
 
+    @property
+    def own(self) -> dict[str, np.ndarray]:
+        """(actuators,) by headings for people, what is not the scene's."""
+        x, y = (None, None) if self.centre is None else self.centre.T
+        found = {"frequency (Hz)": self.frequency, "x (m)": x, "y (m)": y, "burst from (s)": self.delay}
+        return {heading: values for heading, values in found.items() if values is not None}
+
+
+def placed(scene: Scene, case: Case) -> Scene:
+    """The scene of a result with a case's frequencies, places and burst starts; itself where it has none."""
+    if not case.own:
+        return scene
+    return scene_with(scene, None, None, case.frequency, case.centre, case.delay)
+
+
+@dataclass(frozen=True)
+class Found:
+    """The search for one target.
+
+    position: (dimension,) the best one in the search's space; None where one actuator leaves no choice, or none had
+    energies. single: index of the best single actuator; bound, history: as in :class:`Result`; evaluations: plates.
+    """
+
+    position: np.ndarray | None
+    single: int
+    bound: float | None
+    evaluations: int
+    history: Mapping[str, np.ndarray]
+
+
 @dataclass(frozen=True)
 class Result:
     """Everything that ``localize`` or ``simulate`` found, with all that is needed to run it again.
@@ -58,7 +90,8 @@ class Result:
     cases: by name; ``localize`` has "equal", "single" and "best", ``simulate`` has "drive".
     times: (times,) of the displacements [s]; trace_times: (steps,) of the traces [s].
     bound: largest localization factor that any drive can reach; None where none is claimed.
-    history: for each iteration of the search, arrays "evaluations", "best", "mean" (localization factors).
+    history: for each iteration of the search, arrays "evaluations", "best", "mean": localization factors, or weighted
+        sums of what else is sought.
     seconds: "compile" and "solve", and "choose" and "estimate" where these were done.
     accuracy: what is known of the result's errors, of numbers and texts only: "asked" and "reason" where the scene
         asked for an accuracy instead of a grid, "estimate" of the localization factors.
@@ -66,6 +99,9 @@ class Result:
     peak: largest displacement [m] seen over the run under the drive of ``judged``; None where nothing was looked at.
     spectrum: of a search for a frequency, over the "frequency" [Hz] of its range, the localization factors "equal",
         "single" and "best" (of any drive), and the "resonances" [Hz] in it; empty where none was made.
+    several: of a scene with several targets, the search for each that was come to; ``bound`` and ``history`` are the
+        first's. Cases: see ``result.crosstalk``.
+    robust: of a robust search, its drive and the "nominal" one, a case too, over fresh scenarios.
     """
 
     command: str
@@ -89,12 +125,12 @@ class Result:
     accuracy: Mapping[str, Any] = field(default_factory=dict)
     peak: float | None = None
     spectrum: Mapping[str, np.ndarray] = field(default_factory=dict)
+    several: tuple[Found, ...] = ()
+    robust: RobustComparison | None = None
 
     def placed(self, case: Case) -> Scene:
         """The scene with a case's frequencies, places and burst starts."""
-        if case.frequency is None and case.centre is None and case.delay is None:
-            return self.scene
-        return scene_with(self.scene, None, None, case.frequency, case.centre, case.delay)
+        return placed(self.scene, case)
 
     def scene_of(self, case: Case) -> Scene:
         """The scene that ``simulate`` runs as this case: ``placed``, and with its drive.
@@ -103,6 +139,11 @@ class Result:
             SceneError: a magnitude beyond what a scene may have.
         """
         return scene_with(self.placed(case), case.magnitude, case.phase)
+
+    @property
+    def only_localization(self) -> bool:
+        """Whether the localization factor is all that was sought."""
+        return self.scene.search.objectives == (Objective(),)
 
     @property
     def judged(self) -> Case:

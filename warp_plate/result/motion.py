@@ -8,6 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from warp_plate.scene.model import Scene
+
 # Where a plate moves less than this part of its peak, its phase says nothing.
 STILL = 1e-4
 
@@ -22,6 +24,7 @@ class Motion:
         second, of a drive half a time step later, where the kernels have it and take the energy of it;
         surface_density: (ny, nx) [kg/m²].
     localization_factor: of the drive, over the scene's window; None for a mode.
+    scene: where the plate has frequencies or places of its own; None: the one that all share.
     """
 
     name: str
@@ -32,6 +35,7 @@ class Motion:
     velocity: np.ndarray
     surface_density: np.ndarray
     localization_factor: float | None = None
+    scene: Scene | None = None
 
     @cached_property
     def kinetic_energy(self) -> np.ndarray:

@@ -33,7 +33,8 @@ class RobustComparison:
     @property
     def failed(self) -> np.ndarray:
         """(2,) on how many of the fresh panels the plate had no energies."""
-        return np.count_nonzero(~np.isfinite(self.fresh), axis=1)
+        found: np.ndarray = np.count_nonzero(~np.isfinite(self.fresh), axis=1)
+        return found
 
     def rows(self) -> Mapping[str, np.ndarray]:
         """(2,) by what they are, for tables; a plate that failed counts as worse than any, −∞."""
@@ -49,6 +50,6 @@ class RobustComparison:
 
 def worst_tail(values: np.ndarray) -> np.ndarray:
     """(rows,) mean of the smallest twentieth of each row's values, at least one of them."""
-    count = max(1, int(np.ceil(TAIL * values.shape[1] - 1e-9)))
-    tail: np.ndarray = np.sort(values, axis=1)[:, :count].mean(axis=1)
+    smallest = max(1, int(np.ceil(TAIL * values.shape[1] - 1e-9)))
+    tail: np.ndarray = np.sort(values, axis=1)[:, :smallest].mean(axis=1)
     return tail

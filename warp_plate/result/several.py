@@ -2,33 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import h5py
-import numpy as np
 
+from warp_plate.result.model import Found
 from warp_plate.result.plain import names_in
 from warp_plate.result.search_state import put_state, read_state
 from warp_plate.scene.errors import SceneError
 
 GROUP = "searches"
-
-
-@dataclass(frozen=True)
-class Found:
-    """The search for one target.
-
-    position: (dimension,) the best one in the search's space; None where one actuator leaves no choice, or none had
-    energies. single: index of the best single actuator; bound, history: as in :class:`Result`; evaluations: plates.
-    """
-
-    position: np.ndarray | None
-    single: int
-    bound: float | None
-    evaluations: int
-    history: Mapping[str, np.ndarray]
 
 
 def put_several(file: h5py.File, several: Sequence[Found]) -> None:

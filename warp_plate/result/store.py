@@ -6,6 +6,8 @@
     /cases/CASE/magnitude, phase, energy, displacement, trace
     /cases/CASE/frequency, centre, delay     where the plate had its own
     /history/evaluations, best, mean
+    /crosstalk                           of several targets; /searches/0, ... what was found for each
+    /robust/fresh, searched, nominal_plate   of the robust and the nominal drive
     /spectrum/frequency, equal, single, best, resonances
     attributes of /: command, source, scene (TOML), device, seed, effects, versions, seconds, ...
 
@@ -20,8 +22,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from warp_plate.result.crosstalk import crosstalk
 from warp_plate.result.model import Case, Result
 from warp_plate.result.plain import count, names_in, numbers, opened, put, save_hdf5, table, text
+from warp_plate.result.robust import RobustComparison
+from warp_plate.result.several import put_several, read_several
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene
@@ -105,6 +110,12 @@ def _write(file: h5py.File, result: Result) -> None:
         put(file, f"history/{name}", values, "1", f"{HISTORY.get(name, name)}, after each iteration")
     for name, values in result.spectrum.items():
         put(file, f"spectrum/{name}", values, *SPECTRUM[name])
+    if result.several:
+        put_several(file, result.several)
+        put(file, "crosstalk", crosstalk(result), "1", "share of the plate's energy in each target, by each's drive")
+        file["crosstalk"].attrs["targets"] = json.dumps([target.name for target in result.scene.targets])
+    if result.robust is not None:
+        _write_comparison(file, result.robust)
 
 
 def _write_case(file: h5py.File, at: str, case: Case, unit: str) -> None:
@@ -151,6 +162,8 @@ def _read(file: h5py.File, name: str) -> Result:
         accuracy=table(file, "accuracy"),
         peak=float(numbers(file, "peak_displacement", ())) if "peak_displacement" in file else None,
         spectrum=_read_spectrum(file),
+        several=read_several(file),
+        robust=_read_comparison(file),
     )
 
 
@@ -183,4 +196,32 @@ def _read_case(file: h5py.File, at: str, scene: Scene, times: np.ndarray, steps:
             for name, (_, _, more) in OWN.items()
             if f"{at}/{name}" in file
         },
+    )
+
+
+def _write_comparison(file: h5py.File, compared: RobustComparison) -> None:
+    rows = "of the robust and of the nominal drive"
+    unit = "1" if compared.localization else "weighted"
+    put(file, "robust/fresh", compared.fresh, unit, f"value {rows} in each fresh scenario")
+    put(file, "robust/searched", compared.searched, unit, f"measure {rows} over the scenarios of the search")
+    put(file, "robust/nominal_plate", compared.nominal_plate, unit, f"value {rows} without scatter")
+    if compared.bound is not None:
+        put(file, "robust/bound", compared.bound, unit, "of the measure: no drive comes above it")
+    group = file["robust"]
+    group.attrs.update({"measure": compared.measure, "scenarios": compared.scenarios})
+    group.attrs["localization"] = int(compared.localization)
+
+
+def _read_comparison(file: h5py.File) -> RobustComparison | None:
+    if "robust" not in file:
+        return None
+    group = file["robust"]
+    return RobustComparison(
+        measure=text(group, "measure"),
+        scenarios=count(group, "scenarios"),
+        localization=bool(count(group, "localization")),
+        bound=float(numbers(file, "robust/bound", ())) if "bound" in group else None,
+        searched=numbers(file, "robust/searched", (2,)),
+        nominal_plate=numbers(file, "robust/nominal_plate", (2,)),
+        fresh=numbers(file, "robust/fresh", (2, None)),
     )

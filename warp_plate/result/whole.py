@@ -90,9 +90,11 @@ def check_seal(path: Path) -> None:
     """Nothing, where the file is as it was sealed.
 
     Raises:
-        SceneError: it is cut short, changed, or was never sealed.
+        SceneError: it is cut short, changed, was never sealed, or is a folder or device.
         OSError: it cannot be read.
     """
+    if path.exists() and not path.is_file():  # reading from a pipe may never end
+        raise SceneError(f"{path}: is no file")
     digest = hashlib.sha256()
     with path.open("rb") as file:
         content_bytes = file.seek(0, os.SEEK_END) - SEAL_BYTES
@@ -111,6 +113,15 @@ def check_seal(path: Path) -> None:
             left -= len(block)
     if (digest.hexdigest().encode(), content_bytes) != (seal[1], int(seal[2])):
         raise SceneError(f"{path}: damaged: its content does not have the checksum that stands at its end")
+
+
+def intact(path: Path) -> bool:
+    """Whether the file is there and as it was sealed."""
+    try:
+        check_seal(path)
+    except (OSError, SceneError):
+        return False
+    return True
 
 
 def _settle(folder: Path) -> None:

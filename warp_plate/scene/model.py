@@ -208,6 +208,8 @@ class Scene(Table):
             check_area(f"effects.oscillators[{index}].area", oscillator.area, size)
         if self.search.robust is not None:
             self.search.robust.check(self.effects, self.grid.load)
+            if len(self.targets) > 1:
+                raise ValueError("search.robust: not with several [[targets]]; write a scene for each target")
         for index, time in enumerate(self.record.times):
             if time > self.window.end * (1 + 1e-9):
                 raise ValueError(

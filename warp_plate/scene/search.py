@@ -158,7 +158,7 @@ class Search(Table):
 
     method: Literal["pso", "constriction", "ring", "cma", "gradient", "exact"] = "pso"
     particles: Annotated[int, Field(ge=2, le=10_000_000)] = 20
-    iterations: Annotated[int, Field(ge=1)] = 80
+    iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] = 80
     restarts: Annotated[int, Field(ge=0, le=10_000)] = 0
     inertia: Weight = 0.4
     decay: Annotated[float, Field(gt=0, le=1)] = 0.99

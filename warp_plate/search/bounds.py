@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from warp_plate.plate.weights import REGIONS
-from warp_plate.search.semidefinite import Limits, least_majorant
+from warp_plate.search.semidefinite import ROUNDINGS, Limits, least_majorant
 from warp_plate.solve.response import Response, largest_ratio, real_parts
 
 # Relative distance within which a drive that keeps all limits must come for its bound to be called attained.
@@ -87,6 +87,7 @@ def bound_localization(response: Response, allowed: Allowed) -> Bound | None:
     value, parameters = largest_ratio(reduced) if basis.shape[1] else (math.nan, np.empty(0))
     if not math.isfinite(value):
         return None
+    value *= 1 + ROUNDINGS * np.finfo(float).eps  # no drive passes it by rounding either
 
     def ratio(drives: np.ndarray) -> np.ndarray:
         energy = response.energy(drives)

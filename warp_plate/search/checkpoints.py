@@ -9,7 +9,7 @@ from glob import escape
 from pathlib import Path
 
 from warp_plate.result.checkpoint import Checkpoint, previous_of, save_checkpoint
-from warp_plate.result.whole import check_seal
+from warp_plate.result.whole import intact
 from warp_plate.scene.errors import SceneError
 
 # Seconds between two checkpoints.
@@ -42,7 +42,9 @@ class CheckpointFile:
         self.every = every
         self.saved: Checkpoint | None = None  # the last one that was written
         self._goes_on = goes_on
-        self._keep = goes_on and _intact(path)
+        self._keep = goes_on and intact(path)
+        self._seen = _mark(path)
+        self._lost = False
         self._warn = warn
         self._warned = False
         self._last = time.monotonic()
@@ -52,8 +54,13 @@ class CheckpointFile:
         return time.monotonic() - self._last >= self.every
 
     def save(self, checkpoint: Checkpoint) -> None:
-        """Write it whole, and keep the one before; where that fails, say so once and keep both."""
+        """Write it whole, and keep the one before; where that fails, say so once and keep both.
+
+        A file that another search has written since is left alone: its name is that search's from then on.
+        """
         self._last = time.monotonic()
+        if self._another_writes():
+            return
         try:
             save_checkpoint(checkpoint, self.path, self._keep)
             if self.saved is None and not self._goes_on:
@@ -64,17 +71,32 @@ class CheckpointFile:
             self._warned = True
             return
         self.saved, self._keep, self._warned = checkpoint, True, False
+        self._seen = _mark(self.path)
 
     def remove(self) -> None:
         """Away with the file, the one before it, and what a killed process left of one: the search is done."""
+        if self._another_writes():
+            return
         left = self.path.parent.glob(f".{escape(self.path.name)}.*.part.h5")
         for path in (self.path, previous_of(self.path), *left):
             path.unlink(missing_ok=True)
 
+    def _another_writes(self) -> bool:
+        """Whether the file is another search's by now, which is said once."""
+        found = _mark(self.path)
+        if not self._lost and found not in (None, self._seen):
+            self._lost, self.saved = True, None
+            self._warn(
+                f"{self.path} is written by another search; this one goes on without checkpoints: give each search a "
+                "result file of its own"
+            )
+        return self._lost
 
-def _intact(path: Path) -> bool:
+
+def _mark(path: Path) -> tuple[int, ...] | None:
+    """What changes when a file is written anew; None where there is none."""
     try:
-        check_seal(path)
-    except (OSError, SceneError):
-        return False
-    return True
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns, found.st_size

@@ -8,18 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from warp_plate.plate.designs import Designs
 from warp_plate.result.comparison import Comparison, Trial
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.search.free import at_highest_frequency
 from warp_plate.search.interrupts import interrupts_held
-from warp_plate.search.judge import Judge, make_judge
 from warp_plate.search.localize import device_name, resolve, versions
-from warp_plate.search.loss_bound import bound_loss
 from warp_plate.search.methods import Method, make_searcher
 from warp_plate.search.problem import Evaluator, Problem, make_problem
-from warp_plate.search.quadratic import Quadratic
 
 METHODS = ("pso", "constriction", "ring", "cma", "gradient", "exact")
 # Methods that find the same from every seed.
@@ -66,12 +62,13 @@ def compare(
     prepared = time.perf_counter() - started - problem.compile_seconds
     if evaluator is None and problem.response is not None:
         problem = replace(problem, evaluator="response")
-    judge, budget = make_judge(problem.scene), search.particles * search.iterations
-    quadratic = _quadratic(problem, judge)
+    if not problem.space.dimension:
+        raise SceneError("actuators: one alone leaves nothing to search, so there is nothing to compare")
+    budget = search.particles * search.iterations
 
     def begin(method: str, seed: int) -> Method:
         named = search.model_copy(update={"method": method})
-        return make_searcher(named, problem.space, seed, quadratic)
+        return make_searcher(named, problem.space, seed, problem.quadratic)
 
     fitting, skipped = _fitting(methods, begin, search.seed)
     trials, interrupted = [], False
@@ -95,7 +92,7 @@ def compare(
         if not trials:
             raise
         interrupted = True
-    bound = bound_loss(problem.variables, judge, problem.response)
+    bound = problem.bound_of_loss
     return Comparison(
         source=source,
         scene=problem.scene,
@@ -103,7 +100,7 @@ def compare(
         evaluator=problem.evaluator,
         budget=budget,
         prepared=prepared,
-        localization=judge.only_localization,
+        localization=problem.only_localization,
         trials=tuple(sorted(trials, key=lambda trial: (fitting.index(trial.method), trial.seed))),
         bound=None if bound is None else bound.value,
         bound_kind="" if bound is None else bound.kind,
@@ -111,20 +108,6 @@ def compare(
         skipped=skipped,
         interrupted=interrupted,
         versions=versions(),
-    )
-
-
-def _quadratic(problem: Problem, judge: Judge) -> Quadratic | None:
-    """The problem for methods that need no plates; None where energies are no quadratic forms of the drives."""
-    variables = problem.variables
-    if problem.response is None or judge.needs_displacement:
-        return None
-    return Quadratic(
-        matrices=problem.response.matrices,
-        drives=lambda positions: variables.designs(positions).drives,
-        positions=lambda drives: variables.positions_of(Designs(drives)),
-        losses_of=judge.losses,
-        localization=judge.only_localization,
     )
 
 

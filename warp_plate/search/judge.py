@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.section import make_section
 from warp_plate.plate.shapes import bounds, shape_weights
 from warp_plate.plate.weights import REGIONS, localization_factor, region_weights
 from warp_plate.scene.errors import SceneError
@@ -114,9 +114,8 @@ def make_judge(scene: Scene) -> Judge:
         SceneError: a target that covers no node, all of the plate where the rest counts, or too few nodes for a
             uniformity; a mask that cannot be read.
     """
-    scheme, weights = make_scheme(scene, allow_unstable=True), region_weights(scene)
-    node = math.prod(scheme.spacing)
-    density = scheme.surface_density if scheme.bending is None else scheme.bending.mass
+    weights, density = region_weights(scene), make_section(scene).mass
+    node = math.prod(side / (count - 1) for side, count in zip(scene.plate.size, scene.grid.nodes, strict=True))
     areas, masses = (
         (node * factor * weights).sum(axis=(1, 2)) @ [[0, 1], [1, -1]] for factor in (np.ones_like(density), density)
     )
@@ -127,7 +126,7 @@ def make_judge(scene: Scene) -> Judge:
             raise SceneError(f"{key}: the target covers the whole plate, so there is no rest; make it smaller")
     regions: dict[str, np.ndarray] = {}
     if any(one.kind == "uniformity" for one in objectives):
-        regions = _cells_of_target(scene)
+        regions = _cells_of_target(scene, node)
         if len(regions) < 2:
             raise SceneError(
                 f"target.{scene.target.words}: has fewer than {2 * CELL_NODES} nodes along x and along y, too few for "
@@ -142,8 +141,11 @@ def make_judge(scene: Scene) -> Judge:
     )
 
 
-def _cells_of_target(scene: Scene) -> dict[str, np.ndarray]:
-    """Weights (ny, nx) of the parts of the target in a raster over its bounding box, of those that have an inside."""
+def _cells_of_target(scene: Scene, node: float) -> dict[str, np.ndarray]:
+    """Weights (ny, nx) of the parts of the target in a raster over its bounding box, of those that have an inside.
+
+    node: area of a node's cell [m²].
+    """
     key = next(iter(scene.targets_by_key))
     x0, x1, y0, y1 = bounds(scene, key, scene.target)
     sides = []
@@ -152,7 +154,6 @@ def _cells_of_target(scene: Scene) -> dict[str, np.ndarray]:
         sides.append(np.linspace(low, high, min(max(count, 1), MOST_CELLS) + 1))
     along_x, along_y = sides
     least = 1e-6 * (along_x[1] - along_x[0]) * (along_y[1] - along_y[0])
-    node = math.prod(scene.plate.size) / math.prod(count - 1 for count in scene.grid.nodes)
     found = {}
     for row, (bottom, top) in enumerate(zip(along_y[:-1].tolist(), along_y[1:].tolist(), strict=True)):
         for column, (left, right) in enumerate(zip(along_x[:-1].tolist(), along_x[1:].tolist(), strict=True)):

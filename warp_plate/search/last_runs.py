@@ -8,6 +8,7 @@ import numpy as np
 
 from warp_plate.plate.found import scene_drive
 from warp_plate.plate.weights import localization_factor
+from warp_plate.result.crosstalk import regions_of_targets
 from warp_plate.result.model import Case
 from warp_plate.scene.model import Scene
 from warp_plate.search.objective import unit_of_drives
@@ -45,7 +46,7 @@ def last_runs(problem: Problem, single: int, position: np.ndarray | None) -> Las
     run, _ = run_and_look(problem.plain, np.array(list(drives.values())))
     # The scene that was found, run as ``simulate`` runs it: what is written is what was judged.
     found, designs = problem.variables.scene_of(position), problem.variables.designs(position[None])
-    solver = PlateSolver(found, problem.plain.device.alias, problem.path)
+    solver = PlateSolver(found, problem.plain.device.alias, problem.path, areas=regions_of_targets(found))
     best = {"best": scene_drive(found)}
     own, peak = run_and_look(solver, best["best"][None])
     cases = cases_of(drives, run)

@@ -23,9 +23,12 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.search.checkpoints import CheckpointFile
 from warp_plate.search.free import at_highest_frequency
-from warp_plate.search.last_runs import last_runs, reference_drives
-from warp_plate.search.problem import Evaluator, Problem, make_problem
-from warp_plate.search.run_swarm import Told, history_of, run_search, searcher_of
+from warp_plate.search.fresh import against_nominal
+from warp_plate.search.last_runs import reference_drives
+from warp_plate.search.problem import Evaluator, Problem
+from warp_plate.search.robust import RobustProblem, problem_of
+from warp_plate.search.run_swarm import Told, searcher_of
+from warp_plate.search.several import run_searches, runs_of_all
 from warp_plate.search.spectrum import make_spectrum
 from warp_plate.solve.devices import device_aliases, find_device, processor_of
 from warp_plate.solve.solver import Run
@@ -36,7 +39,7 @@ def localize(
     source: str = "",
     device: str = "auto",
     seed: int | None = None,
-    evaluator: Evaluator = "direct",
+    evaluator: Evaluator | None = None,
     path: str = "auto",
     told: Told | None = None,
     estimate: bool = True,
@@ -49,14 +52,16 @@ def localize(
         scene: what to search; ``source``: its name, kept in the result.
         device, path: see :class:`PlateSolver`.
         seed: of the swarm; left out: the scene's.
-        evaluator: "direct" simulates a plate for each particle; "response" uses the Gram matrices instead.
+        evaluator: "direct" simulates a plate for each particle; "response" uses the Gram matrices instead; left out:
+            "direct", and "response" for a robust search where these hold.
         told: called after each iteration.
         estimate: whether to estimate the errors of the localization factors at the end.
         checkpoints: where to keep what :func:`resume` goes on from.
         spectrum: whether a search for one frequency of all actuators ends with the factors over its range.
 
-    A scene with ``grid.accuracy`` gets the grid that keeps it first. Ctrl-C ends the search early; the result then
-    holds the best so far and says that it was interrupted.
+    A scene with several targets has one search after the other, and a best drive for each (see ``result.crosstalk``).
+    A scene with ``grid.accuracy`` gets the grid that keeps it first, for its first target. Ctrl-C ends the search
+    early; the result then holds the best so far and says that it was interrupted.
 
     Raises:
         SceneError: see :class:`PlateSolver`.
@@ -70,7 +75,7 @@ def localize(
     chosen, accuracy, seconds, stage = resolve(hardest, device)
     scene = chosen.model_copy(update={"actuators": asked.actuators})
     started = time.perf_counter()
-    problem = make_problem(scene, device, path, evaluator)
+    problem = problem_of(scene, device, path, evaluator)
     drives = reference_drives(problem.scene, problem.energies_of_drives)
     searcher = searcher_of(problem, seed)
     compiling = problem.compile_seconds
@@ -83,7 +88,7 @@ def localize(
         processor=processor_of(problem.plain.device),
         earlier="",
         path=path,
-        evaluator=evaluator,
+        evaluator=problem.evaluator,
         seed=seed,
         accuracy=accuracy,
         seconds=seconds | {"compile": compiling, "solve": time.perf_counter() - started - compiling},
@@ -122,7 +127,7 @@ def resume(
         if checkpoint.files.get(key) != digest:
             raise SceneError(f"{key}: the file holds something else than when the search began")
     on, matrices = device or same_device(checkpoint), checkpoint.matrices
-    problem = make_problem(checkpoint.scene, on, checkpoint.path, checkpoint.evaluator, matrices)
+    problem = problem_of(checkpoint.scene, on, checkpoint.path, checkpoint.evaluator, matrices)
     if problem.variables.quadratic and matrices is None:
         raise SceneError("checkpoint: the matrices of its scene's response are missing")
     solver, spent = problem.plain, dict(checkpoint.seconds)
@@ -168,16 +173,22 @@ def _finish(
     spectrum: bool,
 ) -> Result:
     """From a checkpoint, which may be that of iteration 0, to the result: a search knows nothing else of its past."""
-    scene, seconds = problem.scene, dict(begun.seconds)
+    searched = run_searches(begun, problem, told, checkpoints)
+    problem, seconds, first = searched.problem, dict(searched.seconds), searched.found[0]
+    scene = problem.scene
     started, stepped = time.perf_counter(), problem.node_steps
-    searcher, interrupted = run_search(begun, problem, told, checkpoints)
-    found = last_runs(problem, begun.single, None if searcher is None else searcher.result.xbest)
-    seconds["solve"] = seconds.get("solve", 0.0) + time.perf_counter() - started
+    found = runs_of_all(searched)
+    seconds["solve"] += time.perf_counter() - started
+    cases, compared, beside = found.cases, None, found.node_steps
+    if isinstance(problem, RobustProblem) and first.position is not None and not searched.interrupted:
+        compared, nominal, more = against_nominal(problem, begun, first.position, seconds)
+        cases, beside = {**cases, **nominal}, beside + more
     accuracy = dict(begun.accuracy)
     if estimate:
         known = stage if found.scene is scene else None  # the reference of another plate tells nothing
         accuracy |= estimated(found.scene, found.drives, found.run, seconds, problem.plain.device.alias, known)
-    made = make_spectrum(problem, seconds) if spectrum and not interrupted else {}
+    best = found.cases["best"]
+    made = make_spectrum(problem, best, seconds) if spectrum and not searched.interrupted else {}
     return Result(
         command="localize",
         source=begun.source,
@@ -186,20 +197,22 @@ def _finish(
         seed=begun.seed,
         effects=problem.solver.effects,
         path=problem.solver.path_words(bool(scene.record.points)),
-        cases=found.cases,
+        cases=cases,
         times=found.run.times,
         trace_times=found.run.trace_times,
         seconds=seconds,
-        bound=problem.bound,
-        history=history_of(searcher, problem),
+        bound=first.bound,
+        history=first.history,
         evaluator=begun.evaluator,
-        interrupted=interrupted,
+        interrupted=searched.interrupted,
         versions=begun.versions,
-        node_steps=begun.node_steps + problem.node_steps + found.node_steps - stepped,
-        evaluations=searcher.result.evaluations if searcher is not None else 0,
+        node_steps=searched.node_steps + problem.node_steps + beside - stepped,
+        evaluations=sum(one.evaluations for one in searched.found),
         accuracy=accuracy,
         peak=found.peak,
         spectrum=made,
+        several=searched.found if scene.targets else (),
+        robust=compared,
     )
 
 

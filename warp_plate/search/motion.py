@@ -15,7 +15,7 @@ from warp_plate.plate.bending import make_bending
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import highest_frequency
-from warp_plate.result.model import Case
+from warp_plate.result.model import Case, placed
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
@@ -51,15 +51,20 @@ def motions(
         SceneError: see :class:`PlateSolver`; a span outside the run; too few frames or steps, or too many bytes.
     """
     scheme = make_scheme(scene)
+    scenes = {name: placed(scene, case) for name, case in cases.items()}
     end = scheme.steps * scheme.time_step
     field = 8 * math.prod(scheme.nodes) * len(cases)
-    first, last = span or usual_span(scene, end, frames or _frames(math.inf, field))
+    most = frames or _frames(math.inf, field)
+    spans = [span] if span else [usual_span(one, end, most) for one in scenes.values()]
+    first, last = min(one[0] for one in spans), max(one[1] for one in spans)
     if not 0 <= first < last <= scene.window.end * (1 + 1e-9):
         if span is None:
-            period = 1 / scene.drive.frequency
+            period = 1 / min(one.drive.frequency for one in scenes.values())
             raise SceneError(f"window.end = {scene.window.end:g}: the run is shorter than a period of {period:g} s")
         raise SceneError(f"start = {first:g}, end = {last:g}: must lie inside the run, which goes from 0 to {end:g} s")
-    fastest = scene.drive.frequency if scene.not_periodic is None else highest_frequency(scene)
+    fastest = max(
+        one.drive.frequency if one.not_periodic is None else highest_frequency(one) for one in scenes.values()
+    )
     count = frames or _frames((last - first) * fastest, field)
     if count < 2 or 2 * count * field > MOST_BYTES:
         most = max(2, MOST_BYTES // (2 * field))
@@ -69,24 +74,49 @@ def motions(
     if len(steps) < 2:
         raise SceneError(f"{first:g} ... {last:g} s: holds less than two steps of {scheme.time_step:g} s")
     recorded = np.unique(np.concatenate([steps, steps + 1]))
-    solver = PlateSolver(scene.model_copy(update={"record": Record()}), device)
-    drives = np.array([case.drive for case in cases.values()])
-    run = solver.run(drives, (recorded * scheme.time_step).tolist(), progress=progress)
     at, after = np.searchsorted(recorded, steps), np.searchsorted(recorded, steps + 1)
+    fields = _fields(scenes, cases, (recorded * scheme.time_step).tolist(), device, progress)
     mass = surface_density(scene)
     return [
         Motion(
             name=name,
-            frequency=scene.drive.frequency,
+            frequency=scenes[name].drive.frequency,
             span=(first, last),
             times=steps * scheme.time_step,
-            displacement=field[at].astype(np.float32),
-            velocity=((field[after] - field[at]) / scheme.time_step).astype(np.float32),
+            displacement=fields[name][at].astype(np.float32),
+            velocity=((fields[name][after] - fields[name][at]) / scheme.time_step).astype(np.float32),
             surface_density=mass,
             localization_factor=case.localization_factor,
+            scene=scenes[name] if case.own else None,
         )
-        for (name, case), field in zip(cases.items(), run.displacement, strict=True)
+        for name, case in cases.items()
     ]
+
+
+def _fields(
+    scenes: Mapping[str, Scene],
+    cases: Mapping[str, Case],
+    times: Sequence[float],
+    device: str,
+    progress: Progress | None,
+) -> dict[str, np.ndarray]:
+    """(times, ny, nx) displacements [m] of the cases; those of one scene run together."""
+    alike: dict[int, list[str]] = {}
+    for name, scene in scenes.items():
+        first = next(other for other in scenes if scenes[other] == scene)
+        alike.setdefault(list(scenes).index(first), []).append(name)
+    fields: dict[str, np.ndarray] = {}
+    for names in alike.values():
+        solver = PlateSolver(scenes[names[0]].model_copy(update={"record": Record()}), device)
+        each, before = solver.node_steps_per_plate, len(fields)
+
+        def told(done: int, total: int, each: int = each, before: int = before) -> None:
+            if progress is not None:
+                progress(before * each + done, len(cases) * each)
+
+        run = solver.run(np.array([cases[name].drive for name in names]), times, progress=told)
+        fields |= dict(zip(names, run.displacement, strict=True))
+    return fields
 
 
 def usual_span(scene: Scene, end: float, frames: int) -> tuple[float, float]:

@@ -68,6 +68,9 @@ class Panels:
     def judged(self, energy: np.ndarray) -> np.ndarray:
         """(plates, scenarios) losses of energies (plates, scenarios · regions), in the order of ``matrices``."""
         regions = energy.shape[1] // len(self.each)
+        if self.each[0].judge.only_localization:  # of all panels at once: judges then differ in nothing
+            found: np.ndarray = self.each[0].judge.losses(energy.reshape(-1, regions)).reshape(-1, len(self.each))
+            return found
         columns = []
         for index, panel in enumerate(self.each):
             own = energy[:, index * regions : (index + 1) * regions]

@@ -10,6 +10,8 @@ from typing import Literal
 import numpy as np
 
 from warp_plate.plate.designs import Designs, own_of
+from warp_plate.plate.weights import Region
+from warp_plate.result.crosstalk import regions_of_targets
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
 from warp_plate.scene.search import Limits
@@ -131,8 +133,6 @@ class Problem:
     @cached_property
     def bound_of_loss(self) -> Bound | None:
         """The least loss that is proved to be out of reach; None where none is claimed."""
-        if self.scene.search.robust is not None:
-            return None
         return bound_loss(self.variables, self.judge, self.response, self.moved_response)
 
     @cached_property
@@ -171,12 +171,13 @@ def make_problem(
     if evaluator == "response" and not variables.quadratic:
         raise SceneError(f"evaluator = 'response': {_why_not_quadratic(variables)}; write 'direct'")
     judge = make_judge(scene)
-    plain = PlateSolver(scene, device, path, areas=judge.regions)
+    areas = _areas(scene, judge)
+    plain = PlateSolver(scene, device, path, areas=areas)
     solver, moved = plain, None
     if not variables.only_drives:
-        solver = PlateSolver(scene, device, path, areas=judge.regions, own=own)
+        solver = PlateSolver(scene, device, path, areas=areas, own=own)
     if judge.needs_displacement:
-        moved = PlateSolver(scene, device, path, areas=judge.regions, own=own, quantity="displacement")
+        moved = PlateSolver(scene, device, path, areas=areas, own=own, quantity="displacement")
     seconds, node_steps = 0.0, 0
     if matrices is None and variables.quadratic:
         parts = []
@@ -211,4 +212,10 @@ def in_float64(scene: Scene) -> Scene:
 
 def _in_float64(solver: PlateSolver, path: str) -> PlateSolver:
     made, quantity = in_float64(solver.scene), solver.specialized.quantity
-    return PlateSolver(made, solver.device.alias, path, areas=make_judge(made).regions, quantity=quantity)
+    areas = _areas(made, make_judge(made))
+    return PlateSolver(made, solver.device.alias, path, areas=areas, quantity=quantity)
+
+
+def _areas(scene: Scene, judge: Judge) -> dict[str, Region]:
+    """What is summed beside the plate and the target: what the judge needs, then all of several targets."""
+    return {**judge.regions, **regions_of_targets(scene)}

@@ -20,7 +20,7 @@ from warp_plate.scene.search import Robust
 from warp_plate.search.bounds import Bound
 from warp_plate.search.loss_bound import bound_loss
 from warp_plate.search.panels import Panels, measure_scenarios, solve_directly
-from warp_plate.search.problem import Evaluator, Problem, make_problem
+from warp_plate.search.problem import Problem, make_problem
 from warp_plate.search.quadratic import Quadratic
 from warp_plate.search.scenarios import draw_scenarios
 from warp_plate.solve.response import Response
@@ -76,7 +76,9 @@ class RobustProblem(Problem):
         if self.panels.matrices is None:
             return None
         least = []
-        for panel, matrices in zip(self.panels.each, np.split(self.panels.matrices, len(self.panels.each)), strict=True):
+        for panel, matrices in zip(
+            self.panels.each, np.split(self.panels.matrices, len(self.panels.each)), strict=True
+        ):
             forms = [Response(one) for one in np.split(matrices, 2 if panel.judge.needs_displacement else 1)]
             bound = bound_loss(self.variables, panel.judge, *forms)
             if bound is None:
@@ -95,7 +97,7 @@ def problem_of(
     scene: Scene,
     device: str = "auto",
     path: str = "auto",
-    evaluator: Evaluator | None = None,
+    evaluator: str | None = None,
     matrices: np.ndarray | None = None,
 ) -> Problem:
     """The problem of a scene with a grid, robust where it has ``[search.robust]``; for the arguments see

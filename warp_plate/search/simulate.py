@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from warp_plate.plate.found import scene_drive
+from warp_plate.result.crosstalk import regions_of_targets
 from warp_plate.result.model import Result
 from warp_plate.result.store import load_result
 from warp_plate.scene.errors import SceneError
@@ -46,7 +47,8 @@ def simulate(
     file_drive = None if drive in ("scene", "equal", "single") else drive_of_file(drive, scene)
     named = scene_drive(scene) if drive == "scene" else file_drive
     scene, accuracy, seconds, stage = resolve(scene, device, None if named is None else named[None])
-    solver = PlateSolver(scene, device, path, allow_unstable=allow_unstable)
+    areas = regions_of_targets(scene)
+    solver = PlateSolver(scene, device, path, allow_unstable=allow_unstable, areas=areas)
     started = time.perf_counter()
     if file_drive is not None:
         phasors = file_drive

@@ -7,9 +7,9 @@ import time
 import numpy as np
 
 from warp_plate.plate.designs import Designs, own_of
-from warp_plate.plate.found import middles
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.weights import localization_factor
+from warp_plate.result.model import Case
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.search.problem import Problem, in_float64
@@ -18,14 +18,14 @@ from warp_plate.solve.response import response_of, unit_drives
 from warp_plate.solve.solver import PlateSolver
 
 # Frequencies: so many that their plates cost about what the search itself did, within these.
-FEWEST, MOST = 21, 201
+FEWEST, MOST = 61, 201
 # Natural frequencies are looked for among so many modes, twice as many while the range may hold more.
 MODES, MOST_MODES = 16, 256
 
 
-def make_spectrum(problem: Problem, seconds: dict[str, float]) -> dict[str, np.ndarray]:
-    """See ``Result.spectrum``; nothing where no frequency of all actuators is searched, where drives do not superpose,
-    or where Ctrl-C came first. Adds its seconds."""
+def make_spectrum(problem: Problem, best: Case, seconds: dict[str, float]) -> dict[str, np.ndarray]:
+    """See ``Result.spectrum``, with the places and starts of the best case; nothing where no frequency of all actuators
+    is searched, where drives do not superpose, or where Ctrl-C came first. Adds its seconds."""
     free, scene = problem.scene.search.frequency, problem.scene
     if free is None or free.own or free.actuators is not None or not scene.linear:
         return {}
@@ -33,7 +33,7 @@ def make_spectrum(problem: Problem, seconds: dict[str, float]) -> dict[str, np.n
     tried, units = scene.search.particles * scene.search.iterations, len(unit_drives(len(scene.actuators)))
     frequencies = np.linspace(*free.range, min(MOST, max(FEWEST, tried // units)))
     try:
-        factors = factors_over(scene, frequencies, problem.plain.device.alias, problem.path)
+        factors = factors_over(scene, frequencies, best.centre, best.delay, problem.plain.device.alias, problem.path)
         made = {"frequency": frequencies, **factors, "resonances": resonances(scene, *free.range)}
     except (KeyboardInterrupt, SceneError):  # a result is not lost for want of a picture
         return {}
@@ -42,10 +42,17 @@ def make_spectrum(problem: Problem, seconds: dict[str, float]) -> dict[str, np.n
 
 
 def factors_over(
-    scene: Scene, frequencies: np.ndarray, device: str = "auto", path: str = "auto"
+    scene: Scene,
+    frequencies: np.ndarray,
+    centre: np.ndarray | None = None,
+    delay: np.ndarray | None = None,
+    device: str = "auto",
+    path: str = "auto",
 ) -> dict[str, np.ndarray]:
     """Localization factors at each of (n,) frequencies [Hz]: "equal", "single" (the best one there), and "best", the
     largest of any drive there, from the Gram matrices of that frequency. All plates run in one batch.
+
+    centre, delay: (actuators, 2) [m] and (actuators,) [s], see :class:`Designs`; None: the scene's.
 
     Raises:
         SceneError: see :class:`PlateSolver`; a scene without a search for the frequency, or not linear in its drives.
@@ -55,10 +62,9 @@ def factors_over(
     units, singles = unit_drives(actuators), np.eye(actuators, dtype=complex)
     drives = np.tile(units, (len(frequencies), 1))
     own = np.repeat(frequencies, len(units))[:, None] * np.ones(actuators)
-    centre = None
-    if solver.specialized.own.centre:
-        centre = np.broadcast_to(middles(scene), (len(drives), actuators, 2))
-    energy = solver.run(Designs(drives, frequency=own, centre=centre)).energy.reshape(len(frequencies), len(units), -1)
+    others = (None if one is None else np.broadcast_to(one, (len(drives), *one.shape)) for one in (centre, delay))
+    designs = Designs(drives, own, *others)
+    energy = solver.run(designs).energy.reshape(len(frequencies), len(units), -1)
     found: dict[str, list[float]] = {"equal": [], "single": [], "best": []}
     for one in energy:
         response = response_of(one, actuators)

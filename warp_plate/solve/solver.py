@@ -20,7 +20,7 @@ from warp_plate.solve.paths import why_streaming
 from warp_plate.solve.scaling import scaled_coefficients
 from warp_plate.solve.specialize import Quantity, Specialized, effect_names, specialize
 from warp_plate.solve.state import State, bytes_per_plate, make_state
-from warp_plate.solve.status import fastest_per_step, outgrown, status_of, watched_steps
+from warp_plate.solve.status import fastest_per_step, judge_plates, outgrown, watched_steps
 
 # A launch does about this much work, so that progress is shown and Ctrl-C is heard.
 SEGMENT_NODE_STEPS = {"cpu": 1e9, "cuda": 5e10}
@@ -204,14 +204,14 @@ class PlateSolver:
                     progress(before + done, total)
 
             reached, seen = self._march(state, count, snapshots, displacement[some], tell)
-            caught[some] = np.where(seen >= 0, seen * scheme.time_step, np.nan)
+            caught[some][seen >= 0] = seen[seen >= 0] * scheme.time_step
+            sums = region_sums(self.engine, state, count)
+            most = (scheme.window[1] - scheme.window[0]) * fastest**2
+            judge_plates(
+                phasors[some], scale, seen, sums, energy_unit(self.specialized), most, energy[some], status[some]
+            )
             unit = scale * scheme.load_scale
             with np.errstate(invalid="ignore", over="ignore"):  # of plates that left the finite numbers
-                sums = region_sums(self.engine, state, count)
-                energy[some] = sums * energy_unit(self.specialized) * scale[:, None] ** 2
-                most = (scheme.window[1] - scheme.window[0]) * fastest**2
-                status[some], wrong = status_of(phasors[some], scale, seen, sums, energy[some], most)
-                energy[some][wrong] = np.nan
                 displacement[some] *= unit[:, None, None, None]
                 if points:
                     corner_traces = state.trace.numpy()[:count].reshape(count, len(points), 4, -1).astype(float)

@@ -1,0 +1,54 @@
+"""Every table and key of a scene file stands in the pages about it."""
+
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from warp_plate import Scene
+
+DOCS = Path(__file__).parents[1] / "docs"
+TEXT = "\n".join(page.read_text(encoding="utf-8") for page in sorted(DOCS.glob("*.md")))
+
+
+def tables_in(kind):
+    """The tables that a key may hold, in unions and tuples as well."""
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        return [kind]
+    return [table for part in getattr(kind, "__args__", ()) for table in tables_in(part)]
+
+
+def tables_of(model, at=""):
+    """(dotted name, model) of all tables inside a model."""
+    for key, field in model.model_fields.items():
+        for table in tables_in(field.annotation):
+            yield f"{at}{key}", table
+            yield from tables_of(table, f"{at}{key}.")
+
+
+def rows():
+    """The first cells of the rows of docs/scene.md, each with the table of the scene file that it stands under."""
+    found, under = [], ""
+    for line in (DOCS / "scene.md").read_text(encoding="utf-8").splitlines():
+        if line.startswith("|"):
+            cell = line.split("|")[1]
+            under = cell if "[" in cell else under
+            found.append((under, cell))
+    return found
+
+
+@pytest.mark.parametrize(("name", "model"), list(tables_of(Scene)))
+def test_every_key_has_its_words(name, model):
+    keys = [key for key, field in model.model_fields.items() if not tables_in(field.annotation)]
+    assert f"`{name.split('.')[-1]}`" in TEXT or f"{name}]" in TEXT or f".{name.split('.')[-1]}`" in TEXT
+    assert not [key for key in keys if f"`{key}`" not in TEXT and f"{key} = " not in TEXT]
+
+
+def test_targets_and_objectives_have_rows_of_their_own():
+    for under, keys in (
+        ("`[target]`", ("area", "disc", "polygon", "mask")),
+        ("`[[targets]]`", ("name", "area", "disc", "polygon", "mask")),
+        ("`[[search.objectives]]`", ("kind", "weight", "rest_limit")),
+    ):
+        cells = [cell for head, cell in rows() if under in head]
+        assert not [key for key in keys if not any(f"`{key}`" in cell for cell in cells)]
