@@ -60,7 +60,7 @@ def test_localize_json(command, panel):
     status, out, err = command("localize", "panel.toml", "--seed", 4, "--json", *QUIET)
     assert (status, err) == (0, "")
     answer = json.loads(out)
-    assert list(answer)[: len(LOCALIZE_KEYS)] == LOCALIZE_KEYS
+    assert set(LOCALIZE_KEYS) <= set(answer)
     assert answer["scene"] == "panel.toml"
     assert answer["device"].startswith("cpu")
     assert answer["seed"] == 4
@@ -77,13 +77,13 @@ def test_localize_json(command, panel):
     assert [entry["evaluations"] for entry in answer["history"]] == [6, 12, 18, 24, 30]
     assert answer["history"][-1]["best"] == pytest.approx(factors["best"], abs=2e-6)
     assert answer["node_steps"] % (11 * 11) == 0
-    assert files() == ["panel-localize.h5", "panel.toml"]
+    assert files() == ["panel-localize.best.toml", "panel-localize.h5", "panel.toml"]
 
 
 def test_localize_result_file_holds_what_was_printed(command, panel):
     _, out, _ = command("localize", "panel.toml", "--out", "found.h5", "--json", *QUIET)
     answer, result = json.loads(out), load_result("found.h5")
-    assert answer["files"] == ["found.h5"]
+    assert answer["files"] == ["found.h5", "found.best.toml"]
     assert result.scene == panel
     assert {name: case.localization_factor for name, case in result.cases.items()} | {
         "bound": result.bound
@@ -301,7 +301,7 @@ def test_as_a_process(panel):
     """The same through the interpreter: streams are clean of what Warp, CUDA and VTK say for themselves."""
     answer = process("localize", "panel.toml", "--json", *QUIET)
     assert (answer.returncode, answer.stderr) == (0, "")
-    assert list(json.loads(answer.stdout))[: len(LOCALIZE_KEYS)] == LOCALIZE_KEYS
+    assert set(LOCALIZE_KEYS) <= set(json.loads(answer.stdout))
     answer = process("localize", "papers")
     assert (answer.returncode, answer.stdout) == (2, "")
     assert len(answer.stderr.splitlines()) == 1

@@ -115,8 +115,9 @@ def test_the_command_goes_on(command, panel, left):
         assert (status, err) == (0, "")
         answer = json.loads(out)
         assert (answer["interrupted"], answer["checkpoint"]) == (False, None)
-        assert answer["files"] == ["panel-localize.h5"]
-        assert sorted(map(str, Path().iterdir())) == ["panel-localize.h5", "panel.toml"]
+        files = ["panel-localize.h5", "panel-localize.best.toml"]
+        assert answer["files"] == files
+        assert sorted(map(str, Path().iterdir())) == sorted([*files, "panel.toml"])
         save = load_result("panel-localize.h5")
         assert_same(replace(save, cases=whole.cases), whole)
         for name, case in whole.cases.items():
