@@ -99,7 +99,7 @@ def test_what_would_change_the_result_is_refused_by_name(options, named, command
     ],
 )
 def test_a_scene_or_a_checkpoint_is_needed(options, named, command, panel):
-    command("simulate", "panel.toml", "--device", "cpu", "--no-pictures", "--out", "result.h5")
+    command("simulate", "panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate", "--out", "result.h5")
     status, out, err = command("localize", "--no-pictures", *options)
     assert (status, out, len(err.splitlines())) == (2, "", 1)
     assert re.search(named, err), err
