@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from warp_plate.plate.designs import Designs, own_of
+from warp_plate.plate.designs import Batch, Designs, own_of
 from warp_plate.plate.weights import Region
 from warp_plate.result.crosstalk import regions_of_targets
 from warp_plate.scene.errors import SceneError
@@ -21,7 +21,7 @@ from warp_plate.search.judge import Judge, make_judge
 from warp_plate.search.loss_bound import bound_loss
 from warp_plate.search.quadratic import Quadratic
 from warp_plate.search.space import Space
-from warp_plate.search.variables import Variables, variables_of
+from warp_plate.search.variables import Positions, Variables, variables_of
 from warp_plate.solve.response import Response, measure_response
 from warp_plate.solve.solver import PlateSolver
 
@@ -83,11 +83,11 @@ class Problem:
         known = [one.matrices for one in (self.response, self.moved_response) if one is not None]
         return np.concatenate(known) if known else None
 
-    def energies(self, designs: Designs) -> np.ndarray:
+    def energies(self, designs: Batch) -> np.ndarray:
         """(plates, regions) energies [J]."""
-        if designs.only_drives:
-            return self.energies_of_drives(designs.drives)
-        return self.solver.run(designs).energy
+        if self.evaluator == "response" and designs.only_drives:
+            return self.energies_of_drives(designs[:].drives)
+        return (self.plain if designs.only_drives else self.solver).run(designs).energy
 
     def energies_of_drives(self, drives: np.ndarray) -> np.ndarray:
         """(plates, regions) energies [J] of drives (plates, actuators) where the scene has its frequency and places."""
@@ -95,18 +95,18 @@ class Problem:
             return self.response.energy(drives)
         return self.plain.run(drives).energy
 
-    def losses_of(self, designs: Designs) -> np.ndarray:
+    def losses_of(self, designs: Batch) -> np.ndarray:
         """(plates,) what is to be made small; NaN where a plate has no energies."""
         displaced = None
         if self.evaluator == "response" and self.moved_response is not None:
-            displaced = self.moved_response.energy(designs.drives)
+            displaced = self.moved_response.energy(designs[:].drives)
         elif self.moved is not None:
             displaced = self.moved.run(designs).energy
         return self.judge.losses(self.energies(designs), displaced)
 
     def losses(self, positions: np.ndarray) -> np.ndarray:
         """(n,) the same of positions (n, dimension)."""
-        return self.losses_of(self.variables.designs(positions))
+        return self.losses_of(Positions(self.variables, np.asarray(positions, dtype=float)))
 
     def value_of(self, loss: float | np.ndarray) -> float | np.ndarray:
         """What people want large: LF, or the weighted sum of the objectives."""

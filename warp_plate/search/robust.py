@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from warp_plate.plate.designs import Designs
+from warp_plate.plate.designs import Batch, Designs
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Robust
@@ -53,9 +53,9 @@ class RobustProblem(Problem):
         """Of all solvers."""
         return super().compile_seconds + self.panels.compile_seconds
 
-    def losses_of(self, designs: Designs) -> np.ndarray:
+    def losses_of(self, designs: Batch) -> np.ndarray:
         """(plates,) what is to be made small; NaN where a plate has no energies on some panel."""
-        return measured(self.panels.losses(designs), self.robust)
+        return measured(self.panels.losses(designs[:]), self.robust)
 
     @cached_property
     def quadratic(self) -> Quadratic | None:
