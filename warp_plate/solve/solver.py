@@ -34,7 +34,7 @@ CPU_CHUNK_BYTES = 256 * 2**20
 FEWEST_PLATES = 64
 # A large batch on CUDA is cut: while the device steps a part, the host makes the next one ready. The first is small,
 # for the device waits for it. Less work than this is not cut.
-PARTS = (1 / 16, 3 / 16, 6 / 16, 6 / 16)
+PARTS = (1 / 32, 3 / 32, 8 / 32, 12 / 32, 8 / 32)
 LEAST_CUT_NODE_STEPS = 1e10
 
 Progress = Callable[[int, int], None]
