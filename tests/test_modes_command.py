@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from warp_plate.cli.main import main
-from warp_plate.cli.modes import MOST_NODES
 from warp_plate.plate.modes import natural_modes
 from warp_plate.scene.load import dump_scene
 from warp_plate.viz.modes_plot import draw_modes, frequency_text, layout, nodal_field
