@@ -108,7 +108,6 @@ def test_accuracy_chooses_the_grid(command, tmp_path, monkeypatch):
     ],
 )
 def test_what_is_refused(command, panel, scene, arguments, message):
-    assert MOST_NODES < 701**2
     Path("fine.toml").write_text(dump_scene(scene((701, 701))), encoding="utf-8")
     status, out, err = command(*arguments)
     assert (status, out) == (2, "")

@@ -33,8 +33,6 @@ FORMAT = "warp-plate sweep 1"
 NOT_RUN, RUN, REFUSED = 0, 1, 2
 
 
-
-
 @dataclass(frozen=True)
 class Output:
     """A figure of every point: its unit, its meaning, and the axis that it has of its own, None: it is one number."""

@@ -38,7 +38,8 @@ class Options:
 
 @dataclass(frozen=True)
 class Figures:
-    """outputs: by name; of: their values in a scene. It raises SceneError where the scene is refused."""
+    """outputs: by name, the one that matters most first; of: their values in a scene, which raises SceneError where the
+    scene is refused."""
 
     outputs: Mapping[str, Output]
     of: Callable[[Scene, Options], Values]
@@ -102,10 +103,10 @@ def check_figures(scene: Scene, options: Options) -> Values:
 FIGURES: Mapping[str, Figures] = {
     "localize": Figures(
         {
-            "equal": Output("1", "localization factor, equal drive"),
-            "single": Output("1", "localization factor, best single actuator"),
             "best": Output("1", "localization factor, best drive"),
-            "bound": Output("1", "largest localization factor that any drive can reach"),
+            "bound": Output("1", "localization factor, bound"),
+            "single": Output("1", "localization factor, best single actuator"),
+            "equal": Output("1", "localization factor, equal drive"),
         },
         localize_figures,
     ),
@@ -121,8 +122,8 @@ FIGURES: Mapping[str, Figures] = {
     "modes": Figures({"frequency": Output("Hz", "natural frequency", "mode")}, modes_figures),
     "check": Figures(
         {
-            "time_step": Output("s", "time step"),
             "limit": Output("s", "largest stable time step"),
+            "time_step": Output("s", "time step"),
             "steps_a_period": Output("1", "steps in a period of the drive"),
             "points_a_wavelength": Output("1", "nodes in a bending wavelength"),
         },

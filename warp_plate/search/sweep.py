@@ -97,9 +97,7 @@ def begin_sweep(
         processor=processor_of(found),
         path=path,
         outputs=outputs,
-        values={
-            name: np.full((len(plan), *((count,) if one.axis else ())), np.nan) for name, one in outputs.items()
-        },
+        values={name: np.full((len(plan), *((count,) if one.axis else ())), np.nan) for name, one in outputs.items()},
         status=np.zeros(len(plan), dtype="i1"),
         reasons={},
         seconds=0.0,
