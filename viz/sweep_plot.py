@@ -128,7 +128,7 @@ def _draw_lines(figure: Figure, sweep: Sweep) -> str:
         label, names = _shared(list(lines), unit)
         for rank, (colour, name, values) in enumerate(zip(COLOURS, names, lines.values(), strict=False)):
             # The first one lies on top of those that it meets.
-            drawn = {"color": colour, "linewidth": 1.4 + 0.5 * rank, "marker": marker, "zorder": 3 - 0.1 * rank}
+            drawn = {"color": colour, "linewidth": 2.0 if rank else 1.2, "marker": marker, "zorder": 3 - 0.1 * rank}
             axes.plot(at, values[order], label=name, **drawn)
         edges = edges_of(at, sweep.plan.logarithmic[0])
         for index in np.flatnonzero(refused):

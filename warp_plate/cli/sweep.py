@@ -99,7 +99,7 @@ def sweep(
     from warp_plate.search.sweep_file import SweepFile
 
     loaded = None if scene is None else Scene.load(scene)
-    given = {"what": what, "count": count, "path": path}
+    given: dict[str, object] = {"what": what, "count": count, "path": path}
     begun = _begun(resume, target, loaded, scene, vary, samples, seed, given, device)
     if begun is None:
         assert loaded is not None

@@ -144,7 +144,7 @@ def _numbers(value: object, at: str) -> Iterator[tuple[str, type]]:
 def _number_kind(annotation: Any) -> type | None:
     """int or float, where that is what a key that may be left out holds."""
     if annotation in (int, float):
-        return annotation  # type: ignore[no-any-return]
+        return annotation
     if get_origin(annotation) is Annotated:
         return _number_kind(get_args(annotation)[0])
     if get_origin(annotation) in (Union, types.UnionType):
@@ -176,7 +176,8 @@ def _what_is_near(scene: Scene, key: str, known: list[str]) -> str:
     absent = _absent_table(scene, key)
     if absent:
         return f"the scene has no [{absent}]; write that table into the scene file to vary what is in it"
-    near = difflib.get_close_matches(key, known, n=4, cutoff=0.6)
+    close = set(difflib.get_close_matches(key, known, n=4, cutoff=0.6))
+    near = [one for one in known if one in close]
     head, tail = re.split(r"[.\[]", key)[0], re.split(r"[.\]]", key)[-1]
     beside = [one for one in known if one.startswith((f"{head}.", f"{head}["))]
     same = [one for one in known if tail and one.endswith(f".{tail}")]
