@@ -241,7 +241,7 @@ def made_up(panel, vary, what="localize", samples=None):
     for one in values.values():
         one[::5] = np.nan
     next(iter(values.values())).flat[-1] = np.inf
-    return replace(begun, values=values, status=status, reasons={point: "no" for point in range(0, len(plan), 5)})
+    return replace(begun, values=values, status=status, reasons=dict.fromkeys(range(0, len(plan), 5), "no"))
 
 
 LINE, PAIR = ["drive.frequency=log:200:300:12"], ["drive.frequency=300:200:4", "effects.damping.viscous=log:1:100:3"]
