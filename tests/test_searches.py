@@ -175,6 +175,16 @@ def test_motions_and_signals_have_the_cases_own_frequency_and_places(panel):
     np.testing.assert_array_equal(found.displacement[3], field.astype(np.float32))
     signal = make_signal(result.placed(best), best, 48000, 1.0)
     assert signal.frequency == best.frequency[0]
+    pytest.importorskip("pyvista")
+    from warp_plate.viz.page import page_data
+
+    page = page_data(result.scene, [equal, found], "displacement", 30.0, None)
+    assert page["plates"][0]["outlines"] is None
+    own = page["plates"][1]["outlines"]
+    assert len(own) == len(page["outlines"])
+    moved = [one != other for one, other in zip(own, page["outlines"], strict=True)]
+    assert any(moved)  # the actuators'
+    assert not all(moved)
 
 
 def test_several_frequencies_are_no_file_to_play():

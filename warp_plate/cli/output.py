@@ -123,6 +123,7 @@ def refuse_place(path: Path) -> None:
     Raises:
         SceneError: no file can be made there, its name leaves those no room, or its folder is missing.
     """
+    there: str | bool
     try:
         there = "is a folder" if stat.S_ISDIR(path.stat().st_mode) else ""
     except (FileNotFoundError, NotADirectoryError):
