@@ -27,7 +27,9 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "solve": ({"solve", "kernels", "plate", "scene"}, {*SCIENCE, "warp"}),
     "bench": ({"bench", "solve", "kernels", "plate", "scene", ""}, {*SCIENCE, "warp"}),
     "accuracy": ({"accuracy", "solve", "reference", "plate", "scene", ""}, {*SCIENCE, "pydantic", "warp"}),
-    "search": ({"search", "accuracy", "solve", "result", "plate", "scene", ""}, {*SCIENCE, "warp"}),
+    "cluster": ({"cluster", "solve", "plate", "scene", ""}, {*SCIENCE, "warp"}),
+    "cluster.dask": ({"cluster", "scene"}, {"distributed"}),
+    "search": ({"search", "accuracy", "cluster", "solve", "result", "plate", "scene", ""}, {*SCIENCE, "warp"}),
     "search.cma_es": ({"search", "scene"}, {*SCIENCE, "cma"}),
     "search.pso": ({"search.pso_settings", "search.record", "plate.blocks"}, SCIENCE),
     "search.record": (set(), SCIENCE),
@@ -41,7 +43,7 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     # Scenes and results ask it how to show themselves in a notebook, when they are shown.
     "viz.html": ({"viz", "result", "scene"}, set()),
     "cli": (
-        {"cli", "accuracy", "bench", "search", "solve", "result", "plate", "scene", "viz", ""},
+        {"cli", "accuracy", "bench", "cluster", "search", "solve", "result", "plate", "scene", "viz", ""},
         {*SCIENCE, "cyclopts", "rich"},
     ),
     "notebook": ({"search", "viz", "result", "scene"}, set()),
@@ -116,7 +118,7 @@ def test_top_folders_are_no_top_imports():
 def test_pictures_are_imported_only_when_drawn():
     """Commands start quickly and run where no graphics library is: viz, PyVista and Warp come inside
     functions."""
-    rooms = "viz|solve|search|accuracy|bench|kernels"
+    rooms = "viz|solve|cluster|search|accuracy|bench|kernels"
     late = re.compile(rf"(warp|pyvista|matplotlib|vtkmodules|warp_plate\.({rooms}))(\.|$)")
     for path, module in sources():
         if room_of(module) in ("cli", "notebook", "__main__", ""):

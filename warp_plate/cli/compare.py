@@ -9,6 +9,7 @@ import cyclopts
 
 from warp_plate.cli import output
 from warp_plate.cli.options import Whole
+from warp_plate.cli.workers import first_device, lost_lines, workers
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -33,6 +34,8 @@ def compare(
     evaluations: Whole | None = None,
     evaluator: Literal["direct", "response"] | None = None,
     device: str = "auto",
+    devices: str | None = None,
+    cluster: str | None = None,
     path: Literal["auto", "resident", "streaming"] = "auto",
     out: Path | None = None,
     pictures: bool = True,
@@ -59,6 +62,13 @@ def compare(
         when left out, where energies are quadratic forms of the drives, else direct.
     device
         cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
+    devices
+        Several devices of this machine, such as cuda:0,cuda:1, or cpu,cpu for two single-threaded processes: the plates
+        of a direct comparison are shared among them, a process each. Results are the same to the last bit. See
+        docs/scaling.md.
+    cluster
+        Workers of Dask distributed that share the plates instead (needs the extra cluster): local:4 starts four on this
+        machine, tcp://HOST:PORT or a scheduler's JSON file names a scheduler that runs.
     path
         How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch).
     out
@@ -76,8 +86,9 @@ def compare(
     loaded = output.load_scene(scene)
     from warp_plate.search.compare import compare as run
 
-    with output.progress_bar("comparing", shown=not json) as show:
-        result = run(loaded, scene, names, seeds, device, path, evaluator, evaluations, show)
+    on = first_device(devices, device) or "auto"
+    with workers(devices, cluster, device) as pool, output.progress_bar("comparing", shown=not json) as show:
+        result = run(loaded, scene, names, seeds, on, path, evaluator, evaluations, show, pool)
     files, missing = _write(result, target, pictures)
     if json:
         output.print_json(as_json(result, files))
@@ -151,6 +162,7 @@ def as_json(result: Comparison, files: list[Path]) -> dict[str, object]:
         ],
         "skipped": dict(result.skipped),
         "interrupted": result.interrupted,
+        "lost": dict(result.lost),
         "versions": dict(result.versions),
         "files": [str(file) for file in files],
     }
@@ -177,5 +189,7 @@ def _print(result: Comparison, console: Console) -> None:
         console.print(f"before the clock: {result.prepared:.2g} s for the plates that all methods share.")
     for method, reason in result.skipped.items():
         console.print(f"{method}: not tried: {reason}")
+    for line in lost_lines(result.lost):
+        console.print(f"! {line}")
     if result.interrupted:
         console.print("Interrupted by Ctrl-C: the trials that were done are shown.")

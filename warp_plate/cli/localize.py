@@ -14,6 +14,7 @@ from warp_plate.cli.options import Whole
 from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
 from warp_plate.cli.resume import read_checkpoint, result_beside, way_on
 from warp_plate.cli.robust_table import print_robust, robust_json
+from warp_plate.cli.workers import first_device, lost_lines, workers
 from warp_plate.scene.errors import SceneError, printable
 
 if TYPE_CHECKING:
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from warp_plate.cluster.pool import Pool
     from warp_plate.result.model import Result
+    from warp_plate.scene.model import Scene
     from warp_plate.search.checkpoints import CheckpointFile
 
 TRIED = {"direct": "plates simulated for the search", "response": "drives tried by the search on the Gram matrices"}
@@ -43,6 +46,8 @@ def localize(
     /,
     *,
     device: str | None = None,
+    devices: str | None = None,
+    cluster: str | None = None,
     seed: Whole | None = None,
     evaluator: Literal["direct", "response"] | None = None,
     path: Literal["auto", "resident", "streaming"] | None = None,
@@ -81,6 +86,12 @@ def localize(
     device
         cpu, cuda, cuda:1, ... or auto, which takes a CUDA device where there is one; auto when left out, with --resume
         the kind that the search began on. Another kind rounds in another way: the result may differ.
+    devices
+        Several devices of this machine, such as cuda:0,cuda:1, or cpu,cpu for two single-threaded processes: the plates
+        of the search are shared among them, a process each. Results are the same to the last bit. See docs/scaling.md.
+    cluster
+        Workers of Dask distributed that share the plates instead (needs the extra cluster): local:4 starts four on this
+        machine, tcp://HOST:PORT or a scheduler's JSON file names a scheduler that runs.
     seed
         Of the swarm; the scene's when left out.
     evaluator
@@ -129,18 +140,19 @@ def localize(
     from warp_plate.search.localize import localize as search
     from warp_plate.search.localize import resume as go_on
 
+    searched = loaded if checkpoint is None else checkpoint.scene
+    assert searched is not None
     if checkpoint is not None:
         run = partial(go_on, checkpoint, device)
     elif loaded is not None:
-        on = "auto" if device is None else device
+        on = first_device(devices, device) or "auto"
         run = partial(search, loaded, scene or "", on, seed, evaluator, path or "auto")
     if baselines:
         from warp_plate.search.baselines import check_baselines, with_baselines
 
-        searched = loaded if checkpoint is None else checkpoint.scene
-        assert searched is not None
         check_baselines(searched)
-    result = _run(partial(run, spectrum=spectrum), estimate, kept, shown=not json)
+    with workers(devices, cluster, device) as pool:
+        result = _run(partial(run, spectrum=spectrum, pool=pool), estimate, kept, not json, pool, searched)
     if baselines:
         result = with_baselines(result, device or "auto", path or "auto")
     files, missing = _write(result, target, pictures, kept)
@@ -151,15 +163,26 @@ def localize(
     output.print_files(files, missing)
 
 
-def _run(run: Callable[..., Result], estimate: bool, kept: CheckpointFile, shown: bool) -> Result:
-    """The search with its progress; a Ctrl-C that leaves nothing but a checkpoint says how to go on."""
+def _run(
+    run: Callable[..., Result], estimate: bool, kept: CheckpointFile, shown: bool, pool: Pool | None, scene: Scene
+) -> Result:
+    """The search with its progress; what leaves nothing but a checkpoint, Ctrl-C or a fault, says how to go on."""
     with output.progress_bar("searching", shown) as show:
+        iterations, total, found = 0, scene.search.iterations * max(len(scene.targets), 1), ""
 
-        def told(done: int, total: int, best: float) -> None:
-            show(done, total, f"best {best:.4f}")
+        def told(done: int, of: int, best: float) -> None:
+            nonlocal iterations, total, found
+            iterations, total, found = done, of, f"best {best:.4f}"
+            show(done, of, found)
 
+        if pool is not None:
+            pool.told = lambda done, of: show(iterations, total, f"{found} block {done}/{of}")
         try:
             return run(told=told, estimate=estimate, checkpoints=kept)
+        except SceneError as error:
+            if kept.saved is None:
+                raise
+            raise SceneError(f"{error}; there is a checkpoint{way_on(kept.saved, kept.path)}") from None
         except KeyboardInterrupt:
             if kept.saved is None:
                 raise
@@ -227,6 +250,7 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
         "accuracy": dict(result.accuracy),
         "warnings": output.warnings_of(result),
         "interrupted": result.interrupted,
+        "lost": dict(result.lost),
         "checkpoint": None if checkpoint is None else str(checkpoint),
         "files": [str(file) for file in files],
     }
@@ -253,6 +277,8 @@ def _print(result: Result, console: Console) -> None:
     if result.several:
         console.print(crosstalk_table(result))
         console.print()
+    for line in lost_lines(result.lost):
+        console.print(f"! {line}")
     if result.interrupted:
         console.print("Interrupted by Ctrl-C: the best so far is shown.")
     if published:

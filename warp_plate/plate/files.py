@@ -36,19 +36,26 @@ def read_beside(key: str, name: str, folder: Path | None) -> bytes:
         raise SceneError(f"{head}: cannot be read: {type(error).__name__}") from None
 
 
+def named_files(scene: Scene) -> dict[str, str]:
+    """The files that a scene names, by the keys that name them."""
+    named = {} if scene.drive.signal is None else {"drive.signal.file": scene.drive.signal.file}
+    named |= {
+        f"effects.variation.{key}": value for key, value in scene.effects.variation or () if isinstance(value, str)
+    }
+    return named | {
+        f"{key}.mask": target.mask for key, target in scene.targets_by_key.items() if target.mask is not None
+    }
+
+
 def digests(scene: Scene) -> dict[str, str]:
     """SHA-256 of each file that a scene names, by the key that names it.
 
     Raises:
         SceneError: see :func:`read_beside`.
     """
-    named = {} if scene.drive.signal is None else {"drive.signal.file": scene.drive.signal.file}
-    named |= {
-        f"effects.variation.{key}": value for key, value in scene.effects.variation or () if isinstance(value, str)
-    }
-    named |= {f"{key}.mask": target.mask for key, target in scene.targets_by_key.items() if target.mask is not None}
     return {
-        key: hashlib.sha256(read_beside(key, name, scene.folder)).hexdigest() for key, name in named.items()
+        key: hashlib.sha256(read_beside(key, name, scene.folder)).hexdigest()
+        for key, name in named_files(scene).items()
     }
 
 

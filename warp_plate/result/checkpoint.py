@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import h5py
 import numpy as np
 
 from warp_plate.result.model import Found
-from warp_plate.result.plain import count, numbers, opened, put, save_hdf5, table, text
+from warp_plate.result.plain import count, lost_of, numbers, opened, put, save_hdf5, table, text
 from warp_plate.result.search_state import put_state, read_state
 from warp_plate.result.several import put_several, read_several
 from warp_plate.result.whole import intact
@@ -41,7 +41,7 @@ class Checkpoint:
     asked: the scene as written; scene: the same with the grid that was chosen, where it asked for an accuracy.
     source: the scene's name. files: SHA-256 of the files that it names, by their keys. device: Warp's name;
     processor: its model; earlier: others that it ran on before, for people. path: as asked for.
-    accuracy, seconds, versions: as in :class:`Result`, until here. node_steps: nodes updated × steps × plates.
+    accuracy, seconds, versions, lost: as in :class:`Result`, until here. node_steps: nodes updated × steps × plates.
     single: index of the best single actuator.
     matrices: (regions, 2 actuators, 2 actuators) of the response; None where energies are no quadratic forms of what is
         searched.
@@ -67,6 +67,7 @@ class Checkpoint:
     matrices: np.ndarray | None
     swarm: Mapping[str, Any] | None
     several: tuple[Found, ...] = ()
+    lost: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def iterations(self) -> int:
@@ -135,7 +136,7 @@ def _write(file: h5py.File, checkpoint: Checkpoint) -> None:
         file.attrs[name] = getattr(checkpoint, name)
     for name in ("asked", "scene"):
         file.attrs[name] = dump_scene(getattr(checkpoint, name))
-    for name in ("accuracy", "files", "seconds", "versions"):
+    for name in ("accuracy", "files", "seconds", "versions", "lost"):
         file.attrs[name] = json.dumps(dict(getattr(checkpoint, name)))
     file.attrs["format"] = FORMAT
     if checkpoint.matrices is not None:
@@ -180,4 +181,5 @@ def _read(file: h5py.File, name: str) -> Checkpoint:
         matrices=numbers(file, "matrices", (None, *2 * (2 * actuators,))) if "matrices" in file else None,
         swarm=read_state(file, "swarm") if "swarm" in file else None,
         several=several,
+        lost=lost_of(file),
     )

@@ -14,7 +14,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from warp_plate.result.plain import count, names_in, numbers, opened, put, save_hdf5, table, text
+from warp_plate.result.plain import count, lost_of, names_in, numbers, opened, put, save_hdf5, table, text
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene
@@ -48,7 +48,7 @@ class Comparison:
     """evaluator: "response" or "direct"; budget: evaluations that each trial may make; prepared: seconds that the Gram
     matrices took, before any trial; localization: whether a loss is 1 − LF; bound: loss that no drive can have less of,
     None where none is claimed, with its kind ("attained" or "bound only") and sentence; skipped: by method, why it was
-    not tried.
+    not tried; lost: plates whose workers failed for good, by what went wrong.
     """
 
     source: str
@@ -65,6 +65,7 @@ class Comparison:
     skipped: Mapping[str, str] = field(default_factory=dict)
     interrupted: bool = False
     versions: Mapping[str, str] = field(default_factory=dict)
+    lost: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -116,6 +117,7 @@ def _write(file: h5py.File, comparison: Comparison) -> None:
             "skipped": json.dumps(dict(comparison.skipped)),
             "interrupted": int(comparison.interrupted),
             "versions": json.dumps(dict(comparison.versions)),
+            "lost": json.dumps(dict(comparison.lost)),
         }
     )
     if comparison.bound is not None:
@@ -152,4 +154,5 @@ def _read(file: h5py.File, scene: Scene) -> Comparison:
         skipped=table(file, "skipped"),
         interrupted=bool(count(file, "interrupted")),
         versions=table(file, "versions"),
+        lost=lost_of(file),
     )

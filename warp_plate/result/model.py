@@ -102,6 +102,7 @@ class Result:
     several: of a scene with several targets, the search for each that was come to; ``bound`` and ``history`` are the
         first's. Cases: see ``result.crosstalk``.
     robust: of a robust search, its drive and the "nominal" one, a case too, over fresh scenarios.
+    lost: plates of the search that counted as worst because their workers failed for good, by what went wrong.
     """
 
     command: str
@@ -127,6 +128,7 @@ class Result:
     spectrum: Mapping[str, np.ndarray] = field(default_factory=dict)
     several: tuple[Found, ...] = ()
     robust: RobustComparison | None = None
+    lost: Mapping[str, int] = field(default_factory=dict)
 
     def placed(self, case: Case) -> Scene:
         """The scene with a case's frequencies, places and burst starts."""

@@ -137,6 +137,15 @@ def table(item: h5py.HLObject, name: str, kind: type = dict) -> Any:
     return value
 
 
+def lost_of(file: h5py.File) -> dict[str, int]:
+    """Plates without energies by what went wrong on their workers; files of before there were workers have none.
+
+    Raises:
+        SceneError, ValueError, TypeError, RecursionError: the attribute says something else.
+    """
+    return {str(why): int(plates) for why, plates in table(file, "lost").items()} if "lost" in file.attrs else {}
+
+
 def count(item: h5py.HLObject, name: str) -> int:
     """An attribute that is a whole number, 0 or more.
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from warp_plate.result.crosstalk import crosstalk
 from warp_plate.result.model import Case, Result
-from warp_plate.result.plain import count, names_in, numbers, opened, put, save_hdf5, table, text
+from warp_plate.result.plain import count, lost_of, names_in, numbers, opened, put, save_hdf5, table, text
 from warp_plate.result.robust import RobustComparison
 from warp_plate.result.several import put_several, read_several
 from warp_plate.scene.errors import SceneError
@@ -88,6 +88,7 @@ def _write(file: h5py.File, result: Result) -> None:
         "versions": json.dumps(dict(result.versions)),
         "seconds": json.dumps(dict(result.seconds)),
         "accuracy": json.dumps(dict(result.accuracy)),
+        "lost": json.dumps(dict(result.lost)),
     }
     file.attrs.update(plain)
     file.attrs["seed"] = result.seed
@@ -164,6 +165,7 @@ def _read(file: h5py.File, name: str) -> Result:
         spectrum=_read_spectrum(file),
         several=read_several(file),
         robust=_read_comparison(file),
+        lost=lost_of(file),
     )
 
 

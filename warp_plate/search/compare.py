@@ -8,12 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from warp_plate.cluster.pool import Pool, WorkersGone
 from warp_plate.result.comparison import Comparison, Trial
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.search.free import at_highest_frequency
 from warp_plate.search.interrupts import interrupts_held
-from warp_plate.search.localize import device_name, resolve, versions
+from warp_plate.search.localize import device_name, of_pool, resolve, versions
 from warp_plate.search.methods import Method, make_searcher
 from warp_plate.search.problem import Evaluator, Problem
 from warp_plate.search.robust import problem_of
@@ -35,6 +36,7 @@ def compare(
     evaluator: Evaluator | None = None,
     evaluations: int | None = None,
     told: Told | None = None,
+    pool: Pool | None = None,
 ) -> Comparison:
     """Run every method from every seed, in turn, so that a disturbance of the machine meets all alike.
 
@@ -44,10 +46,11 @@ def compare(
         evaluator: left out: "response" where energies are quadratic forms of the drives, else "direct".
         evaluations: that each trial may make; left out: the scene's particles × iterations.
         told: called after each iteration.
+        pool: see ``localize``.
 
-    Ctrl-C ends it; the trials that are done are kept. Seconds are those of the method's
-    beginning, ``ask``, losses and ``tell``, after each method was warmed by one iteration that does not count; what the
-    Gram matrices took, which all share, is kept apart.
+    Ctrl-C ends it, and so does a pool whose workers are gone; the trials that are done are kept. Seconds are those of
+    the method's beginning, ``ask``, losses and ``tell``, after each method was warmed by one iteration that does not
+    count; what the Gram matrices took, which all share, is kept apart.
 
     Raises:
         SceneError: a method that was named does not fit the scene; see :func:`problem_of`.
@@ -59,7 +62,7 @@ def compare(
         search = search.model_copy(update={"iterations": max(1, evaluations // search.particles)})
         scene = scene.model_copy(update={"search": search})
     started = time.perf_counter()
-    problem = problem_of(scene, device, path, evaluator)
+    problem = problem_of(scene, device, path, evaluator, pool=pool)
     prepared = time.perf_counter() - started - problem.compile_seconds
     if evaluator is None and problem.response is not None:
         problem = replace(problem, evaluator="response")
@@ -72,7 +75,7 @@ def compare(
         return make_searcher(named, problem.space, seed, problem.quadratic)
 
     fitting, skipped = _fitting(methods, begin, search.seed)
-    trials, interrupted = [], False
+    trials, interrupted, gone = [], False, dict[str, int]()
     pairs = [
         (method, search.seed + index)
         for index in range(seeds)
@@ -89,15 +92,16 @@ def compare(
                     told(before + done, len(pairs) * budget, note)
 
             trials.append(_trial(begin, method, seed, problem, budget, tell))
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, WorkersGone) as reason:
         if not trials:
             raise
         interrupted = True
+        gone = {str(reason): search.particles} if isinstance(reason, WorkersGone) else {}
     bound = problem.bound_of_loss
     return Comparison(
         source=source,
         scene=problem.scene,
-        device=device_name(problem.plain.device),
+        device=device_name(problem.plain.device) + of_pool(problem),
         evaluator=problem.evaluator,
         budget=budget,
         prepared=prepared,
@@ -109,6 +113,7 @@ def compare(
         skipped=skipped,
         interrupted=interrupted,
         versions=versions(),
+        lost=dict(problem.lost) | gone,
     )
 
 

@@ -15,6 +15,7 @@ import warp_plate
 from warp_plate.accuracy.choose import choose
 from warp_plate.accuracy.estimate import estimate as estimate_errors
 from warp_plate.accuracy.truth import Stage
+from warp_plate.cluster.pool import Pool
 from warp_plate.plate.files import digests
 from warp_plate.plate.weights import localization_factor
 from warp_plate.result.checkpoint import Checkpoint
@@ -45,6 +46,7 @@ def localize(
     estimate: bool = True,
     checkpoints: CheckpointFile | None = None,
     spectrum: bool = True,
+    pool: Pool | None = None,
 ) -> Result:
     """Search the drive with the largest share of the plate's kinetic energy in the target.
 
@@ -58,6 +60,7 @@ def localize(
         estimate: whether to estimate the errors of the localization factors at the end.
         checkpoints: where to keep what :func:`resume` goes on from.
         spectrum: whether a search for one frequency of all actuators ends with the factors over its range.
+        pool: runs the plates of the search, see ``cluster.pool.open_pool``; left out: this process.
 
     A scene with several targets has one search after the other, and a best drive for each (see ``result.crosstalk``).
     A scene with ``grid.accuracy`` gets the grid that keeps it first, for its first target. Ctrl-C ends the search
@@ -75,7 +78,7 @@ def localize(
     chosen, accuracy, seconds, stage = resolve(hardest, device)
     scene = chosen.model_copy(update={"actuators": asked.actuators})
     started = time.perf_counter()
-    problem = problem_of(scene, device, path, evaluator)
+    problem = problem_of(scene, device, path, evaluator, pool=pool)
     drives = reference_drives(problem.scene, problem.energies_of_drives)
     searcher = searcher_of(problem, seed)
     compiling = problem.compile_seconds
@@ -108,6 +111,7 @@ def resume(
     estimate: bool = True,
     checkpoints: CheckpointFile | None = None,
     spectrum: bool = True,
+    pool: Pool | None = None,
 ) -> Result:
     """Go on with a search, to the result that it would have had without a stop.
 
@@ -116,7 +120,7 @@ def resume(
 
     Args:
         device: another one than the search began on: its rounding may be another; left out: the same.
-        told, estimate, checkpoints, spectrum: see :func:`localize`.
+        told, estimate, checkpoints, spectrum, pool: see :func:`localize`.
 
     Raises:
         SceneError: there is no such device any more; a file that the scene names is missing or another; or the
@@ -127,7 +131,7 @@ def resume(
         if checkpoint.files.get(key) != digest:
             raise SceneError(f"{key}: the file holds something else than when the search began")
     on, matrices = device or same_device(checkpoint.device, checkpoint.processor), checkpoint.matrices
-    problem = problem_of(checkpoint.scene, on, checkpoint.path, checkpoint.evaluator, matrices)
+    problem = problem_of(checkpoint.scene, on, checkpoint.path, checkpoint.evaluator, matrices, pool)
     if problem.variables.quadratic and matrices is None:
         raise SceneError("checkpoint: the matrices of its scene's response are missing")
     solver, spent = problem.plain, dict(checkpoint.seconds)
@@ -192,7 +196,7 @@ def _finish(
         command="localize",
         source=begun.source,
         scene=scene,
-        device=begun.earlier + device_name(problem.plain.device),
+        device=begun.earlier + device_name(problem.plain.device) + of_pool(problem),
         seed=begun.seed,
         effects=problem.solver.effects,
         path=problem.solver.path_words(bool(scene.record.points)),
@@ -212,6 +216,7 @@ def _finish(
         spectrum=made,
         several=searched.found if scene.targets else (),
         robust=compared,
+        lost=searched.lost,
     )
 
 
@@ -261,6 +266,11 @@ def estimated(
 def device_name(device: wp.Device) -> str:
     """For people: Warp's name for the device, and the processor's."""
     return f"{device.alias} ({device.name or platform.machine()})"
+
+
+def of_pool(problem: Problem) -> str:
+    """For people, behind ``device_name``: where the plates of the search ran, if not there."""
+    return "" if problem.pool is None else f", plates of the search on {problem.pool.words}"
 
 
 def versions() -> dict[str, str]:

@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.cluster.pool import Pool
+from warp_plate.cluster.solver import solver_on
 from warp_plate.plate.designs import Designs
 from warp_plate.search.judge import Judge, make_judge
 from warp_plate.search.problem import in_float64
@@ -88,7 +90,9 @@ def in_scenario(designs: Designs, scenario: Scenario) -> Designs:
     return replace(designs, drives=designs.drives * scenario.gain, centre=centre)
 
 
-def solve_directly(scenarios: Sequence[Scenario], device: str = "auto", path: str = "auto") -> Panels:
+def solve_directly(
+    scenarios: Sequence[Scenario], device: str = "auto", path: str = "auto", pool: Pool | None = None
+) -> Panels:
     """Panels whose plates are simulated, a launch a scenario; together they take the memory of one solver.
 
     Raises:
@@ -98,7 +102,7 @@ def solve_directly(scenarios: Sequence[Scenario], device: str = "auto", path: st
     for one in scenarios:
         judge = make_judge(one.scene)
         share = 1 / (len(scenarios) * (2 if judge.needs_displacement else 1))
-        panels.append(Panel(one, judge, _solvers(one, judge, device, path, share=share)))
+        panels.append(Panel(one, judge, _solvers(one, judge, device, path, pool, share=share)))
     return Panels(tuple(panels))
 
 
@@ -124,9 +128,11 @@ def _losses_of_plates(panel: Panel, designs: Designs) -> np.ndarray:
     return panel.judge.losses(*(solver.run(own).energy for solver in panel.solvers))
 
 
-def _solvers(one: Scenario, judge: Judge, device: str, path: str, **options: Any) -> tuple[PlateSolver, ...]:
+def _solvers(
+    one: Scenario, judge: Judge, device: str, path: str, pool: Pool | None = None, **options: Any
+) -> tuple[PlateSolver, ...]:
     common: dict[str, Any] = {"areas": judge.regions, "own": one.own, **options}
-    made = PlateSolver(one.scene, device, path, **common)
+    made = solver_on(pool, one.scene, device, path, **common)
     if not judge.needs_displacement:
         return (made,)
-    return made, PlateSolver(one.scene, device, path, quantity="displacement", **common)
+    return made, solver_on(pool, one.scene, device, path, quantity="displacement", **common)

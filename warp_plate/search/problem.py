@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
+from warp_plate.cluster.pool import Pool
+from warp_plate.cluster.solver import SpreadSolver, solver_on
 from warp_plate.plate.designs import Designs, own_of
 from warp_plate.plate.weights import Region
 from warp_plate.result.crosstalk import regions_of_targets
@@ -38,7 +41,7 @@ class Problem:
     None where displacements are not judged. response, moved_response: of plain and moved, energies of all drives in
     Gram matrices, None where they are no quadratic forms. evaluator: "response" takes energies from these instead of
     from plates; path: as asked for; spent: seconds that compiling took, and node-steps of what was measured, before the
-    search.
+    search. pool: which runs the plates of plain, solver and moved; None: this process.
     """
 
     variables: Variables
@@ -51,6 +54,7 @@ class Problem:
     evaluator: str
     path: str
     spent: tuple[float, int]
+    pool: Pool | None
 
     @property
     def scene(self) -> Scene:
@@ -76,6 +80,11 @@ class Problem:
     def compile_seconds(self) -> float:
         """Of all solvers."""
         return self.spent[0] + sum(one.compile_seconds for one in self._solvers)
+
+    @property
+    def lost(self) -> Counter[str]:
+        """Plates without energies because workers failed, by what went wrong."""
+        return lost_by(self._solvers)
 
     @property
     def matrices(self) -> np.ndarray | None:
@@ -155,12 +164,14 @@ def make_problem(
     path: str = "auto",
     evaluator: str = "direct",
     matrices: np.ndarray | None = None,
+    pool: Pool | None = None,
 ) -> Problem:
     """The problem of a scene with a grid.
 
     Args:
         device, path: see :class:`PlateSolver`; evaluator: see :class:`Problem`.
         matrices: see ``Problem.matrices``, where they are known already.
+        pool: see :class:`Problem`.
 
     Raises:
         SceneError: see ``variables_of``, ``with_step``, ``make_judge`` and :class:`PlateSolver`; "response" for what is
@@ -172,12 +183,12 @@ def make_problem(
         raise SceneError(f"evaluator = 'response': {_why_not_quadratic(variables)}; write 'direct'")
     judge = make_judge(scene)
     areas = _areas(scene, judge)
-    plain = PlateSolver(scene, device, path, areas=areas)
+    plain = solver_on(pool, scene, device, path, areas=areas)
     solver, moved = plain, None
     if not variables.only_drives:
-        solver = PlateSolver(scene, device, path, areas=areas, own=own)
+        solver = solver_on(pool, scene, device, path, areas=areas, own=own)
     if judge.needs_displacement:
-        moved = PlateSolver(scene, device, path, areas=areas, own=own, quantity="displacement")
+        moved = solver_on(pool, scene, device, path, areas=areas, own=own, quantity="displacement")
     seconds, node_steps = 0.0, 0
     if matrices is None and variables.quadratic:
         parts = []
@@ -194,8 +205,14 @@ def make_problem(
     known = [] if matrices is None else np.split(matrices, sets)
     responses = [Response(one) for one in known] + [None, None]
     return Problem(
-        variables, judge, plain, solver, moved, responses[0], responses[1], evaluator, path, (seconds, node_steps)
+        variables, judge, plain, solver, moved, responses[0], responses[1], evaluator, path, (seconds, node_steps), pool
     )
+
+
+def lost_by(solvers: Iterable[PlateSolver]) -> Counter[str]:
+    """Plates that these solvers have lost, by what went wrong."""
+    spread = [one for one in solvers if isinstance(one, SpreadSolver)]
+    return sum((one.lost for one in spread), Counter())
 
 
 def _why_not_quadratic(variables: Variables) -> str:

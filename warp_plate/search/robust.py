@@ -8,11 +8,13 @@ their losses can be compared, and a search that goes on from a checkpoint draws 
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 
+from warp_plate.cluster.pool import Pool
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.scene.model import Scene
@@ -20,7 +22,7 @@ from warp_plate.scene.search import Robust
 from warp_plate.search.bounds import Bound
 from warp_plate.search.loss_bound import bound_loss
 from warp_plate.search.panels import Panels, measure_scenarios, solve_directly
-from warp_plate.search.problem import Problem, make_problem
+from warp_plate.search.problem import Problem, lost_by, make_problem
 from warp_plate.search.quadratic import Quadratic
 from warp_plate.search.scenarios import draw_scenarios
 from warp_plate.solve.response import Response
@@ -52,6 +54,11 @@ class RobustProblem(Problem):
     def compile_seconds(self) -> float:
         """Of all solvers."""
         return super().compile_seconds + self.panels.compile_seconds
+
+    @property
+    def lost(self) -> Counter[str]:
+        """Plates without energies because workers failed, by what went wrong."""
+        return super().lost + lost_by(solver for panel in self.panels.each for solver in panel.solvers)
 
     def losses_of(self, designs: Designs) -> np.ndarray:
         """(plates,) what is to be made small; NaN where a plate has no energies on some panel."""
@@ -99,6 +106,7 @@ def problem_of(
     path: str = "auto",
     evaluator: str | None = None,
     matrices: np.ndarray | None = None,
+    pool: Pool | None = None,
 ) -> Problem:
     """The problem of a scene with a grid, robust where it has ``[search.robust]``; for the arguments see
     ``make_problem``.
@@ -109,7 +117,7 @@ def problem_of(
         SceneError: see ``make_problem`` and ``draw_scenarios``.
     """
     robust = scene.search.robust
-    made = make_problem(scene, device, path, evaluator or "direct", matrices)
+    made = make_problem(scene, device, path, evaluator or "direct", matrices, pool)
     if robust is None:
         return made
     chosen = evaluator or ("response" if made.variables.quadratic else "direct")
@@ -118,8 +126,11 @@ def problem_of(
         f"search.particles = {scene.search.particles} with search.robust.scenarios = {robust.scenarios}",
     )
     scenarios = draw_scenarios(made.scene, robust.scenarios, robust.seed)
-    compiled = measure_scenarios if chosen == "response" else solve_directly
-    panels = compiled(scenarios, made.plain.device.alias, path)
+    alias = made.plain.device.alias
+    if chosen == "response":
+        panels = measure_scenarios(scenarios, alias, path)
+    else:
+        panels = solve_directly(scenarios, alias, path, pool)
     own = {one.name: getattr(made, one.name) for one in fields(Problem)}
     return RobustProblem(**{**own, "evaluator": chosen}, panels=panels)
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from warp_plate.cluster.pool import WorkersGone
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.scene.errors import SceneError
 from warp_plate.search.checkpoints import CheckpointFile
@@ -48,10 +50,11 @@ def run_search(
 
     Args:
         begun: the search until now; problem: made from its scene.
-        told: called after each iteration; checkpoints: written when due, and when Ctrl-C ends the search.
+        told: called after each iteration; checkpoints: written when due, and when Ctrl-C ends the search or
+            workers are gone.
 
     Raises:
-        SceneError: the checkpoint does not fit its scene.
+        SceneError: the checkpoint does not fit its scene. WorkersGone: see there.
         KeyboardInterrupt: Ctrl-C came once more while the checkpoint was written.
     """
     if begun.swarm is None:
@@ -60,7 +63,7 @@ def run_search(
     if searcher is None:
         raise SceneError("checkpoint: has the state of a search, and its scene leaves nothing to search")
     started, first_steps = time.perf_counter(), problem.node_steps
-    counted = first_steps  # of an iteration that Ctrl-C cuts short nothing is kept, nor are its steps
+    counted, lost = first_steps, problem.lost  # of an iteration that is cut short nothing is kept, nor are its steps
 
     def save() -> None:
         if checkpoints is None:
@@ -72,12 +75,13 @@ def run_search(
                 swarm=searcher.state(False),
                 seconds={**begun.seconds, "solve": spent},
                 node_steps=begun.node_steps + counted - first_steps,
+                lost=dict(Counter(begun.lost) + lost),
             )
         )
 
     def after(searcher: Method) -> None:
-        nonlocal counted
-        counted = problem.node_steps
+        nonlocal counted, lost
+        counted, lost = problem.node_steps, problem.lost
         if checkpoints is not None and checkpoints.due():
             save()
         if told is not None:
@@ -96,6 +100,9 @@ def run_search(
         except KeyboardInterrupt:
             save()
             return searcher, True
+        except WorkersGone:
+            save()
+            raise
     return searcher, False
 
 

@@ -7,6 +7,7 @@ has regions of its own (uniformity) the next search measures them again.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -27,13 +28,14 @@ from warp_plate.solve.solver import PlateSolver
 @dataclass(frozen=True)
 class Searched:
     """found: of each target that was come to; problem: aimed at the first target; interrupted: whether Ctrl-C ended the
-    last; node_steps, seconds: of all, with those of the checkpoint that it began from."""
+    last; node_steps, seconds, lost: of all, with those of the checkpoint that it began from."""
 
     found: tuple[Found, ...]
     problem: Problem
     interrupted: bool
     node_steps: int
     seconds: Mapping[str, float]
+    lost: Mapping[str, int]
 
 
 def run_searches(
@@ -56,6 +58,7 @@ def run_searches(
         )
         found = (*begun.several, one)
         node_steps = begun.node_steps + problem.node_steps - first_steps
+        lost = dict(Counter(begun.lost) + problem.lost)
         last = interrupted or len(found) == count
         if not last:
             problem = _next(problem, len(found), begun)
@@ -64,7 +67,8 @@ def run_searches(
         spent = begun.seconds.get("solve", 0.0) + time.perf_counter() - started
         seconds = {**begun.seconds, "solve": spent}
         if last:
-            return Searched(found, _aimed(problem, 0) if count > 1 else problem, interrupted, node_steps, seconds)
+            aimed = _aimed(problem, 0) if count > 1 else problem
+            return Searched(found, aimed, interrupted, node_steps, seconds, lost)
         begun = replace(
             begun,
             scene=problem.scene,
@@ -74,6 +78,7 @@ def run_searches(
             several=found,
             seconds=seconds,
             node_steps=node_steps + problem.node_steps,
+            lost=lost,
         )
 
 
@@ -99,7 +104,7 @@ def _next(problem: Problem, index: int, begun: Checkpoint) -> Problem:
         matrices = problem.matrices.reshape(-1, len(regions), *problem.matrices.shape[1:]).copy()
         matrices[:, REGIONS.index("target")] = matrices[:, regions.index(list(regions_of_targets(scene))[index])]
         matrices = matrices.reshape(problem.matrices.shape)
-    return make_problem(scene, problem.plain.device.alias, begun.path, begun.evaluator, matrices)
+    return make_problem(scene, problem.plain.device.alias, begun.path, begun.evaluator, matrices, problem.pool)
 
 
 def _aimed(problem: Problem, index: int) -> Problem:

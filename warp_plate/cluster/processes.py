@@ -1,0 +1,189 @@
+"""Workers on this machine: one process for each device named, each with that device alone, chosen before Warp starts.
+
+Processes are started anew, never forked: a copy of a process that has used CUDA or threads is broken.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from warp_plate.cluster.frames import receive, send
+from warp_plate.cluster.pool import Answer, Task, WorkersGone
+from warp_plate.cluster.recipe import DEVICE
+from warp_plate.scene.errors import SceneError
+from warp_plate.solve.devices import find_device
+
+# Tasks with a worker at a time: the next one is there when one is done.
+DEPTH = 2
+# A worker that ends so often before it could do anything is not started again.
+STARTS = 3
+# Seconds until a worker that was asked to end is made to.
+GRACE = 2.0
+# A new Python finds what this one finds, and nothing in the folder that it happens to run in.
+START = "import sys; sys.path[:] = sys.argv[1:]; from warp_plate.cluster.worker import main; main()"
+
+
+def device_names(text: str) -> list[str]:
+    """The devices of "cuda:0,cuda:1", as Warp names them.
+
+    Raises:
+        SceneError: one is not on this machine.
+    """
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise SceneError(f"--devices {text}: must be devices with commas between, such as cuda:0,cuda:1 or cpu,cpu")
+    try:
+        return [find_device(name).alias for name in names]
+    except SceneError as error:
+        raise SceneError(f"--devices {text}: {error}") from None
+
+
+@dataclass(eq=False)
+class _Worker:
+    device: str
+    process: subprocess.Popen[bytes]
+    tickets: set[int] = field(default_factory=set)
+    ready: bool = False
+
+
+class Processes:
+    """A pool of one process for each device; see ``pool.Pool``."""
+
+    device = "auto"  # each process has but one
+
+    def __init__(self, devices: Sequence[str]) -> None:
+        self.told: Callable[[int, int], object] | None = None
+        self._events: SimpleQueue[tuple[_Worker, dict[str, Any] | None]] = SimpleQueue()
+        self._tickets = 0
+        self._failed_starts: Counter[str] = Counter()
+        self._workers: list[_Worker] = []
+        self._last = ""
+        self.words = f"{len(devices)} process{'es' if len(devices) > 1 else ''} ({', '.join(devices)})"
+        for device in devices:
+            self._start(device)
+
+    @property
+    def processes(self) -> list[int]:
+        """Their numbers."""
+        return [worker.process.pid for worker in self._workers]
+
+    @property
+    def free(self) -> int:
+        """See ``Pool``."""
+        return sum(max(0, DEPTH - len(worker.tickets)) for worker in self._workers)
+
+    @property
+    def idle(self) -> int:
+        """See ``Pool``."""
+        return sum(not worker.tickets and worker.ready for worker in self._workers)
+
+    def submit(self, task: Task) -> int:
+        """See ``Pool``; the worker with the fewest tasks gets it."""
+        self._tickets += 1
+        worker = min(self._workers, key=lambda one: (len(one.tickets), not one.ready))
+        worker.tickets.add(self._tickets)
+        assert worker.process.stdin is not None
+        with suppress(OSError):  # it has ended: whoever listens to it will say so
+            send({"ticket": self._tickets, "name": task.name, "payload": task.payload}, worker.process.stdin)
+        return self._tickets
+
+    def wait(self, seconds: float) -> list[tuple[int, Answer]]:
+        """See ``Pool``."""
+        if not self._workers:
+            raise WorkersGone(f"no worker is left: {STARTS} in a row ended as they started; {self._last}")
+        answers: list[tuple[int, Answer]] = []
+        try:
+            answers += self._hear(*self._events.get(timeout=seconds))
+            while True:
+                answers += self._hear(*self._events.get_nowait())
+        except Empty:
+            return answers
+
+    def abandon(self) -> None:
+        """See ``Pool``: workers that are at work are ended, and others started when there is work again."""
+        for worker in self._workers:
+            if worker.tickets:
+                worker.process.kill()
+
+    def close(self) -> None:
+        """See ``Pool``."""
+        for worker in self._workers:
+            _hang_up(worker)
+        for worker in self._workers:
+            try:
+                worker.process.wait(GRACE)
+            except subprocess.TimeoutExpired:
+                worker.process.kill()
+                worker.process.wait()
+        self._workers = []
+
+    def _start(self, device: str) -> None:
+        environment, own = dict(os.environ), device
+        if device.startswith("cuda"):
+            index = int(device.partition(":")[2] or 0)
+            seen = environment.get("CUDA_VISIBLE_DEVICES")
+            environment["CUDA_VISIBLE_DEVICES"] = seen.split(",")[index] if seen else str(index)
+            own = "cuda:0"
+        else:
+            environment.setdefault("WARP_PLATE_THREADS", "1")
+        environment[DEVICE] = own
+        process = subprocess.Popen(
+            [sys.executable, "-c", START, *sys.path],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=environment,
+            start_new_session=True,  # Ctrl-C is for this process, which then ends its workers
+        )
+        worker = _Worker(device, process)
+        self._workers.append(worker)
+        threading.Thread(target=self._listen, args=(worker,), daemon=True).start()
+
+    def _listen(self, worker: _Worker) -> None:
+        """In a thread of its own: hand on what a worker says, and that it has ended."""
+        stream = worker.process.stdout
+        assert stream is not None
+        with stream:
+            while (message := receive(stream)) is not None:
+                self._events.put((worker, message))
+        worker.process.wait()
+        self._events.put((worker, None))
+
+    def _hear(self, worker: _Worker, message: dict[str, Any] | None) -> list[tuple[int, Answer]]:
+        if message is None:
+            return self._ended(worker)
+        worker.ready = True
+        self._failed_starts[worker.device] = 0
+        if "ready" in message:
+            return []
+        worker.tickets.discard(message["ticket"])
+        return [(message["ticket"], Answer(**message["answer"]))]
+
+    def _ended(self, worker: _Worker) -> list[tuple[int, Answer]]:
+        """Start another in the place of one that has ended; its tasks are lost."""
+        if worker not in self._workers:
+            return []
+        self._workers.remove(worker)
+        _hang_up(worker)
+        how = worker.process.returncode
+        why = f"its worker on {worker.device} ended ({f'signal {-how}' if how < 0 else f'status {how}'})"
+        if not worker.ready:
+            self._failed_starts[worker.device] += 1
+        if self._failed_starts[worker.device] < STARTS:
+            self._start(worker.device)
+        self._last = why
+        return [(ticket, Answer(fault="lost", text=why)) for ticket in sorted(worker.tickets)]
+
+
+def _hang_up(worker: _Worker) -> None:
+    assert worker.process.stdin is not None
+    with suppress(OSError):  # of what it did not read any more
+        worker.process.stdin.close()

@@ -1,0 +1,102 @@
+"""Tasks over a pool until each is done once: again elsewhere where a worker ended, smaller where memory was short, and
+twice where one worker is much slower than the others."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from warp_plate.cluster.pool import Answer, Pool, Task
+
+# So many workers may end under a task before it is to blame itself.
+ATTEMPTS = 3
+# Where workers are idle, a task is given to a second one after so many times what tasks usually take, and not before
+# so many seconds: a host that slows to a tenth holds the others no longer than that and one task more.
+SLOW, LEAST_SECONDS = 3.0, 0.2
+# Seconds between looks at the clock where nothing comes.
+LOOK = 0.05
+
+Halves = Callable[[Task], list[Task]]
+Again = Callable[[Task, Mapping[str, Any]], Task | None]
+
+
+@dataclass
+class _Flight:
+    task: Task
+    since: float
+    second: bool = False
+
+
+def spread(
+    pool: Pool, tasks: Iterable[Task], halves: Halves | None = None, again: Again | None = None
+) -> Iterator[tuple[Task, Answer]]:
+    """Each task with its answer, in the order in which they are done; of a task done twice the first answer counts.
+
+    Args:
+        halves: makes of a task for which memory was short two smaller ones that stand for it, or none where it cannot
+            be cut any more; left out: such a task is tried elsewhere.
+        again: called with a task and its value; a task that it returns is done in its place.
+
+    An answer whose fault is "lost" or "memory" comes after all attempts; one that is "wrong" at once. Whoever leaves
+    the loop early, by Ctrl-C too, ends what is under way.
+
+    Raises:
+        WorkersGone: see there.
+    """
+    waiting, running, taken = deque(tasks), dict[int, _Flight](), list[float]()
+    done = 0
+    try:
+        while waiting or running:
+            while waiting and pool.free > 0:
+                task = waiting.popleft()
+                running[pool.submit(task)] = _Flight(task, time.monotonic())
+            _second(pool, running, taken, len(waiting))
+            for ticket, answer in pool.wait(LOOK):
+                flight = running.pop(ticket, None)
+                if flight is None:  # another worker was quicker
+                    continue
+                others = [number for number, other in running.items() if other.task is flight.task]
+                if answer.fault in ("lost", "memory") and others:
+                    continue
+                for number in others:
+                    del running[number]
+                instead = _instead(flight.task, answer, halves, again)
+                if instead:
+                    waiting.extendleft(instead)
+                    continue
+                taken.append(time.monotonic() - flight.since)
+                done += 1
+                if pool.told is not None:
+                    pool.told(done, done + len(waiting) + len({id(other.task) for other in running.values()}))
+                yield flight.task, answer
+    finally:
+        if running:
+            pool.abandon()
+
+
+def _second(pool: Pool, running: dict[int, _Flight], taken: list[float], waiting: int) -> None:
+    """Give tasks that take long to idle workers too."""
+    if waiting or not taken or pool.idle == 0:
+        return
+    late = time.monotonic() - max(LEAST_SECONDS, SLOW * statistics.median(taken))
+    slow = [one for one in running.values() if not one.second and one.since < late]
+    for flight in slow[: pool.idle]:
+        flight.second = True
+        running[pool.submit(flight.task)] = _Flight(flight.task, time.monotonic(), second=True)
+
+
+def _instead(task: Task, answer: Answer, halves: Halves | None, again: Again | None) -> list[Task]:
+    """What is to be done in place of a task that came to this answer; nothing where the answer counts."""
+    if answer.fault == "" and again is not None:
+        repeated = again(task, answer.value)
+        return [] if repeated is None else [repeated]
+    if answer.fault == "memory" and halves is not None:
+        return halves(task)
+    if answer.fault in ("lost", "memory") and not answer.final:
+        task.attempts += 1
+        return [task] if task.attempts < ATTEMPTS else []
+    return []
