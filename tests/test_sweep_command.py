@@ -13,7 +13,7 @@ from warp_plate.result.sweep import REFUSED, save_sweep
 from warp_plate.result.whole import check_seal
 from warp_plate.scene.load import dump_scene
 from warp_plate.scene.vary import make_plan, parse_vary
-from warp_plate.search import sweep as module
+from warp_plate.search import sweep_point as module
 from warp_plate.search.figures import FIGURES
 from warp_plate.search.sweep import begin_sweep
 from warp_plate.viz.sweep_plot import draw_sweep, edges_of

@@ -12,11 +12,13 @@ import cyclopts
 from warp_plate.cli import output
 from warp_plate.cli.options import Whole
 from warp_plate.cli.resume import differences, refuse_changes
+from warp_plate.cli.workers import first_device, workers
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from warp_plate.cluster.pool import Pool
     from warp_plate.result.sweep import Sweep
     from warp_plate.scene.model import Scene
     from warp_plate.scene.vary import Plan
@@ -38,6 +40,8 @@ def sweep(
     seed: Whole = 0,
     count: Whole | None = None,
     device: str | None = None,
+    devices: str | None = None,
+    cluster: str | None = None,
     path: Literal["auto", "resident", "streaming"] | None = None,
     checkpoint_every: float = 30.0,
     resume: Path | None = None,
@@ -75,6 +79,12 @@ def sweep(
     device
         cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one. auto when left out, for a sweep that goes
         on the kind that it began on.
+    devices
+        Several devices of this machine, such as cuda:0,cuda:1, or cpu,cpu for two single-threaded processes: the points
+        are shared among them, a process each. Figures are the same to the last bit. See docs/scaling.md.
+    cluster
+        Workers of Dask distributed that share the points instead (needs the extra cluster): local:4 starts four on this
+        machine, tcp://HOST:PORT or a scheduler's JSON file names a scheduler that runs.
     path
         How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch). auto,
         the faster one, when left out.
@@ -100,14 +110,16 @@ def sweep(
 
     loaded = None if scene is None else Scene.load(scene)
     given: dict[str, object] = {"what": what, "count": count, "path": path}
-    begun = _begun(resume, target, loaded, scene, vary, samples, seed, given, device)
+    on = first_device(devices, device)
+    begun = _begun(resume, target, loaded, scene, vary, samples, seed, given, on)
     if begun is None:
         assert loaded is not None
         plan = make_plan([parse_vary(loaded, one) for one in vary or ()], samples, seed)
         modes = MODES if count is None else count
-        begun = begin_sweep(loaded, plan, what or "localize", device or "auto", path or "auto", scene or "", modes)
+        begun = begin_sweep(loaded, plan, what or "localize", on or "auto", path or "auto", scene or "", modes)
     kept = SweepFile(target, checkpoint_every, output.tell)
-    result = _run(begun, kept, shown=not json)
+    with workers(devices, cluster, device) as pool:
+        result = _run(begun, kept, pool, shown=not json)
     files, missing = _write(result, target, pictures)
     if json:
         output.print_json(as_json(result, files))
@@ -175,18 +187,21 @@ def _points(plan: Plan) -> str:
     return f"{len(plan)} {'samples' if plan.sampled else 'points'}, {ranges}"
 
 
-def _run(begun: Sweep, kept: SweepFile, shown: bool) -> Sweep:
-    """The sweep with its progress; Ctrl-C says how to go on."""
+def _run(begun: Sweep, kept: SweepFile, pool: Pool | None, shown: bool) -> Sweep:
+    """The sweep with its progress; Ctrl-C and workers that are gone say how to go on."""
+    from warp_plate.cluster.pool import WorkersGone
     from warp_plate.search.sweep import run_sweep
 
-    with output.progress_bar("sweeping", shown) as show:
-        try:
-            return run_sweep(begun, show, kept)
-        except KeyboardInterrupt:
-            if kept.saved is None:
-                raise
-            way = f"go on with: warp-plate sweep --resume {shlex.quote(str(kept.path))}"
-            raise KeyboardInterrupt(f" after {kept.saved.progress}; {way}") from None
+    try:
+        with output.progress_bar("sweeping", shown) as show:
+            return run_sweep(begun, show, kept, pool)
+    except (KeyboardInterrupt, WorkersGone) as reason:
+        if kept.saved is None:
+            raise
+        way = f"go on with: warp-plate sweep --resume {shlex.quote(str(kept.path))}"
+        if isinstance(reason, WorkersGone):
+            raise SceneError(f"{reason}; {kept.saved.progress} are done; {way}") from None
+        raise KeyboardInterrupt(f" after {kept.saved.progress}; {way}") from None
 
 
 def _write(result: Sweep, path: Path, pictures: bool) -> tuple[list[Path], str | None]:

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
+from warp_plate.cluster.pool import Pool
 from warp_plate.plate.files import digests
 from warp_plate.result.sweep import REFUSED, RUN, Sweep
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import words_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import Plan, make_plan, parse_vary
-from warp_plate.search.figures import FIGURES, Options, Values
+from warp_plate.search.figures import FIGURES
 from warp_plate.search.interrupts import interrupts_held
 from warp_plate.search.localize import versions
+from warp_plate.search.sweep_point import Found, run_here, run_there
 from warp_plate.solve.devices import find_device, processor_of
 
 # Told after each point: points done, in all, and what was found or refused, in a word.
@@ -25,18 +26,6 @@ Told = Callable[[int, int, str], object]
 # Takes what there is so far; whether the sweep is at its end or was interrupted.
 Keep = Callable[[Sweep, bool], object]
 MOST_MODES = 1000
-
-
-class Found(NamedTuple):
-    """What became of a point: its figures, or why it was refused."""
-
-    point: int
-    values: Values | None
-    reason: str
-
-
-# Runs points of a sweep, anywhere and in any order.
-Runner = Callable[[Sweep, Sequence[int]], Iterable[Found]]
 
 
 def sweep(
@@ -50,6 +39,7 @@ def sweep(
     source: str = "",
     count: int = 6,
     told: Told | None = None,
+    pool: Pool | None = None,
 ) -> Sweep:
     """The figures of a command at every point of what is varied.
 
@@ -63,6 +53,7 @@ def sweep(
         samples, seed: draw so many points from a Latin hypercube instead of the full grid.
         device, path: see :class:`PlateSolver`.
         told: called after each point.
+        pool: whose workers run the points, see ``cluster.pool``; left out: this process.
 
     A point whose scene is refused is NaN in all outputs, and its reason is kept.
 
@@ -70,7 +61,7 @@ def sweep(
         SceneError: ``--vary`` or ``what`` is wrong; or all points are refused.
     """
     plan = vary if isinstance(vary, Plan) else make_plan([parse_vary(scene, one) for one in vary], samples, seed)
-    return run_sweep(begin_sweep(scene, plan, what, device, path, source, count), told)
+    return run_sweep(begin_sweep(scene, plan, what, device, path, source, count), told, None, pool)
 
 
 def begin_sweep(
@@ -105,16 +96,16 @@ def begin_sweep(
     )
 
 
-def run_sweep(begun: Sweep, told: Told | None = None, keep: Keep | None = None, runner: Runner | None = None) -> Sweep:
+def run_sweep(begun: Sweep, told: Told | None = None, keep: Keep | None = None, pool: Pool | None = None) -> Sweep:
     """Run the points that are left. What is found at a point depends on nothing but its scene and the kind of device,
     so that a sweep that goes on, or whose points are run elsewhere, gives the same to the last bit.
 
     Args:
         told: called after each point; keep: after each point too, and with True where Ctrl-C or an error ends the run.
-        runner: what runs the points; left out: one after the other here.
+        pool: see :func:`sweep`.
 
     Raises:
-        SceneError: all points are refused; the first one's reason.
+        SceneError: all points are refused; the first one's reason. WorkersGone: see there, after ``keep`` was called.
         KeyboardInterrupt: Ctrl-C, after ``keep`` was called.
     """
     values = {name: one.copy() for name, one in begun.values.items()}
@@ -126,7 +117,7 @@ def run_sweep(begun: Sweep, told: Told | None = None, keep: Keep | None = None, 
 
     total, left = len(begun.plan), begun.left.tolist()
     with interrupts_held() as let_through:
-        points = iter((runner or run_here)(begun, left))
+        points = run_here(begun, left) if pool is None else run_there(begun, left, pool)
         try:
             for done in range(total - len(left) + 1, total + 1):
                 with let_through():
@@ -148,23 +139,6 @@ def run_sweep(begun: Sweep, told: Told | None = None, keep: Keep | None = None, 
     if (status == REFUSED).all():
         raise SceneError(all_refused(now()))
     return now()
-
-
-def run_here(begun: Sweep, points: Sequence[int]) -> Iterator[Found]:
-    """One point after the other. Points whose kernels have the same compile key share them."""
-    options = Options(begun.device, begun.path, begun.count)
-    for point in points:
-        yield run_point(begun.scene, begun.plan.numbers(point), begun.what, options, point)
-
-
-def run_point(scene: Scene, numbers: dict[str, float], what: str, options: Options, point: int) -> Found:
-    """The figures of a scene with other numbers."""
-    from warp_plate.scene.keys import with_numbers
-
-    try:
-        return Found(point, FIGURES[what].of(with_numbers(scene, numbers), options), "")
-    except SceneError as error:
-        return Found(point, None, str(error))
 
 
 def all_refused(found: Sweep) -> str:
