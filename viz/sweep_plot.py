@@ -249,6 +249,8 @@ def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int]
         levels = levels[(levels > inside.min()) & (levels < inside.max())]
     else:
         levels = np.empty(0)
+        if inside.size > 1 and np.ptp(inside) <= 1e-6 * np.abs(inside).max():
+            axes.text(0.5, 0.5, f"{inside[0]:.4g} everywhere", transform=axes.transAxes, ha="center", color="white")
     if levels.size:
         lines = axes.contour(x, y, field.T, levels=levels, colors="white", linewidths=0.7)
         axes.clabel(lines, fontsize=6, fmt="%.3g")
