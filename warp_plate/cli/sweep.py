@@ -116,7 +116,9 @@ def sweep(
         assert loaded is not None
         plan = make_plan([parse_vary(loaded, one) for one in vary or ()], samples, seed)
         modes = MODES if count is None else count
-        begun = begin_sweep(loaded, plan, what or "localize", on or "auto", path or "auto", scene or "", modes)
+        begun = begin_sweep(
+            loaded, plan, what or "localize", "auto" if on is None else on, path or "auto", scene or "", modes
+        )
     kept = SweepFile(target, checkpoint_every, output.tell)
     with workers(devices, cluster, device) as pool:
         result = _run(begun, kept, pool, shown=not json)

@@ -158,9 +158,11 @@ def make_plan(varied: Sequence[Varied], samples: int | None = None, seed: int = 
     if samples is not None:
         if not 1 <= samples <= MOST_POINTS:
             raise SceneError(f"--samples {samples}: must be from 1 to {MOST_POINTS}")
+        if not 0 <= seed < 2**63:
+            raise SceneError(f"--seed {seed}: must be a whole number from 0 to 2^63 - 1")
         from scipy.stats import qmc  # takes a second to import
 
-        shares = qmc.LatinHypercube(len(keys), rng=np.random.default_rng(seed)).random(samples)
+        shares = qmc.LatinHypercube(len(keys), seed=np.random.default_rng(seed)).random(samples)
         return Plan(keys, tuple(one.drawn(row) for one, row in zip(varied, shares.T, strict=True)), logarithmic, True)
     points = math.prod(one.count or 1 for one in varied)
     if points > MOST_POINTS:

@@ -74,5 +74,5 @@ def continued(begun: Sweep, device: str | None = None) -> Sweep:
     for key, digest in digests(begun.scene).items():
         if begun.files.get(key) != digest:
             raise SceneError(f"{key}: the file holds something else than when the sweep began")
-    found = find_device(device or same_device(begun.device, begun.processor, "sweep"))
+    found = find_device(same_device(begun.device, begun.processor, "sweep") if device is None else device)
     return replace(begun, device=found.alias, processor=processor_of(found), versions=with_earlier(begun.versions))
