@@ -9,13 +9,16 @@ import pytest
 
 from warp_plate import Scene, SceneError, load_sweep
 from warp_plate.cli.main import main
+from warp_plate.cluster.pool import WorkersGone
 from warp_plate.result.sweep import REFUSED, save_sweep
 from warp_plate.result.whole import check_seal
 from warp_plate.scene.load import dump_scene
 from warp_plate.scene.vary import make_plan, parse_vary
+from warp_plate.search import sweep as sweeps
 from warp_plate.search import sweep_point as module
 from warp_plate.search.figures import FIGURES
 from warp_plate.search.sweep import begin_sweep
+from warp_plate.search.sweep_point import run_here
 from warp_plate.viz.sweep_plot import draw_sweep, edges_of
 
 NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
@@ -167,6 +170,21 @@ def test_ctrl_c_leaves_a_file_and_says_how_to_go_on(panel, command, monkeypatch)
         assert "9 of 9 points are done; nothing is left" in err
         assert command(*arguments)[0] == 130
     assert load_sweep("panel-sweep.h5").finished  # a Ctrl-C before the first point leaves what was there
+
+
+def test_workers_that_are_gone_leave_a_file_too(panel, command, monkeypatch):
+    def two_points(begun, left, pool):
+        yield from run_here(begun, left[:2])
+        raise WorkersGone("no worker is left")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sweeps, "run_there", two_points)
+        status, out, err = command("panel.toml", *TWO, "--what", "check", "--devices", "cpu", "--no-pictures")
+    assert (status, out) == (2, "")
+    assert "no worker is left; 2 of 9 points are done; go on with: warp-plate sweep --resume panel-sweep.h5" in err
+    status, out, _ = command("--resume", "panel-sweep.h5", "--devices", "cpu", "--no-pictures", "--json")
+    assert status == 0
+    assert np.isfinite(np.array(json.loads(out)["outputs"]["limit"][:2], dtype=float)).all()
 
 
 def test_what_is_given_beside_an_unfinished_file_must_be_the_same(panel, command, monkeypatch, scene):
