@@ -10,6 +10,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,7 @@ def open_dask(where: str, device: str, tell: Callable[[str], object]) -> Dask:
         import distributed
     except ImportError:
         raise SceneError(f"--cluster {where}: Dask is not installed: pip install 'warp-plate[cluster]'") from None
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what it says is said here in one line
     cluster = None
     head, _, count = where.partition(":")
     if head == "local" and not (count.isdecimal() and int(count) >= 1):
@@ -51,7 +53,7 @@ def open_dask(where: str, device: str, tell: Callable[[str], object]) -> Dask:
             client = distributed.Client(scheduler_file=where, timeout=ANSWERS)
         else:
             raise SceneError(f"--cluster {where}: no such file; must be local:4, tcp://HOST:PORT or a scheduler's file")
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, distributed.TimeoutError) as error:
         if isinstance(error, SceneError):
             raise
         line = str(error).partition("\n")[0] or type(error).__name__
@@ -71,6 +73,7 @@ class Dask:
         self._client, self._cluster, self._where = client, cluster, where
         self._events: SimpleQueue[tuple[int, Future]] = SimpleQueue()
         self._running: dict[int, Future] = {}
+        self._late: dict[int, Future] = {}
         self._tickets = 0
         self._slots = self._most = 0
         self._looked, self._seen = 0.0, time.monotonic()
@@ -94,8 +97,8 @@ class Dask:
 
     @property
     def idle(self) -> int:
-        """See ``Pool``."""
-        return max(0, self._slots - len(self._running))
+        """See ``Pool``; which worker has which task is the scheduler's affair, so that of several one may be idle."""
+        return max(self._slots - len(self._running), int(self._slots > 1))
 
     def submit(self, task: Task) -> int:
         """See ``Pool``; the scheduler chooses the worker."""
@@ -117,9 +120,13 @@ class Dask:
             self._look()
         return answers
 
+    def forget(self, ticket: int) -> None:
+        """See ``Pool``: the scheduler still holds its worker for busy, as it is."""
+        self._late[ticket] = self._running.pop(ticket)
+
     def abandon(self) -> None:
-        """See ``Pool``: what waits is taken back; what a worker is at, it ends."""
-        self._client.cancel(list(self._running.values()), force=True)
+        """See ``Pool``: nobody wants these futures any more, so that the scheduler drops what waits; what a worker is
+        at, it ends."""
         self._running.clear()
 
     def close(self) -> None:
@@ -130,6 +137,7 @@ class Dask:
 
     def _hear(self, ticket: int, future: Future) -> tuple[int, Answer]:
         self._running.pop(ticket, None)
+        self._late.pop(ticket, None)
         if future.status == "finished":
             return ticket, Answer(**future.result())
         if future.status == "error":
@@ -140,20 +148,21 @@ class Dask:
         """Count the workers' threads, now and then.
 
         Raises:
-            WorkersGone: no scheduler for ANSWERS seconds, or no worker for JOINS.
+            WorkersGone: no scheduler for some ANSWERS seconds, or no worker for JOINS.
         """
+        from distributed import TimeoutError  # of Python 3.10 another one
+
         now = time.monotonic()
         if now - self._looked < LOOK and self._slots:
             return
-        since = now
-        while self._client.status != "running":
-            if self._client.status != "connecting" or time.monotonic() - since > ANSWERS:
+        while True:
+            with suppress(OSError, TimeoutError):
+                if self._client.status == "running":
+                    self._slots = sum(self._client.nthreads().values())
+                    break
+            if self._client.status == "closed" or time.monotonic() - now > 2 * ANSWERS:
                 raise WorkersGone(f"--cluster {self._where}: the scheduler is gone")
             time.sleep(0.1)
-        try:
-            self._slots = sum(self._client.nthreads().values())
-        except OSError:
-            raise WorkersGone(f"--cluster {self._where}: the scheduler is gone") from None
         self._looked, self._most = time.monotonic(), max(self._most, self._slots)
         if self._slots:
             self._seen = self._looked

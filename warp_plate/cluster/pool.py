@@ -85,6 +85,9 @@ class Pool(Protocol):
             WorkersGone: see there.
         """
 
+    def forget(self, ticket: int) -> None:
+        """The answer to this ticket is not wanted any more; another worker gave it."""
+
     def abandon(self) -> None:
         """Give up all tasks that are under way, as soon as that can be done."""
 
@@ -121,6 +124,9 @@ class Here:
             return []
         ticket, task = self._tasks.popleft()
         return [(ticket, Answer(**perform(task.name, task.payload)))]
+
+    def forget(self, ticket: int) -> None:
+        """See :class:`Pool`."""
 
     def abandon(self) -> None:
         """See :class:`Pool`."""

@@ -108,6 +108,9 @@ class Processes:
         except Empty:
             return answers
 
+    def forget(self, ticket: int) -> None:
+        """See ``Pool``: whoever is at it has no time for another task until it is done."""
+
     def abandon(self) -> None:
         """See ``Pool``: workers that are at work are ended, and others started when there is work again."""
         for worker in self._workers:

@@ -64,6 +64,7 @@ def spread(
                     continue
                 for number in others:
                     del running[number]
+                    pool.forget(number)
                 instead = _instead(flight.task, answer, halves, again)
                 if instead:
                     waiting.extendleft(instead)
