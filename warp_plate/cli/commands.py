@@ -20,6 +20,7 @@ from warp_plate.cli.modes import modes
 from warp_plate.cli.output import tell
 from warp_plate.cli.render import render
 from warp_plate.cli.simulate import simulate
+from warp_plate.cli.sweep import sweep
 from warp_plate.cli.view import view
 from warp_plate.scene.errors import SceneError
 
@@ -31,7 +32,7 @@ app = cyclopts.App(
     suppress_keyboard_interrupt=False,
 )
 COMMANDS = (
-    localize, compare, simulate, check, modes, effects, accuracy, view, explore, render, export, init, bench,
+    localize, compare, sweep, simulate, check, modes, effects, accuracy, view, explore, render, export, init, bench,
 )  # fmt: skip
 for command in COMMANDS:
     app.command(command)
