@@ -10,6 +10,7 @@ import cyclopts
 
 from warp_plate.cli import output
 from warp_plate.cli.crosstalk import crosstalk_json, crosstalk_table
+from warp_plate.cli.objectives_table import print_objectives
 from warp_plate.cli.options import Whole
 from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
 from warp_plate.cli.resume import read_checkpoint, result_beside, way_on
@@ -220,6 +221,7 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
         "seconds": dict(result.seconds),
         "effects": list(result.effects),
         "history": [dict(zip(history, row, strict=True)) for row in zip(*history.values(), strict=True)],
+        "objectives": dict(result.values) or None,
         "robust": robust_json(result.robust),
         "spectrum": {name: values.tolist() for name, values in result.spectrum.items()},
         "crosstalk": crosstalk_json(result),
@@ -247,6 +249,7 @@ def _print(result: Result, console: Console) -> None:
         made.add_row(*row, *([f"{published[name]:.4f}" if name in published else ""] if published else []))
     console.print(made)
     console.print()
+    print_objectives(result, console)
     print_robust(result, console)
     console.print(output.drive_table(result.cases["best"], result.scene))
     console.print()
