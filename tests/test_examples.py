@@ -39,7 +39,8 @@ def test_example_and_its_command_stand_in_a_page(path):
     pages = "\n".join(page.read_text(encoding="utf-8") for page in DOCS.glob("*.md"))
     assert f"examples/{path.name}" in pages
     command = re.search(r"#\s+warp-plate localize .*docs/examples/(\S+)\n", path.read_text(encoding="utf-8"))
-    assert command and command[1] == path.name
+    assert command is not None
+    assert command[1] == path.name
 
 
 def test_together_they_show_all_variables_objectives_limits_shapes_and_methods():

@@ -64,7 +64,9 @@ def localize(
     those that the scene gives, which otherwise are for simulate.
 
     A scene says by [search.magnitude], [search.phase], [search.frequency], [search.position] and [search.delay] what
-    else, and what not, is searched, by [search.limits] what the amplifier can do: see docs/searching.md. The scene that
+    else, and what not, is searched, by [search.limits] what the amplifier can do (docs/searching.md), by method under
+    [search] how (docs/methods.md), and by [[search.objectives]] for what (docs/objectives.md). With [[targets]] a drive
+    is searched for each, and the crosstalk between them is shown. The scene that
     is found is written beside the result as OUT.best.toml, which simulate runs.
 
     With [search.robust] the drive is judged by many panels drawn within tolerances, and compared over fresh ones with
@@ -83,7 +85,7 @@ def localize(
         cpu, cuda, cuda:1, ... or auto, which takes a CUDA device where there is one; auto when left out, with --resume
         the kind that the search began on. Another kind rounds in another way: the result may differ.
     seed
-        Of the swarm; the scene's when left out.
+        Of the search; the scene's when left out.
     evaluator
         direct simulates a plate for each particle; response uses Gram matrices of unit responses instead. direct when
         left out, of a robust search response where it holds.

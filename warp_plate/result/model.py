@@ -94,8 +94,8 @@ class Result:
     bound: largest localization factor that any drive can reach; None where none is claimed.
     history: for each iteration of the search, arrays "evaluations", "best", "mean": localization factors, or weighted
         sums of what else is sought.
-    values: where more than the localization factor is sought, what the best drive is worth: by the objectives' kinds, of
-        velocity and displacement also that "of the rest"; their weighted "sum", and its "bound" where one is known.
+    values: where more than the localization factor is sought, what the best drive is worth: by the objectives' kinds,
+        of velocity and displacement also that "of the rest"; their weighted "sum", and its "bound" where one is known.
     seconds: "compile" and "solve", and "choose" and "estimate" where these were done.
     accuracy: what is known of the result's errors, of numbers and texts only: "asked" and "reason" where the scene
         asked for an accuracy instead of a grid, "estimate" of the localization factors.

@@ -108,8 +108,8 @@ class Problem:
         return 1 - loss if self.only_localization else -loss
 
     def values_at(self, position: np.ndarray) -> dict[str, float]:
-        """What a position (dimension,) is worth: ``Judge.values``, "sum" of them with their weights, and "bound" of that
-        sum where one is known. Nothing where the localization factor is all that is sought: a result has it anyway."""
+        """What a position (dimension,) is worth: ``Judge.values``, their "sum" with their weights, and the "bound" of
+        that sum where one is known. Nothing where the localization factor is all that is sought: a result has it."""
         if self.only_localization:
             return {}
         designs = self.variables.designs(position[None])
