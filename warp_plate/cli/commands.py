@@ -28,7 +28,7 @@ app = cyclopts.App(
     name="warp-plate",
     help="Simulate thin vibrating panels, thousands at once, and find the drive that moves only the chosen part.",
     version=warp_plate.__version__,
-    help_format="plaintext",
+    help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
 COMMANDS = (

@@ -10,6 +10,7 @@ import cyclopts
 
 from warp_plate.cli import output
 from warp_plate.cli.crosstalk import crosstalk_json, crosstalk_table
+from warp_plate.cli.objectives_table import print_objectives
 from warp_plate.cli.options import Whole
 from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
 from warp_plate.cli.resume import read_checkpoint, result_beside, way_on
@@ -68,7 +69,9 @@ def localize(
     those that the scene gives, which otherwise are for simulate.
 
     A scene says by [search.magnitude], [search.phase], [search.frequency], [search.position] and [search.delay] what
-    else, and what not, is searched, by [search.limits] what the amplifier can do: see docs/searching.md. The scene that
+    else, and what not, is searched, by [search.limits] what the amplifier can do (docs/searching.md), by method under
+    [search] how (docs/methods.md), and by [[search.objectives]] for what (docs/objectives.md). With [[targets]] a drive
+    is searched for each, and the crosstalk between them is shown. The scene that
     is found is written beside the result as OUT.best.toml, which simulate runs.
 
     With [search.robust] the drive is judged by many panels drawn within tolerances, and compared over fresh ones with
@@ -93,7 +96,7 @@ def localize(
         Workers of Dask distributed that share the plates instead (needs the extra cluster): local:4 starts four on this
         machine, tcp://HOST:PORT or a scheduler's JSON file names a scheduler that runs.
     seed
-        Of the swarm; the scene's when left out.
+        Of the search; the scene's when left out.
     evaluator
         direct simulates a plate for each particle; response uses Gram matrices of unit responses instead. direct when
         left out, of a robust search response where it holds.
@@ -243,6 +246,7 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
         "seconds": dict(result.seconds),
         "effects": list(result.effects),
         "history": [dict(zip(history, row, strict=True)) for row in zip(*history.values(), strict=True)],
+        "objectives": dict(result.values) or None,
         "robust": robust_json(result.robust),
         "spectrum": {name: values.tolist() for name, values in result.spectrum.items()},
         "crosstalk": crosstalk_json(result),
@@ -271,6 +275,7 @@ def _print(result: Result, console: Console) -> None:
         made.add_row(*row, *([f"{published[name]:.4f}" if name in published else ""] if published else []))
     console.print(made)
     console.print()
+    print_objectives(result, console)
     print_robust(result, console)
     console.print(output.drive_table(result.cases["best"], result.scene))
     console.print()

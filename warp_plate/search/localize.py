@@ -206,6 +206,7 @@ def _finish(
         seconds=seconds,
         bound=first.bound,
         history=first.history,
+        values=first.values,
         evaluator=begun.evaluator,
         interrupted=searched.interrupted,
         versions=begun.versions,

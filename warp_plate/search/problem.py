@@ -106,12 +106,7 @@ class Problem:
 
     def losses_of(self, designs: Batch) -> np.ndarray:
         """(plates,) what is to be made small; NaN where a plate has no energies."""
-        displaced = None
-        if self.evaluator == "response" and self.moved_response is not None:
-            displaced = self.moved_response.energy(designs[:].drives)
-        elif self.moved is not None:
-            displaced = self.moved.run(designs).energy
-        return self.judge.losses(self.energies(designs), displaced)
+        return self.judge.losses(self.energies(designs), self._displaced(designs))
 
     def losses(self, positions: np.ndarray) -> np.ndarray:
         """(n,) the same of positions (n, dimension)."""
@@ -120,6 +115,18 @@ class Problem:
     def value_of(self, loss: float | np.ndarray) -> float | np.ndarray:
         """What people want large: LF, or the weighted sum of the objectives."""
         return 1 - loss if self.only_localization else -loss
+
+    def values_at(self, position: np.ndarray) -> dict[str, float]:
+        """What a position (dimension,) is worth: ``Judge.values``, their "sum" with their weights, and the "bound" of
+        that sum where one is known. Nothing where the localization factor is all that is sought: a result has it."""
+        if self.only_localization:
+            return {}
+        designs = self.variables.designs(position[None])
+        values = self.judge.values(self.energies(designs), self._displaced(designs))
+        found = {name: float(value[0]) for name, value in values.items()}
+        found["sum"] = sum(one.weight * found[one.kind] for one in self.judge.objectives)
+        bound = self.bound_of_loss
+        return found if bound is None else {**found, "bound": -bound.value}
 
     @cached_property
     def quadratic(self) -> Quadratic | None:
@@ -152,6 +159,12 @@ class Problem:
             return None
         limited = frees(self.scene) or self.scene.search.limits != Limits()
         return 1 - self.bound_of_loss.value if limited else self.response.bound()
+
+    def _displaced(self, designs: Batch) -> np.ndarray | None:
+        """(plates, regions) energies of displacements, where these are judged."""
+        if self.evaluator == "response" and self.moved_response is not None:
+            return self.moved_response.energy(designs[:].drives)
+        return None if self.moved is None else self.moved.run(designs).energy
 
     @property
     def _solvers(self) -> set[PlateSolver]:

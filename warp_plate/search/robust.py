@@ -64,6 +64,10 @@ class RobustProblem(Problem):
         """(plates,) what is to be made small; NaN where a plate has no energies on some panel."""
         return measured(self.panels.losses(designs[:]), self.robust)
 
+    def values_at(self, position: np.ndarray) -> dict[str, float]:
+        """Of the plate without scatter."""
+        return self.nominal.values_at(position)
+
     @cached_property
     def quadratic(self) -> Quadratic | None:
         """For methods that need no plates; None where these are simulated."""
