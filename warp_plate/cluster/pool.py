@@ -18,8 +18,9 @@ from warp_plate.scene.errors import SceneError
 
 Payload = Mapping[str, Any]
 Function = Callable[[Payload], Mapping[str, Any]]
-# "lost": the worker ended; "memory": the worker had too little; "wrong": the task is bad input, everywhere the same.
-Fault = Literal["", "lost", "memory", "wrong"]
+# "lost": the worker ended under the task, "waiting": before it came to it; "memory": the worker had too little; "wrong":
+# the task is bad input, everywhere the same.
+Fault = Literal["", "lost", "waiting", "memory", "wrong"]
 
 
 class WorkersGone(SceneError):

@@ -49,9 +49,11 @@ def device_names(text: str) -> list[str]:
 
 @dataclass(eq=False)
 class _Worker:
+    """tickets: of the task that it is at, and then of those that wait with it."""
+
     device: str
     process: subprocess.Popen[bytes]
-    tickets: set[int] = field(default_factory=set)
+    tickets: list[int] = field(default_factory=list)
     ready: bool = False
 
 
@@ -79,7 +81,7 @@ class Processes:
     @property
     def free(self) -> int:
         """See ``Pool``."""
-        return sum(max(0, DEPTH - len(worker.tickets)) for worker in self._workers)
+        return sum(max(0, DEPTH - len(worker.tickets)) for worker in self._workers if worker.ready)
 
     @property
     def idle(self) -> int:
@@ -87,10 +89,10 @@ class Processes:
         return sum(not worker.tickets and worker.ready for worker in self._workers)
 
     def submit(self, task: Task) -> int:
-        """See ``Pool``; the worker with the fewest tasks gets it."""
+        """See ``Pool``; of the workers that have started, the one with the fewest tasks gets it."""
         self._tickets += 1
-        worker = min(self._workers, key=lambda one: (len(one.tickets), not one.ready))
-        worker.tickets.add(self._tickets)
+        worker = min((one for one in self._workers if one.ready), key=lambda one: len(one.tickets))
+        worker.tickets.append(self._tickets)
         assert worker.process.stdin is not None
         with suppress(OSError):  # it has ended: whoever listens to it will say so
             send({"ticket": self._tickets, "name": task.name, "payload": task.payload}, worker.process.stdin)
@@ -167,7 +169,7 @@ class Processes:
         self._failed_starts[worker.device] = 0
         if "ready" in message:
             return []
-        worker.tickets.discard(message["ticket"])
+        worker.tickets.remove(message["ticket"])
         return [(message["ticket"], Answer(**message["answer"]))]
 
     def _ended(self, worker: _Worker) -> list[tuple[int, Answer]]:
@@ -183,7 +185,11 @@ class Processes:
         if self._failed_starts[worker.device] < STARTS:
             self._start(worker.device)
         self._last = why
-        return [(ticket, Answer(fault="lost", text=why)) for ticket in sorted(worker.tickets)]
+        under, waiting = worker.tickets[:1], worker.tickets[1:]
+        return [
+            *((ticket, Answer(fault="lost", text=why)) for ticket in under),
+            *((ticket, Answer(fault="waiting", text=why)) for ticket in waiting),
+        ]
 
 
 def _hang_up(worker: _Worker) -> None:

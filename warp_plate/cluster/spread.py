@@ -15,8 +15,9 @@ from warp_plate.cluster.pool import Answer, Pool, Task
 # So many workers may end under a task before it is to blame itself.
 ATTEMPTS = 3
 # Where workers are idle, a task is given to a second one after so many times what tasks usually take, and not before
-# so many seconds: a host that slows to a tenth holds the others no longer than that and one task more.
-SLOW, LEAST_SECONDS = 3.0, 0.2
+# so many seconds: a host that slows to a tenth holds the others no longer than that and one task more. Before any task
+# is done, which may have kernels to compile, it is FIRST_SECONDS.
+SLOW, LEAST_SECONDS, FIRST_SECONDS = 3.0, 0.2, 20.0
 # Seconds between looks at the clock where nothing comes.
 LOOK = 0.05
 
@@ -60,7 +61,7 @@ def spread(
                 if flight is None:  # another worker was quicker
                     continue
                 others = [number for number, other in running.items() if other.task is flight.task]
-                if answer.fault in ("lost", "memory") and others:
+                if answer.fault in ("lost", "waiting", "memory") and others:
                     continue
                 for number in others:
                     del running[number]
@@ -81,9 +82,10 @@ def spread(
 
 def _second(pool: Pool, running: dict[int, _Flight], taken: list[float], waiting: int) -> None:
     """Give tasks that take long to idle workers too."""
-    if waiting or not taken or pool.idle == 0:
+    if waiting or pool.idle == 0:
         return
-    late = time.monotonic() - max(LEAST_SECONDS, SLOW * statistics.median(taken))
+    usual = SLOW * statistics.median(taken) if taken else FIRST_SECONDS
+    late = time.monotonic() - max(LEAST_SECONDS, usual)
     slow = [one for one in running.values() if not one.second and one.since < late]
     for flight in slow[: pool.idle]:
         flight.second = True
@@ -97,6 +99,8 @@ def _instead(task: Task, answer: Answer, halves: Halves | None, again: Again | N
         return [] if repeated is None else [repeated]
     if answer.fault == "memory" and halves is not None:
         return halves(task)
+    if answer.fault == "waiting":
+        return [task]
     if answer.fault in ("lost", "memory") and not answer.final:
         task.attempts += 1
         return [task] if task.attempts < ATTEMPTS else []
