@@ -16,6 +16,7 @@ from warp_plate.plate.scheme import make_scheme
 from warp_plate.result import save_result
 from warp_plate.result.signals import make_signal
 from warp_plate.scene.load import dump_scene
+from warp_plate.scene.model import Grid
 from warp_plate.search.motion import motions
 from warp_plate.search.simulate import simulate
 from warp_plate.search.spectrum import factors_over, resonances
@@ -107,6 +108,17 @@ def test_other_objectives_are_followed_and_their_history_says_so():
     assert not direct.only_localization
     np.testing.assert_allclose(direct.history["best"], by_matrices.history["best"], rtol=1e-3)
     assert direct.history["best"][0] > 0
+
+
+@pytest.mark.parametrize("name", ["frequency", "own frequencies"])
+def test_a_grid_chosen_for_an_accuracy_carries_every_frequency(name):
+    """The grid is chosen where the range ends; the scene keeps its own frequency, and nothing else of the grid."""
+    made = searched(name)
+    result = localize(made.model_copy(update={"grid": Grid(accuracy=0.3)}), device="cpu", estimate=False)
+    assert result.accuracy["asked"] == 0.3
+    assert result.scene.drive.frequency == made.drive.frequency
+    assert result.scene.grid.time_step <= 1 / 20 / made.search.frequency.range[1]
+    assert np.isfinite(result.cases["best"].localization_factor)
 
 
 @pytest.fixture
