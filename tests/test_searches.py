@@ -30,6 +30,7 @@ SEARCHES = {
     "own frequencies": {"frequency": {"range": [100.0, 400.0], "own": True}},
     "position": {"phase": {}, "position": {"area": [0.0, 0.2, 0.0, 0.15]}},
     "delay": {"delay": {"range": [0.0, 0.004]}},
+    "delay of one": {"delay": {"range": [0.0, 0.004], "actuators": ["1"]}},
     "own delays": {"delay": {"range": [0.0, 0.004], "own": True}},
     "all": {
         "magnitude": {"range": [0.1, 2.0]},

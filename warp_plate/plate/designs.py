@@ -83,12 +83,12 @@ def own_of(scene: Scene) -> Own:
         kept = {one.name for one in scene.actuators} - set(free.actuators or [one.name for one in scene.actuators])
         whole = free.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
         areas = tuple(one.area if one.name in kept else whole for one in scene.actuators)
-    named = search.frequency is not None and search.frequency.actuators is not None
+    apart = [one for one in (search.frequency, search.delay) if one is not None]
     return Own(
         frequency=search.frequency is not None,
         delay=search.delay is not None,
         centre=free is not None,
-        each=any(one is not None and one.own for one in (search.frequency, search.delay)) or named,
+        each=any(one.own or one.actuators is not None for one in apart),
         areas=areas,
     )
 
