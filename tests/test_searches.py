@@ -258,3 +258,15 @@ def test_the_spectrum_is_drawn(tmp_path):
     with pytest.raises(ValueError, match="holds no spectrum"):
         draw_spectrum(replace(result, spectrum={}), tmp_path / "none.svg")
     assert not (tmp_path / "none.svg").exists()
+
+
+def test_a_search_that_found_nothing_says_so(tmp_path, monkeypatch, capsys):
+    """Drives beyond all bounds on a plate that stretches: no plate has energies, which is no find of the search."""
+    monkeypatch.chdir(tmp_path)
+    search = {"magnitude": {"range": [1e8, 1e9]}, "particles": 3, "iterations": 2}
+    effects = {"damping": {"viscous": 60.0}, "stretching": {}}
+    made = scene_of(nodes=(11, 11), window=(0.004, 0.008), search=search, effects=effects)
+    Path("lost.toml").write_text(dump_scene(made), encoding="utf-8")
+    told = run(capsys, "localize", "lost.toml", "--no-pictures")
+    assert told["history"][-1]["best"] is None
+    assert told["warnings"][0].startswith("No plate that the search tried has energies")

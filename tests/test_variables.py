@@ -254,10 +254,17 @@ def test_what_does_not_fit_is_told_in_one_line(search, tables, words):
     assert "\n" not in str(told.value)
 
 
+def test_a_file_has_its_own_frequencies():
+    drive = {"frequency": 290.0, "signal": {"file": "a.csv", "rate": 2e4}}
+    made = scene_of(drive=drive, search={"frequency": {"range": [100.0, 400.0]}})
+    with pytest.raises(SceneError, match=r"search\.frequency: drive\.signal says which frequencies there are"):
+        variables_of(with_step(made))
+
+
 def test_magnitudes_of_zero_that_are_held_move_nothing():
     made = scene_of()
     actuators = [{**one.model_dump(), "magnitude": 0.0} for one in made.actuators]
-    with pytest.raises(SceneError, match="all 0 and held.*search.magnitude"):
+    with pytest.raises(SceneError, match=r"all 0 and held.*search\.magnitude"):
         variables_of(made.with_tables(actuators=actuators, search={"phase": {}}))
     assert variables_of(made.with_tables(actuators=actuators, search={"magnitude": {"range": [0, 1]}})).numbers
     assert variables_of(made.with_tables(actuators=actuators)).numbers  # the paper's reading has magnitudes of its own

@@ -157,7 +157,8 @@ def localize(
     with workers(devices, cluster, device) as pool:
         result = _run(partial(run, spectrum=spectrum, pool=pool), estimate, kept, not json, pool, searched)
     if baselines:
-        result = with_baselines(result, device or "auto", path or "auto")
+        began = ("auto", "auto") if checkpoint is None else (checkpoint.device, checkpoint.path)
+        result = with_baselines(result, device or began[0], path or began[1])
     files, missing = _write(result, target, pictures, kept)
     if json:
         output.print_json(as_json(result, files, kept.path if result.interrupted and kept.saved else None))

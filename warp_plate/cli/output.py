@@ -225,6 +225,9 @@ def warnings_of(result: Result) -> list[str]:
     lost = next((one.status for one in result.cases.values() if one.status != "ok"), None)
     if lost is not None:
         return [why_no_energies(result.scene, lost)]
+    best = result.history.get("best")
+    if best is not None and len(best) and not math.isfinite(best[-1]):
+        return ["No plate that the search tried has energies: the best single actuator stands for what it should find."]
     return exceeded(result.placed(result.judged), result.peak)
 
 

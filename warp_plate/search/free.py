@@ -98,7 +98,7 @@ def with_step(scene: Scene) -> Scene:
 def at_highest_frequency(scene: Scene) -> Scene:
     """The scene with every frequency that is free at the upper end of its range: the one that asks most of a grid."""
     free = scene.search.frequency
-    if free is None:
+    if free is None or scene.drive.signal is not None:  # of which ``free_numbers`` says that they do not go together
         return scene
     who = set(_named(scene, "frequency"))
     actuators = [
@@ -259,7 +259,7 @@ def _check_some_drive(scene: Scene) -> None:
     bias = scene.drive.electrostatic is not None and scene.drive.electrostatic.bias
     if at_rest and not bias and scene.effects.moving_load is None:
         raise SceneError(
-            "search: the actuators' magnitudes are all 0 and held, so that nothing moves; write others, or free them by "
+            "search: the actuators' magnitudes are all 0 and held, so that nothing moves; write others, or free them: "
             "[search.magnitude]"
         )
 
