@@ -122,7 +122,9 @@ class Dask:
 
     def forget(self, ticket: int) -> None:
         """See ``Pool``: the scheduler still holds its worker for busy, as it is."""
-        self._late[ticket] = self._running.pop(ticket)
+        future = self._running.pop(ticket, None)
+        if future is not None:  # else it was done just now
+            self._late[ticket] = future
 
     def abandon(self) -> None:
         """See ``Pool``: nobody wants these futures any more, so that the scheduler drops what waits; what a worker is
@@ -164,6 +166,8 @@ class Dask:
                 raise WorkersGone(f"--cluster {self._where}: the scheduler is gone")
             time.sleep(0.1)
         self._looked, self._most = time.monotonic(), max(self._most, self._slots)
+        if self._cluster is not None and self._slots < self._most:
+            self._cluster.scale(self._most)  # workers that ended too often were given up
         if self._slots:
             self._seen = self._looked
         elif self._looked - self._seen > JOINS:
