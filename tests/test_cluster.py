@@ -106,7 +106,8 @@ def test_displacements_and_what_is_recorded(pools, scene, random, small_blocks):
 
 def test_files_that_a_scene_names_go_with_it(tmp_path, pools, scene, random):
     (tmp_path / "pulse.csv").write_text("time,value\n0,0\n0.002,1\n0.004,0\n", encoding="utf-8")
-    made = scene((9, 9), window=(0.002, 0.004), damping=20.0, drive={"frequency": 290.0, "signal": {"file": "pulse.csv"}})
+    drive = {"frequency": 290.0, "signal": {"file": "pulse.csv"}}
+    made = scene((9, 9), window=(0.002, 0.004), damping=20.0, drive=drive)
     made, drives = made.in_folder(tmp_path), drives_of(random)
     solver, expected = SpreadSolver(pools[1], made, "cpu"), PlateSolver(made, "cpu").run(drives)
     (tmp_path / "pulse.csv").unlink()

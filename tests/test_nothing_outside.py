@@ -19,9 +19,11 @@ FORBIDDEN_MODULES = {
     "http", "urllib", "ftplib", "smtplib", "xmlrpc", "socketserver", "requests", "webbrowser", "asyncio",
 }  # fmt: skip
 FORBIDDEN_ATTRIBUTES = {"popen", "execv", "spawnv", "fromstring"}
-# Starts itself once more to try out a drawing library, asks the machine for its name, or writes a movie: fixed words,
-# no shell.
-STARTS_PROCESSES = {"viz/availability.py", "viz/pictures.py", "warp_plate/bench/machine.py"}
+# Starts itself once more to try out a drawing library or as a worker, asks the machine for its name, or writes a movie:
+# fixed words, no shell.
+STARTS_PROCESSES = {
+    "viz/availability.py", "viz/pictures.py", "warp_plate/bench/machine.py", "warp_plate/cluster/processes.py",
+}  # fmt: skip
 # Serves a page, on 127.0.0.1.
 SERVES = {"viz/explorer_page.py": {"asyncio", "socket"}}
 

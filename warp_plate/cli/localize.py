@@ -148,7 +148,8 @@ def localize(
     if checkpoint is not None:
         run = partial(go_on, checkpoint, device)
     elif loaded is not None:
-        on = first_device(devices, device) or "auto"
+        first = first_device(devices, device)
+        on = "auto" if first is None else first
         run = partial(search, loaded, scene or "", on, seed, evaluator, path or "auto")
     if baselines:
         from warp_plate.search.baselines import check_baselines, with_baselines
@@ -158,7 +159,7 @@ def localize(
         result = _run(partial(run, spectrum=spectrum, pool=pool), estimate, kept, not json, pool, searched)
     if baselines:
         began = ("auto", "auto") if checkpoint is None else (checkpoint.device, checkpoint.path)
-        result = with_baselines(result, device or began[0], path or began[1])
+        result = with_baselines(result, began[0] if device is None else device, path or began[1])
     files, missing = _write(result, target, pictures, kept)
     if json:
         output.print_json(as_json(result, files, kept.path if result.interrupted and kept.saved else None))

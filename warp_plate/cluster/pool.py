@@ -18,8 +18,8 @@ from warp_plate.scene.errors import SceneError
 
 Payload = Mapping[str, Any]
 Function = Callable[[Payload], Mapping[str, Any]]
-# "lost": the worker ended under the task, "waiting": before it came to it; "memory": the worker had too little; "wrong":
-# the task is bad input, everywhere the same.
+# "lost": the worker ended under the task, "waiting": before it came to it; "memory": the worker had too little;
+# "wrong": the task is bad input, everywhere the same.
 Fault = Literal["", "lost", "waiting", "memory", "wrong"]
 
 
