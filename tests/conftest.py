@@ -10,6 +10,10 @@ import subprocess
 from functools import lru_cache
 from pathlib import Path
 
+# As many workers run as there are cores; algebra on several threads each would only make them wait for each other.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import numpy as np
 import pytest
 import warp as wp

@@ -33,6 +33,9 @@ KINDS = {
     "budget": [*NO_NUMBER, "0", "-1", "inf", "-inf"],
     "plates": [*NO_NUMBER, "0", "1,,2", ",", "1;2", "99999999"],
     "nodes": [*NO_NUMBER, "4", "8194", "27x27"],
+    "samples": [*NO_NUMBER, "0", "-1", "1.5", "1000001"],
+    "vary": ["", "=", "a", "drive=1,2", "drive.frequency=", "drive.frequency=1:2", "drive.frequency=\x1b[31m,2", LONG],
+    "what": NO_WORD,
     "path": NO_WORD,
     "evaluator": NO_WORD,
     "precision": [*NO_WORD, "float16"],
@@ -48,9 +51,11 @@ KINDS = {
     "json": NO_FLAG,
 }
 SEARCH = ["device", "seed", "evaluator", "path", "accuracy", "estimate", "checkpoint-every", "resume"]
+SWEEP = ["vary", "what", "samples", "count", "device", "path", "checkpoint-every", "resume"]
 COMMANDS = {
     "localize": (".h5", [*SEARCH, "out", "pictures", "json"]),
     "simulate": (".h5", ["drive", "device", "path", "accuracy", "estimate", "out", "pictures", "json"]),
+    "sweep": (".h5", [*SWEEP, "out", "pictures", "json"]),
     "modes": (".png", ["count", "accuracy", "out", "pictures", "json"]),
     "effects": ("", ["device", "accuracy", "json"]),
     "accuracy": (".json", ["device", "budget", "path", "out", "pictures", "json"]),
@@ -106,6 +111,8 @@ def refused(answer):
 def test_every_option_with_what_it_does_not_take(name, option, folder, command):
     before = files()
     scene = [] if name == "bench" else ["panel.toml"]
+    if name == "sweep" and option not in ("vary", "resume"):
+        scene += ["--vary", "drive.frequency=200,300", *(["--what", "check"] if option != "what" else [])]
     for odd in KINDS.get(option, NO_FLAG):
         value = odd.replace("{0}", COMMANDS[name][0])
         given = [f"--{option}{value}"] if odd in NO_FLAG else [f"--{option}", value]
@@ -113,7 +120,7 @@ def test_every_option_with_what_it_does_not_take(name, option, folder, command):
         assert files() == before
 
 
-@pytest.mark.parametrize("name", ["localize", "simulate", "modes", "effects", "accuracy"])
+@pytest.mark.parametrize("name", ["localize", "sweep", "simulate", "modes", "effects", "accuracy"])
 def test_every_command_with_what_is_no_scene(name, folder, command):
     for odd in ("", ".", "file", "wrong.toml", "junk.h5", "folder.h5", "a\0b", "[red]", "\x1b[31m", "\ud800", LONG):
         refused(command(name, odd))

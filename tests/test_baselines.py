@@ -159,7 +159,9 @@ def test_localize_shows_them_beside_the_drive_found(command):
     for name in ("time_reversal", "inverse_filter"):
         np.testing.assert_allclose(result.cases[name].drive, expected[name], atol=1e-9)
         assert result.cases[name].localization_factor == factors[name]
-    status, out, _ = command()
+    status, out, _ = command()  # without times of its own
+    shapes = {case.displacement.shape for case in load_result("panel-localize.h5").cases.values()}
+    assert len(shapes) == 1
     assert "time reversal to the target's middle" in out
     assert "regularised inverse filter" in out
 

@@ -19,6 +19,8 @@ from warp_plate.scene.load import dump_scene
 
 ROOT = Path(__file__).parents[1]
 QUIET = ["--device", "cpu", "--no-pictures"]
+# For what has nothing to do with the estimate of the error.
+QUICK = (*QUIET, "--no-estimate")
 SMALL = {"search": {"particles": 6, "iterations": 5}, "record": {"points": ((0.1, 0.1),)}}
 
 LOCALIZE_KEYS = ["scene", "device", "path", "seed", "localization_factor", "drive", "evaluations", "node_steps"]
@@ -60,7 +62,7 @@ def test_localize_json(command, panel):
     status, out, err = command("localize", "panel.toml", "--seed", 4, "--json", *QUIET)
     assert (status, err) == (0, "")
     answer = json.loads(out)
-    assert list(answer)[: len(LOCALIZE_KEYS)] == LOCALIZE_KEYS
+    assert set(LOCALIZE_KEYS) <= set(answer)
     assert answer["scene"] == "panel.toml"
     assert answer["device"].startswith("cpu")
     assert answer["seed"] == 4
@@ -77,13 +79,13 @@ def test_localize_json(command, panel):
     assert [entry["evaluations"] for entry in answer["history"]] == [6, 12, 18, 24, 30]
     assert answer["history"][-1]["best"] == pytest.approx(factors["best"], abs=2e-6)
     assert answer["node_steps"] % (11 * 11) == 0
-    assert files() == ["panel-localize.h5", "panel.toml"]
+    assert files() == ["panel-localize.best.toml", "panel-localize.h5", "panel.toml"]
 
 
 def test_localize_result_file_holds_what_was_printed(command, panel):
     _, out, _ = command("localize", "panel.toml", "--out", "found.h5", "--json", *QUIET)
     answer, result = json.loads(out), load_result("found.h5")
-    assert answer["files"] == ["found.h5"]
+    assert answer["files"] == ["found.h5", "found.best.toml"]
     assert result.scene == panel
     assert {name: case.localization_factor for name, case in result.cases.items()} | {
         "bound": result.bound
@@ -108,10 +110,10 @@ def test_simulate_json(command, panel):
 
 def test_simulate_a_drive_that_was_found(command, panel):
     """--drive FILE.h5 takes the best drive of a search, or the only one of a simulation."""
-    _, found, _ = command("localize", "panel.toml", "--json", *QUIET)
+    _, found, _ = command("localize", "panel.toml", "--json", *QUICK)
     best = json.loads(found)["localization_factor"]["best"]
     for drive in ("panel-localize.h5", "again.h5"):
-        _, out, _ = command("simulate", "panel.toml", "--drive", drive, "--out", "again.h5", "--json", *QUIET)
+        _, out, _ = command("simulate", "panel.toml", "--drive", drive, "--out", "again.h5", "--json", *QUICK)
         assert json.loads(out)["localization_factor"] == pytest.approx(best, rel=1e-9)
 
 
@@ -120,10 +122,10 @@ def test_a_drive_of_another_unit_is_refused(command, panel):
     volts = panel.with_tables(drive={"frequency": 290.0, "electrostatic": {"bias": 1.0, "gain": 1.0}})
     Path("volts.toml").write_text(dump_scene(volts), encoding="utf-8")
     for name, unit in (("volts", "V"), ("panel", "N/m^2")):
-        command("simulate", f"{name}.toml", *QUIET, "--json")
+        command("simulate", f"{name}.toml", *QUICK, "--json")
         with h5py.File(f"{name}-simulate.h5") as file:
             assert file["cases/drive/magnitude"].attrs["units"] == unit
-    status, _, err = command("simulate", "panel.toml", "--drive", "volts-simulate.h5", *QUIET)
+    status, _, err = command("simulate", "panel.toml", "--drive", "volts-simulate.h5", *QUICK)
     assert status == 2
     assert "--drive volts-simulate.h5: holds magnitudes in V, those of the scene are in N/m²" in err
     assert len(err.splitlines()) == 1
@@ -137,14 +139,14 @@ def test_help_lists_the_presets(command):
 
 @pytest.mark.parametrize("drive", ["equal", "single"])
 def test_simulate_reference_drives(drive, command, panel):
-    _, found, _ = command("localize", "panel.toml", "--json", *QUIET)
-    _, out, _ = command("simulate", "panel.toml", "--drive", drive, "--json", *QUIET)
+    _, found, _ = command("localize", "panel.toml", "--json", *QUICK)
+    _, out, _ = command("simulate", "panel.toml", "--drive", drive, "--json", *QUICK)
     assert json.loads(out)["localization_factor"] == json.loads(found)["localization_factor"][drive]
 
 
 def test_same_seed_same_answer(command, panel):
     def answer(seed):
-        found = json.loads(command("localize", "panel.toml", "--seed", seed, "--json", *QUIET)[1])
+        found = json.loads(command("localize", "panel.toml", "--seed", seed, "--json", *QUICK)[1])
         return {key: found[key] for key in ("localization_factor", "drive", "history")}
 
     assert answer(1) == answer(1)
@@ -174,17 +176,17 @@ def test_paper_table(command, tmp_path, monkeypatch):
 
 
 def test_another_scene_has_no_published_figures(command, panel):
-    status, out, _ = command("localize", "panel.toml", *QUIET)
+    status, out, _ = command("localize", "panel.toml", *QUICK)
     assert status == 0
     assert "published" not in out
-    status, out, _ = command("simulate", "panel.toml", *QUIET)
+    status, out, _ = command("simulate", "panel.toml", *QUICK)
     assert status == 0
     assert "localization factor" in out
 
 
 def test_result_files_are_plain_hdf5(command, panel):
     """Readable without this program: numbers with units and long names."""
-    command("localize", "panel.toml", *QUIET, "--json")
+    command("localize", "panel.toml", *QUICK, "--json")
     with h5py.File("panel-localize.h5") as file:
         shape = file["cases/best/displacement"].shape
         assert shape == (2, 13, 13)
@@ -268,9 +270,9 @@ def test_init_writes_a_preset_and_never_overwrites(command, tmp_path, monkeypatc
 
 def test_a_result_is_replaced_whole(command, panel):
     """A second run writes over the first one's result, through a temporary file that is gone at the end."""
-    command("simulate", "panel.toml", "--drive", "equal", *QUIET, "--json")
+    command("simulate", "panel.toml", "--drive", "equal", *QUICK, "--json")
     first = Path("panel-simulate.h5").read_bytes()
-    command("simulate", "panel.toml", "--drive", "single", *QUIET, "--json")
+    command("simulate", "panel.toml", "--drive", "single", *QUICK, "--json")
     assert Path("panel-simulate.h5").read_bytes() != first
     assert files() == ["panel-simulate.h5", "panel.toml"]
 
@@ -301,7 +303,7 @@ def test_as_a_process(panel):
     """The same through the interpreter: streams are clean of what Warp, CUDA and VTK say for themselves."""
     answer = process("localize", "panel.toml", "--json", *QUIET)
     assert (answer.returncode, answer.stderr) == (0, "")
-    assert list(json.loads(answer.stdout))[: len(LOCALIZE_KEYS)] == LOCALIZE_KEYS
+    assert set(LOCALIZE_KEYS) <= set(json.loads(answer.stdout))
     answer = process("localize", "papers")
     assert (answer.returncode, answer.stdout) == (2, "")
     assert len(answer.stderr.splitlines()) == 1
@@ -316,7 +318,7 @@ def test_a_reader_that_leaves_is_no_error(panel):
     read, write = os.pipe()
     os.close(read)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    arguments = [sys.executable, "-m", "warp_plate", "simulate", "panel.toml", "--json", *QUIET]
+    arguments = [sys.executable, "-m", "warp_plate", "simulate", "panel.toml", "--json", *QUICK]
     answer = subprocess.run(
         arguments, stdout=write, stderr=subprocess.PIPE, text=True, env=environment, check=False
     )

@@ -6,6 +6,7 @@ import pytest
 from pydantic import BaseModel
 
 from warp_plate import Scene
+from warp_plate.scene.search import Search
 
 DOCS = Path(__file__).parents[1] / "docs"
 TEXT = "\n".join(page.read_text(encoding="utf-8") for page in sorted(DOCS.glob("*.md")))
@@ -44,8 +45,9 @@ def test_every_key_has_its_words(name, model):
     assert not [key for key in keys if f"`{key}`" not in TEXT and f"{key} = " not in TEXT]
 
 
-def test_targets_and_objectives_have_rows_of_their_own():
+def test_targets_and_searches_have_rows_of_their_own():
     for under, keys in (
+        ("`[search]`", [key for key, field in Search.model_fields.items() if not tables_in(field.annotation)]),
         ("`[target]`", ("area", "disc", "polygon", "mask")),
         ("`[[targets]]`", ("name", "area", "disc", "polygon", "mask")),
         ("`[[search.objectives]]`", ("kind", "weight", "rest_limit")),

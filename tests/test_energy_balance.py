@@ -165,4 +165,4 @@ def test_work_with_stretching_to_the_order_of_the_step(device, path, number, mix
         missing.append(np.abs(work - stored - lost).max() / np.abs(work).max())
     print(missing)
     assert 1e-10 < missing[0] < 0.05
-    assert missing[1] < 0.3 * missing[0]
+    assert missing[1] < 0.35 * missing[0]

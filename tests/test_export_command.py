@@ -42,6 +42,7 @@ def folder(tmp_path, monkeypatch, scene, command):
     options = ("--device", "cpu", "--no-pictures", "--no-estimate", "--out", "run.h5")
     assert command("localize", "panel.toml", *options)[0] == 0
     Path("panel.toml").unlink()
+    Path("run.best.toml").unlink()
     return tmp_path
 
 

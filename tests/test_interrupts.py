@@ -21,21 +21,21 @@ ROOT = Path(__file__).parents[1]
 # Runs a command, and calls ``on_loss(calls so far)`` each time that the search turns energies into losses.
 DRIVER = """
 import os, signal, sys, threading
-import warp_plate.search.localize as search
-import warp_plate.search.run_swarm as run_swarm
+import warp_plate.search.problem as search
 from warp_plate.cli.main import main
+from warp_plate.search.judge import Judge
 
 def interrupt():
     os.kill(os.getpid(), signal.SIGINT)
 
-loss, calls = run_swarm.loss, []
+losses, calls = Judge.losses, []
 
-def watched(energy):
+def watched(*arguments):
     calls.append(1)
     on_loss(len(calls))
-    return loss(energy)
+    return losses(*arguments)
 
-run_swarm.loss = watched
+Judge.losses = watched
 {watch}
 main(sys.argv[1:])
 """
@@ -229,4 +229,5 @@ def test_while_files_are_written(interrupt, panel):
     assert (answer.returncode, answer.stderr) == (0, "")
     assert "no pictures: interrupted by Ctrl-C" in answer.stdout
     assert not load_result("panel-localize.h5").interrupted
-    assert sorted(path.name for path in Path().iterdir()) == ["panel-localize.h5", "panel.toml"]
+    names = ["panel-localize.best.toml", "panel-localize.h5", "panel.toml"]
+    assert sorted(path.name for path in Path().iterdir()) == names

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver
+from warp_plate.search import loss_bound
+from warp_plate.search.bounds import Bound
 from warp_plate.search.judge import make_judge
 from warp_plate.search.loss_bound import allowed_drives, bound_loss
 from warp_plate.search.variables import variables_of
@@ -51,6 +53,18 @@ def test_no_position_has_less_loss(scene, random, search):
     assert np.isfinite(bound.value)
     assert np.nanmin(losses) >= bound.value - 1e-9 * abs(bound.value)
     assert bound.kind == "bound only" or len(judge.objectives) == 1
+
+
+def test_what_a_drive_outside_the_range_reaches_is_a_bound_only(scene, monkeypatch):
+    """Power brings drives below their range, so the bound is that of drives that no position has too."""
+    monkeypatch.setattr(loss_bound, "bound_energy", lambda *_: Bound(1e-9, "attained", "which a drive reaches"))
+    kinds = []
+    for lowest in (0.5, 0.0):
+        ends = {"magnitude": {"range": (lowest, 1.0)}, "phase": {}}
+        made = scene(search={"objectives": [{"kind": "velocity"}], "limits": {"power": 1.0}, **ends})
+        response = measure_response(PlateSolver(made, "cpu"))
+        kinds.append(bound_loss(variables_of(made), make_judge(made), response).kind)
+    assert kinds == ["bound only", "attained"]
 
 
 def test_drives_of_positions_are_allowed(scene, random):

@@ -170,6 +170,20 @@ def test_the_minimum_of_a_sphere(method):
 
 
 @pytest.mark.parametrize("method", SAMPLING)
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_one_number_alone_within_limits(method, seed):
+    """The least at 3 with limits beside it, and at a wall; pycma itself asks for two numbers or more."""
+    space = make_space([1.0], [9.0], [(1.0, 9.0)], [np.inf])
+    for least in (3.0, 0.0):
+        searcher = make_searcher(Search(method=method, particles=10, iterations=60), space, seed)
+        found = optimize(searcher, lambda positions, least=least: (positions[:, 0] - least) ** 2).xbest
+        np.testing.assert_allclose(found, [max(least, 1.0)], atol=1e-3)
+    state = searcher.state()
+    again = searcher_from_state(Search(method=method, particles=10, iterations=60), space, seed, state)
+    assert again.state() == state
+
+
+@pytest.mark.parametrize("method", SAMPLING)
 def test_the_lowest_valley_lies_where_the_period_is_cut(method):
     space = make_space([-np.inf] * 3, [np.inf] * 3, [(0, TURN)] * 3, [TURN] * 3)
     searcher = make_searcher(Search(method=method, particles=40, iterations=150), space, 5)

@@ -99,7 +99,7 @@ def test_what_would_change_the_result_is_refused_by_name(options, named, command
     ],
 )
 def test_a_scene_or_a_checkpoint_is_needed(options, named, command, panel):
-    command("simulate", "panel.toml", "--device", "cpu", "--no-pictures", "--out", "result.h5")
+    command("simulate", "panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate", "--out", "result.h5")
     status, out, err = command("localize", "--no-pictures", *options)
     assert (status, out, len(err.splitlines())) == (2, "", 1)
     assert re.search(named, err), err
@@ -115,8 +115,9 @@ def test_the_command_goes_on(command, panel, left):
         assert (status, err) == (0, "")
         answer = json.loads(out)
         assert (answer["interrupted"], answer["checkpoint"]) == (False, None)
-        assert answer["files"] == ["panel-localize.h5"]
-        assert sorted(map(str, Path().iterdir())) == ["panel-localize.h5", "panel.toml"]
+        files = ["panel-localize.h5", "panel-localize.best.toml"]
+        assert answer["files"] == files
+        assert sorted(map(str, Path().iterdir())) == sorted([*files, "panel.toml"])
         save = load_result("panel-localize.h5")
         assert_same(replace(save, cases=whole.cases), whole)
         for name, case in whole.cases.items():

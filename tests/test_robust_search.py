@@ -10,6 +10,7 @@ from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.result.store import load_result, save_result
 from warp_plate.scene.load import dump_scene
 from warp_plate.search.checkpoints import CheckpointFile
+from warp_plate.search.compare import compare
 from warp_plate.search.localize import localize, resume
 from warp_plate.search.robust import RobustProblem, measured, problem_of
 from warp_plate.viz.robust_plot import draw_robust
@@ -131,3 +132,14 @@ def test_the_command_shows_both_drives(robust, tmp_path, capsys):
     assert "Over 6 fresh scenarios" in text
     assert "mean of the worst 5 %" in text
     assert "found without scatter" in text
+
+
+def test_methods_are_compared_by_robust_losses(robust):
+    """Each trial ends at a measure over the scenarios, above its bound."""
+    made = robust(scenarios=3)
+    found = compare(made, methods=("gradient", "ring"), seeds=1, device="cpu", evaluations=64)
+    problem = problem_of(made, "cpu")
+    assert found.evaluator == "response"
+    assert found.bound == pytest.approx(problem.bound_of_loss.value)
+    assert all(trial.loss[-1] > found.bound for trial in found.trials)
+    assert found.bound > problem.nominal.bound_of_loss.value - 0.2

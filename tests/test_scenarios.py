@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from warp_plate import PlateSolver, SceneError
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.scene.load import dump_scene, parse_scene
+from warp_plate.scene.load import checked_scene, dump_scene, parse_scene
 from warp_plate.search.scenarios import draw_scenarios, kept_on_plate
 
 FINGER = {"area": (0.02, 0.05, 0.02, 0.05), "mass": 1e-3, "stiffness": 200.0, "damping": 0.5}
@@ -193,3 +193,11 @@ def test_scenarios_that_are_no_plates_are_refused(scene):
         draw_scenarios(scene(), 3, 0)
     with pytest.raises(SceneError, match=r"search\.robust: 100000000 scenarios .* GiB"):
         draw_scenarios(scene(search={"robust": {"gain": 0.1}}), 10**8, 0)
+
+
+def test_several_targets_are_refused(scene):
+    """Each would be compared with a nominal drive of its own."""
+    tables = {key: value for key, value in scene().model_dump().items() if key != "target"}
+    halves = [{"name": "left", "area": (0.0, 0.1, 0.0, 0.2)}, {"name": "right", "area": (0.1, 0.2, 0.0, 0.2)}]
+    with pytest.raises(SceneError, match=r"^search\.robust: not with several \[\[targets\]\]"):
+        checked_scene({**tables, "targets": halves, "search": {"robust": {"gain": 0.1}}})

@@ -16,6 +16,7 @@ from warp_plate.plate.scheme import make_scheme
 from warp_plate.result import save_result
 from warp_plate.result.signals import make_signal
 from warp_plate.scene.load import dump_scene
+from warp_plate.scene.model import Grid
 from warp_plate.search.motion import motions
 from warp_plate.search.simulate import simulate
 from warp_plate.search.spectrum import factors_over, resonances
@@ -29,6 +30,7 @@ SEARCHES = {
     "own frequencies": {"frequency": {"range": [100.0, 400.0], "own": True}},
     "position": {"phase": {}, "position": {"area": [0.0, 0.2, 0.0, 0.15]}},
     "delay": {"delay": {"range": [0.0, 0.004]}},
+    "delay of one": {"delay": {"range": [0.0, 0.004], "actuators": ["1"]}},
     "own delays": {"delay": {"range": [0.0, 0.004], "own": True}},
     "all": {
         "magnitude": {"range": [0.1, 2.0]},
@@ -109,6 +111,17 @@ def test_other_objectives_are_followed_and_their_history_says_so():
     assert direct.history["best"][0] > 0
 
 
+@pytest.mark.parametrize("name", ["frequency", "own frequencies"])
+def test_a_grid_chosen_for_an_accuracy_carries_every_frequency(name):
+    """The grid is chosen where the range ends; the scene keeps its own frequency, and nothing else of the grid."""
+    made = searched(name)
+    result = localize(made.model_copy(update={"grid": Grid(accuracy=0.3)}), device="cpu", estimate=False)
+    assert result.accuracy["asked"] == 0.3
+    assert result.scene.drive.frequency == made.drive.frequency
+    assert result.scene.grid.time_step <= 1 / 20 / made.search.frequency.range[1]
+    assert np.isfinite(result.cases["best"].localization_factor)
+
+
 @pytest.fixture
 def panel(tmp_path, monkeypatch):
     """A search for a frequency and places in a file of the working folder."""
@@ -175,6 +188,16 @@ def test_motions_and_signals_have_the_cases_own_frequency_and_places(panel):
     np.testing.assert_array_equal(found.displacement[3], field.astype(np.float32))
     signal = make_signal(result.placed(best), best, 48000, 1.0)
     assert signal.frequency == best.frequency[0]
+    pytest.importorskip("pyvista")
+    from warp_plate.viz.page import page_data
+
+    page = page_data(result.scene, [equal, found], "displacement", 30.0, None)
+    assert page["plates"][0]["outlines"] is None
+    own = page["plates"][1]["outlines"]
+    assert len(own) == len(page["outlines"])
+    moved = [one != other for one, other in zip(own, page["outlines"], strict=True)]
+    assert any(moved)  # the actuators'
+    assert not all(moved)
 
 
 def test_several_frequencies_are_no_file_to_play():
@@ -235,3 +258,15 @@ def test_the_spectrum_is_drawn(tmp_path):
     with pytest.raises(ValueError, match="holds no spectrum"):
         draw_spectrum(replace(result, spectrum={}), tmp_path / "none.svg")
     assert not (tmp_path / "none.svg").exists()
+
+
+def test_a_search_that_found_nothing_says_so(tmp_path, monkeypatch, capsys):
+    """Drives beyond all bounds on a plate that stretches: no plate has energies, which is no find of the search."""
+    monkeypatch.chdir(tmp_path)
+    search = {"magnitude": {"range": [1e8, 1e9]}, "particles": 3, "iterations": 2}
+    effects = {"damping": {"viscous": 60.0}, "stretching": {}}
+    made = scene_of(nodes=(11, 11), window=(0.004, 0.008), search=search, effects=effects)
+    Path("lost.toml").write_text(dump_scene(made), encoding="utf-8")
+    told = run(capsys, "localize", "lost.toml", "--no-pictures")
+    assert told["history"][-1]["best"] is None
+    assert told["warnings"][0].startswith("No plate that the search tried has energies")

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver, Scene, SceneError
+from warp_plate.plate.designs import Designs
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import REGIONS
 
@@ -294,3 +295,40 @@ def test_progress_reaches_the_whole(device, path, scene):
     assert done == sorted(done)
     assert done[-1] == node_steps
     assert len(set(done)) >= 2
+
+
+@pytest.mark.parametrize("effects", [{}, {"tension": {"x": 3.0, "y": 1.0}}], ids=["plain", "general"])
+def test_parts_that_overlap_change_no_bit(effects, device, path, scene, phasors, monkeypatch):
+    """A large batch, cut into parts whose states take turns, with a bad plate in each; twice, and with pictures."""
+    made = scene(nodes=(9, 9), window=(0.002, 0.004), effects=effects)
+    drives = phasors(37, 3)
+    drives[[1, 6, 20, 36], 0] = np.nan
+    whole = PlateSolver(made, device, path).run(drives, (0.003,))
+    monkeypatch.setattr("warp_plate.solve.solver.LEAST_CUT_NODE_STEPS", 1)
+    monkeypatch.setattr(PlateSolver, "_overlaps", True)
+    solver, told = PlateSolver(made, device, path), []
+    for _ in range(2):
+        cut = solver.run(drives, (0.003,), progress=lambda *done: told.append(done))
+        np.testing.assert_array_equal(cut.energy, whole.energy)
+        np.testing.assert_array_equal(cut.displacement, whole.displacement)
+        np.testing.assert_array_equal(cut.status, whole.status)
+    assert len(solver._states) == 2
+    assert solver._states[0].capacity < 20
+    assert told[-1] == (37 * solver.node_steps_per_plate,) * 2
+    several = solver.run(Parts(drives))
+    np.testing.assert_array_equal(several.energy, whole.energy)
+
+
+class Parts:
+    """Designs that are made part by part."""
+
+    only_drives = True
+
+    def __init__(self, drives):
+        self.drives_of = drives
+
+    def __len__(self):
+        return len(self.drives_of)
+
+    def __getitem__(self, some):
+        return Designs(self.drives_of[some])

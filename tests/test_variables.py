@@ -36,6 +36,9 @@ def positions_in(space, count=5, seed=1):
     return low + (high - low) * np.random.default_rng(seed).random((count, space.dimension))
 
 
+NARROW = [(0.05, 0.08, 0.05, 0.08), (0.1, 0.13, 0.1, 0.13)]
+
+
 def test_without_tables_it_is_the_papers_reading():
     """w₂ w₃ φ₂ φ₃ from −2 ... 2 without limits; w₁ = 1, φ₁ = 0, and Z = w exp(−iφ)."""
     variables = variables_of(scene_of())
@@ -232,6 +235,7 @@ def test_the_time_step_fits_the_upper_end_of_the_range():
         ({"delay": {"range": [0, 0.5]}}, {}, ["search.delay.range = [0.0, 0.5]", "window.end = 0.012"]),
         ({"position": {}}, {"load": "nodes"}, ["search.position", '"overlap"', '"moments"']),
         ({"position": {"area": [0, 0.02, 0, 0.2]}}, {}, ["search.position.area", "0.02 m long along x", "0.03 m"]),
+        ({"position": {"area": [0, 0.03, 0, 0.2], "actuators": ["1"]}}, {"actuators": NARROW}, ["no longer along x"]),
         ({"position": {"area": [0, 0.3, 0, 0.2]}}, {}, ["search.position.area", "reaches off the plate"]),
         ({"frequency": {"range": [200, 400]}}, {"drive": CHIRP}, ["search.frequency", "drive.chirp"]),
         ({"phase": {}}, {"actuators": [(0.05, 0.08, 0.05, 0.08)]}, ["nothing is free", "[search.frequency]"]),
@@ -248,6 +252,22 @@ def test_what_does_not_fit_is_told_in_one_line(search, tables, words):
     for word in words:
         assert word in str(told.value)
     assert "\n" not in str(told.value)
+
+
+def test_a_file_has_its_own_frequencies():
+    drive = {"frequency": 290.0, "signal": {"file": "a.csv", "rate": 2e4}}
+    made = scene_of(drive=drive, search={"frequency": {"range": [100.0, 400.0]}})
+    with pytest.raises(SceneError, match=r"search\.frequency: drive\.signal says which frequencies there are"):
+        variables_of(with_step(made))
+
+
+def test_magnitudes_of_zero_that_are_held_move_nothing():
+    made = scene_of()
+    actuators = [{**one.model_dump(), "magnitude": 0.0} for one in made.actuators]
+    with pytest.raises(SceneError, match=r"all 0 and held.*search\.magnitude"):
+        variables_of(made.with_tables(actuators=actuators, search={"phase": {}}))
+    assert variables_of(made.with_tables(actuators=actuators, search={"magnitude": {"range": [0, 1]}})).numbers
+    assert variables_of(made.with_tables(actuators=actuators)).numbers  # the paper's reading has magnitudes of its own
 
 
 def test_a_time_step_that_carries_too_little_is_told_with_its_numbers():

@@ -42,7 +42,7 @@ def draw_crosstalk(result: Result, path: str | Path, form: str | None = None) ->
     drawn = {target: case for target, case in names.items() if case in result.cases and result.times.size}
     rows, columns = math.ceil(len(drawn) / IN_A_ROW), min(len(drawn), IN_A_ROW)
     width, height = (PLATE * side / max(result.scene.plate.size) for side in result.scene.plate.size)
-    (wide, table), plates = (side * len(names) for side in CELL), rows * (height + 0.3)
+    (wide, table), plates = (side * len(names) for side in CELL), rows * (height + 0.3) + 0.25
     table += 0.6
     with rc_context({"font.size": 8, "axes.linewidth": 0.8, "svg.hashsalt": "warp-plate"}):
         figure = Figure(figsize=(max(wide + 1.5, columns * (width + 0.2)), table + plates), layout="constrained")
@@ -61,7 +61,7 @@ def _table(axes: Axes, names: list[str], shares: np.ndarray) -> None:
         against = decibels(shares)[row, column]
         text = f"{100 * share:.1f} %" if math.isfinite(share) else "not\nsearched"
         if row != column and math.isfinite(against):
-            text += f"\n{against:+.1f} dB"
+            text += f"\n{against:+.1f} dB".replace("-", "−")
         weight, colour = "bold" if row == column else "normal", "white" if share > 0.55 else INK
         axes.text(column, row, text, ha="center", va="center", fontsize=8, color=colour, fontweight=weight)
     axes.set_xticks(range(len(names)), names)
@@ -91,5 +91,8 @@ def _plates(figure: SubFigure, result: Result, drawn: dict[str, str], rows: int,
                 axes.plot(*way.T, color=TARGET, clip_on=False, zorder=4, **look)
         frame(axes, result.scene)
         axes.set_title(f"drive for {name}", fontsize=8)
+    width, height = result.scene.plate.size
+    words = f"displacement of the plate, {width:g} m × {height:g} m: red up, blue down, each in its own scale"
+    figure.supxlabel(words, fontsize=8)
     for axes in list(panels.flat)[len(drawn) :]:
         axes.set_axis_off()

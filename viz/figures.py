@@ -129,10 +129,12 @@ def _plot_history(axes: Axes, result: Result) -> None:
         axes.plot(iteration, mean, color="#9ecae1", linewidth=1.0, marker=marker, label="swarm mean")
     axes.plot(iteration, best, color="#08519c", linewidth=1.6, marker=marker, label="best so far")
     # Of a robust search the history is of its measure, which has a bound of its own.
-    bound = result.bound if result.scene.search.robust is None else getattr(result.robust, "bound", None)
+    bound = result.bound if localization else result.values.get("bound")
+    if result.scene.search.robust is not None:
+        bound = getattr(result.robust, "bound", None)
     if bound is not None:
         loss = top - bound
-        axes.axhline(loss, color="#b2182b", linewidth=1.0, linestyle="--", label=f"bound: {loss:.4f}")
+        axes.axhline(loss, color="#b2182b", linewidth=1.0, linestyle="--", label=f"bound: {loss:.4f}".replace("-", "−"))
     if result.source == "paper":
         label = f"published: {PUBLISHED_LOSS:g}"
         axes.axhline(PUBLISHED_LOSS, color="#8a8a8a", linewidth=1.0, linestyle=":", label=label)

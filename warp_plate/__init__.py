@@ -29,6 +29,8 @@ _HOME = {
     "Result": "warp_plate.result",
     "load_result": "warp_plate.result",
     "save_result": "warp_plate.result",
+    "load_sweep": "warp_plate.result.sweep",
+    "sweep": "warp_plate.search.sweep",
     "view": "warp_plate.notebook",
 }
 __all__ = ["__version__", *sorted(_HOME)]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from peer_codes.problem import PeerMissing, Problem, Run, loaded_nodes
 from warp_plate import Scene
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.engine import make_engine, region_sums
+from warp_plate.solve.engine import make_engine, queue_region_sums
 from warp_plate.solve.specialize import Specialized, specialize
 from warp_plate.solve.state import make_state
 
@@ -35,7 +35,7 @@ def make(problem: Problem, threads: int) -> Run:
     def run() -> NDArray[np.float64]:
         state.clear()
         engine.advance(state, problem.plates, 0, problem.steps)
-        return region_sums(engine, state, problem.plates).astype(np.float64)
+        return queue_region_sums(engine, state, problem.plates)().copy()
 
     return run
 

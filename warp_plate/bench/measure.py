@@ -221,7 +221,8 @@ def prepare(case: Case) -> Ready:
     random = np.random.default_rng(0)
     parts = random.uniform(-1, 1, (2, case.plates, specialized.patches.shape[0]))
     coefficients = specialized.signals.coefficients(parts[0] + 1j * parts[1])
-    load_drives(engine, state, coefficients.astype(case.precision), case.plates)
+    state.host.coefficients.numpy()[:] = coefficients
+    load_drives(engine, state, case.plates)
     inner = (case.nodes - 2, case.nodes - 2)
     for field in (state.u, state.rate):
         plate = np.zeros(field.shape[1:], dtype=case.precision)

@@ -20,6 +20,7 @@ from warp_plate.cli.modes import modes
 from warp_plate.cli.output import tell
 from warp_plate.cli.render import render
 from warp_plate.cli.simulate import simulate
+from warp_plate.cli.sweep import sweep
 from warp_plate.cli.view import view
 from warp_plate.scene.errors import SceneError
 
@@ -27,11 +28,11 @@ app = cyclopts.App(
     name="warp-plate",
     help="Simulate thin vibrating panels, thousands at once, and find the drive that moves only the chosen part.",
     version=warp_plate.__version__,
-    help_format="plaintext",
+    help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
 COMMANDS = (
-    localize, compare, simulate, check, modes, effects, accuracy, view, explore, render, export, init, bench,
+    localize, compare, sweep, simulate, check, modes, effects, accuracy, view, explore, render, export, init, bench,
 )  # fmt: skip
 for command in COMMANDS:
     app.command(command)

@@ -86,7 +86,8 @@ def compare(
     loaded = output.load_scene(scene)
     from warp_plate.search.compare import compare as run
 
-    on = first_device(devices, device) or "auto"
+    first = first_device(devices, device)
+    on = "auto" if first is None else first
     with workers(devices, cluster, device) as pool, output.progress_bar("comparing", shown=not json) as show:
         result = run(loaded, scene, names, seeds, on, path, evaluator, evaluations, show, pool)
     files, missing = _write(result, target, pictures)

@@ -32,7 +32,8 @@ def explore(
 
     Localization factor, bound and the quadrants' shares of the energy follow at once. Buttons take the scene's own
     drive, the equal one, the best single actuator, the best that the swarm finds (watched as it searches), the exact
-    best, or a random one.
+    best, or a random one. The swarm searches all magnitudes and phases here, for the localization factor, whatever the
+    scene's [search] frees or seeks.
 
     Parameters
     ----------

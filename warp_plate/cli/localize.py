@@ -10,6 +10,7 @@ import cyclopts
 
 from warp_plate.cli import output
 from warp_plate.cli.crosstalk import crosstalk_json, crosstalk_table
+from warp_plate.cli.objectives_table import print_objectives
 from warp_plate.cli.options import Whole
 from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
 from warp_plate.cli.resume import read_checkpoint, result_beside, way_on
@@ -68,7 +69,9 @@ def localize(
     those that the scene gives, which otherwise are for simulate.
 
     A scene says by [search.magnitude], [search.phase], [search.frequency], [search.position] and [search.delay] what
-    else, and what not, is searched, by [search.limits] what the amplifier can do: see docs/searching.md. The scene that
+    else, and what not, is searched, by [search.limits] what the amplifier can do (docs/searching.md), by method under
+    [search] how (docs/methods.md), and by [[search.objectives]] for what (docs/objectives.md). With [[targets]] a drive
+    is searched for each, and the crosstalk between them is shown. The scene that
     is found is written beside the result as OUT.best.toml, which simulate runs.
 
     With [search.robust] the drive is judged by many panels drawn within tolerances, and compared over fresh ones with
@@ -93,7 +96,7 @@ def localize(
         Workers of Dask distributed that share the plates instead (needs the extra cluster): local:4 starts four on this
         machine, tcp://HOST:PORT or a scheduler's JSON file names a scheduler that runs.
     seed
-        Of the swarm; the scene's when left out.
+        Of the search; the scene's when left out.
     evaluator
         direct simulates a plate for each particle; response uses Gram matrices of unit responses instead. direct when
         left out, of a robust search response where it holds.
@@ -145,7 +148,8 @@ def localize(
     if checkpoint is not None:
         run = partial(go_on, checkpoint, device)
     elif loaded is not None:
-        on = first_device(devices, device) or "auto"
+        first = first_device(devices, device)
+        on = "auto" if first is None else first
         run = partial(search, loaded, scene or "", on, seed, evaluator, path or "auto")
     if baselines:
         from warp_plate.search.baselines import check_baselines, with_baselines
@@ -154,7 +158,8 @@ def localize(
     with workers(devices, cluster, device) as pool:
         result = _run(partial(run, spectrum=spectrum, pool=pool), estimate, kept, not json, pool, searched)
     if baselines:
-        result = with_baselines(result, device or "auto", path or "auto")
+        began = ("auto", "auto") if checkpoint is None else (checkpoint.device, checkpoint.path)
+        result = with_baselines(result, began[0] if device is None else device, path or began[1])
     files, missing = _write(result, target, pictures, kept)
     if json:
         output.print_json(as_json(result, files, kept.path if result.interrupted and kept.saved else None))
@@ -238,14 +243,15 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
         "seed": result.seed,
         "localization_factor": {**factors, "bound": result.bound},
         "drive": output.drive_json(best, result.scene),
-        "crosstalk": crosstalk_json(result),
         "evaluations": result.evaluations,
         "node_steps": result.node_steps,
         "seconds": dict(result.seconds),
         "effects": list(result.effects),
         "history": [dict(zip(history, row, strict=True)) for row in zip(*history.values(), strict=True)],
+        "objectives": dict(result.values) or None,
         "robust": robust_json(result.robust),
         "spectrum": {name: values.tolist() for name, values in result.spectrum.items()},
+        "crosstalk": crosstalk_json(result),
         "evaluator": result.evaluator,
         "accuracy": dict(result.accuracy),
         "warnings": output.warnings_of(result),
@@ -271,6 +277,7 @@ def _print(result: Result, console: Console) -> None:
         made.add_row(*row, *([f"{published[name]:.4f}" if name in published else ""] if published else []))
     console.print(made)
     console.print()
+    print_objectives(result, console)
     print_robust(result, console)
     console.print(output.drive_table(result.cases["best"], result.scene))
     console.print()

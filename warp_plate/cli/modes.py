@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,8 +15,6 @@ if TYPE_CHECKING:
     from warp_plate.plate.modes import NaturalModes
     from warp_plate.scene.model import Scene
 
-# The factorised matrix takes some 4 kB a node; 174 000 nodes take some 15 s.
-MOST_NODES = 400_000
 ENDINGS = (".png", ".svg", ".pdf")
 
 
@@ -52,14 +49,12 @@ def modes(
     if count < 1:
         raise SceneError(f"--count {count}: must be at least 1")
     loaded = _with_grid(output.load_scene(scene, accuracy))
-    nodes = math.prod(loaded.grid.nodes)
-    if nodes > MOST_NODES:
-        raise SceneError(
-            f"{scene}: grid.nodes = {list(loaded.grid.nodes)}: {nodes} are too many for their modes; write at most "
-            f"{MOST_NODES} (the error of a frequency falls with the square of the spacing, or the fourth power)"
-        )
-    from warp_plate.plate.modes import natural_modes
+    from warp_plate.plate.modes import natural_modes, refuse_many_nodes
 
+    try:
+        refuse_many_nodes(loaded)
+    except SceneError as error:
+        raise SceneError(f"{scene}: {error}") from None
     found = natural_modes(loaded, count)
     files, missing = _draw(loaded, found, target) if pictures else ([], None)
     if json:

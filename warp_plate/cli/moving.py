@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from warp_plate.cli import output
-from warp_plate.cli.modes import MOST_NODES
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -41,6 +39,7 @@ def chosen_motions(result: Result, name: Path, choice: Choice, field: Field, qui
     Raises:
         SceneError: options that do not go together, and see ``motions`` and ``mode_motions``.
     """
+    from warp_plate.plate.modes import refuse_many_nodes
     from warp_plate.search.motion import mode_motions, motions
 
     if choice.frames is not None and choice.frames < 2:
@@ -50,8 +49,10 @@ def chosen_motions(result: Result, name: Path, choice: Choice, field: Field, qui
             raise SceneError(f"--modes {choice.modes}: must be from 1 to {MOST_MODES}")
         if field != "displacement":
             raise SceneError(f"--field {field}: natural shapes have their displacement only; leave out --modes")
-        if math.prod(result.scene.grid.nodes) > MOST_NODES:
-            raise SceneError(f"--modes {choice.modes}: a grid of over {MOST_NODES} nodes is too large for its modes")
+        try:
+            refuse_many_nodes(result.scene)
+        except SceneError as error:
+            raise SceneError(f"--modes {choice.modes}: {error}") from None
         return mode_motions(result.scene, range(1, choice.modes + 1), **_given(frames=choice.frames))
     span = None
     if choice.start is not None or choice.end is not None:

@@ -123,6 +123,7 @@ def refuse_place(path: Path) -> None:
     Raises:
         SceneError: no file can be made there, its name leaves those no room, or its folder is missing.
     """
+    there: str | bool
     try:
         there = "is a folder" if stat.S_ISDIR(path.stat().st_mode) else ""
     except (FileNotFoundError, NotADirectoryError):
@@ -224,6 +225,9 @@ def warnings_of(result: Result) -> list[str]:
     lost = next((one.status for one in result.cases.values() if one.status != "ok"), None)
     if lost is not None:
         return [why_no_energies(result.scene, lost)]
+    best = result.history.get("best")
+    if best is not None and len(best) and not math.isfinite(best[-1]):
+        return ["No plate that the search tried has energies: the best single actuator stands for what it should find."]
     return exceeded(result.placed(result.judged), result.peak)
 
 

@@ -61,7 +61,7 @@ def render(
         In colour: displacement, velocity, energy (kinetic energy density), rms-velocity or phase; heights are
         displacements always.
     case
-        equal, single, best or drive; give it again for more. All, side by side, when left out.
+        equal, single, best, drive or another of the result's; give it again for more. All, side by side, when left out.
     modes
         Draw the first so many natural shapes instead, 6 at most.
     plan

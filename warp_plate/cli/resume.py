@@ -1,4 +1,4 @@
-"""What ``localize --resume`` accepts beside a checkpoint, and what it says of it."""
+"""What ``--resume`` accepts beside a checkpoint, and what it says of it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
     from warp_plate.result.checkpoint import Checkpoint
+    from warp_plate.result.sweep import Sweep
     from warp_plate.scene.model import Scene
 
 
@@ -48,49 +49,54 @@ def read_checkpoint(
     checkpoint, word = load_newest(file)
     if scene is None and accuracy is not None:
         scene = output.with_asked_accuracy(checkpoint.asked, accuracy)
-    _refuse_changes(file, checkpoint, scene, source or "--accuracy", options)
+    refuse_changes(checkpoint, f"search in {file}", checkpoint.asked, scene, source or "--accuracy", options)
     if source is not None and scene is not None:
         folder = scene.folder  # the files that it names lie beside it, not beside the checkpoint
         checkpoint = replace(
             checkpoint, asked=checkpoint.asked.in_folder(folder), scene=checkpoint.scene.in_folder(folder)
         )
-    for line in [*([word] if word else []), *_differences(file, checkpoint, device)]:
+    for line in [*([word] if word else []), *differences(file, checkpoint, device)]:
         output.tell(line)
     return checkpoint
 
 
-def _refuse_changes(
-    file: Path,
-    checkpoint: Checkpoint,
+def refuse_changes(
+    begun: object,
+    what: str,
+    asked: Scene,
     scene: Scene | None,
     source: str,
     options: dict[str, object],
+    anew: str = "begin anew without --resume",
 ) -> None:
-    """Nothing, where a scene and options given beside a checkpoint are those of its search, or None.
+    """Nothing, where a scene and options given beside a checkpoint are those that it began with, or None.
+
+    begun: has what it began with, by the options' names; what: it is, and in which file; asked: its scene; source: the
+    name of the one that is given; anew: what else could be done.
 
     Raises:
         SceneError: another result would come of it; names what is not the same.
     """
     for name, value in options.items():
-        begun = getattr(checkpoint, name)
-        if value is not None and value != begun:
+        before = getattr(begun, name)
+        if value is not None and value != before:
             raise SceneError(
-                f"--{name} {value}: the search in {file} began with {begun}, and goes on with nothing else; leave the "
-                "option out, or begin anew without --resume"
+                f"--{name} {value}: the {what} began with {before}, and goes on with nothing else; leave the option "
+                f"out, or {anew}"
             )
     if scene is None:
         return
-    given, begun = (dict(_leaves(one.model_dump())) for one in (scene, checkpoint.asked))
-    for key in {"grid.accuracy": None, **begun, **given}:
-        if given.get(key) != begun.get(key):
+    given, known = (dict(_leaves(one.model_dump())) for one in (scene, asked))
+    for key in {"grid.accuracy": None, **known, **given}:
+        if given.get(key) != known.get(key):
             raise SceneError(
-                f"{source}: {key} = {given.get(key)}: the search in {file} began with {begun.get(key)}, and goes on "
-                "with nothing else; leave it out, or begin anew without --resume"
+                f"{source}: {key} = {given.get(key)}: the {what} began with {known.get(key)}, and goes on with nothing "
+                f"else; leave it out, or {anew}"
             )
 
 
-def _differences(file: Path, checkpoint: Checkpoint, device: str | None) -> list[str]:
-    """A line for each thing that is not as it was when the search began and may move the last bits of its result.
+def differences(file: Path, begun: Checkpoint | Sweep, device: str | None) -> list[str]:
+    """A line for each thing that is not as it was when it began and may move the last bits of its result.
 
     Raises:
         SceneError: no such device.
@@ -101,15 +107,15 @@ def _differences(file: Path, checkpoint: Checkpoint, device: str | None) -> list
     lines = []
     if device is not None:
         here = processor_of(find_device(device))
-        if here != checkpoint.processor:
+        if here != begun.processor:
             lines.append(
-                f"{file}: began on {checkpoint.device} ({checkpoint.processor}) and goes on on {device} ({here}), "
+                f"{file}: began on {begun.device} ({begun.processor}) and goes on on {device} ({here}), "
                 "which rounds in another way: the result may differ"
             )
     for name, now in versions().items():
-        begun = checkpoint.versions.get(name, "another version")
-        if begun != now:
-            lines.append(f"{file}: began with {name} {begun}, this is {now}: the result may differ in its last digits")
+        before = begun.versions.get(name, "another version")
+        if before != now:
+            lines.append(f"{file}: began with {name} {before}, this is {now}: the result may differ in its last digits")
     return lines
 
 

@@ -69,9 +69,28 @@ def recipe_of(
 ) -> Recipe:
     """The recipe of ``PlateSolver(scene, ...)``; for the arguments and errors see there."""
     weights = region_weights(scene, areas)[len(REGIONS) :]
-    files = {name: read_beside(key, name, scene.folder) for key, name in named_files(scene).items()}
     named = dict(zip(areas, weights, strict=True))
-    return Recipe(dump_scene(scene), files, device, path, named, own, quantity, share)
+    return Recipe(dump_scene(scene), contents_of(scene), device, path, named, own, quantity, share)
+
+
+def contents_of(scene: Scene) -> dict[str, bytes]:
+    """The files that a scene names, by their names.
+
+    Raises:
+        SceneError: see ``read_beside``.
+    """
+    return {name: read_beside(key, name, scene.folder) for key, name in named_files(scene).items()}
+
+
+def scene_in(folder: str, text: str, files: Mapping[str, bytes]) -> Scene:
+    """The scene of a TOML text, with the files that it names in a folder of its own.
+
+    Raises:
+        SceneError: see ``parse_scene``.
+    """
+    for name, content in files.items():
+        (Path(folder) / Path(name).name).write_bytes(content)
+    return parse_scene(text, "on a worker").in_folder(Path(folder))
 
 
 def make_solver(recipe: Recipe) -> PlateSolver:
@@ -81,11 +100,8 @@ def make_solver(recipe: Recipe) -> PlateSolver:
         SceneError: see :class:`PlateSolver`.
     """
     with TemporaryDirectory() as folder:
-        for name, content in recipe.files.items():
-            (Path(folder) / Path(name).name).write_bytes(content)
-        scene = parse_scene(recipe.scene, "on a worker").in_folder(Path(folder))
         return PlateSolver(
-            scene,
+            scene_in(folder, recipe.scene, recipe.files),
             os.environ.get(DEVICE) or recipe.device,
             recipe.path,
             threads=None if os.environ.get("WARP_PLATE_THREADS") else 1,

@@ -16,11 +16,11 @@ from warp_plate.cluster.pool import Pool, Task
 from warp_plate.cluster.recipe import recipe_of
 from warp_plate.cluster.spread import ATTEMPTS, spread
 from warp_plate.cluster.work import run_block
-from warp_plate.plate.designs import NOTHING_OWN, Designs, Own
+from warp_plate.plate.designs import NOTHING_OWN, Batch, Designs, Own, as_phasors
 from warp_plate.plate.weights import NO_AREAS, Region
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.solver import PlateSolver, Progress, Run, as_phasors
+from warp_plate.solve.solver import PlateSolver, Progress, Run
 from warp_plate.solve.specialize import Quantity
 
 
@@ -62,7 +62,7 @@ class SpreadSolver(PlateSolver):
 
     def run(
         self,
-        drives: np.ndarray | Sequence[Sequence[complex]] | tuple[np.ndarray, np.ndarray] | Designs,
+        drives: np.ndarray | Sequence[Sequence[complex]] | tuple[np.ndarray, np.ndarray] | Batch,
         times: Sequence[float] = (),
         points: Sequence[tuple[float, float]] = (),
         progress: Progress | None = None,
@@ -74,7 +74,7 @@ class SpreadSolver(PlateSolver):
         """
         if len(times) or len(points):
             return super().run(drives, times, points, progress)
-        designs = drives if isinstance(drives, Designs) else Designs(as_phasors(drives, len(self.scene.actuators)))
+        designs = drives[:] if isinstance(drives, Batch) else Designs(as_phasors(drives, len(self.scene.actuators)))
         plates, regions = len(designs), self.specialized.regions
         energy, caught = np.full((plates, len(regions)), np.nan), np.full(plates, np.nan)
         status, node_steps = np.empty(plates, dtype=object), 0

@@ -12,7 +12,7 @@ from functools import cache
 
 # Rows of a block; so few rows take one call and no thread. More threads than that wait for each other.
 ROWS = 8192
-MOST_THREADS = 16
+MOST_THREADS = 4
 
 
 def over_blocks(task: Callable[[slice], object], rows: int) -> None:

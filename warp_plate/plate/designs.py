@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -42,6 +42,20 @@ class Designs:
         return self.frequency is None and self.centre is None and self.delay is None
 
 
+@runtime_checkable
+class Batch(Protocol):
+    """Designs, or what makes some of them when they are asked for: a solver takes part after part."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, some: slice) -> Designs: ...
+
+    @property
+    def only_drives(self) -> bool:
+        """See :class:`Designs`."""
+        ...
+
+
 @dataclass(frozen=True)
 class Own:
     """What the plates of a solver may have of their own beside their drives: it is compiled for that.
@@ -69,12 +83,12 @@ def own_of(scene: Scene) -> Own:
         kept = {one.name for one in scene.actuators} - set(free.actuators or [one.name for one in scene.actuators])
         whole = free.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
         areas = tuple(one.area if one.name in kept else whole for one in scene.actuators)
-    named = search.frequency is not None and search.frequency.actuators is not None
+    apart = [one for one in (search.frequency, search.delay) if one is not None]
     return Own(
         frequency=search.frequency is not None,
         delay=search.delay is not None,
         centre=free is not None,
-        each=any(one is not None and one.own for one in (search.frequency, search.delay)) or named,
+        each=any(one.own or one.actuators is not None for one in apart),
         areas=areas,
     )
 
@@ -178,3 +192,31 @@ def _refuse(scene: Scene, name: str, values: np.ndarray, good: np.ndarray | np.b
             f"designs.{name}: {np.round(values[plate, actuator], 9).tolist()} of actuator "
             f"{scene.actuators[actuator].name!r} on plate {plate}; must be {right}"
         )
+
+
+def as_phasors(drives: object, actuators: int) -> np.ndarray:
+    """(plates, actuators) complex phasors from phasors or (magnitude, phase).
+
+    Raises:
+        SceneError: another shape, or not numbers.
+    """
+    try:
+        if isinstance(drives, tuple) and len(drives) == 2:
+            magnitude, phase = (as_numbers(part, "biuf") for part in drives)
+            with np.errstate(invalid="ignore"):  # a drive that is not finite harms its own plate alone
+                phasors = magnitude * np.exp(-1j * phase)
+        else:
+            phasors = as_numbers(drives, "biufc").astype(complex, copy=False)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"drives: not an array of numbers ({error})") from None
+    if phasors.ndim != 2 or phasors.shape[1] != actuators:
+        raise SceneError(f"drives: shape {phasors.shape} instead of (plates, {actuators}), one column an actuator")
+    return phasors
+
+
+def as_numbers(values: object, kinds: str) -> np.ndarray:
+    """As an array, of one of NumPy's kinds: nothing is read out of texts or dates, and nothing masked is taken."""
+    array = np.asarray(values)
+    if array.size and (array.dtype.kind not in kinds or np.ma.is_masked(values)):
+        raise TypeError(f"{array.dtype}{', masked' if np.ma.is_masked(values) else ''}")
+    return array

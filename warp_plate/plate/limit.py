@@ -40,11 +40,12 @@ from warp_plate.scene.model import Scene
 
 # With so many nodes a side, the end of a periodic plate's spectrum is at most 0.8 % above that of a plate with edges.
 FORMULA_NODES = 24
-# Relative, of the largest eigenvalue: Lanczos' method stops there, and the limit keeps MARGIN below what it finds. At
-# 1e-3 it was seen to stop at the second largest, 0.3 % below.
-LANCZOS_TOLERANCE, MARGIN = 1e-4, 3e-3
+# Relative, of the largest eigenvalue: Lanczos' method stops there, sooner beyond so many unknowns, and the limit keeps
+# MARGIN below what it finds. At 1e-3 it was seen to stop at the second largest of 91, 0.3 % below.
+TOLERANCE, FEW, TOLERANCE_OF_MORE = 1e-6, 4000, 1e-4
+MARGIN = 3e-3
 # Up to so many unknowns all eigenvalues are worked out, and the limit keeps off by rounding alone.
-DENSE, ROUNDING = 200, 1e-9
+DENSE, ROUNDING = 60, 1e-9
 # The search for the time step ends when the largest eigenvalue is 4 to this part; it takes two or three steps.
 CLOSE, MOST_SOLVES = 1e-4, 20
 
@@ -194,7 +195,8 @@ def _largest(matrix: scipy.sparse.csr_array) -> tuple[float, np.ndarray]:
         return float(values[-1]), vectors[:, -1]
     # A start of no symmetry: one that a symmetric plate shares may have no part of the mode that is looked for.
     start = np.random.default_rng(0).normal(size=matrix.shape[0])
-    values, vectors = scipy.sparse.linalg.eigsh(matrix, k=1, which="LA", tol=LANCZOS_TOLERANCE, v0=start)
+    tolerance = TOLERANCE if matrix.shape[0] <= FEW else TOLERANCE_OF_MORE
+    values, vectors = scipy.sparse.linalg.eigsh(matrix, k=1, which="LA", tol=tolerance, v0=start)
     return float(values[0]), vectors[:, 0]
 
 

@@ -26,6 +26,8 @@ from warp_plate.scene.model import Scene
 
 # Up to so many unknowns all modes are found at once; beyond, the lowest by Lanczos' method.
 DENSE = 300
+# The factorised matrix takes some 4 kB a node; 174 000 nodes take some 15 s.
+MOST_NODES = 400_000
 # Lanczos' method may miss one of several modes of the same frequency at the end of what it was asked for.
 SPARE = 4
 # Squares ω² are zero below this part of κ²(π/longer side)⁴, the order of the lowest of a plate, or this part of the
@@ -60,6 +62,20 @@ class NaturalModes:
     def half_waves(self) -> list[tuple[int, int] | None]:
         """Of each shape, how many stretches of one sign lie along x and along y; None where lines run askew."""
         return [_half_waves(shape) for shape in self.shapes]
+
+
+def refuse_many_nodes(scene: Scene) -> None:
+    """Nothing, where the scene's grid is small enough for its modes to be found.
+
+    Raises:
+        SceneError: it has more than MOST_NODES.
+    """
+    nodes = math.prod(scene.grid.nodes)
+    if nodes > MOST_NODES:
+        raise SceneError(
+            f"grid.nodes = {list(scene.grid.nodes)}: {nodes} are too many for their modes; write at most {MOST_NODES} "
+            "(the error of a frequency falls with the square of the spacing, or the fourth power)"
+        )
 
 
 def natural_modes(scene: Scene, count: int) -> NaturalModes:

@@ -73,7 +73,8 @@ class Found:
     """The search for one target.
 
     position: (dimension,) the best one in the search's space; None where one actuator leaves no choice, or none had
-    energies. single: index of the best single actuator; bound, history: as in :class:`Result`; evaluations: plates.
+    energies. single: index of the best single actuator; bound, history, values: as in :class:`Result`; evaluations:
+    plates.
     """
 
     position: np.ndarray | None
@@ -81,6 +82,7 @@ class Found:
     bound: float | None
     evaluations: int
     history: Mapping[str, np.ndarray]
+    values: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,8 @@ class Result:
     bound: largest localization factor that any drive can reach; None where none is claimed.
     history: for each iteration of the search, arrays "evaluations", "best", "mean": localization factors, or weighted
         sums of what else is sought.
+    values: where more than the localization factor is sought, what the best drive is worth: by the objectives' kinds,
+        of velocity and displacement also that "of the rest"; their weighted "sum", and its "bound" where one is known.
     seconds: "compile" and "solve", and "choose" and "estimate" where these were done.
     accuracy: what is known of the result's errors, of numbers and texts only: "asked" and "reason" where the scene
         asked for an accuracy instead of a grid, "estimate" of the localization factors.
@@ -119,6 +123,7 @@ class Result:
     evaluations: int = 0
     bound: float | None = None
     history: Mapping[str, np.ndarray] = field(default_factory=dict)
+    values: Mapping[str, float] = field(default_factory=dict)
     evaluator: str = "direct"
     path: str = ""
     interrupted: bool = False

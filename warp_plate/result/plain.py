@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -85,19 +85,32 @@ def numbers(group: h5py.Group, name: str, shape: tuple[int | None, ...]) -> np.n
     found = _own(group, name)
     if not isinstance(found, h5py.Dataset) or found.dtype.kind not in "fiu":
         raise SceneError(f"{name} is no dataset of real numbers")
-    properties = found.id.get_create_plist()
-    if found.is_virtual or found.external or properties.get_nfilters():
-        raise SceneError(f"{name} is kept in another file or by a filter, which this program does not read")
+    _refuse_elsewhere(found, name)
     if math.prod(found.shape) * found.dtype.itemsize > found.file.id.get_filesize():
         raise SceneError(f"{name} has shape {found.shape}, more than the file holds")
-    right = len(found.shape) == len(shape) and all(
-        wanted is None or wanted == length for wanted, length in zip(shape, found.shape, strict=True)
-    )
-    if not right:
-        wanted_shape = ", ".join("any" if length is None else str(length) for length in shape)
-        raise SceneError(f"{name} has shape {found.shape} instead of ({wanted_shape})")
+    _refuse_shape(found, name, shape)
     values: np.ndarray = found[()]
     return values
+
+
+def texts(group: h5py.Group, name: str, shape: tuple[int | None, ...], places: Iterable[tuple[int, ...]]) -> list[str]:
+    """Those at some places of a dataset of texts of any length; ``shape``: see :func:`numbers`.
+
+    Raises:
+        SceneError: missing, not in this file itself, of another kind or shape, or longer than the file.
+    """
+    found = _own(group, name)
+    if not isinstance(found, h5py.Dataset) or h5py.check_string_dtype(found.dtype) is None:
+        raise SceneError(f"{name} is no dataset of texts")
+    _refuse_elsewhere(found, name)
+    _refuse_shape(found, name, shape)
+    left, read = found.file.id.get_filesize(), []
+    for place in places:  # one by one: many may point at the same long text
+        read.append(found.asstr()[place])
+        left -= 1 + len(read[-1])
+        if left < 0:
+            raise SceneError(f"{name} holds more than the file does")
+    return read
 
 
 def text(item: h5py.HLObject, name: str) -> str:
@@ -155,3 +168,17 @@ def _own(group: h5py.Group, name: str) -> h5py.HLObject:
             raise SceneError(f"{name} is a link, which this program does not follow")
         group = group[part]
     return group
+
+
+def _refuse_elsewhere(found: h5py.Dataset, name: str) -> None:
+    if found.is_virtual or found.external or found.id.get_create_plist().get_nfilters():
+        raise SceneError(f"{name} is kept in another file or by a filter, which this program does not read")
+
+
+def _refuse_shape(found: h5py.Dataset, name: str, shape: tuple[int | None, ...]) -> None:
+    right = len(found.shape) == len(shape) and all(
+        wanted is None or wanted == length for wanted, length in zip(shape, found.shape, strict=True)
+    )
+    if not right:
+        wanted_shape = ", ".join("any" if length is None else str(length) for length in shape)
+        raise SceneError(f"{name} has shape {found.shape} instead of ({wanted_shape})")

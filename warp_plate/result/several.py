@@ -19,6 +19,7 @@ def put_several(file: h5py.File, several: Sequence[Found]) -> None:
     """Write the searches, in the order of the scene's targets, as the groups /searches/0, /searches/1, ..."""
     for index, one in enumerate(several):
         state: dict[str, Any] = {f"history {name}": values for name, values in one.history.items()}
+        state |= {f"value {name}": value for name, value in one.values.items()}
         state |= {"single": one.single, "bound": one.bound, "evaluations": one.evaluations}
         put_state(file, f"{GROUP}/{index}", state | ({} if one.position is None else {"position": one.position}))
 
@@ -40,11 +41,12 @@ def read_several(file: h5py.File) -> tuple[Found, ...]:
                 single=int(state["single"]),
                 bound=None if state["bound"] is None else float(state["bound"]),
                 evaluations=int(state["evaluations"]),
-                history={
-                    name.removeprefix("history "): values
-                    for name, values in state.items()
-                    if name.startswith("history ")
-                },
+                history=_under("history ", state),
+                values={name: float(value) for name, value in _under("value ", state).items()},
             )
         )
     return tuple(several)
+
+
+def _under(prefix: str, state: dict[str, Any]) -> dict[str, Any]:
+    return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}

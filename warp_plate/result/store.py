@@ -6,6 +6,7 @@
     /cases/CASE/magnitude, phase, energy, displacement, trace
     /cases/CASE/frequency, centre, delay     where the plate had its own
     /history/evaluations, best, mean
+    /objectives/KIND, sum, bound         scalars, where more than the localization factor is sought
     /crosstalk                           of several targets; /searches/0, ... what was found for each
     /robust/fresh, searched, nominal_plate   of the robust and the nominal drive
     /spectrum/frequency, equal, single, best, resonances
@@ -30,12 +31,14 @@ from warp_plate.result.several import put_several, read_several
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene
+from warp_plate.scene.search import OBJECTIVE_UNITS
 
 HISTORY = {
     "evaluations": "drives tried so far",
     "best": "largest localization factor so far",
     "mean": "mean localization factor of the swarm",
 }
+VALUES = {"sum": "sum of the objectives with their weights", "bound": "of that sum: no drive comes above it"}
 SPECTRUM = {
     "frequency": ("Hz", "where the localization factors were taken"),
     "equal": ("1", "localization factor of all actuators alike"),
@@ -109,6 +112,8 @@ def _write(file: h5py.File, result: Result) -> None:
         put(file, "localization_factor/bound", result.bound, "1", "largest that any drive can reach")
     for name, values in result.history.items():
         put(file, f"history/{name}", values, "1", f"{HISTORY.get(name, name)}, after each iteration")
+    for name, value in result.values.items():
+        put(file, f"objectives/{name}", value, OBJECTIVE_UNITS.get(name.split()[0], "1"), VALUES.get(name, name))
     for name, values in result.spectrum.items():
         put(file, f"spectrum/{name}", values, *SPECTRUM[name])
     if result.several:
@@ -157,6 +162,7 @@ def _read(file: h5py.File, name: str) -> Result:
         evaluations=count(file, "evaluations"),
         bound=float(numbers(file, "localization_factor/bound", ())) if "bound" in factors else None,
         history={key: numbers(file, f"history/{key}", (None,)) for key in names_in(file, "history")},
+        values={key: float(numbers(file, f"objectives/{key}", ())) for key in names_in(file, "objectives")},
         evaluator=text(file, "evaluator"),
         interrupted=bool(count(file, "interrupted")),
         versions=table(file, "versions"),

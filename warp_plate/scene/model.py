@@ -276,7 +276,9 @@ class Scene(Table):
         """
         from warp_plate.scene.load import checked_scene
 
-        made = checked_scene({**self.model_dump(), **tables})
+        # A grid that is chosen for an accuracy names nothing else.
+        own = {"grid": self.grid} if self.grid.accuracy is not None else {}
+        made = checked_scene({**self.model_dump(), **own, **tables})
         made._folder = self._folder
         return made
 

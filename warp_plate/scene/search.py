@@ -75,6 +75,10 @@ class FreeDelay(Table):
         return self
 
 
+# Of what each kind of objective measures.
+OBJECTIVE_UNITS = {"localization": "1", "contrast": "dB", "velocity": "m/s", "displacement": "m", "uniformity": "1"}
+
+
 class Objective(Table):
     """One thing that is sought; several are added with their weights.
 

@@ -26,6 +26,7 @@ from warp_plate.result.model import Result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.search.last_runs import cases_of
+from warp_plate.search.peak import record_times
 from warp_plate.search.superposition import LINEAR_ORDERS, LINEAR_SAMPLES, last_period, motions_of
 from warp_plate.solve.response import Response
 from warp_plate.solve.solver import PlateSolver
@@ -67,7 +68,7 @@ def with_baselines(result: Result, device: str = "auto", path: str = "auto") -> 
         solver = PlateSolver(scene, device, path)
         transfer = transfer_functions(solver)
         drives = dict(zip(shown, (time_reversal(scene, transfer), inverse_filter(scene, transfer)), strict=True))
-        run = solver.run(np.array(list(drives.values())), scene.record.times, scene.record.points)
+        run = solver.run(np.array(list(drives.values())), record_times(scene), scene.record.points)
     except KeyboardInterrupt:  # a search is not lost for want of what it is compared with
         return result
     return replace(

@@ -46,7 +46,8 @@ class Allowed:
     """Which drives may be chosen; arrays (actuators,), magnitudes in the unit of drives.
 
     lower, upper: of magnitudes; lower −∞ where a magnitude may be of any sign; both the same where it is held. phase
-    [rad]: where it is held, NaN where it is free. power: largest Σ magnitude². equal: all magnitudes the same.
+    [rad]: where it is held, NaN where it is free. power: largest Σ magnitude². equal: all magnitudes the same. wider:
+    whether some of these drives cannot be chosen after all, so that one of them reaching a bound says little.
     """
 
     lower: np.ndarray
@@ -54,6 +55,7 @@ class Allowed:
     phase: np.ndarray
     power: float = math.inf
     equal: bool = False
+    wider: bool = False
 
     @staticmethod
     def all_drives(actuators: int) -> Allowed:

@@ -3,7 +3,7 @@
 Sources: N. Hansen, The CMA Evolution Strategy: A Tutorial, arXiv:1604.00772; restarts with a population that doubles:
 Auger and Hansen, IEEE CEC 2005 (IPOP). The cloud moves in numbers that are 0 at the lower end of the space's first
 range and 1 at its upper end. It knows no numbers that wrap: it moves along the whole line, and what is evaluated is
-wrapped into one period.
+wrapped into one period. pycma asks for two numbers or more: one alone gets an idle one beside it.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ STATE_FORMAT = "cma 1"
 # Size of the first cloud, in first ranges.
 FIRST_SIZE = 0.3
 GROWTH = 2
+FEWEST_NUMBERS = 2
 
 
 @dataclass(frozen=True)
@@ -154,8 +155,12 @@ class CovarianceSearch:
     def _begin(self) -> Any:
         """A cloud around a place drawn from the first ranges."""
         space = self.space
-        limits = [((end - space.first_low) / self._span) for end in (space.lower, space.upper)]
-        middle = self._random.random_sample(space.dimension)
+        idle = max(FEWEST_NUMBERS - space.dimension, 0)
+        limits = [
+            np.append((end - space.first_low) / self._span, np.full(idle, limit))
+            for end, limit in ((space.lower, 0.0), (space.upper, 1.0))
+        ]
+        middle = np.append(self._random.random_sample(space.dimension), np.full(idle, 0.5))
         options = {
             "popsize": self._population(self._restarts),
             "bounds": [[value if np.isfinite(value) else None for value in limit.tolist()] for limit in limits],
@@ -169,7 +174,7 @@ class CovarianceSearch:
 
     def _positions(self, points: np.ndarray) -> np.ndarray:
         space = self.space
-        positions = space.first_low + self._span * points
+        positions = space.first_low + self._span * points[:, : space.dimension]
         wraps = np.isfinite(space.period)
         period, lowest = space.period[wraps], space.first_low[wraps]
         positions[:, wraps] -= period * np.floor((positions[:, wraps] - lowest) / period)

@@ -16,7 +16,8 @@ from warp_plate.search.free import at_highest_frequency
 from warp_plate.search.interrupts import interrupts_held
 from warp_plate.search.localize import device_name, of_pool, resolve, versions
 from warp_plate.search.methods import Method, make_searcher
-from warp_plate.search.problem import Evaluator, Problem, make_problem
+from warp_plate.search.problem import Evaluator, Problem
+from warp_plate.search.robust import problem_of
 
 METHODS = ("pso", "constriction", "ring", "cma", "gradient", "exact")
 # Methods that find the same from every seed.
@@ -52,7 +53,7 @@ def compare(
     count; what the Gram matrices took, which all share, is kept apart.
 
     Raises:
-        SceneError: a method that was named does not fit the scene; see :func:`make_problem`.
+        SceneError: a method that was named does not fit the scene; see :func:`problem_of`.
         KeyboardInterrupt: Ctrl-C before the first trial was done.
     """
     scene = resolve(at_highest_frequency(scene), device)[0].model_copy(update={"actuators": scene.actuators})
@@ -61,7 +62,7 @@ def compare(
         search = search.model_copy(update={"iterations": max(1, evaluations // search.particles)})
         scene = scene.model_copy(update={"search": search})
     started = time.perf_counter()
-    problem = make_problem(scene, device, path, evaluator or "direct", pool=pool)
+    problem = problem_of(scene, device, path, evaluator, pool=pool)
     prepared = time.perf_counter() - started - problem.compile_seconds
     if evaluator is None and problem.response is not None:
         problem = replace(problem, evaluator="response")

@@ -63,6 +63,7 @@ def free_numbers(scene: Scene) -> tuple[Number, ...]:
     if not frees(scene):
         return _paper_numbers(scene)
     _check_equal(scene)
+    _check_some_drive(scene)
     made = (*_magnitudes(scene), *_phases(scene), *_frequencies(scene), *_positions(scene), *_delays(scene))
     if not made:
         raise SceneError(
@@ -97,7 +98,7 @@ def with_step(scene: Scene) -> Scene:
 def at_highest_frequency(scene: Scene) -> Scene:
     """The scene with every frequency that is free at the upper end of its range: the one that asks most of a grid."""
     free = scene.search.frequency
-    if free is None:
+    if free is None or scene.drive.signal is not None:  # of which ``free_numbers`` says that they do not go together
         return scene
     who = set(_named(scene, "frequency"))
     actuators = [
@@ -196,6 +197,11 @@ def _positions(scene: Scene) -> Iterator[Number]:
                     f"{scene.actuators[one].name!r} {2 * half:.6g} m; make room for all of it"
                 )
             lower, upper = start + half, stop - half
+            if upper - lower <= 1e-9 * side and abs((low + high) / 2 - lower) > 1e-9 * side:
+                raise SceneError(
+                    f"search.position.area = {list(area)}: is no longer along {axis} than actuator "
+                    f"{scene.actuators[one].name!r}, which lies elsewhere; move it there, or enlarge the area"
+                )
             if upper - lower > 1e-9 * side:
                 yield Number(_title(scene, axis, (one,)), axis, (one,), (low + high) / 2, (lower, upper), lower, upper)
 
@@ -245,6 +251,17 @@ def _title(scene: Scene, kind: str, group: tuple[int, ...]) -> str:
     if len(group) == len(scene.actuators) > 1:
         return kind
     return f"{kind} of {', '.join(scene.actuators[one].name for one in group)}"
+
+
+def _check_some_drive(scene: Scene) -> None:
+    """Raise SceneError where all magnitudes are zero and held, so that nothing moves whatever is searched."""
+    at_rest = not any(one.magnitude for one in scene.actuators) and scene.search.magnitude is None
+    bias = scene.drive.electrostatic is not None and scene.drive.electrostatic.bias
+    if at_rest and not bias and scene.effects.moving_load is None:
+        raise SceneError(
+            "search: the actuators' magnitudes are all 0 and held, so that nothing moves; write others, or free them: "
+            "[search.magnitude]"
+        )
 
 
 def _check_equal(scene: Scene) -> None:

@@ -34,7 +34,6 @@ MOST_DECIBELS = 120.0
 MOST_CELLS, CELL_NODES = 6, 2
 # Part of the plate's area from which on there is a rest.
 LEAST_REST = 1e-9
-UNITS = {"localization": "1", "contrast": "dB", "velocity": "m/s", "displacement": "m", "uniformity": "1"}
 OF_THE_REST = " of the rest"
 _PLATE, _TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
@@ -85,7 +84,7 @@ class Judge:
         return np.where(excess > 0, worst + excess, total)
 
     def values(self, energy: np.ndarray, displacement_energy: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """(plates,) by the objectives' kinds, in UNITS; of velocity and displacement also that "of the rest".
+        """(plates,) by the objectives' kinds, in OBJECTIVE_UNITS; of velocity and displacement also that "of the rest".
 
         Args: see :meth:`losses`.
         """

@@ -130,7 +130,7 @@ def resume(
     for key, digest in digests(checkpoint.scene).items():
         if checkpoint.files.get(key) != digest:
             raise SceneError(f"{key}: the file holds something else than when the search began")
-    on, matrices = device or same_device(checkpoint), checkpoint.matrices
+    on, matrices = device or same_device(checkpoint.device, checkpoint.processor), checkpoint.matrices
     problem = problem_of(checkpoint.scene, on, checkpoint.path, checkpoint.evaluator, matrices, pool)
     if problem.variables.quadratic and matrices is None:
         raise SceneError("checkpoint: the matrices of its scene's response are missing")
@@ -145,25 +145,24 @@ def resume(
         processor=processor,
         earlier=earlier,
         seconds=spent,
-        versions=_with_earlier(checkpoint.versions),
+        versions=with_earlier(checkpoint.versions),
     )
     return _finish(begun, problem, told, estimate, checkpoints, None, spectrum)
 
 
-def same_device(checkpoint: Checkpoint) -> str:
-    """A device here of the kind that the search began on.
+def same_device(device: str, processor: str, what: str = "search") -> str:
+    """A device here of the kind that a search began on.
 
     Raises:
         SceneError: there is none; names a way out.
     """
-    here = [checkpoint.device, *(alias for alias in device_aliases() if alias != checkpoint.device)]
+    here = [device, *(alias for alias in device_aliases() if alias != device)]
     for alias in here:
-        if alias in device_aliases() and processor_of(find_device(alias)) == checkpoint.processor:
+        if alias in device_aliases() and processor_of(find_device(alias)) == processor:
             return alias
     raise SceneError(
-        f"the search began on {checkpoint.device} ({checkpoint.processor}), which is not here; another device rounds "
-        f"in another way, so the result would not be the same to the last bit: name one to go on, --device "
-        f"{find_device('auto').alias}"
+        f"the {what} began on {device} ({processor}), which is not here; another device rounds in another way, so the "
+        f"result would not be the same to the last bit: name one to go on, --device {find_device('auto').alias}"
     )
 
 
@@ -207,6 +206,7 @@ def _finish(
         seconds=seconds,
         bound=first.bound,
         history=first.history,
+        values=first.values,
         evaluator=begun.evaluator,
         interrupted=searched.interrupted,
         versions=begun.versions,
@@ -284,7 +284,7 @@ def versions() -> dict[str, str]:
     }
 
 
-def _with_earlier(earlier: Mapping[str, str]) -> dict[str, str]:
+def with_earlier(earlier: Mapping[str, str]) -> dict[str, str]:
     """The versions of now; where a search began with another, both."""
     return {
         name: earlier[name] if earlier.get(name, now).split(", then ")[-1] == now else f"{earlier[name]}, then {now}"

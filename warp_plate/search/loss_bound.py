@@ -45,7 +45,7 @@ def bound_loss(
         bound = _bound(one, judge, allowed, response, forms.get(one.kind), rests)
         if bound is None:
             return None
-        bounds.append(bound)
+        bounds.append(_unattained(bound) if allowed.wider else bound)
     if judge.only_localization:
         return Bound(1 - bounds[0].value, bounds[0].kind, bounds[0].sentence)
     total = -sum(one.weight * bound.value for one, bound in zip(judge.objectives, bounds, strict=True))
@@ -108,4 +108,10 @@ def allowed_drives(variables: Variables) -> Allowed:
     if limits.power is None:
         return Allowed(lower, upper, phase, equal=equal)
     # What is brought down to the power may end below the range.
-    return Allowed(np.minimum(lower, 0.0), upper, phase, limits.power, equal)
+    return Allowed(np.minimum(lower, 0.0), upper, phase, limits.power, equal, wider=bool((lower > 0).any()))
+
+
+def _unattained(bound: Bound) -> Bound:
+    """The same value, where what reaches it may be no drive of the search's."""
+    sentence = "the most that any drive of this power and these largest magnitudes has; ranges may keep it lower"
+    return Bound(bound.value, "bound only", sentence)

@@ -12,7 +12,7 @@ import numpy as np
 
 from warp_plate.cluster.pool import Pool
 from warp_plate.cluster.solver import SpreadSolver, solver_on
-from warp_plate.plate.designs import Designs, own_of
+from warp_plate.plate.designs import Batch, Designs, own_of
 from warp_plate.plate.weights import Region
 from warp_plate.result.crosstalk import regions_of_targets
 from warp_plate.scene.errors import SceneError
@@ -24,7 +24,7 @@ from warp_plate.search.judge import Judge, make_judge
 from warp_plate.search.loss_bound import bound_loss
 from warp_plate.search.quadratic import Quadratic
 from warp_plate.search.space import Space
-from warp_plate.search.variables import Variables, variables_of
+from warp_plate.search.variables import Positions, Variables, variables_of
 from warp_plate.solve.response import Response, measure_response
 from warp_plate.solve.solver import PlateSolver
 
@@ -92,11 +92,11 @@ class Problem:
         known = [one.matrices for one in (self.response, self.moved_response) if one is not None]
         return np.concatenate(known) if known else None
 
-    def energies(self, designs: Designs) -> np.ndarray:
+    def energies(self, designs: Batch) -> np.ndarray:
         """(plates, regions) energies [J]."""
-        if designs.only_drives:
-            return self.energies_of_drives(designs.drives)
-        return self.solver.run(designs).energy
+        if self.evaluator == "response" and designs.only_drives:
+            return self.energies_of_drives(designs[:].drives)
+        return (self.plain if designs.only_drives else self.solver).run(designs).energy
 
     def energies_of_drives(self, drives: np.ndarray) -> np.ndarray:
         """(plates, regions) energies [J] of drives (plates, actuators) where the scene has its frequency and places."""
@@ -104,22 +104,29 @@ class Problem:
             return self.response.energy(drives)
         return self.plain.run(drives).energy
 
-    def losses_of(self, designs: Designs) -> np.ndarray:
+    def losses_of(self, designs: Batch) -> np.ndarray:
         """(plates,) what is to be made small; NaN where a plate has no energies."""
-        displaced = None
-        if self.evaluator == "response" and self.moved_response is not None:
-            displaced = self.moved_response.energy(designs.drives)
-        elif self.moved is not None:
-            displaced = self.moved.run(designs).energy
-        return self.judge.losses(self.energies(designs), displaced)
+        return self.judge.losses(self.energies(designs), self._displaced(designs))
 
     def losses(self, positions: np.ndarray) -> np.ndarray:
         """(n,) the same of positions (n, dimension)."""
-        return self.losses_of(self.variables.designs(positions))
+        return self.losses_of(Positions(self.variables, np.asarray(positions, dtype=float)))
 
     def value_of(self, loss: float | np.ndarray) -> float | np.ndarray:
         """What people want large: LF, or the weighted sum of the objectives."""
         return 1 - loss if self.only_localization else -loss
+
+    def values_at(self, position: np.ndarray) -> dict[str, float]:
+        """What a position (dimension,) is worth: ``Judge.values``, their "sum" with their weights, and the "bound" of
+        that sum where one is known. Nothing where the localization factor is all that is sought: a result has it."""
+        if self.only_localization:
+            return {}
+        designs = self.variables.designs(position[None])
+        values = self.judge.values(self.energies(designs), self._displaced(designs))
+        found = {name: float(value[0]) for name, value in values.items()}
+        found["sum"] = sum(one.weight * found[one.kind] for one in self.judge.objectives)
+        bound = self.bound_of_loss
+        return found if bound is None else {**found, "bound": -bound.value}
 
     @cached_property
     def quadratic(self) -> Quadratic | None:
@@ -152,6 +159,12 @@ class Problem:
             return None
         limited = frees(self.scene) or self.scene.search.limits != Limits()
         return 1 - self.bound_of_loss.value if limited else self.response.bound()
+
+    def _displaced(self, designs: Batch) -> np.ndarray | None:
+        """(plates, regions) energies of displacements, where these are judged."""
+        if self.evaluator == "response" and self.moved_response is not None:
+            return self.moved_response.energy(designs[:].drives)
+        return None if self.moved is None else self.moved.run(designs).energy
 
     @property
     def _solvers(self) -> set[PlateSolver]:

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from warp_plate.cluster.pool import Pool
-from warp_plate.plate.designs import Designs
+from warp_plate.plate.designs import Batch, Designs
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Robust
@@ -60,9 +60,13 @@ class RobustProblem(Problem):
         """Plates without energies because workers failed, by what went wrong."""
         return super().lost + lost_by(solver for panel in self.panels.each for solver in panel.solvers)
 
-    def losses_of(self, designs: Designs) -> np.ndarray:
+    def losses_of(self, designs: Batch) -> np.ndarray:
         """(plates,) what is to be made small; NaN where a plate has no energies on some panel."""
-        return measured(self.panels.losses(designs), self.robust)
+        return measured(self.panels.losses(designs[:]), self.robust)
+
+    def values_at(self, position: np.ndarray) -> dict[str, float]:
+        """Of the plate without scatter."""
+        return self.nominal.values_at(position)
 
     @cached_property
     def quadratic(self) -> Quadratic | None:

@@ -125,7 +125,8 @@ def _own(scene: Scene, place: float) -> Own:
 def _common_step(scene: Scene, drawn: list[Scenario]) -> float:
     """A time step [s] that is stable for all."""
     free = scene.grid.model_copy(update={"time_step": None})
-    schemes = [make_scheme(one.scene.model_copy(update={"grid": free})) for one in drawn]
+    general = own_of(scene).each  # whose limit may be another
+    schemes = [make_scheme(one.scene.model_copy(update={"grid": free}), general=general) for one in drawn]
     own = scene.grid.time_step
     if own is not None and own <= min(scheme.limit for scheme in schemes):
         return own

@@ -49,12 +49,14 @@ def run_searches(
     while True:
         started, first_steps = time.perf_counter(), problem.node_steps
         searcher, interrupted = run_search(begun, problem, _of_all(told, len(begun.several), count), checkpoints)
+        position = None if searcher is None else searcher.result.xbest
         one = Found(
-            position=None if searcher is None else searcher.result.xbest,
+            position=position,
             single=begun.single,
             bound=problem.bound,
             evaluations=0 if searcher is None else searcher.result.evaluations,
             history=history_of(searcher, problem),
+            values={} if position is None else problem.values_at(position),
         )
         found = (*begun.several, one)
         node_steps = begun.node_steps + problem.node_steps - first_steps

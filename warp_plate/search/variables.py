@@ -168,6 +168,25 @@ class Variables:
         return not any(one.kind == kind and 0 in one.actuators for one in self.numbers)
 
 
+@dataclass(frozen=True)
+class Positions:
+    """Designs of positions (n, dimension), made when they are asked for; a ``Batch`` of ``plate.designs``."""
+
+    variables: Variables
+    positions: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def __getitem__(self, some: slice) -> Designs:
+        return self.variables.designs(self.positions[some])
+
+    @property
+    def only_drives(self) -> bool:
+        """Whether plates differ in nothing but their drives."""
+        return self.variables.only_drives
+
+
 def variables_of(scene: Scene) -> Variables:
     """What the scene's tables ``[search.magnitude]`` and so on free; see ``free.free_numbers``.
 

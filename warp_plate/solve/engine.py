@@ -5,6 +5,7 @@ Everything here is in the kernels' scaled numbers; ``solver`` turns them into SI
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,30 +52,32 @@ def make_engine(specialized: Specialized, path: str = "auto") -> Engine:
     return Engine(specialized, path, advance, spread, make_own_kernels(specialized), along_columns, columns)
 
 
-def load_drives(
-    engine: Engine, state: State, coefficients: np.ndarray, plates: int, edges: np.ndarray | None = None
-) -> None:
-    """Turn coefficients (room for plates, terms, actuators) into load fields of the first plates; the others stay.
+def load_drives(engine: Engine, state: State, plates: int, edges: np.ndarray | None = None) -> None:
+    """Turn the coefficients that wait on the host into load fields of the first plates; the others stay.
 
     edges: (plates, actuators, 4) x0, x1, y0, y1 [m] of actuators in places of each plate's own; None: the scene's.
     """
     specialized = engine.specialized
-    state.coefficients.assign(coefficients)
+    wp.copy(state.coefficients, state.host.coefficients)
     spread, inputs = engine.spread_drives, [specialized.support, specialized.patches]
     if edges is not None:
         engine.own.put_places(state, edges)
         spread, inputs = engine.own.spread_moved_drives, [*engine.own.inputs, state.along_x, state.along_y]
     wp.launch(
         spread,
-        dim=(plates, coefficients.shape[1], specialized.support.shape[0]),
+        dim=(plates, specialized.effects.terms, specialized.support.shape[0]),
         inputs=[state.coefficients, *inputs],
         outputs=[state.loads],
         device=specialized.device,
     )
 
 
-def region_sums(engine: Engine, state: State, plates: int) -> np.ndarray:
-    """(plates, regions) weighted sums of rate² over the window, for the first plates."""
+def queue_region_sums(engine: Engine, state: State, plates: int) -> Callable[[], np.ndarray]:
+    """Have the weighted sums of rate² over the window made and copied to the host, for the first plates.
+
+    Returns:
+        What waits for them: (plates, regions), a view that the state's next run overwrites.
+    """
     specialized = engine.specialized
     regions, _, columns = specialized.weights.shape
     wp.launch(
@@ -86,5 +89,12 @@ def region_sums(engine: Engine, state: State, plates: int) -> np.ndarray:
     )
     inputs, outputs = [state.column_sums], [state.energy]
     wp.launch(engine.sum_columns, dim=(plates, regions), inputs=inputs, outputs=outputs, device=specialized.device)
-    sums: np.ndarray = state.energy.numpy()[:plates]
-    return sums
+    wp.copy(state.host.energy, state.energy)
+    done = wp.get_stream(specialized.device).record_event() if specialized.device.is_cuda else None
+
+    def wait() -> np.ndarray:
+        if done is not None:
+            wp.synchronize_event(done)
+        return np.asarray(state.host.energy.numpy()[:plates])
+
+    return wait

@@ -72,22 +72,23 @@ def _travel(specialized: Specialized) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 class Rooms:
-    """The general paths' own tensors beside those of a state, made once for each."""
+    """The general paths' own tensors beside those of a state, made once for each of the two that take turns."""
 
     def __init__(self, specialized: Specialized) -> None:
         self._specialized = specialized
-        self._state: State | None = None
-        self._fields: Any = None
+        self._made: list[tuple[State, Any]] = []
 
     def fields(self, state: State, start: int) -> Any:
         """The struct of all fields of a state; at step 0 what hangs on the plates is at rest."""
-        if state is not self._state:
-            self._state, self._fields = state, self._make(state)
+        fields = next((made for known, made in self._made if known is state), None)
+        if fields is None:
+            fields = self._make(state)
+            self._made = [*self._made[-1:], (state, fields)]
         if start == 0:
-            self._fields.hung.zero_()
-            self._fields.push.zero_()
-        self._fields.units, self._fields.moving, self._fields.wave = state.units, state.moving, state.wave
-        return self._fields
+            fields.hung.zero_()
+            fields.push.zero_()
+        fields.units, fields.moving, fields.wave = state.units, state.moving, state.wave
+        return fields
 
     def _make(self, state: State) -> Any:
         specialized, effects = self._specialized, self._specialized.effects

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import warp as wp
 
-from warp_plate.plate.designs import NOTHING_OWN, Designs, Own, OwnValues, check_designs
+from warp_plate.plate.designs import NOTHING_OWN, Batch, Designs, Own, OwnValues, as_numbers, as_phasors, check_designs
 from warp_plate.plate.weights import NO_AREAS, Region, bilinear
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.engine import load_drives, make_engine, region_sums
+from warp_plate.solve.engine import load_drives, make_engine, queue_region_sums
 from warp_plate.solve.paths import why_streaming
 from warp_plate.solve.scaling import scaled_coefficients
 from warp_plate.solve.specialize import Quantity, Specialized, effect_names, specialize
@@ -29,6 +32,10 @@ SEGMENT_NODE_STEPS = {"cpu": 1e9, "cuda": 5e10}
 CUDA_CHUNK_SHARE = 0.6
 CPU_CHUNK_BYTES = 256 * 2**20
 FEWEST_PLATES = 64
+# A large batch on CUDA is cut: while the device steps a part, the host makes the next one ready. The first is small,
+# for the device waits for it. Less work than this is not cut.
+PARTS = (1 / 32, 3 / 32, 8 / 32, 12 / 32, 8 / 32)
+LEAST_CUT_NODE_STEPS = 1e10
 
 Progress = Callable[[int, int], None]
 
@@ -121,7 +128,7 @@ class PlateSolver:
         self._chunk = chunk
         self._areas = areas
         self._share = share
-        self._state: State | None = None
+        self._states: list[State] = []  # which take turns
         self.node_steps = 0  # of all runs so far
         self.compile_seconds = time.perf_counter() - started
 
@@ -147,7 +154,7 @@ class PlateSolver:
 
     def run(
         self,
-        drives: np.ndarray | Sequence[Sequence[complex]] | tuple[np.ndarray, np.ndarray] | Designs,
+        drives: np.ndarray | Sequence[Sequence[complex]] | tuple[np.ndarray, np.ndarray] | Batch,
         times: Sequence[float] = (),
         points: Sequence[tuple[float, float]] = (),
         progress: Progress | None = None,
@@ -158,7 +165,7 @@ class PlateSolver:
             drives: (plates, actuators) complex phasors Z [N/m²], the load being Re(Z exp(iωt)) on each patch, or what
                 the scene's drive makes of Z (see ``plate.signals``); or a tuple (magnitude, phase) of such arrays, Z =
                 magnitude · exp(−i phase); or Designs, of which every plate may have frequencies, places and delays of
-                its own.
+                its own; or what gives them part by part.
             times: at which to keep the displacement [s].
             points: (x, y) [m] at which to keep the displacement of every step (bilinear between nodes).
             progress: called with (node-steps done, node-steps in all) between launches.
@@ -168,12 +175,11 @@ class PlateSolver:
                 this solver was not made for, or that ``plate.designs.check_designs`` refuses; times or points of a
                 solver of displacements, whose plates move by running sums.
         """
-        designs = drives if isinstance(drives, Designs) else Designs(as_phasors(drives, len(self.scene.actuators)))
-        phasors = as_phasors(designs.drives, len(self.scene.actuators))
-        scheme = self.specialized.scheme
+        batch = drives if isinstance(drives, Batch) else Designs(as_phasors(drives, len(self.scene.actuators)))
+        scheme, (nx, ny) = self.specialized.scheme, self.specialized.scheme.nodes
         self._check(times, points)
-        values = check_designs(designs, self.scene, self.specialized.own, scheme.time_step)
-        plates, (nx, ny) = len(phasors), scheme.nodes
+        whole = self._checked(batch) if isinstance(batch, Designs) else None
+        plates = len(batch)
         if points and self.device.is_cuda and self.path == "resident":
             # A plate that stays in registers shows nothing between launches: traces are streamed.
             streaming = PlateSolver(
@@ -192,31 +198,43 @@ class PlateSolver:
         trace = np.empty((plates, len(points), scheme.steps))
         status, caught = np.empty(plates, dtype=object), np.full(plates, np.nan)
         fastest = scheme.steps * fastest_per_step(self.specialized)
-        chunk = self._plates_at_once(max(plates, 1), nodes.shape[0])
+        parts = self._parts(plates, nodes.shape[0])
+        states = self._rooms(parts, nodes)
         total = plates * self.node_steps_per_plate
-        for first in range(0, plates, chunk):
-            some = slice(first, min(first + chunk, plates))
-            state, scale = self._start(phasors[some], values[some], chunk, nodes)
-            count, before = len(scale), first * self.node_steps_per_plate
+        most, joules = (scheme.window[1] - scheme.window[0]) * fastest**2, energy_unit(self.specialized)
+        ends: deque[Callable[[], None]] = deque()
+
+        def end(
+            some: slice, phasors: np.ndarray, scale: np.ndarray, seen: np.ndarray, sums: Callable[[], np.ndarray]
+        ) -> None:
+            judge_plates(phasors, scale, seen, sums(), joules, most, energy[some], status[some])
+            if progress is not None and len(states) > 1:
+                progress(some.stop * self.node_steps_per_plate, total)
+
+        for index, some in enumerate(parts):
+            phasors, values = (whole[0][some], whole[1][some]) if whole else self._checked(batch[some])
+            state = states[index % len(states)]
+            scale, before = self._start(state, phasors, values), some.start * self.node_steps_per_plate
 
             def tell(done: int, before: int = before) -> None:
                 if progress is not None:
                     progress(before + done, total)
 
-            reached, seen = self._march(state, count, snapshots, displacement[some], tell)
+            reached, seen = self._march(state, len(scale), snapshots, displacement[some], tell, len(states) > 1)
             caught[some][seen >= 0] = seen[seen >= 0] * scheme.time_step
-            sums = region_sums(self.engine, state, count)
-            most = (scheme.window[1] - scheme.window[0]) * fastest**2
-            judge_plates(
-                phasors[some], scale, seen, sums, energy_unit(self.specialized), most, energy[some], status[some]
-            )
+            sums = queue_region_sums(self.engine, state, len(scale))
+            ends.append(partial(end, some, phasors, scale, seen, sums))
+            if len(ends) == len(states):
+                ends.popleft()()
             unit = scale * scheme.load_scale
             with np.errstate(invalid="ignore", over="ignore"):  # of plates that left the finite numbers
                 displacement[some] *= unit[:, None, None, None]
                 if points:
-                    corner_traces = state.trace.numpy()[:count].reshape(count, len(points), 4, -1).astype(float)
-                    trace[some] = np.einsum("mpcn,pc->mpn", corner_traces, shares) * unit[:, None, None]
+                    corner_traces = state.trace.numpy()[: len(scale)].reshape(len(scale), len(points), 4, -1)
+                    trace[some] = np.einsum("mpcn,pc->mpn", corner_traces.astype(float), shares) * unit[:, None, None]
                     trace[some, :, reached:] = np.nan
+        while ends:
+            ends.popleft()()
         self.node_steps += total
         return Run(
             energy=energy,
@@ -235,7 +253,7 @@ class PlateSolver:
         end = self.specialized.scheme.steps * self.specialized.scheme.time_step
         for name, values, each in (("times", times, ()), ("points", points, (2,))):
             try:
-                shape = _numbers(values, "biuf").shape
+                shape = as_numbers(values, "biuf").shape
             except (TypeError, ValueError):
                 shape = ()
             if shape != (0,) and (not shape or shape[1:] != each):
@@ -250,14 +268,37 @@ class PlateSolver:
             if not (0 <= x <= width and 0 <= y <= height):
                 raise SceneError(f"points: {[x, y]} is off the plate of {[width, height]} m")
 
+    def _checked(self, designs: Designs) -> tuple[np.ndarray, OwnValues]:
+        phasors = as_phasors(designs.drives, len(self.scene.actuators))
+        return phasors, check_designs(designs, self.scene, self.specialized.own, self.specialized.scheme.time_step)
+
+    @property
+    def _overlaps(self) -> bool:
+        """Whether the host may work on one part while the device steps another."""
+        return self.device.is_cuda and self._chunk is None
+
+    def _parts(self, plates: int, traced_nodes: int) -> list[slice]:
+        """What is run at once, one after the other."""
+        most = self._plates_at_once(max(plates, 1), traced_nodes)
+        work = plates * self.node_steps_per_plate
+        if not self._overlaps or traced_nodes or work < LEAST_CUT_NODE_STEPS:
+            cuts = [*range(0, plates, most), plates]
+        elif 2 * max(PARTS) * plates > most:
+            cuts = [*range(0, plates, max(1, most // 2)), plates]
+        else:
+            cuts = [0, *(round(plates * float(part)) for part in np.cumsum(PARTS))]
+        return [slice(*ends) for ends in itertools.pairwise(cuts)]
+
     def _plates_at_once(self, plates: int, traced_nodes: int) -> int:
+        """How many there is room for."""
         if self._chunk is not None:
             return min(self._chunk, plates)
         budget = self._share * (
             CUDA_CHUNK_SHARE * self.device.free_memory if self.device.is_cuda else CPU_CHUNK_BYTES
         )
-        if self._state is not None and self.device.is_cuda:
-            budget += self._state.capacity * bytes_per_plate(self.specialized, self._state.nodes.shape[0])
+        if self.device.is_cuda:
+            for state in self._states:
+                budget += state.capacity * bytes_per_plate(self.specialized, state.nodes.shape[0])
         each = bytes_per_plate(self.specialized, traced_nodes)
         if self.device.is_cuda and each > budget:
             raise SceneError(
@@ -269,35 +310,48 @@ class PlateSolver:
             most = min(most, max(FEWEST_PLATES, int(SEGMENT_NODE_STEPS["cpu"] / self.node_steps_per_plate)))
         return max(1, min(plates, most))
 
-    def _start(
-        self, phasors: np.ndarray, values: OwnValues, capacity: int, nodes: wp.array
-    ) -> tuple[State, np.ndarray]:
-        """Plates at rest under their loads, and (plates,) the pressure [N/m²] that each is scaled by."""
-        state = self._state
-        if state is None or state.capacity < capacity or nodes.shape[0] or state.nodes.shape[0]:
-            self._state = None  # frees the old room before the new one is taken
-            state = self._state = make_state(self.specialized, capacity, nodes)
+    def _rooms(self, parts: Sequence[slice], nodes: wp.array) -> list[State]:
+        """One state, or two that take turns where there are several parts on CUDA, each large enough for any part."""
+        capacity = max((part.stop - part.start for part in parts), default=1)
+        count = 2 if self._overlaps and len(parts) > 1 else 1
+        states = self._states[:count]
+        traced = nodes.shape[0] or any(state.nodes.shape[0] for state in states)
+        if len(states) < count or traced or any(state.capacity < capacity for state in states):
+            states.clear()
+            self._states.clear()  # frees the old room before the new one is taken
+            self._states += [make_state(self.specialized, capacity, nodes) for _ in range(count)]
+        return self._states[:count]
+
+    def _start(self, state: State, phasors: np.ndarray, values: OwnValues) -> np.ndarray:
+        """Put plates at rest under their loads; returns (plates,) the pressure [N/m²] that each is scaled by."""
         specialized, precision = self.specialized, self.scene.grid.precision
         travelling = specialized.moving.largest if specialized.moving else 0.0
         sizes = self.engine.own.put_waves(state, values)
-        room = np.zeros(state.coefficients.shape, precision)
+        room = state.host.coefficients.numpy()
         scale = scaled_coefficients(specialized.signals, phasors, sizes, travelling, room)
-        load_drives(self.engine, state, room, len(scale), values.edges)
-        units = np.zeros(state.capacity)
-        units[: len(scale)] = scale * specialized.scheme.load_scale
+        load_drives(self.engine, state, len(scale), values.edges)
         with np.errstate(over="ignore", invalid="ignore"):
-            state.units.assign(units.astype(precision))
+            state.host.units.numpy()[: len(scale)] = scale * specialized.scheme.load_scale
+        wp.copy(state.units, state.host.units)
         if specialized.moving:
             moving = np.zeros(state.capacity)
             moving[: len(scale)] = travelling / np.where(scale == 0, 1, scale)
             state.moving.assign(moving.astype(precision))
         state.clear()
-        return state, scale
+        return scale
 
     def _march(
-        self, state: State, plates: int, snapshots: list[int], displacement: np.ndarray, tell: Callable[[int], None]
+        self,
+        state: State,
+        plates: int,
+        snapshots: list[int],
+        displacement: np.ndarray,
+        tell: Callable[[int], None],
+        queued: bool,
     ) -> tuple[int, np.ndarray]:
         """All steps of the plates in the state, stopping where a displacement is kept or progress is due.
+
+        With ``queued`` it does not wait for the last ones.
 
         Returns the steps taken, which are fewer where no plate is left that does not grow without bound, and (plates,)
         the step at which a plate was seen to grow, or −1.
@@ -319,8 +373,9 @@ class PlateSolver:
             if stop in snapshots:
                 kept = [index for index, snapshot in enumerate(snapshots) if snapshot == stop]
                 displacement[:, kept] = state.u[:plates].numpy()[:, None, 1 : ny + 1, :nx]
-            wp.synchronize_device(self.device)
-            tell(step * node_steps)
+            if stop < scheme.steps or not queued:
+                wp.synchronize_device(self.device)
+                tell(step * node_steps)
             if (seen >= 0).all():
                 break
         return step, seen
@@ -333,31 +388,3 @@ def energy_unit(specialized: Specialized) -> float:
     (hx, hy), (first, last) = scheme.spacing, scheme.window
     speed = scheme.load_scale / (scheme.time_step if specialized.quantity == "velocity" else 1.0)
     return 0.5 * scheme.surface_density * hx * hy * speed**2 / (last - first)
-
-
-def as_phasors(drives: object, actuators: int) -> np.ndarray:
-    """(plates, actuators) complex phasors from phasors or (magnitude, phase).
-
-    Raises:
-        SceneError: another shape, or not numbers.
-    """
-    try:
-        if isinstance(drives, tuple) and len(drives) == 2:
-            magnitude, phase = (_numbers(part, "biuf") for part in drives)
-            with np.errstate(invalid="ignore"):  # a drive that is not finite harms its own plate alone
-                phasors = magnitude * np.exp(-1j * phase)
-        else:
-            phasors = _numbers(drives, "biufc").astype(complex, copy=False)
-    except (TypeError, ValueError) as error:
-        raise SceneError(f"drives: not an array of numbers ({error})") from None
-    if phasors.ndim != 2 or phasors.shape[1] != actuators:
-        raise SceneError(f"drives: shape {phasors.shape} instead of (plates, {actuators}), one column an actuator")
-    return phasors
-
-
-def _numbers(values: object, kinds: str) -> np.ndarray:
-    """As an array, of one of NumPy's kinds: nothing is read out of texts or dates, and nothing masked is taken."""
-    array = np.asarray(values)
-    if array.size and (array.dtype.kind not in kinds or np.ma.is_masked(values)):
-        raise TypeError(f"{array.dtype}{', masked' if np.ma.is_masked(values) else ''}")
-    return array

@@ -16,6 +16,18 @@ FIELDS = 5
 GENERAL_FIELDS = 6
 
 
+@dataclass(frozen=True)
+class HostSide:
+    """Numbers of a state in the host's memory, pinned where the device is another: they are copied while both work.
+
+    coefficients, units, energy: as in :class:`State`.
+    """
+
+    coefficients: wp.array
+    units: wp.array
+    energy: wp.array
+
+
 @dataclass
 class State:
     """Room for ``capacity`` plates; fields are (capacity, rows, stride) and hold zeros outside the plate.
@@ -27,7 +39,8 @@ class State:
     nodes: (traced nodes, 2), row of the tensor and column; inner_nodes: the same with the row of the plate; trace:
     (capacity, traced nodes, steps).
     wave: (capacity, steps, terms) that a run takes, which is shared_wave, or own_wave where plates have their own; of
-    places of their own, along_x (capacity, actuators, nx) and along_y; see ``own``.
+    places of their own, along_x (capacity, actuators, nx) and along_y; see ``own``. host: where numbers wait for the
+    device, and those of the device for the host.
     """
 
     capacity: int
@@ -52,6 +65,7 @@ class State:
     own_wave: wp.array
     along_x: wp.array
     along_y: wp.array
+    host: HostSide
 
     @property
     def own_waves(self) -> bool:
@@ -97,6 +111,9 @@ def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> Stat
     own = capacity if specialized.carriers else 0
     moved = capacity if specialized.own.centre else 0
 
+    def beside(shape: tuple[int, ...], dtype: type) -> wp.array:
+        return wp.zeros(shape, dtype=dtype, device="cpu", pinned=device.is_cuda)
+
     return State(
         capacity=capacity,
         coefficients=wp.zeros((capacity, terms, actuators), dtype=real, device=device),
@@ -120,6 +137,11 @@ def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> Stat
         own_wave=wp.zeros((own, steps, terms), dtype=real, device=device),
         along_x=wp.zeros((moved, actuators, nx), dtype=wp.float64, device=device),
         along_y=wp.zeros((moved, actuators, ny), dtype=wp.float64, device=device),
+        host=HostSide(
+            coefficients=beside((capacity, terms, actuators), real),
+            units=beside((capacity,), real),
+            energy=beside((capacity, regions), wp.float64),
+        ),
     )
 
 

@@ -1,0 +1,113 @@
+"""What a drive is worth by each objective: in results, their files, checkpoints, tables and JSON."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from warp_plate import Scene, load_result, localize
+from warp_plate.cli.main import main
+from warp_plate.result.checkpoint import load_checkpoint
+from warp_plate.result.store import save_result
+from warp_plate.scene.load import dump_scene
+from warp_plate.search.checkpoints import CheckpointFile
+from warp_plate.search.localize import resume
+from warp_plate.search.problem import make_problem
+
+OBJECTIVES = [
+    {"kind": "velocity", "weight": 1e4, "rest_limit": 1.0},
+    {"kind": "displacement", "weight": 1e6},
+    {"kind": "contrast", "weight": 0.1},
+    {"kind": "uniformity"},
+]
+SEARCH = {
+    "particles": 8,
+    "iterations": 6,
+    "objectives": OBJECTIVES,
+    "magnitude": {"range": (0.0, 2.0)},
+    "phase": {},
+}
+
+
+@pytest.fixture
+def panel(scene):
+    return scene(damping=88.5, search=SEARCH)
+
+
+def test_values_follow_from_the_energies_of_the_drive_found(scene):
+    panel = scene(damping=130.0, window=(0.06, 0.1), search=SEARCH)
+    result = localize(panel, device="cpu", estimate=False)
+    case, values = result.cases["best"], result.values
+    plate, target = case.energy["plate"], case.energy["target"]
+    mass = panel.plate.density * panel.plate.thickness * math.prod(panel.plate.size)
+    assert values["velocity"] == pytest.approx(math.sqrt(2 * target / (mass / 4)), rel=1e-9)
+    assert values["velocity of the rest"] == pytest.approx(math.sqrt(2 * (plate - target) / (0.75 * mass)), rel=1e-9)
+    assert values["contrast"] == pytest.approx(10 * math.log10(3 * target / (plate - target)), abs=1e-9)
+    # The start is over: what is left moves at one frequency.
+    assert values["displacement"] == pytest.approx(values["velocity"] / (2 * math.pi * 290.0), rel=0.02)
+    total = sum(one["weight"] * values[one["kind"]] for one in OBJECTIVES if "weight" in one) + values["uniformity"]
+    assert values["sum"] == pytest.approx(total, rel=1e-12)
+    assert values["sum"] == pytest.approx(result.history["best"][-1], rel=1e-9)
+    assert values["sum"] <= values["bound"]
+
+
+def test_localization_alone_has_none(scene):
+    assert localize(scene(damping=88.5), device="cpu", estimate=False).values == {}
+
+
+def test_files_and_checkpoints_keep_them(panel, tmp_path):
+    targets = [{"name": "a", "disc": (0.06, 0.06, 0.04)}, {"name": "b", "area": (0.1, 0.2, 0.0, 0.2)}]
+    made = Scene.model_validate({**panel.model_dump(), "targets": targets, "target": {"disc": (0.06, 0.06, 0.04)}})
+    kept = CheckpointFile(tmp_path / "a.checkpoint.h5", 0.0, False, lambda line: None)
+    result = localize(made, device="cpu", estimate=False, checkpoints=kept)
+    first, second = (one.values for one in result.several)
+    assert result.values == first
+    assert first["sum"] != second["sum"]
+    again = load_result(save_result(result, tmp_path / "a.h5"))
+    assert again.values == first
+    assert [one.values for one in again.several] == [first, second]
+    # The last checkpoint is of the search for the second target.
+    checkpoint = load_checkpoint(tmp_path / "a.checkpoint.h5")
+    assert checkpoint.several[0].values == first
+    assert [one.values for one in resume(checkpoint, estimate=False).several] == [first, second]
+
+
+def test_of_a_robust_search_they_are_those_of_the_plate_without_scatter(scene):
+    search = {**SEARCH, "robust": {"young_modulus": 0.1, "scenarios": 4, "fresh": 2}}
+    result = localize(scene((9, 9), damping=88.5, search=search), device="cpu", estimate=False)
+    assert result.robust is not None
+    assert result.values["sum"] == pytest.approx(result.robust.nominal_plate[0], rel=1e-9)
+    plain = make_problem(scene((9, 9), damping=88.5, search=SEARCH), "cpu")
+    assert result.values["bound"] == pytest.approx(-plain.bound_of_loss.value, rel=1e-9)
+
+
+def test_the_command_shows_them(panel, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("panel.toml").write_text(dump_scene(panel), encoding="utf-8")
+    main(["localize", "panel.toml", "--device", "cpu", "--no-estimate", "--no-pictures"])
+    out = capsys.readouterr().out
+    values = load_result("panel-localize.h5").values
+    for words, name in (
+        ("velocity (m/s)", "velocity"),
+        ("velocity of the rest (m/s)", "velocity of the rest"),
+        ("contrast (dB)", "contrast"),
+        ("weighted sum", "sum"),
+        ("bound of the sum", "bound"),
+    ):
+        (line,) = [line for line in out.splitlines() if line.startswith(words + "  ")]
+        assert float(line.split()[-1]) == pytest.approx(values[name], rel=1e-4)
+    main(["localize", "panel.toml", "--device", "cpu", "--json", "--no-estimate", "--no-pictures"])
+    assert json.loads(capsys.readouterr().out)["objectives"] == pytest.approx(values)
+
+
+def test_the_picture_of_the_search_has_the_bound(panel):
+    figure = pytest.importorskip("matplotlib.figure")
+    from warp_plate.viz.figures import _plot_history
+
+    result = localize(panel, device="cpu", estimate=False)
+    axes = figure.Figure().add_subplot()
+    _plot_history(axes, result)
+    (line,) = [line for line in axes.lines if line.get_label().startswith("bound")]
+    np.testing.assert_allclose(line.get_ydata(), -result.values["bound"])

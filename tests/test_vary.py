@@ -1,0 +1,190 @@
+"""What a sweep varies: every number of a scene by its key, ranges from any text, grids and Latin hypercubes."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel
+
+from warp_plate import Scene, SceneError
+from warp_plate.scene.keys import NAMED, UNITS, numeric_keys, resolved_key, unit_of, with_numbers, words_of
+from warp_plate.scene.load import preset_names
+from warp_plate.scene.vary import MOST_POINTS, make_plan, parse_vary
+
+PAPER = Scene.load("paper")
+# Keys without a unit: counts, ratios, tolerances, and what follows the unit of something else.
+PLAIN = {
+    *("poisson_ratio", "nodes", "order", "accuracy", "gain", "weight", "quantile", "without_oscillators"),
+    *("particles", "iterations", "restarts", "inertia", "decay", "cognitive", "social", "velocity_limit", "stall"),
+    *("seed", "scenarios", "fresh"),
+}
+
+
+def number_fields(model, at=""):
+    """Dotted names, without indices, of all keys of a model's tables that hold numbers."""
+    pending = [(f"{at}{key}", field.annotation) for key, field in model.model_fields.items()]
+    while pending:
+        name, kind = pending.pop()
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            yield from number_fields(kind, f"{name}.")
+        elif kind in (int, float):
+            yield name
+        pending += [(name, part) for part in getattr(kind, "__args__", ())]
+
+
+def test_every_number_of_a_scene_has_a_unit_or_none():
+    for name in set(number_fields(Scene)):
+        parts = name.split(".")
+        known = any(".".join(parts[index:]) in UNITS for index in range(len(parts)))
+        assert known or parts[-1] in PLAIN, name
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_every_key_of_a_preset_can_be_found_and_changed(name):
+    scene = Scene.load(name)
+    assert with_numbers(scene, {}) == scene
+    for key in numeric_keys(scene):
+        assert resolved_key(scene, key) == key
+        assert words_of(scene, key)
+        assert unit_of(scene, key)
+
+
+def test_numbers_are_put_where_they_belong():
+    made = with_numbers(PAPER, {"target.area[1]": 0.05, "actuators[2].phase": 1.5, "search.velocity_limit": 3})
+    assert made.target.area == (0.0, 0.05, 0.0, 0.1)
+    assert [one.phase for one in made.actuators] == [0.0, 0.0, 1.5, 0.0]
+    assert made.search.velocity_limit == 3.0
+    assert made.plate == PAPER.plate
+    # Left out in the file, and an accuracy in the place of a whole table.
+    bare = Scene.model_validate({**PAPER.model_dump(exclude={"grid"})})
+    assert with_numbers(bare, {"grid.nodes[1]": 31.0}).grid.nodes == (27, 31)
+    assert with_numbers(PAPER, {"grid.accuracy": 0.01}).grid.accuracy == 0.01
+    with pytest.raises(SceneError, match="not thin"):
+        with_numbers(PAPER, {"plate.thickness": 0.1})
+
+
+def test_names_stand_for_indices(scene):
+    assert resolved_key(PAPER, "actuators.lower right.phase") == "actuators[2].phase"
+    assert words_of(PAPER, "actuators[2].area[3]") == "actuator lower right area y1"
+    several = scene(
+        target={"area": (0.0, 0.1, 0.0, 0.1)},
+        targets=[{"name": "a.b", "area": (0.0, 0.1, 0.0, 0.1)}, {"name": "a", "disc": (0.1, 0.1, 0.02)}],
+    )
+    assert resolved_key(several, "targets.a.b.area[0]") == "targets[0].area[0]"
+    assert not any(key.startswith("target.") for key in numeric_keys(several))
+    assert with_numbers(several, {"targets[0].area[0]": 0.02}).target.area[0] == 0.02
+    assert set(NAMED) == {"actuators", "targets"}
+
+
+@pytest.mark.parametrize(
+    ("key", "near"),
+    [
+        ("drive.freqency", "near it: drive.frequency"),
+        ("viscous", "near it: effects.damping.viscous"),
+        ("plate.size", "is no single number; write plate.size[0], plate.size[1]"),
+        ("actuators.nobody.phase", "near it: actuators[0].phase"),
+        ("actuators[7].phase", "near it: actuators[0].phase"),
+        ("effects.foundation.stiffness", "the scene has no [effects.foundation]"),
+        ("edges.left", "is no key of this scene that holds a number"),
+        ("title", "is no key of this scene that holds a number"),
+        ("", "is no key of this scene that holds a number"),
+    ],
+)
+def test_a_wrong_key_names_those_near_it(key, near):
+    with pytest.raises(SceneError) as caught:
+        resolved_key(PAPER, key)
+    assert near in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def judged(scene, text):
+    """What a text varies, or the line that refuses it."""
+    try:
+        return parse_vary(scene, text), ""
+    except SceneError as error:
+        return None, str(error)
+
+
+@given(st.text(max_size=40), st.text(max_size=60))
+def test_any_text_is_a_range_or_one_line(key, text):
+    """Also of a right key; and what is accepted makes numbers."""
+    for said in (f"{key}={text}", f"drive.frequency={text}", f"search.particles={text}", text):
+        varied, line = judged(PAPER, said)
+        assert "\n" not in line
+        assert line.startswith("--vary") == (varied is None)
+        assert varied is None or np.isfinite([varied.start, varied.stop]).all()
+
+
+@given(st.floats(1e-6, 1e6), st.floats(1e-6, 1e6).filter(bool), st.integers(2, 50), st.sampled_from(["", "log:"]))
+def test_ranges_end_where_they_are_said_to(start, stop, count, kind):
+    if start == stop:
+        stop = 2 * start
+    values = parse_vary(PAPER, f"drive.frequency={kind}{start!r}:{stop!r}:{count}").values()
+    assert len(values) == count
+    assert (values[0], values[-1]) == (start, stop)
+    steps = np.diff(np.log(values) if kind else values)
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-6, atol=1e-9 * max(start, stop))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("drive.frequency", "must be KEY=RANGE"),
+        ("drive.frequency=", "'' is no number"),
+        ("drive.frequency=1:2:0", "COUNT = '0': must be a whole number"),
+        ("drive.frequency=1:2:3:4", "write START:STOP:COUNT"),
+        ("drive.frequency=1:1:4", "the range has no inside"),
+        ("drive.frequency=log:0:1:4", "has both ends above 0"),
+        ("drive.frequency=1,2,1", "a value is there twice"),
+        ("drive.frequency=1,nan", "'nan' is no number"),
+        ("search.particles=2:9.5:3", "search.particles holds whole numbers"),
+        (f"drive.frequency=1:2:{MOST_POINTS + 1}", "must be a whole number from 1 to"),
+    ],
+)
+def test_wrong_ranges(text, message):
+    with pytest.raises(SceneError, match=message):
+        parse_vary(PAPER, text)
+
+
+def test_whole_numbers_stay_whole():
+    with pytest.raises(SceneError, match="is no whole number"):
+        make_plan([parse_vary(PAPER, "search.particles=2:9:4")])
+    drawn = make_plan([parse_vary(PAPER, "search.particles=2:5")], samples=200).coordinates[0]
+    assert set(drawn) == {2, 3, 4, 5}
+
+
+def test_the_grid_is_full_and_the_last_key_is_the_fastest():
+    plan = make_plan([parse_vary(PAPER, "drive.frequency=1,2,3"), parse_vary(PAPER, "plate.thickness=4e-4:5e-4:2")])
+    assert (len(plan), plan.shape) == (6, (3, 2))
+    assert plan.points.tolist() == [list(pair) for pair in itertools.product([1.0, 2.0, 3.0], [4e-4, 5e-4])]
+    assert plan.numbers(3) == {"drive.frequency": 2.0, "plate.thickness": 5e-4}
+
+
+@given(st.integers(1, 40), st.integers(0, 2**32))
+def test_samples_are_a_latin_hypercube(samples, seed):
+    """Each of as many equal parts of every range holds one sample, logarithmic or not; a seed repeats them."""
+    varied = [parse_vary(PAPER, "drive.frequency=400:200"), parse_vary(PAPER, "effects.damping.viscous=log:1:100")]
+    plan = make_plan(varied, samples, seed)
+    assert plan.shape == (samples,)
+    frequency, damping = plan.coordinates
+    for share in ((frequency - 200) / 200, np.log(damping) / np.log(100)):
+        assert sorted(np.floor(share * samples * (1 - 1e-12))) == list(range(samples))
+    assert plan.same(make_plan(varied, samples, seed))
+
+
+def test_plans_that_cannot_be():
+    one = parse_vary(PAPER, "drive.frequency=1:2:2")
+    with pytest.raises(SceneError, match="varied twice"):
+        make_plan([one, one])
+    with pytest.raises(SceneError, match="nothing is varied"):
+        make_plan([])
+    with pytest.raises(SceneError, match="COUNT is missing"):
+        make_plan([parse_vary(PAPER, "drive.frequency=1:2")])
+    with pytest.raises(SceneError, match="at most 1000000"):
+        make_plan([parse_vary(PAPER, f"{key}=1:2:1001") for key in ("drive.frequency", "window.end")])
+    with pytest.raises(SceneError, match="--samples 0"):
+        make_plan([one], samples=0)
+
+

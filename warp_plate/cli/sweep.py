@@ -1,0 +1,299 @@
+"""``warp-plate sweep SCENE --vary KEY=RANGE``: one command's figures over many scenes."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import cyclopts
+
+from warp_plate.cli import output
+from warp_plate.cli.options import Whole
+from warp_plate.cli.resume import differences, refuse_changes
+from warp_plate.cli.workers import first_device, workers
+from warp_plate.scene.errors import SceneError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from warp_plate.cluster.pool import Pool
+    from warp_plate.result.sweep import Sweep
+    from warp_plate.scene.model import Scene
+    from warp_plate.scene.vary import Plan
+    from warp_plate.search.sweep_file import SweepFile
+
+# So many points and columns are a table; of more, the smallest and largest figures are shown.
+MOST_ROWS, MOST_COLUMNS = 40, 7
+MOST_REASONS = 3
+MODES = 6
+
+
+def sweep(
+    scene: str | None = None,
+    /,
+    *,
+    vary: Annotated[list[str] | None, cyclopts.Parameter(consume_multiple=True, negative="")] = None,
+    what: Literal["localize", "simulate", "modes", "check"] | None = None,
+    samples: Whole | None = None,
+    seed: Whole = 0,
+    count: Whole | None = None,
+    device: str | None = None,
+    devices: str | None = None,
+    cluster: str | None = None,
+    path: Literal["auto", "resident", "streaming"] | None = None,
+    checkpoint_every: float = 30.0,
+    resume: Path | None = None,
+    out: Path | None = None,
+    pictures: bool = True,
+    json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+) -> None:
+    """Find one command's figures over many scenes that differ in some of their numbers.
+
+    A point whose scene is refused (a time step that is not stable, a patch off the plate) has no figures, and its
+    reason is kept; the others run.
+
+    Ctrl-C leaves what is done in the result file, and so does a stop of the machine up to --checkpoint-every: the same
+    command once more, or --resume, runs the points that are left, to the same figures to the last bit.
+
+    Parameters
+    ----------
+    scene
+        A preset's name (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file. With
+        --resume it may be left out.
+    vary
+        KEY=START:STOP:COUNT, KEY=log:START:STOP:COUNT or KEY=a,b,c. KEY is any number of the scene file, such as
+        drive.frequency, effects.damping.viscous, target.area[1], actuators[0].phase, or with an actuator's name
+        "actuators.lower left.phase". Several make the full grid.
+    what
+        localize (localization factors of equal drive, the best single actuator and the best drive, and the bound),
+        simulate (of the scene's drive: localization factor, energies, largest displacement), modes (natural
+        frequencies) or check (time step and its limit, steps a period, nodes a wavelength). localize when left out.
+    samples
+        Draw so many points from a Latin hypercube over the ranges instead of the full grid; COUNT may be left out then.
+    seed
+        Of the samples.
+    count
+        How many modes; 6 when left out.
+    device
+        cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one. auto when left out, for a sweep that goes
+        on the kind that it began on.
+    devices
+        Several devices of this machine, such as cuda:0,cuda:1, or cpu,cpu for two single-threaded processes: the points
+        are shared among them, a process each. Figures are the same to the last bit. See docs/scaling.md.
+    cluster
+        Workers of Dask distributed that share the points instead (needs the extra cluster): local:4 starts four on this
+        machine, tcp://HOST:PORT or a scheduler's JSON file names a scheduler that runs.
+    path
+        How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch). auto,
+        the faster one, when left out.
+    checkpoint_every
+        Seconds between two writings of the unfinished result. 0: after each point; inf: only after Ctrl-C.
+    resume
+        The result file of an unfinished sweep to go on with. What is given beside it must be the same.
+    out
+        The result file (.h5), which xarray opens; SCENE-sweep.h5 in this folder when left out, with --resume the file
+        itself. The picture is written beside it.
+    pictures
+        Draw lines over one key, maps over two, small maps over three or more, points of samples (needs the extra viz).
+    json
+        Print one JSON object instead of a table.
+    """
+    if scene is None and resume is None:
+        raise SceneError("sweep needs a SCENE (a preset's name or a TOML file) and --vary KEY=RANGE, or --resume FILE")
+    target = output.output_file(out or resume, scene or "", "sweep")
+    from warp_plate.scene import Scene
+    from warp_plate.scene.vary import make_plan, parse_vary
+    from warp_plate.search.sweep import begin_sweep
+    from warp_plate.search.sweep_file import SweepFile
+
+    loaded = None if scene is None else Scene.load(scene)
+    given: dict[str, object] = {"what": what, "count": count, "path": path}
+    on = first_device(devices, device)
+    begun = _begun(resume, target, loaded, scene, vary, samples, seed, given, on)
+    if begun is None:
+        assert loaded is not None
+        plan = make_plan([parse_vary(loaded, one) for one in vary or ()], samples, seed)
+        modes = MODES if count is None else count
+        begun = begin_sweep(
+            loaded, plan, what or "localize", "auto" if on is None else on, path or "auto", scene or "", modes
+        )
+    kept = SweepFile(target, checkpoint_every, output.tell)
+    with workers(devices, cluster, device) as pool:
+        result = _run(begun, kept, pool, shown=not json)
+    files, missing = _write(result, target, pictures)
+    if json:
+        output.print_json(as_json(result, files))
+        return
+    _print(result, output.console())
+    output.print_files(files, missing)
+
+
+def _begun(
+    resume: Path | None,
+    target: Path,
+    scene: Scene | None,
+    source: str | None,
+    vary: list[str] | None,
+    samples: int | None,
+    seed: int,
+    given: dict[str, object],
+    device: str | None,
+) -> Sweep | None:
+    """The sweep to go on with, of ``--resume`` or an unfinished one at the place of the result; None: begin anew.
+
+    Raises:
+        SceneError: it cannot be read, or what was given is not what it began with.
+    """
+    from warp_plate.result.sweep import load_sweep
+    from warp_plate.scene.vary import make_plan, parse_vary
+    from warp_plate.search.sweep_file import continued, unfinished_sweep
+
+    begun = unfinished_sweep(target) if resume is None else load_sweep(resume)
+    if begun is None:
+        return None
+    file = resume or target
+    anew = "begin anew without --resume" if resume else f"name another file by --out, or delete {target}"
+    if resume is None:  # the same command has the same defaults
+        given = {"what": given["what"] or "localize", "count": given["count"] or MODES, "path": given["path"] or "auto"}
+    refuse_changes(begun, f"sweep in {file}", begun.scene, scene, source or "", given, anew)
+    if vary or samples is not None or resume is None:
+        plan = make_plan([parse_vary(begun.scene, one) for one in vary or ()], samples, seed)
+        if not plan.same(begun.plan):
+            raise SceneError(
+                f"--vary: the sweep in {file} began with other points ({_points(begun.plan)}), and goes on with "
+                f"nothing else; leave --vary out, or {anew}"
+            )
+    if scene is not None:
+        begun = _in_folder_of(begun, scene)
+    output.tell(f"{file}: {begun.progress} are done; {'nothing is left' if begun.finished else 'going on'}")
+    for line in differences(file, begun, device):
+        output.tell(line)
+    return continued(begun, device)
+
+
+def _in_folder_of(begun: Sweep, scene: Scene) -> Sweep:
+    """The files that the scene names lie beside it, not beside the result."""
+    from dataclasses import replace
+
+    return replace(begun, scene=begun.scene.in_folder(scene.folder))
+
+
+def _points(plan: Plan) -> str:
+    """For people."""
+    ranges = ", ".join(
+        f"{key} from {values.min():g} to {values.max():g}"
+        for key, values in zip(plan.keys, plan.coordinates, strict=True)
+    )
+    return f"{len(plan)} {'samples' if plan.sampled else 'points'}, {ranges}"
+
+
+def _run(begun: Sweep, kept: SweepFile, pool: Pool | None, shown: bool) -> Sweep:
+    """The sweep with its progress; Ctrl-C and workers that are gone say how to go on."""
+    from warp_plate.cluster.pool import WorkersGone
+    from warp_plate.search.sweep import run_sweep
+
+    try:
+        with output.progress_bar("sweeping", shown) as show:
+            return run_sweep(begun, show, kept, pool)
+    except (KeyboardInterrupt, WorkersGone) as reason:
+        if kept.saved is None:
+            raise
+        way = f"go on with: warp-plate sweep --resume {shlex.quote(str(kept.path))}"
+        if isinstance(reason, WorkersGone):
+            raise SceneError(f"{reason}; {kept.saved.progress} are done; {way}") from None
+        raise KeyboardInterrupt(f" after {kept.saved.progress}; {way}") from None
+
+
+def _write(result: Sweep, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
+    """The file and its picture; returns the files, and why a picture is missing."""
+    from warp_plate.result.sweep import save_sweep
+    from warp_plate.search.interrupts import interrupts_held
+
+    with interrupts_held():
+        save_sweep(result, path)
+    if not pictures:
+        return [path], None
+    from warp_plate.viz.sweep_plot import draw_sweep_beside
+
+    drawn, missing = draw_sweep_beside(result, path)
+    return [path, *drawn], missing
+
+
+def as_json(result: Sweep, files: list[Path]) -> dict[str, object]:
+    """Arrays in the shape of the grid, or (samples,); and after it of an output's own axis."""
+    plan = result.plan
+    return {
+        "command": "sweep",
+        "scene": result.source,
+        "what": result.what,
+        "device": result.device,
+        "sampled": plan.sampled,
+        "shape": list(plan.shape),
+        "varied": {key: values.tolist() for key, values in zip(plan.keys, plan.coordinates, strict=True)},
+        "outputs": {name: result.shaped(name).tolist() for name in result.outputs},
+        "units": {name: one.unit for name, one in result.outputs.items()},
+        "refused": [{"at": plan.numbers(point), "reason": reason} for point, reason in sorted(result.reasons.items())],
+        "seconds": result.seconds,
+        "versions": dict(result.versions),
+        "files": [str(file) for file in files],
+    }
+
+
+def _columns(result: Sweep) -> dict[str, tuple[str, list[float]]]:
+    """Unit and values at all points of every number that the outputs have, by its heading."""
+    made = {}
+    for name, one in result.outputs.items():
+        values = result.values[name]
+        for index, column in enumerate(values.reshape(len(values), -1).T.tolist(), 1):
+            heading = name.replace("_", " ")
+            made[f"{heading} {index}" if one.axis else heading] = (one.unit, column)
+    return made
+
+
+def _headings(result: Sweep) -> list[str]:
+    """Of the keys, with spaces at which they may be wrapped."""
+    from warp_plate.scene.keys import unit_of, words_of
+
+    units = [unit_of(result.scene, key) for key in result.plan.keys]
+    words = [words_of(result.scene, key) for key in result.plan.keys]
+    return [f"{word} ({unit})" if unit != "1" else word for word, unit in zip(words, units, strict=True)]
+
+
+def _print(result: Sweep, console: Console) -> None:
+    plan = result.plan
+    console.print(f"{result.scene.title or result.source}: {result.what}, {_points(plan)}, on {result.device}\n")
+    columns, keys = _columns(result), _headings(result)
+    if len(plan) <= MOST_ROWS and len(keys) + len(columns) <= MOST_COLUMNS:
+        headings = [f"{name} ({unit})" if unit != "1" else name for name, (unit, _) in columns.items()]
+        made = output.table(*keys, *headings)
+        for point, numbers in enumerate(plan.points.tolist()):
+            figures = (output.known(values[point], ".4g") for _, values in columns.values())
+            made.add_row(*(f"{number:.4g}" for number in numbers), *figures)
+    else:
+        made = output.table("figure", "value", *(f"at {key}" for key in keys))
+        for name, (unit, values) in columns.items():
+            for word, point in _extremes(values).items():
+                at = (f"{number:.5g}" for number in plan.numbers(point).values())
+                made.add_row(f"{name}, {word}", f"{values[point]:.5g} {unit if unit != '1' else ''}".strip(), *at)
+    console.print(made)
+    if result.reasons:
+        console.print(f"\n{len(result.reasons)} of {len(plan)} points are refused:")
+        for point, reason in sorted(result.reasons.items())[:MOST_REASONS]:
+            console.print(f"  {_at(result, point)}: {reason}")
+        if len(result.reasons) > MOST_REASONS:
+            console.print("  ... (all reasons are in the result file)")
+    console.print(f"{result.seconds:.2f} s in all.")
+
+
+def _extremes(values: list[float]) -> dict[str, int]:
+    """The points of the smallest and of the largest of some figures; nothing where none is a number."""
+    known = [point for point, value in enumerate(values) if math.isfinite(value)]
+    if not known:
+        return {}
+    return {"smallest": min(known, key=values.__getitem__), "largest": max(known, key=values.__getitem__)}
+
+
+def _at(result: Sweep, point: int) -> str:
+    return ", ".join(f"{key} = {value:.6g}" for key, value in result.plan.numbers(point).items())

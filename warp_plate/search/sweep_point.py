@@ -1,0 +1,117 @@
+"""One point of a sweep: here, or on a worker of a pool."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import warp as wp
+
+import warp_plate
+from warp_plate.cluster.frames import encode
+from warp_plate.cluster.pool import Pool, Task
+from warp_plate.cluster.recipe import DEVICE, contents_of, scene_in
+from warp_plate.cluster.spread import spread
+from warp_plate.result.sweep import Sweep
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.keys import with_numbers
+from warp_plate.scene.load import dump_scene
+from warp_plate.scene.model import Scene
+from warp_plate.search.figures import FIGURES, Options, Values
+from warp_plate.solve.devices import find_device, processor_of
+
+# That a worker keeps, with the files that they name.
+MOST_SCENES = 4
+_SCENES: OrderedDict[str, tuple[Scene, TemporaryDirectory[str]]] = OrderedDict()
+
+
+class Found(NamedTuple):
+    """What became of a point: its figures, or why it was refused."""
+
+    point: int
+    values: Values | None
+    reason: str
+
+
+def run_point(scene: Scene, numbers: Mapping[str, float], what: str, options: Options, point: int) -> Found:
+    """The figures of a scene with other numbers."""
+    try:
+        return Found(point, FIGURES[what].of(with_numbers(scene, numbers), options), "")
+    except SceneError as error:
+        return Found(point, None, str(error))
+
+
+def run_here(begun: Sweep, points: Sequence[int]) -> Iterator[Found]:
+    """One point after the other in this process. Points whose kernels have the same compile key share them."""
+    options = Options(begun.device, begun.path, begun.count)
+    for point in points:
+        yield run_point(begun.scene, begun.plan.numbers(point), begun.what, options, point)
+
+
+def run_there(begun: Sweep, points: Sequence[int], pool: Pool) -> Iterator[Found]:
+    """Points on a pool's workers, in the order in which they are done; the figures are those of one process to the last
+    bit, where workers are of its kind. A point whose workers end or have too little memory is refused after all
+    attempts.
+
+    Raises:
+        SceneError: workers differ in kind or version from each other. WorkersGone: see there.
+    """
+    base = {"text": dump_scene(begun.scene), "files": contents_of(begun.scene)}
+    digest = hashlib.sha256(b"".join(encode(base))).hexdigest()
+    common = {"digest": digest, "what": begun.what, "path": begun.path, "count": begun.count, "device": pool.device}
+
+    def with_scene(task: Task, value: Mapping[str, Any]) -> Task | None:
+        return replace(task, payload={**task.payload, "base": base}) if "need" in value else None
+
+    tasks = (Task(run_task, {**common, "numbers": begun.plan.numbers(point)}, point) for point in points)
+    first: Mapping[str, str] = {"warp_plate": warp_plate.__version__, "warp": wp.config.version}
+    for task, answer in spread(pool, tasks, again=with_scene):
+        if answer.fault == "wrong":
+            raise SceneError(answer.text)
+        if answer.fault:
+            yield Found(task.place, None, f"given up: {answer.text}")
+            continue
+        made = answer.value["made"]
+        for name, value in made.items():
+            if value != first.get(name, value):
+                raise SceneError(
+                    f"workers: {name} is {value} on one and {first[name]} on another or here, which rounds in another "
+                    "way; make them alike"
+                )
+        first = made
+        yield Found(task.place, answer.value["values"], answer.value["reason"])
+
+
+def run_task(payload: Mapping[str, Any]) -> dict[str, Any]:
+    """A point, on a worker.
+
+    payload: "digest" of the scene; "base", itself as text and the files that it names, where this worker may not know
+    it; "numbers", "what", "device", "path", "count".
+
+    Returns {"need": digest} where the scene is not known here; else "values", None where the point is refused,
+    "reason", and "made", which says on what.
+
+    Raises:
+        SceneError: no such device.
+    """
+    digest = payload["digest"]
+    known = _SCENES.pop(digest, None)
+    if known is None:
+        if "base" not in payload:
+            return {"need": digest}
+        folder = TemporaryDirectory()
+        known = scene_in(folder.name, payload["base"]["text"], payload["base"]["files"]), folder
+    _SCENES[digest] = known
+    while len(_SCENES) > MOST_SCENES:
+        _SCENES.popitem(last=False)[1][1].cleanup()
+    device = os.environ.get(DEVICE) or payload["device"]
+    options = Options(device, payload["path"], payload["count"])
+    found = run_point(known[0], payload["numbers"], payload["what"], options, 0)
+    processor = processor_of(find_device(device))
+    made = {"warp_plate": warp_plate.__version__, "warp": wp.config.version, "processor": processor}
+    return {"values": found.values, "reason": found.reason, "made": made}
