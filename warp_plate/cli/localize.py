@@ -177,7 +177,7 @@ def _run(
 
         def told(done: int, of: int, best: float) -> None:
             nonlocal iterations, total, found
-            iterations, total, found = done, of, f"best {best:.4f}"
+            iterations, total, found = done, of, f"best {best:.4g}"
             show(done, of, found)
 
         if pool is not None:
