@@ -20,6 +20,7 @@ import warp as wp
 from hypothesis import settings
 
 from warp_plate import PlateSolver, Scene, SceneError
+from warp_plate.cli.main import main
 from warp_plate.plate.limit import time_step_limit
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.solve.devices import find_device
@@ -282,3 +283,19 @@ def operator_by_running(scene, device="cpu"):
         entries.append((value, number[known], number[source]))
     value, to, source = (np.concatenate(part) for part in zip(*entries, strict=True))
     return coo_array((value, (to, source)), shape=(inside.sum(), inside.sum())).tocsr()
+
+
+@pytest.fixture
+def command(capsys):
+    """Run a command in this process: (status, standard output, standard error)."""
+
+    def run(*words):
+        try:
+            main([str(word) for word in words])
+            status = 0
+        except SystemExit as left:
+            status = left.code or 0
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run

@@ -2,12 +2,12 @@
 
 import json
 import os
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from warp_plate.accuracy import family, report
-from warp_plate.cli.main import main
 from warp_plate.viz.accuracy_plot import draw_accuracy, draw_accuracy_beside, families, longest_steps, refused_points
 
 ROW_KEYS = {
@@ -18,23 +18,14 @@ NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
 
 
 @pytest.fixture
-def command(capsys, tmp_path, monkeypatch):
+def command(command, tmp_path, monkeypatch):
     """Run ``accuracy`` on small grids in an empty folder: (status, standard output, standard error)."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(family, "LADDER", (9, 13, 417))
     monkeypatch.setattr(family, "BASE", 9)
     monkeypatch.setattr(report, "REFERENCE_ERROR", 2e-3)
 
-    def run(*arguments):
-        try:
-            main(["accuracy", *(str(argument) for argument in arguments)])
-            status = 0
-        except SystemExit as left:
-            status = left.code or 0
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run
+    return partial(command, "accuracy")
 
 
 def test_json_and_picture(command):

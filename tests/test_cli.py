@@ -37,22 +37,6 @@ def panel(tmp_path, monkeypatch, scene):
     return made
 
 
-@pytest.fixture
-def command(capsys):
-    """Run a command in this process: (status, standard output, standard error)."""
-
-    def run(*arguments):
-        try:
-            main([str(argument) for argument in arguments])
-            status = 0
-        except SystemExit as left:
-            status = left.code or 0
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run
-
-
 def files():
     """All files of the working folder, hidden ones too."""
     return sorted(str(path) for path in Path().rglob("*") if path.is_file())

@@ -2,13 +2,13 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from warp_plate import SceneError
-from warp_plate.cli.main import main
 from warp_plate.result.comparison import Comparison, Trial, load_comparison, save_comparison
 from warp_plate.scene.load import dump_scene
 from warp_plate.search import compare as module
@@ -29,19 +29,10 @@ def panel(scene, tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def command(capsys):
+def command(command):
     """Run ``compare``: (status, standard output, standard error)."""
 
-    def run(*arguments):
-        try:
-            main(["compare", *(str(argument) for argument in arguments)])
-            status = 0
-        except SystemExit as left:
-            status = left.code or 0
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run
+    return partial(command, "compare")
 
 
 def test_all_methods_share_a_budget_and_none_passes_the_bound(panel):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver, Scene
-from warp_plate.cli.main import main
 from warp_plate.plate.found import scene_drive
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
@@ -34,22 +33,6 @@ def quick(monkeypatch):
     """Short timed runs: what they show is not looked at."""
     monkeypatch.setattr(influence, "TIMED_NODE_STEPS", {"cpu": 1e4, "cuda": 1e6})
     monkeypatch.setattr(influence, "ROUNDS", 2)
-
-
-@pytest.fixture
-def command(capsys):
-    """Run a command in this process: (status, standard output, standard error)."""
-
-    def run(*arguments):
-        try:
-            main([str(argument) for argument in arguments])
-            status = 0
-        except SystemExit as left:
-            status = left.code or 0
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run
 
 
 @pytest.fixture

@@ -10,27 +10,10 @@ import pytest
 from scipy.io import wavfile
 
 from warp_plate import load_result
-from warp_plate.cli.main import main
 from warp_plate.scene.load import dump_scene
 
 GUIDE = Path(__file__).parents[1] / "docs" / "exports.md"
 RECORD = {"times": (0.002, 0.004), "points": ((0.1, 0.1),)}
-
-
-@pytest.fixture
-def command(capsys):
-    """Run a command in this process: (status, standard output, standard error)."""
-
-    def run(*arguments):
-        try:
-            main([str(argument) for argument in arguments])
-            status = 0
-        except SystemExit as left:
-            status = left.code or 0
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run
 
 
 @pytest.fixture

@@ -2,12 +2,12 @@
 
 import json
 import math
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from warp_plate.cli.main import main
 from warp_plate.plate.modes import natural_modes
 from warp_plate.scene.load import dump_scene
 from warp_plate.viz.modes_plot import draw_modes, frequency_text, layout, nodal_field
@@ -35,19 +35,10 @@ def panel(tmp_path, monkeypatch, scene):
 
 
 @pytest.fixture
-def command(capsys):
+def command(command):
     """Run ``modes`` in this process: (status, standard output, standard error)."""
 
-    def run(*arguments):
-        try:
-            main(["modes", *(str(argument) for argument in arguments)])
-            status = 0
-        except SystemExit as left:
-            status = left.code or 0
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run
+    return partial(command, "modes")
 
 
 def test_json_and_picture(command, panel):

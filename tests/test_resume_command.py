@@ -17,7 +17,6 @@ from test_resume import assert_same, stop_after
 
 from warp_plate import Scene, SceneError, load_result, localize, resume
 from warp_plate.cli.localize import localize as localize_command
-from warp_plate.cli.main import main
 from warp_plate.result.checkpoint import load_newest, previous_of
 from warp_plate.scene.load import dump_scene
 from warp_plate.search.checkpoints import EVERY, CheckpointFile
@@ -41,22 +40,6 @@ def left(panel):
     file = CheckpointFile(Path("panel-localize.checkpoint.h5"), np.inf)
     localize(panel, "panel.toml", "cpu", told=stop_after(5), estimate=False, checkpoints=file)
     return file.path
-
-
-@pytest.fixture
-def command(capsys):
-    """Run a command in this process: (status, standard output, standard error)."""
-
-    def run(*arguments):
-        try:
-            main([str(argument) for argument in arguments])
-            status = 0
-        except SystemExit as gone:
-            status = gone.code or 0
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run
 
 
 @pytest.mark.parametrize(

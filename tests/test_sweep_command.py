@@ -2,13 +2,13 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from warp_plate import Scene, SceneError, load_sweep
-from warp_plate.cli.main import main
 from warp_plate.cluster.pool import WorkersGone
 from warp_plate.result.sweep import REFUSED, save_sweep
 from warp_plate.result.whole import check_seal
@@ -37,19 +37,10 @@ def panel(scene, tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def command(capsys):
+def command(command):
     """Run ``sweep``: (status, standard output, standard error)."""
 
-    def run(*arguments):
-        try:
-            main(["sweep", *(str(argument) for argument in arguments)])
-            status = 0
-        except SystemExit as left:
-            status = left.code or 0
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run
+    return partial(command, "sweep")
 
 
 def test_the_table_and_the_files(panel, command):

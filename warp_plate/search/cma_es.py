@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_plate.scene.errors import SceneError
-from warp_plate.search.record import Record, SearchResult, plain, shaped
+from warp_plate.search.record import Record, Recorded, check_format, plain, shaped
 from warp_plate.search.space import Space
 
 STATE_FORMAT = "cma 1"
@@ -37,7 +37,7 @@ class CovarianceSettings:
     seed: int = 0
 
 
-class CovarianceSearch:
+class CovarianceSearch(Recorded):
     """The search of ``cma.CMAEvolutionStrategy`` in a space, with restarts, a budget, and a state without pickle.
 
     Raises:
@@ -56,21 +56,6 @@ class CovarianceSearch:
         self._points: list[np.ndarray] = []  # of the cloud; positions are what is evaluated
         self.positions = np.empty((0, space.dimension))
         self._asked = False
-
-    @property
-    def iterations(self) -> int:
-        """How many generations were told."""
-        return self._record.iterations
-
-    @property
-    def history(self) -> dict[str, np.ndarray]:
-        """See ``Record.history``."""
-        return self._record.history
-
-    @property
-    def result(self) -> SearchResult:
-        """The best so far."""
-        return self._record.result
 
     def ask(self) -> np.ndarray:
         """Positions to evaluate, (population, dimension); the same ones until their losses are told."""
@@ -124,8 +109,7 @@ class CovarianceSearch:
         """
         search = cls(space, settings)
         try:
-            if state["format"] != STATE_FORMAT:
-                raise ValueError(f"search state: format = {state['format']!r}: must be {STATE_FORMAT!r}")
+            check_format(state, STATE_FORMAT)
             losses, last = shaped(state, "losses", (-1,)), shaped(state, "positions", (-1, space.dimension))
             while losses.size:
                 asked = search.ask()

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from warp_plate.plate.weights import REGIONS
 from warp_plate.scene.errors import SceneError
 from warp_plate.search.quadratic import Quadratic
-from warp_plate.search.record import Record, SearchResult, plain, shaped
+from warp_plate.search.record import Record, Recorded, check_format, plain, shaped
 from warp_plate.search.space import Space
 from warp_plate.solve.response import RANK_TOLERANCE, real_parts
 
@@ -26,7 +26,7 @@ NEAR = 1e-9
 KEY = "search.method = 'exact'"
 
 
-class ExactSearch:
+class ExactSearch(Recorded):
     """One position, told once, in the shape of a search.
 
     Raises:
@@ -37,21 +37,6 @@ class ExactSearch:
     def __init__(self, space: Space, problem: Quadratic | None) -> None:
         self.positions = best_position(space, problem)[None]
         self._record = Record(space.dimension)
-
-    @property
-    def iterations(self) -> int:
-        """1 once the loss is told."""
-        return self._record.iterations
-
-    @property
-    def history(self) -> dict[str, np.ndarray]:
-        """See ``Record.history``."""
-        return self._record.history
-
-    @property
-    def result(self) -> SearchResult:
-        """The position, once its loss is told."""
-        return self._record.result
 
     def ask(self) -> np.ndarray:
         """The best position, (1, dimension)."""
@@ -75,8 +60,7 @@ class ExactSearch:
         """The search that ``state()`` was taken from. Raises ValueError for anything else."""
         search = cls(space, problem)
         try:
-            if state["format"] != STATE_FORMAT:
-                raise ValueError(f"search state: format = {state['format']!r}: must be {STATE_FORMAT!r}")
+            check_format(state, STATE_FORMAT)
             search.positions = shaped(state, "positions", (1, space.dimension))
             search._record.load(state)
         except (KeyError, TypeError) as error:

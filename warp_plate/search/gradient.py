@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_plate.search.quadratic import Quadratic
-from warp_plate.search.record import Record, SearchResult, plain, shaped
+from warp_plate.search.record import Record, Recorded, check_format, plain, shaped
 from warp_plate.search.space import Space
 
 STATE_FORMAT = "gradient 1"
@@ -39,7 +39,7 @@ class GradientSettings:
     seed: int = 0
 
 
-class GradientSearch:
+class GradientSearch(Recorded):
     """Descents in units of the first ranges. Arrays have a row for each: where it is (base), its loss and slope there,
     the inverse Hessian, the way that it tries and what part of it (step), how many tries failed; left: how many
     restarts are (−1: it rests for good). An infinite loss is a base that has not been evaluated."""
@@ -60,21 +60,6 @@ class GradientSearch:
         self._active = np.empty(0, dtype=int)
         self._points = self.positions = np.empty((0, dimension))
         self._asked = False
-
-    @property
-    def iterations(self) -> int:
-        """How many times losses were told."""
-        return self._record.iterations
-
-    @property
-    def history(self) -> dict[str, np.ndarray]:
-        """See ``Record.history``."""
-        return self._record.history
-
-    @property
-    def result(self) -> SearchResult:
-        """The best so far."""
-        return self._record.result
 
     def ask(self) -> np.ndarray:
         """The next position of each descent that does not rest, (up to starts, dimension); the same until told."""
@@ -137,8 +122,7 @@ class GradientSearch:
         """The search that ``state()`` was taken from, bit for bit. Raises ValueError for anything else."""
         search = cls(space, problem, settings)
         try:
-            if state["format"] != STATE_FORMAT:
-                raise ValueError(f"search state: format = {state['format']!r}: must be {STATE_FORMAT!r}")
+            check_format(state, STATE_FORMAT)
             search._random.bit_generator.state = state["random"]
             for name in ARRAYS:
                 setattr(search, name, shaped(state, name, getattr(search, name).shape))

@@ -27,6 +27,7 @@ from warp_plate.plate.weights import REGIONS, localization_factor, region_weight
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Objective
+from warp_plate.search.objective import loss
 
 # Beyond these a contrast is rounding.
 MOST_DECIBELS = 120.0
@@ -72,8 +73,7 @@ class Judge:
             displacement_energy: the same of ½ ∫ ρH u² dA [J s²], where displacements are judged.
         """
         if self.only_localization:
-            found: np.ndarray = 1 - localization_factor(energy)
-            return found
+            return loss(energy)
         values = self.values(energy, displacement_energy)
         total = -sum(one.weight * values[one.kind] for one in self.objectives)
         limits = {one.kind: one.rest_limit for one in self.objectives if one.rest_limit is not None}

@@ -98,6 +98,33 @@ class Record:
         self.rows = shaped(state, "history", (-1, len(COLUMNS))).tolist()
 
 
+class Recorded:
+    """What methods that keep a ``Record`` say of it."""
+
+    _record: Record
+
+    @property
+    def iterations(self) -> int:
+        """How many times losses were told."""
+        return self._record.iterations
+
+    @property
+    def history(self) -> dict[str, np.ndarray]:
+        """See ``Record.history``."""
+        return self._record.history
+
+    @property
+    def result(self) -> SearchResult:
+        """The best so far."""
+        return self._record.result
+
+
+def check_format(state: dict[str, Any], wanted: str) -> None:
+    """Raise ValueError unless a state is of this format, KeyError where it has none."""
+    if state["format"] != wanted:
+        raise ValueError(f"search state: format = {state['format']!r}: must be {wanted!r}")
+
+
 def shaped(state: dict[str, Any], name: str, shape: tuple[int, ...]) -> np.ndarray:
     """An array of a state as float64 numbers; −1 in its shape: any length. Raises ValueError for another shape."""
     values = np.array(state[name], dtype=float)
