@@ -2,11 +2,11 @@
 
     python benchmarks/host_share.py [--device cuda:0] [--plates 20 1024 16384 131072] [--generations 9] [--out FILE]
 
-Searches the paper's scene and prints, for swarms of each size, the time of a whole generation, of the device's steps
-in it, and of the parts of the rest, in which the device does not step: the swarm's ask and tell, and what there is
-around the steps: positions made into designs and loads, copies, sums, statuses. Large swarms are cut into parts, and
-the host makes one ready while the device steps another. Medians; the first two generations, which find memory and
-compile, count for nothing.
+Searches the paper's scene and prints, for swarms of each size, the time of a whole generation, in which the device
+computes, how much of that the plates' steps are (the rest: loads, clearing, sums), and the parts of the time in which
+the device does not compute: the swarm's ask and tell, and what there is around the device's work: positions made into
+designs and loads, copies, statuses. Large swarms are cut into parts, and the host makes one ready while the device
+steps another. Medians; the first two generations, which find memory and compile, count for nothing.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from warp_plate.search.problem import Problem, make_problem
 
 PLATES = (20, 1024, 16384, 131072)
 GENERATIONS, FIRST = 9, 2
-PARTS = ("ask", "around the steps", "tell")
+PARTS = ("ask", "around the device", "tell")
 
 
-class Steps:
-    """Seconds that the device was busy with the steps of a problem's plates since they were asked for last.
+class DeviceTime:
+    """Seconds that the device has computed for a problem's plates since they were asked for last.
 
-    By events of the device, which nobody waits for while it works.
+    By events of the device, which nobody waits for while it works; the CPU counts the steps alone.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -41,6 +41,11 @@ class Steps:
         self._marks: list[tuple[wp.Event, wp.Event]] = []
         self._seconds = 0.0
         problem.plain.engine = replace(self._engine, advance=self._advance)
+        self._begin()
+
+    def _begin(self) -> None:
+        if self._device.is_cuda:
+            wp.timing_begin(wp.TIMING_ALL & ~wp.TIMING_MEMCPY)
 
     def _advance(self, state: object, plates: int, start: int, stop: int) -> None:
         began = time.perf_counter()
@@ -53,18 +58,21 @@ class Steps:
             self._engine.advance(state, plates, start, stop)
             self._seconds += time.perf_counter() - began
 
-    def taken(self) -> float:
-        """Those seconds, which are then forgotten."""
-        taken = self._seconds + sum(wp.get_event_elapsed_time(*marks) for marks in self._marks) / 1e3
+    def taken(self) -> tuple[float, float]:
+        """Seconds of all that it computed, and of the steps among them; they are then forgotten."""
+        steps = self._seconds + sum(wp.get_event_elapsed_time(*marks) for marks in self._marks) / 1e3
+        computed = sum(one.elapsed for one in wp.timing_end()) / 1e3 if self._device.is_cuda else steps
         self._seconds, self._marks = 0.0, []
-        return taken
+        self._begin()
+        return computed, steps
 
 
-def generations(problem: Problem, steps: Steps, plates: int, count: int) -> dict[str, object]:
+def generations(problem: Problem, device: DeviceTime, plates: int, count: int) -> dict[str, object]:
     """Medians over so many generations of a swarm of so many particles [s]."""
     search = problem.scene.search.model_copy(update={"particles": plates, "iterations": count + FIRST})
     searcher = make_searcher(search, problem.space, 0)
-    taken: dict[str, list[float]] = {name: [] for name in ("whole", "device", *PARTS)}
+    taken: dict[str, list[float]] = {name: [] for name in ("whole", "device", "steps", *PARTS)}
+    device.taken()
     for _ in range(count + FIRST):
         marks = [time.perf_counter()]
         positions = searcher.ask()
@@ -74,9 +82,9 @@ def generations(problem: Problem, steps: Steps, plates: int, count: int) -> dict
         searcher.tell(positions, losses)
         best = searcher.result.fbest  # looked at after each generation, for the progress bar
         marks.append(time.perf_counter())
-        device, parts = steps.taken(), np.diff(marks)
-        parts[1] -= device
-        for name, seconds in zip(taken, (marks[-1] - marks[0], device, *parts.tolist()), strict=True):
+        (computed, steps), parts = device.taken(), np.diff(marks)
+        parts[1] -= computed
+        for name, seconds in zip(taken, (marks[-1] - marks[0], computed, steps, *parts.tolist()), strict=True):
             taken[name].append(seconds)
     assert np.isfinite(best)
     medians = {name: float(np.median(seconds[FIRST:])) for name, seconds in taken.items()}
@@ -89,8 +97,8 @@ def measure(
 ) -> list[dict[str, object]]:
     """The rows of the table."""
     problem = make_problem(scene, device)
-    steps = Steps(problem)
-    return [generations(problem, steps, each, count) for each in plates]
+    device_time = DeviceTime(problem)
+    return [generations(problem, device_time, each, count) for each in plates]
 
 
 def main() -> None:
@@ -108,12 +116,14 @@ def main() -> None:
         machine = describe_machine([given.device])
     except SceneError as error:
         parser.error(str(error))
-    print(f"{'plates':>8}{'generation':>13}{'device':>11}{'host':>8}" + "".join(f"{name:>18}" for name in PARTS))
+    names = "".join(f"{name:>19}" for name in PARTS)
+    print(f"{'plates':>8}{'generation':>13}{'device':>11}{'steps':>11}{'host':>8}{names}")
     for row in rows:
         seconds = row["seconds"]
-        parts = "".join(f"{1e3 * seconds[name]:15.3f} ms" for name in PARTS)
-        whole, device = (1e3 * seconds[name] for name in ("whole", "device"))
-        print(f"{row['plates']:8}{whole:10.2f} ms{device:8.2f} ms{100 * row['host_share']:6.1f} %{parts}")
+        parts = "".join(f"{1e3 * seconds[name]:16.3f} ms" for name in PARTS)
+        whole, device, steps = (1e3 * seconds[name] for name in ("whole", "device", "steps"))
+        share = 100 * row["host_share"]
+        print(f"{row['plates']:8}{whole:10.2f} ms{device:8.2f} ms{steps:8.2f} ms{share:6.1f} %{parts}")
     if given.out is not None:
         record = {"machine": asdict(machine), "versions": describe_versions(), "rows": rows}
         given.out.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")

@@ -33,7 +33,7 @@ def make(problem: Problem, threads: int) -> Run:
         field.assign(padded)
 
     def run() -> NDArray[np.float64]:
-        state.clear()
+        state.clear(problem.plates)
         engine.advance(state, problem.plates, 0, problem.steps)
         return queue_region_sums(engine, state, problem.plates)().copy()
 

@@ -10,7 +10,6 @@ import numpy as np
 from warp_plate.cluster.pool import Task
 from warp_plate.cluster.work import designs_in, run_block
 from warp_plate.plate.designs import Designs
-from warp_plate.solve.status import OK
 
 # About so much work is in a block: a tenth of a second of a core, and of a GPU what keeps it busy. It is the scene's
 # size and the kind of device that say how many plates that is, never how many workers there are.
@@ -45,13 +44,11 @@ def halves(task: Task) -> list[Task]:
     ]
 
 
-def put(value: Mapping[str, Any], place: slice, energy: np.ndarray, status: np.ndarray, caught: np.ndarray) -> None:
-    """Write what ``run_block`` gave into the arrays of all plates, as in :class:`Run`."""
+def put(value: Mapping[str, Any], place: slice, energy: np.ndarray, faults: dict[int, tuple[str, float]]) -> None:
+    """Write what ``run_block`` gave into what all plates have, as in :class:`Run`."""
     energy[place] = value["energy"]
-    status[place] = OK
-    wrong = place.start + np.asarray(value["plates"], dtype=int)
-    status[wrong] = value["status"]
-    caught[wrong] = value["caught"]
+    for plate, word, caught in value["faults"]:
+        faults[place.start + plate] = word, caught
 
 
 def _task(designs: Designs, place: slice, others: Mapping[str, Any]) -> Task:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -20,7 +21,8 @@ from warp_plate.plate.designs import NOTHING_OWN, Batch, Designs, Own, as_phasor
 from warp_plate.plate.weights import NO_AREAS, Region
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.solver import PlateSolver, Progress, Run
+from warp_plate.solve.run import Run
+from warp_plate.solve.solver import PlateSolver, Progress
 from warp_plate.solve.specialize import Quantity
 
 
@@ -37,7 +39,7 @@ class SpreadSolver(PlateSolver):
     device: of what runs here; workers have ``pool.device``.
 
     Energies are those of one process to the last bit, where workers are of one kind of processor. lost: plates without
-    energies because their block failed for good, by what went wrong; their status says the same.
+    energies because their block failed for good, by what went wrong; their faults say the same.
 
     Raises:
         SceneError: see :class:`PlateSolver`; a worker cannot make the solver.
@@ -76,8 +78,8 @@ class SpreadSolver(PlateSolver):
             return super().run(drives, times, points, progress)
         designs = drives[:] if isinstance(drives, Batch) else Designs(as_phasors(drives, len(self.scene.actuators)))
         plates, regions = len(designs), self.specialized.regions
-        energy, caught = np.full((plates, len(regions)), np.nan), np.full(plates, np.nan)
-        status, node_steps = np.empty(plates, dtype=object), 0
+        energy, node_steps = np.full((plates, len(regions)), np.nan), 0
+        faults: dict[int, tuple[str, float]] = {}
         if not self._made:
             self._ask()
         block = plates_of_block(self.node_steps_per_plate, self._made["kind"])
@@ -85,11 +87,12 @@ class SpreadSolver(PlateSolver):
             if answer.fault == "wrong":
                 raise SceneError(answer.text)
             if answer.fault:
-                status[task.place] = why = self._failed(answer.fault, answer.text)
-                self.lost[why] += len(status[task.place])
+                why, places = self._failed(answer.fault, answer.text), range(task.place.start, task.place.stop)
+                faults |= dict.fromkeys(places, (why, math.nan))
+                self.lost[why] += len(places)
                 continue
             self._same(answer.value["made"])
-            put(answer.value, task.place, energy, status, caught)
+            put(answer.value, task.place, energy, faults)
             node_steps += answer.value["node_steps"]
             if progress is not None:
                 progress(node_steps, plates * self.node_steps_per_plate)
@@ -103,8 +106,7 @@ class SpreadSolver(PlateSolver):
             trace=np.empty((plates, 0, self.specialized.scheme.steps)),
             trace_times=np.empty(0),
             node_steps=node_steps,
-            status=status,
-            caught=caught,
+            faults=faults,
         )
 
     def _ask(self) -> None:

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
-import numpy as np
 import warp as wp
 
 import warp_plate
@@ -16,7 +15,6 @@ from warp_plate.plate.designs import Designs
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.devices import processor_of
 from warp_plate.solve.solver import PlateSolver
-from warp_plate.solve.status import OK
 
 # Of the recipes met last: the scenarios of a robust search take one each.
 MOST_SOLVERS = 128
@@ -51,7 +49,7 @@ def run_block(payload: Mapping[str, Any]) -> dict[str, Any]:
     where plates have them of their own, "frequency", "centre" and "delay" as in :class:`Designs`.
 
     Returns {"need": digest} where the recipe is not known here; else "energy" (plates, regions), "node_steps", "made",
-    which says on what, and of the plates that went wrong "plates" (n,), "status", "caught" (n,).
+    which says on what, and "faults": of each plate that went wrong its place, what it was, and when.
 
     Raises:
         SceneError: see :class:`PlateSolver`.
@@ -66,13 +64,10 @@ def run_block(payload: Mapping[str, Any]) -> dict[str, Any]:
     while len(_SOLVERS) > MOST_SOLVERS:
         _SOLVERS.popitem(last=False)
     run = solver.run(designs_in(payload))
-    wrong = np.flatnonzero(run.status != OK)
     return {
         "energy": run.energy,
         "node_steps": run.node_steps,
-        "plates": wrong,
-        "status": run.status[wrong].tolist(),
-        "caught": run.caught[wrong],
+        "faults": [[plate, *fault] for plate, fault in run.faults.items()],
         "made": {
             "kind": "cuda" if solver.device.is_cuda else "cpu",
             "processor": processor_of(solver.device),

@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
+from typing import TypeVar
+
+Made = TypeVar("Made")
 
 # Rows of a block; so few rows take one call and no thread. More threads than that wait for each other.
-ROWS = 8192
-MOST_THREADS = 4
+ROWS = 16384
+MOST_THREADS = 8
 
 
 def over_blocks(task: Callable[[slice], object], rows: int) -> None:
@@ -26,6 +29,11 @@ def over_blocks(task: Callable[[slice], object], rows: int) -> None:
         return
     for done in [_pool().submit(task, block) for block in blocks]:
         done.result()
+
+
+def meanwhile(task: Callable[[], Made]) -> Future[Made]:
+    """Begin a task in one of those threads; its ``result()`` waits for it."""
+    return _pool().submit(task)
 
 
 @cache

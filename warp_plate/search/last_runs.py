@@ -14,7 +14,8 @@ from warp_plate.scene.model import Scene
 from warp_plate.search.objective import unit_of_drives
 from warp_plate.search.peak import run_and_look
 from warp_plate.search.problem import Energies, Problem
-from warp_plate.solve.solver import PlateSolver, Run
+from warp_plate.solve.run import Run
+from warp_plate.solve.solver import PlateSolver
 
 
 @dataclass(frozen=True)

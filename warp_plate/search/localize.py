@@ -32,7 +32,7 @@ from warp_plate.search.run_swarm import Told, searcher_of
 from warp_plate.search.several import run_searches, runs_of_all
 from warp_plate.search.spectrum import make_spectrum
 from warp_plate.solve.devices import device_aliases, find_device, processor_of
-from warp_plate.solve.solver import Run
+from warp_plate.solve.run import Run
 
 
 def localize(

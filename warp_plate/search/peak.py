@@ -9,7 +9,8 @@ import numpy as np
 
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.model import Scene
-from warp_plate.solve.solver import PlateSolver, Progress, Run
+from warp_plate.solve.run import Run
+from warp_plate.solve.solver import PlateSolver, Progress
 
 # Looks at a plate: so many in a period of the highest frequency (between two, a sine rises by 2 % at most), but no more
 # than so many in a run, whose copies take so many bytes at most; and never fewer than so many.

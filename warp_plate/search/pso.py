@@ -24,13 +24,15 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import asdict
-from typing import Any, Protocol
+from functools import partial
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_plate.plate.blocks import over_blocks
+from warp_plate.plate.blocks import ROWS, meanwhile, over_blocks
 from warp_plate.search.pso_settings import LARGEST, SwarmSettings
 from warp_plate.search.record import SearchResult
 from warp_plate.search.record import plain as as_plain
@@ -61,6 +63,8 @@ class Swarm:
         self._lower, self._upper = settings.limits()
         self._period = np.full(settings.dimension, np.inf if settings.period is None else settings.period)
         self._wraps = np.flatnonzero(np.isfinite(self._period))
+        # What the next move will draw, where a large swarm has begun to draw it while its losses are found.
+        self._ahead: Future[np.ndarray] | None = None
         self._draw()
         if settings.start is not None:
             start = np.array(settings.start)
@@ -93,7 +97,8 @@ class Swarm:
     def result(self) -> SearchResult:
         """The best so far."""
         best = int(np.argmin(self.personal_losses))
-        position, loss = self.personal_positions[best], float(self.personal_losses[best])
+        self._keep(slice(best, best + 1))
+        position, loss = self._personal[best], float(self.personal_losses[best])
         if not loss < self._kept_loss:
             position, loss = self.kept_position, self._kept_loss
         evaluations, nonfinite = self.settings.particles * self.iterations, sum(row[-1] for row in self._history)
@@ -108,6 +113,8 @@ class Swarm:
             elif self.iterations:
                 self._move()
             self._asked = True
+            if self.settings.particles > ROWS:
+                self._ahead = meanwhile(partial(self._pulls, copy.deepcopy(self.random)))
         # Positions are never changed in place, so that these need not be a copy.
         self.positions.flags.writeable = False
         return self.positions
@@ -123,16 +130,17 @@ class Swarm:
         told = np.array(losses, dtype=float)
         if told.shape != (self.settings.particles,):
             raise ValueError(f"tell: losses of shape {told.shape}: must be ({self.settings.particles},)")
-        finite = np.isfinite(told)
-        told[~finite] = np.inf
-        # A particle without a finite loss yet has no place to return to: its own best is where it is.
-        better = (told < self.personal_losses) | np.isinf(self.personal_losses)
+        finite = np.empty(told.shape, dtype=bool)
 
         def keep(rows: slice) -> None:
-            np.copyto(self.personal_positions[rows], self.positions[rows], where=better[rows, None])
+            new, own = told[rows], self.personal_losses[rows]
+            np.isfinite(new, out=finite[rows])
+            new[~finite[rows]] = np.inf
+            # A particle without a finite loss yet has no place to return to: its own best is where it is.
+            self._unkept[rows] = better = (new < own) | np.isinf(own)
+            np.copyto(own, new, where=better)
 
         over_blocks(keep, len(told))
-        np.copyto(self.personal_losses, told, where=better)
         self._record(told if finite.all() else told[finite])
         self._asked = False
 
@@ -144,6 +152,23 @@ class Swarm:
         if self._stalled() and self._restarts >= self.settings.restarts:
             reasons["stall"] = self.iterations - self._improved_at
         return reasons
+
+    @property
+    def personal_positions(self) -> np.ndarray:
+        """Where each particle had its personal loss."""
+        self._keep(slice(None))
+        return self._personal
+
+    @personal_positions.setter
+    def personal_positions(self, positions: np.ndarray) -> None:
+        self._personal = positions
+        self._unkept = np.zeros(len(positions), dtype=bool)  # whether a particle's best is where it is now
+
+    def _keep(self, rows: slice) -> None:
+        """Copy new bests; ``tell`` leaves that to the next pass over them."""
+        new = np.flatnonzero(self._unkept[rows])
+        self._personal[rows][new] = self.positions[rows].take(new, axis=0)
+        self._unkept[rows] = False
 
     def _stalled(self) -> bool:
         return self.settings.stall is not None and self.iterations - self._improved_at >= self.settings.stall
@@ -181,39 +206,43 @@ class Swarm:
         best = int(np.argmin(self.personal_losses))
         if math.isinf(self.personal_losses[best]):
             # No finite loss so far, so nothing to be drawn to: look elsewhere.
+            self._keep(slice(None))
             self._draw()
             return
-        leaders = (
-            np.full(particles, best) if settings.neighbours is None else self._best_neighbours(settings.neighbours)
-        )
-        width = settings.dimension if settings.random_numbers == "component" else 1
         inertia = settings.inertia * settings.decay ** (self.iterations - self._restarted_at)
-        drawn, moved = particles * width, np.empty(self.positions.shape)
+        leaders = None if settings.neighbours is None else self._best_neighbours(settings.neighbours)
+        self._keep(slice(best, best + 1) if leaders is None else slice(None))
+        if self._ahead is None:
+            pulls = self._pulls(self.random)
+        else:
+            pulls, bits = self._ahead.result(), cast(Any, self.random.bit_generator)
+            bits.advance(pulls.size)
+        moved = np.empty(self.positions.shape)
 
         def move(rows: slice) -> None:
-            position, velocity, own_best = self.positions[rows], self.velocities[rows], self.personal_positions[rows]
-            common = self.personal_positions.take(leaders[rows], axis=0)
+            self._keep(rows)
+            position, velocity, own_best = self.positions[rows], self.velocities[rows], self._personal[rows]
+            common = self._personal[best if leaders is None else leaders[rows]]
             velocity *= inertia
-            for factor, goal, first in ((settings.cognitive, own_best, 0), (settings.social, common, drawn)):
-                # The numbers that one call for the whole swarm would give to these rows.
-                numbers = self._random_after(first + rows.start * width)
-                pull = goal - position
-                self._shorten(pull)
-                pull *= factor * numbers.random((len(position), width))
-                velocity += pull
+            for goal, pull in zip((own_best, common), pulls, strict=True):
+                way = goal - position
+                self._shorten(way)
+                way *= pull[rows]
+                velocity += way
             self._limit(velocity)
             np.add(position, velocity, out=moved[rows])
             self._confine(moved[rows], velocity)
 
         over_blocks(move, particles)
-        self.random = self._random_after(2 * drawn)
         self.positions = moved
 
-    def _random_after(self, count: int) -> np.random.Generator:
-        """What the generator will be after so many numbers from 0 to 1."""
-        bits: Any = np.random.PCG64(0)
-        bits.state = self.random.bit_generator.state
-        return np.random.Generator(bits.advance(count))
+    def _pulls(self, random: np.random.Generator) -> np.ndarray:
+        """c1 U and c2 U of a move: (2, particles, one or each component)."""
+        settings = self.settings
+        width = settings.dimension if settings.random_numbers == "component" else 1
+        pulls = random.random((2, settings.particles, width))
+        pulls *= np.reshape([settings.cognitive, settings.social], (2, 1, 1))
+        return pulls
 
     def _best_neighbours(self, reach: int) -> np.ndarray:
         """(particles,) which of itself and ``reach`` others on each side has the best loss; of equals the nearest."""

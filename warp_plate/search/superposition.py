@@ -15,7 +15,8 @@ import numpy as np
 from warp_plate.result.live import Reading, SteadyMotion, quadrants
 from warp_plate.scene.model import Scene
 from warp_plate.solve.response import Response, measure_response, real_parts, unit_drives
-from warp_plate.solve.solver import PlateSolver, Progress, Run
+from warp_plate.solve.run import Run
+from warp_plate.solve.solver import PlateSolver, Progress
 
 # Displacements from which the motion is taken, and multiples of the drive's frequency: a linear plate moves at that
 # frequency alone, one that stretches at its multiples as well.

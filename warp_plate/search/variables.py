@@ -59,21 +59,21 @@ class Variables:
     def designs(self, positions: np.ndarray) -> Designs:
         """What the plates of positions (n, dimension) have of their own; within the scene's limits of drives."""
         positions = np.asarray(positions, dtype=float)
-        kinds, shape = {one.kind for one in self.numbers}, (len(positions), len(self.scene.actuators))
-        own = {kind: np.empty(shape) for kind in kinds - {"magnitude", "phase"}}
-        if kinds & {"x", "y"}:
-            own |= {"x": np.empty(shape), "y": np.empty(shape)}
+        shape = (len(self.scene.actuators), len(positions))
+        # Plates innermost: NumPy is slow along short rows.
         drives = np.empty(shape, dtype=complex)
+        own = {kind: np.empty(shape) for kind in self._kinds - {"magnitude", "phase"}}
 
         def fill(rows: slice) -> None:
             values = self._values(positions[rows])
-            drives[rows] = self.unit * (self._limited(values["magnitude"]) * self._turns(values["phase"]))
+            drives[:, rows] = self.unit * (self._limited(values["magnitude"]) * self._turns(values["phase"]))
             for kind, into in own.items():
-                into[rows] = values[kind]
+                into[:, rows] = values[kind]
 
         over_blocks(fill, len(positions))
-        centre = np.stack([own["x"], own["y"]], axis=2) if "x" in own else None
-        return Designs(drives, own.get("frequency"), centre, own.get("delay"))
+        centre = np.stack([own["x"].T, own["y"].T], axis=2) if "x" in own else None
+        frequency, delay = (own[kind].T if kind in own else None for kind in ("frequency", "delay"))
+        return Designs(drives.T, frequency, centre, delay)
 
     def positions_of(self, designs: Designs) -> np.ndarray:
         """(n, dimension) the positions of designs, cut off at the limits of the space.
@@ -83,7 +83,7 @@ class Variables:
         """
         drives, held = designs.drives / self.unit, self._values(np.zeros((1, len(self.numbers))))
         if self._first_is_held("phase"):
-            drives = drives * np.exp(-1j * (np.angle(drives[:, :1]) + held["phase"][:, :1]))
+            drives = drives * np.exp(-1j * (np.angle(drives[:, :1]) + held["phase"][0]))
         if not frees(self.scene) and not self.scene.search.limits.equal_magnitudes:
             with np.errstate(divide="ignore", invalid="ignore"):
                 drives = np.nan_to_num(drives / np.abs(drives[:, :1]))
@@ -108,27 +108,30 @@ class Variables:
         Raises:
             SceneError: a number that no scene may have, such as a magnitude beyond 1e30.
         """
-        values = self._values(np.asarray(position, dtype=float)[None])
-        magnitude, kinds = self.unit * self._limited(values["magnitude"])[0], {one.kind for one in self.numbers}
+        values = {kind: one[:, 0] for kind, one in self._values(np.asarray(position, dtype=float)[None]).items()}
         return scene_with(
             self.scene,
-            magnitude,
-            values["phase"][0],
-            values["frequency"][0] if "frequency" in kinds else None,
-            np.stack([values["x"][0], values["y"][0]], axis=1) if kinds & {"x", "y"} else None,
-            values["delay"][0] if "delay" in kinds else None,
+            self.unit * self._limited(values["magnitude"][:, None])[:, 0],
+            values["phase"],
+            values.get("frequency"),
+            np.stack([values["x"], values["y"]], axis=1) if "x" in values else None,
+            values.get("delay"),
         )
 
     def _values(self, positions: np.ndarray) -> dict[str, np.ndarray]:
-        """(n, actuators) of each kind, before limits of drives."""
+        """(actuators, n) of each kind that plates may have of their own, before limits of drives."""
         if positions.ndim != 2 or positions.shape[1] != len(self.numbers):
             raise ValueError(f"positions of shape {positions.shape}: must be (n, {len(self.numbers)})")
-        values = {kind: np.tile(row, (len(positions), 1)) for kind, row in self._held.items()}
+        values = {kind: np.tile(self._held[kind][:, None], len(positions)) for kind in self._kinds}
         for column, one in zip(positions.T, self.numbers, strict=True):
-            values[one.kind][:, one.actuators] = (
-                column[:, None] if math.isinf(one.period) else np.mod(column, one.period)[:, None]
-            )
+            values[one.kind][list(one.actuators)] = column if math.isinf(one.period) else np.mod(column, one.period)
         return values
+
+    @cached_property
+    def _kinds(self) -> frozenset[str]:
+        """Of what plates may have of their own: drives always; a place has an x and a y."""
+        kinds = {"magnitude", "phase", *(one.kind for one in self.numbers)}
+        return frozenset(kinds | {"x", "y"} if kinds & {"x", "y"} else kinds)
 
     @cached_property
     def _held(self) -> dict[str, np.ndarray]:
@@ -144,23 +147,23 @@ class Variables:
         }
 
     def _turns(self, phase: np.ndarray) -> np.ndarray:
-        """exp(−iφ); one row serves all where no phase is free."""
+        """exp(−iφ) of phases (actuators, n)."""
         free = sorted(index for one in self.numbers if one.kind == "phase" for index in one.actuators)
-        turns = np.tile(np.exp(-1j * self._held["phase"]) + 0, (len(phase), 1))
-        turns[:, free] = np.exp(-1j * phase[:, free])
+        turns = np.tile(np.exp(-1j * self._held["phase"])[:, None] + 0, phase.shape[1])
+        turns[free] = np.exp(-1j * phase[free])
         return turns
 
     def _limited(self, magnitude: np.ndarray) -> np.ndarray:
-        """Magnitudes (n, actuators) in units of ``unit``, cut off or scaled down to the scene's limits."""
+        """Magnitudes (actuators, n) in units of ``unit``, cut off or scaled down to the scene's limits."""
         limits = self.scene.search.limits
         if limits.magnitude is not None:
             most = limits.magnitude / self.unit
             if only_ratios(self.scene):
-                magnitude = magnitude * _down_to(most, np.abs(magnitude).max(axis=1))
+                magnitude = magnitude * _down_to(most, np.abs(magnitude).max(axis=0))
             else:
                 magnitude = np.clip(magnitude, -most, most)
         if limits.power is not None:
-            size = np.sqrt((magnitude**2).sum(axis=1))
+            size = np.sqrt((magnitude**2).sum(axis=0))
             magnitude = magnitude * _down_to(math.sqrt(limits.power) / self.unit, size)
         return magnitude
 
@@ -197,5 +200,6 @@ def variables_of(scene: Scene) -> Variables:
 
 
 def _down_to(most: float, sizes: np.ndarray) -> np.ndarray:
-    """(n, 1) factors that bring sizes down to ``most``; one where they are no larger."""
-    return (most / np.maximum(sizes, most))[:, None]
+    """(n,) factors that bring sizes down to ``most``; one where they are no larger."""
+    factors: np.ndarray = most / np.maximum(sizes, most)
+    return factors

@@ -58,7 +58,7 @@ def load_drives(engine: Engine, state: State, plates: int, edges: np.ndarray | N
     edges: (plates, actuators, 4) x0, x1, y0, y1 [m] of actuators in places of each plate's own; None: the scene's.
     """
     specialized = engine.specialized
-    wp.copy(state.coefficients, state.host.coefficients)
+    wp.copy(state.coefficients, state.host.coefficients, count=plates * state.coefficients[0].size)
     spread, inputs = engine.spread_drives, [specialized.support, specialized.patches]
     if edges is not None:
         engine.own.put_places(state, edges)
@@ -89,7 +89,7 @@ def queue_region_sums(engine: Engine, state: State, plates: int) -> Callable[[],
     )
     inputs, outputs = [state.column_sums], [state.energy]
     wp.launch(engine.sum_columns, dim=(plates, regions), inputs=inputs, outputs=outputs, device=specialized.device)
-    wp.copy(state.host.energy, state.energy)
+    wp.copy(state.host.energy, state.energy, count=plates * regions)
     done = wp.get_stream(specialized.device).record_event() if specialized.device.is_cuda else None
 
     def wait() -> np.ndarray:

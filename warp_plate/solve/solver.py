@@ -7,7 +7,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -20,6 +19,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import load_drives, make_engine, queue_region_sums
 from warp_plate.solve.paths import why_streaming
+from warp_plate.solve.run import Run
 from warp_plate.solve.scaling import scaled_coefficients
 from warp_plate.solve.specialize import Quantity, Specialized, effect_names, specialize
 from warp_plate.solve.state import State, bytes_per_plate, make_state
@@ -34,51 +34,10 @@ CPU_CHUNK_BYTES = 256 * 2**20
 FEWEST_PLATES = 64
 # A large batch on CUDA is cut: while the device steps a part, the host makes the next one ready. The first is small,
 # for the device waits for it. Less work than this is not cut.
-PARTS = (1 / 32, 3 / 32, 8 / 32, 12 / 32, 8 / 32)
+PARTS = tuple(part / 64 for part in (1, 2, 4, 8, 20, 24, 5))
 LEAST_CUT_NODE_STEPS = 1e10
 
 Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class Run:
-    """What the plates did.
-
-    energy: (plates, regions) kinetic energy ½∫ρH v² averaged over the window [J]; of a solver of displacements the same
-    with u in place of v [kg·m²], u being that at the end of each of the window's steps. NaN for a plate whose status is
-    not "ok", such as one whose drive is of a size beyond SMALLEST_DRIVE ... LARGEST_DRIVE. regions: their names;
-    masses: (regions,) [kg]. displacement:
-    (plates, times, ny, nx) [m]; times: (times,) [s], those of the grid that lie nearest to the ones asked for. trace:
-    (plates, points, steps) [m]; trace_times: (steps,) [s]. node_steps: nodes updated × steps × plates. status:
-    (plates,) "ok" or what went wrong, see ``solve.status``; caught: (plates,) time at which a plate was seen to grow
-    without bound [s], NaN where it was not.
-    """
-
-    energy: np.ndarray
-    regions: tuple[str, ...]
-    masses: np.ndarray
-    displacement: np.ndarray
-    times: np.ndarray
-    trace: np.ndarray
-    trace_times: np.ndarray
-    node_steps: int
-    status: np.ndarray
-    caught: np.ndarray
-
-    @property
-    def finite(self) -> np.ndarray:
-        """(plates,) whether a plate's energies are numbers."""
-        return np.isfinite(self.energy).all(axis=1)
-
-    @property
-    def mean_square(self) -> np.ndarray:
-        """(plates, regions) velocity² [m²/s²], or displacement² [m²]: mean over the window and the region's mass."""
-        return 2 * self.energy / self.masses
-
-    def fault(self, plate: int) -> str:
-        """What went wrong with a plate, for people; "ok" where nothing did."""
-        when = f" by t = {self.caught[plate]:.4g} s" if math.isfinite(self.caught[plate]) else ""
-        return f"{self.status[plate]}{when}"
 
 
 class PlateSolver:
@@ -129,6 +88,8 @@ class PlateSolver:
         self._areas = areas
         self._share = share
         self._states: list[State] = []  # which take turns
+        self._untraced: wp.array = wp.empty((0, 2), dtype=int, device=self.device)
+        self._fastest = fastest_per_step(specialized)
         self.node_steps = 0  # of all runs so far
         self.compile_seconds = time.perf_counter() - started
 
@@ -192,12 +153,14 @@ class PlateSolver:
             return traced
         snapshots = [scheme.step_of(t) for t in times]
         corners, shares = bilinear(points, scheme.nodes, self.scene.plate.size)
-        nodes: wp.array = wp.array(corners.reshape(-1, 2) + np.array([1, 0], np.int32), dtype=int, device=self.device)
+        nodes = self._untraced
+        if points:
+            nodes = wp.array(corners.reshape(-1, 2) + np.array([1, 0], np.int32), dtype=int, device=self.device)
         energy = np.empty((plates, len(self.specialized.regions)))
         displacement = np.full((plates, len(snapshots), ny, nx), np.nan)
         trace = np.empty((plates, len(points), scheme.steps))
-        status, caught = np.empty(plates, dtype=object), np.full(plates, np.nan)
-        fastest = scheme.steps * fastest_per_step(self.specialized)
+        faults: dict[int, tuple[str, float]] = {}
+        fastest = scheme.steps * self._fastest
         parts = self._parts(plates, nodes.shape[0])
         states = self._rooms(parts, nodes)
         total = plates * self.node_steps_per_plate
@@ -207,7 +170,10 @@ class PlateSolver:
         def end(
             some: slice, phasors: np.ndarray, scale: np.ndarray, seen: np.ndarray, sums: Callable[[], np.ndarray]
         ) -> None:
-            judge_plates(phasors, scale, seen, sums(), joules, most, energy[some], status[some])
+            words = judge_plates(phasors, scale, seen, sums(), joules, most, energy[some])
+            for plate, word in words.items():
+                caught = seen[plate] * scheme.time_step if seen[plate] >= 0 else math.nan
+                faults[some.start + plate] = word, caught
             if progress is not None and len(states) > 1:
                 progress(some.stop * self.node_steps_per_plate, total)
 
@@ -221,7 +187,6 @@ class PlateSolver:
                     progress(before + done, total)
 
             reached, seen = self._march(state, len(scale), snapshots, displacement[some], tell, len(states) > 1)
-            caught[some][seen >= 0] = seen[seen >= 0] * scheme.time_step
             sums = queue_region_sums(self.engine, state, len(scale))
             ends.append(partial(end, some, phasors, scale, seen, sums))
             if len(ends) == len(states):
@@ -245,8 +210,7 @@ class PlateSolver:
             trace=trace,
             trace_times=scheme.time_step * np.arange(1, scheme.steps + 1) if points else np.empty(0),
             node_steps=total,
-            status=status,
-            caught=caught,
+            faults=faults,
         )
 
     def _check(self, times: Sequence[float], points: Sequence[tuple[float, float]]) -> None:
@@ -279,20 +243,22 @@ class PlateSolver:
 
     def _parts(self, plates: int, traced_nodes: int) -> list[slice]:
         """What is run at once, one after the other."""
-        most = self._plates_at_once(max(plates, 1), traced_nodes)
-        work = plates * self.node_steps_per_plate
-        if not self._overlaps or traced_nodes or work < LEAST_CUT_NODE_STEPS:
-            cuts = [*range(0, plates, most), plates]
-        elif 2 * max(PARTS) * plates > most:
-            cuts = [*range(0, plates, max(1, most // 2)), plates]
+        cut = self._overlaps and not traced_nodes and plates * self.node_steps_per_plate >= LEAST_CUT_NODE_STEPS
+        wanted = math.ceil(2 * max(PARTS) * plates) if cut else max(plates, 1)
+        most = self._plates_at_once(wanted, traced_nodes)
+        if most < wanted or not cut:
+            cuts = [*range(0, plates, max(1, most // 2) if cut else most), plates]
         else:
             cuts = [0, *(round(plates * float(part)) for part in np.cumsum(PARTS))]
         return [slice(*ends) for ends in itertools.pairwise(cuts)]
 
     def _plates_at_once(self, plates: int, traced_nodes: int) -> int:
-        """How many there is room for."""
+        """For how many of these plates there is room."""
         if self._chunk is not None:
             return min(self._chunk, plates)
+        held = sum(state.capacity for state in self._states)
+        if self.device.is_cuda and plates <= held and not traced_nodes:
+            return plates  # without asking the driver, which may take its time
         budget = self._share * (
             CUDA_CHUNK_SHARE * self.device.free_memory if self.device.is_cuda else CPU_CHUNK_BYTES
         )
@@ -332,12 +298,12 @@ class PlateSolver:
         load_drives(self.engine, state, len(scale), values.edges)
         with np.errstate(over="ignore", invalid="ignore"):
             state.host.units.numpy()[: len(scale)] = scale * specialized.scheme.load_scale
-        wp.copy(state.units, state.host.units)
+        wp.copy(state.units, state.host.units, count=len(scale))
         if specialized.moving:
             moving = np.zeros(state.capacity)
             moving[: len(scale)] = travelling / np.where(scale == 0, 1, scale)
             state.moving.assign(moving.astype(precision))
-        state.clear()
+        state.clear(len(scale))
         return scale
 
     def _march(
@@ -362,14 +328,14 @@ class PlateSolver:
         segment = max(1, int(SEGMENT_NODE_STEPS["cuda" if self.device.is_cuda else "cpu"] / node_steps))
         watched = watched_steps(self.specialized, plates)
         segment = min(segment, watched or segment)
-        fastest, seen = fastest_per_step(self.specialized), np.full(plates, -1)
+        seen = np.full(plates, -1)
         step = 0
-        for stop in sorted({*range(0, scheme.steps, segment), *snapshots, scheme.steps}):
+        for stop in sorted({*range(segment, scheme.steps, segment), *snapshots, scheme.steps}):
             if stop > step:
                 self.engine.advance(state, plates, step, stop)
                 step = stop
                 if watched:
-                    seen[(seen < 0) & outgrown(state.rate.numpy()[:plates], step * fastest)] = step
+                    seen[(seen < 0) & outgrown(state.rate.numpy()[:plates], step * self._fastest)] = step
             if stop in snapshots:
                 kept = [index for index, snapshot in enumerate(snapshots) if snapshot == stop]
                 displacement[:, kept] = state.u[:plates].numpy()[:, None, 1 : ny + 1, :nx]

@@ -72,10 +72,10 @@ class State:
         """Whether the plates of the run at hand have waves of their own."""
         return self.wave is self.own_wave
 
-    def clear(self) -> None:
-        """Back to rest at t = 0; the load fields stay."""
+    def clear(self, plates: int) -> None:
+        """The first plates, and the number beyond them, back to rest at t = 0; the load fields stay."""
         for field in (self.u, self.rate, self.squares, self.u_next, self.rate_next):
-            field.zero_()
+            field[: min(plates + 1, field.shape[0])].zero_()
 
 
 # A path, called as advance(state, plates, start, stop): takes the first ``plates`` plates of a state from step

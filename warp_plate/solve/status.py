@@ -18,6 +18,7 @@ OK = "ok"
 NO_DRIVE = "drive is not finite"
 GREW = "grew without bound"
 OUT_OF_RANGE = "energy is out of the range of numbers"
+FAULTS = (OK, OUT_OF_RANGE, GREW, NO_DRIVE)
 
 # Room for a step next to the limit, where rates are some ten times what the load's work gives, and for unequal masses.
 SLACK = 1e3
@@ -72,16 +73,14 @@ def judge_plates(
     unit: float,
     most: float,
     energy: np.ndarray,
-    status: np.ndarray,
-) -> None:
-    """Write energies [J], NaN where a plate went wrong, and a word for each plate.
+) -> dict[int, str]:
+    """Write energies [J], NaN where a plate went wrong; returns of those plates what it was.
 
     drives: (plates, actuators); scale: (plates,) pressures that plates are scaled by, not finite where a drive is not;
     caught: (plates,) step at which growth was seen, or −1; sums: (plates, regions) of rate² over the window; unit: [J]
-    of a sum at a scale of one; most: the largest sum of a bounded plate. energy: (plates, regions), status: (plates,)
-    objects: written.
+    of a sum at a scale of one; most: the largest sum of a bounded plate. energy: (plates, regions), written.
     """
-    faults = {fault: np.zeros(len(drives), dtype=bool) for fault in (OUT_OF_RANGE, GREW, NO_DRIVE)}
+    faults = np.zeros(len(drives), dtype=np.int8)  # places in FAULTS
 
     def judge(rows: slice) -> None:
         total, size = sums[rows], scale[rows]
@@ -89,16 +88,15 @@ def judge_plates(
             joules = total * unit * size[:, None] ** 2
             grew = (caught[rows] >= 0) | ~_every(total <= most)
         energy[rows] = joules
-        faults[OUT_OF_RANGE][rows] = ~_every(np.isfinite(joules) & ~((total > 0) & (joules == 0)))
-        faults[GREW][rows] = grew & np.isfinite(size)
+        sound = _every(np.isfinite(joules) & ~((total > 0) & (joules == 0)))
+        faults[rows] = np.where(grew & np.isfinite(size), FAULTS.index(GREW), ~sound)
 
     over_blocks(judge, len(drives))
     unscaled = np.flatnonzero(~np.isfinite(scale))
-    faults[NO_DRIVE][unscaled] = ~np.isfinite(drives[unscaled]).all(axis=1)
-    status.fill(OK)
-    for fault, plates in faults.items():  # of several the last counts
-        status[plates] = fault
-        energy[plates] = np.nan
+    faults[unscaled[~np.isfinite(drives[unscaled]).all(axis=1)]] = FAULTS.index(NO_DRIVE)
+    wrong = np.flatnonzero(faults)
+    energy[wrong] = np.nan
+    return {int(plate): FAULTS[faults[plate]] for plate in wrong}
 
 
 def _every(good: np.ndarray) -> np.ndarray:
