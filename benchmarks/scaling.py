@@ -22,7 +22,7 @@ import numpy as np
 
 from warp_plate import Scene, SceneError
 from warp_plate.bench.machine import busy, describe_machine, describe_versions
-from warp_plate.cluster.blocks import cut, plates_of_block
+from warp_plate.cluster.blocks import Blocks, plates_of_block
 from warp_plate.cluster.frames import encode
 from warp_plate.cluster.pool import Pool, Task, open_pool
 from warp_plate.cluster.spread import spread
@@ -69,7 +69,7 @@ def shipping(pool: Pool, problem: Problem) -> dict[str, object]:
     """What a block costs beside its plates: bytes there and back, and milliseconds of a task that does nothing, with
     so many bytes on its way there and without."""
     designs = Designs(np.ones((4096, len(problem.scene.actuators)), complex))
-    task = cut(designs, 4096, "0" * 64)[0]
+    (task,) = Blocks(designs, 4096, "0" * 64)
     there, back = sum(map(len, encode(task.payload))), 8 * len(problem.plain.specialized.regions) * 4096
     found: dict[str, object] = {"plates": 4096, "bytes_there": there, "bytes_back": back}
     for name, size in (

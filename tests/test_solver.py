@@ -1,6 +1,8 @@
 """PlateSolver's promises: the paper's figures, linearity, determinism, no plate touching another, plain
 errors."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import REGIONS
+from warp_plate.solve.solver import LARGEST_PART, part_sizes
 
 PLATE, TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
@@ -304,7 +307,7 @@ def test_parts_that_overlap_change_no_bit(effects, device, path, scene, phasors,
     drives = phasors(37, 3)
     drives[[1, 6, 20, 36], 0] = np.nan
     whole = PlateSolver(made, device, path).run(drives, (0.003,))
-    monkeypatch.setattr("warp_plate.solve.solver.LEAST_CUT_NODE_STEPS", 1)
+    monkeypatch.setattr("warp_plate.solve.solver.FIRST_NODE_STEPS", 1)
     monkeypatch.setattr(PlateSolver, "_overlaps", True)
     solver, told = PlateSolver(made, device, path), []
     for _ in range(2):
@@ -317,6 +320,51 @@ def test_parts_that_overlap_change_no_bit(effects, device, path, scene, phasors,
     assert told[-1] == (37 * solver.node_steps_per_plate,) * 2
     several = solver.run(Parts(drives))
     np.testing.assert_array_equal(several.energy, whole.energy)
+
+
+@pytest.mark.parametrize("overlaps", [False, True])
+def test_runs_begun_before_others_end_change_no_bit(overlaps, device, path, scene, phasors, monkeypatch):
+    """As a worker does, which begins the next block before it waits for the last; sizes that need more room, too."""
+    made = scene(nodes=(9, 9), window=(0.002, 0.004))
+    blocks = [phasors(count, 3) for count in (5, 5, 12, 3, 12)]
+    whole = [PlateSolver(made, device, path).run(drives) for drives in blocks]
+    monkeypatch.setattr(PlateSolver, "_overlaps", overlaps)
+    solver, found, begun = PlateSolver(made, device, path), [], None
+    for drives in [*blocks, None]:
+        following = None if drives is None else solver.begin(drives)
+        if begun is not None:
+            found.append(begun())
+        begun = following
+    for run, right in zip(found, whole, strict=True):
+        np.testing.assert_array_equal(run.energy, right.energy)
+    assert solver.node_steps == sum(run.node_steps for run in whole)
+    assert not solver._ends
+
+
+def test_a_run_that_is_cut_short_leaves_nothing_to_the_next(device, path, scene, phasors, monkeypatch):
+    made = scene(nodes=(9, 9), window=(0.002, 0.004))
+    drives = phasors(37, 3)
+    right = PlateSolver(made, device, path).run(drives)
+    monkeypatch.setattr("warp_plate.solve.solver.FIRST_NODE_STEPS", 1)
+    monkeypatch.setattr(PlateSolver, "_overlaps", True)
+    solver = PlateSolver(made, device, path)
+
+    def cut_short(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solver.run(drives, progress=cut_short)
+    np.testing.assert_array_equal(solver.run(drives[::-1]).energy, right.energy[::-1])
+
+
+@pytest.mark.parametrize("plates", [4, 5, 37, 1000, 131072])
+def test_parts_are_all_plates(plates):
+    first = max(1, plates // 64)
+    sizes = part_sizes(plates, first)
+    assert sum(sizes) == plates
+    assert min(sizes) >= 1
+    assert sizes[0] == first
+    assert max(sizes) <= math.ceil(LARGEST_PART * plates)
 
 
 class Parts:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from warp_plate.cluster.pool import Task
 from warp_plate.cluster.work import designs_in, run_block
-from warp_plate.plate.designs import Designs
+from warp_plate.plate.designs import Batch, Designs
 
 # About so much work is in a block: a tenth of a second of a core, and of a GPU what keeps it busy. It is the scene's
 # size and the kind of device that say how many plates that is, never how many workers there are.
@@ -25,10 +26,21 @@ def plates_of_block(node_steps_per_plate: int, kind: str) -> int:
     return max(FEWEST, 2 ** int(np.log2(max(most, 1))))
 
 
-def cut(designs: Designs, plates: int, digest: str) -> list[Task]:
-    """Tasks for so many plates each, whose places are slices; a worker knows the recipe by its digest."""
-    places = [slice(first, min(first + plates, len(designs))) for first in range(0, len(designs), plates)]
-    return [_task(designs[place], place, {"digest": digest}) for place in places]
+@dataclass(frozen=True)
+class Blocks:
+    """Tasks for so many plates of a batch each, made one by one; a worker knows the recipe by its digest."""
+
+    batch: Batch
+    plates: int
+    digest: str
+
+    def __len__(self) -> int:
+        return -(-len(self.batch) // self.plates)
+
+    def __iter__(self) -> Iterator[Task]:
+        for first in range(0, len(self.batch), self.plates):
+            place = slice(first, min(first + self.plates, len(self.batch)))
+            yield _task(self.batch[place], place, {"digest": self.digest})
 
 
 def halves(task: Task) -> list[Task]:

@@ -17,7 +17,8 @@ from warp_plate.cluster.work import perform
 from warp_plate.scene.errors import SceneError
 
 Payload = Mapping[str, Any]
-Function = Callable[[Payload], Mapping[str, Any]]
+# Gives the answer's value, or a function that waits for the rest of the work and gives it.
+Function = Callable[[Payload], Mapping[str, Any] | Callable[[], Mapping[str, Any]]]
 # "lost": the worker ended under the task; "waiting": it ended before it came to the task; "memory": it had too little;
 # "wrong": the task is bad input, everywhere the same.
 Fault = Literal["", "lost", "waiting", "memory", "wrong"]

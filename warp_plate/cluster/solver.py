@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 import warp_plate
-from warp_plate.cluster.blocks import cut, halves, plates_of_block, put
+from warp_plate.cluster.blocks import Blocks, halves, plates_of_block, put
 from warp_plate.cluster.pool import Pool, Task
 from warp_plate.cluster.recipe import recipe_of
 from warp_plate.cluster.spread import ATTEMPTS, spread
@@ -76,14 +76,14 @@ class SpreadSolver(PlateSolver):
         """
         if len(times) or len(points):
             return super().run(drives, times, points, progress)
-        designs = drives[:] if isinstance(drives, Batch) else Designs(as_phasors(drives, len(self.scene.actuators)))
-        plates, regions = len(designs), self.specialized.regions
+        batch = drives if isinstance(drives, Batch) else Designs(as_phasors(drives, len(self.scene.actuators)))
+        plates, regions = len(batch), self.specialized.regions
         energy, node_steps = np.full((plates, len(regions)), np.nan), 0
         faults: dict[int, tuple[str, float]] = {}
         if not self._made:
             self._ask()
-        block = plates_of_block(self.node_steps_per_plate, self._made["kind"])
-        for task, answer in spread(self.pool, cut(designs, block, self._recipe.digest), halves, self._with_recipe):
+        blocks = Blocks(batch, plates_of_block(self.node_steps_per_plate, self._made["kind"]), self._recipe.digest)
+        for task, answer in spread(self.pool, blocks, halves, self._with_recipe):
             if answer.fault == "wrong":
                 raise SceneError(answer.text)
             if answer.fault:

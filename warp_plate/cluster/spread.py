@@ -6,9 +6,9 @@ from __future__ import annotations
 import statistics
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from warp_plate.cluster.pool import Answer, Pool, Task
 
@@ -25,6 +25,14 @@ Halves = Callable[[Task], list[Task]]
 Again = Callable[[Task, Mapping[str, Any]], Task | None]
 
 
+class Tasks(Protocol):
+    """As many as it says; each is made when it is asked for."""
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[Task]: ...
+
+
 @dataclass
 class _Flight:
     task: Task
@@ -33,11 +41,12 @@ class _Flight:
 
 
 def spread(
-    pool: Pool, tasks: Iterable[Task], halves: Halves | None = None, again: Again | None = None
+    pool: Pool, tasks: Tasks, halves: Halves | None = None, again: Again | None = None
 ) -> Iterator[tuple[Task, Answer]]:
     """Each task with its answer, in the order in which they are done; of a task done twice the first answer counts.
 
     Args:
+        tasks: each is made when a worker has time for it.
         halves: makes of a task for which memory was short two smaller ones that stand for it, or none where it cannot
             be cut any more; left out: such a task is tried elsewhere.
         again: called with a task and its value; a task that it returns is done in its place.
@@ -48,14 +57,18 @@ def spread(
     Raises:
         WorkersGone: see there.
     """
-    waiting, running, taken = deque(tasks), dict[int, _Flight](), list[float]()
+    fresh, left = iter(tasks), len(tasks)
+    waiting, running, taken = deque[Task](), dict[int, _Flight](), list[float]()
     done = 0
     try:
-        while waiting or running:
-            while waiting and pool.free > 0:
+        while left or waiting or running:
+            while (waiting or left) and pool.free > 0:
+                if not waiting:
+                    waiting.append(next(fresh))
+                    left -= 1
                 task = waiting.popleft()
                 running[pool.submit(task)] = _Flight(task, time.monotonic())
-            _second(pool, running, taken, len(waiting))
+            _second(pool, running, taken, left + len(waiting))
             for ticket, answer in pool.wait(LOOK):
                 flight = running.pop(ticket, None)
                 if flight is None:  # another worker was quicker
@@ -73,7 +86,7 @@ def spread(
                 taken.append(time.monotonic() - flight.since)
                 done += 1
                 if pool.told is not None:
-                    pool.told(done, done + len(waiting) + len({id(other.task) for other in running.values()}))
+                    pool.told(done, done + left + len(waiting) + len({id(other.task) for other in running.values()}))
                 yield flight.task, answer
     finally:
         if running:

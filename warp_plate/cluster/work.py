@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
@@ -23,11 +23,23 @@ NO_MEMORY = "Failed to allocate"
 _SOLVERS: OrderedDict[str, PlateSolver] = OrderedDict()
 
 
-def perform(name: str, payload: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of the ``pool.Answer`` of a task, "module:function" by its name."""
+def begin(name: str, payload: Mapping[str, Any]) -> Callable[[], dict[str, Any]]:
+    """Begin a task, "module:function" by its name; what is returned waits for its end, and gives the fields of the
+    ``pool.Answer``. A task's function may leave a part of its work to a function that it returns."""
     module, _, function = name.partition(":")
+    fields = _answer(lambda: getattr(import_module(module), function)(payload))
+    rest = fields.get("value")
+    return (lambda: _answer(rest)) if callable(rest) else (lambda: fields)
+
+
+def perform(name: str, payload: Mapping[str, Any]) -> dict[str, Any]:
+    """Do a task to its end."""
+    return begin(name, payload)()
+
+
+def _answer(step: Callable[[], Any]) -> dict[str, Any]:
     try:
-        return {"value": getattr(import_module(module), function)(payload)}
+        return {"value": step()}
     except SceneError as error:
         return {"fault": "wrong", "text": str(error)}
     except (MemoryError, RuntimeError) as error:
@@ -42,14 +54,15 @@ def designs_in(payload: Mapping[str, Any]) -> Designs:
     return Designs(payload["drives"], *(payload.get(name) for name in ("frequency", "centre", "delay")))
 
 
-def run_block(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Plates of one recipe.
+def run_block(payload: Mapping[str, Any]) -> Mapping[str, Any] | Callable[[], Mapping[str, Any]]:
+    """Plates of one recipe, which a GPU begins at once.
 
     payload: "digest" of the recipe; "recipe", itself as plain data, where this worker may not know it; "drives" and,
     where plates have them of their own, "frequency", "centre" and "delay" as in :class:`Designs`.
 
-    Returns {"need": digest} where the recipe is not known here; else "energy" (plates, regions), "node_steps", "made",
-    which says on what, and "faults": of each plate that went wrong its place, what it was, and when.
+    Returns {"need": digest} where the recipe is not known here; else what waits for and then gives "energy" (plates,
+    regions), "node_steps", "made", which says on what, and "faults": of each plate that went wrong its place, what it
+    was, and when.
 
     Raises:
         SceneError: see :class:`PlateSolver`.
@@ -63,15 +76,17 @@ def run_block(payload: Mapping[str, Any]) -> dict[str, Any]:
     _SOLVERS[digest] = solver
     while len(_SOLVERS) > MOST_SOLVERS:
         _SOLVERS.popitem(last=False)
-    run = solver.run(designs_in(payload))
-    return {
-        "energy": run.energy,
-        "node_steps": run.node_steps,
-        "faults": [[plate, *fault] for plate, fault in run.faults.items()],
-        "made": {
-            "kind": "cuda" if solver.device.is_cuda else "cpu",
-            "processor": processor_of(solver.device),
-            "warp_plate": warp_plate.__version__,
-            "warp": wp.config.version,
-        },
+    begun = solver.begin(designs_in(payload))
+    made = {
+        "kind": "cuda" if solver.device.is_cuda else "cpu",
+        "processor": processor_of(solver.device),
+        "warp_plate": warp_plate.__version__,
+        "warp": wp.config.version,
     }
+
+    def rest() -> dict[str, Any]:
+        run = begun()
+        faults = [[plate, *fault] for plate, fault in run.faults.items()]
+        return {"energy": run.energy, "node_steps": run.node_steps, "faults": faults, "made": made}
+
+    return rest

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+from collections.abc import Callable
 from queue import SimpleQueue
 from typing import IO, Any
 
@@ -12,17 +13,27 @@ from warp_plate.cluster.frames import receive, send
 
 
 def main() -> None:
-    """Do tasks one after the other until standard input ends, which ends the process at once."""
+    """Do tasks one after the other until standard input ends, which ends the process at once.
+
+    The next one is begun before the last is waited for, so that a GPU is never idle between them.
+    """
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print must not come among the answers
     tasks: SimpleQueue[dict[str, Any]] = SimpleQueue()
     threading.Thread(target=_listen, args=(sys.stdin.buffer, tasks), daemon=True).start()
-    from warp_plate.cluster.work import perform
+    from warp_plate.cluster.work import begin
 
     send({"ready": os.getpid()}, answers)
+    begun: tuple[int, Callable[[], dict[str, Any]]] | None = None
     while True:
-        task = tasks.get()
-        send({"ticket": task["ticket"], "answer": perform(task["name"], task["payload"])}, answers)
+        following = None
+        if begun is None or not tasks.empty():
+            task = tasks.get()
+            following = task["ticket"], begin(task["name"], task["payload"])
+        if begun is not None:
+            ticket, rest = begun
+            send({"ticket": ticket, "answer": rest()}, answers)
+        begun = following
 
 
 def _listen(stream: IO[bytes], tasks: SimpleQueue[dict[str, Any]]) -> None:

@@ -68,7 +68,7 @@ def run_there(begun: Sweep, points: Sequence[int], pool: Pool) -> Iterator[Found
     def with_scene(task: Task, value: Mapping[str, Any]) -> Task | None:
         return replace(task, payload={**task.payload, "base": base}) if "need" in value else None
 
-    tasks = (Task(run_task, {**common, "numbers": begun.plan.numbers(point)}, point) for point in points)
+    tasks = [Task(run_task, {**common, "numbers": begun.plan.numbers(point)}, point) for point in points]
     first: Mapping[str, str] = {"warp_plate": warp_plate.__version__, "warp": wp.config.version}
     for task, answer in spread(pool, tasks, again=with_scene):
         if answer.fault == "wrong":

@@ -32,10 +32,9 @@ SEGMENT_NODE_STEPS = {"cpu": 1e9, "cuda": 5e10}
 CUDA_CHUNK_SHARE = 0.6
 CPU_CHUNK_BYTES = 256 * 2**20
 FEWEST_PLATES = 64
-# A large batch on CUDA is cut: while the device steps a part, the host makes the next one ready. The first is small,
-# for the device waits for it. Less work than this is not cut.
-PARTS = tuple(part / 64 for part in (1, 2, 4, 8, 20, 24, 5))
-LEAST_CUT_NODE_STEPS = 1e10
+# A large batch on CUDA is cut: while the device steps a part, the host makes the next one ready. The first, for which
+# the device waits, is small, but has so much work as keeps it busy; the others grow to a part of the whole.
+FIRST_NODE_STEPS, LARGEST_PART = 1.6e9, 3 / 8
 
 Progress = Callable[[int, int], None]
 
@@ -88,6 +87,8 @@ class PlateSolver:
         self._areas = areas
         self._share = share
         self._states: list[State] = []  # which take turns
+        self._turn = 0
+        self._ends: deque[Callable[[], None]] = deque()  # of parts that the device may be at, the oldest first
         self._untraced: wp.array = wp.empty((0, 2), dtype=int, device=self.device)
         self._fastest = fastest_per_step(specialized)
         self.node_steps = 0  # of all runs so far
@@ -136,6 +137,24 @@ class PlateSolver:
                 this solver was not made for, or that ``plate.designs.check_designs`` refuses; times or points of a
                 solver of displacements, whose plates move by running sums.
         """
+        try:
+            return self._begin(drives, times, points, progress)()
+        except BaseException:
+            self._ends.clear()  # nobody waits for them
+            raise
+
+    def begin(self, drives: np.ndarray | Batch) -> Callable[[], Run]:
+        """What gives ``run(drives)``; a CUDA device begins with it now, and goes on to the next one begun."""
+        return self._begin(drives, ahead=True) if self._overlaps else partial(self.run, drives)
+
+    def _begin(
+        self,
+        drives: np.ndarray | Sequence[Sequence[complex]] | tuple[np.ndarray, np.ndarray] | Batch,
+        times: Sequence[float] = (),
+        points: Sequence[tuple[float, float]] = (),
+        progress: Progress | None = None,
+        ahead: bool = False,
+    ) -> Callable[[], Run]:
         batch = drives if isinstance(drives, Batch) else Designs(as_phasors(drives, len(self.scene.actuators)))
         scheme, (nx, ny) = self.specialized.scheme, self.specialized.scheme.nodes
         self._check(times, points)
@@ -150,7 +169,7 @@ class PlateSolver:
             self.compile_seconds += streaming.compile_seconds
             traced = streaming.run(drives, times, points, progress)
             self.node_steps += traced.node_steps
-            return traced
+            return lambda: traced
         snapshots = [scheme.step_of(t) for t in times]
         corners, shares = bilinear(points, scheme.nodes, self.scene.plate.size)
         nodes = self._untraced
@@ -162,14 +181,16 @@ class PlateSolver:
         faults: dict[int, tuple[str, float]] = {}
         fastest = scheme.steps * self._fastest
         parts = self._parts(plates, nodes.shape[0])
-        states = self._rooms(parts, nodes)
+        states = self._rooms(parts, nodes, 2 if ahead or (self._overlaps and len(parts) > 1) else 1)
         total = plates * self.node_steps_per_plate
         most, joules = (scheme.window[1] - scheme.window[0]) * fastest**2, energy_unit(self.specialized)
-        ends: deque[Callable[[], None]] = deque()
+        left = len(parts)
 
         def end(
             some: slice, phasors: np.ndarray, scale: np.ndarray, seen: np.ndarray, sums: Callable[[], np.ndarray]
         ) -> None:
+            nonlocal left
+            left -= 1
             words = judge_plates(phasors, scale, seen, sums(), joules, most, energy[some])
             for plate, word in words.items():
                 caught = seen[plate] * scheme.time_step if seen[plate] >= 0 else math.nan
@@ -177,9 +198,10 @@ class PlateSolver:
             if progress is not None and len(states) > 1:
                 progress(some.stop * self.node_steps_per_plate, total)
 
-        for index, some in enumerate(parts):
+        for some in parts:
             phasors, values = (whole[0][some], whole[1][some]) if whole else self._checked(batch[some])
-            state = states[index % len(states)]
+            state = states[self._turn % len(states)]
+            self._turn += 1
             scale, before = self._start(state, phasors, values), some.start * self.node_steps_per_plate
 
             def tell(done: int, before: int = before) -> None:
@@ -188,9 +210,8 @@ class PlateSolver:
 
             reached, seen = self._march(state, len(scale), snapshots, displacement[some], tell, len(states) > 1)
             sums = queue_region_sums(self.engine, state, len(scale))
-            ends.append(partial(end, some, phasors, scale, seen, sums))
-            if len(ends) == len(states):
-                ends.popleft()()
+            self._ends.append(partial(end, some, phasors, scale, seen, sums))
+            self._wait(len(states) - 1)
             unit = scale * scheme.load_scale
             with np.errstate(invalid="ignore", over="ignore"):  # of plates that left the finite numbers
                 displacement[some] *= unit[:, None, None, None]
@@ -198,20 +219,29 @@ class PlateSolver:
                     corner_traces = state.trace.numpy()[: len(scale)].reshape(len(scale), len(points), 4, -1)
                     trace[some] = np.einsum("mpcn,pc->mpn", corner_traces.astype(float), shares) * unit[:, None, None]
                     trace[some, :, reached:] = np.nan
-        while ends:
-            ends.popleft()()
-        self.node_steps += total
-        return Run(
-            energy=energy,
-            regions=self.specialized.regions,
-            masses=self.specialized.masses,
-            displacement=displacement,
-            times=np.array(snapshots) * scheme.time_step,
-            trace=trace,
-            trace_times=scheme.time_step * np.arange(1, scheme.steps + 1) if points else np.empty(0),
-            node_steps=total,
-            faults=faults,
-        )
+
+        def finish() -> Run:
+            while left:
+                self._wait(len(self._ends) - 1)
+            self.node_steps += total
+            return Run(
+                energy=energy,
+                regions=self.specialized.regions,
+                masses=self.specialized.masses,
+                displacement=displacement,
+                times=np.array(snapshots) * scheme.time_step,
+                trace=trace,
+                trace_times=scheme.time_step * np.arange(1, scheme.steps + 1) if points else np.empty(0),
+                node_steps=total,
+                faults=faults,
+            )
+
+        return finish
+
+    def _wait(self, most: int) -> None:
+        """Until the device is at no more than so many parts."""
+        while len(self._ends) > most:
+            self._ends.popleft()()
 
     def _check(self, times: Sequence[float], points: Sequence[tuple[float, float]]) -> None:
         end = self.specialized.scheme.steps * self.specialized.scheme.time_step
@@ -243,13 +273,15 @@ class PlateSolver:
 
     def _parts(self, plates: int, traced_nodes: int) -> list[slice]:
         """What is run at once, one after the other."""
-        cut = self._overlaps and not traced_nodes and plates * self.node_steps_per_plate >= LEAST_CUT_NODE_STEPS
-        wanted = math.ceil(2 * max(PARTS) * plates) if cut else max(plates, 1)
+        first = max(math.ceil(FIRST_NODE_STEPS / self.node_steps_per_plate), plates // 64)
+        cut = self._overlaps and not traced_nodes and plates >= 4 * first
+        sizes = part_sizes(plates, first) if cut else [max(plates, 1)]
+        wanted = 2 * max(sizes) if cut else sizes[0]
         most = self._plates_at_once(wanted, traced_nodes)
         if most < wanted or not cut:
             cuts = [*range(0, plates, max(1, most // 2) if cut else most), plates]
         else:
-            cuts = [0, *(round(plates * float(part)) for part in np.cumsum(PARTS))]
+            cuts = [0, *itertools.accumulate(sizes)]
         return [slice(*ends) for ends in itertools.pairwise(cuts)]
 
     def _plates_at_once(self, plates: int, traced_nodes: int) -> int:
@@ -276,13 +308,15 @@ class PlateSolver:
             most = min(most, max(FEWEST_PLATES, int(SEGMENT_NODE_STEPS["cpu"] / self.node_steps_per_plate)))
         return max(1, min(plates, most))
 
-    def _rooms(self, parts: Sequence[slice], nodes: wp.array) -> list[State]:
-        """One state, or two that take turns where there are several parts on CUDA, each large enough for any part."""
+    def _rooms(self, parts: Sequence[slice], nodes: wp.array, count: int) -> list[State]:
+        """One state, or two that take turns, each large enough for any part."""
         capacity = max((part.stop - part.start for part in parts), default=1)
-        count = 2 if self._overlaps and len(parts) > 1 else 1
+        if count < 2 or len(self._states) < 2:
+            self._wait(0)
         states = self._states[:count]
         traced = nodes.shape[0] or any(state.nodes.shape[0] for state in states)
         if len(states) < count or traced or any(state.capacity < capacity for state in states):
+            self._wait(0)
             states.clear()
             self._states.clear()  # frees the old room before the new one is taken
             self._states += [make_state(self.specialized, capacity, nodes) for _ in range(count)]
@@ -345,6 +379,16 @@ class PlateSolver:
             if (seen >= 0).all():
                 break
         return step, seen
+
+
+def part_sizes(plates: int, first: int) -> list[int]:
+    """How many plates each part has: twice as many as the one before, and few in the last, whose end is waited for."""
+    last = 2 * first
+    sizes, rest, size = [], plates - last, first
+    while rest > 0:
+        sizes.append(min(size, rest))
+        rest, size = rest - sizes[-1], min(2 * size, math.ceil(LARGEST_PART * plates))
+    return [*sizes, last]
 
 
 def energy_unit(specialized: Specialized) -> float:
