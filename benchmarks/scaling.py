@@ -51,7 +51,7 @@ class Search:
         marks = [time.perf_counter()]
         positions = self._searcher.ask()
         marks.append(time.perf_counter())
-        self.losses = self.problem.losses(np.array(positions))
+        self.losses = self.problem.losses(positions)
         marks.append(time.perf_counter())
         self._searcher.tell(positions, self.losses)
         marks.append(time.perf_counter())

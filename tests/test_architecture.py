@@ -34,7 +34,7 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "search.pso": ({"search.pso_settings", "search.record", "plate.blocks"}, SCIENCE),
     "search.record": (set(), SCIENCE),
     "search.pso_settings": (set(), SCIENCE),
-    "plate.blocks": (set(), set()),
+    "plate.blocks": (set(), SCIENCE),
     "viz": (
         {"viz", "result", "scene"},
         {*SCIENCE, "pyvista", "vtkmodules", "matplotlib", "PIL", "imageio_ffmpeg"},

@@ -103,6 +103,79 @@ def test_blocks_of_rows_change_no_bit(random_numbers, monkeypatch):
     assert found[0] == found[1] == found[2]
 
 
+def losses_in_parts(positions, reach=150):
+    """Of so many particles' positions, looked at from the first to the last; the others are not looked at."""
+    losses = np.full(150, 0.5)
+    for first in range(0, reach, 23):
+        some = slice(first, min(first + 23, reach))
+        losses[some] = np.sin(3 * positions[some]).sum(axis=1)
+    losses[40:43] = np.nan
+    return losses
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"neighbours": 2}, {"stall": 2, "restarts": 1, "stall_tolerance": 9.0}], ids=["", "ring", "restart"]
+)
+def test_a_large_swarm_that_moves_as_it_is_looked_at_is_the_same(options, monkeypatch):
+    """Looked at in parts, not to the end, or not at all; kept and read back in the middle; of a loss that ties."""
+    settings = SwarmSettings(3, 150, 9, period=[np.inf, 5, np.inf], **options)
+    plain, made = Swarm(settings), []
+    for generation in range(9):
+        positions = plain.ask()
+        assert isinstance(positions, np.ndarray)
+        plain.tell(positions, losses_in_parts(positions, 150 if generation % 3 else 60))
+        made.append(plain.result)
+    monkeypatch.setattr(blocks, "ROWS", 16)
+    large = Swarm(settings)
+    for generation in range(9):
+        positions = large.ask()
+        assert large.ask() is positions
+        losses = losses_in_parts(positions, 150 if generation % 3 else 60)
+        if generation % 2:
+            large = Swarm.from_state(large.state())
+            positions = large.ask()
+        large.tell(positions, losses)
+        assert large.result.fbest == made[generation].fbest
+        np.testing.assert_array_equal(large.result.xbest, made[generation].xbest)
+        if generation == 4:
+            large = Swarm.from_state(large.state(False))
+    assert large.state() == plain.state()
+    np.testing.assert_array_equal(large.velocities, plain.velocities)
+
+
+def test_ctrl_c_in_the_middle_of_a_move_changes_no_bit(monkeypatch):
+    settings, found = SwarmSettings(3, 150, 9), []
+    monkeypatch.setattr(blocks, "ROWS", 16)
+    over_blocks = blocks.over_blocks
+    for cut_short in (False, True):
+        swarm = Swarm(settings)
+        swarm.tell(swarm.ask(), losses_in_parts(swarm.positions))
+        positions = swarm.ask()
+        if cut_short:
+
+            def at_once(task, rows):
+                over_blocks(task, rows // 2)
+                raise KeyboardInterrupt
+
+            monkeypatch.setattr(blocks, "over_blocks", at_once)
+            with pytest.raises(KeyboardInterrupt):
+                positions[:100]
+            monkeypatch.setattr(blocks, "over_blocks", over_blocks)
+        found.append(swarm.state())
+        swarm.tell(positions, losses_in_parts(positions))
+        found.append(swarm.state())
+    assert found[:2] == found[2:]
+
+
+def test_a_large_swarm_of_no_finite_loss_is_drawn_again(monkeypatch):
+    monkeypatch.setattr(blocks, "ROWS", 16)
+    swarm = Swarm(SwarmSettings(3, 150, 9))
+    first = np.array(swarm.ask())
+    swarm.tell(first, np.full(150, np.nan))
+    assert swarm.result.xbest is None
+    assert not np.isin(np.asarray(swarm.ask()), first).any()
+
+
 def test_a_fault_in_a_block_is_told():
     def task(rows):
         if rows.start:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
-from typing import Any
+from typing import IO, Any
 
 from warp_plate.cluster.frames import receive, send
 from warp_plate.cluster.pool import Answer, Task, WorkersGone
@@ -28,6 +28,8 @@ DEPTH = 2
 STARTS = 3
 # Seconds until a worker that was asked to end is made to.
 GRACE = 2.0
+# Of a pipe, where the system lets it be as large: a block passes at once.
+PIPE_BYTES = 2**20
 # A new Python finds what this one finds, and nothing in the folder that it happens to run in.
 START = "import sys; sys.path[:] = sys.argv[1:]; from warp_plate.cluster.worker import main; main()"
 
@@ -148,6 +150,8 @@ class Processes:
             env=environment,
             start_new_session=True,  # Ctrl-C is for this process, which then ends its workers
         )
+        for pipe in (process.stdin, process.stdout):
+            _widen(pipe)
         worker = _Worker(device, process)
         self._workers.append(worker)
         threading.Thread(target=self._listen, args=(worker,), daemon=True).start()
@@ -190,6 +194,14 @@ class Processes:
             *((ticket, Answer(fault="lost", text=why)) for ticket in under),
             *((ticket, Answer(fault="waiting", text=why)) for ticket in waiting),
         ]
+
+
+def _widen(pipe: IO[bytes] | None) -> None:
+    with suppress(ImportError, AttributeError, OSError):  # not on this system, or not allowed
+        import fcntl
+
+        assert pipe is not None
+        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
 
 
 def _hang_up(worker: _Worker) -> None:

@@ -9,7 +9,9 @@ import os
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
-from typing import TypeVar
+from typing import Any, TypeVar
+
+import numpy as np
 
 Made = TypeVar("Made")
 
@@ -24,11 +26,44 @@ def over_blocks(task: Callable[[slice], object], rows: int) -> None:
     A task sets ``np.errstate`` itself, if it needs one: threads begin with NumPy's own.
     """
     blocks = [slice(first, min(first + ROWS, rows)) for first in range(0, rows, ROWS)]
-    if len(blocks) == 1:
-        task(blocks[0])
+    if len(blocks) <= 1:
+        for block in blocks:
+            task(block)
         return
     for done in [_pool().submit(task, block) for block in blocks]:
         done.result()
+
+
+def in_blocks(rows: int) -> bool:
+    """Whether so many rows are more than one block."""
+    return rows > ROWS
+
+
+class GrowingRows:
+    """An array (rows, columns) that is made row after row, as far as it is asked for.
+
+    make: writes some rows of ``array``; slices come in order, in blocks as ``over_blocks`` gives them, and once more
+    after Ctrl-C came in between.
+    """
+
+    def __init__(self, make: Callable[[slice], object], array: np.ndarray) -> None:
+        self._make, self._array, self._made = make, array, 0
+
+    def __len__(self) -> int:
+        return len(self._array)
+
+    def __getitem__(self, some: slice) -> np.ndarray:
+        """Rows, read-only."""
+        first, stop = self._made, max(self._made, some.indices(len(self))[1])
+        over_blocks(lambda rows: self._make(slice(first + rows.start, first + rows.stop)), stop - first)
+        self._made = stop
+        rows = self._array[some]
+        rows.flags.writeable = False
+        return rows
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        rows = np.asarray(self[:], dtype)
+        return rows.copy() if copy else rows
 
 
 def meanwhile(task: Callable[[], Made]) -> Future[Made]:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from warp_plate.plate.blocks import GrowingRows
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.search import Search
@@ -39,7 +40,7 @@ class Method(Protocol):
     @property
     def result(self) -> SearchResult: ...
 
-    def ask(self) -> np.ndarray: ...
+    def ask(self) -> np.ndarray | GrowingRows: ...
 
     def tell(self, solutions: Any, losses: Any, /) -> None: ...
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from warp_plate.cluster.pool import Pool
 from warp_plate.cluster.solver import SpreadSolver, solver_on
+from warp_plate.plate.blocks import GrowingRows
 from warp_plate.plate.designs import Batch, Designs, own_of
 from warp_plate.plate.weights import Region
 from warp_plate.result.crosstalk import regions_of_targets
@@ -108,9 +109,9 @@ class Problem:
         """(plates,) what is to be made small; NaN where a plate has no energies."""
         return self.judge.losses(self.energies(designs), self._displaced(designs))
 
-    def losses(self, positions: np.ndarray) -> np.ndarray:
+    def losses(self, positions: np.ndarray | GrowingRows) -> np.ndarray:
         """(n,) the same of positions (n, dimension)."""
-        return self.losses_of(Positions(self.variables, np.asarray(positions, dtype=float)))
+        return self.losses_of(Positions(self.variables, positions))
 
     def value_of(self, loss: float | np.ndarray) -> float | np.ndarray:
         """What people want large: LF, or the weighted sum of the objectives."""

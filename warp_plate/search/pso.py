@@ -32,7 +32,7 @@ from typing import Any, Protocol, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_plate.plate.blocks import ROWS, meanwhile, over_blocks
+from warp_plate.plate.blocks import GrowingRows, in_blocks, meanwhile
 from warp_plate.search.pso_settings import LARGEST, SwarmSettings
 from warp_plate.search.record import SearchResult
 from warp_plate.search.record import plain as as_plain
@@ -53,9 +53,20 @@ HISTORY = ("best", "mean", "worst", "nonfinite")
 class Swarm:
     """The paper's particle swarm; it minimises. `ask`, `tell`, `stop` and `result` are called as pycma's are.
 
-    `positions`, `velocities` and `personal_positions` have shape (particles, dimension), `personal_losses`
-    (particles,); a personal loss is infinite until its particle has had a finite one.
+    A large one moves its particles when their positions are looked at: those of the first plates are there at once, and
+    while these are simulated, the others follow.
     """
+
+    _positions: np.ndarray
+    _velocities: np.ndarray
+    _personal_positions: np.ndarray
+    _personal_losses: np.ndarray
+    _best: int
+    _best_loss: float
+    _given: np.ndarray | GrowingRows  # by ask
+    _told: np.ndarray | None  # losses that are not kept yet
+    _moving: GrowingRows | None  # positions after a move that is not done yet
+    _moving_at: np.ndarray  # its velocities
 
     def __init__(self, settings: SwarmSettings) -> None:
         self.settings = settings
@@ -68,10 +79,10 @@ class Swarm:
         self._draw()
         if settings.start is not None:
             start = np.array(settings.start)
-            self.positions[: len(start)] = start
+            self._positions[: len(start)] = start
         self._history: list[list[float]] = []  # a row of HISTORY for each iteration
         self._begin()
-        self.kept_position = np.full(settings.dimension, np.nan)  # the best of the swarms before a restart
+        self._kept_position = np.full(settings.dimension, np.nan)  # the best of the swarms before a restart
         self._kept_loss = math.inf
         self._asked = False
         self._restarts = self._restarted_at = 0
@@ -96,52 +107,75 @@ class Swarm:
     @property
     def result(self) -> SearchResult:
         """The best so far."""
-        best = int(np.argmin(self.personal_losses))
-        self._keep(slice(best, best + 1))
-        position, loss = self._personal[best], float(self.personal_losses[best])
+        self._keep(slice(self._best, self._best + 1))
+        position, loss = self._personal_positions[self._best], self._best_loss
         if not loss < self._kept_loss:
-            position, loss = self.kept_position, self._kept_loss
+            position, loss = self._kept_position, self._kept_loss
         evaluations, nonfinite = self.settings.particles * self.iterations, sum(row[-1] for row in self._history)
         found = position.copy() if math.isfinite(loss) else None
         return SearchResult(found, loss, evaluations, self.iterations, int(nonfinite))
 
-    def ask(self) -> np.ndarray:
-        """Positions to evaluate, shape (particles, dimension), read-only; the same ones until their losses are told."""
+    @property
+    def positions(self) -> np.ndarray:
+        """(particles, dimension) where the particles are."""
+        self._arrive()
+        return self._positions
+
+    @property
+    def velocities(self) -> np.ndarray:
+        """(particles, dimension) by how much they moved last."""
+        self._arrive()
+        return self._velocities
+
+    @property
+    def personal_positions(self) -> np.ndarray:
+        """(particles, dimension) where each one's loss was smallest."""
+        self._arrive()
+        return self._personal_positions
+
+    @property
+    def personal_losses(self) -> np.ndarray:
+        """(particles,) that loss; infinite until a particle has had a finite one."""
+        self._arrive()
+        return self._personal_losses
+
+    def ask(self) -> np.ndarray | GrowingRows:
+        """Positions to evaluate, shape (particles, dimension), read-only; the same ones until their losses are told.
+
+        Those of a large swarm are made when slices of them, or all, are looked at.
+        """
         if not self._asked:
             if self._stalled() and self._restarts < self.settings.restarts:
                 self._restart()
             elif self.iterations:
                 self._move()
             self._asked = True
-            if self.settings.particles > ROWS:
+            if in_blocks(self.settings.particles):
                 self._ahead = meanwhile(partial(self._pulls, copy.deepcopy(self.random)))
+            self._given = self._positions if self._moving is None else self._moving
         # Positions are never changed in place, so that these need not be a copy.
-        self.positions.flags.writeable = False
-        return self.positions
+        self._positions.flags.writeable = False
+        return self._given
 
-    def tell(self, solutions: ArrayLike, losses: ArrayLike) -> None:
+    def tell(self, solutions: ArrayLike | GrowingRows, losses: ArrayLike) -> None:
         """Take the losses, shape (particles,), of the positions that `ask` gave. Not finite counts as worst.
 
         Raises ValueError if `solutions` are not those positions or `losses` has another shape.
         """
-        same = solutions is self.positions or np.array_equal(np.asarray(solutions), self.positions)
-        if not self._asked or not same:
+        same = self._asked and (solutions is self._given or np.array_equal(np.asarray(solutions), self.positions))
+        if not same:
             raise ValueError("tell: solutions must be the positions that the last ask() gave, told once")
         told = np.array(losses, dtype=float)
         if told.shape != (self.settings.particles,):
             raise ValueError(f"tell: losses of shape {told.shape}: must be ({self.settings.particles},)")
-        finite = np.empty(told.shape, dtype=bool)
-
-        def keep(rows: slice) -> None:
-            new, own = told[rows], self.personal_losses[rows]
-            np.isfinite(new, out=finite[rows])
-            new[~finite[rows]] = np.inf
-            # A particle without a finite loss yet has no place to return to: its own best is where it is.
-            self._unkept[rows] = better = (new < own) | np.isinf(own)
-            np.copyto(own, new, where=better)
-
-        over_blocks(keep, len(told))
+        self._arrive()
+        finite = np.isfinite(told)
+        told[~finite] = np.inf
+        best = int(np.argmin(told))
+        if (told[best], best) < (self._best_loss, self._best):  # of equals the first
+            self._best, self._best_loss = best, float(told[best])
         self._record(told if finite.all() else told[finite])
+        self._told = told
         self._asked = False
 
     def stop(self) -> dict[str, int]:
@@ -153,37 +187,40 @@ class Swarm:
             reasons["stall"] = self.iterations - self._improved_at
         return reasons
 
-    @property
-    def personal_positions(self) -> np.ndarray:
-        """Where each particle had its personal loss."""
-        self._keep(slice(None))
-        return self._personal
-
-    @personal_positions.setter
-    def personal_positions(self, positions: np.ndarray) -> None:
-        self._personal = positions
-        self._unkept = np.zeros(len(positions), dtype=bool)  # whether a particle's best is where it is now
+    def _arrive(self) -> None:
+        """Have all particles moved, and their bests kept."""
+        if self._moving is None:
+            self._keep(slice(None))
+        else:
+            self._positions, self._velocities, self._moving = self._moving[:], self._moving_at, None
+        self._told = None
 
     def _keep(self, rows: slice) -> None:
-        """Copy new bests; ``tell`` leaves that to the next pass over them."""
-        new = np.flatnonzero(self._unkept[rows])
-        self._personal[rows][new] = self.positions[rows].take(new, axis=0)
-        self._unkept[rows] = False
+        """Keep what was better than ever before; ``tell`` leaves that to the next pass over the particles."""
+        if self._told is None:
+            return
+        new, own = self._told[rows], self._personal_losses[rows]
+        # A particle without a finite loss yet has no place to return to: its own best is where it is.
+        better = np.flatnonzero((new < own) | np.isinf(own))
+        own[better] = new[better]
+        self._personal_positions[rows][better] = self._positions[rows].take(better, axis=0)
 
     def _stalled(self) -> bool:
         return self.settings.stall is not None and self.iterations - self._improved_at >= self.settings.stall
 
     def _begin(self) -> None:
         """A swarm that was drawn just now has no past."""
-        self.personal_positions = self.positions.copy()
-        self.personal_losses = np.full(self.settings.particles, np.inf)
+        self._personal_positions = self._positions.copy()
+        self._personal_losses = np.full(self.settings.particles, np.inf)
+        self._best, self._best_loss = 0, math.inf
+        self._told = self._moving = None
         self._improved_loss, self._improved_at = math.inf, self.iterations
 
     def _restart(self) -> None:
         """Draw the swarm anew; of the old one the best is kept."""
         best = self.result
         if best.xbest is not None:
-            self.kept_position, self._kept_loss = best.xbest, best.fbest
+            self._kept_position, self._kept_loss = best.xbest, best.fbest
         self._draw()
         self._begin()
         self._restarts, self._restarted_at = self._restarts + 1, self.iterations
@@ -196,34 +233,33 @@ class Swarm:
         slowest, fastest = np.array(settings.velocity_range)
         # The sum may round up past the upper limit, so clip once more.
         drawn = lowest + (highest - lowest) * self.random.random(shape)
-        self.positions = np.clip(drawn, self._lower, self._upper)
-        self.velocities = slowest + (fastest - slowest) * self.random.random(shape)
-        self._limit(self.velocities)
+        self._positions = np.clip(drawn, self._lower, self._upper)
+        self._velocities = slowest + (fastest - slowest) * self.random.random(shape)
+        self._limit(self._velocities)
 
     def _move(self) -> None:
         """Equations (7) and (8). A particle that would leave the bounds stops at the wall."""
-        settings, particles = self.settings, self.settings.particles
-        best = int(np.argmin(self.personal_losses))
-        if math.isinf(self.personal_losses[best]):
+        settings, best = self.settings, self._best
+        if math.isinf(self._best_loss):
             # No finite loss so far, so nothing to be drawn to: look elsewhere.
-            self._keep(slice(None))
+            self._arrive()
             self._draw()
             return
         inertia = settings.inertia * settings.decay ** (self.iterations - self._restarted_at)
         leaders = None if settings.neighbours is None else self._best_neighbours(settings.neighbours)
-        self._keep(slice(best, best + 1) if leaders is None else slice(None))
+        self._keep(slice(best, best + 1))
         if self._ahead is None:
             pulls = self._pulls(self.random)
         else:
             pulls, bits = self._ahead.result(), cast(Any, self.random.bit_generator)
             bits.advance(pulls.size)
-        moved = np.empty(self.positions.shape)
+        moved, moving_at = np.empty(self._positions.shape), np.empty(self._velocities.shape)
 
         def move(rows: slice) -> None:
             self._keep(rows)
-            position, velocity, own_best = self.positions[rows], self.velocities[rows], self._personal[rows]
-            common = self._personal[best if leaders is None else leaders[rows]]
-            velocity *= inertia
+            position, own_best = self._positions[rows], self._personal_positions[rows]
+            common = self._personal_positions[best if leaders is None else leaders[rows]]
+            velocity = np.multiply(self._velocities[rows], inertia, out=moving_at[rows])
             for goal, pull in zip((own_best, common), pulls, strict=True):
                 way = goal - position
                 self._shorten(way)
@@ -233,8 +269,9 @@ class Swarm:
             np.add(position, velocity, out=moved[rows])
             self._confine(moved[rows], velocity)
 
-        over_blocks(move, particles)
-        self.positions = moved
+        self._moving, self._moving_at = GrowingRows(move, moved), moving_at
+        if not in_blocks(settings.particles):
+            self._arrive()
 
     def _pulls(self, random: np.random.Generator) -> np.ndarray:
         """c1 U and c2 U of a move: (2, particles, one or each component)."""
@@ -246,11 +283,11 @@ class Swarm:
 
     def _best_neighbours(self, reach: int) -> np.ndarray:
         """(particles,) which of itself and ``reach`` others on each side has the best loss; of equals the nearest."""
-        each = np.arange(self.settings.particles)
+        each, losses = np.arange(self.settings.particles), self.personal_losses
         best = each
         for distance in range(1, min(reach, self.settings.particles // 2) + 1):
             for other in (np.roll(each, distance), np.roll(each, -distance)):
-                best = np.where(self.personal_losses[other] < self.personal_losses[best], other, best)
+                best = np.where(losses[other] < losses[best], other, best)
         return best
 
     def _shorten(self, way: np.ndarray) -> None:
@@ -273,17 +310,16 @@ class Swarm:
             positions[:, column] -= period * np.floor((positions[:, column] - lowest) / period)
 
     def _record(self, finite_losses: np.ndarray) -> None:
-        ours = float(self.personal_losses.min())
         mean = worst = math.nan
         if finite_losses.size:
             with np.errstate(over="ignore"):
                 mean, worst = float(finite_losses.mean()), float(finite_losses.max())
         self._history.append(
-            [min(ours, self._kept_loss), mean, worst, float(self.settings.particles - finite_losses.size)]
+            [min(self._best_loss, self._kept_loss), mean, worst, float(self.settings.particles - finite_losses.size)]
         )
         # Compared with the last loss that counted, so that many small steps together do count.
-        if ours < self._improved_loss - self.settings.stall_tolerance:
-            self._improved_loss = ours
+        if self._best_loss < self._improved_loss - self.settings.stall_tolerance:
+            self._improved_loss = self._best_loss
             self._improved_at = self.iterations
 
     def state(self, plain: bool = True) -> dict[str, Any]:
@@ -292,11 +328,12 @@ class Swarm:
         With ``plain`` false arrays stay arrays, and numbers numbers.
         """
         kept = as_plain if plain else copy.deepcopy
+        self._arrive()
         return {
             "format": STATE_FORMAT,
             "settings": kept(asdict(self.settings)),
             "random": self.random.bit_generator.state,
-            **{name: kept(getattr(self, name)) for name in ARRAYS},
+            **{name: kept(getattr(self, f"_{name}")) for name in ARRAYS},
             **{name: kept(getattr(self, f"_{name}")) for name in NUMBERS},
             "history": kept(np.reshape(self._history, (-1, len(HISTORY)))),
         }
@@ -310,12 +347,15 @@ class Swarm:
             swarm = cls(SwarmSettings(**state["settings"]))
             swarm.random.bit_generator.state = state["random"]
             for name in ARRAYS:
-                values, shape = np.array(state[name], dtype=float), getattr(swarm, name).shape
+                values, shape = np.array(state[name], dtype=float), getattr(swarm, f"_{name}").shape
                 if values.shape != shape:
                     raise ValueError(f"swarm state: {name} of shape {values.shape}: must be {shape}")
-                setattr(swarm, name, values)
+                setattr(swarm, f"_{name}", values)
             for name, kind in NUMBERS.items():
                 setattr(swarm, f"_{name}", kind(state[name]))
+            swarm._best = int(np.argmin(swarm._personal_losses))
+            swarm._best_loss = float(swarm._personal_losses[swarm._best])
+            swarm._given = swarm._positions
             swarm._history = np.array(state["history"], dtype=float).reshape(-1, len(HISTORY)).tolist()
         except (KeyError, TypeError, OverflowError) as error:
             raise ValueError(f"swarm state: {error} is missing or of a wrong kind") from None
@@ -337,19 +377,20 @@ class Searcher(Protocol):
 
 def optimize(
     searcher: Searcher,
-    objective: Callable[[np.ndarray], ArrayLike],
+    objective: Callable[[Any], ArrayLike],
     callback: Callable[[Any], object] | None = None,
+    whole: bool = True,
 ) -> Any:
     """Run a search until its `stop()` names a reason or `callback(searcher)` returns something true.
 
-    `objective` takes positions, shape (particles, dimension), and returns losses to minimise, shape
-    (particles,). `callback` is called after each iteration; a search that it ended goes on when this is
-    called again. Returns `searcher.result`.
+    `objective` takes positions, shape (particles, dimension), and returns losses to minimise, shape (particles,);
+    unless `whole`, it takes what `ask` gave, which is made when slices are looked at. `callback` is called after each
+    iteration; a search that it ended goes on when this is called again. Returns `searcher.result`.
     """
     while not searcher.stop():
         solutions = searcher.ask()
         # A copy, which the objective is free to change.
-        searcher.tell(solutions, objective(np.array(solutions, dtype=float)))
+        searcher.tell(solutions, objective(np.array(solutions, dtype=float) if whole else solutions))
         if callback is not None and callback(searcher):
             break
     return searcher.result

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from warp_plate.cluster.pool import WorkersGone
+from warp_plate.plate.blocks import GrowingRows
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.scene.errors import SceneError
 from warp_plate.search.checkpoints import CheckpointFile
@@ -89,14 +90,14 @@ def run_search(
 
     with interrupts_held() as let_through:
 
-        def losses(positions: np.ndarray) -> np.ndarray:
+        def losses(positions: np.ndarray | GrowingRows) -> np.ndarray:
             with let_through():
                 return problem.losses(positions)
 
         try:
             if checkpoints is not None and checkpoints.due():
                 save()
-            optimize(searcher, losses, after)
+            optimize(searcher, losses, after, whole=False)
         except KeyboardInterrupt:
             save()
             return searcher, True

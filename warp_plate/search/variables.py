@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from warp_plate.plate.blocks import over_blocks
+from warp_plate.plate.blocks import GrowingRows, over_blocks
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.found import middles, scene_with
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
@@ -176,7 +176,7 @@ class Positions:
     """Designs of positions (n, dimension), made when they are asked for; a ``Batch`` of ``plate.designs``."""
 
     variables: Variables
-    positions: np.ndarray
+    positions: np.ndarray | GrowingRows
 
     def __len__(self) -> int:
         return len(self.positions)
