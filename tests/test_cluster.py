@@ -19,6 +19,7 @@ from warp_plate.scene.load import dump_scene
 from warp_plate.search.compare import compare
 from warp_plate.search.panels import solve_directly
 from warp_plate.search.scenarios import draw_scenarios
+from warp_plate.search.variables import Positions, variables_of
 
 PLATES = 150  # blocks of 64, 64 and 22
 
@@ -87,6 +88,28 @@ def test_plates_have_the_same_bits_on_any_number_of_workers(name, pools, scene, 
         assert solver.node_steps == expected.node_steps, count
         assert [total for _, total in told] == [expected.node_steps] * 3
         assert told[-1][0] == expected.node_steps
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_workers_make_designs_of_positions(name, pools, scene, random, small_blocks, monkeypatch):
+    """Which are smaller, and are made while the worker before them is at work; memory halves them as it does others."""
+    made = scene((9, 9), window=(0.002, 0.004), **SCENES[name])
+    variables, own = variables_of(made), own_of(made)
+    space = variables.space
+    first = np.array([space.first_low, space.first_high])
+    positions = random.uniform(*first, (PLATES, space.dimension))
+    expected = PlateSolver(made, "cpu", own=own).run(Positions(variables, positions))
+    solver = SpreadSolver(pools[2], made, "cpu", own=own)
+    assert_same(solver.run(Positions(variables, positions)), expected)
+    shipped = list(blocks.Blocks(Positions(variables, positions), 64, "", short=True))
+    assert all(set(task.payload) == {"digest", "numbers", "maker"} for task in shipped)
+    pair = blocks.halves(shipped[1])
+    assert [task.place for task in pair] == [slice(64, 96), slice(96, 128)]
+    np.testing.assert_array_equal(np.concatenate([task.payload["numbers"] for task in pair]), positions[64:128])
+    # Of another scene they are no positions.
+    other = SpreadSolver(pools[2], made.model_copy(), "cpu", own=own)
+    monkeypatch.setattr("warp_plate.search.variables.positions_of", None)
+    assert_same(other.run(Positions(variables, positions)), expected)
 
 
 def test_displacements_and_what_is_recorded(pools, scene, random, small_blocks):

@@ -28,7 +28,6 @@ from warp_plate.cluster.pool import Here, WorkersGone
 from warp_plate.cluster.processes import Processes
 from warp_plate.cluster.solver import SpreadSolver
 from warp_plate.cluster.spread import ATTEMPTS
-from warp_plate.plate.designs import Designs
 from warp_plate.scene.load import dump_scene
 
 
@@ -97,7 +96,7 @@ def test_a_worker_that_stands_still_holds_nobody(scene, random, small_blocks):
 
 def poisoned(payload):
     """``run_block`` on a worker that ends under every block whose first drive is 7."""
-    if len(payload["drives"]) and payload["drives"][0, 0] == 7:
+    if len(payload.get("drives", ())) and payload["drives"][0, 0] == 7:
         os._exit(3)
     return work.run_block(payload)
 
@@ -152,16 +151,17 @@ def test_a_block_is_halved_until_memory_holds_it(most, scene, random, small_bloc
 
 def test_lost_plates_are_in_the_result(tmp_path, two, scene, small_blocks, monkeypatch):
     """They count as worst, and the file says how many and why, also after a checkpoint."""
-    made, real = searched(scene, iterations=2), blocks._task
+    made, real = searched(scene, iterations=2), blocks.Blocks.__iter__
     monkeypatch.setattr(blocks, "run_block", poisoned)
     monkeypatch.setattr("warp_plate.cluster.spread.ATTEMPTS", 1)
 
-    def first_block_is_poison(designs, place, others):
-        drives = designs.drives.copy()
-        drives[0, 0] = 7 if place.start == 0 and len(drives) == 64 else drives[0, 0]
-        return real(Designs(drives), place, others)
+    def first_block_is_poison(blocks):
+        for task in real(blocks):
+            if task.place == slice(0, 64) and len(blocks) > 1:
+                task.payload["drives"] = np.full((64, 1), 7)
+            yield task
 
-    monkeypatch.setattr(blocks, "_task", first_block_is_poison)
+    monkeypatch.setattr(blocks.Blocks, "__iter__", first_block_is_poison)
     file = CheckpointFile(tmp_path / "panel.checkpoint.h5", 0.0)
     result = localize(made, device="cpu", estimate=False, pool=two, checkpoints=file)
     (why,) = result.lost

@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 
 from warp_plate.cluster.pool import Task
-from warp_plate.cluster.work import designs_in, run_block
-from warp_plate.plate.designs import Batch, Designs
+from warp_plate.cluster.work import run_block
+from warp_plate.plate.designs import Batch, Shorthand
 
 # About so much work is in a block: a tenth of a second of a core, and of a GPU what keeps it busy. It is the scene's
 # size and the kind of device that say how many plates that is, never how many workers there are.
 BLOCK_NODE_STEPS = {"cpu": 8e8, "cuda": 1.3e10}
 # Whole groups of the CPU's lanes and of a GPU's warps.
 FEWEST = 64
-PARTS = ("drives", "frequency", "centre", "delay")
+# Of a task's payload what has a row for each plate.
+PARTS = ("drives", "frequency", "centre", "delay", "numbers")
 
 
 def plates_of_block(node_steps_per_plate: int, kind: str) -> int:
@@ -28,11 +29,15 @@ def plates_of_block(node_steps_per_plate: int, kind: str) -> int:
 
 @dataclass(frozen=True)
 class Blocks:
-    """Tasks for so many plates of a batch each, made one by one; a worker knows the recipe by its digest."""
+    """Tasks for so many plates of a batch each, made one by one; a worker knows the recipe by its digest.
+
+    short: whether the worker can make the designs of the batch's numbers.
+    """
 
     batch: Batch
     plates: int
     digest: str
+    short: bool = False
 
     def __len__(self) -> int:
         return -(-len(self.batch) // self.plates)
@@ -40,20 +45,31 @@ class Blocks:
     def __iter__(self) -> Iterator[Task]:
         for first in range(0, len(self.batch), self.plates):
             place = slice(first, min(first + self.plates, len(self.batch)))
-            yield _task(self.batch[place], place, {"digest": self.digest})
+            yield Task(run_block, {"digest": self.digest, **self._parts(place)}, place)
+
+    def _parts(self, place: slice) -> dict[str, Any]:
+        if self.short and isinstance(self.batch, Shorthand):
+            return {"numbers": self.batch.numbers(place), "maker": self.batch.maker}
+        designs = self.batch[place]
+        return {name: values for name, values in vars(designs).items() if values is not None}
 
 
 def halves(task: Task) -> list[Task]:
     """The task as two of half as many plates; nothing where it has but one."""
-    place, count = task.place, task.place.stop - task.place.start
-    if count < 2:
+    first, stop = task.place.start, task.place.stop
+    middle = (first + stop) // 2
+    if middle == first:
         return []
-    designs, middle = designs_in(task.payload), count // 2
-    others = {name: value for name, value in task.payload.items() if name not in PARTS}
-    return [
-        _task(designs[:middle], slice(place.start, place.start + middle), others),
-        _task(designs[middle:], slice(place.start + middle, place.stop), others),
-    ]
+
+    def part(place: slice) -> Task:
+        rows = slice(place.start - first, place.stop - first)
+        return Task(
+            run_block,
+            {name: value[rows] if name in PARTS else value for name, value in task.payload.items()},
+            place,
+        )
+
+    return [part(slice(first, middle)), part(slice(middle, stop))]
 
 
 def put(value: Mapping[str, Any], place: slice, energy: np.ndarray, faults: dict[int, tuple[str, float]]) -> None:
@@ -61,8 +77,3 @@ def put(value: Mapping[str, Any], place: slice, energy: np.ndarray, faults: dict
     energy[place] = value["energy"]
     for plate, word, caught in value["faults"]:
         faults[place.start + plate] = word, caught
-
-
-def _task(designs: Designs, place: slice, others: Mapping[str, Any]) -> Task:
-    own = {name: getattr(designs, name) for name in PARTS if getattr(designs, name) is not None}
-    return Task(run_block, {**others, **own}, place)

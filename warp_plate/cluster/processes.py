@@ -22,8 +22,8 @@ from warp_plate.cluster.recipe import DEVICE
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.devices import find_device
 
-# Tasks with a worker at a time: the next one is there when one is done.
-DEPTH = 2
+# Tasks with a worker at a time: the next one is there when one is done, and with a GPU, which has begun that, one more.
+DEPTH = {"cpu": 2, "cuda": 3}
 # A worker that ends so often before it could do anything is not started again.
 STARTS = 3
 # Seconds until a worker that was asked to end is made to.
@@ -58,6 +58,11 @@ class _Worker:
     tickets: list[int] = field(default_factory=list)
     ready: bool = False
 
+    @property
+    def depth(self) -> int:
+        """How many tasks it should have."""
+        return DEPTH[self.device.partition(":")[0]]
+
 
 class Processes:
     """A pool of one process for each device; see ``pool.Pool``."""
@@ -83,7 +88,7 @@ class Processes:
     @property
     def free(self) -> int:
         """See ``Pool``."""
-        return sum(max(0, DEPTH - len(worker.tickets)) for worker in self._workers if worker.ready)
+        return sum(max(0, worker.depth - len(worker.tickets)) for worker in self._workers if worker.ready)
 
     @property
     def idle(self) -> int:

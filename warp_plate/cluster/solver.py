@@ -17,7 +17,7 @@ from warp_plate.cluster.pool import Pool, Task
 from warp_plate.cluster.recipe import recipe_of
 from warp_plate.cluster.spread import ATTEMPTS, spread
 from warp_plate.cluster.work import run_block
-from warp_plate.plate.designs import NOTHING_OWN, Batch, Designs, Own, as_phasors
+from warp_plate.plate.designs import NOTHING_OWN, Batch, Designs, Own, Shorthand, as_phasors
 from warp_plate.plate.weights import NO_AREAS, Region
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -82,7 +82,9 @@ class SpreadSolver(PlateSolver):
         faults: dict[int, tuple[str, float]] = {}
         if not self._made:
             self._ask()
-        blocks = Blocks(batch, plates_of_block(self.node_steps_per_plate, self._made["kind"]), self._recipe.digest)
+        short = isinstance(batch, Shorthand) and batch.scene is self.scene
+        block = plates_of_block(self.node_steps_per_plate, self._made["kind"])
+        blocks = Blocks(batch, block, self._recipe.digest, short)
         for task, answer in spread(self.pool, blocks, halves, self._with_recipe):
             if answer.fault == "wrong":
                 raise SceneError(answer.text)

@@ -11,8 +11,9 @@ import warp as wp
 
 import warp_plate
 from warp_plate.cluster.recipe import Recipe, make_solver
-from warp_plate.plate.designs import Designs
+from warp_plate.plate.designs import Batch, Designs
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import processor_of
 from warp_plate.solve.solver import PlateSolver
 
@@ -26,8 +27,7 @@ _SOLVERS: OrderedDict[str, PlateSolver] = OrderedDict()
 def begin(name: str, payload: Mapping[str, Any]) -> Callable[[], dict[str, Any]]:
     """Begin a task, "module:function" by its name; what is returned waits for its end, and gives the fields of the
     ``pool.Answer``. A task's function may leave a part of its work to a function that it returns."""
-    module, _, function = name.partition(":")
-    fields = _answer(lambda: getattr(import_module(module), function)(payload))
+    fields = _answer(lambda: _function(name)(payload))
     rest = fields.get("value")
     return (lambda: _answer(rest)) if callable(rest) else (lambda: fields)
 
@@ -49,16 +49,26 @@ def _answer(step: Callable[[], Any]) -> dict[str, Any]:
         return {"fault": "memory", "text": f"out of memory ({' '.join(str(error).split())})"}
 
 
-def designs_in(payload: Mapping[str, Any]) -> Designs:
+def batch_in(payload: Mapping[str, Any], scene: Scene) -> Batch:
     """What ``run_block`` is given."""
+    if "maker" in payload:
+        batch: Batch = _function(payload["maker"])(scene, payload["numbers"])
+        return batch
     return Designs(payload["drives"], *(payload.get(name) for name in ("frequency", "centre", "delay")))
+
+
+def _function(name: str) -> Callable[..., Any]:
+    module, _, function = name.partition(":")
+    found: Callable[..., Any] = getattr(import_module(module), function)
+    return found
 
 
 def run_block(payload: Mapping[str, Any]) -> Mapping[str, Any] | Callable[[], Mapping[str, Any]]:
     """Plates of one recipe, which a GPU begins at once.
 
     payload: "digest" of the recipe; "recipe", itself as plain data, where this worker may not know it; "drives" and,
-    where plates have them of their own, "frequency", "centre" and "delay" as in :class:`Designs`.
+    where plates have them of their own, "frequency", "centre" and "delay" as in :class:`Designs`; or "numbers" and
+    "maker" as in :class:`Shorthand`.
 
     Returns {"need": digest} where the recipe is not known here; else what waits for and then gives "energy" (plates,
     regions), "node_steps", "made", which says on what, and "faults": of each plate that went wrong its place, what it
@@ -76,7 +86,7 @@ def run_block(payload: Mapping[str, Any]) -> Mapping[str, Any] | Callable[[], Ma
     _SOLVERS[digest] = solver
     while len(_SOLVERS) > MOST_SOLVERS:
         _SOLVERS.popitem(last=False)
-    begun = solver.begin(designs_in(payload))
+    begun = solver.begin(batch_in(payload, solver.scene))
     made = {
         "kind": "cuda" if solver.device.is_cuda else "cpu",
         "processor": processor_of(solver.device),

@@ -56,6 +56,25 @@ class Batch(Protocol):
         ...
 
 
+@runtime_checkable
+class Shorthand(Batch, Protocol):
+    """A batch whose designs any process makes of fewer numbers, a row for each plate, for this scene.
+
+    maker: "module:function"; the function takes the scene and such rows and gives a batch.
+    """
+
+    maker: str
+
+    @property
+    def scene(self) -> Scene:
+        """For which they are designs."""
+        ...
+
+    def numbers(self, some: slice) -> np.ndarray:
+        """(plates, numbers) of some plates."""
+        ...
+
+
 @dataclass(frozen=True)
 class Own:
     """What the plates of a solver may have of their own beside their drives: it is compiled for that.

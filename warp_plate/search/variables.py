@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -173,10 +174,11 @@ class Variables:
 
 @dataclass(frozen=True)
 class Positions:
-    """Designs of positions (n, dimension), made when they are asked for; a ``Batch`` of ``plate.designs``."""
+    """Designs of positions (n, dimension), made when they are asked for; a ``Shorthand`` of ``plate.designs``."""
 
     variables: Variables
     positions: np.ndarray | GrowingRows
+    maker: ClassVar[str] = f"{__name__}:positions_of"
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -188,6 +190,20 @@ class Positions:
     def only_drives(self) -> bool:
         """Whether plates differ in nothing but their drives."""
         return self.variables.only_drives
+
+    @property
+    def scene(self) -> Scene:
+        """For which they are designs."""
+        return self.variables.scene
+
+    def numbers(self, some: slice) -> np.ndarray:
+        """(plates, dimension) some of the positions."""
+        return np.asarray(self.positions[some], dtype=float)
+
+
+def positions_of(scene: Scene, positions: np.ndarray) -> Positions:
+    """``Positions.maker``: the same positions in another process."""
+    return Positions(variables_of(scene), positions)
 
 
 def variables_of(scene: Scene) -> Variables:
