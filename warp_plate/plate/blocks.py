@@ -16,7 +16,7 @@ import numpy as np
 Made = TypeVar("Made")
 
 # Rows of a block; so few rows take one call and no thread. More threads than that wait for each other.
-ROWS = 16384
+ROWS = 8192
 MOST_THREADS = 8
 
 

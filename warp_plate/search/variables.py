@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import ClassVar
 
 import numpy as np
@@ -164,7 +164,7 @@ class Variables:
             else:
                 magnitude = np.clip(magnitude, -most, most)
         if limits.power is not None:
-            size = np.sqrt((magnitude**2).sum(axis=0))
+            size = np.sqrt(reduce(np.add, magnitude**2))  # in one order, whatever the number of plates
             magnitude = magnitude * _down_to(math.sqrt(limits.power) / self.unit, size)
         return magnitude
 

@@ -180,8 +180,8 @@ class PlateSolver:
         trace = np.empty((plates, len(points), scheme.steps))
         faults: dict[int, tuple[str, float]] = {}
         fastest = scheme.steps * self._fastest
-        parts = self._parts(plates, nodes.shape[0])
-        states = self._rooms(parts, nodes, 2 if ahead or (self._overlaps and len(parts) > 1) else 1)
+        parts, count = self._parts(plates, nodes.shape[0], ahead)
+        states = self._rooms(parts, nodes, count)
         total = plates * self.node_steps_per_plate
         most, joules = (scheme.window[1] - scheme.window[0]) * fastest**2, energy_unit(self.specialized)
         left = len(parts)
@@ -271,18 +271,16 @@ class PlateSolver:
         """Whether the host may work on one part while the device steps another."""
         return self.device.is_cuda and self._chunk is None
 
-    def _parts(self, plates: int, traced_nodes: int) -> list[slice]:
-        """What is run at once, one after the other."""
+    def _parts(self, plates: int, traced_nodes: int, ahead: bool) -> tuple[list[slice], int]:
+        """What is run at once, one part after the other, and how many states take turns at that."""
         first = max(math.ceil(FIRST_NODE_STEPS / self.node_steps_per_plate), plates // 64)
-        cut = self._overlaps and not traced_nodes and plates >= 4 * first
-        sizes = part_sizes(plates, first) if cut else [max(plates, 1)]
-        wanted = 2 * max(sizes) if cut else sizes[0]
+        cut = self._overlaps and not traced_nodes and not self._ends and plates >= 4 * first
+        sizes, count = part_sizes(plates, first) if cut else [plates], 2 if cut or ahead else 1
+        wanted = count * max(1, *sizes)
         most = self._plates_at_once(wanted, traced_nodes)
-        if most < wanted or not cut:
-            cuts = [*range(0, plates, max(1, most // 2) if cut else most), plates]
-        else:
-            cuts = [0, *itertools.accumulate(sizes)]
-        return [slice(*ends) for ends in itertools.pairwise(cuts)]
+        whole = [0, *itertools.accumulate(sizes)]
+        cuts = whole if most >= wanted else [*range(0, plates, max(1, most // count)), plates]
+        return [slice(*ends) for ends in itertools.pairwise(cuts) if plates], count
 
     def _plates_at_once(self, plates: int, traced_nodes: int) -> int:
         """For how many of these plates there is room."""
