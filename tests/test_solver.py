@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+import warp as wp
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.designs import Designs
@@ -339,6 +340,22 @@ def test_runs_begun_before_others_end_change_no_bit(overlaps, device, path, scen
         np.testing.assert_array_equal(run.energy, right.energy)
     assert solver.node_steps == sum(run.node_steps for run in whole)
     assert not solver._ends
+
+
+def test_a_run_reads_nothing_from_the_device_but_its_sums(device, path, scene, phasors, monkeypatch):
+    """Whatever else it read would wait until the device is idle, and nothing could be made ready meanwhile."""
+    solver, read, numpy = PlateSolver(scene(nodes=(9, 9), window=(0.002, 0.004)), device, path), [], wp.array.numpy
+    solver.run(phasors(5, 3))
+
+    def reading(array):
+        read.append(array)
+        return numpy(array)
+
+    monkeypatch.setattr(wp.array, "numpy", reading)
+    solver.run(phasors(5, 3))
+    host = [getattr(state.host, name) for state in solver._states for name in ("coefficients", "units", "energy")]
+    assert read
+    assert all(any(array is one for one in host) for array in read)
 
 
 def test_a_run_that_is_cut_short_leaves_nothing_to_the_next(device, path, scene, phasors, monkeypatch):

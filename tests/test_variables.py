@@ -289,7 +289,8 @@ def test_magnitudes_that_differ_and_are_held_cannot_be_equal():
 def test_limits_of_power_do_not_see_how_a_batch_is_cut():
     """Of many actuators, whose squares NumPy would add up in another order for one plate alone."""
     areas = [(0.01 + 0.015 * index, 0.02 + 0.015 * index, 0.05, 0.1) for index in range(12)]
-    variables = variables_of(scene_of(actuators=areas, search={"magnitude": {"range": [0.0, 1.0]}, "limits": {"power": 0.5}}))
+    search = {"magnitude": {"range": [0.0, 1.0]}, "limits": {"power": 0.5}}
+    variables = variables_of(scene_of(actuators=areas, search=search))
     positions = np.random.default_rng(3).uniform(0, 1, (65, variables.space.dimension))
     alone = np.concatenate([variables.designs(positions[[row]]).drives for row in range(65)])
     assert alone.tobytes() == np.ascontiguousarray(variables.designs(positions).drives).tobytes()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -69,11 +70,12 @@ class Specialized:
         nx, ny = self.scheme.nodes
         return (nx - 2) * (ny - 2)
 
-    @property
+    @cached_property
     def masses(self) -> np.ndarray:
-        """(regions,) mass of each region [kg]."""
+        """(regions,) mass of each region [kg]; kept, for asking a device waits until it is idle."""
         hx, hy = self.scheme.spacing
         masses: np.ndarray = self.weights.numpy().sum(axis=(1, 2)) * self.scheme.surface_density * hx * hy
+        masses.flags.writeable = False
         return masses
 
     @property
