@@ -14,7 +14,7 @@ from warp_plate.plate.designs import Batch, Shorthand
 
 # About so much work is in a block: a tenth of a second of a core, and of a GPU what keeps it busy. It is the scene's
 # size and the kind of device that say how many plates that is, never how many workers there are.
-BLOCK_NODE_STEPS = {"cpu": 8e8, "cuda": 1.3e10}
+BLOCK_NODE_STEPS = {"cpu": 8e8, "cuda": 6.6e9}
 # Whole groups of the CPU's lanes and of a GPU's warps.
 FEWEST = 64
 # Of a task's payload what has a row for each plate.
