@@ -33,8 +33,8 @@ CUDA_CHUNK_SHARE = 0.6
 CPU_CHUNK_BYTES = 256 * 2**20
 FEWEST_PLATES = 64
 # A large batch on CUDA is cut: while the device steps a part, the host makes the next one ready. The first, for which
-# the device waits, is small, but has so much work as keeps it busy; the others grow to a part of the whole.
-FIRST_NODE_STEPS, LARGEST_PART = 1.6e9, 3 / 8
+# the device waits, is small, but has so much work as keeps it busy; the others grow to some times as many plates.
+FIRST_NODE_STEPS, LARGEST_PART = 1.6e9, 16
 
 Progress = Callable[[int, int], None]
 
@@ -273,7 +273,7 @@ class PlateSolver:
 
     def _parts(self, plates: int, traced_nodes: int, ahead: bool) -> tuple[list[slice], int]:
         """What is run at once, one part after the other, and how many states take turns at that."""
-        first = max(math.ceil(FIRST_NODE_STEPS / self.node_steps_per_plate), plates // 64)
+        first = math.ceil(FIRST_NODE_STEPS / self.node_steps_per_plate)
         cut = self._overlaps and not traced_nodes and not self._ends and plates >= 4 * first
         sizes, count = part_sizes(plates, first) if cut else [plates], 2 if cut or ahead else 1
         wanted = count * max(1, *sizes)
@@ -385,7 +385,7 @@ def part_sizes(plates: int, first: int) -> list[int]:
     sizes, rest, size = [], plates - last, first
     while rest > 0:
         sizes.append(min(size, rest))
-        rest, size = rest - sizes[-1], min(2 * size, math.ceil(LARGEST_PART * plates))
+        rest, size = rest - sizes[-1], min(2 * size, LARGEST_PART * first)
     return [*sizes, last]
 
 
