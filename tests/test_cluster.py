@@ -112,23 +112,6 @@ def test_workers_make_designs_of_positions(name, pools, scene, random, small_blo
     assert_same(other.run(Positions(variables, positions)), expected)
 
 
-@pytest.mark.parametrize("plates", [0, 1, 64, 511, 512, 513, 600, 1000])
-@pytest.mark.parametrize("graded", [False, True])
-def test_blocks_are_all_plates_once(plates, graded):
-    cut = blocks.Blocks(Designs(np.arange(plates)[:, None] + 0j), 64, "", graded=graded)
-    tasks = list(cut)
-    assert len(tasks) == len(cut)
-    sizes = [len(task.payload["drives"]) for task in tasks]
-    drives = [task.payload["drives"][:, 0].real for task in tasks]
-    np.testing.assert_array_equal(np.concatenate([[], *drives]), np.arange(plates))
-    assert all(1 <= size <= 64 for size in sizes)
-    if graded and plates >= 512:
-        assert sizes[:5] == [16, 16, 32, 32, 64]
-        assert sizes[-4:] == [32, 32, 16, 16]
-    else:
-        assert all(size == 64 for size in sizes[:-1])
-
-
 def test_displacements_and_what_is_recorded(pools, scene, random, small_blocks):
     """Energies of displacements come from workers too; fields and traces of few plates from this process."""
     made, drives = scene((9, 9), damping=20.0), drives_of(random)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
@@ -19,8 +17,6 @@ from warp_plate.plate.designs import Batch, Shorthand
 BLOCK_NODE_STEPS = {"cpu": 8e8, "cuda": 6.6e9}
 # Whole groups of the CPU's lanes and of a GPU's warps.
 FEWEST = 64
-# So many blocks are a large batch.
-GRADED = 8
 # Of a task's payload what has a row for each plate.
 PARTS = ("drives", "frequency", "centre", "delay", "numbers")
 
@@ -35,31 +31,21 @@ def plates_of_block(node_steps_per_plate: int, kind: str) -> int:
 class Blocks:
     """Tasks for so many plates of a batch each, made one by one; a worker knows the recipe by its digest.
 
-    short: whether the worker can make the designs of the batch's numbers. graded: a large batch begins and ends with
-    smaller blocks, so that no worker waits long for its first, nor for the others' last.
+    short: whether the worker can make the designs of the batch's numbers.
     """
 
     batch: Batch
     plates: int
     digest: str
     short: bool = False
-    graded: bool = False
 
     def __len__(self) -> int:
-        return len(self._cuts) - 1
+        return -(-len(self.batch) // self.plates)
 
     def __iter__(self) -> Iterator[Task]:
-        for ends in pairwise(self._cuts):
-            place = slice(*ends)
+        for first in range(0, len(self.batch), self.plates):
+            place = slice(first, min(first + self.plates, len(self.batch)))
             yield Task(run_block, {"digest": self.digest, **self._parts(place)}, place)
-
-    @cached_property
-    def _cuts(self) -> list[int]:
-        total, small = len(self.batch), [0, *accumulate(self.plates // part for part in (4, 4, 2, 2))]
-        if not self.graded or total < GRADED * self.plates:
-            return [*range(0, total, self.plates), total]
-        middle = range(small[-1], total - small[-1], self.plates)
-        return [*small[:-1], *middle, *(total - cut for cut in reversed(small))]
 
     def _parts(self, place: slice) -> dict[str, Any]:
         if self.short and isinstance(self.batch, Shorthand):

@@ -83,9 +83,8 @@ class SpreadSolver(PlateSolver):
         if not self._made:
             self._ask()
         short = isinstance(batch, Shorthand) and batch.scene is self.scene
-        kind = self._made["kind"]
-        block = plates_of_block(self.node_steps_per_plate, kind)
-        blocks = Blocks(batch, block, self._recipe.digest, short, graded=kind == "cuda")
+        block = plates_of_block(self.node_steps_per_plate, self._made["kind"])
+        blocks = Blocks(batch, block, self._recipe.digest, short)
         for task, answer in spread(self.pool, blocks, halves, self._with_recipe):
             if answer.fault == "wrong":
                 raise SceneError(answer.text)
