@@ -214,6 +214,10 @@ def test_what_workers_ran_on_is_kept_and_another_kind_is_not_mixed_in(plate, tmp
         continued(half)
     with pytest.raises(SceneError, match=r"cuda:0 \(A GPU\) and goes on on cuda:0 \(Another\).* --device cuda$"):
         run_sweep(continued(half, there=True), pool=Away("Another"))
+    without = Here()
+    without.device = "cuda:99"
+    with pytest.raises(SceneError, match="a worker: device = 'cuda:99': not on this machine"):
+        run_sweep(begun, pool=without)
     # Whoever asks for it has it, and the file says so.
     with pytest.raises(Stop):
         run_sweep(continued(half, there=True), stop_after(3), SweepFile(file, math.inf), Away("Another"), lines.append)

@@ -78,7 +78,7 @@ def run_there(begun: Sweep, points: Sequence[int], pool: Pool) -> Iterator[Found
     attempts.
 
     Raises:
-        SceneError: workers differ in kind or version from each other. WorkersGone: see there.
+        SceneError: workers differ in kind or version from each other, or have no such device. WorkersGone: see there.
     """
     base = {"text": dump_scene(begun.scene), "files": contents_of(begun.scene)}
     digest = hashlib.sha256(b"".join(encode(base))).hexdigest()
@@ -90,6 +90,8 @@ def run_there(begun: Sweep, points: Sequence[int], pool: Pool) -> Iterator[Found
     tasks = [Task(run_task, {**common, "numbers": begun.plan.numbers(point)}, point) for point in points]
     first: Mapping[str, str] = {"warp_plate": warp_plate.__version__, "warp": wp.config.version}
     for task, answer in spread(pool, tasks, again=with_scene):
+        if answer.fault == "wrong":
+            raise SceneError(f"a worker: {answer.text}")
         found = _found(task.place, answer)
         made = answer.value.get("made", first)  # none where the point is given up
         for name, value in made.items():
