@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -176,6 +177,77 @@ def test_a_pool_gives_the_same_and_names_what_it_lost(plate, random, tmp_path):
     np.testing.assert_array_equal(there.status[~lost], here.status[~lost])
     for point, reason in there.reasons.items():
         assert reason == ("given up: its worker ended" if lost[point] else here.reasons[point])
+
+
+class Away(Here):
+    """Workers on another kind of processor than this process has."""
+
+    def __init__(self, processor="A GPU"):
+        super().__init__()
+        self.processor = processor
+
+    def wait(self, seconds):
+        answers = super().wait(seconds)
+        for _, answer in answers:
+            if "made" in answer.value:
+                answer.value["device"], answer.value["made"]["processor"] = "cuda:0", self.processor
+        return answers
+
+
+def test_what_workers_ran_on_is_kept_and_another_kind_is_not_mixed_in(plate, tmp_path):
+    plan, file, lines = make_plan([parse_vary(plate, "drive.frequency=200:300:4")]), tmp_path / "a.h5", []
+
+    def stop_after(points):
+        def told(done, total, note):
+            if done == points:
+                raise Stop
+
+        return told
+
+    begun = begin_sweep(plate, plan, "check")
+    here = f"{begun.device} ({begun.processor})"
+    with pytest.raises(Stop):
+        run_sweep(begun, stop_after(1), SweepFile(file, math.inf), Away())
+    half = load_sweep(file)
+    assert (half.device, half.processor, half.earlier, half.progress) == ("cuda:0", "A GPU", "", "1 of 4 points")
+    with pytest.raises(SceneError, match=r"the sweep began on cuda:0 \(A GPU\), which is not here"):
+        continued(half)
+    with pytest.raises(SceneError, match=r"cuda:0 \(A GPU\) and goes on on cuda:0 \(Another\).* --device cuda$"):
+        run_sweep(continued(half, there=True), pool=Away("Another"))
+    without = Here()
+    without.device = "cuda:99"
+    with pytest.raises(SceneError, match="a worker: device = 'cuda:99': not on this machine"):
+        run_sweep(begun, pool=without)
+    # Whoever asks for it has it, and the file says so.
+    with pytest.raises(Stop):
+        run_sweep(continued(half, there=True), stop_after(3), SweepFile(file, math.inf), Away("Another"), lines.append)
+    assert len(lines) == 1
+    assert lines[0].endswith("goes on on cuda:0 (Another), which rounds in another way: the result may differ")
+    whole = run_sweep(continued(load_sweep(file), begun.device))
+    assert load_sweep(save_sweep(whole, file)).ran_on == f"cuda:0 (A GPU), then cuda:0 (Another), then {here}"
+    assert continued(whole, "cuda:99") is whole  # nothing is left to run anywhere
+    # The same kind goes on without a word, and where nobody has said his kind there is nothing to differ from.
+    assert run_sweep(continued(half, there=True), pool=Away()).ran_on == "cuda:0 (A GPU)"
+    assert run_sweep(begun, pool=Killing(np.random.default_rng(0), 200.0)).ran_on == here
+
+
+@pytest.mark.parametrize("error", [RuntimeError("Failed to allocate 9 bytes\non device 'cuda:0'"), MemoryError("9")])
+def test_a_point_without_memory_is_given_up_and_others_run(plate, monkeypatch, error):
+    real = FIGURES["check"]
+
+    def figures(scene, options):
+        if scene.drive.frequency == 250:
+            raise error
+        return real.of(scene, options)
+
+    monkeypatch.setitem(FIGURES, "check", replace(real, of=figures))
+    for pool in (None, Here()):
+        found = sweep(plate, ["drive.frequency=200:300:3"], "check", device="cpu", pool=pool)
+        assert found.status.tolist() == [RUN, REFUSED, RUN]
+        assert found.reasons == {1: f"given up: out of memory ({' '.join(str(error).split())})"}
+    error = RuntimeError("a fault of the program")
+    with pytest.raises(RuntimeError, match="a fault of the program"):
+        sweep(plate, ["drive.frequency=200:300:3"], "check", device="cpu")
 
 
 def test_processes_give_the_same(plate):

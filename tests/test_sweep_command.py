@@ -1,6 +1,7 @@
 """``warp-plate sweep``: its table, JSON and files, what xarray makes of them, pictures, and what goes on."""
 
 import json
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -9,7 +10,8 @@ import numpy as np
 import pytest
 
 from warp_plate import Scene, SceneError, load_sweep
-from warp_plate.cluster.pool import WorkersGone
+from warp_plate.cluster import pool as pools
+from warp_plate.cluster.pool import Here, WorkersGone
 from warp_plate.result.sweep import REFUSED, save_sweep
 from warp_plate.result.whole import check_seal
 from warp_plate.scene.load import dump_scene
@@ -176,6 +178,35 @@ def test_workers_that_are_gone_leave_a_file_too(panel, command, monkeypatch):
     status, out, _ = command("--resume", "panel-sweep.h5", "--devices", "cpu", "--no-pictures", "--json")
     assert status == 0
     assert np.isfinite(np.array(json.loads(out)["outputs"]["limit"][:2], dtype=float)).all()
+
+
+def test_beside_a_cluster_the_device_is_its_workers(panel, command, monkeypatch):
+    """Of all commands that have workers: this machine need not have it, and goes on with what they are."""
+    opened = []
+
+    @contextmanager
+    def open_pool(devices, cluster, device, tell):
+        pool = Here()
+        opened.append(device)
+        yield pool
+
+    monkeypatch.setattr(pools, "open_pool", open_pool)
+    away = ("--cluster", "tcp://far:8786", "--device", "cuda:99", "--no-pictures")
+    searched = ("panel.toml", *away, "--evaluator", "direct", "--json")
+    status, out, err = command.func("localize", *searched, "--no-estimate", "--no-spectrum", "--baselines")
+    assert (status, json.loads(out)["device"].endswith("on this process")) == (0, True), err
+    assert command.func("compare", *searched, "--methods", "pso", "--seeds", 1)[0] == 0
+    with monkeypatch.context() as patch:
+        interrupted_after(patch, 2)
+        assert command("panel.toml", *TWO, "--what", "check", *away)[0] == 130
+    save_sweep(replace(load_sweep("panel-sweep.h5"), processor="A GPU"), "panel-sweep.h5")
+    status, out, err = command("--resume", "panel-sweep.h5", "--cluster", "tcp://far:8786")
+    assert (status, out) == (2, "")
+    assert "(A GPU) and goes on on" in err.splitlines()[-1]
+    status, out, err = command("--resume", "panel-sweep.h5", *away, "--json")
+    assert (status, "the result may differ" in err) == (0, True)
+    assert "(A GPU), then " in json.loads(out)["device"]
+    assert opened == ["cuda:99"] * 3 + [None, "cuda:99"]
 
 
 def test_what_is_given_beside_an_unfinished_file_must_be_the_same(panel, command, monkeypatch, scene):

@@ -140,6 +140,10 @@ def test_ranges_end_where_they_are_said_to(start, stop, count, kind):
         ("drive.frequency=1,2,1", "a value is there twice"),
         ("drive.frequency=1,nan", "'nan' is no number"),
         ("search.particles=2:9.5:3", "search.particles holds whole numbers"),
+        ("search.particles=2,3.5", "search.particles holds whole numbers"),
+        ("search.particles=40,40.00000000000001", "a value is there twice"),
+        ("search.seed=9007199254740993,1", r"9007199254740993 is beyond ±9007199254740991 \(2\^53 - 1\).*float64"),
+        ("search.seed=0:1e17:3", "1e17 is beyond ±9007199254740991"),
         (f"drive.frequency=1:2:{MOST_POINTS + 1}", "must be a whole number from 1 to"),
     ],
 )
@@ -151,6 +155,17 @@ def test_wrong_ranges(text, message):
 def test_whole_numbers_stay_whole():
     with pytest.raises(SceneError, match="is no whole number"):
         make_plan([parse_vary(PAPER, "search.particles=2:9:4")])
+    with pytest.raises(SceneError, match="is no whole number"):
+        make_plan([parse_vary(PAPER, "search.seed=0:10000000000:4")])  # a third, however small a part of the number
+    for text, whole in (
+        ("search.particles=log:20:80:3", [20, 40, 80]),
+        ("search.particles=log:7:343:3", [7, 49, 343]),
+        ("search.particles=log:10:1000000000000:12", [10**power for power in range(1, 13)]),
+        ("search.particles=40.00000000000001,79.99999999999999", [40, 80]),
+        ("search.particles=20:80.00000000000001:3", [20, 50, 80]),
+        ("search.seed=9007199254740991,1", [2**53 - 1, 1]),
+    ):
+        assert make_plan([parse_vary(PAPER, text)]).coordinates[0].tolist() == whole
     drawn = make_plan([parse_vary(PAPER, "search.particles=2:5")], samples=200).coordinates[0]
     assert set(drawn) == {2, 3, 4, 5}
 

@@ -9,7 +9,7 @@ import cyclopts
 
 from warp_plate.cli import output
 from warp_plate.cli.options import Whole
-from warp_plate.cli.workers import first_device, lost_lines, workers
+from warp_plate.cli.workers import lost_lines, own_device, workers
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def compare(
         direct simulates a plate for each evaluation; response uses Gram matrices of unit responses instead. response
         when left out, where energies are quadratic forms of the drives, else direct.
     device
-        cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
+        cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one. With --cluster that of its workers.
     devices
         Several devices of this machine, such as cuda:0,cuda:1, or cpu,cpu for two single-threaded processes: the plates
         of a direct comparison are shared among them, a process each. Results are the same to the last bit. See
@@ -86,8 +86,8 @@ def compare(
     loaded = output.load_scene(scene)
     from warp_plate.search.compare import compare as run
 
-    first = first_device(devices, device)
-    on = "auto" if first is None else first
+    own = own_device(devices, cluster, device)
+    on = "auto" if own is None else own
     with workers(devices, cluster, device) as pool, output.progress_bar("comparing", shown=not json) as show:
         result = run(loaded, scene, names, seeds, on, path, evaluator, evaluations, show, pool)
     files, missing = _write(result, target, pictures)

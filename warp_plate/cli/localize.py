@@ -15,7 +15,7 @@ from warp_plate.cli.options import Whole
 from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
 from warp_plate.cli.resume import read_checkpoint, result_beside, way_on
 from warp_plate.cli.robust_table import print_robust, robust_json
-from warp_plate.cli.workers import first_device, lost_lines, workers
+from warp_plate.cli.workers import lost_lines, own_device, workers
 from warp_plate.scene.errors import SceneError, printable
 
 if TYPE_CHECKING:
@@ -88,7 +88,8 @@ def localize(
         --resume it may be left out.
     device
         cpu, cuda, cuda:1, ... or auto, which takes a CUDA device where there is one; auto when left out, with --resume
-        the kind that the search began on. Another kind rounds in another way: the result may differ.
+        the kind that the search began on. Another kind rounds in another way: the result may differ. With --cluster
+        that of its workers.
     devices
         Several devices of this machine, such as cuda:0,cuda:1, or cpu,cpu for two single-threaded processes: the plates
         of the search are shared among them, a process each. Results are the same to the last bit. See docs/scaling.md.
@@ -135,7 +136,9 @@ def localize(
     from warp_plate.search.checkpoints import CheckpointFile
 
     same: dict[str, object] = {"seed": seed, "evaluator": evaluator, "path": path}
-    checkpoint = None if resume is None else read_checkpoint(resume, loaded, scene, accuracy, same, device)
+    # A search that goes on is on the device that it began on, unless --device names another.
+    own = own_device(devices if resume is None else None, cluster, device)
+    checkpoint = None if resume is None else read_checkpoint(resume, loaded, scene, accuracy, same, own)
     kept = CheckpointFile(target.with_suffix(ENDING), checkpoint_every, resume is not None, output.tell)
     if checkpoint is None and kept.path.exists():
         output.tell(f"{kept.path} is of a search that did not end; a checkpoint of this one will replace it")
@@ -146,10 +149,9 @@ def localize(
     searched = loaded if checkpoint is None else checkpoint.scene
     assert searched is not None
     if checkpoint is not None:
-        run = partial(go_on, checkpoint, device)
+        run = partial(go_on, checkpoint, own)
     elif loaded is not None:
-        first = first_device(devices, device)
-        on = "auto" if first is None else first
+        on = "auto" if own is None else own
         run = partial(search, loaded, scene or "", on, seed, evaluator, path or "auto")
     if baselines:
         from warp_plate.search.baselines import check_baselines, with_baselines
@@ -159,7 +161,7 @@ def localize(
         result = _run(partial(run, spectrum=spectrum, pool=pool), estimate, kept, not json, pool, searched)
     if baselines:
         began = ("auto", "auto") if checkpoint is None else (checkpoint.device, checkpoint.path)
-        result = with_baselines(result, began[0] if device is None else device, path or began[1])
+        result = with_baselines(result, began[0] if own is None else own, path or began[1])
     files, missing = _write(result, target, pictures, kept)
     if json:
         output.print_json(as_json(result, files, kept.path if result.interrupted and kept.saved else None))

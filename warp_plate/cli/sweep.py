@@ -12,7 +12,7 @@ import cyclopts
 from warp_plate.cli import output
 from warp_plate.cli.options import Whole
 from warp_plate.cli.resume import differences, refuse_changes
-from warp_plate.cli.workers import first_device, workers
+from warp_plate.cli.workers import workers
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from warp_plate.result.sweep import Sweep
     from warp_plate.scene.model import Scene
     from warp_plate.scene.vary import Plan
+    from warp_plate.search.sweep import Elsewhere
     from warp_plate.search.sweep_file import SweepFile
 
 # So many points and columns are a table; of more, the smallest and largest figures are shown.
@@ -78,7 +79,7 @@ def sweep(
         How many modes; 6 when left out.
     device
         cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one. auto when left out, for a sweep that goes
-        on the kind that it began on.
+        on the kind that it began on. With --cluster that of its workers.
     devices
         Several devices of this machine, such as cuda:0,cuda:1, or cpu,cpu for two single-threaded processes: the points
         are shared among them, a process each. Figures are the same to the last bit. See docs/scaling.md.
@@ -110,18 +111,19 @@ def sweep(
 
     loaded = None if scene is None else Scene.load(scene)
     given: dict[str, object] = {"what": what, "count": count, "path": path}
-    on = first_device(devices, device)
-    begun = _begun(resume, target, loaded, scene, vary, samples, seed, given, on)
+    there = not (devices is None and cluster is None)
+    begun = _begun(resume, target, loaded, scene, vary, samples, seed, given, device, there)
     if begun is None:
         assert loaded is not None
         plan = make_plan([parse_vary(loaded, one) for one in vary or ()], samples, seed)
         modes = MODES if count is None else count
-        begun = begin_sweep(
-            loaded, plan, what or "localize", "auto" if on is None else on, path or "auto", scene or "", modes
-        )
+        here = "auto" if there or device is None else device
+        begun = begin_sweep(loaded, plan, what or "localize", here, path or "auto", scene or "", modes)
     kept = SweepFile(target, checkpoint_every, output.tell)
+    # Whoever names devices means them, as in other commands.
+    elsewhere = None if devices is None and device is None else output.tell
     with workers(devices, cluster, device) as pool:
-        result = _run(begun, kept, pool, shown=not json)
+        result = _run(begun, kept, pool, elsewhere, shown=not json)
     files, missing = _write(result, target, pictures)
     if json:
         output.print_json(as_json(result, files))
@@ -140,8 +142,11 @@ def _begun(
     seed: int,
     given: dict[str, object],
     device: str | None,
+    there: bool,
 ) -> Sweep | None:
     """The sweep to go on with, of ``--resume`` or an unfinished one at the place of the result; None: begin anew.
+
+    there: whether workers run its points, whose device is not known yet.
 
     Raises:
         SceneError: it cannot be read, or what was given is not what it began with.
@@ -168,9 +173,9 @@ def _begun(
     if scene is not None:
         begun = _in_folder_of(begun, scene)
     output.tell(f"{file}: {begun.progress} are done; {'nothing is left' if begun.finished else 'going on'}")
-    for line in differences(file, begun, device):
+    for line in differences(file, begun, None if there or not begun.processor else device):
         output.tell(line)
-    return continued(begun, device)
+    return continued(begun, device, there)
 
 
 def _in_folder_of(begun: Sweep, scene: Scene) -> Sweep:
@@ -189,14 +194,14 @@ def _points(plan: Plan) -> str:
     return f"{len(plan)} {'samples' if plan.sampled else 'points'}, {ranges}"
 
 
-def _run(begun: Sweep, kept: SweepFile, pool: Pool | None, shown: bool) -> Sweep:
+def _run(begun: Sweep, kept: SweepFile, pool: Pool | None, elsewhere: Elsewhere | None, shown: bool) -> Sweep:
     """The sweep with its progress; Ctrl-C and workers that are gone say how to go on."""
     from warp_plate.cluster.pool import WorkersGone
     from warp_plate.search.sweep import run_sweep
 
     try:
         with output.progress_bar("sweeping", shown) as show:
-            return run_sweep(begun, show, kept, pool)
+            return run_sweep(begun, show, kept, pool, elsewhere)
     except (KeyboardInterrupt, WorkersGone) as reason:
         if kept.saved is None:
             raise
@@ -228,7 +233,7 @@ def as_json(result: Sweep, files: list[Path]) -> dict[str, object]:
         "command": "sweep",
         "scene": result.source,
         "what": result.what,
-        "device": result.device,
+        "device": result.ran_on,
         "sampled": plan.sampled,
         "shape": list(plan.shape),
         "varied": {key: values.tolist() for key, values in zip(plan.keys, plan.coordinates, strict=True)},
@@ -263,7 +268,7 @@ def _headings(result: Sweep) -> list[str]:
 
 def _print(result: Sweep, console: Console) -> None:
     plan = result.plan
-    console.print(f"{result.scene.title or result.source}: {result.what}, {_points(plan)}, on {result.device}\n")
+    console.print(f"{result.scene.title or result.source}: {result.what}, {_points(plan)}, on {result.ran_on}\n")
     columns, keys = _columns(result), _headings(result)
     if len(plan) <= MOST_ROWS and len(keys) + len(columns) <= MOST_COLUMNS:
         headings = [f"{name} ({unit})" if unit != "1" else name for name, (unit, _) in columns.items()]

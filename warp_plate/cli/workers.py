@@ -26,9 +26,12 @@ def workers(devices: str | None, cluster: str | None, device: str | None) -> Abs
     return open_pool(devices, cluster, device, output.tell)
 
 
-def first_device(devices: str | None, device: str | None) -> str | None:
-    """Where what few plates need runs: the first of several devices, else the one that was named."""
-    return device if devices is None else devices.split(",")[0].strip()
+def own_device(devices: str | None, cluster: str | None, device: str | None) -> str | None:
+    """Where what few plates need runs, in this process: the first of several devices; beside a cluster, whose workers
+    the device is of, this machine's own choice (None); else the one that was named."""
+    if devices is not None:
+        return devices.split(",")[0].strip()
+    return device if cluster is None else None
 
 
 def lost_lines(lost: Mapping[str, int]) -> list[str]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,9 +47,10 @@ class Sweep:
     """What was found at the points of a plan.
 
     scene: as written, before anything is varied; source: its name; files: SHA-256 of the files that it names, by key.
-    what: of ``search.figures.FIGURES``; count: length of the outputs' own axis. device, processor, path: as in
-    :class:`Checkpoint`. values: of each output (points,), or (points, count) where it has an axis. status: (points,);
-    reasons: why points were refused, by point. seconds: spent on points so far.
+    what: of ``search.figures.FIGURES``; count: length of the outputs' own axis. device, processor: what points were run
+    on last, as who ran them says, "" while no worker has said it; earlier, path: as in :class:`Checkpoint`.
+    values: of each output (points,), or (points, count) where it has an axis. status: (points,); reasons: why points
+    were refused, by point. seconds: spent on points so far.
     """
 
     source: str
@@ -60,6 +61,7 @@ class Sweep:
     count: int
     device: str
     processor: str
+    earlier: str
     path: str
     outputs: Mapping[str, Output]
     values: Mapping[str, np.ndarray]
@@ -82,6 +84,17 @@ class Sweep:
     def progress(self) -> str:
         """For people."""
         return f"{len(self.plan) - len(self.left)} of {len(self.plan)} points"
+
+    @property
+    def ran_on(self) -> str:
+        """For people: each device that points were run on, with its processor."""
+        return f"{self.earlier}{self.device} ({self.processor})"
+
+    def gone_on(self, device: str, processor: str) -> Sweep:
+        """The sweep whose next points run there; another processor than before is kept with those before it."""
+        moved = self.processor not in ("", processor)
+        earlier = f"{self.ran_on}, then " if moved else self.earlier
+        return replace(self, device=device, processor=processor, earlier=earlier)
 
     def shaped(self, output: str) -> np.ndarray:
         """The values of an output in the shape of the plan, and after it the output's own axis."""
@@ -114,7 +127,7 @@ def load_sweep(path: str | Path) -> Sweep:
 
 def _write(file: h5py.File, sweep: Sweep) -> None:
     plan, scene = sweep.plan, sweep.scene
-    for name in ("source", "what", "count", "device", "processor", "path", "seconds"):
+    for name in ("source", "what", "count", "device", "processor", "earlier", "path", "seconds"):
         file.attrs[name] = getattr(sweep, name)
     file.attrs.update(
         {
@@ -204,6 +217,7 @@ def _read(file: h5py.File, scene: Scene) -> Sweep:
         count=length,
         device=text(file, "device"),
         processor=text(file, "processor"),
+        earlier=text(file, "earlier"),
         path=text(file, "path"),
         outputs=outputs,
         values=values,

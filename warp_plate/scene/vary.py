@@ -15,6 +15,10 @@ from warp_plate.scene.model import Scene
 
 MOST_POINTS = 1_000_000
 FORM = "write START:STOP:COUNT, log:START:STOP:COUNT or a list a,b,c"
+# A sweep's numbers are float64: the largest whole one that is told from its neighbours.
+LARGEST_WHOLE = 2**53 - 1
+# What is so near to a whole number, as a share of it and at most, is meant to be it: equal factors miss it by 1e-15.
+NEAR_WHOLE, MOST_NEAR = 1e-9, 1e-3
 
 
 @dataclass(frozen=True)
@@ -43,10 +47,13 @@ class Varied:
         else:
             space = np.geomspace if self.logarithmic else np.linspace
             values = space(self.start, self.stop, self.count)
-        if self.whole and (values != np.rint(values)).any():
-            value = values[values != np.rint(values)][0]
+        if not self.whole:
+            return values
+        whole = _nearest_whole(values)
+        if np.isnan(whole).any():
+            value = values[np.isnan(whole)][0]
             raise SceneError(f"--vary {self.key}: {value:g} is no whole number; write a list, or another COUNT")
-        return values
+        return whole
 
     def drawn(self, shares: np.ndarray) -> np.ndarray:
         """(n,) values at (n,) shares 0 ... 1 of the range; of a list as many of each as may be."""
@@ -121,13 +128,13 @@ def parse_vary(scene: Scene, text: str) -> Varied:
     pieces = said.removeprefix("log:").split(":")
     try:
         if len(pieces) == 1 and not logarithmic:
-            listed = tuple(_number(piece) for piece in said.split(","))
+            listed = tuple(_number(piece, key, whole) for piece in said.split(","))
             if len(set(listed)) < len(listed):
                 raise ValueError("a value is there twice")
             return Varied(key, min(listed), max(listed), len(listed), listed=listed, whole=whole)
         if len(pieces) not in (2, 3):
             raise ValueError(FORM)
-        start, stop = (_number(piece) for piece in pieces[:2])
+        start, stop = (_number(piece, key, whole) for piece in pieces[:2])
         count = _count(pieces[2]) if len(pieces) == 3 else None
     except ValueError as error:
         raise SceneError(f"{shown}: {error}") from None
@@ -137,8 +144,6 @@ def parse_vary(scene: Scene, text: str) -> Varied:
         raise SceneError(f"{shown}: the range has no inside; write different START and STOP")
     if not math.isfinite(stop - start):
         raise SceneError(f"{shown}: the range is too wide for a number")
-    if whole and (start, stop) != (round(start), round(stop)):
-        raise SceneError(f"{shown}: {key} holds whole numbers; write such")
     return Varied(key, start, stop, count, logarithmic, whole=whole)
 
 
@@ -170,14 +175,31 @@ def make_plan(varied: Sequence[Varied], samples: int | None = None, seed: int = 
     return Plan(keys, tuple(one.values() for one in varied), logarithmic)
 
 
-def _number(text: str) -> float:
+def _nearest_whole(values: np.ndarray) -> np.ndarray:
+    """The whole numbers that values are but for rounding; NaN where one is none."""
+    nearest = np.rint(values)
+    near = np.minimum(NEAR_WHOLE * np.abs(nearest), MOST_NEAR)
+    return np.where(np.abs(values - nearest) <= near, nearest, np.nan)
+
+
+def _number(text: str, key: str, whole: bool) -> float:
     try:
         value = math.nan if "_" in text else float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
         raise ValueError(f"{text[:40]!r} is no number; {FORM}")
-    return value
+    if not whole:
+        return value
+    if abs(value) > LARGEST_WHOLE:
+        raise ValueError(
+            f"{text[:40].strip()} is beyond ±{LARGEST_WHOLE} (2^53 - 1), where a sweep's numbers, which are float64, "
+            f"cannot hold every whole number of {key}"
+        )
+    nearest = float(_nearest_whole(np.array(value)))
+    if math.isnan(nearest):
+        raise ValueError(f"{key} holds whole numbers; write such")
+    return nearest
 
 
 def _count(text: str) -> int:

@@ -23,6 +23,8 @@ from warp_plate.solve.devices import find_device, processor_of
 
 # Told after each point: points done, in all, and what was found or refused, in a word.
 Told = Callable[[int, int, str], object]
+# Told in one line that points go on on another processor.
+Elsewhere = Callable[[str], object]
 # Takes what there is so far; whether the sweep is at its end or was interrupted.
 Keep = Callable[[Sweep, bool], object]
 MOST_MODES = 1000
@@ -51,7 +53,7 @@ def sweep(
         vary: KEY=START:STOP:COUNT, KEY=log:START:STOP:COUNT or KEY=a,b,c each, in the words of ``--vary``.
         what: of ``search.figures.FIGURES``; count: how many modes.
         samples, seed: draw so many points from a Latin hypercube instead of the full grid.
-        device, path: see :class:`PlateSolver`.
+        device, path: see :class:`PlateSolver`; a pool's workers have its device, and this one is not read.
         told: called after each point.
         pool: whose workers run the points, see ``cluster.pool``; left out: this process.
 
@@ -61,13 +63,15 @@ def sweep(
         SceneError: ``--vary`` or ``what`` is wrong; or all points are refused.
     """
     plan = vary if isinstance(vary, Plan) else make_plan([parse_vary(scene, one) for one in vary], samples, seed)
-    return run_sweep(begin_sweep(scene, plan, what, device, path, source, count), told, None, pool)
+    here = device if pool is None else "auto"
+    return run_sweep(begin_sweep(scene, plan, what, here, path, source, count), told, None, pool)
 
 
 def begin_sweep(
     scene: Scene, plan: Plan, what: str, device: str = "auto", path: str = "auto", source: str = "", count: int = 6
 ) -> Sweep:
-    """A sweep of which no point is run yet; for the arguments see :func:`sweep`.
+    """A sweep of which no point is run yet; for the arguments see :func:`sweep`. device: "auto" where a pool's workers
+    will run its points, who say on what.
 
     Raises:
         SceneError: no such figures or device, or a file that the scene names is missing.
@@ -86,6 +90,7 @@ def begin_sweep(
         count=count,
         device=found.alias,
         processor=processor_of(found),
+        earlier="",
         path=path,
         outputs=outputs,
         values={name: np.full((len(plan), *((count,) if one.axis else ())), np.nan) for name, one in outputs.items()},
@@ -96,20 +101,30 @@ def begin_sweep(
     )
 
 
-def run_sweep(begun: Sweep, told: Told | None = None, keep: Keep | None = None, pool: Pool | None = None) -> Sweep:
+def run_sweep(
+    begun: Sweep,
+    told: Told | None = None,
+    keep: Keep | None = None,
+    pool: Pool | None = None,
+    elsewhere: Elsewhere | None = None,
+) -> Sweep:
     """Run the points that are left. What is found at a point depends on nothing but its scene and the kind of device,
     so that a sweep that goes on, or whose points are run elsewhere, gives the same to the last bit.
 
     Args:
         told: called after each point; keep: after each point too, and with True where Ctrl-C or an error ends the run.
-        pool: see :func:`sweep`.
+        pool: see :func:`sweep`. elsewhere: told where its workers have another processor than the points that are done
+            were run on; left out: that is refused.
 
     Raises:
-        SceneError: all points are refused; the first one's reason. WorkersGone: see there, after ``keep`` was called.
+        SceneError: all points are refused; the first one's reason. Or workers are not alike, or have another processor.
+        WorkersGone: see there, after ``keep`` was called.
         KeyboardInterrupt: Ctrl-C, after ``keep`` was called.
     """
     values = {name: one.copy() for name, one in begun.values.items()}
     status, reasons, started = begun.status.copy(), dict(begun.reasons), time.perf_counter()
+    if pool is not None and len(begun.left) == len(begun.plan):
+        begun = replace(begun, device="", processor="")  # which the workers say
 
     def now() -> Sweep:
         spent = begun.seconds + time.perf_counter() - started
@@ -122,6 +137,9 @@ def run_sweep(begun: Sweep, told: Told | None = None, keep: Keep | None = None, 
             for done in range(total - len(left) + 1, total + 1):
                 with let_through():
                     found = next(points)
+                if found.processor:
+                    _refuse_elsewhere(begun, found, elsewhere)
+                    begun = begun.gone_on(found.device, found.processor)
                 if found.values is None:
                     reasons[found.point] = found.reason
                 else:
@@ -139,6 +157,21 @@ def run_sweep(begun: Sweep, told: Told | None = None, keep: Keep | None = None, 
     if (status == REFUSED).all():
         raise SceneError(all_refused(now()))
     return now()
+
+
+def _refuse_elsewhere(begun: Sweep, found: Found, elsewhere: Elsewhere | None) -> None:
+    """Nothing where a point was run on the processor of those before it; else a line, or refused."""
+    if begun.processor in ("", found.processor):
+        return
+    before, now = f"{begun.device} ({begun.processor})", f"{found.device} ({found.processor})"
+    words = f"began on {before} and goes on on {now}, which rounds in another way"
+    if elsewhere is None:
+        kind = found.device.partition(":")[0]
+        raise SceneError(
+            f"the sweep {words}, so the result would not be the same to the last bit: take workers of the first kind, "
+            f"or name theirs to go on all the same, --device {kind}"
+        )
+    elsewhere(f"the sweep {words}: the result may differ")
 
 
 def all_refused(found: Sweep) -> str:

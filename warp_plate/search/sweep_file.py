@@ -62,11 +62,12 @@ def unfinished_sweep(path: Path) -> Sweep | None:
     return None if found is None or found.finished else found
 
 
-def continued(begun: Sweep, device: str | None = None) -> Sweep:
-    """A sweep as it goes on here.
+def continued(begun: Sweep, device: str | None = None, there: bool = False) -> Sweep:
+    """A sweep as it goes on.
 
     Args:
-        device: another one than it began on: its rounding may be another; left out: one of the same kind.
+        device: of this process, another than it began on: its rounding may be another; left out: one of the same kind.
+        there: the points that are left run on a pool's workers instead, who say on what (see ``run_sweep``).
 
     Raises:
         SceneError: there is no such device any more, or a file that the scene names is missing or another.
@@ -74,5 +75,12 @@ def continued(begun: Sweep, device: str | None = None) -> Sweep:
     for key, digest in digests(begun.scene).items():
         if begun.files.get(key) != digest:
             raise SceneError(f"{key}: the file holds something else than when the sweep began")
-    found = find_device(same_device(begun.device, begun.processor, "sweep") if device is None else device)
-    return replace(begun, device=found.alias, processor=processor_of(found), versions=with_earlier(begun.versions))
+    if begun.finished:
+        return begun
+    begun = replace(begun, versions=with_earlier(begun.versions))
+    if there:
+        return begun
+    if device is None:
+        device = same_device(begun.device, begun.processor, "sweep") if begun.processor else "auto"
+    found = find_device(device)
+    return begun.gone_on(found.alias, processor_of(found))

@@ -14,9 +14,10 @@ import warp as wp
 
 import warp_plate
 from warp_plate.cluster.frames import encode
-from warp_plate.cluster.pool import Pool, Task
+from warp_plate.cluster.pool import Answer, Pool, Task
 from warp_plate.cluster.recipe import DEVICE, contents_of, scene_in
 from warp_plate.cluster.spread import spread
+from warp_plate.cluster.work import perform
 from warp_plate.result.sweep import Sweep
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import with_numbers
@@ -31,26 +32,44 @@ _SCENES: OrderedDict[str, tuple[Scene, TemporaryDirectory[str]]] = OrderedDict()
 
 
 class Found(NamedTuple):
-    """What became of a point: its figures, or why it was refused."""
+    """What became of a point: its figures, or why it was refused; and on what, "" where it was given up."""
 
     point: int
     values: Values | None
     reason: str
+    device: str = ""
+    processor: str = ""
 
 
-def run_point(scene: Scene, numbers: Mapping[str, float], what: str, options: Options, point: int) -> Found:
-    """The figures of a scene with other numbers."""
+def run_point(payload: Mapping[str, Any]) -> dict[str, Any]:
+    """The figures of a scene with other numbers.
+
+    payload: "scene", "numbers", "what", "device", "path", "count".
+
+    Returns "values", None where the point is refused, "reason", "device", and "made", which says on what.
+
+    Raises:
+        SceneError: no such device.
+    """
+    device = find_device(payload["device"] or "auto")
+    made = {"warp_plate": warp_plate.__version__, "warp": wp.config.version, "processor": processor_of(device)}
+    options = Options(device.alias, payload["path"], payload["count"])
+    values: Values | None = None
+    reason = ""
     try:
-        return Found(point, FIGURES[what].of(with_numbers(scene, numbers), options), "")
+        values = FIGURES[payload["what"]].of(with_numbers(payload["scene"], payload["numbers"]), options)
     except SceneError as error:
-        return Found(point, None, str(error))
+        reason = str(error)
+    return {"values": values, "reason": reason, "device": device.alias, "made": made}
 
 
 def run_here(begun: Sweep, points: Sequence[int]) -> Iterator[Found]:
-    """One point after the other in this process. Points whose kernels have the same compile key share them."""
-    options = Options(begun.device, begun.path, begun.count)
+    """One point after the other in this process, as a worker does them: one that runs out of memory is given up. Points
+    whose kernels have the same compile key share them."""
+    common = {**_common(begun), "scene": begun.scene, "device": begun.device}
     for point in points:
-        yield run_point(begun.scene, begun.plan.numbers(point), begun.what, options, point)
+        payload = {**common, "numbers": begun.plan.numbers(point)}
+        yield _found(point, Answer(**perform(f"{__name__}:run_point", payload)))
 
 
 def run_there(begun: Sweep, points: Sequence[int], pool: Pool) -> Iterator[Found]:
@@ -59,11 +78,11 @@ def run_there(begun: Sweep, points: Sequence[int], pool: Pool) -> Iterator[Found
     attempts.
 
     Raises:
-        SceneError: workers differ in kind or version from each other. WorkersGone: see there.
+        SceneError: workers differ in kind or version from each other, or have no such device. WorkersGone: see there.
     """
     base = {"text": dump_scene(begun.scene), "files": contents_of(begun.scene)}
     digest = hashlib.sha256(b"".join(encode(base))).hexdigest()
-    common = {"digest": digest, "what": begun.what, "path": begun.path, "count": begun.count, "device": pool.device}
+    common = {**_common(begun), "digest": digest, "device": pool.device}
 
     def with_scene(task: Task, value: Mapping[str, Any]) -> Task | None:
         return replace(task, payload={**task.payload, "base": base}) if "need" in value else None
@@ -72,11 +91,9 @@ def run_there(begun: Sweep, points: Sequence[int], pool: Pool) -> Iterator[Found
     first: Mapping[str, str] = {"warp_plate": warp_plate.__version__, "warp": wp.config.version}
     for task, answer in spread(pool, tasks, again=with_scene):
         if answer.fault == "wrong":
-            raise SceneError(answer.text)
-        if answer.fault:
-            yield Found(task.place, None, f"given up: {answer.text}")
-            continue
-        made = answer.value["made"]
+            raise SceneError(f"a worker: {answer.text}")
+        found = _found(task.place, answer)
+        made = answer.value.get("made", first)  # none where the point is given up
         for name, value in made.items():
             if value != first.get(name, value):
                 raise SceneError(
@@ -84,7 +101,7 @@ def run_there(begun: Sweep, points: Sequence[int], pool: Pool) -> Iterator[Found
                     "way; make them alike"
                 )
         first = made
-        yield Found(task.place, answer.value["values"], answer.value["reason"])
+        yield found
 
 
 def run_task(payload: Mapping[str, Any]) -> dict[str, Any]:
@@ -93,8 +110,7 @@ def run_task(payload: Mapping[str, Any]) -> dict[str, Any]:
     payload: "digest" of the scene; "base", itself as text and the files that it names, where this worker may not know
     it; "numbers", "what", "device", "path", "count".
 
-    Returns {"need": digest} where the scene is not known here; else "values", None where the point is refused,
-    "reason", and "made", which says on what.
+    Returns {"need": digest} where the scene is not known here; else what ``run_point`` does.
 
     Raises:
         SceneError: no such device.
@@ -109,9 +125,23 @@ def run_task(payload: Mapping[str, Any]) -> dict[str, Any]:
     _SCENES[digest] = known
     while len(_SCENES) > MOST_SCENES:
         _SCENES.popitem(last=False)[1][1].cleanup()
-    device = os.environ.get(DEVICE) or payload["device"]
-    options = Options(device, payload["path"], payload["count"])
-    found = run_point(known[0], payload["numbers"], payload["what"], options, 0)
-    processor = processor_of(find_device(device))
-    made = {"warp_plate": warp_plate.__version__, "warp": wp.config.version, "processor": processor}
-    return {"values": found.values, "reason": found.reason, "made": made}
+    return run_point({**payload, "scene": known[0], "device": os.environ.get(DEVICE) or payload["device"]})
+
+
+def _common(begun: Sweep) -> dict[str, Any]:
+    """Of the payloads of all points."""
+    return {"what": begun.what, "path": begun.path, "count": begun.count}
+
+
+def _found(point: int, answer: Answer) -> Found:
+    """Of an answer; a point that no attempt came to an end with is given up.
+
+    Raises:
+        SceneError: the answer is that the task is wrong.
+    """
+    if answer.fault == "wrong":
+        raise SceneError(answer.text)
+    if answer.fault:
+        return Found(point, None, f"given up: {answer.text}")
+    value = answer.value
+    return Found(point, value["values"], value["reason"], value.get("device", ""), value["made"]["processor"])
