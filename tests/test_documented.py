@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from warp_plate import Scene
+from warp_plate import PlateSolver, Scene
+from warp_plate.cluster.blocks import BLOCK_NODE_STEPS, plates_of_block
 from warp_plate.scene.search import Search
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -54,3 +55,12 @@ def test_targets_and_searches_have_rows_of_their_own():
     ):
         cells = [cell for head, cell in rows() if under in head]
         assert not [key for key in keys if not any(f"`{key}`" in cell for cell in cells)]
+
+
+def test_the_page_on_scaling_has_the_blocks_of_the_code():
+    words = " ".join((DOCS / "scaling.md").read_text(encoding="utf-8").split())
+    solver = PlateSolver(Scene.load("paper"), "cpu")
+    cpu, cuda = (plates_of_block(solver.node_steps_per_plate, kind) for kind in ("cpu", "cuda"))
+    assert f"about {BLOCK_NODE_STEPS['cpu']:.0e}".replace("e+0", "e") + f" node-steps on a CPU ({cpu} plates" in words
+    assert f"{BLOCK_NODE_STEPS['cuda']:.1e}".replace("e+0", "e") + f" on a GPU ({cuda} plates" in words
+    assert f"{2 * cpu} plates of the paper's scene for a CPU worker, {2 * cuda} for a GPU" in words
