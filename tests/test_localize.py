@@ -5,6 +5,7 @@ import pytest
 from pydantic import ValidationError
 
 from warp_plate import Scene, SceneError, localize
+from warp_plate.cluster.pool import Here
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.search.simulate import simulate
 
@@ -113,6 +114,14 @@ def test_the_paper_s_search_by_plates():
     assert result.evaluator == "direct"
     steps, moving = 1250, 25 * 25
     assert result.node_steps >= 1600 * steps * moving
+
+
+@pytest.mark.parametrize("evaluator", ["direct", "response"])
+def test_workers_that_have_nothing_to_do_are_named_so(evaluator, scene):
+    made = scene(nodes=(9, 9), window=(0.002, 0.004), search={"particles": 3, "iterations": 2})
+    result = localize(made, device="cpu", evaluator=evaluator, estimate=False, pool=Here())
+    assert ("plates of the search on this process" in result.device) == (evaluator == "direct")
+    assert ("nothing to do" in result.device) == (evaluator == "response")
 
 
 def test_ctrl_c_keeps_the_best_so_far(device, path, scene):

@@ -271,7 +271,11 @@ def device_name(device: wp.Device) -> str:
 
 def of_pool(problem: Problem) -> str:
     """For people, behind ``device_name``: where the plates of the search ran, if not there."""
-    return "" if problem.pool is None else f", plates of the search on {problem.pool.words}"
+    if problem.pool is None:
+        return ""
+    if problem.evaluator == "response":
+        return f"; {problem.pool.words}: nothing to do, for Gram matrices run no plates of the search"
+    return f", plates of the search on {problem.pool.words}"
 
 
 def versions() -> dict[str, str]:
