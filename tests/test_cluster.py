@@ -10,7 +10,7 @@ import pytest
 from warp_plate import PlateSolver, SceneError, localize
 from warp_plate.cli.main import main
 from warp_plate.cluster import blocks
-from warp_plate.cluster.pool import Task, open_pool
+from warp_plate.cluster.pool import Here, Task, open_pool
 from warp_plate.cluster.processes import Processes
 from warp_plate.cluster.solver import SpreadSolver
 from warp_plate.cluster.spread import spread
@@ -131,6 +131,15 @@ def test_files_that_a_scene_names_go_with_it(tmp_path, pools, scene, random):
     solver, expected = SpreadSolver(pools[1], made, "cpu"), PlateSolver(made, "cpu").run(drives)
     (tmp_path / "pulse.csv").unlink()
     assert_same(solver.run(drives), expected)
+
+
+def test_a_design_that_is_refused_has_its_number_in_the_batch(scene, random, small_blocks):
+    made = scene((9, 9), **SCENES["own"])
+    designs = designs_for(made, random)
+    designs.frequency[70] = -1.0
+    for solver in (PlateSolver(made, "cpu", own=own_of(made)), SpreadSolver(Here(), made, "cpu", own=own_of(made))):
+        with pytest.raises(SceneError, match=r"designs\.frequency: -1\.0 of actuator .* on plate 70;"):
+            solver.run(designs)
 
 
 def searched(scene, **search):

@@ -77,6 +77,8 @@ class SpreadSolver(PlateSolver):
         if len(times) or len(points):
             return super().run(drives, times, points, progress)
         batch = drives if isinstance(drives, Batch) else Designs(as_phasors(drives, len(self.scene.actuators)))
+        if isinstance(batch, Designs):
+            self._checked(batch)  # a worker would name a plate by its number in the block
         plates, regions = len(batch), self.specialized.regions
         energy, node_steps = np.full((plates, len(regions)), np.nan), 0
         faults: dict[int, tuple[str, float]] = {}
