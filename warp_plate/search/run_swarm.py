@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.cluster.pool import WorkersGone
 from warp_plate.plate.blocks import GrowingRows
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.scene.errors import SceneError
@@ -51,8 +50,7 @@ def run_search(
 
     Args:
         begun: the search until now; problem: made from its scene.
-        told: called after each iteration; checkpoints: written when due, and when Ctrl-C ends the search or
-            workers are gone.
+        told: called after each iteration; checkpoints: written when due, and when Ctrl-C or an error ends the search.
 
     Raises:
         SceneError: the checkpoint does not fit its scene. WorkersGone: see there.
@@ -101,7 +99,7 @@ def run_search(
         except KeyboardInterrupt:
             save()
             return searcher, True
-        except WorkersGone:
+        except Exception:  # such as WorkersGone
             save()
             raise
     return searcher, False
