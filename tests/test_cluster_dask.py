@@ -11,13 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_cluster import assert_same, assert_same_result, drives_of, searched
+from test_cluster import assert_same, assert_same_result, doubled, drives_of, searched
+from test_cluster_faults import LINE, failing, starved
 
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, localize, resume
 from warp_plate.cluster import blocks, dask
 from warp_plate.cluster.pool import Here, Task, WorkersGone, open_pool
 from warp_plate.cluster.solver import SpreadSolver
-from warp_plate.cluster.spread import spread
+from warp_plate.cluster.spread import ATTEMPTS, spread
 
 pytest.importorskip("distributed")
 LISTENS = "0A"
@@ -110,13 +111,68 @@ def raises_import_error(payload):
 
 @pytest.mark.slow
 def test_a_task_that_no_worker_survives(pool):
-    ((_, answer),) = spread(pool, [Task(ends, {})])
+    """Those that wait with it are not to blame, as Dask has it."""
+    tasks = [Task(ends, {}, "ends"), *(Task(doubled, {"value": one}, one) for one in range(9))]
+    found = {task.place: answer for task, answer in spread(pool, tasks)}
+    answer = found.pop("ends")
     assert (answer.fault, answer.text) == ("lost", "its workers ended")
+    assert {one: answer.value["twice"] for one, answer in found.items()} == {one: 2 * one for one in range(9)}
 
 
-def test_a_worker_without_this_program_is_one_line(pool):
-    with pytest.raises(SceneError, match="cannot import absent: install the same warp-plate on every worker"):
-        list(spread(pool, [Task(raises_import_error, {})]))
+def test_a_task_under_which_a_worker_ended_is_alone_with_the_next(pool, monkeypatch):
+    """Else the end of that would count against others too."""
+    monkeypatch.setattr(pool, "_threads", {"one": 1, "other": 1})
+    assert pool.free() == 4
+    assert pool.free(Task(number, {}, attempts=1)) == 2
+    pool.submit(Task(number, {"seconds": 0}, attempts=1))
+    assert pool.free() == 1
+    pool.abandon()
+    assert pool.free() == 4
+
+
+def test_what_tasks_raise_is_one_line(pool):
+    """A module that a worker lacks, at once; what no task should raise, after it was tried elsewhere."""
+    tasks = [Task(raises_import_error, {}), *(Task(failing, {"value": value}, value) for value in range(5))]
+    found = {task.place: answer for task, answer in spread(pool, tasks)}
+    line = "a worker cannot import absent: install the same warp-plate on every worker"
+    assert (found[None].fault, found[None].text) == ("wrong", line)
+    assert (found[3].fault, found[3].text) == ("lost", LINE)
+    assert [found[at].value.get("twice") for at in range(5)] == [0, 2, 4, None, 8]
+    assert tasks[4].attempts == ATTEMPTS
+
+
+def test_a_worker_without_memory_costs_no_plate_where_another_has_it(pool, scene, random, small_blocks, monkeypatch):
+    monkeypatch.setattr(blocks, "run_block", starved)
+    made, drives = scene((9, 9), damping=20.0), drives_of(random)
+    drives[:, 0] = numbers(pool)[0]
+    solver, expected = SpreadSolver(pool, made, "cpu"), PlateSolver(made, "cpu").run(drives)
+    assert_same(solver.run(drives), expected)
+    assert not solver.lost
+
+
+def test_what_is_for_a_worker_that_is_gone_waits_for_another(pool, monkeypatch):
+    monkeypatch.setattr(pool, "_threads", {"tcp://127.0.0.1:1": 1})
+    ticket = pool.submit(Task(doubled, {"value": 1}, avoid=("another",)))
+    monkeypatch.setattr(pool, "_looked", 0.0)
+    ((heard, answer),) = pool.wait(0.1)
+    assert (heard, answer.fault) == (ticket, "waiting")
+    assert "tcp://127.0.0.1:1" not in pool._threads
+
+
+def leaves_a_mark(payload):
+    time.sleep(0.5)
+    Path(payload["folder"], str(payload["at"])).touch()
+    return {}
+
+
+def test_what_waits_is_dropped_with_whoever_wanted_it(pool, tmp_path):
+    """But for what workers are at; and no answer of it comes later."""
+    for at in range(6):
+        pool.submit(Task(leaves_a_mark, {"folder": str(tmp_path), "at": at}))
+    pool.abandon()
+    assert pool.wait(0.5) == []
+    numbers(pool)
+    assert len(list(tmp_path.iterdir())) <= 2
 
 
 def test_no_scheduler_is_one_line(monkeypatch):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_cluster import PLATES, assert_same, assert_same_result, drives_of, searched
+from test_cluster import PLATES, assert_same, assert_same_result, doubled, drives_of, searched
 
 from warp_plate import (
     CheckpointFile,
@@ -24,10 +24,10 @@ from warp_plate import (
 )
 from warp_plate.cli.main import main
 from warp_plate.cluster import blocks, pool, processes, work
-from warp_plate.cluster.pool import Here, WorkersGone
+from warp_plate.cluster.pool import Answer, Here, Task, WorkersGone, fittest
 from warp_plate.cluster.processes import Processes
 from warp_plate.cluster.solver import SpreadSolver
-from warp_plate.cluster.spread import ATTEMPTS
+from warp_plate.cluster.spread import ATTEMPTS, spread
 from warp_plate.scene.load import dump_scene
 
 
@@ -85,13 +85,99 @@ def test_a_worker_that_stands_still_holds_nobody(scene, random, small_blocks):
     with closing(Processes(["cpu", "cpu"])) as workers:
         solver = SpreadSolver(workers, made, "cpu")
         solver.run(drives)
-        while workers.idle < 2:
+        while workers.idle() < 2:
             workers.wait(0.1)
         os.kill(workers.processes[0], signal.SIGSTOP)
         assert_same(solver.run(drives), expected)
         os.kill(workers.processes[0], signal.SIGCONT)
         assert_same(solver.run(drives), expected)
         assert solver.node_steps == 3 * expected.node_steps
+        # Nor does what is too large for its pipe hold who writes it.
+        while workers.idle() < 2:
+            workers.wait(0.1)
+        standing, started = workers.processes[0], time.perf_counter()
+        os.kill(standing, signal.SIGSTOP)
+        timer = threading.Timer(10, os.kill, (standing, signal.SIGCONT))
+        timer.start()
+        large = np.arange(processes.PIPE_BYTES / 2)
+        found = list(spread(workers, [Task(doubled, {"value": large + one}, one) for one in range(5)]))
+        assert time.perf_counter() - started < 8
+        timer.cancel()
+        os.kill(standing, signal.SIGCONT)
+        assert sorted(task.place for task, _ in found) == list(range(5))
+        assert all(np.array_equal(answer.value["twice"], 2 * (large + task.place)) for task, answer in found)
+
+
+def replaced(workers, before):
+    """Whether one of these processes is another after some time."""
+    for _ in range(100):
+        if set(workers.processes) != set(before):
+            return True
+        workers.wait(0.1)
+    return False
+
+
+def test_a_task_under_which_a_worker_ended_has_the_next_for_itself(two):
+    """Which may have begun two tasks as it ends: who is to blame is known of one alone."""
+    while two.idle() < 2:
+        two.wait(0.1)
+    assert (two.free(), two.free(Task(doubled, {}, attempts=1))) == (4, 2)
+    two.submit(Task(doubled, {"value": 1}, attempts=1))
+    assert (two.free(), two.free(Task(doubled, {}, attempts=1))) == (2, 1)
+    while two.idle() < 2:
+        two.wait(0.1)
+    assert two.free() == 4
+
+
+def test_what_is_half_said_is_never_waited_for(two, monkeypatch):
+    """Ctrl-C as a worker is given its first task, and a frame that is none: that worker is started again."""
+    real, before = two.submit, two.processes
+
+    def interrupted(task):
+        real(task)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(two, "submit", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        list(spread(two, [Task(doubled, {"value": 1})]))
+    monkeypatch.undo()
+    assert replaced(two, before)
+    before = two.processes
+    two._workers[0].outbox.put([b"\1" + bytes(7) + b"{"])
+    assert replaced(two, before)
+    ((_, answer),) = spread(two, [Task(doubled, {"value": 2})])
+    assert answer.value["twice"] == 4
+
+
+LINE = "RuntimeError: CUDA error 700: an illegal memory access"
+
+
+def failing(payload):
+    """As a task is whose GPU has no context any more, or that meets a mistake of this program's."""
+    if payload["value"] == 3:
+        raise RuntimeError("CUDA error 700: an illegal memory access\nmore of it")
+    return doubled(payload)
+
+
+def test_an_error_that_no_task_should_raise_is_tried_elsewhere_and_named(two, monkeypatch):
+    """The process that it was in is another's, since it may be good for nothing; what waited there is not to blame."""
+    monkeypatch.setattr("warp_plate.cluster.spread.ATTEMPTS", 2)
+    before = two.processes
+    tasks = [Task(failing, {"value": value}, value) for value in range(8)]
+    found = {task.place: answer for task, answer in spread(two, tasks)}
+    assert (found[3].fault, found[3].text) == ("lost", LINE)
+    assert [found[at].value.get("twice") for at in range(8)] == [0, 2, 4, None, 8, 10, 12, 14]
+    assert [task.attempts for task in tasks] == [0, 0, 0, 2, 0, 0, 0, 0]
+    assert set(two.processes) != set(before)
+    while two.idle() < 2:
+        two.wait(0.1)
+    tickets, answers = [two.submit(Task(failing, {"value": value})) for value in (3, 1, 2, 4)], {}
+    while len(answers) < 4:
+        answers |= dict(two.wait(0.1))
+    assert [answers[ticket].fault for ticket in tickets] == ["lost", "", "waiting", ""]
+    assert answers[tickets[0]].text == LINE
+    with pytest.raises(RuntimeError, match="illegal memory access"):  # in this process there is nobody else to try
+        list(spread(Here(), tasks))
 
 
 def poisoned(payload):
@@ -109,13 +195,61 @@ def test_a_block_that_no_worker_survives_is_named(two, scene, random, small_bloc
     run, expected = solver.run(drives), PlateSolver(made, "cpu").run(drives)
     lost = slice(64, 128)
     (why,) = solver.lost
-    assert why == f"block given up after {ATTEMPTS} workers: its worker on cpu ended (status 3)"
+    assert why == f"block given up after {ATTEMPTS} attempts: its worker on cpu ended (status 3)"
     assert solver.lost[why] == 64
     assert set(run.status[lost]) == {why}
     assert np.isnan(run.energy[lost]).all()
     kept = np.r_[0:64, 128:PLATES]
     assert run.energy[kept].tobytes() == expected.energy[kept].tobytes()
     assert run.node_steps == len(kept) * solver.node_steps_per_plate
+
+
+def starved(payload):
+    """``run_block`` where the worker has no memory whose process the first drive names."""
+    if len(payload["drives"]) and payload["drives"][0, 0].real == os.getpid():
+        raise RuntimeError("Failed to allocate 999 bytes on device 'cuda:0'")
+    return work.run_block(payload)
+
+
+def test_a_worker_without_memory_costs_no_plate_where_another_has_it(two, scene, random, small_blocks, monkeypatch):
+    """Though it is the quickest to answer."""
+    monkeypatch.setattr(blocks, "run_block", starved)
+    made, drives = scene((9, 9), damping=20.0), drives_of(random, 600)
+    while two.idle() < 2:
+        two.wait(0.1)
+    drives[:, 0] = two.processes[0]
+    solver, expected = SpreadSolver(two, made, "cpu"), PlateSolver(made, "cpu").run(drives)
+    assert_same(solver.run(drives), expected)
+    assert not solver.lost
+
+
+def test_who_gets_a_task_that_workers_failed():
+    names = ("a", "b", "c")
+    for failed, expected in (("", "abc"), ("a", "bc"), ("ab", "c"), ("abc", "a"), ("bca", "b"), ("xc", "ab")):
+        assert fittest(names, Task(doubled, {}, avoid=tuple(failed))) == set(expected)
+    assert fittest(names, None) == set(names)
+    assert fittest((), Task(doubled, {}, avoid=("a",))) == set()
+
+
+class Standing(Here):
+    """A worker that has no memory at first, and another, for which all would wait, that stands still."""
+
+    short = True
+
+    def free(self, task=None):
+        return 0 if task is not None and task.avoid else super().free()
+
+    def wait(self, seconds):
+        if not (self.short and self._tasks):
+            return super().wait(seconds)
+        self.short = False
+        return [(self._tasks.popleft()[0], Answer(fault="memory", worker="a"))]
+
+
+def test_nobody_waits_for_ever_for_a_worker_with_memory(monkeypatch):
+    monkeypatch.setattr("warp_plate.cluster.spread.FIRST_SECONDS", 0.1)
+    ((_, answer),) = spread(Standing(), [Task(doubled, {"value": 2})])
+    assert answer.value["twice"] == 4
 
 
 @pytest.mark.parametrize("most", [20, 0])
@@ -175,22 +309,24 @@ def test_lost_plates_are_in_the_result(tmp_path, two, scene, small_blocks, monke
 class Ends(Here):
     """A pool whose workers are gone after some tasks."""
 
-    def __init__(self, tasks):
+    def __init__(self, tasks, error=WorkersGone):
         super().__init__()
-        self.left = tasks
+        self.left, self.error = tasks, error
 
     def wait(self, seconds):
         self.left -= 1
         if self.left < 0:
-            raise WorkersGone("no worker is left: of a test")
+            raise self.error("no worker is left: of a test")
         return super().wait(seconds)
 
 
-def test_a_search_whose_workers_are_gone_can_go_on(tmp_path, scene, small_blocks):
+@pytest.mark.parametrize("error", [WorkersGone, RuntimeError])
+def test_a_search_whose_workers_are_gone_can_go_on(error, tmp_path, scene, small_blocks):
+    """Whatever it was that ended it."""
     made, path = searched(scene), tmp_path / "panel.checkpoint.h5"
     expected = localize(made, device="cpu", estimate=False)
-    with pytest.raises(WorkersGone, match="of a test"):
-        localize(made, device="cpu", estimate=False, pool=Ends(10), checkpoints=CheckpointFile(path, np.inf))
+    with pytest.raises(error, match="of a test"):
+        localize(made, device="cpu", estimate=False, pool=Ends(10, error), checkpoints=CheckpointFile(path, np.inf))
     begun = load_checkpoint(path)
     assert 0 < begun.iterations < 4
     assert_same_result(resume(begun, "cpu", estimate=False, pool=Here()), expected)

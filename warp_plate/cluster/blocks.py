@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -55,7 +55,7 @@ class Blocks:
 
 
 def halves(task: Task) -> list[Task]:
-    """The task as two of half as many plates; nothing where it has but one."""
+    """The task as two of half as many plates, which may go where it did; nothing where it has but one."""
     first, stop = task.place.start, task.place.stop
     middle = (first + stop) // 2
     if middle == first:
@@ -63,11 +63,8 @@ def halves(task: Task) -> list[Task]:
 
     def part(place: slice) -> Task:
         rows = slice(place.start - first, place.stop - first)
-        return Task(
-            run_block,
-            {name: value[rows] if name in PARTS else value for name, value in task.payload.items()},
-            place,
-        )
+        payload = {name: value[rows] if name in PARTS else value for name, value in task.payload.items()}
+        return replace(task, payload=payload, place=place, attempts=0)
 
     return [part(slice(first, middle)), part(slice(middle, stop))]
 

@@ -9,13 +9,13 @@ import logging
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from warp_plate.cluster.pool import Answer, Task, WorkersGone
-from warp_plate.cluster.work import perform
+from warp_plate.cluster.pool import Answer, Task, WorkersGone, fittest
+from warp_plate.cluster.work import of_error, perform
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ def open_dask(where: str, device: str, tell: Callable[[str], object]) -> Dask:
 
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what it says is said here in one line
     config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"})  # a recipe may name large files
+    config.set({"distributed.scheduler.allowed-failures": 0})  # of a scheduler of ours: attempts are counted here
     cluster = None
     head, _, count = where.partition(":")
     if head == "local" and not (count.isdecimal() and int(count) >= 1):
@@ -67,6 +68,14 @@ def open_dask(where: str, device: str, tell: Callable[[str], object]) -> Dask:
     return pool
 
 
+class _Sent(NamedTuple):
+    """workers: to which alone the scheduler may give it; empty: to any."""
+
+    task: Task
+    future: Future
+    workers: set[str]
+
+
 class Dask:
     """A pool of a scheduler's workers; see ``pool.Pool``."""
 
@@ -75,15 +84,16 @@ class Dask:
         self.device = device
         self._client, self._cluster, self._where = client, cluster, where
         self._events: SimpleQueue[tuple[int, Future]] = SimpleQueue()
-        self._running: dict[int, Future] = {}
-        self._late: dict[int, Future] = {}
+        self._running: dict[int, _Sent] = {}
+        self._late: dict[int, _Sent] = {}
         self._tickets = 0
-        self._slots = self._most = 0
+        self._threads: Mapping[str, int] = {}
+        self._most = 0
         self._looked, self._seen = 0.0, time.monotonic()
         try:
-            while not self._slots:
+            while not self._threads:
                 self._look()
-                time.sleep(0 if self._slots else 0.1)
+                time.sleep(0 if self._threads else 0.1)
         except BaseException:
             self.close()
             raise
@@ -93,22 +103,27 @@ class Dask:
         """See ``Pool``."""
         return f"up to {self._most} Dask worker{'s' if self._most > 1 else ''} of {self._where}"
 
-    @property
-    def free(self) -> int:
-        """See ``Pool``."""
-        return DEPTH * self._slots - len(self._running)
+    def free(self, task: Task | None = None) -> int:
+        """See ``Pool``. A worker's end counts against all that is with it: so that it is known who is to blame, none
+        has two tasks while one runs, or is to run, under which a worker ended before."""
+        tasks = [task, *(sent.task for sent in self._running.values())]
+        depth = 1 if any(one is not None and one.attempts for one in tasks) else DEPTH
+        return depth * self._slots() - len(self._running)
 
-    @property
-    def idle(self) -> int:
+    def idle(self, task: Task | None = None) -> int:
         """See ``Pool``; which worker has which task is the scheduler's affair, so that of several one may be idle."""
-        return max(self._slots - len(self._running), int(self._slots > 1))
+        slots = self._slots(task)
+        return max(slots - len(self._running), int(slots > 1))
 
     def submit(self, task: Task) -> int:
-        """See ``Pool``; the scheduler chooses the worker."""
+        """See ``Pool``; the scheduler chooses among the workers."""
         self._tickets += 1
         ticket = self._tickets
-        future = self._client.submit(perform, task.name, task.payload, pure=False, retries=0)
-        self._running[ticket] = future
+        workers = fittest(self._threads, task) if task.avoid else set[str]()
+        future = self._client.submit(
+            perform_there, task.name, task.payload, pure=False, retries=0, workers=list(workers) or None
+        )
+        self._running[ticket] = _Sent(task, future, workers)
         future.add_done_callback(lambda done: self._events.put((ticket, done)))
         return ticket
 
@@ -116,23 +131,24 @@ class Dask:
         """See ``Pool``."""
         answers = []
         try:
-            answers.append(self._hear(*self._events.get(timeout=seconds)))
+            answers += self._hear(*self._events.get(timeout=seconds))
             while True:
-                answers.append(self._hear(*self._events.get_nowait()))
+                answers += self._hear(*self._events.get_nowait())
         except Empty:
-            self._look()
-        return answers
+            return answers + self._look()
 
     def forget(self, ticket: int) -> None:
         """See ``Pool``: the scheduler still holds its worker for busy, as it is."""
-        future = self._running.pop(ticket, None)
-        if future is not None:  # else it was done just now
-            self._late[ticket] = future
+        sent = self._running.pop(ticket, None)
+        if sent is not None:  # else it was done just now
+            self._late[ticket] = sent
 
     def abandon(self) -> None:
-        """See ``Pool``: nobody wants these futures any more, so that the scheduler drops what waits; what a worker is
-        at, it ends."""
+        """See ``Pool``: the scheduler drops what waits; what a worker is at, it ends."""
+        for sent in (*self._running.values(), *self._late.values()):
+            sent.future.release()  # which its callback holds too
         self._running.clear()
+        self._late.clear()
 
     def close(self) -> None:
         """See ``Pool``: a scheduler that ran before goes on, and so do its workers."""
@@ -140,17 +156,22 @@ class Dask:
         if self._cluster is not None:
             self._cluster.close()
 
-    def _hear(self, ticket: int, future: Future) -> tuple[int, Answer]:
-        self._running.pop(ticket, None)
-        self._late.pop(ticket, None)
-        if future.status == "finished":
-            return ticket, Answer(**future.result())
-        if future.status == "error":
-            return ticket, _of_error(future.exception())
-        return ticket, Answer(fault="lost", text="the scheduler lost it")
+    def _slots(self, task: Task | None = None) -> int:
+        """Threads of the workers that it may go to."""
+        return sum(self._threads[name] for name in fittest(self._threads, task))
 
-    def _look(self) -> None:
-        """Count the workers' threads, now and then.
+    def _hear(self, ticket: int, future: Future) -> list[tuple[int, Answer]]:
+        self._late.pop(ticket, None)
+        if self._running.pop(ticket, None) is None:  # nobody waits for it any more
+            return []
+        if future.status == "finished":
+            return [(ticket, Answer(**future.result()))]
+        if future.status == "error":
+            return [(ticket, _of_error(future.exception()))]
+        return [(ticket, Answer(fault="lost", text="the scheduler lost it"))]
+
+    def _look(self) -> list[tuple[int, Answer]]:
+        """Count the workers' threads, now and then; what was for workers that are gone waits for others.
 
         Raises:
             WorkersGone: no scheduler for some ANSWERS seconds, or no worker for JOINS.
@@ -158,23 +179,35 @@ class Dask:
         from distributed import TimeoutError  # of Python 3.10 another one
 
         now = time.monotonic()
-        if now - self._looked < LOOK and self._slots:
-            return
+        if now - self._looked < LOOK and self._threads:
+            return []
         while True:
             with suppress(OSError, TimeoutError):
                 if self._client.status == "running":
-                    self._slots = sum(self._client.nthreads().values())
+                    self._threads = self._client.nthreads()
                     break
             if self._client.status == "closed" or time.monotonic() - now > 2 * ANSWERS:
                 raise WorkersGone(f"--cluster {self._where}: the scheduler is gone")
             time.sleep(0.1)
-        self._looked, self._most = time.monotonic(), max(self._most, self._slots)
-        if self._cluster is not None and self._slots < self._most:
+        self._looked, self._most = time.monotonic(), max(self._most, self._slots())
+        if self._cluster is not None and self._slots() < self._most:
             self._cluster.scale(self._most)  # workers that ended too often were given up
-        if self._slots:
+        if self._threads:
             self._seen = self._looked
         elif self._looked - self._seen > JOINS:
             raise WorkersGone(f"--cluster {self._where}: the scheduler has had no worker for {JOINS:g} s")
+        bound = {ticket: sent.workers for ticket, sent in self._running.items() if sent.workers}
+        gone = [ticket for ticket, workers in bound.items() if not workers & {*self._threads}]
+        for ticket in gone:
+            self._running.pop(ticket).future.release()
+        return [(ticket, Answer(fault="waiting", text="the workers that it was for are gone")) for ticket in gone]
+
+
+def perform_there(name: str, payload: Mapping[str, Any]) -> dict[str, Any]:
+    """``work.perform`` on a worker, which says who it is."""
+    from distributed import get_worker
+
+    return {**perform(name, payload, caught=True), "worker": get_worker().address}
 
 
 def _local(workers: int) -> LocalCluster:
@@ -206,15 +239,9 @@ def _deaf_to_interrupts() -> Any:
 
 
 def _of_error(error: BaseException) -> Answer:
-    """The answer of a task that raised what is no fault of the task's, or whose workers ended.
-
-    Raises:
-        SceneError: workers lack a module. Anything else that a task raised.
-    """
+    """The answer of a task whose workers ended, or that did not come as far as ``perform``."""
     from distributed import KilledWorker
 
     if isinstance(error, KilledWorker):
-        return Answer(fault="lost", text="its workers ended", final=True)
-    if isinstance(error, ImportError):
-        raise SceneError(f"a worker cannot import {error.name}: install the same warp-plate on every worker")
-    raise error
+        return Answer(fault="lost", text="its workers ended")
+    return Answer(**of_error(error))

@@ -15,11 +15,13 @@ import numpy as np
 LENGTH = 8
 # The one key of the table that stands for an array or for bytes.
 MARK = "\0"
+# One after the other they are a frame; of an array it is the array's own memory.
+Parts = list[bytes | memoryview]
 
 
-def encode(message: Mapping[str, Any]) -> list[bytes | memoryview]:
+def encode(message: Mapping[str, Any]) -> Parts:
     """The parts of a frame."""
-    contents: list[bytes | memoryview] = []
+    contents: Parts = []
 
     def plain(value: Any) -> Any:
         if isinstance(value, Mapping):
@@ -42,8 +44,7 @@ def encode(message: Mapping[str, Any]) -> list[bytes | memoryview]:
 
 def send(message: Mapping[str, Any], stream: IO[bytes]) -> None:
     """Write a frame."""
-    for part in encode(message):
-        stream.write(part)
+    stream.writelines(encode(message))
     stream.flush()
 
 

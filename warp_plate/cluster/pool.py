@@ -8,7 +8,7 @@ these. ``Here`` does tasks in this process; ``processes.Processes`` on several d
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
@@ -19,8 +19,8 @@ from warp_plate.scene.errors import SceneError
 Payload = Mapping[str, Any]
 # Gives the answer's value, or a function that waits for the rest of the work and gives it.
 Function = Callable[[Payload], Mapping[str, Any] | Callable[[], Mapping[str, Any]]]
-# "lost": the worker ended under the task; "waiting": it ended before it came to the task; "memory": it had too little;
-# "wrong": the task is bad input, everywhere the same.
+# "lost": the worker ended under the task, or the task raised what no task should; "waiting": the worker ended before it
+# came to the task; "memory": it had too little; "wrong": the task is bad input, everywhere the same.
 Fault = Literal["", "lost", "waiting", "memory", "wrong"]
 
 
@@ -32,14 +32,16 @@ class WorkersGone(SceneError):
 class Task:
     """What a worker is to do.
 
-    function: of a module's top level, so that a worker finds it by its name; payload: what it is called with. place:
-    the caller's own, to know the answer by. attempts: how many workers ended under it.
+    function: of a module's top level, so that a worker finds it by its name; payload: what it is called with, which
+    stays as it is until its answer has come. place: the caller's own, to know the answer by. attempts: how many workers
+    ended under it. avoid: the workers that failed it, the last one last.
     """
 
     function: Function
     payload: Payload
     place: Any = None
     attempts: int = 0
+    avoid: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -49,12 +51,20 @@ class Task:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a task came to: a value, or a fault and one line about it; final: no other worker should be tried."""
+    """What a task came to: a value, or a fault and one line about it. worker: who answered, where one did."""
 
     value: Mapping[str, Any] = field(default_factory=dict)
     fault: Fault = ""
     text: str = ""
-    final: bool = False
+    worker: str = ""
+
+
+def fittest(workers: Iterable[str], task: Task | None) -> set[str]:
+    """The workers that a task may go to: those that have not failed it, and where there are none, the one that failed
+    it longest ago. It rather waits for one of these than goes to another that is free."""
+    failed = {name: place for place, name in enumerate(() if task is None else task.avoid)}
+    ranks = {name: failed.get(name, -1) for name in workers}
+    return {name for name, rank in ranks.items() if rank == min(ranks.values())}
 
 
 class Pool(Protocol):
@@ -69,16 +79,17 @@ class Pool(Protocol):
     def words(self) -> str:
         """What it is, for people."""
 
-    @property
-    def free(self) -> int:
-        """How many more tasks it takes, some of them to wait with a worker that is not done with another."""
+    def free(self, task: Task | None = None) -> int:
+        """How many more tasks it takes, some of them to wait with a worker that is not done with another; with a task:
+        how many like it, of its ``fittest`` workers. One that was attempted before has a worker of its own, so that it
+        is known what ended that."""
 
-    @property
-    def idle(self) -> int:
-        """How many workers have nothing to do."""
+    def idle(self, task: Task | None = None) -> int:
+        """How many workers have nothing to do; with a task: of its ``fittest``."""
 
     def submit(self, task: Task) -> int:
-        """Give a task to a worker; returns the ticket that its answer will have."""
+        """Give a task to one of its ``fittest`` workers, where ``free`` says that there is room; returns the ticket
+        that its answer will have. It never waits for a worker."""
 
     def wait(self, seconds: float) -> list[tuple[int, Answer]]:
         """Answers that came, after at most so many seconds; of given up tasks too.
@@ -107,12 +118,14 @@ class Here:
 
     words = "this process"
     device = "auto"
-    idle = 0
 
-    @property
-    def free(self) -> int:
+    def free(self, task: Task | None = None) -> int:
         """One at a time."""
         return 1 - len(self._tasks)
+
+    def idle(self, task: Task | None = None) -> int:
+        """See :class:`Pool`."""
+        return 0
 
     def submit(self, task: Task) -> int:
         """See :class:`Pool`."""

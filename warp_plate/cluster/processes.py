@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
 from typing import IO, Any
 
-from warp_plate.cluster.frames import receive, send
-from warp_plate.cluster.pool import Answer, Task, WorkersGone
+from warp_plate.cluster.frames import Parts, encode, receive
+from warp_plate.cluster.pool import Answer, Task, WorkersGone, fittest
 from warp_plate.cluster.recipe import DEVICE
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.devices import find_device
@@ -51,17 +51,26 @@ def device_names(text: str) -> list[str]:
 
 @dataclass(eq=False)
 class _Worker:
-    """tickets: of the task that it is at, and then of those that wait with it."""
+    """tickets: of the task that it is at, and then of those that wait with it. alone: the last was attempted before.
+    outbox: what a thread of its own writes to it, so that nobody else waits for one that reads nothing; None: no more.
+    """
 
     device: str
     process: subprocess.Popen[bytes]
+    outbox: SimpleQueue[Parts | None] = field(default_factory=SimpleQueue)
     tickets: list[int] = field(default_factory=list)
     ready: bool = False
+    alone: bool = False
 
     @property
-    def depth(self) -> int:
-        """How many tasks it should have."""
-        return DEPTH[self.device.partition(":")[0]]
+    def name(self) -> str:
+        """In answers."""
+        return str(self.process.pid)
+
+    def room(self, task: Task | None) -> int:
+        """For how many tasks."""
+        alone = (task is not None and task.attempts > 0) or (self.alone and self.tickets)
+        return (1 if alone else DEPTH[self.device.partition(":")[0]]) - len(self.tickets)
 
 
 class Processes:
@@ -85,24 +94,22 @@ class Processes:
         """Their numbers."""
         return [worker.process.pid for worker in self._workers]
 
-    @property
-    def free(self) -> int:
+    def free(self, task: Task | None = None) -> int:
         """See ``Pool``."""
-        return sum(max(0, worker.depth - len(worker.tickets)) for worker in self._workers if worker.ready)
+        return sum(max(0, worker.room(task)) for worker in self._fit(task))
 
-    @property
-    def idle(self) -> int:
+    def idle(self, task: Task | None = None) -> int:
         """See ``Pool``."""
-        return sum(not worker.tickets and worker.ready for worker in self._workers)
+        return sum(not worker.tickets for worker in self._fit(task))
 
     def submit(self, task: Task) -> int:
         """See ``Pool``; of the workers that have started, the one with the fewest tasks gets it."""
         self._tickets += 1
-        worker = min((one for one in self._workers if one.ready), key=lambda one: len(one.tickets))
+        parts = encode({"ticket": self._tickets, "name": task.name, "payload": task.payload})
+        worker = min((one for one in self._fit(task) if one.room(task) > 0), key=lambda one: len(one.tickets))
         worker.tickets.append(self._tickets)
-        assert worker.process.stdin is not None
-        with suppress(OSError):  # it has ended: whoever listens to it will say so
-            send({"ticket": self._tickets, "name": task.name, "payload": task.payload}, worker.process.stdin)
+        worker.alone = task.attempts > 0
+        worker.outbox.put(parts)
         return self._tickets
 
     def wait(self, seconds: float) -> list[tuple[int, Answer]]:
@@ -129,7 +136,7 @@ class Processes:
     def close(self) -> None:
         """See ``Pool``."""
         for worker in self._workers:
-            _hang_up(worker)
+            worker.outbox.put(None)
         for worker in self._workers:
             try:
                 worker.process.wait(GRACE)
@@ -137,6 +144,11 @@ class Processes:
                 worker.process.kill()
                 worker.process.wait()
         self._workers = []
+
+    def _fit(self, task: Task | None) -> list[_Worker]:
+        """Who may get it now; a worker that has yet to start may be waited for."""
+        names = fittest((worker.name for worker in self._workers), task)
+        return [worker for worker in self._workers if worker.ready and worker.name in names]
 
     def _start(self, device: str) -> None:
         environment, own = dict(os.environ), device
@@ -159,46 +171,48 @@ class Processes:
             _widen(pipe)
         worker = _Worker(device, process)
         self._workers.append(worker)
-        threading.Thread(target=self._listen, args=(worker,), daemon=True).start()
+        for target in (self._listen, _write):
+            threading.Thread(target=target, args=(worker,), daemon=True).start()
 
     def _listen(self, worker: _Worker) -> None:
         """In a thread of its own: hand on what a worker says, and that it has ended."""
         stream = worker.process.stdout
         assert stream is not None
-        with stream:
-            while (message := receive(stream)) is not None:
-                self._events.put((worker, message))
-        worker.process.wait()
-        self._events.put((worker, None))
+        try:
+            with stream:
+                while (message := receive(stream)) is not None:
+                    self._events.put((worker, message))
+        finally:
+            worker.process.kill()  # it has ended, or what it says is no answer
+            worker.process.wait()
+            self._events.put((worker, None))
 
     def _hear(self, worker: _Worker, message: dict[str, Any] | None) -> list[tuple[int, Answer]]:
+        if worker not in self._workers:
+            return []
         if message is None:
-            return self._ended(worker)
+            how = worker.process.returncode
+            why = f"its worker on {worker.device} ended ({f'signal {-how}' if how < 0 else f'status {how}'})"
+            under, worker.tickets = worker.tickets[:1], worker.tickets[1:]
+            return [*((ticket, Answer(fault="lost", text=why)) for ticket in under), *self._ended(worker, why)]
         worker.ready = True
         self._failed_starts[worker.device] = 0
         if "ready" in message:
             return []
         worker.tickets.remove(message["ticket"])
-        return [(message["ticket"], Answer(**message["answer"]))]
+        answer = Answer(**message["answer"], worker=worker.name)
+        return [(message["ticket"], answer), *(self._ended(worker, answer.text) if answer.fault == "lost" else [])]
 
-    def _ended(self, worker: _Worker) -> list[tuple[int, Answer]]:
-        """Start another in the place of one that has ended; its tasks are lost."""
-        if worker not in self._workers:
-            return []
+    def _ended(self, worker: _Worker, why: str) -> list[tuple[int, Answer]]:
+        """Start another in the place of one that has ended, or ends now; what waited with it waits again."""
         self._workers.remove(worker)
-        _hang_up(worker)
-        how = worker.process.returncode
-        why = f"its worker on {worker.device} ended ({f'signal {-how}' if how < 0 else f'status {how}'})"
+        worker.outbox.put(None)
         if not worker.ready:
             self._failed_starts[worker.device] += 1
         if self._failed_starts[worker.device] < STARTS:
             self._start(worker.device)
         self._last = why
-        under, waiting = worker.tickets[:1], worker.tickets[1:]
-        return [
-            *((ticket, Answer(fault="lost", text=why)) for ticket in under),
-            *((ticket, Answer(fault="waiting", text=why)) for ticket in waiting),
-        ]
+        return [(ticket, Answer(fault="waiting", text=why)) for ticket in worker.tickets]
 
 
 def _widen(pipe: IO[bytes] | None) -> None:
@@ -209,7 +223,11 @@ def _widen(pipe: IO[bytes] | None) -> None:
         fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
 
 
-def _hang_up(worker: _Worker) -> None:
-    assert worker.process.stdin is not None
-    with suppress(OSError):  # of what it did not read any more
-        worker.process.stdin.close()
+def _write(worker: _Worker) -> None:
+    """In a thread of its own: what is for a worker, until it is to end."""
+    stream = worker.process.stdin
+    assert stream is not None
+    with suppress(OSError), stream:  # it has ended: whoever listens to it will say so
+        while (parts := worker.outbox.get()) is not None:
+            stream.writelines(parts)
+            stream.flush()

@@ -139,4 +139,4 @@ class SpreadSolver(PlateSolver):
         self._made = self._made or dict(made)
 
     def _failed(self, fault: str, text: str) -> str:
-        return f"block given up: {text}" if fault == "memory" else f"block given up after {ATTEMPTS} workers: {text}"
+        return f"block given up: {text}" if fault == "memory" else f"block given up after {ATTEMPTS} attempts: {text}"

@@ -1,5 +1,5 @@
-"""Tasks over a pool until each is done once: again elsewhere where a worker ended, smaller where memory was short, and
-twice where one worker is much slower than the others."""
+"""Tasks over a pool until each is done once: elsewhere where a worker ended, elsewhere and smaller where memory was
+short, and twice where one worker is much slower than the others."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 from warp_plate.cluster.pool import Answer, Pool, Task
 
-# So many workers may end under a task before it is to blame itself.
+# So many workers may end under a task, or be short of memory, before it is to blame itself.
 ATTEMPTS = 3
 # Where workers are idle, a task is given to a second one after so many times what tasks usually take, and not before
 # so many seconds: a host that slows to a tenth holds the others no longer than that and one task more. Before any task
@@ -47,8 +47,8 @@ def spread(
 
     Args:
         tasks: each is made when a worker has time for it.
-        halves: makes of a task for which memory was short two smaller ones that stand for it, or none where it cannot
-            be cut any more; left out: such a task is tried elsewhere.
+        halves: makes of a task for which memory was short two smaller ones that stand for it, and avoid the same
+            workers; or none where it cannot be cut any more. Such a task is tried elsewhere.
         again: called with a task and its value; a task that it returns is done in its place.
 
     An answer whose fault is "lost" or "memory" comes after all attempts; one that is "wrong" at once. Whoever leaves
@@ -59,17 +59,23 @@ def spread(
     """
     fresh, left = iter(tasks), len(tasks)
     waiting, running, taken = deque[Task](), dict[int, _Flight](), list[float]()
-    done = 0
+    done, heard = 0, time.monotonic()
     try:
         while left or waiting or running:
-            while (waiting or left) and pool.free > 0:
+            while (waiting or left) and pool.free(waiting[0] if waiting else None) > 0:
                 if not waiting:
                     waiting.append(next(fresh))
                     left -= 1
                 task = waiting.popleft()
                 running[pool.submit(task)] = _Flight(task, time.monotonic())
-            _second(pool, running, taken, left + len(waiting))
-            for ticket, answer in pool.wait(LOOK):
+            if not (waiting or left):
+                _second(pool, running, taken)
+            answers = pool.wait(LOOK)
+            if answers:
+                heard = time.monotonic()
+            elif waiting and pool.free() > 0 and heard < _before(taken, FIRST_SECONDS):
+                waiting[0].avoid = ()  # for whom it waits may stand still
+            for ticket, answer in answers:
                 flight = running.pop(ticket, None)
                 if flight is None:  # another worker was quicker
                     continue
@@ -88,21 +94,26 @@ def spread(
                 if pool.told is not None:
                     pool.told(done, done + left + len(waiting) + len({id(other.task) for other in running.values()}))
                 yield flight.task, answer
-    finally:
-        if running:
-            pool.abandon()
+    except BaseException:  # also whoever left the loop
+        pool.abandon()
+        raise
 
 
-def _second(pool: Pool, running: dict[int, _Flight], taken: list[float], waiting: int) -> None:
-    """Give tasks that take long to idle workers too."""
-    if waiting or pool.idle == 0:
-        return
+def _before(taken: list[float], least: float) -> float:
+    """What began before this takes long: more than so many seconds at least."""
     usual = SLOW * statistics.median(taken) if taken else FIRST_SECONDS
-    late = time.monotonic() - max(LEAST_SECONDS, usual)
-    slow = [one for one in running.values() if not one.second and one.since < late]
-    for flight in slow[: pool.idle]:
-        flight.second = True
-        running[pool.submit(flight.task)] = _Flight(flight.task, time.monotonic(), second=True)
+    return time.monotonic() - max(least, usual)
+
+
+def _second(pool: Pool, running: dict[int, _Flight], taken: list[float]) -> None:
+    """Give tasks that take long to idle workers too."""
+    if pool.idle() == 0:
+        return
+    late = _before(taken, LEAST_SECONDS)
+    for flight in [one for one in running.values() if not one.second and one.since < late]:
+        if pool.idle(flight.task) > 0:
+            flight.second = True
+            running[pool.submit(flight.task)] = _Flight(flight.task, time.monotonic(), second=True)
 
 
 def _instead(task: Task, answer: Answer, halves: Halves | None, again: Again | None) -> list[Task]:
@@ -110,11 +121,13 @@ def _instead(task: Task, answer: Answer, halves: Halves | None, again: Again | N
     if answer.fault == "" and again is not None:
         repeated = again(task, answer.value)
         return [] if repeated is None else [repeated]
-    if answer.fault == "memory" and halves is not None:
-        return halves(task)
     if answer.fault == "waiting":
         return [task]
-    if answer.fault in ("lost", "memory") and not answer.final:
-        task.attempts += 1
-        return [task] if task.attempts < ATTEMPTS else []
-    return []
+    if answer.fault not in ("lost", "memory"):
+        return []
+    task.avoid = (*(one for one in task.avoid if one != answer.worker), answer.worker)
+    smaller = halves(task) if answer.fault == "memory" and halves is not None else []
+    if smaller:
+        return smaller
+    task.attempts += 1
+    return [task] if task.attempts < ATTEMPTS else []

@@ -24,29 +24,44 @@ NO_MEMORY = "Failed to allocate"
 _SOLVERS: OrderedDict[str, PlateSolver] = OrderedDict()
 
 
-def begin(name: str, payload: Mapping[str, Any]) -> Callable[[], dict[str, Any]]:
+def begin(name: str, payload: Mapping[str, Any], caught: bool = False) -> Callable[[], dict[str, Any]]:
     """Begin a task, "module:function" by its name; what is returned waits for its end, and gives the fields of the
-    ``pool.Answer``. A task's function may leave a part of its work to a function that it returns."""
-    fields = _answer(lambda: _function(name)(payload))
+    ``pool.Answer``. A task's function may leave a part of its work to a function that it returns.
+
+    caught: what no task should raise is an answer too, which a worker can send; left out: it is raised.
+    """
+    fields = _answer(lambda: _function(name)(payload), caught)
     rest = fields.get("value")
-    return (lambda: _answer(rest)) if callable(rest) else (lambda: fields)
+    return (lambda: _answer(rest, caught)) if callable(rest) else (lambda: fields)
 
 
-def perform(name: str, payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Do a task to its end."""
-    return begin(name, payload)()
+def perform(name: str, payload: Mapping[str, Any], caught: bool = False) -> dict[str, Any]:
+    """Do a task to its end; see ``begin``."""
+    return begin(name, payload, caught)()
 
 
-def _answer(step: Callable[[], Any]) -> dict[str, Any]:
+def _answer(step: Callable[[], Any], caught: bool) -> dict[str, Any]:
     try:
         return {"value": step()}
     except SceneError as error:
         return {"fault": "wrong", "text": str(error)}
-    except (MemoryError, RuntimeError) as error:
-        if isinstance(error, RuntimeError) and not str(error).startswith(NO_MEMORY):
+    except Exception as error:
+        if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and str(error).startswith(NO_MEMORY)):
+            _SOLVERS.clear()  # what they hold may be what is wanting
+            return {"fault": "memory", "text": f"out of memory ({' '.join(str(error).split())})"}
+        if not caught:
             raise
-        _SOLVERS.clear()  # what they hold may be what is wanting
-        return {"fault": "memory", "text": f"out of memory ({' '.join(str(error).split())})"}
+        return of_error(error)
+
+
+def of_error(error: BaseException) -> dict[str, Any]:
+    """The answer for what no task should raise, for which its worker may be to blame."""
+    if isinstance(error, ImportError):
+        return {
+            "fault": "wrong",
+            "text": f"a worker cannot import {error.name}: install the same warp-plate on every worker",
+        }
+    return {"fault": "lost", "text": f"{type(error).__name__}: {str(error).strip()}".partition("\n")[0]}
 
 
 def batch_in(payload: Mapping[str, Any], scene: Scene) -> Batch:
