@@ -24,7 +24,8 @@ from warp_plate import Scene, SceneError
 from warp_plate.bench.machine import busy, describe_machine, describe_versions
 from warp_plate.cluster.blocks import Blocks, plates_of_block
 from warp_plate.cluster.frames import encode
-from warp_plate.cluster.pool import Pool, Task, open_pool
+from warp_plate.cluster.opening import open_pool
+from warp_plate.cluster.pool import Pool, Task
 from warp_plate.cluster.spread import spread
 from warp_plate.cluster.work import run_block
 from warp_plate.plate.designs import Designs

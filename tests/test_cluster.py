@@ -10,7 +10,8 @@ import pytest
 from warp_plate import PlateSolver, SceneError, localize
 from warp_plate.cli.main import main
 from warp_plate.cluster import blocks
-from warp_plate.cluster.pool import Here, Task, open_pool
+from warp_plate.cluster.opening import open_pool
+from warp_plate.cluster.pool import Here, Task
 from warp_plate.cluster.processes import Processes
 from warp_plate.cluster.solver import SpreadSolver
 from warp_plate.cluster.spread import spread

@@ -16,7 +16,8 @@ from test_cluster_faults import LINE, failing, starved
 
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, localize, resume
 from warp_plate.cluster import blocks, dask
-from warp_plate.cluster.pool import Here, Task, WorkersGone, open_pool
+from warp_plate.cluster.opening import open_pool
+from warp_plate.cluster.pool import Here, Task, WorkersGone
 from warp_plate.cluster.solver import SpreadSolver
 from warp_plate.cluster.spread import ATTEMPTS, spread
 
@@ -173,6 +174,14 @@ def test_what_waits_is_dropped_with_whoever_wanted_it(pool, tmp_path):
     assert pool.wait(0.5) == []
     numbers(pool)
     assert len(list(tmp_path.iterdir())) <= 2
+
+
+@pytest.mark.parametrize("text", ["{}", "x", '{"address": 7}', "[1]"])
+def test_a_file_that_no_scheduler_wrote_is_one_line(text, tmp_path):
+    file = tmp_path / "scheduler.json"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(SceneError, match=r"scheduler.json: has no address, so no"), open_pool(None, str(file)):
+        pass
 
 
 def test_no_scheduler_is_one_line(monkeypatch):

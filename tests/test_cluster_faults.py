@@ -23,7 +23,7 @@ from warp_plate import (
     save_result,
 )
 from warp_plate.cli.main import main
-from warp_plate.cluster import blocks, pool, processes, work
+from warp_plate.cluster import blocks, processes, work
 from warp_plate.cluster.pool import Answer, Here, Task, WorkersGone, fittest
 from warp_plate.cluster.processes import Processes
 from warp_plate.cluster.solver import SpreadSolver
@@ -78,7 +78,7 @@ def test_workers_killed_at_random_moments_change_nothing(runs, scene, random, sm
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot stop a process")
-def test_a_worker_that_stands_still_holds_nobody(scene, random, small_blocks):
+def test_a_worker_that_stands_still_holds_nobody(scene, random, small_blocks, monkeypatch):
     """The slowest host that there can be: its block is given to another, and its answer counts for nothing."""
     made, drives = scene((21, 21), damping=20.0, precision="float32"), drives_of(random, 600)
     expected = PlateSolver(made, "cpu").run(drives)
@@ -92,6 +92,14 @@ def test_a_worker_that_stands_still_holds_nobody(scene, random, small_blocks):
         os.kill(workers.processes[0], signal.SIGCONT)
         assert_same(solver.run(drives), expected)
         assert solver.node_steps == 3 * expected.node_steps
+        # Of a single block what blocks took before says that it takes long, and nothing else could.
+        while workers.idle() < 2:
+            workers.wait(0.1)
+        os.kill(workers.processes[0], signal.SIGSTOP)
+        with monkeypatch.context() as only:
+            only.setattr("warp_plate.cluster.spread.FIRST_SECONDS", np.inf)
+            assert_same(solver.run(drives[:64]), PlateSolver(made, "cpu").run(drives[:64]))
+        os.kill(workers.processes[0], signal.SIGCONT)
         # Nor does what is too large for its pipe hold who writes it.
         while workers.idle() < 2:
             workers.wait(0.1)
@@ -339,7 +347,7 @@ def test_the_command_says_how_to_go_on_without_workers(tmp_path, scene, small_bl
 
     monkeypatch.chdir(tmp_path)
     Path("panel.toml").write_text(dump_scene(searched(scene)), encoding="utf-8")
-    monkeypatch.setattr(pool, "open_pool", ends)
+    monkeypatch.setattr("warp_plate.cluster.opening.open_pool", ends)
     with pytest.raises(SystemExit) as left:
         main(["localize", "panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate"])
     assert left.value.code == 2

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from warp_plate import SceneError, load_sweep, sweep
-from warp_plate.cluster.pool import Answer, Here, open_pool
+from warp_plate.cluster.opening import open_pool
+from warp_plate.cluster.pool import Answer, Here
 from warp_plate.cluster.spread import ATTEMPTS
 from warp_plate.plate.modes import natural_modes
 from warp_plate.result.sweep import NOT_RUN, REFUSED, RUN, save_sweep

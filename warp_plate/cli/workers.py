@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 
 def workers(devices: str | None, cluster: str | None, device: str | None) -> AbstractContextManager[Pool | None]:
-    """See ``cluster.pool.open_pool``.
+    """See ``cluster.opening.open_pool``.
 
     Raises:
         SceneError: also for a device beside several.
     """
-    from warp_plate.cluster.pool import open_pool
+    from warp_plate.cluster.opening import open_pool
 
     if devices is not None and device not in (None, "auto"):
         raise SceneError(f"--device {device}: --devices {devices} says where plates run; leave one of them out")

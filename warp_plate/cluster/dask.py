@@ -5,12 +5,14 @@ A worker should have one thread, and a GPU or a core of its own.
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import signal
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -54,6 +56,7 @@ def open_dask(where: str, device: str, tell: Callable[[str], object]) -> Dask:
         elif "://" in where:
             client = distributed.Client(where, timeout=ANSWERS)
         elif os.path.isfile(where):
+            _check_file(where)
             client = distributed.Client(scheduler_file=where, timeout=ANSWERS)
         else:
             raise SceneError(f"--cluster {where}: no such file; must be local:4, tcp://HOST:PORT or a scheduler's file")
@@ -66,6 +69,19 @@ def open_dask(where: str, device: str, tell: Callable[[str], object]) -> Dask:
     if client.dashboard_link:
         tell(f"dashboard of the workers: {client.dashboard_link}")
     return pool
+
+
+def _check_file(where: str) -> None:
+    """Raises SceneError where the file was not written by a scheduler."""
+    try:
+        found = json.loads(Path(where).read_text(encoding="utf-8"))
+    except ValueError:
+        found = None
+    if not (isinstance(found, dict) and isinstance(found.get("address"), str)):
+        raise SceneError(
+            f"--cluster {where}: has no address, so no scheduler wrote it; must be the file of "
+            "dask scheduler --scheduler-file"
+        )
 
 
 class _Sent(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -24,6 +24,9 @@ from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Run
 from warp_plate.solve.solver import PlateSolver, Progress
 from warp_plate.solve.specialize import Quantity
+
+# So many of the last blocks say how long one takes.
+REMEMBERED = 64
 
 
 def solver_on(pool: Pool | None, scene: Scene, device: str = "auto", path: str = "auto", **options: Any) -> PlateSolver:
@@ -61,6 +64,7 @@ class SpreadSolver(PlateSolver):
         self.lost: Counter[str] = Counter()
         self._recipe = recipe_of(scene, pool.device, path, areas, own, quantity, share)
         self._made: dict[str, str] = {}
+        self._taken: deque[float] = deque(maxlen=REMEMBERED)
 
     def run(
         self,
@@ -87,7 +91,7 @@ class SpreadSolver(PlateSolver):
         short = isinstance(batch, Shorthand) and batch.scene is self.scene
         block = plates_of_block(self.node_steps_per_plate, self._made["kind"])
         blocks = Blocks(batch, block, self._recipe.digest, short)
-        for task, answer in spread(self.pool, blocks, halves, self._with_recipe):
+        for task, answer in spread(self.pool, blocks, halves, self._with_recipe, self._taken):
             if answer.fault == "wrong":
                 raise SceneError(answer.text)
             if answer.fault:
@@ -119,7 +123,8 @@ class SpreadSolver(PlateSolver):
         task = Task(run_block, {"digest": self._recipe.digest, "drives": nothing})
         for _, answer in spread(self.pool, [task], again=self._with_recipe):
             if answer.fault:
-                raise SceneError(answer.text if answer.fault == "wrong" else self._failed(answer.fault, answer.text))
+                why = answer.text if answer.fault == "wrong" else self._failed(answer.fault, answer.text)
+                raise SceneError(f"a worker: {why}")
             self._same(answer.value["made"])
 
     def _with_recipe(self, task: Task, value: Mapping[str, Any]) -> Task | None:

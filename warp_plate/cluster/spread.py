@@ -41,7 +41,11 @@ class _Flight:
 
 
 def spread(
-    pool: Pool, tasks: Tasks, halves: Halves | None = None, again: Again | None = None
+    pool: Pool,
+    tasks: Tasks,
+    halves: Halves | None = None,
+    again: Again | None = None,
+    taken: deque[float] | None = None,
 ) -> Iterator[tuple[Task, Answer]]:
     """Each task with its answer, in the order in which they are done; of a task done twice the first answer counts.
 
@@ -50,6 +54,7 @@ def spread(
         halves: makes of a task for which memory was short two smaller ones that stand for it, and avoid the same
             workers; or none where it cannot be cut any more. Such a task is tried elsewhere.
         again: called with a task and its value; a task that it returns is done in its place.
+        taken: seconds that tasks like these took before, to which these are added.
 
     An answer whose fault is "lost" or "memory" comes after all attempts; one that is "wrong" at once. Whoever leaves
     the loop early, by Ctrl-C too, ends what is under way.
@@ -58,7 +63,7 @@ def spread(
         WorkersGone: see there.
     """
     fresh, left = iter(tasks), len(tasks)
-    waiting, running, taken = deque[Task](), dict[int, _Flight](), list[float]()
+    waiting, running, taken = deque[Task](), dict[int, _Flight](), deque() if taken is None else taken
     done, heard = 0, time.monotonic()
     try:
         while left or waiting or running:
@@ -99,13 +104,13 @@ def spread(
         raise
 
 
-def _before(taken: list[float], least: float) -> float:
+def _before(taken: deque[float], least: float) -> float:
     """What began before this takes long: more than so many seconds at least."""
     usual = SLOW * statistics.median(taken) if taken else FIRST_SECONDS
     return time.monotonic() - max(least, usual)
 
 
-def _second(pool: Pool, running: dict[int, _Flight], taken: list[float]) -> None:
+def _second(pool: Pool, running: dict[int, _Flight], taken: deque[float]) -> None:
     """Give tasks that take long to idle workers too."""
     if pool.idle() == 0:
         return

@@ -60,7 +60,7 @@ def localize(
         estimate: whether to estimate the errors of the localization factors at the end.
         checkpoints: where to keep what :func:`resume` goes on from.
         spectrum: whether a search for one frequency of all actuators ends with the factors over its range.
-        pool: runs the plates of the search, see ``cluster.pool.open_pool``; left out: this process.
+        pool: runs the plates of the search, see ``cluster.opening.open_pool``; left out: this process.
 
     A scene with several targets has one search after the other, and a best drive for each (see ``result.crosstalk``).
     A scene with ``grid.accuracy`` gets the grid that keeps it first, for its first target. Ctrl-C ends the search
