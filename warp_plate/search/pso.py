@@ -202,8 +202,8 @@ class Swarm:
         new, own = self._told[rows], self._personal_losses[rows]
         # A particle without a finite loss yet has no place to return to: its own best is where it is.
         better = np.flatnonzero((new < own) | np.isinf(own))
-        own[better] = new[better]
         self._personal_positions[rows][better] = self._positions[rows].take(better, axis=0)
+        own[better] = new[better]
 
     def _stalled(self) -> bool:
         return self.settings.stall is not None and self.iterations - self._improved_at >= self.settings.stall

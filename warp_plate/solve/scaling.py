@@ -1,4 +1,4 @@
-"""From phasors to the factors of the waves, each plate scaled by its own largest pressure, for large batches."""
+"""From phasors to the factors of the waves, each plate scaled by its own largest pressure; and back to joules."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from warp_plate.plate.blocks import over_blocks
 from warp_plate.plate.signals import Signals
+from warp_plate.solve.specialize import Specialized
 
 # Sizes of drives [N/m²] whose energies, which go with the square, are numbers of full precision.
 SMALLEST_DRIVE, LARGEST_DRIVE = 1e-130, 1e130
@@ -34,3 +35,12 @@ def scaled_coefficients(
 
     over_blocks(fill, len(phasors))
     return scale
+
+
+def energy_unit(specialized: Specialized) -> float:
+    """½ρH·hx·hy·(load_scale/Δt)²/steps [J], of displacements without Δt [kg·m²]: turns weighted sums of rate² into
+    energy averaged over the window."""
+    scheme = specialized.scheme
+    (hx, hy), (first, last) = scheme.spacing, scheme.window
+    speed = scheme.load_scale / (scheme.time_step if specialized.quantity == "velocity" else 1.0)
+    return 0.5 * scheme.surface_density * hx * hy * speed**2 / (last - first)

@@ -6,7 +6,8 @@ import itertools
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 
 import numpy as np
@@ -18,9 +19,10 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import load_drives, make_engine, queue_region_sums
+from warp_plate.solve.parts import first_part, part_sizes
 from warp_plate.solve.paths import why_streaming
 from warp_plate.solve.run import Run
-from warp_plate.solve.scaling import scaled_coefficients
+from warp_plate.solve.scaling import energy_unit, scaled_coefficients
 from warp_plate.solve.specialize import Quantity, Specialized, effect_names, specialize
 from warp_plate.solve.state import State, bytes_per_plate, make_state
 from warp_plate.solve.status import fastest_per_step, judge_plates, outgrown, watched_steps
@@ -32,11 +34,8 @@ SEGMENT_NODE_STEPS = {"cpu": 1e9, "cuda": 5e10}
 CUDA_CHUNK_SHARE = 0.6
 CPU_CHUNK_BYTES = 256 * 2**20
 FEWEST_PLATES = 64
-# A large batch on CUDA is cut: while the device steps a part, the host makes the next one ready. The first, for which
-# the device waits, is small, but has so much work as keeps it busy; the others grow to some times as many plates.
-FIRST_NODE_STEPS, LARGEST_PART = 1.6e9, 16
-
 Progress = Callable[[int, int], None]
+End = Callable[[], None]
 
 
 class PlateSolver:
@@ -88,7 +87,7 @@ class PlateSolver:
         self._share = share
         self._states: list[State] = []  # which take turns
         self._turn = 0
-        self._ends: deque[Callable[[], None]] = deque()  # of parts that the device may be at, the oldest first
+        self._ends: deque[End] = deque()  # of parts that the device may be at, the oldest first
         self._untraced: wp.array = wp.empty((0, 2), dtype=int, device=self.device)
         self._fastest = fastest_per_step(specialized)
         self.node_steps = 0  # of all runs so far
@@ -137,15 +136,25 @@ class PlateSolver:
                 this solver was not made for, or that ``plate.designs.check_designs`` refuses; times or points of a
                 solver of displacements, whose plates move by running sums.
         """
-        try:
-            return self._begin(drives, times, points, progress)()
-        except BaseException:
-            self._ends.clear()  # nobody waits for them
-            raise
+        with self._dropping() as ends:
+            return self._begin(drives, times, points, progress, ends=ends)()
 
     def begin(self, drives: np.ndarray | Batch) -> Callable[[], Run]:
         """What gives ``run(drives)``; a CUDA device begins with it now, and goes on to the next one begun."""
-        return self._begin(drives, ahead=True) if self._overlaps else partial(self.run, drives)
+        if not self._overlaps:
+            return partial(self.run, drives)
+        with self._dropping() as ends:
+            return self._begin(drives, ahead=True, ends=ends)
+
+    @contextmanager
+    def _dropping(self) -> Iterator[list[End]]:
+        """For the ends of a run: where it is cut short, nobody waits for them."""
+        ends: list[End] = []
+        try:
+            yield ends
+        except BaseException:
+            self._ends = deque(one for one in self._ends if one not in ends)
+            raise
 
     def _begin(
         self,
@@ -154,6 +163,8 @@ class PlateSolver:
         points: Sequence[tuple[float, float]] = (),
         progress: Progress | None = None,
         ahead: bool = False,
+        *,
+        ends: list[End],
     ) -> Callable[[], Run]:
         batch = drives if isinstance(drives, Batch) else Designs(as_phasors(drives, len(self.scene.actuators)))
         scheme, (nx, ny) = self.specialized.scheme, self.specialized.scheme.nodes
@@ -184,13 +195,10 @@ class PlateSolver:
         states = self._rooms(parts, nodes, count)
         total = plates * self.node_steps_per_plate
         most, joules = (scheme.window[1] - scheme.window[0]) * fastest**2, energy_unit(self.specialized)
-        left = len(parts)
 
         def end(
             some: slice, phasors: np.ndarray, scale: np.ndarray, seen: np.ndarray, sums: Callable[[], np.ndarray]
         ) -> None:
-            nonlocal left
-            left -= 1
             words = judge_plates(phasors, scale, seen, sums(), joules, most, energy[some])
             for plate, word in words.items():
                 caught = seen[plate] * scheme.time_step if seen[plate] >= 0 else math.nan
@@ -200,8 +208,8 @@ class PlateSolver:
 
         for some in parts:
             phasors, values = (whole[0][some], whole[1][some]) if whole else self._checked(batch[some])
+            self._wait(len(states) - 1)
             state = states[self._turn % len(states)]
-            self._turn += 1
             scale, before = self._start(state, phasors, values), some.start * self.node_steps_per_plate
 
             def tell(done: int, before: int = before) -> None:
@@ -210,8 +218,9 @@ class PlateSolver:
 
             reached, seen = self._march(state, len(scale), snapshots, displacement[some], tell, len(states) > 1)
             sums = queue_region_sums(self.engine, state, len(scale))
-            self._ends.append(partial(end, some, phasors, scale, seen, sums))
-            self._wait(len(states) - 1)
+            ends.append(partial(end, some, phasors, scale, seen, sums))
+            self._ends.append(ends[-1])
+            self._turn += 1
             unit = scale * scheme.load_scale
             with np.errstate(invalid="ignore", over="ignore"):  # of plates that left the finite numbers
                 displacement[some] *= unit[:, None, None, None]
@@ -221,7 +230,7 @@ class PlateSolver:
                     trace[some, :, reached:] = np.nan
 
         def finish() -> Run:
-            while left:
+            while ends and ends[-1] in self._ends:
                 self._wait(len(self._ends) - 1)
             self.node_steps += total
             return Run(
@@ -241,7 +250,8 @@ class PlateSolver:
     def _wait(self, most: int) -> None:
         """Until the device is at no more than so many parts."""
         while len(self._ends) > most:
-            self._ends.popleft()()
+            self._ends[0]()
+            self._ends.popleft()
 
     def _check(self, times: Sequence[float], points: Sequence[tuple[float, float]]) -> None:
         end = self.specialized.scheme.steps * self.specialized.scheme.time_step
@@ -273,7 +283,7 @@ class PlateSolver:
 
     def _parts(self, plates: int, traced_nodes: int, ahead: bool) -> tuple[list[slice], int]:
         """What is run at once, one part after the other, and how many states take turns at that."""
-        first = math.ceil(FIRST_NODE_STEPS / self.node_steps_per_plate)
+        first = first_part(self.node_steps_per_plate)
         cut = self._overlaps and not traced_nodes and not self._ends and plates >= 4 * first
         sizes, count = part_sizes(plates, first) if cut else [plates], 2 if cut or ahead else 1
         wanted = count * max(1, *sizes)
@@ -377,22 +387,3 @@ class PlateSolver:
             if (seen >= 0).all():
                 break
         return step, seen
-
-
-def part_sizes(plates: int, first: int) -> list[int]:
-    """How many plates each part has: twice as many as the one before, and few in the last, whose end is waited for."""
-    last = 2 * first
-    sizes, rest, size = [], plates - last, first
-    while rest > 0:
-        sizes.append(min(size, rest))
-        rest, size = rest - sizes[-1], min(2 * size, LARGEST_PART * first)
-    return [*sizes, last]
-
-
-def energy_unit(specialized: Specialized) -> float:
-    """½ρH·hx·hy·(load_scale/Δt)²/steps [J], of displacements without Δt [kg·m²]: turns weighted sums of rate² into
-    energy averaged over the window."""
-    scheme = specialized.scheme
-    (hx, hy), (first, last) = scheme.spacing, scheme.window
-    speed = scheme.load_scale / (scheme.time_step if specialized.quantity == "velocity" else 1.0)
-    return 0.5 * scheme.surface_density * hx * hy * speed**2 / (last - first)
