@@ -25,7 +25,7 @@ from warp_plate.search.figures import FIGURES
 from warp_plate.search.localize import localize
 from warp_plate.search.simulate import simulate
 from warp_plate.search.sweep import begin_sweep, run_sweep
-from warp_plate.search.sweep_file import SweepFile, continued, unfinished_sweep
+from warp_plate.search.sweep_file import SweepFile, continued, free_name, refuse_to_replace
 
 ROOT = Path(__file__).parents[1]
 
@@ -83,8 +83,17 @@ def test_refused_points_have_a_reason_and_others_run(plate):
     assert np.isnan(found.shaped("limit")[1:]).all()
     assert "grid.time_step = 0.0002: above the stability limit" in found.reasons[2]
     assert "not thin" in found.reasons[4]
-    with pytest.raises(SceneError, match=r"all points are refused; at plate\.thickness = 0\.1: plate\.thickness"):
-        sweep(plate, ["plate.thickness=0.1,0.2"], "check", device="cpu")
+    # The numbers are said once, and points are counted as people do.
+    with pytest.raises(SceneError, match=r"all points are refused; grid\.order = 3: input .* \(and 1 point more\)$"):
+        sweep(plate, ["grid.order=3,5"], "check", device="cpu")
+    assert found.refusal(2).startswith("at plate.thickness = 0.002, drive.frequency = 250: grid.time_step = 0.0002: ab")
+
+
+def test_keys_that_change_nothing_are_known(plate):
+    found = sweep(plate, ["drive.frequency=200,300", "search.seed=1,2", "plate.density=1000"], device="cpu")
+    assert found.idle == ("search.seed",)
+    assert sweep(plate, ["search.seed=1:9"], samples=3, device="cpu").idle == ("search.seed",)
+    assert sweep(plate, ["search.seed=1:9", "drive.frequency=200:300"], samples=3, device="cpu").idle == ()
 
 
 def test_what_is_no_sweep(plate):
@@ -124,10 +133,10 @@ def test_a_sweep_that_is_stopped_anywhere_goes_on_to_the_same(plate, tmp_path, r
     begun = begin_sweep(plate, plan, "simulate", "cpu")
     for _ in range(200):
         try:
-            found = run_sweep(begun, told, SweepFile(file, math.inf))
+            found = run_sweep(begun, told, SweepFile(file, math.inf, goes_on=file.exists()))
             break
         except Stop:
-            begun = continued(unfinished_sweep(file) or load_sweep(file))
+            begun = continued(load_sweep(file))
     assert found.finished
     for name, values in whole.values.items():
         np.testing.assert_array_equal(found.values[name], values)
@@ -220,8 +229,9 @@ def test_what_workers_ran_on_is_kept_and_another_kind_is_not_mixed_in(plate, tmp
     with pytest.raises(SceneError, match="a worker: device = 'cuda:99': not on this machine"):
         run_sweep(begun, pool=without)
     # Whoever asks for it has it, and the file says so.
+    kept = SweepFile(file, math.inf, goes_on=True)
     with pytest.raises(Stop):
-        run_sweep(continued(half, there=True), stop_after(3), SweepFile(file, math.inf), Away("Another"), lines.append)
+        run_sweep(continued(half, there=True), stop_after(3), kept, Away("Another"), lines.append)
     assert len(lines) == 1
     assert lines[0].endswith("goes on on cuda:0 (Another), which rounds in another way: the result may differ")
     whole = run_sweep(continued(load_sweep(file), begun.device))
@@ -277,7 +287,7 @@ def test_a_process_that_is_killed_leaves_a_file_that_goes_on(plate, tmp_path, ra
     options = ["--what", "modes", "--checkpoint-every", "0", "--no-pictures", "--device", "cpu"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     process = subprocess.Popen([*command, *options], cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL)
-    file = tmp_path / "panel-sweep.h5"
+    file = tmp_path / "panel-sweep.checkpoint.h5"
     while not file.exists() and process.poll() is None:
         time.sleep(0.005)
     time.sleep(0.2 * random.random())
@@ -302,3 +312,33 @@ def test_a_file_that_the_scene_names_must_be_the_same(scene, tmp_path):
     (tmp_path / "thick.csv").write_text("1.0,1.2\n", encoding="utf-8")
     with pytest.raises(SceneError, match="holds something else than when the sweep began"):
         continued(begun)
+
+
+def test_no_file_of_another_question_is_replaced(plate, scene, tmp_path):
+    """Two sweeps that begin at once with one name each keep a file; a result takes the place of its like alone."""
+    plan = make_plan([parse_vary(plate, "drive.frequency=200,300")])
+    found, file, lines = sweep(plate, plan, "check", device="cpu"), tmp_path / "a.checkpoint.h5", []
+    first, second = SweepFile(file, warn=lines.append), SweepFile(file, warn=lines.append)
+    first(found, True)
+    second(replace(found, seconds=9.0), True)
+    assert lines == [f"{file} is of another sweep by now; this one is kept in {second.path}"]
+    assert second.path.name == "a-2.checkpoint.h5"
+    assert (load_sweep(file).seconds, load_sweep(second.path).seconds) == (found.seconds, 9.0)
+    second.remove()
+    assert [path.name for path in tmp_path.iterdir()] == ["a.checkpoint.h5"]
+    SweepFile(file).remove()  # which has written nothing
+    assert file.exists()
+    assert free_name(tmp_path / "a.h5").name == "a-2.h5"
+    refuse_to_replace(file, replace(found, seconds=9.0, device="cuda:0"))
+    refuse_to_replace(tmp_path / "none.h5", found)
+    others = {
+        "another scene": begin_sweep(scene(damping=80.0), plan, "check"),
+        "--what check": begin_sweep(plate, plan, "simulate"),
+        r"other points \(2 points, drive.frequency": begin_sweep(
+            plate, make_plan([parse_vary(plate, "drive.frequency=200,301")]), "check"
+        ),
+        "--count 6": begin_sweep(plate, plan, "check", count=5),
+    }
+    for words, other in others.items():
+        with pytest.raises(SceneError, match=rf"h5: holds a sweep of {words}.*; name another file by --out"):
+            refuse_to_replace(file, other)

@@ -1,7 +1,7 @@
-"""``warp-plate sweep``: its table, JSON and files, what xarray makes of them, pictures, and what goes on."""
+"""``warp-plate sweep``: its table, JSON and files, what xarray makes of them, and what goes on."""
 
 import json
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from warp_plate import Scene, SceneError, load_sweep
+from warp_plate.cli import output
 from warp_plate.cluster import pool as pools
 from warp_plate.cluster.pool import Here, WorkersGone
 from warp_plate.result.sweep import REFUSED, save_sweep
@@ -18,10 +19,8 @@ from warp_plate.scene.load import dump_scene
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.search import sweep as sweeps
 from warp_plate.search import sweep_point as module
-from warp_plate.search.figures import FIGURES
 from warp_plate.search.sweep import begin_sweep
 from warp_plate.search.sweep_point import run_here
-from warp_plate.viz.sweep_plot import draw_sweep, edges_of
 
 NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
 NEEDS_XARRAY = "xarray or h5netcdf is not installed: pip install 'warp-plate[data]'"
@@ -49,10 +48,9 @@ def test_the_table_and_the_files(panel, command):
     pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
     status, out, err = command("panel.toml", *TWO, "--what", "check", "--device", "cpu")
     assert (status, err) == (0, "")
-    assert "3 of 9 points are refused" in out
-    assert "plate.thickness = 0.002, drive.frequency = 200: grid.time_step = 0.0002: above the stability" in " ".join(
-        out.split()
-    )
+    assert "3 of 9 points refused" in out
+    refused = "at plate.thickness = 0.002, drive.frequency = 200: grid.time_step = 0.0002: above the stability"
+    assert refused in " ".join(out.split())
     assert out.count("none") == 3 * 4
     for name in ("panel-sweep.h5", "panel-sweep.png", "panel-sweep.svg"):
         assert f"wrote {name}" in out
@@ -72,13 +70,19 @@ def test_json_is_one_object(panel, command):
     assert said["outputs"]["frequency"][2][0] == [None, None]
     assert said["refused"][0]["at"] == {"plate.thickness": 2e-3, "drive.frequency": 200.0}
     assert said["units"] == {"frequency": "Hz"}
+    assert "! drive.frequency changes no figure" in command("--resume", "panel-sweep.h5", "--no-pictures")[1]
 
 
-def test_many_points_are_told_by_their_extremes(panel, command):
+def test_many_points_are_told_by_their_extremes_and_counted_as_they_are_done(panel, command, monkeypatch):
+    notes = []
+    monkeypatch.setattr(output, "progress_bar", lambda *_: nullcontext(lambda *shown: notes.append(shown)))
     status, out, _ = command("panel.toml", "--vary", "plate.thickness=4e-4:5e-4:41", "--what", "modes", *ALONE)
     assert status == 0
     words = " ".join(out.split())
     assert "frequency 1, smallest" in words
+    assert notes[0] == (0, 41, "0 of 41 points")
+    assert notes[-1] == (41, 41, "41 of 41: plate thickness 0.0005")
+    assert "changes no figure" not in words
     assert "frequency 6, largest" in words
 
 
@@ -137,7 +141,7 @@ def test_ctrl_c_leaves_a_file_and_says_how_to_go_on(panel, command, monkeypatch)
         interrupted_after(patch, 4)
         status, out, err = command(*arguments)
     assert (status, out) == (130, "")
-    assert "interrupted after 4 of 9 points; go on with: warp-plate sweep --resume panel-sweep.h5" in err
+    assert "interrupted after 4 of 9 points; go on with: warp-plate sweep --resume panel-sweep.checkpoint.h5" in err
     with monkeypatch.context() as patch:
         ran = interrupted_after(patch, 3)
         status, _, err = command("--resume", "panel-sweep.h5", "--no-pictures")
@@ -149,20 +153,79 @@ def test_ctrl_c_leaves_a_file_and_says_how_to_go_on(panel, command, monkeypatch)
         ran = interrupted_after(patch, 9)
         status, _, err = command(*arguments)
         assert status == 0
-        assert "7 of 9 points are done; going on" in err
+        assert "7 of 9 points done; going on" in err
         assert len(ran) == 2
+    assert not Path("panel-sweep.checkpoint.h5").exists()
     made, whole = (load_sweep(name) for name in ("panel-sweep.h5", "whole.h5"))
     for name, values in whole.values.items():
         np.testing.assert_array_equal(made.values[name], values)
     assert made.reasons == whole.reasons
-    # A sweep that is done begins anew; --resume of it has nothing to run.
+    # Nothing is left of a sweep that is done; the same command begins it anew, and its file stays until that is done.
     with monkeypatch.context() as patch:
         interrupted_after(patch, 0)
         status, _, err = command("--resume", "whole.h5", "--no-pictures")
         assert status == 0
-        assert "9 of 9 points are done; nothing is left" in err
-        assert command(*arguments)[0] == 130
-    assert load_sweep("panel-sweep.h5").finished  # a Ctrl-C before the first point leaves what was there
+        assert "9 of 9 points done; nothing is left" in err
+    done = Path("panel-sweep.h5").read_bytes()
+    with monkeypatch.context() as patch:
+        interrupted_after(patch, 2)
+        status, _, err = command(*arguments)
+        assert (status, "after 2 of 9 points" in err) == (130, True)
+        assert Path("panel-sweep.h5").read_bytes() == done
+    # --resume finds what is unfinished by the result's name too.
+    status, _, err = command("--resume", "panel-sweep.h5", "--no-pictures")
+    assert (status, "panel-sweep.checkpoint.h5: 2 of 9 points done; going on" in err) == (0, True)
+    assert Path("panel-sweep.h5").read_bytes() != done
+
+
+def test_nothing_else_is_replaced(panel, command, monkeypatch):
+    """A finished sweep of other points, scene or figures, and another command's file."""
+    assert command("panel.toml", *TWO, *ALONE)[0] == 0
+    Path("panel-localize.h5").write_bytes(b"another command's")
+    Path("other-sweep.checkpoint.h5").write_bytes(b"another command's")
+    before = {path: path.read_bytes() for path in Path().iterdir()}
+    for wrong, message in (
+        (TWO[:2], "panel-sweep.h5: holds a sweep of other points (9 points, plate.thickness from"),
+        ((*TWO, "--what", "check"), "panel-sweep.h5: holds a sweep of --what localize"),
+        ((*TWO, "--out", "panel-localize.h5"), "panel-localize.h5: damaged"),
+        ((*TWO, "--out", "other-sweep.h5"), "other-sweep.checkpoint.h5: damaged"),
+    ):
+        status, out, err = command("panel.toml", *wrong, *ALONE)
+        assert (status, out, err.count("\n")) == (2, "", 1)
+        assert message in err
+        assert "name another file by --out" in err
+        assert {path: path.read_bytes() for path in Path().iterdir()} == before
+    # Where another command has made one while the sweep ran, both are there.
+    with monkeypatch.context() as patch:
+        real = module.run_point
+
+        def meanwhile(payload):
+            Path("late.h5").write_bytes(b"another command's")
+            return real(payload)
+
+        patch.setattr(module, "run_point", meanwhile)
+        status, out, err = command("panel.toml", *TWO, *ALONE, "--out", "late.h5")
+    assert (status, "late.h5 is of another command by now; this sweep is written to late-2.h5" in err) == (0, True)
+    assert "wrote late-2.h5" in out
+    assert Path("late.h5").read_bytes() == b"another command's"
+
+
+def test_the_last_line_after_ctrl_c_is_true(panel, command, monkeypatch):
+    def impatient(*_):
+        raise KeyboardInterrupt
+
+    def twice(*_):
+        try:
+            raise KeyboardInterrupt(" after all; go on")
+        finally:
+            impatient()
+
+    from warp_plate.viz import sweep_plot
+
+    for drawing, line in ((impatient, "; wrote panel-sweep.h5"), (twice, " after all; go on")):
+        monkeypatch.setattr(sweep_plot, "draw_sweep_beside", drawing)
+        status, _, err = command("panel.toml", *TWO, "--what", "check", "--device", "cpu")
+        assert (status, err) == (130, f"warp-plate: interrupted{line}\n")
 
 
 def test_workers_that_are_gone_leave_a_file_too(panel, command, monkeypatch):
@@ -174,7 +237,7 @@ def test_workers_that_are_gone_leave_a_file_too(panel, command, monkeypatch):
         patch.setattr(sweeps, "run_there", two_points)
         status, out, err = command("panel.toml", *TWO, "--what", "check", "--devices", "cpu", "--no-pictures")
     assert (status, out) == (2, "")
-    assert "no worker is left; 2 of 9 points are done; go on with: warp-plate sweep --resume panel-sweep.h5" in err
+    assert "no worker is left after 2 of 9 points; go on with: " in err
     status, out, _ = command("--resume", "panel-sweep.h5", "--devices", "cpu", "--no-pictures", "--json")
     assert status == 0
     assert np.isfinite(np.array(json.loads(out)["outputs"]["limit"][:2], dtype=float)).all()
@@ -199,11 +262,11 @@ def test_beside_a_cluster_the_device_is_its_workers(panel, command, monkeypatch)
     with monkeypatch.context() as patch:
         interrupted_after(patch, 2)
         assert command("panel.toml", *TWO, "--what", "check", *away)[0] == 130
-    save_sweep(replace(load_sweep("panel-sweep.h5"), processor="A GPU"), "panel-sweep.h5")
-    status, out, err = command("--resume", "panel-sweep.h5", "--cluster", "tcp://far:8786")
+    save_sweep(replace(load_sweep("panel-sweep.checkpoint.h5"), processor="A GPU"), "panel-sweep.checkpoint.h5")
+    status, out, err = command("--resume", "panel-sweep.checkpoint.h5", "--cluster", "tcp://far:8786")
     assert (status, out) == (2, "")
     assert "(A GPU) and goes on on" in err.splitlines()[-1]
-    status, out, err = command("--resume", "panel-sweep.h5", *away, "--json")
+    status, out, err = command("--resume", "panel-sweep.checkpoint.h5", *away, "--json")
     assert (status, "the result may differ" in err) == (0, True)
     assert "(A GPU), then " in json.loads(out)["device"]
     assert opened == ["cuda:99"] * 3 + [None, "cuda:99"]
@@ -215,33 +278,37 @@ def test_what_is_given_beside_an_unfinished_file_must_be_the_same(panel, command
     with monkeypatch.context() as patch:
         interrupted_after(patch, 2)
         command(*arguments)
-    before = Path("panel-sweep.h5").read_bytes()
+    before, on = Path("panel-sweep.checkpoint.h5").read_bytes(), ("--resume", "panel-sweep.h5")
     for wrong, message in (
-        (("--resume", "panel-sweep.h5", "--what", "check"), "--what check: the sweep in panel-sweep.h5 began with"),
-        (("other.toml", "--resume", "panel-sweep.h5"), "effects.damping.viscous = 80.0: the sweep in panel-sweep.h5"),
-        (("--resume", "panel-sweep.h5", "--vary", "drive.frequency=1,2"), "--vary: the sweep in panel-sweep.h5 began"),
-        (("panel.toml", *TWO[:2]), "name another file by --out, or delete panel-sweep.h5"),
-        (("panel.toml", *TWO, "--what", "check"), "name another file by --out, or delete panel-sweep.h5"),
+        ((*on, "--what", "check"), "--what check: the sweep in panel-sweep.checkpoint.h5 began with localize"),
+        (("other.toml", *on), "effects.damping.viscous = 80.0: the sweep in panel-sweep.checkpoint.h5 began"),
+        ((*on, "--vary", "drive.frequency=1,2"), "--vary: the sweep in panel-sweep.checkpoint.h5 began"),
+        ((*on, "--samples", 5), "--samples 5: draws from the ranges of --vary"),
+        ((*on, "--seed", 5), "--seed 5: draws samples; write --samples N beside it"),
+        (("panel.toml", *TWO[:2]), "else; name another file by --out, or delete panel-sweep.checkpoint.h5"),
+        (("panel.toml", *TWO, "--what", "check"), "name another file by --out, or delete panel-sweep.checkpoint.h5"),
         (("--resume", "nothing.h5"), "nothing.h5: no such file"),
     ):
         status, out, err = command(*wrong)
         assert (status, out) == (2, "")
         assert message in err
         assert err.count("\n") == 1
-    assert Path("panel-sweep.h5").read_bytes() == before
+    assert Path("panel-sweep.checkpoint.h5").read_bytes() == before
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ((), "sweep needs a SCENE"),
-        (("panel.toml",), "--vary: nothing is varied"),
+        (("panel.toml",), "--vary: nothing is varied; write --vary KEY=RANGE, RANGE being START:STOP:COUNT"),
         (("panel.toml", "--vary", "drive.freqency=1:2:3"), "near it: drive.frequency"),
         (("panel.toml", "--vary", "drive.frequency=1:2"), "COUNT is missing"),
         (("panel.toml", *TWO, "--samples", 0), "--samples 0: must be from 1"),
         (("panel.toml", *TWO, "--samples", 4, "--seed", -1), "--seed -1: must be a whole number from 0"),
         (("panel.toml", *TWO, "--what", "colours"), "what"),
-        (("panel.toml", *TWO, "--count", 0), "--count 0: must be from 1"),
+        (("panel.toml", *TWO, "--what", "modes", "--count", 0), "--count 0: must be from 1"),
+        (("panel.toml", *TWO, "--count", 3), "--count 3: --what localize has no modes to count; leave it out"),
+        (("panel.toml", *TWO, "--seed", 3), "--seed 3: draws samples; write --samples N beside it, or leave it out"),
         (("panel.toml", *TWO, "--checkpoint-every", -1), "checkpoint-every = -1"),
         (("panel.toml", *TWO, "--out", "a.nc"), "--out a.nc: must end in .h5"),
         (("panel.toml", "--vary", "plate.thickness=0.1,0.2"), "all points are refused; at plate.thickness = 0.1"),
@@ -270,50 +337,3 @@ def test_a_damaged_or_hostile_file_is_refused(panel, tmp_path):
         load_sweep(save_sweep(wrong_status, file))
     with pytest.raises(SceneError, match="frequency has shape"):
         load_sweep(save_sweep(replace(begun, values={"frequency": np.zeros((2, 5))}), file))
-
-
-def made_up(panel, vary, what="localize", samples=None):
-    """A sweep with made-up figures, some of its points refused and one figure not finite."""
-    plan = make_plan([parse_vary(panel, one) for one in vary], samples)
-    begun = begin_sweep(panel, plan, what, "cpu", count=3)
-    values = {name: np.random.default_rng(1).random(one.shape) for name, one in begun.values.items()}
-    status = np.ones(len(plan), dtype="i1")
-    status[::5] = REFUSED
-    for one in values.values():
-        one[::5] = np.nan
-    next(iter(values.values())).flat[-1] = np.inf
-    return replace(begun, values=values, status=status, reasons=dict.fromkeys(range(0, len(plan), 5), "no"))
-
-
-LINE, PAIR = ["drive.frequency=log:200:300:12"], ["drive.frequency=300:200:4", "effects.damping.viscous=log:1:100:3"]
-FOUR = [f"{key}=1:2:3" for key in ("drive.frequency", "plate.thickness", "window.end", "plate.density")]
-
-
-@pytest.mark.parametrize(
-    ("what", "vary", "samples"),
-    [
-        *((what, LINE, None) for what in FIGURES),
-        ("localize", ["drive.frequency=290"], None),
-        ("localize", PAIR, None),
-        ("modes", PAIR, None),
-        ("check", ["drive.frequency=290", "effects.damping.viscous=0,1,5"], None),
-        ("modes", ["drive.frequency=1,2", "effects.damping.viscous=1,2", "plate.thickness=log:1e-4:2e-4:3"], None),
-        ("localize", FOUR, None),
-        ("simulate", ["drive.frequency=200:300", "effects.damping.viscous=log:1:100"], 20),
-    ],
-)
-def test_pictures_of_all_shapes(panel, tmp_path, what, vary, samples):
-    pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
-    picture = draw_sweep(made_up(panel, vary, what, samples), tmp_path / "a.png")
-    from matplotlib.image import imread
-
-    drawn = imread(picture)
-    assert min(drawn.shape[:2]) > 300
-    assert drawn[..., :3].std() > 0.02
-
-
-def test_cells_lie_half_way_between_values():
-    np.testing.assert_allclose(edges_of(np.array([1.0, 2.0, 4.0]), False), [0.5, 1.5, 3.0, 5.0])
-    np.testing.assert_allclose(edges_of(np.array([1.0, 100.0]), True), [0.1, 10.0, 1000.0])
-    low, high = edges_of(np.array([0.0]), False)
-    assert low < 0 < high

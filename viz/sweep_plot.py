@@ -12,10 +12,12 @@ import numpy as np
 
 from warp_plate.result.sweep import REFUSED, Sweep
 from warp_plate.scene.keys import unit_of, words_of
+from warp_plate.scene.vary import counted
 from warp_plate.viz.availability import plot_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 COLOURS = ("#08519c", "#b2182b", "#6baed6", "#8a8a8a", "#1b7837", "#762a83", "#d95f02", "#4d4d4d")
@@ -24,6 +26,10 @@ MAP_COLOURS = "viridis"
 # Modes that have a line or a map of their own; small maps, of more some that lie evenly.
 MOST_MODES, MOST_MAPS = 8, 20
 LEVELS = 8
+# Of samples, by rank, and their sizes: the first is filled, and neighbours that lie on each other are both seen.
+MARKERS = (("o", 3), ("o", 6), ("x", 4), ("+", 6), ("s", 5), ("D", 7), ("^", 5), ("v", 6))
+# Powers of ten that numbers on an axis have; of others the power stands once, with the unit.
+PLAIN_POWERS = range(-1, 4)
 # Of a map, and of a panel of points, in inches.
 MAP_SIZE, SMALL_SIZE, POINTS_SIZE = (3.9, 3.0), (2.5, 2.2), (2.6, 2.4)
 
@@ -92,9 +98,13 @@ def edges_of(values: np.ndarray, logarithmic: bool) -> np.ndarray:
     return np.exp(ends) if logarithmic else ends
 
 
-def _label(sweep: Sweep, key: str) -> str:
-    unit = unit_of(sweep.scene, key)
-    return f"{words_of(sweep.scene, key)} [{unit}]" if unit != "1" else words_of(sweep.scene, key)
+def _key(sweep: Sweep, key: str) -> tuple[str, str]:
+    """In words, and its unit."""
+    return words_of(sweep.scene, key), unit_of(sweep.scene, key)
+
+
+def _with_unit(words: str, unit: str) -> str:
+    return f"{words} [{unit}]".strip() if unit != "1" else words
 
 
 def _by_unit(sweep: Sweep) -> dict[str, dict[str, np.ndarray]]:
@@ -104,17 +114,17 @@ def _by_unit(sweep: Sweep) -> dict[str, dict[str, np.ndarray]]:
     return found
 
 
-def _shared(words: Sequence[str], unit: str) -> tuple[str, list[str]]:
-    """The first words that several outputs of a unit share, for an axis, and what is left of each, for a legend."""
+def _shared(words: Sequence[str]) -> tuple[str, list[str]]:
+    """The first words that outputs of a unit share, for an axis, and what is left of each, for a legend."""
+    if len(words) == 1:
+        return words[0], list(words)
     split = [one.split() for one in words]
     columns = zip(*([word.strip(",") for word in one] for one in split), strict=False)
-    count = len(list(itertools.takewhile(lambda column: len(set(column)) == 1, columns))) if len(words) > 1 else 0
-    if not count:
-        return (words[0] if len(words) == 1 else "") + (f" [{unit}]" if unit != "1" else ""), list(words)
+    count = len(list(itertools.takewhile(lambda column: len(set(column)) == 1, columns)))
     head = [word.strip(",") for word in split[0][:count]]
     while head and head[-1] in ("of", "the", "a"):
         head.pop()
-    return " ".join(head) + (f" [{unit}]" if unit != "1" else ""), [" ".join(one[count:]) for one in split]
+    return " ".join(head), [" ".join(one[count:]) for one in split]
 
 
 def _draw_lines(figure: Figure, sweep: Sweep) -> str:
@@ -125,15 +135,17 @@ def _draw_lines(figure: Figure, sweep: Sweep) -> str:
     at, refused = sweep.plan.coordinates[0][order], (sweep.status == REFUSED)[order]
     for axes, (unit, lines) in zip(rows, groups.items(), strict=True):
         marker = "." if len(at) <= 30 else None
-        label, names = _shared(list(lines), unit)
+        label, names = _shared(list(lines))
         for rank, (colour, name, values) in enumerate(zip(COLOURS, names, lines.values(), strict=False)):
-            # The first one lies on top of those that it meets.
-            drawn = {"color": colour, "linewidth": 2.0 if rank else 1.2, "marker": marker, "zorder": 3 - 0.1 * rank}
+            # Every other line is dashed and lies on top, so that of two neighbours that are alike both are seen.
+            drawn = {"color": colour, "linewidth": 2.2 if rank else 1.2, "marker": marker, "zorder": 3 - 0.1 * rank}
+            if rank % 2:
+                drawn |= {"linestyle": (0, (3, 2)), "linewidth": 1.6, "zorder": 3.5 - 0.1 * rank}
             axes.plot(at, values[order], label=name, **drawn)
         edges = edges_of(at, sweep.plan.logarithmic[0])
         for index in np.flatnonzero(refused):
             axes.axvspan(edges[index], edges[index + 1], color=REFUSED_COLOUR, linewidth=0, zorder=0)
-        axes.set_ylabel(label)
+        _set_axis(axes.yaxis, label, unit)
         axes.spines[["top", "right"]].set_visible(False)
         if sweep.plan.logarithmic[0]:
             axes.set_xscale("log")
@@ -141,8 +153,8 @@ def _draw_lines(figure: Figure, sweep: Sweep) -> str:
             axes.legend(
                 frameon=False, fontsize=8, ncols=min(len(lines), 6), loc="lower center", bbox_to_anchor=(0.5, 1)
             )
-    rows[-1].set_xlabel(_label(sweep, key))
-    return f"{np.count_nonzero(refused)} points are refused (grey)" if refused.any() else ""
+    _set_axis(rows[-1].xaxis, *_key(sweep, key), 6)
+    return f"{counted(np.count_nonzero(refused), 'point')} refused (grey)" if refused.any() else ""
 
 
 def _draw_maps(figure: Figure, sweep: Sweep) -> str:
@@ -155,16 +167,16 @@ def _draw_maps(figure: Figure, sweep: Sweep) -> str:
         field = values.reshape(sweep.plan.shape)
         drawn = _draw_map(axes, sweep, field, (0, 1), _limits(field))
         bar = figure.colorbar(drawn, ax=axes)
-        bar.set_label(f"[{unit}]" if unit != "1" else "")
+        bar.set_label(_with_unit("", unit))
         axes.set_title(words, fontsize=9)
     for axes in grid[len(found) :]:
         axes.set_visible(False)
     for index, axes in enumerate(grid[: len(found)]):
         if index + columns >= len(found):
-            axes.set_xlabel(_label(sweep, sweep.plan.keys[0]))
+            _set_axis(axes.xaxis, *_key(sweep, sweep.plan.keys[0]), 5)
             axes.tick_params(labelbottom=True)
         if index % columns == 0:
-            axes.set_ylabel(_label(sweep, sweep.plan.keys[1]))
+            _set_axis(axes.yaxis, *_key(sweep, sweep.plan.keys[1]))
     return "refused points are grey" if (sweep.status == REFUSED).any() else ""
 
 
@@ -181,21 +193,19 @@ def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for index, (axes, place) in enumerate(zip(grid, shown, strict=False)):
         drawn = _draw_map(axes, sweep, field[place], (first, second), _limits(values))
-        held = zip(others, place, strict=True)
-        axes.set_title(
-            "\n".join(f"{_label(sweep, plan.keys[one])}: {plan.coordinates[one][step]:.4g}" for one, step in held),
-            fontsize=7,
+        held = (
+            f"{_with_unit(*_key(sweep, plan.keys[one]))}: {plan.coordinates[one][step]:.4g}"
+            for one, step in zip(others, place, strict=True)
         )
+        axes.set_title("\n".join(held), fontsize=7)
         if index % columns == 0:
-            axes.set_ylabel(_label(sweep, plan.keys[second]), fontsize=8)
+            _set_axis(axes.yaxis, *_key(sweep, plan.keys[second]), size=8)
         if index + columns >= len(shown):
-            axes.set_xlabel(_label(sweep, plan.keys[first]), fontsize=8)
+            _set_axis(axes.xaxis, *_key(sweep, plan.keys[first]), 4, size=8)
             axes.tick_params(labelbottom=True)
     for axes in grid[len(shown) :]:
         axes.set_visible(False)
-    figure.colorbar(drawn, ax=list(grid[: len(shown)]), shrink=0.8).set_label(
-        f"{words} [{unit}]" if unit != "1" else words
-    )
+    figure.colorbar(drawn, ax=list(grid[: len(shown)]), shrink=0.8).set_label(_with_unit(words, unit))
     some = f"{len(shown)} of {len(places)} maps; " if len(shown) < len(places) else ""
     return some + ("refused points are grey" if (sweep.status == REFUSED).any() else "") or words
 
@@ -206,23 +216,25 @@ def _draw_points(figure: Figure, sweep: Sweep) -> str:
     figure.set_size_inches(0.8 + POINTS_SIZE[0] * columns, 0.9 + POINTS_SIZE[1] * rows)
     grid = figure.subplots(rows, columns, sharex="col", sharey="row", squeeze=False)
     refused = sweep.status == REFUSED
-    size = 14 if len(plan) <= 200 else 5
+    scale = 1.0 if len(plan) <= 200 else 0.6
     for row, (unit, lines) in zip(grid, groups.items(), strict=True):
-        label, names = _shared(list(lines), unit)
+        label, names = _shared(list(lines))
         for axes, at, logarithmic in zip(row, plan.coordinates, plan.logarithmic, strict=True):
-            for colour, name, values in zip(COLOURS, names, lines.values(), strict=False):
-                axes.scatter(at, values, s=size, color=colour, linewidths=0, alpha=0.75, label=name)
+            for rank, (name, values) in enumerate(zip(names, lines.values(), strict=True)):
+                marker, size = MARKERS[rank]
+                drawn = {"marker": marker, "markersize": size * scale, "color": COLOURS[rank], "linestyle": ""}
+                axes.plot(at, values, label=name, fillstyle="none" if rank else "full", markeredgewidth=0.8, **drawn)
             # Refused points have no height: ticks at the lower edge.
             axes.plot(at[refused], np.zeros(refused.sum()), "|", color="#8a8a8a", transform=axes.get_xaxis_transform())
             if logarithmic:
                 axes.set_xscale("log")
             axes.spines[["top", "right"]].set_visible(False)
-        row[0].set_ylabel(label)
+        _set_axis(row[0].yaxis, label, unit)
         if len(lines) > 1:
             row[-1].legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     for axes, key in zip(grid[-1], plan.keys, strict=True):
-        axes.set_xlabel(_label(sweep, key))
-    return f"{len(plan)} samples" + (f", {refused.sum()} of them refused (ticks)" if refused.any() else "")
+        _set_axis(axes.xaxis, *_key(sweep, key), 4)
+    return counted(len(plan), "sample") + (f", {refused.sum()} of them refused (ticks)" if refused.any() else "")
 
 
 def _limits(values: np.ndarray) -> tuple[float, float]:
@@ -258,3 +270,16 @@ def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int]
         if log:
             scale("log")
     return drawn
+
+
+def _set_axis(axis: Axis, words: str, unit: str, most: int | None = None, size: float | None = None) -> None:
+    """Its label and numbers, ``most`` of them; of small and large ones the power of ten stands with the unit."""
+    if axis.get_scale() == "linear":
+        if most is not None:
+            axis.axes.locator_params(axis.axis_name, nbins=most)
+        power = math.floor(math.log10(np.abs(axis.get_view_interval()).max()))
+        if power not in PLAIN_POWERS:
+            axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.6g}")
+            unit = f"$10^{{{power}}}$" + (f" {unit}" if unit != "1" else "")
+    axis.set_label_text(_with_unit(words, unit), fontsize=size)
+

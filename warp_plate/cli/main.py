@@ -12,6 +12,7 @@ def main(arguments: list[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal without Greek letters is no fault of the scene
             stream.reconfigure(errors="backslashreplace")
+    before = len(_written())
     try:
         from warp_plate.cli.interrupts import at_safe_moments
 
@@ -20,8 +21,7 @@ def main(arguments: list[str] | None = None) -> None:
 
             run(arguments)
     except KeyboardInterrupt as interrupt:
-        word = interrupt.args[0] if interrupt.args else "; nothing was written"
-        print(f"warp-plate: interrupted{word}", file=sys.stderr)
+        print(f"warp-plate: interrupted{_said(interrupt) or _what_was_written(before)}", file=sys.stderr)
         sys.exit(130)
     except BrokenPipeError:
         sys.stderr.close()
@@ -33,3 +33,27 @@ def main(arguments: list[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         tell(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}")
         sys.exit(2)
+
+
+def _said(interrupt: BaseException | None) -> str:
+    """What a command says of its end; also of one that a second Ctrl-C cut short."""
+    while interrupt is not None:
+        if isinstance(interrupt, KeyboardInterrupt) and interrupt.args:
+            return str(interrupt.args[0])
+        interrupt = interrupt.__context__
+    return ""
+
+
+def _what_was_written(before: int) -> str:
+    """In a word, of the files after so many."""
+    files = [file for file in dict.fromkeys(_written()[before:]) if os.path.exists(file)]
+    if not files:
+        return "; nothing was written"
+    from warp_plate.scene.errors import printable
+
+    return printable(f"; wrote {', '.join(files)}")
+
+
+def _written() -> list[str]:
+    """The files that this process has written; whoever writes one has imported what knows them."""
+    return getattr(sys.modules.get("warp_plate.result.whole"), "WRITTEN", [])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from warp_plate.cluster.pool import Pool
     from warp_plate.result.sweep import Sweep
     from warp_plate.scene.model import Scene
-    from warp_plate.scene.vary import Plan
     from warp_plate.search.sweep import Elsewhere
     from warp_plate.search.sweep_file import SweepFile
 
@@ -38,7 +38,7 @@ def sweep(
     vary: Annotated[list[str] | None, cyclopts.Parameter(consume_multiple=True, negative="")] = None,
     what: Literal["localize", "simulate", "modes", "check"] | None = None,
     samples: Whole | None = None,
-    seed: Whole = 0,
+    seed: Whole | None = None,
     count: Whole | None = None,
     device: str | None = None,
     devices: str | None = None,
@@ -55,8 +55,9 @@ def sweep(
     A point whose scene is refused (a time step that is not stable, a patch off the plate) has no figures, and its
     reason is kept; the others run.
 
-    Ctrl-C leaves what is done in the result file, and so does a stop of the machine up to --checkpoint-every: the same
-    command once more, or --resume, runs the points that are left, to the same figures to the last bit.
+    Ctrl-C leaves what is done in a file beside the result, and so does a stop of the machine up to --checkpoint-every:
+    the same command once more, or --resume, runs the points that are left, to the same figures to the last bit. The
+    result is written at the end, in the place of one that the same command wrote before; any other file is left alone.
 
     Parameters
     ----------
@@ -74,9 +75,9 @@ def sweep(
     samples
         Draw so many points from a Latin hypercube over the ranges instead of the full grid; COUNT may be left out then.
     seed
-        Of the samples.
+        Of the samples; 0 when left out.
     count
-        How many modes; 6 when left out.
+        How many modes, of --what modes; 6 when left out.
     device
         cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one. auto when left out, for a sweep that goes
         on the kind that it began on. With --cluster that of its workers.
@@ -90,12 +91,14 @@ def sweep(
         How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch). auto,
         the faster one, when left out.
     checkpoint_every
-        Seconds between two writings of the unfinished result. 0: after each point; inf: only after Ctrl-C.
+        Seconds between two writings of what is done, OUT.checkpoint.h5 for OUT.h5. 0: after each point; inf: only
+        after Ctrl-C.
     resume
-        The result file of an unfinished sweep to go on with. What is given beside it must be the same.
+        The unfinished sweep (.checkpoint.h5) to go on with, or the result that it is to be. What is given beside it
+        must be the same.
     out
-        The result file (.h5), which xarray opens; SCENE-sweep.h5 in this folder when left out, with --resume the file
-        itself. The picture is written beside it.
+        The result file (.h5), which xarray opens; SCENE-sweep.h5 in this folder when left out, with --resume beside the
+        unfinished one. The picture is written beside it.
     pictures
         Draw lines over one key, maps over two, small maps over three or more, points of samples (needs the extra viz).
     json
@@ -103,28 +106,42 @@ def sweep(
     """
     if scene is None and resume is None:
         raise SceneError("sweep needs a SCENE (a preset's name or a TOML file) and --vary KEY=RANGE, or --resume FILE")
-    target = output.output_file(out or resume, scene or "", "sweep")
+    if seed is not None and samples is None:
+        raise SceneError(f"--seed {seed}: draws samples; write --samples N beside it, or leave it out")
+    if samples is not None and not vary:
+        raise SceneError(f"--samples {samples}: draws from the ranges of --vary; write those too, or leave it out")
+    target = output.output_file(out or _result_of(resume), scene or "", "sweep")
+    from warp_plate.result.checkpoint import ENDING
     from warp_plate.scene import Scene
     from warp_plate.scene.vary import make_plan, parse_vary
     from warp_plate.search.sweep import begin_sweep
-    from warp_plate.search.sweep_file import SweepFile
+    from warp_plate.search.sweep_file import SweepFile, refuse_to_replace
 
     loaded = None if scene is None else Scene.load(scene)
-    given: dict[str, object] = {"what": what, "count": count, "path": path}
+    unfinished = target.with_suffix(ENDING)
+    file = _file_to_go_on_with(resume, target, unfinished)
     there = not (devices is None and cluster is None)
-    begun = _begun(resume, target, loaded, scene, vary, samples, seed, given, device, there)
-    if begun is None:
+    if file is not None:
+        given: dict[str, object] = {"what": what, "count": count, "path": path}
+        begun = _loaded(file, resume is not None, loaded, scene, vary, samples, seed, given)
+    else:
         assert loaded is not None
-        plan = make_plan([parse_vary(loaded, one) for one in vary or ()], samples, seed)
+        plan = make_plan([parse_vary(loaded, one) for one in vary or ()], samples, seed or 0)
         modes = MODES if count is None else count
         here = "auto" if there or device is None else device
         begun = begin_sweep(loaded, plan, what or "localize", here, path or "auto", scene or "", modes)
-    kept = SweepFile(target, checkpoint_every, output.tell)
+    if count is not None and not any(one.axis for one in begun.outputs.values()):
+        raise SceneError(f"--count {count}: --what {begun.what} has no modes to count; leave it out")
+    refuse_to_replace(target, begun)
+    if file is not None:
+        begun = _going_on(file, begun, device, there)
+    own = file is not None and unfinished.exists() and unfinished.samefile(file)
+    kept = SweepFile(unfinished, checkpoint_every, output.tell, own)
     # Whoever names devices means them, as in other commands.
     elsewhere = None if devices is None and device is None else output.tell
     with workers(devices, cluster, device) as pool:
         result = _run(begun, kept, pool, elsewhere, shown=not json)
-    files, missing = _write(result, target, pictures)
+    files, missing = _write(result, target, pictures, kept)
     if json:
         output.print_json(as_json(result, files))
         return
@@ -132,66 +149,75 @@ def sweep(
     output.print_files(files, missing)
 
 
-def _begun(
-    resume: Path | None,
-    target: Path,
+def _result_of(resume: Path | None) -> Path | None:
+    """Where the result of a sweep that goes on is written without --out: NAME.h5 for NAME.checkpoint.h5."""
+    return None if resume is None else resume.parent / resume.name.replace(".checkpoint.h5", ".h5")
+
+
+def _file_to_go_on_with(resume: Path | None, target: Path, unfinished: Path) -> Path | None:
+    """What ``--resume`` means, an unfinished file or the result that it is to be; without, what the same command left.
+
+    None: nothing is there.
+    """
+    from warp_plate.result.checkpoint import ENDING
+
+    if resume is None:
+        return unfinished if unfinished.exists() else None
+    beside = resume.with_suffix(ENDING)
+    return beside if beside.exists() else resume
+
+
+def _loaded(
+    file: Path,
+    resumed: bool,
     scene: Scene | None,
     source: str | None,
     vary: list[str] | None,
     samples: int | None,
-    seed: int,
+    seed: int | None,
     given: dict[str, object],
-    device: str | None,
-    there: bool,
-) -> Sweep | None:
-    """The sweep to go on with, of ``--resume`` or an unfinished one at the place of the result; None: begin anew.
-
-    there: whether workers run its points, whose device is not known yet.
+) -> Sweep:
+    """The sweep in a file, which --resume names or the same command left; what is given beside it must be the same.
 
     Raises:
         SceneError: it cannot be read, or what was given is not what it began with.
     """
     from warp_plate.result.sweep import load_sweep
     from warp_plate.scene.vary import make_plan, parse_vary
-    from warp_plate.search.sweep_file import continued, unfinished_sweep
 
-    begun = unfinished_sweep(target) if resume is None else load_sweep(resume)
-    if begun is None:
-        return None
-    file = resume or target
-    anew = "begin anew without --resume" if resume else f"name another file by --out, or delete {target}"
-    if resume is None:  # the same command has the same defaults
+    anew = "begin anew without --resume" if resumed else f"name another file by --out, or delete {file}"
+    try:
+        begun = load_sweep(file)
+    except SceneError as error:
+        raise error if resumed else SceneError(f"{error}; {anew}") from None
+    if not resumed:  # the same command has the same defaults
         given = {"what": given["what"] or "localize", "count": given["count"] or MODES, "path": given["path"] or "auto"}
     refuse_changes(begun, f"sweep in {file}", begun.scene, scene, source or "", given, anew)
-    if vary or samples is not None or resume is None:
-        plan = make_plan([parse_vary(begun.scene, one) for one in vary or ()], samples, seed)
+    if vary or not resumed:
+        plan = make_plan([parse_vary(begun.scene, one) for one in vary or ()], samples, seed or 0)
         if not plan.same(begun.plan):
             raise SceneError(
-                f"--vary: the sweep in {file} began with other points ({_points(begun.plan)}), and goes on with "
-                f"nothing else; leave --vary out, or {anew}"
+                f"--vary: the sweep in {file} began with other points ({begun.plan.words}), and goes on with nothing "
+                f"else; {'leave --vary out, or ' if resumed else ''}{anew}"
             )
-    if scene is not None:
-        begun = _in_folder_of(begun, scene)
-    output.tell(f"{file}: {begun.progress} are done; {'nothing is left' if begun.finished else 'going on'}")
+    # The files that the scene names lie beside it, not beside the result.
+    return begun if scene is None else replace(begun, scene=begun.scene.in_folder(scene.folder))
+
+
+def _going_on(file: Path, begun: Sweep, device: str | None, there: bool) -> Sweep:
+    """The sweep as it goes on; tells what a user should know of it.
+
+    there: whether workers run its points, whose device is not known yet.
+
+    Raises:
+        SceneError: see ``continued``.
+    """
+    from warp_plate.search.sweep_file import continued
+
+    output.tell(f"{file}: {begun.progress} done; {'nothing is left' if begun.finished else 'going on'}")
     for line in differences(file, begun, None if there or not begun.processor else device):
         output.tell(line)
     return continued(begun, device, there)
-
-
-def _in_folder_of(begun: Sweep, scene: Scene) -> Sweep:
-    """The files that the scene names lie beside it, not beside the result."""
-    from dataclasses import replace
-
-    return replace(begun, scene=begun.scene.in_folder(scene.folder))
-
-
-def _points(plan: Plan) -> str:
-    """For people."""
-    ranges = ", ".join(
-        f"{key} from {values.min():g} to {values.max():g}"
-        for key, values in zip(plan.keys, plan.coordinates, strict=True)
-    )
-    return f"{len(plan)} {'samples' if plan.sampled else 'points'}, {ranges}"
 
 
 def _run(begun: Sweep, kept: SweepFile, pool: Pool | None, elsewhere: Elsewhere | None, shown: bool) -> Sweep:
@@ -199,25 +225,48 @@ def _run(begun: Sweep, kept: SweepFile, pool: Pool | None, elsewhere: Elsewhere 
     from warp_plate.cluster.pool import WorkersGone
     from warp_plate.search.sweep import run_sweep
 
+    total = len(begun.plan)
     try:
         with output.progress_bar("sweeping", shown) as show:
-            return run_sweep(begun, show, kept, pool, elsewhere)
+            show(total - len(begun.left), total, begun.progress)
+
+            def told(done: int, of: int, note: str) -> None:
+                show(done, of, f"{done} of {of}: {note}")
+
+            return run_sweep(begun, told, kept, pool, elsewhere)
     except (KeyboardInterrupt, WorkersGone) as reason:
         if kept.saved is None:
             raise
-        way = f"go on with: warp-plate sweep --resume {shlex.quote(str(kept.path))}"
         if isinstance(reason, WorkersGone):
-            raise SceneError(f"{reason}; {kept.saved.progress} are done; {way}") from None
-        raise KeyboardInterrupt(f" after {kept.saved.progress}; {way}") from None
+            raise SceneError(f"{reason}{_way_on(kept.saved, kept.path)}") from None
+        raise KeyboardInterrupt(_way_on(kept.saved, kept.path)) from None
 
 
-def _write(result: Sweep, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
+def _way_on(unfinished: Sweep, file: Path) -> str:
+    """How far the sweep is, and the command that goes on with it."""
+    return f" after {unfinished.progress}; go on with: warp-plate sweep --resume {shlex.quote(str(file))}"
+
+
+def _write(result: Sweep, path: Path, pictures: bool, kept: SweepFile) -> tuple[list[Path], str | None]:
     """The file and its picture; returns the files, and why a picture is missing."""
     from warp_plate.result.sweep import save_sweep
     from warp_plate.search.interrupts import interrupts_held
+    from warp_plate.search.sweep_file import free_name, refuse_to_replace
 
     with interrupts_held():
-        save_sweep(result, path)
+        try:
+            refuse_to_replace(path, result)
+        except SceneError:
+            taken, path = path, free_name(path)
+            output.tell(f"{taken} is of another command by now; this sweep is written to {path}")
+        try:
+            save_sweep(result, path)
+        except SceneError as error:
+            kept(result, True)
+            if kept.saved is None:
+                raise
+            raise SceneError(f"{error}; it is kept{_way_on(kept.saved, kept.path)}") from None
+        kept.remove()
     if not pictures:
         return [path], None
     from warp_plate.viz.sweep_plot import draw_sweep_beside
@@ -267,8 +316,10 @@ def _headings(result: Sweep) -> list[str]:
 
 
 def _print(result: Sweep, console: Console) -> None:
+    from warp_plate.scene.vary import counted
+
     plan = result.plan
-    console.print(f"{result.scene.title or result.source}: {result.what}, {_points(plan)}, on {result.ran_on}\n")
+    console.print(f"{result.scene.title or result.source}: {result.what}, {plan.words}, on {result.ran_on}\n")
     columns, keys = _columns(result), _headings(result)
     if len(plan) <= MOST_ROWS and len(keys) + len(columns) <= MOST_COLUMNS:
         headings = [f"{name} ({unit})" if unit != "1" else name for name, (unit, _) in columns.items()]
@@ -284,11 +335,13 @@ def _print(result: Sweep, console: Console) -> None:
                 made.add_row(f"{name}, {word}", f"{values[point]:.5g} {unit if unit != '1' else ''}".strip(), *at)
     console.print(made)
     if result.reasons:
-        console.print(f"\n{len(result.reasons)} of {len(plan)} points are refused:")
-        for point, reason in sorted(result.reasons.items())[:MOST_REASONS]:
-            console.print(f"  {_at(result, point)}: {reason}")
+        console.print(f"\n{len(result.reasons)} of {counted(len(plan), 'point')} refused:")
+        for point in sorted(result.reasons)[:MOST_REASONS]:
+            console.print(f"  {result.refusal(point)}")
         if len(result.reasons) > MOST_REASONS:
             console.print("  ... (all reasons are in the result file)")
+    for key in result.idle:
+        console.print(f"! {key} changes no figure")
     console.print(f"{result.seconds:.2f} s in all.")
 
 
@@ -298,7 +351,3 @@ def _extremes(values: list[float]) -> dict[str, int]:
     if not known:
         return {}
     return {"smallest": min(known, key=values.__getitem__), "largest": max(known, key=values.__getitem__)}
-
-
-def _at(result: Sweep, point: int) -> str:
-    return ", ".join(f"{key} = {value:.6g}" for key, value in result.plan.numbers(point).items())

@@ -27,7 +27,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import numeric_keys, unit_of, words_of
 from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene
-from warp_plate.scene.vary import MOST_POINTS, Plan
+from warp_plate.scene.vary import MOST_POINTS, Plan, counted
 
 FORMAT = "warp-plate sweep 1"
 NOT_RUN, RUN, REFUSED = 0, 1, 2
@@ -83,7 +83,7 @@ class Sweep:
     @property
     def progress(self) -> str:
         """For people."""
-        return f"{len(self.plan) - len(self.left)} of {len(self.plan)} points"
+        return f"{len(self.plan) - len(self.left)} of {counted(len(self.plan), 'point')}"
 
     @property
     def ran_on(self) -> str:
@@ -95,6 +95,24 @@ class Sweep:
         moved = self.processor not in ("", processor)
         earlier = f"{self.ran_on}, then " if moved else self.earlier
         return replace(self, device=device, processor=processor, earlier=earlier)
+
+    @property
+    def idle(self) -> tuple[str, ...]:
+        """Keys whose values change no figure, to the last bit; of samples, where all change at once, all or none."""
+        figures, plan = [self.shaped(name) for name in self.outputs], self.plan
+        if plan.sampled:
+            return plan.keys if len(plan) > 1 and all(_alike(one, 0) for one in figures) else ()
+        return tuple(
+            key
+            for axis, key in enumerate(plan.keys)
+            if plan.shape[axis] > 1 and all(_alike(one, axis) for one in figures)
+        )
+
+    def refusal(self, point: int) -> str:
+        """For people: the numbers of a refused point and its reason, which may begin with them."""
+        at = ", ".join(f"{key} = {value:.6g}" for key, value in self.plan.numbers(point).items())
+        reason = self.reasons[point]
+        return reason if reason.startswith(f"{at}: ") else f"at {at}: {reason}"
 
     def shaped(self, output: str) -> np.ndarray:
         """The values of an output in the shape of the plan, and after it the output's own axis."""
@@ -178,6 +196,11 @@ def _put_on(
     put(file, name, values, unit, words)
     for index, axis in enumerate(axes):
         file[name].dims[index].attach_scale(file[axis])
+
+
+def _alike(values: np.ndarray, axis: int) -> bool:
+    """Whether values are the same all along an axis."""
+    return np.array_equal(values, np.broadcast_to(values.take([0], axis), values.shape), equal_nan=True)
 
 
 def _in_ascii(unit: str) -> str:

@@ -173,9 +173,9 @@ def _what_is_near(scene: Scene, key: str, known: list[str]) -> str:
     below = [one for one in known if one.startswith((f"{key}.", f"{key}["))]
     if below:
         return f"is no single number; write {_listed(below)}"
-    absent = _absent_table(scene, key)
+    absent = _absent(scene, key)
     if absent:
-        return f"the scene has no [{absent}]; write that table into the scene file to vary what is in it"
+        return f"the scene has no {absent} into the scene file to vary what is in it"
     close = set(difflib.get_close_matches(key, known, n=4, cutoff=0.6))
     near = [one for one in known if one in close]
     head, tail = re.split(r"[.\[]", key)[0], re.split(r"[.\]]", key)[-1]
@@ -184,16 +184,20 @@ def _what_is_near(scene: Scene, key: str, known: list[str]) -> str:
     return f"is no key of this scene that holds a number; near it: {_listed(near or same or beside or known)}"
 
 
-def _absent_table(scene: Scene, key: str) -> str | None:
-    """The table that the key names and the scene leaves out; None where that is not why it is unknown."""
+def _absent(scene: Scene, key: str) -> str | None:
+    """The table or list that the key names and the scene leaves out, and what to write; None where that is not why it
+    is unknown."""
     value: Any = scene
     parts = _parts(key)
     for index, part in enumerate(parts[:-1]):
         if not isinstance(part, str) or not isinstance(value, BaseModel) or part not in type(value).model_fields:
             return None
-        value = getattr(value, part)
-        if value is None or value == ():
-            return ".".join(str(one) for one in parts[: index + 1])
+        value, name = getattr(value, part), ".".join(str(one) for one in parts[: index + 1])
+        if value is None:
+            return f"[{name}]; write that table"
+        if value == ():
+            tables = any(isinstance(one, str) for one in parts[index + 1 :])
+            return f"[[{name}]]; write such tables" if tables else f"{name}, which is a list; write it"
     return None
 
 

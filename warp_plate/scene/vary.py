@@ -14,7 +14,8 @@ from warp_plate.scene.keys import numeric_keys, resolved_key, with_numbers
 from warp_plate.scene.model import Scene
 
 MOST_POINTS = 1_000_000
-FORM = "write START:STOP:COUNT, log:START:STOP:COUNT or a list a,b,c"
+FORMS = "START:STOP:COUNT, log:START:STOP:COUNT or a list a,b,c"
+FORM = f"write {FORMS}"
 # A sweep's numbers are float64: the largest whole one that is told from its neighbours.
 LARGEST_WHOLE = 2**53 - 1
 # What is so near to a whole number, as a share of it and at most, is meant to be it: equal factors miss it by 1e-15.
@@ -91,6 +92,15 @@ class Plan:
             return np.stack(self.coordinates, axis=1)
         return np.stack(np.meshgrid(*self.coordinates, indexing="ij"), axis=-1).reshape(len(self), -1)
 
+    @property
+    def words(self) -> str:
+        """For people: how many points, and of what."""
+        ranges = (
+            f"{key} from {values.min():g} to {values.max():g}"
+            for key, values in zip(self.keys, self.coordinates, strict=True)
+        )
+        return ", ".join([counted(len(self), "sample" if self.sampled else "point"), *ranges])
+
     def numbers(self, point: int) -> dict[str, float]:
         """The varied numbers of a point, by key."""
         return dict(zip(self.keys, self.points[point].tolist(), strict=True))
@@ -155,7 +165,7 @@ def make_plan(varied: Sequence[Varied], samples: int | None = None, seed: int = 
     """
     keys = tuple(one.key for one in varied)
     if not keys:
-        raise SceneError(f"--vary: nothing is varied; write --vary KEY=RANGE; {FORM}")
+        raise SceneError(f"--vary: nothing is varied; write --vary KEY=RANGE, RANGE being {FORMS}")
     for index, key in enumerate(keys):
         if key in keys[:index]:
             raise SceneError(f"--vary {key}: is varied twice")
@@ -173,6 +183,11 @@ def make_plan(varied: Sequence[Varied], samples: int | None = None, seed: int = 
     if points > MOST_POINTS:
         raise SceneError(f"--vary: {points} points; at most {MOST_POINTS} (draw some of them with --samples)")
     return Plan(keys, tuple(one.values() for one in varied), logarithmic)
+
+
+def counted(number: int, thing: str) -> str:
+    """For people: "1 point", "2 points"."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
 def _nearest_whole(values: np.ndarray) -> np.ndarray:

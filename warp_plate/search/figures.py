@@ -122,10 +122,10 @@ FIGURES: Mapping[str, Figures] = {
     "modes": Figures({"frequency": Output("Hz", "natural frequency", "mode")}, modes_figures),
     "check": Figures(
         {
-            "limit": Output("s", "largest stable time step"),
-            "time_step": Output("s", "time step"),
-            "steps_a_period": Output("1", "steps in a period of the drive"),
-            "points_a_wavelength": Output("1", "nodes in a bending wavelength"),
+            "limit": Output("s", "time step, largest stable"),
+            "time_step": Output("s", "time step, taken"),
+            "steps_a_period": Output("1", "resolution, steps in a period of the drive"),
+            "points_a_wavelength": Output("1", "resolution, nodes in a bending wavelength"),
         },
         check_figures,
     ),

@@ -14,7 +14,7 @@ from warp_plate.result.sweep import REFUSED, RUN, Sweep
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import words_of
 from warp_plate.scene.model import Scene
-from warp_plate.scene.vary import Plan, make_plan, parse_vary
+from warp_plate.scene.vary import Plan, counted, make_plan, parse_vary
 from warp_plate.search.figures import FIGURES
 from warp_plate.search.interrupts import interrupts_held
 from warp_plate.search.localize import versions
@@ -176,9 +176,8 @@ def _refuse_elsewhere(begun: Sweep, found: Found, elsewhere: Elsewhere | None) -
 
 def all_refused(found: Sweep) -> str:
     """One line for a sweep without any figure."""
-    at = ", ".join(f"{key} = {value:g}" for key, value in found.plan.numbers(0).items())
-    more = f" (and {len(found.plan) - 1} points more)" if len(found.plan) > 1 else ""
-    return f"all points are refused; at {at}: {found.reasons[0]}{more}"
+    more = f" (and {counted(len(found.plan) - 1, 'point')} more)" if len(found.plan) > 1 else ""
+    return f"all points are refused; {found.refusal(0)}{more}"
 
 
 def _note(found: Found, begun: Sweep) -> str:

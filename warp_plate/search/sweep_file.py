@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from glob import escape
 from pathlib import Path
 
 from warp_plate.plate.files import digests
+from warp_plate.result.checkpoint import ENDING
 from warp_plate.result.sweep import Sweep, load_sweep, save_sweep
 from warp_plate.scene.errors import SceneError
 from warp_plate.search.checkpoints import EVERY
@@ -17,24 +20,29 @@ from warp_plate.solve.devices import find_device, processor_of
 
 
 class SweepFile:
-    """What ``run_sweep`` keeps its points in: the result file itself, written whole each time.
+    """What ``run_sweep`` keeps its points in until all are done: a file of its own, laid out as the result and written
+    whole each time.
 
     Args:
-        path: of the file.
+        path: of the file; where another process has made one there since, a free name beside it is taken.
         every: seconds between two writings, at least; 0: after each point; infinite: at the end, and after Ctrl-C.
-        warn: told in one line when the file cannot be written. The sweep then goes on.
+        warn: told in one line when the file cannot be written, or has another name. The sweep then goes on.
+        goes_on: whether the sweep goes on from what is there.
 
     Raises:
         SceneError: ``every`` is no number of seconds.
     """
 
-    def __init__(self, path: Path, every: float = EVERY, warn: Callable[[str], object] = warnings.warn) -> None:
+    def __init__(
+        self, path: Path, every: float = EVERY, warn: Callable[[str], object] = warnings.warn, goes_on: bool = False
+    ) -> None:
         if not every >= 0:
             raise SceneError(f"checkpoint-every = {every:g}: must be a number of seconds, 0 or more")
         self.path = path
         self.every = every
         self.saved: Sweep | None = None  # the last one that was written
         self._warn = warn
+        self._own = goes_on
         self._warned = False
         self._last = time.monotonic()
 
@@ -43,6 +51,9 @@ class SweepFile:
         if len(sweep.left) == len(sweep.plan) or not (last or time.monotonic() - self._last >= self.every):
             return
         self._last = time.monotonic()
+        if not self._own and self.path.exists():
+            taken, self.path = self.path, free_name(self.path)
+            self._warn(f"{taken} is of another sweep by now; this one is kept in {self.path}")
         try:
             save_sweep(sweep, self.path)
         except SceneError as error:
@@ -50,16 +61,45 @@ class SweepFile:
                 self._warn(f"{error}; the sweep goes on")
             self._warned = True
             return
-        self.saved, self._warned = sweep, False
+        self.saved, self._own, self._warned = sweep, True, False
+
+    def remove(self) -> None:
+        """Away with the file, and with what a killed process left of one: the result is written."""
+        if self._own:
+            for path in (self.path, *self.path.parent.glob(f".{escape(self.path.name)}.*.part.h5")):
+                path.unlink(missing_ok=True)
 
 
-def unfinished_sweep(path: Path) -> Sweep | None:
-    """The sweep in a file, where it has points that are not run; None where the file is another, or there is none."""
+def refuse_to_replace(path: Path, sweep: Sweep) -> None:
+    """Nothing, where there is no file, or one of the same scene, figures and points.
+
+    Raises:
+        SceneError: what is there would be lost.
+    """
+    if not path.exists():
+        return
+    way = f"name another file by --out, or delete {path}"
     try:
-        found = load_sweep(path) if path.is_file() else None
-    except SceneError:
-        return None
-    return None if found is None or found.finished else found
+        there = load_sweep(path)
+    except SceneError as error:
+        raise SceneError(f"{error}; {way}") from None
+    same_scene = there.scene.model_dump() == sweep.scene.model_dump() and there.files == sweep.files
+    for what, same in (
+        ("another scene", same_scene),
+        (f"--what {there.what}", there.what == sweep.what),
+        (f"--count {there.count}", there.count == sweep.count),
+        (f"other points ({there.plan.words})", there.plan.same(sweep.plan)),
+    ):
+        if not same:
+            raise SceneError(f"{path}: holds a sweep of {what}; {way}")
+
+
+def free_name(path: Path) -> Path:
+    """NAME-2.h5 for NAME.h5, NAME-2.checkpoint.h5 for NAME.checkpoint.h5; or the first such that no file has."""
+    ending = ENDING if path.name.endswith(ENDING) else path.suffix
+    stem = path.name.removesuffix(ending)
+    names = (path.with_name(f"{stem}-{number}{ending}") for number in itertools.count(2))
+    return next(name for name in names if not name.exists())
 
 
 def continued(begun: Sweep, device: str | None = None, there: bool = False) -> Sweep:
