@@ -34,7 +34,8 @@ RULES: dict[str, tuple[set[str], set[str]]] = {
     "search.pso": ({"search.pso_settings", "search.record", "plate.blocks"}, SCIENCE),
     "search.record": (set(), SCIENCE),
     "search.pso_settings": (set(), SCIENCE),
-    "plate.blocks": (set(), SCIENCE),
+    "plate.blocks": ({"plate.interrupts"}, SCIENCE),
+    "plate.interrupts": (set(), set()),
     "viz": (
         {"viz", "result", "scene"},
         {*SCIENCE, "pyvista", "vtkmodules", "matplotlib", "PIL", "imageio_ffmpeg"},

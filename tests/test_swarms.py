@@ -1,5 +1,8 @@
 """The swarm beyond the paper's: constriction, a ring of neighbours, numbers that wrap, restarts, blocks of rows."""
 
+import os
+import signal
+
 import numpy as np
 import pytest
 
@@ -143,24 +146,28 @@ def test_a_large_swarm_that_moves_as_it_is_looked_at_is_the_same(options, monkey
     np.testing.assert_array_equal(large.velocities, plain.velocities)
 
 
-def test_ctrl_c_in_the_middle_of_a_move_changes_no_bit(monkeypatch):
-    settings, found = SwarmSettings(3, 150, 9), []
+@pytest.mark.parametrize("looked_at", [9, 100], ids=["one block", "several"])
+def test_ctrl_c_in_the_middle_of_a_move_changes_no_bit(looked_at, monkeypatch):
+    """It is heard when the rows that were asked for have moved, and no thread goes on behind."""
+    settings, found = SwarmSettings(3, 150, 9, bounds=(-1, 2)), []
     monkeypatch.setattr(blocks, "ROWS", 16)
-    over_blocks = blocks.over_blocks
-    for cut_short in (False, True):
+    for interrupted in (False, True):
         swarm = Swarm(settings)
         swarm.tell(swarm.ask(), losses_in_parts(swarm.positions))
         positions = swarm.ask()
-        if cut_short:
+        if interrupted:
+            confine, asked = swarm._confine, []
 
-            def at_once(task, rows):
-                over_blocks(task, rows // 2)
-                raise KeyboardInterrupt
+            def ctrl_c(*args, confine=confine, asked=asked):
+                if not asked:
+                    os.kill(os.getpid(), signal.SIGINT)
+                asked.append(1)
+                confine(*args)
 
-            monkeypatch.setattr(blocks, "over_blocks", at_once)
+            monkeypatch.setattr(swarm, "_confine", ctrl_c)
             with pytest.raises(KeyboardInterrupt):
-                positions[:100]
-            monkeypatch.setattr(blocks, "over_blocks", over_blocks)
+                positions[:looked_at]
+            assert len(asked) == -(-looked_at // 16)
         found.append(swarm.state())
         swarm.tell(positions, losses_in_parts(positions))
         found.append(swarm.state())

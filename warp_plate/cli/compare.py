@@ -100,8 +100,8 @@ def compare(
 
 def _write(result: Comparison, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """The file and its picture; returns the files, and why a picture is missing."""
+    from warp_plate.plate.interrupts import interrupts_held
     from warp_plate.result.comparison import save_comparison
-    from warp_plate.search.interrupts import interrupts_held
 
     with interrupts_held():
         save_comparison(result, path)

@@ -247,8 +247,8 @@ def prepare_pictures(pictures: bool) -> None:
 
 def write_files(result: Result, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """Save the result and draw its pictures beside it; returns the files, and why a picture is missing."""
+    from warp_plate.plate.interrupts import interrupts_held
     from warp_plate.result import save_result
-    from warp_plate.search.interrupts import interrupts_held
 
     files = []
     try:

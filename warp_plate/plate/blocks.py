@@ -13,6 +13,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from warp_plate.plate.interrupts import interrupts_held
+
 Made = TypeVar("Made")
 
 # Rows of a block; so few rows take one call and no thread. More threads than that wait for each other.
@@ -23,15 +25,17 @@ MOST_THREADS = 8
 def over_blocks(task: Callable[[slice], object], rows: int) -> None:
     """Call ``task`` with slices that together are all rows; it writes its part of what is asked for.
 
-    A task sets ``np.errstate`` itself, if it needs one: threads begin with NumPy's own.
+    A task sets ``np.errstate`` itself, if it needs one: threads begin with NumPy's own. Ctrl-C is heard at the end, so
+    that no thread goes on with what nobody waits for.
     """
     blocks = [slice(first, min(first + ROWS, rows)) for first in range(0, rows, ROWS)]
-    if len(blocks) <= 1:
-        for block in blocks:
-            task(block)
-        return
-    for done in [_pool().submit(task, block) for block in blocks]:
-        done.result()
+    with interrupts_held():
+        if len(blocks) <= 1:
+            for block in blocks:
+                task(block)
+            return
+        for done in [_pool().submit(task, block) for block in blocks]:
+            done.result()
 
 
 def in_blocks(rows: int) -> bool:
@@ -42,8 +46,8 @@ def in_blocks(rows: int) -> bool:
 class GrowingRows:
     """An array (rows, columns) that is made row after row, as far as it is asked for.
 
-    make: writes some rows of ``array``; slices come in order, in blocks as ``over_blocks`` gives them, and once more
-    after Ctrl-C came in between.
+    make: writes some rows of ``array``; slices come in order, in blocks as ``over_blocks`` gives them; after Ctrl-C some
+    may come once more.
     """
 
     def __init__(self, make: Callable[[slice], object], array: np.ndarray) -> None:

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from warp_plate.cluster.pool import Pool, WorkersGone
+from warp_plate.plate.interrupts import interrupts_held
 from warp_plate.result.comparison import Comparison, Trial
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.search.free import at_highest_frequency
-from warp_plate.search.interrupts import interrupts_held
 from warp_plate.search.localize import device_name, of_pool, resolve, versions
 from warp_plate.search.methods import Method, make_searcher
 from warp_plate.search.problem import Evaluator, Problem

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from warp_plate.plate.blocks import GrowingRows
+from warp_plate.plate.interrupts import interrupts_held
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.scene.errors import SceneError
 from warp_plate.search.checkpoints import CheckpointFile
-from warp_plate.search.interrupts import interrupts_held
 from warp_plate.search.methods import Method, make_searcher, searcher_from_state
 from warp_plate.search.problem import Problem
 from warp_plate.search.pso import optimize

@@ -10,13 +10,13 @@ import numpy as np
 
 from warp_plate.cluster.pool import Pool
 from warp_plate.plate.files import digests
+from warp_plate.plate.interrupts import interrupts_held
 from warp_plate.result.sweep import REFUSED, RUN, Sweep
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import words_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import Plan, counted, make_plan, parse_vary
 from warp_plate.search.figures import FIGURES
-from warp_plate.search.interrupts import interrupts_held
 from warp_plate.search.localize import versions
 from warp_plate.search.sweep_point import Found, run_here, run_there
 from warp_plate.solve.devices import find_device, processor_of

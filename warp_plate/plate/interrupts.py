@@ -1,4 +1,4 @@
-"""Ctrl-C at the right moments: it waits while a search moves its particles or writes a file."""
+"""Ctrl-C at the right moments: it waits while particles move, threads share work, or a file is written."""
 
 from __future__ import annotations
 
