@@ -46,8 +46,8 @@ def in_blocks(rows: int) -> bool:
 class GrowingRows:
     """An array (rows, columns) that is made row after row, as far as it is asked for.
 
-    make: writes some rows of ``array``; slices come in order, in blocks as ``over_blocks`` gives them; after Ctrl-C some
-    may come once more.
+    make: writes some rows of ``array``; slices come in order, in blocks as ``over_blocks`` gives them; after Ctrl-C
+    some may come once more.
     """
 
     def __init__(self, make: Callable[[slice], object], array: np.ndarray) -> None:
