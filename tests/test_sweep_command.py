@@ -11,7 +11,7 @@ import pytest
 
 from warp_plate import Scene, SceneError, load_sweep
 from warp_plate.cli import output
-from warp_plate.cluster import pool as pools
+from warp_plate.cluster import opening
 from warp_plate.cluster.pool import Here, WorkersGone
 from warp_plate.result.sweep import REFUSED, save_sweep
 from warp_plate.result.whole import check_seal
@@ -253,7 +253,7 @@ def test_beside_a_cluster_the_device_is_its_workers(panel, command, monkeypatch)
         opened.append(device)
         yield pool
 
-    monkeypatch.setattr(pools, "open_pool", open_pool)
+    monkeypatch.setattr(opening, "open_pool", open_pool)
     away = ("--cluster", "tcp://far:8786", "--device", "cuda:99", "--no-pictures")
     searched = ("panel.toml", *away, "--evaluator", "direct", "--json")
     status, out, err = command.func("localize", *searched, "--no-estimate", "--no-spectrum", "--baselines")
