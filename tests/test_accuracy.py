@@ -273,6 +273,7 @@ def test_front_and_recommendations():
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_finer_is_chosen_for_less_error(panel):
     coarse, fine = (choose(panel, accuracy, "cpu") for accuracy in (0.03, 0.003))
     for asked, choice in ((0.03, coarse), (0.003, fine)):
@@ -284,6 +285,7 @@ def test_finer_is_chosen_for_less_error(panel):
     assert np.prod(fine.scene.grid.nodes) > np.prod(coarse.scene.grid.nodes)
 
 
+@pytest.mark.slow
 def test_choosing_is_repeatable(panel):
     first, second = (choose(panel, 0.02, "cpu") for _ in range(2))
     assert first.scene == second.scene
