@@ -34,6 +34,7 @@ SEGMENT_NODE_STEPS = {"cpu": 1e9, "cuda": 5e10}
 CUDA_CHUNK_SHARE = 0.6
 CPU_CHUNK_BYTES = 256 * 2**20
 FEWEST_PLATES = 64
+
 Progress = Callable[[int, int], None]
 End = Callable[[], None]
 
