@@ -56,6 +56,20 @@ def on_loss(calls):
 BEFORE_ANY = """
 search.measure_response = lambda solver: interrupt()
 """
+# Python loses what a callback like this one raises, and goes on.
+LOST = """
+import time, weakref
+class Thing:
+    pass
+
+def begin(solver):
+    thing = Thing()
+    watching = weakref.ref(thing, lambda gone: interrupt())
+    del thing
+    time.sleep(100)
+
+search.measure_response = begin
+"""
 
 
 @pytest.fixture
@@ -108,9 +122,10 @@ def test_the_command_ends_with_the_best_so_far(panel):
     assert checkpoint.iterations == len(found["history"])
 
 
-def test_before_anything_is_found(panel):
+@pytest.mark.parametrize("watch", [BEFORE_ANY, LOST], ids=["at once", "lost at first"])
+def test_before_anything_is_found(watch, panel):
     """Status 130 and one line, no traceback, no file."""
-    answer = interrupted(BEFORE_ANY)
+    answer = interrupted(watch)
     assert answer.returncode == 128 + signal.SIGINT
     assert answer.stdout == ""
     assert len(answer.stderr.splitlines()) == 1
