@@ -152,12 +152,32 @@ def test_a_worker_without_memory_costs_no_plate_where_another_has_it(pool, scene
 
 
 def test_what_is_for_a_worker_that_is_gone_waits_for_another(pool, monkeypatch):
-    monkeypatch.setattr(pool, "_threads", {"tcp://127.0.0.1:1": 1})
+    monkeypatch.setattr(pool, "_threads", {"tcp://127.0.0.1:1": 1, "another": 1})
     ticket = pool.submit(Task(doubled, {"value": 1}, avoid=("another",)))
     monkeypatch.setattr(pool, "_looked", 0.0)
     ((heard, answer),) = pool.wait(0.1)
     assert (heard, answer.fault) == (ticket, "waiting")
     assert "tcp://127.0.0.1:1" not in pool._threads
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGSTOP")
+def test_an_answer_that_stays_with_its_worker_is_lost(pool, monkeypatch):
+    """As where that ends between the task's end and the reading of its answer: nobody waits for it without end."""
+    monkeypatch.setattr(dask, "FETCH", 0.2)
+    workers = numbers(pool)
+    ticket = pool.submit(Task(number, {"seconds": 0}))
+    future = pool._running[ticket].future
+    while not future.done():
+        time.sleep(0.01)
+    try:
+        for worker in workers:
+            os.kill(worker, signal.SIGSTOP)
+        ((heard, answer),) = pool.wait(1.0)
+    finally:
+        for worker in workers:
+            os.kill(worker, signal.SIGCONT)
+    assert (heard, answer.fault) == (ticket, "lost")
+    assert numbers(pool) == workers
 
 
 def leaves_a_mark(payload):

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 DEPTH = 2
 # Seconds to wait for a scheduler to answer or to come back, for a worker to join, and between looks at who is there.
 ANSWERS, JOINS, LOOK = 10.0, 60.0, 2.0
+# Seconds in which a worker hands over an answer, some hundred kilobytes.
+FETCH = 10.0
 
 
 def open_dask(where: str, device: str, tell: Callable[[str], object]) -> Dask:
@@ -135,7 +137,9 @@ class Dask:
         """See ``Pool``; the scheduler chooses among the workers."""
         self._tickets += 1
         ticket = self._tickets
-        workers = fittest(self._threads, task) if task.avoid else set[str]()
+        workers = fittest(self._threads, task)
+        if len(workers) == len(self._threads):  # any, also one that joins later
+            workers = set()
         future = self._client.submit(
             perform_there, task.name, task.payload, pure=False, retries=0, workers=list(workers) or None
         )
@@ -180,11 +184,12 @@ class Dask:
         self._late.pop(ticket, None)
         if self._running.pop(ticket, None) is None:  # nobody waits for it any more
             return []
-        if future.status == "finished":
-            return [(ticket, Answer(**future.result()))]
         if future.status == "error":
             return [(ticket, _of_error(future.exception()))]
-        return [(ticket, Answer(fault="lost", text="the scheduler lost it"))]
+        # The worker holds the answer; where it ended meanwhile, Dask would wait until another has done the task again.
+        with suppress(Exception):
+            return [(ticket, Answer(**future.result(timeout=FETCH)))]
+        return [(ticket, Answer(fault="lost", text="its worker ended with the answer"))]
 
     def _look(self) -> list[tuple[int, Answer]]:
         """Count the workers' threads, now and then; what was for workers that are gone waits for others.
