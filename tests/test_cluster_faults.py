@@ -24,6 +24,7 @@ from warp_plate import (
 )
 from warp_plate.cli.main import main
 from warp_plate.cluster import blocks, processes, work
+from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.pool import Answer, Here, Task, WorkersGone, fittest
 from warp_plate.cluster.processes import Processes
 from warp_plate.cluster.solver import SpreadSolver
@@ -186,6 +187,13 @@ def test_an_error_that_no_task_should_raise_is_tried_elsewhere_and_named(two, mo
     assert answers[tickets[0]].text == LINE
     with pytest.raises(RuntimeError, match="illegal memory access"):  # in this process there is nobody else to try
         list(spread(Here(), tasks))
+
+
+def test_what_is_done_again_is_told():
+    told = []
+    with open_pool("cpu", None, tell=told.append) as pool:
+        assert len(list(spread(pool, [Task(failing, {"value": 3}), Task(failing, {"value": 1})]))) == 2
+    assert told == [f"2 tasks done again: {LINE}"]
 
 
 def poisoned(payload):

@@ -10,6 +10,7 @@ import logging
 import os
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -99,6 +100,7 @@ class Dask:
 
     def __init__(self, client: Client, cluster: LocalCluster | None, where: str, device: str) -> None:
         self.told: Callable[[int, int], object] | None = None
+        self.retried = Counter[str]()
         self.device = device
         self._client, self._cluster, self._where = client, cluster, where
         self._events: SimpleQueue[tuple[int, Future]] = SimpleQueue()

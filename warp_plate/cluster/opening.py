@@ -18,6 +18,8 @@ def open_pool(
 ) -> Iterator[Pool | None]:
     """The pool that ``--devices`` or ``--cluster`` ask for, closed at the end; None where neither is given.
 
+    At the end it tells how often work was done again, and why.
+
     Args:
         devices: such as "cuda:0,cuda:1", or "cpu,cpu": a process for each; a CPU one has one thread.
         cluster: "local:4", "tcp://host:port" or the path of a scheduler file. device: of its workers; left out, each
@@ -42,4 +44,6 @@ def open_pool(
         yield pool
     finally:
         if pool is not None:
+            for why, count in pool.retried.items():
+                tell(f"{count} task{'s' if count > 1 else ''} done again: {why}")
             pool.close()

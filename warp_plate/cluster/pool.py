@@ -7,7 +7,7 @@ these. ``Here`` does tasks in this process; ``processes.Processes`` on several d
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
@@ -71,6 +71,8 @@ class Pool(Protocol):
 
     told: Callable[[int, int], object] | None
     """Called by ``spread`` with tasks done and in all."""
+    retried: Counter[str]
+    """How many tasks were to be done again, or in halves, by what went wrong."""
     device: str
     """What workers run plates on that were not told otherwise: "auto" for each one's own choice."""
 
@@ -112,6 +114,7 @@ class Here:
 
     def __init__(self) -> None:
         self.told: Callable[[int, int], object] | None = None
+        self.retried = Counter[str]()
         self._tasks: deque[tuple[int, Task]] = deque()
         self._tickets = 0
 

@@ -80,6 +80,7 @@ class Processes:
 
     def __init__(self, devices: Sequence[str]) -> None:
         self.told: Callable[[int, int], object] | None = None
+        self.retried = Counter[str]()
         self._events: SimpleQueue[tuple[_Worker, dict[str, Any] | None]] = SimpleQueue()
         self._tickets = 0
         self._failed_starts: Counter[str] = Counter()

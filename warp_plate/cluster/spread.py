@@ -92,6 +92,8 @@ def spread(
                     pool.forget(number)
                 instead = _instead(flight.task, answer, halves, again)
                 if instead:
+                    if answer.fault in ("lost", "memory"):
+                        pool.retried[answer.text] += 1
                     waiting.extendleft(instead)
                     continue
                 taken.append(time.monotonic() - flight.since)
