@@ -1,10 +1,16 @@
 """Parts of a run, and runs begun before others end, share two states: no bit changes, whatever is cut short."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import warp as wp
 
 from warp_plate import PlateSolver, SceneError
+from warp_plate.cluster.frames import receive, send
 from warp_plate.plate.designs import Designs
 from warp_plate.solve.parts import LARGEST_PART, part_sizes
 
@@ -48,6 +54,55 @@ def test_runs_begun_before_others_end_change_no_bit(overlaps, device, path, scen
         np.testing.assert_array_equal(run.energy, right.energy)
     assert solver.node_steps == sum(run.node_steps for run in whole)
     assert not solver._ends
+
+
+# A worker whose tasks say what becomes of them, on a GPU that is at work until two are begun.
+WORKER = """
+import sys
+from warp_plate.cluster import work, worker
+
+begun = []
+
+def say(*words):
+    print(*words, file=sys.stderr, flush=True)
+
+def begin(name, payload, caught):
+    begun.append(name)
+    say("begun", name)
+    return lambda: (say("waited for", name), {{"value": {{}}}})[1]
+
+work.begin, work.at_work, worker.LOOKS = begin, lambda: 0 < len(begun) < {busy}, 100.0
+worker.main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("busy", "order"),
+    [(2, ["begun a", "begun b", "waited for a", "waited for b"]), (0, ["begun a", "waited for a", "begun b"])],
+)
+def test_a_worker_begins_a_task_that_comes_while_its_gpu_is_at_work(busy, order):
+    """And waits for none where it is not."""
+    root = str(Path(__file__).parents[1])
+    worker = subprocess.Popen(
+        [sys.executable, "-c", WORKER.format(busy=busy)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": root},
+    )
+    assert "ready" in receive(worker.stdout)
+    said = []
+    for name in "ab":
+        send({"ticket": 1, "name": name, "payload": {}}, worker.stdin)
+        while not said or said[-1] != (f"begun {name}" if busy or name == "b" else "waited for a"):
+            said.append(worker.stderr.readline().decode().strip())
+    if busy:
+        said += [worker.stderr.readline().decode().strip() for _ in range(2)]
+    assert said == order
+    worker.stdin.close()
+    assert worker.wait(60) == 0
+    worker.stdout.close()
+    worker.stderr.close()
 
 
 def test_a_run_reads_nothing_from_the_device_but_its_sums(device, path, scene, phasors, monkeypatch):

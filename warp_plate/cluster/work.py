@@ -35,6 +35,11 @@ def begin(name: str, payload: Mapping[str, Any], caught: bool = False) -> Callab
     return (lambda: _answer(rest, caught)) if callable(rest) else (lambda: fields)
 
 
+def at_work() -> bool:
+    """Whether this process's GPU is at what was begun."""
+    return any(one.device.is_cuda and not wp.get_stream(one.device).is_complete for one in _SOLVERS.values())
+
+
 def perform(name: str, payload: Mapping[str, Any], caught: bool = False) -> dict[str, Any]:
     """Do a task to its end; see ``begin``."""
     return begin(name, payload, caught)()
