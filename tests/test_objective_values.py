@@ -83,23 +83,67 @@ def test_of_a_robust_search_they_are_those_of_the_plate_without_scatter(scene):
     assert result.values["bound"] == pytest.approx(-plain.bound_of_loss.value, rel=1e-9)
 
 
-def test_the_command_shows_them(panel, tmp_path, monkeypatch, capsys):
+CASES = ("equal", "single", "time_reversal", "inverse_filter")
+ONLY = ["localize", "panel.toml", "--device", "cpu", "--no-estimate", "--no-pictures"]
+
+
+def test_the_command_shows_them_beside_those_of_other_drives(panel, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "140")
     Path("panel.toml").write_text(dump_scene(panel), encoding="utf-8")
-    main(["localize", "panel.toml", "--device", "cpu", "--no-estimate", "--no-pictures"])
+    main([*ONLY, "--baselines"])
     out = capsys.readouterr().out
-    values = load_result("panel-localize.h5").values
+    result = load_result("panel-localize.h5")
+    columns = [result.values, *(result.worth[name] for name in CASES)]
     for words, name in (
         ("velocity (m/s)", "velocity"),
         ("velocity of the rest (m/s)", "velocity of the rest"),
         ("contrast (dB)", "contrast"),
         ("weighted sum", "sum"),
-        ("bound of the sum", "bound"),
+        ("bound only of the sum", "bound"),
     ):
         (line,) = [line for line in out.splitlines() if line.startswith(words + "  ")]
-        assert float(line.split()[-1]) == pytest.approx(values[name], rel=1e-4)
-    main(["localize", "panel.toml", "--device", "cpu", "--json", "--no-estimate", "--no-pictures"])
-    assert json.loads(capsys.readouterr().out)["objectives"] == pytest.approx(values)
+        known = [column[name] for column in columns if name in column]
+        assert [float(text) for text in line.split()[-len(known) :]] == pytest.approx(known, rel=1e-3)
+    problem = make_problem(panel, "cpu")
+    for name in CASES:
+        drive = result.cases[name].drive[None]
+        worth = problem.judge.worth(problem.plain.run(drive).energy, problem.moved.run(drive).energy)
+        assert result.worth[name] == pytest.approx({kind: float(value[0]) for kind, value in worth.items()})
+    main([*ONLY, "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert found["objectives"] == pytest.approx(result.values)
+    assert found["objectives_of"] == {name: pytest.approx(result.worth[name]) for name in CASES[:2]}
+    assert found["bound_kind"] == "bound only"
+
+
+def test_a_limit_that_no_drive_keeps_is_told(scene, tmp_path, monkeypatch, capsys):
+    """And no bound is claimed of drives that there are not."""
+    monkeypatch.chdir(tmp_path)
+    search = {**SEARCH, "magnitude": {"range": (1.0, 2.0)}, "objectives": [{"kind": "velocity", "rest_limit": 1e-7}]}
+    Path("panel.toml").write_text(dump_scene(scene((9, 9), damping=88.5, search=search)), encoding="utf-8")
+    main(ONLY)
+    assert "! velocity of the rest (m/s): no drive was found" in " ".join(capsys.readouterr().out.split())
+    values = load_result("panel-localize.h5").values
+    assert values["velocity of the rest"] > 1e-7
+    assert "bound" not in values
+
+
+@pytest.mark.parametrize(
+    ("tables", "kind", "words"),
+    [
+        ({}, "attained", "bound: no drive passes it"),
+        ({"limits": {"equal_magnitudes": True}, "phase": {}}, "attained within limits", "bound of the drives that may"),
+        ({"frequency": {"range": (200.0, 400.0)}}, "", "none claimed"),
+    ],
+)
+def test_the_command_says_what_its_bound_is(tables, kind, words, scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    made = scene((9, 9), damping=88.5, search={"particles": 4, "iterations": 2, **tables})
+    Path("panel.toml").write_text(dump_scene(made), encoding="utf-8")
+    main([*ONLY, "--no-spectrum"])
+    assert words in capsys.readouterr().out
+    assert load_result("panel-localize.h5").bound_kind == kind
 
 
 def test_the_picture_of_the_search_has_the_bound(panel):

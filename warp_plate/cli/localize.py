@@ -38,7 +38,6 @@ MEANING = {
     "inverse_filter": "regularised inverse filter",
     "nominal": "found without scatter",
     "best": "found by the search",
-    "bound": "bound: no drive passes it",
 }
 
 
@@ -244,6 +243,7 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
         "path": result.path,
         "seed": result.seed,
         "localization_factor": {**factors, "bound": result.bound},
+        "bound_kind": result.bound_kind,
         "drive": output.drive_json(best, result.scene),
         "evaluations": result.evaluations,
         "node_steps": result.node_steps,
@@ -251,6 +251,7 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
         "effects": list(result.effects),
         "history": [dict(zip(history, row, strict=True)) for row in zip(*history.values(), strict=True)],
         "objectives": dict(result.values) or None,
+        "objectives_of": {name: dict(worth) for name, worth in result.worth.items()},
         "robust": robust_json(result.robust),
         "spectrum": {name: values.tolist() for name, values in result.spectrum.items()},
         "crosstalk": crosstalk_json(result),
@@ -271,10 +272,9 @@ def _print(result: Result, console: Console) -> None:
     headings = (f"localization factor{first}", "this run") + (("published",) if published else ())
     console.print(result.scene.title or result.source)
     made = output.table(*headings)
-    for name, meaning in MEANING.items():
-        if name != "bound" and name not in factors:
-            continue
-        value = result.bound if name == "bound" else factors[name]
+    rows = [(name, meaning, factors[name]) for name, meaning in MEANING.items() if name in factors]
+    bound = "bound" if result.bound is None else result.bound_words
+    for name, meaning, value in (*rows, ("bound", bound, result.bound)):
         row = [meaning, "none claimed" if value is None else output.known(value, ".4f")]
         made.add_row(*row, *([f"{published[name]:.4f}" if name in published else ""] if published else []))
     console.print(made)

@@ -11,27 +11,47 @@ if TYPE_CHECKING:
 
     from warp_plate.result.model import Result
 
+HEADINGS = {
+    "equal": "equal",
+    "single": "single",
+    "time_reversal": "time\nreversal",
+    "inverse_filter": "inverse\nfilter",
+}
+
 
 def print_objectives(result: Result, console: Console) -> None:
-    """A row for each objective, a column for each target's drive; nothing where only localization is sought."""
+    """A row for each objective, a column for each target's drive, or for what was found and the drives beside it;
+    nothing where only localization is sought."""
     from warp_plate.scene.search import OBJECTIVE_UNITS
 
     if result.only_localization or not result.values:
         return
     values = [one.values for one in result.several] or [result.values]
     columns = [target.name for target in result.scene.targets][: len(values)] or ["found"]
-    made = output.table("objective", "weight", "limit", *columns)
+    beside = {heading: result.worth[name] for name, heading in HEADINGS.items() if name in result.worth}
+    made = output.table("objective", "weight", "limit", *columns, *beside)
+    for column in made.columns[1:]:
+        column.no_wrap = True  # a number that is cut is none
+    beyond = []
 
-    def add(name: str, words: str, weight: str = "", limit: str = "") -> None:
-        made.add_row(words, weight, limit, *(output.known(one.get(name), ".5g") for one in values))
+    def add(name: str, words: str, weight: str = "", limit: float | None = None) -> None:
+        shown = [output.known(one.get(name), ".4g") for one in values]
+        shown += [output.known(one[name], ".4g") if name in one else "" for one in beside.values()]
+        made.add_row(words, weight, "" if limit is None else f"{limit:g}", *shown)
+        if limit is not None and any(one.get(name, 0.0) > limit * (1 + 1e-5) for one in values):
+            beyond.append(words)
 
     for one in result.scene.search.objectives:
         unit = OBJECTIVE_UNITS[one.kind].removeprefix("1")
         add(one.kind, f"{one.kind} ({unit})" if unit else one.kind, f"{one.weight:g}")
         if one.rest_limit is not None:
-            add(f"{one.kind} of the rest", f"{one.kind} of the rest ({unit})", limit=f"{one.rest_limit:g}")
+            add(f"{one.kind} of the rest", f"{one.kind} of the rest ({unit})", limit=one.rest_limit)
     add("sum", "weighted sum")
     if any("bound" in one for one in values):
-        add("bound", "bound of the sum")
+        add("bound", f"{'bound only' if result.bound_kind == 'bound only' else 'bound'} of the sum")
     console.print(made)
+    if beside and not beyond:
+        console.print("Found: within the search's limits, which the drives beside it need not keep.", style="dim")
+    for words in beyond:
+        console.print(f"! {words}: no drive was found that keeps the limit; the one nearest to it is shown")
     console.print()

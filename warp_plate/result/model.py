@@ -4,14 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from warp_plate.plate.found import scene_with
 from warp_plate.result.robust import RobustComparison
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Objective
+
+BoundKind = Literal["", "attained", "attained within limits", "bound only"]
+# What a bound is, for people.
+BOUND_WORDS: dict[BoundKind, str] = {
+    "": "bound",
+    "attained": "bound: no drive passes it",
+    "attained within limits": "bound of the drives that may be chosen",
+    "bound only": "bound only: the drives that may be chosen need not reach it",
+}
+
+
+def bound_kind(text: str) -> BoundKind:
+    """The kind that a file names.
+
+    Raises:
+        SceneError: there is no such kind.
+    """
+    for kind in BOUND_WORDS:
+        if kind == text:
+            return kind
+    raise SceneError(f"bound_kind is {text!r}")
 
 
 @dataclass(frozen=True)
@@ -73,13 +95,15 @@ class Found:
     """The search for one target.
 
     position: (dimension,) the best one in the search's space; None where one actuator leaves no choice, or none had
-    energies. single: index of the best single actuator; bound, history, values: as in :class:`Result`; evaluations:
+    energies. single: index of the best single actuator; bound, bound_kind, history, values: as in
+    :class:`Result`; evaluations:
     plates.
     """
 
     position: np.ndarray | None
     single: int
     bound: float | None
+    bound_kind: BoundKind
     evaluations: int
     history: Mapping[str, np.ndarray]
     values: Mapping[str, float]
@@ -91,11 +115,14 @@ class Result:
 
     cases: by name; ``localize`` has "equal", "single" and "best", ``simulate`` has "drive".
     times: (times,) of the displacements [s]; trace_times: (steps,) of the traces [s].
-    bound: largest localization factor that any drive can reach; None where none is claimed.
+    bound: largest localization factor that any drive can reach; None where none is claimed. bound_kind: how near a
+        drive comes to it, or to that of the values' sum: a key of BOUND_WORDS.
     history: for each iteration of the search, arrays "evaluations", "best", "mean": localization factors, or weighted
         sums of what else is sought.
     values: where more than the localization factor is sought, what the best drive is worth: by the objectives' kinds,
-        of velocity and displacement also that "of the rest"; their weighted "sum", and its "bound" where one is known.
+        of velocity and displacement also that "of the rest"; their weighted "sum", and its "bound" where one is known
+        and the limits on the rest are kept.
+    worth: the same, without a bound, of other cases at the scene's own frequency and places, by their names.
     seconds: "compile" and "solve", and "choose" and "estimate" where these were done.
     accuracy: what is known of the result's errors, of numbers and texts only: "asked" and "reason" where the scene
         asked for an accuracy instead of a grid, "estimate" of the localization factors.
@@ -122,8 +149,10 @@ class Result:
     node_steps: int
     evaluations: int = 0
     bound: float | None = None
+    bound_kind: BoundKind = ""
     history: Mapping[str, np.ndarray] = field(default_factory=dict)
     values: Mapping[str, float] = field(default_factory=dict)
+    worth: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     evaluator: str = "direct"
     path: str = ""
     interrupted: bool = False
@@ -146,6 +175,11 @@ class Result:
             SceneError: a magnitude beyond what a scene may have.
         """
         return scene_with(self.placed(case), case.magnitude, case.phase)
+
+    @property
+    def bound_words(self) -> str:
+        """What the bound is, for people."""
+        return BOUND_WORDS[self.bound_kind]
 
     @property
     def only_localization(self) -> bool:

@@ -7,7 +7,7 @@ from typing import Any
 
 import h5py
 
-from warp_plate.result.model import Found
+from warp_plate.result.model import Found, bound_kind
 from warp_plate.result.plain import names_in
 from warp_plate.result.search_state import put_state, read_state
 from warp_plate.scene.errors import SceneError
@@ -20,7 +20,8 @@ def put_several(file: h5py.File, several: Sequence[Found]) -> None:
     for index, one in enumerate(several):
         state: dict[str, Any] = {f"history {name}": values for name, values in one.history.items()}
         state |= {f"value {name}": value for name, value in one.values.items()}
-        state |= {"single": one.single, "bound": one.bound, "evaluations": one.evaluations}
+        state |= {"single": one.single, "evaluations": one.evaluations}
+        state |= {"bound": one.bound, "bound_kind": one.bound_kind}
         put_state(file, f"{GROUP}/{index}", state | ({} if one.position is None else {"position": one.position}))
 
 
@@ -40,6 +41,7 @@ def read_several(file: h5py.File) -> tuple[Found, ...]:
                 position=state.get("position"),
                 single=int(state["single"]),
                 bound=None if state["bound"] is None else float(state["bound"]),
+                bound_kind=bound_kind(str(state["bound_kind"])),
                 evaluations=int(state["evaluations"]),
                 history=_under("history ", state),
                 values={name: float(value) for name, value in _under("value ", state).items()},

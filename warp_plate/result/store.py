@@ -7,10 +7,11 @@
     /cases/CASE/frequency, centre, delay     where the plate had its own
     /history/evaluations, best, mean
     /objectives/KIND, sum, bound         scalars, where more than the localization factor is sought
+    /objectives_of/CASE/KIND, sum        the same of other cases
     /crosstalk                           of several targets; /searches/0, ... what was found for each
     /robust/fresh, searched, nominal_plate   of the robust and the nominal drive
     /spectrum/frequency, equal, single, best, resonances
-    attributes of /: command, source, scene (TOML), device, seed, effects, versions, seconds, ...
+    attributes of /: command, source, scene (TOML), device, seed, effects, versions, seconds, bound_kind, ...
 
 Behind the HDF5 content stands a seal, see ``warp_plate.result.whole``.
 """
@@ -24,7 +25,7 @@ import h5py
 import numpy as np
 
 from warp_plate.result.crosstalk import crosstalk
-from warp_plate.result.model import Case, Result
+from warp_plate.result.model import Case, Result, bound_kind
 from warp_plate.result.plain import count, lost_of, names_in, numbers, opened, put, save_hdf5, table, text
 from warp_plate.result.robust import RobustComparison
 from warp_plate.result.several import put_several, read_several
@@ -110,10 +111,16 @@ def _write(file: h5py.File, result: Result) -> None:
         put(file, "peak_displacement", result.peak, "m", "largest displacement seen over the run")
     if result.bound is not None:
         put(file, "localization_factor/bound", result.bound, "1", "largest that any drive can reach")
+        file["localization_factor/bound"].attrs["about"] = result.bound_words
+    file.attrs["bound_kind"] = result.bound_kind
     for name, values in result.history.items():
         put(file, f"history/{name}", values, "1", f"{HISTORY.get(name, name)}, after each iteration")
     for name, value in result.values.items():
         put(file, f"objectives/{name}", value, OBJECTIVE_UNITS.get(name.split()[0], "1"), VALUES.get(name, name))
+    for drive, worth in result.worth.items():
+        for name, value in worth.items():
+            meaning = f"{VALUES.get(name, name)}, of the drive {drive}"
+            put(file, f"objectives_of/{drive}/{name}", value, OBJECTIVE_UNITS.get(name.split()[0], "1"), meaning)
     for name, values in result.spectrum.items():
         put(file, f"spectrum/{name}", values, *SPECTRUM[name])
     if result.several:
@@ -161,8 +168,13 @@ def _read(file: h5py.File, name: str) -> Result:
         node_steps=count(file, "node_steps"),
         evaluations=count(file, "evaluations"),
         bound=float(numbers(file, "localization_factor/bound", ())) if "bound" in factors else None,
+        bound_kind=bound_kind(text(file, "bound_kind")),
         history={key: numbers(file, f"history/{key}", (None,)) for key in names_in(file, "history")},
         values={key: float(numbers(file, f"objectives/{key}", ())) for key in names_in(file, "objectives")},
+        worth={
+            case: {key: float(numbers(file, f"{at}/{key}", ())) for key in names_in(file, at)}
+            for case, at in ((case, f"objectives_of/{case}") for case in names_in(file, "objectives_of"))
+        },
         evaluator=text(file, "evaluator"),
         interrupted=bool(count(file, "interrupted")),
         versions=table(file, "versions"),

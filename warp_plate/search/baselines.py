@@ -28,6 +28,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.search.last_runs import cases_of
 from warp_plate.search.peak import record_times
 from warp_plate.search.superposition import LINEAR_ORDERS, LINEAR_SAMPLES, last_period, motions_of
+from warp_plate.search.worth import worth_of
 from warp_plate.solve.response import Response
 from warp_plate.solve.solver import PlateSolver
 
@@ -71,8 +72,13 @@ def with_baselines(result: Result, device: str = "auto", path: str = "auto") -> 
         run = solver.run(np.array(list(drives.values())), record_times(scene), scene.record.points)
     except KeyboardInterrupt:  # a search is not lost for want of what it is compared with
         return result
+    cases = cases_of(drives, run)
+    worth = worth_of(scene, cases, device, path) if result.worth else {}
     return replace(
-        result, cases={**result.cases, **cases_of(drives, run)}, node_steps=result.node_steps + solver.node_steps
+        result,
+        cases={**result.cases, **cases},
+        worth={**result.worth, **worth},
+        node_steps=result.node_steps + solver.node_steps,
     )
 
 

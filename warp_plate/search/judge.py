@@ -35,6 +35,8 @@ MOST_DECIBELS = 120.0
 MOST_CELLS, CELL_NODES = 6, 2
 # Part of the plate's area from which on there is a rest.
 LEAST_REST = 1e-9
+# Part of a limit that rounding in float32 may pass.
+ROUNDING = 1e-5
 OF_THE_REST = " of the rest"
 _PLATE, _TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
@@ -104,6 +106,16 @@ class Judge:
                     target, rest = np.sqrt(2 * np.maximum(_target_and_rest(moved), 0) / self.masses).T
                 found |= {one.kind: target, one.kind + OF_THE_REST: rest}
         return found
+
+    def worth(self, energy: np.ndarray, displacement_energy: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        """``values``, and their "sum" with their weights."""
+        found = self.values(energy, displacement_energy)
+        return {**found, "sum": np.asarray(sum(one.weight * found[one.kind] for one in self.objectives))}
+
+    def keeps_limits(self, values: Mapping[str, float]) -> bool:
+        """Whether one drive's values are within all limits on the rest, but for rounding in float32."""
+        limits = {one.kind + OF_THE_REST: one.rest_limit for one in self.objectives if one.rest_limit is not None}
+        return all(values[name] <= limit * (1 + ROUNDING) for name, limit in limits.items())
 
 
 def make_judge(scene: Scene) -> Judge:

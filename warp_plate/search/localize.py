@@ -31,6 +31,7 @@ from warp_plate.search.robust import RobustProblem, problem_of
 from warp_plate.search.run_swarm import Told, searcher_of
 from warp_plate.search.several import run_searches, runs_of_all
 from warp_plate.search.spectrum import make_spectrum
+from warp_plate.search.worth import worth_of
 from warp_plate.solve.devices import device_aliases, find_device, processor_of
 from warp_plate.solve.run import Run
 
@@ -191,6 +192,8 @@ def _finish(
         known = stage if found.scene is scene else None  # the reference of another plate tells nothing
         accuracy |= estimated(found.scene, found.drives, found.run, seconds, problem.plain.device.alias, known)
     best = found.cases["best"]
+    beside_best = {name: found.cases[name] for name in ("equal", "single")}
+    worth = worth_of(scene, beside_best, problem.plain.device.alias, begun.path) if first.values else {}
     made = make_spectrum(problem, best, seconds) if spectrum and not searched.interrupted else {}
     return Result(
         command="localize",
@@ -205,8 +208,10 @@ def _finish(
         trace_times=found.run.trace_times,
         seconds=seconds,
         bound=first.bound,
+        bound_kind=first.bound_kind,
         history=first.history,
         values=first.values,
+        worth=worth,
         evaluator=begun.evaluator,
         interrupted=searched.interrupted,
         versions=begun.versions,

@@ -16,6 +16,7 @@ from warp_plate.plate.blocks import GrowingRows
 from warp_plate.plate.designs import Batch, Designs, own_of
 from warp_plate.plate.weights import Region
 from warp_plate.result.crosstalk import regions_of_targets
+from warp_plate.result.model import BoundKind
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
 from warp_plate.scene.search import Limits
@@ -118,16 +119,16 @@ class Problem:
         return 1 - loss if self.only_localization else -loss
 
     def values_at(self, position: np.ndarray) -> dict[str, float]:
-        """What a position (dimension,) is worth: ``Judge.values``, their "sum" with their weights, and the "bound" of
-        that sum where one is known. Nothing where the localization factor is all that is sought: a result has it."""
+        """What a position (dimension,) is worth: ``Judge.worth``, and the "bound" of its sum where one is known and the
+        limits are kept. Nothing where the localization factor is all that is sought: a result has it."""
         if self.only_localization:
             return {}
         designs = self.variables.designs(position[None])
-        values = self.judge.values(self.energies(designs), self._displaced(designs))
-        found = {name: float(value[0]) for name, value in values.items()}
-        found["sum"] = sum(one.weight * found[one.kind] for one in self.judge.objectives)
-        bound = self.bound_of_loss
-        return found if bound is None else {**found, "bound": -bound.value}
+        worth = self.judge.worth(self.energies(designs), self._displaced(designs))
+        found = {name: float(value[0]) for name, value in worth.items()}
+        if self.bound_of_loss is None or not self.judge.keeps_limits(found):
+            return found
+        return {**found, "bound": -self.bound_of_loss.value}
 
     @cached_property
     def quadratic(self) -> Quadratic | None:
@@ -158,8 +159,21 @@ class Problem:
         sought."""
         if self.response is None or not self.only_localization or self.bound_of_loss is None:
             return None
-        limited = frees(self.scene) or self.scene.search.limits != Limits()
-        return 1 - self.bound_of_loss.value if limited else self.response.bound()
+        return 1 - self.bound_of_loss.value if self._limited else self.response.bound()
+
+    @property
+    def bound_kind(self) -> BoundKind:
+        """Of that bound, or of that of the objectives' sum."""
+        if self.bound_of_loss is None:
+            return ""
+        if self.only_localization and not self._limited:
+            return "attained"
+        return "bound only" if self.bound_of_loss.kind == "bound only" else "attained within limits"
+
+    @property
+    def _limited(self) -> bool:
+        """Whether some drives may not be chosen."""
+        return frees(self.scene) or self.scene.search.limits != Limits()
 
     def _displaced(self, designs: Batch) -> np.ndarray | None:
         """(plates, regions) energies of displacements, where these are judged."""
@@ -196,7 +210,7 @@ def make_problem(
     if evaluator == "response" and not variables.quadratic:
         raise SceneError(f"evaluator = 'response': {_why_not_quadratic(variables)}; write 'direct'")
     judge = make_judge(scene)
-    areas = _areas(scene, judge)
+    areas = areas_of(scene, judge)
     plain = solver_on(pool, scene, device, path, areas=areas)
     solver, moved = plain, None
     if not variables.only_drives:
@@ -243,10 +257,10 @@ def in_float64(scene: Scene) -> Scene:
 
 def _in_float64(solver: PlateSolver, path: str) -> PlateSolver:
     made, quantity = in_float64(solver.scene), solver.specialized.quantity
-    areas = _areas(made, make_judge(made))
+    areas = areas_of(made, make_judge(made))
     return PlateSolver(made, solver.device.alias, path, areas=areas, quantity=quantity)
 
 
-def _areas(scene: Scene, judge: Judge) -> dict[str, Region]:
+def areas_of(scene: Scene, judge: Judge) -> dict[str, Region]:
     """What is summed beside the plate and the target: what the judge needs, then all of several targets."""
     return {**judge.regions, **regions_of_targets(scene)}

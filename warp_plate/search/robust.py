@@ -17,6 +17,7 @@ import numpy as np
 from warp_plate.cluster.pool import Pool
 from warp_plate.plate.designs import Batch, Designs
 from warp_plate.plate.memory import refuse_beyond_memory
+from warp_plate.result.model import BoundKind
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Robust
 from warp_plate.search.bounds import Bound
@@ -102,6 +103,11 @@ class RobustProblem(Problem):
     def bound(self) -> float | None:
         """The largest localization factor of the nominal plate."""
         return self.nominal.bound
+
+    @property
+    def bound_kind(self) -> BoundKind:
+        """Of that."""
+        return self.nominal.bound_kind
 
 
 def problem_of(

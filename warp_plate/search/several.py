@@ -54,6 +54,7 @@ def run_searches(
             position=position,
             single=begun.single,
             bound=problem.bound,
+            bound_kind=problem.bound_kind,
             evaluations=0 if searcher is None else searcher.result.evaluations,
             history=history_of(searcher, problem),
             values={} if position is None else problem.values_at(position),
