@@ -167,6 +167,7 @@ def test_the_command_prints_the_table_and_writes_a_scene_for_each(written, capsy
     main(["localize", "panel.toml", "--device", "cpu", "--evaluator", "response", "--no-estimate", "--no-pictures"])
     out = capsys.readouterr().out
     assert "localization factor, target disc" in out
+    assert [out.count(f"Drive found for {name}") for name in ("disc", "left", "three corners")] == [1, 1, 1]
     assert "Crosstalk: share of the plate's kinetic energy in" in out
     assert " dB)" in out
     assert [Path(f"panel-localize.best{part}.toml").exists() for part in ("", ".2", ".3", ".4")] == [1, 1, 1, 0]

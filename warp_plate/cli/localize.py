@@ -266,6 +266,8 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
 
 
 def _print(result: Result, console: Console) -> None:
+    from warp_plate.result.crosstalk import cases_of_targets
+
     published = PUBLISHED if result.source == "paper" else {}
     factors = {name: case.localization_factor for name, case in result.cases.items()}
     first = f", target {result.scene.targets[0].name}" if result.several else ""
@@ -281,8 +283,10 @@ def _print(result: Result, console: Console) -> None:
     console.print()
     print_objectives(result, console)
     print_robust(result, console)
-    console.print(output.drive_table(result.cases["best"], result.scene))
-    console.print()
+    for target, case in (cases_of_targets(result.scene) or {"": "best"}).items():
+        if case in result.cases:
+            console.print(output.drive_table(result.cases[case], result.scene, target))
+            console.print()
     if result.several:
         console.print(crosstalk_table(result))
         console.print()

@@ -77,10 +77,10 @@ def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int, str], 
         yield lambda done, total, note: progress.update(task, completed=done, total=total, note=note)
 
 
-def drive_table(case: Case, scene: Scene) -> Table:
-    """A drive as the source paper's Table 1 gives it, and after it what else was found."""
+def drive_table(case: Case, scene: Scene, target: str = "") -> Table:
+    """A drive as the source paper's Table 1 gives it, and after it what else was found; target: of several."""
     headings = ("actuator", f"magnitude ({scene.drive_unit})", "phase (rad)", "phase / π", *case.own)
-    made = table(*headings, title="Drive found")
+    made = table(*headings, title=f"Drive found{f' for {printable(target)}' if target else ''}")
     for index, actuator in enumerate(scene.actuators):
         magnitude, phase = case.magnitude[index], case.phase[index]
         own = (f"{values[index]:.5g}" for values in case.own.values())
