@@ -144,6 +144,7 @@ def test_table_fits_80_columns(panel, command):
         (("--methods", "annealing"), "annealing"),
         (("--seeds", "0"), "--seeds 0"),
         (("--evaluations", "0"), "--evaluations 0"),
+        (("--evaluations", "7"), "give 8 or more"),
         (("--out", "c.json"), ".h5"),
     ],
 )

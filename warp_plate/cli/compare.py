@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
     from warp_plate.result.comparison import Comparison
 
-# A trial has found the bound when its loss is this near.
+# A trial has found the bound when its loss is this near, as a part of the bound's size.
 NEAR = 1e-6
 LEGEND = (
     "best, median, worst: of the seeds' results. gap: of the median from the bound. near: how many seeds came within "
-    "1e-6 of it. tried, s: median evaluations and seconds of a trial."
+    "1e-6 of {of}. tried, s: median evaluations and seconds of a trial."
 )
 
 
@@ -56,7 +56,8 @@ def compare(
     seeds
         How many, from the scene's own on.
     evaluations
-        That each trial may make, particles at a time; the scene's particles times iterations when left out.
+        That each trial may make, particles at a time and at least once; the scene's particles times iterations when
+        left out.
     evaluator
         direct simulates a plate for each evaluation; response uses Gram matrices of unit responses instead. response
         when left out, where energies are quadratic forms of the drives, else direct.
@@ -117,6 +118,10 @@ def rows(result: Comparison) -> list[dict[str, object]]:
     """For each method what the table shows: losses, the gap, how many seeds came near the bound, and the cost."""
     import numpy as np
 
+    from warp_plate.search.objective import least_size
+    from warp_plate.search.record import size_of
+
+    near = NEAR * size_of(result.bound or 0.0, least_size(result.scene.search.objectives))
     made: list[dict[str, object]] = []
     for method in result.methods:
         trials = result.of(method)
@@ -130,7 +135,7 @@ def rows(result: Comparison) -> list[dict[str, object]]:
                 "median": median,
                 "worst": worst,
                 "gap": None if result.bound is None else median - result.bound,
-                "at_bound": None if result.bound is None else int((found - result.bound <= NEAR).sum()),
+                "at_bound": None if result.bound is None else int((found - result.bound <= near).sum()),
                 "evaluations": float(np.median([trial.evaluations[-1] for trial in trials])),
                 "seconds": float(np.median([trial.seconds[-1] for trial in trials])),
             }
@@ -173,19 +178,24 @@ def _print(result: Comparison, console: Console) -> None:
     title = "localization factor" if result.localization else "loss"
     console.print(f"{result.scene.title or result.source} on {result.device}, evaluator {result.evaluator}\n")
     made = output.table("method", "best", "median", "worst", "gap", "near", "tried", "s", title=title)
+    made.collapse_padding = True  # losses in SI units have exponents, and eight columns of them meet in 80 characters
     for row in rows(result):
         losses = [float(str(row[name])) for name in ("best", "median", "worst")]
         shown = [f"{1 - loss if result.localization else loss:.6g}" for loss in losses]
         near = ["–", "–"] if row["gap"] is None else [f"{row['gap']:.1e}", f"{row['at_bound']}/{row['seeds']}"]
-        made.add_row(str(row["method"]), *shown, *near, f"{row['evaluations']:.0f}", f"{row['seconds']:.2g}")
-    console.print(made)
+        cells = [str(row["method"]), *shown, *near, f"{row['evaluations']:.0f}", f"{row['seconds']:.2g}"]
+        for column, cell in zip(made.columns, cells, strict=True):
+            # A number without its end is another number: no column is narrowed, whatever the window's width.
+            column.min_width = max(column.min_width or len(str(column.header)), len(cell))
+        made.add_row(*cells)
+    console.print(made, crop=False)
     if result.bound is None:
         console.print("\nbound: none claimed")
     else:
         value = 1 - result.bound if result.localization else result.bound
         words = {"attained": "bound (no method can pass)", "bound only": "bound only (may not be reached)"}
         console.print(f"\n{words[result.bound_kind]}: {value:.6g}, {result.bound_sentence}")
-    console.print(LEGEND)
+    console.print(LEGEND.format(of="it" if result.localization else "its size"))
     if result.prepared > 0:
         console.print(f"before the clock: {result.prepared:.2g} s for the plates that all methods share.")
     for method, reason in result.skipped.items():

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_plate.scene.errors import SceneError
-from warp_plate.search.record import Record, Recorded, check_format, plain, shaped
+from warp_plate.search.record import Record, Recorded, check_format, plain, shaped, size_of
 from warp_plate.search.space import Space
 
 STATE_FORMAT = "cma 1"
@@ -23,18 +23,22 @@ STATE_FORMAT = "cma 1"
 FIRST_SIZE = 0.3
 GROWTH = 2
 FEWEST_NUMBERS = 2
+# What pycma takes for no progress, which is its own default for losses of order one; here parts of the loss's size.
+TOLERANCES = {"tolfun": 1e-11, "tolfunhist": 1e-12}
 
 
 @dataclass(frozen=True)
 class CovarianceSettings:
     """population: positions asked for at once, until a restart doubles it; evaluations: in all, never passed;
-    restarts: how many at most, each when pycma sees no more progress or after ``stall`` iterations without one."""
+    restarts: how many at most, each when pycma sees no more progress or after ``stall`` iterations without one;
+    least_size: see ``record.size_of``."""
 
     population: int
     evaluations: int
     restarts: int = 0
     stall: int | None = None
     seed: int = 0
+    least_size: float = 1.0
 
 
 class CovarianceSearch(Recorded):
@@ -49,7 +53,7 @@ class CovarianceSearch(Recorded):
         self._cma = _pycma()
         self._random = np.random.RandomState(np.random.MT19937(settings.seed))
         self._span = np.where(space.first_high > space.first_low, space.first_high - space.first_low, 1.0)
-        self._record = Record(space.dimension)
+        self._record = Record(space.dimension, settings.least_size)
         self._told: list[np.ndarray] = []  # all losses, from which the whole search follows again
         self._restarts = self._began_at = 0
         self._cloud = self._begin()
@@ -74,9 +78,13 @@ class CovarianceSearch(Recorded):
         Raises ValueError if `solutions` are not those positions or `losses` has another shape.
         """
         told = self._record.tell(self.positions if self._asked else None, solutions, losses)
-        finite = told[np.isfinite(told)]
-        # The cloud knows ranks alone, but not infinity.
-        self._cloud.tell(self._points, np.where(np.isfinite(told), told, finite.max() + 1 if finite.size else 0.0))
+        finite, worst = told[np.isfinite(told)], 0.0
+        if finite.size:
+            size, worst = (size_of(float(end), self.settings.least_size) for end in (finite.min(), finite.max()))
+            self._cloud.opts.set({name: part * size for name, part in TOLERANCES.items()})
+            worst += float(finite.max())
+        # The cloud goes by ranks alone, but knows no infinity.
+        self._cloud.tell(self._points, np.where(np.isfinite(told), told, worst))
         self._told.append(told)
         self._asked = False
 

@@ -53,13 +53,20 @@ def compare(
     count; what the Gram matrices took, which all share, is kept apart.
 
     Raises:
-        SceneError: a method that was named does not fit the scene; see :func:`problem_of`.
+        SceneError: a method that was named does not fit the scene; fewer evaluations than particles; see
+            :func:`problem_of`.
         KeyboardInterrupt: Ctrl-C before the first trial was done.
     """
+    particles = scene.search.particles
+    if evaluations is not None and evaluations < particles:
+        raise SceneError(
+            f"--evaluations {evaluations}: fewer than search.particles = {particles}, which are tried at once; give "
+            f"{particles} or more"
+        )
     scene = resolve(at_highest_frequency(scene), device)[0].model_copy(update={"actuators": scene.actuators})
     search = scene.search
     if evaluations is not None:
-        search = search.model_copy(update={"iterations": max(1, evaluations // search.particles)})
+        search = search.model_copy(update={"iterations": evaluations // search.particles})
         scene = scene.model_copy(update={"search": search})
     started = time.perf_counter()
     problem = problem_of(scene, device, path, evaluator, pool=pool)

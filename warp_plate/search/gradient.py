@@ -22,7 +22,8 @@ from warp_plate.search.space import Space
 STATE_FORMAT = "gradient 1"
 # The loss must fall by this part of what the slope promises; a step that does not is shortened by a factor in between.
 ENOUGH, SHORTEST, LONGEST = 1e-4, 0.1, 0.5
-# The first step, in first ranges; a descent rests where the slope promises no more than this part of the loss.
+# The first step, in first ranges; a descent rests where the slope promises no more than this part of the loss, or,
+# where that is nearly zero, of this part of its least size.
 FIRST_STEP, REST = 0.2, 1e-14
 TRIES = 30
 ARRAYS = ("base", "loss", "slope", "inverse", "way", "step", "tries", "left")
@@ -30,13 +31,15 @@ ARRAYS = ("base", "loss", "slope", "inverse", "way", "step", "tries", "left")
 
 @dataclass(frozen=True)
 class GradientSettings:
-    """starts: descents side by side; evaluations: in all, never passed; restarts: of each descent, at most."""
+    """starts: descents side by side; evaluations: in all, never passed; restarts: of each descent, at most;
+    least_size: see ``record.size_of``."""
 
     starts: int
     evaluations: int
     restarts: int = 0
     stall: int | None = None
     seed: int = 0
+    least_size: float = 1.0
 
 
 class GradientSearch(Recorded):
@@ -49,7 +52,7 @@ class GradientSearch(Recorded):
         self._random = np.random.default_rng(settings.seed)
         self._span = np.where(space.first_high > space.first_low, space.first_high - space.first_low, 1.0)
         self._limits = tuple((end - space.first_low) / self._span for end in (space.lower, space.upper))
-        self._record = Record(space.dimension)
+        self._record = Record(space.dimension, settings.least_size)
         starts, dimension = settings.starts, space.dimension
         self.base, self.loss = np.zeros((starts, dimension)), np.full(starts, np.inf)
         self.slope, self.way = np.zeros((starts, dimension)), np.zeros((starts, dimension))
@@ -186,7 +189,8 @@ class GradientSearch(Recorded):
         way[unknown] = -FIRST_STEP * slope[unknown] / np.where(size > 0, size, 1.0)[unknown, None]
         promised = -(way * slope).sum(axis=1)
         self.way[rows], self.step[rows] = way, 1.0
-        self._rest(rows[~(promised > REST * np.maximum(np.abs(self.loss[rows]), REST))])
+        sizes = np.maximum(np.abs(self.loss[rows]), REST * self.settings.least_size)
+        self._rest(rows[~(promised > REST * sizes)])
 
     def _shorten(self, rows: np.ndarray, found: np.ndarray, moved: np.ndarray) -> None:
         """The loss did not fall enough: a shorter step, by the parabola through what is known."""

@@ -16,6 +16,7 @@ from warp_plate.scene.search import Search
 from warp_plate.search.cma_es import CovarianceSearch, CovarianceSettings
 from warp_plate.search.exact import ExactSearch
 from warp_plate.search.gradient import GradientSearch, GradientSettings
+from warp_plate.search.objective import least_size
 from warp_plate.search.pso import Swarm
 from warp_plate.search.pso_settings import SwarmSettings
 from warp_plate.search.quadratic import Quadratic
@@ -86,6 +87,7 @@ def swarm_settings(search: Search, space: Space, seed: int) -> SwarmSettings:
         "velocity_limit": search.velocity_limit,
         "stall": search.stall if search.stall or not search.restarts else RESTART_AFTER,
         "restarts": search.restarts,
+        "least_size": least_size(search.objectives),
         "seed": seed,
         "position_range": (space.first_low, space.first_high),
         # In the source paper both ranges are −2 ... 2: a velocity goes at most half-way across.
@@ -100,7 +102,7 @@ def swarm_settings(search: Search, space: Space, seed: int) -> SwarmSettings:
 
 
 def _made(search: Search, space: Space, seed: int, problem: Quadratic | None, state: dict[str, Any] | None) -> Method:
-    evaluations = search.particles * search.iterations
+    evaluations, least = search.particles * search.iterations, least_size(search.objectives)
     if search.method == "exact":
         return ExactSearch(space, problem) if state is None else ExactSearch.from_state(space, problem, state)
     if search.method == "gradient":
@@ -109,14 +111,14 @@ def _made(search: Search, space: Space, seed: int, problem: Quadratic | None, st
                 "search.method = 'gradient': needs losses that follow from quadratic forms of the drives; write 'cma'"
             )
         _refuse_beyond_memory(search, space, (SWARM_BYTES + MATRIX_BYTES * space.dimension) * space.dimension)
-        descents = GradientSettings(search.particles, evaluations, search.restarts, search.stall, seed)
+        descents = GradientSettings(search.particles, evaluations, search.restarts, search.stall, seed, least)
         if state is None:
             return GradientSearch(space, problem, descents)
         return GradientSearch.from_state(space, problem, descents, state)
     if search.method == "cma":
         _refuse_beyond_memory(search, space, SWARM_BYTES * space.dimension)
         population = max(search.particles, 4 + int(3 * math.log(space.dimension)))
-        cloud = CovarianceSettings(population, evaluations, search.restarts, search.stall, seed)
+        cloud = CovarianceSettings(population, evaluations, search.restarts, search.stall, seed, least)
         return CovarianceSearch(space, cloud) if state is None else CovarianceSearch.from_state(space, cloud, state)
     settings = swarm_settings(search, space, seed)
     return Swarm(settings) if state is None else Swarm.from_state({**state, "settings": asdict(settings)})

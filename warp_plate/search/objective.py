@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.model import Scene
+from warp_plate.scene.search import Objective
 
 
 def drives_of(positions: np.ndarray) -> np.ndarray:
@@ -32,3 +35,12 @@ def unit_of_drives(scene: Scene) -> float:
 def loss(energy: np.ndarray) -> np.ndarray:
     """(plates,) Λ = 1 − LF, Problem 2 of the source paper."""
     return 1 - localization_factor(energy)
+
+
+def least_size(objectives: Iterable[Objective]) -> float:
+    """What tolerances of a loss are parts of where the loss itself is smaller (``record.size_of``); 1 of 1 − LF.
+
+    Localization, contrast and uniformity are numbers of order one, whose sum with others may pass zero. A velocity or a
+    displacement is as small as its unit makes it: its own size is all that there is to go by.
+    """
+    return float(sum(one.weight for one in objectives if one.kind not in ("velocity", "displacement")))

@@ -34,7 +34,7 @@ from numpy.typing import ArrayLike
 
 from warp_plate.plate.blocks import GrowingRows, in_blocks, meanwhile
 from warp_plate.search.pso_settings import LARGEST, SwarmSettings
-from warp_plate.search.record import SearchResult
+from warp_plate.search.record import SearchResult, size_of
 from warp_plate.search.record import plain as as_plain
 
 STATE_FORMAT = "swarm 2"
@@ -318,7 +318,8 @@ class Swarm:
             [min(self._best_loss, self._kept_loss), mean, worst, float(self.settings.particles - finite_losses.size)]
         )
         # Compared with the last loss that counted, so that many small steps together do count.
-        if self._best_loss < self._improved_loss - self.settings.stall_tolerance:
+        least = self.settings.stall_tolerance * size_of(self._best_loss, self.settings.least_size)
+        if self._best_loss < self._improved_loss - least:
             self._improved_loss = self._best_loss
             self._improved_at = self.iterations
 

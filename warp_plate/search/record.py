@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 COLUMNS = ("best", "mean", "worst", "nonfinite", "evaluations")
-# A search stalls when so many iterations lower the best loss by no more than this.
+# A search stalls when so many iterations lower the best loss by no more than this part of its size.
 STALL_TOLERANCE = 1e-6
 
 
@@ -28,10 +28,17 @@ class SearchResult:
     nonfinite: int
 
 
-class Record:
-    """The best position and a row of COLUMNS for each iteration."""
+def size_of(loss: float, least: float) -> float:
+    """What tolerances of a loss are parts of, so that its unit and its weight change no search: its magnitude, or
+    ``least`` where that is larger, for losses that pass zero (``objective.least_size``)."""
+    return max(abs(loss), least)
 
-    def __init__(self, dimension: int) -> None:
+
+class Record:
+    """The best position and a row of COLUMNS for each iteration; least_size: see ``size_of``."""
+
+    def __init__(self, dimension: int, least_size: float = 1.0) -> None:
+        self._least_size = least_size
         self.position = np.full(dimension, np.nan)
         self.loss = math.inf
         self.rows: list[list[float]] = []
@@ -64,7 +71,9 @@ class Record:
         if stall is None or self.iterations - since <= stall:
             return False
         earlier = self.rows[-1 - stall][0]
-        return not earlier - self.loss > STALL_TOLERANCE if math.isfinite(self.loss) else True
+        if not math.isfinite(self.loss):
+            return True
+        return not earlier - self.loss > STALL_TOLERANCE * size_of(self.loss, self._least_size)
 
     def tell(self, asked: np.ndarray | None, solutions: ArrayLike, losses: ArrayLike) -> np.ndarray:
         """Keep the losses of positions (n, dimension) that were asked for; returns them, infinite where not finite.
