@@ -6,8 +6,9 @@ import pytest
 from pydantic import BaseModel
 
 from warp_plate import PlateSolver, Scene
+from warp_plate.cli.localize import localize
 from warp_plate.cluster.blocks import BLOCK_NODE_STEPS, plates_of_block
-from warp_plate.scene.search import Search
+from warp_plate.scene.search import OBJECTIVE_UNITS, Limits, Objective, Search
 
 DOCS = Path(__file__).parents[1] / "docs"
 TEXT = "\n".join(page.read_text(encoding="utf-8") for page in sorted(DOCS.glob("*.md")))
@@ -55,6 +56,11 @@ def test_targets_and_searches_have_rows_of_their_own():
     ):
         cells = [cell for head, cell in rows() if under in head]
         assert not [key for key in keys if not any(f"`{key}`" in cell for cell in cells)]
+
+
+def test_the_help_of_localize_names_limits_and_objectives():
+    words = localize.__doc__
+    assert not [key for key in (*Limits.model_fields, *Objective.model_fields, *OBJECTIVE_UNITS) if key not in words]
 
 
 def test_the_page_on_scaling_has_the_blocks_of_the_code():

@@ -15,7 +15,7 @@ from warp_plate import SceneError
 from warp_plate.plate.weights import localization_factor
 from warp_plate.result.search_state import put_state, read_state
 from warp_plate.scene.search import Search
-from warp_plate.search.methods import make_searcher, searcher_from_state
+from warp_plate.search.methods import READ_BY, make_searcher, searcher_from_state, unread
 from warp_plate.search.objective import drives_of
 from warp_plate.search.pso import optimize
 from warp_plate.search.quadratic import Quadratic
@@ -111,6 +111,31 @@ def case(method, **keys):
 
 def text(searcher):
     return json.dumps(searcher.state(), sort_keys=True, allow_nan=False)
+
+
+class Read:
+    """A table ``[search]`` that keeps the names of what is read in it."""
+
+    def __init__(self, search):
+        self._search, self.names = search, set()
+
+    def __getattr__(self, name):
+        self.names.add(name)
+        return getattr(self._search, name)
+
+
+@pytest.mark.parametrize("method", ALL)
+def test_what_a_method_does_not_read_is_told(method):
+    """And no key but those that the table of methods knows; a key as the default has it need not have been written."""
+    search, space, problem, _ = case(method, restarts=2, velocity_limit=1.0, inertia=0.3)
+    read = Read(search)
+    make_searcher(read, space, 1, problem)
+    assert {key for key in READ_BY if key in read.names} == {key for key in READ_BY if method in READ_BY[key]}
+    assert read.names <= {"method", "seed", *READ_BY}
+    changed = {"particles", "iterations", "restarts", "velocity_limit", "inertia"}
+    lines = unread(search)
+    assert {line.split(" ")[0] for line in lines} == {f"search.{key}" for key in changed - read.names}
+    assert all(f"method = '{method}' does not read it" in line for line in lines)
 
 
 # What is known ----------------------------------------------------------------------------------------------

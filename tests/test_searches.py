@@ -127,7 +127,7 @@ def panel(tmp_path, monkeypatch):
     """A search for a frequency and places in a file of the working folder."""
     monkeypatch.chdir(tmp_path)
     made = searched("frequency").with_tables(title="panel")
-    search = made.search.model_dump() | {"position": {}}
+    search = made.search.model_dump() | {"position": {}, "method": "constriction", "inertia": 0.3}
     made = made.with_tables(search=search)
     Path("panel.toml").write_text(dump_scene(made), encoding="utf-8")
     return made
@@ -144,6 +144,9 @@ def test_the_command_writes_the_scene_that_it_found(panel, capsys):
     assert {"frequency", "centre", "magnitude", "phase"} <= told["drive"][0].keys()
     assert len(told["spectrum"]["frequency"]) >= 61
     again = run(capsys, "simulate", "panel-localize.best.toml", "--no-pictures")
+    in_vain = "search.inertia = 0.3: method = 'constriction' does not read it, only 'pso'; delete it"
+    assert [line for line in told["warnings"] if line.startswith(in_vain)]
+    assert "search" not in "".join(again["warnings"])
     assert np.float32(again["localization_factor"]) == np.float32(told["localization_factor"]["best"])
     found = Scene.load("panel-localize.best.toml")
     assert found.drive.frequency == told["drive"][0]["frequency"]

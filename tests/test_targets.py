@@ -189,7 +189,7 @@ def paper_with(lines):
     [
         ("[target]", "target.area: no shape is given", "area, disc, polygon and mask"),
         ("[target]\narea = [0.0, 0.1, 0.0, 0.1]\ndisc = [0.1, 0.1, 0.05]", "target.disc: area is given too", "one of"),
-        ("[target]\ndisc = [0.1, 0.1]", "target.disc[2]: is missing", ""),
+        ("[target]\ndisc = [0.1, 0.1]", "target.disc = [0.1, 0.1]: must be a list of 3 numbers", ""),
         ("[target]\ndisc = [0.1, 0.1, 0.0]", "target.disc[2] = 0.0", "greater than 0"),
         ("[target]\ndisc = [0.1, 0.1, 0.11]", "target.disc: [0.1, 0.1, 0.11]", "whole disc in 0 ... 0.2"),
         ("[target]\ndisc = [0.1, 0.1, 1e-9]", "target.disc: a radius of 1e-09 m", "at least 1e-07"),
@@ -217,7 +217,7 @@ def paper_with(lines):
             "target: there are [[targets]] too",
             "none of them; write one of the two",
         ),
-        ('[[targets]]\nname = "a/b"\ndisc = [0.1, 0.1, 0.05]', "targets[0].name = 'a/b'", "pattern"),
+        ('[[targets]]\nname = "a/b"\ndisc = [0.1, 0.1, 0.05]', "targets[0].name = 'a/b'", "without '/'"),
     ],
 )  # fmt: skip
 def test_wrong_shapes_are_refused_in_one_line(lines, named, right):

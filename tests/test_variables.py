@@ -1,5 +1,7 @@
 """From positions to designs and scenes and back, the limits of drives, and what the tables may not ask for."""
 
+import re
+
 import numpy as np
 import pytest
 from conftest import scene_of
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from warp_plate import SceneError
 from warp_plate.plate.found import scene_drive
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.search.free import with_step
+from warp_plate.search.free import at_highest_frequency, with_step
 from warp_plate.search.problem import make_problem
 from warp_plate.search.variables import variables_of
 
@@ -230,7 +232,7 @@ def test_the_time_step_fits_the_upper_end_of_the_range():
     [
         ({"phase": {"actuators": ["7"]}}, {}, ["search.phase.actuators[0] = '7'", "there are: 0, 1, 2"]),
         ({"phase": {"actuators": ["1", "1"]}}, {}, ["search.phase.actuators[1] = '1'", "twice"]),
-        ({"magnitude": {"range": [0, 1], "actuators": []}}, {}, ["search.magnitude.actuators = []"]),
+        ({"magnitude": {"range": [0, 1], "actuators": []}}, {}, ["search.magnitude.actuators = []", "at least 1 text"]),
         ({"delay": {"range": [0, 0.001]}}, {"drive": {"frequency": 290.0}}, ["search.delay", "[drive.burst]"]),
         ({"delay": {"range": [0, 0.5]}}, {}, ["search.delay.range = [0.0, 0.5]", "window.end = 0.012"]),
         ({"position": {}}, {"load": "nodes"}, ["search.position", '"overlap"', '"moments"']),
@@ -274,6 +276,17 @@ def test_a_time_step_that_carries_too_little_is_told_with_its_numbers():
     scene = scene_of(nodes=(9, 9), time_step=1e-4, search={"frequency": {"range": [200.0, 6000.0]}})
     with pytest.raises(SceneError, match=r"search.frequency.range = .*0.0001 s carries less than 5000 Hz"):
         make_problem(scene, "cpu")
+
+
+@pytest.mark.parametrize("grid", [{"nodes": (9, 9)}, {"accuracy": 0.1}])
+def test_a_range_that_takes_too_many_steps_is_told_with_its_numbers(grid):
+    made = scene_of().with_tables(grid=grid, search={"frequency": {"range": [200.0, 1e9]}})
+    line = r"^search\.frequency\.range = \[200.0, 1000000000.0\].*end the range at"
+    with pytest.raises(SceneError, match=line) as told:
+        at_highest_frequency(made)
+    most = float(re.search(r"at ([\d.e+]+) Hz or lower", str(told.value))[1])
+    kept = scene_of(nodes=(9, 9), search={"frequency": {"range": [200.0, most * 0.999]}})
+    assert 0.9e8 < kept.window.end / with_step(kept).grid.time_step <= 1e8
 
 
 def test_magnitudes_that_differ_and_are_held_cannot_be_equal():

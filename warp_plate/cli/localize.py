@@ -68,10 +68,15 @@ def localize(
     those that the scene gives, which otherwise are for simulate.
 
     A scene says by [search.magnitude], [search.phase], [search.frequency], [search.position] and [search.delay] what
-    else, and what not, is searched, by [search.limits] what the amplifier can do (docs/searching.md), by method under
-    [search] how (docs/methods.md), and by [[search.objectives]] for what (docs/objectives.md). With [[targets]] a drive
-    is searched for each, and the crosstalk between them is shown. The scene that
-    is found is written beside the result as OUT.best.toml, which simulate runs.
+    else, and what not, is searched (docs/searching.md), and by method under [search] how (docs/methods.md).
+
+    [search.limits] says what the amplifier can do: magnitude, power and equal_magnitudes (docs/searching.md).
+
+    [[search.objectives]] says for what is searched: a kind, which is localization, contrast, velocity, displacement or
+    uniformity, with its weight, and a rest_limit for velocity and displacement (docs/objectives.md).
+
+    With [[targets]] a drive is searched for each, and the crosstalk between them is shown. The scene that is found is
+    written beside the result as OUT.best.toml, which simulate runs.
 
     With [search.robust] the drive is judged by many panels drawn within tolerances, and compared over fresh ones with
     what the same search finds for the nominal panel alone: see docs/robust.md.

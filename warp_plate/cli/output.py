@@ -219,7 +219,8 @@ def print_accuracy(result: Result, console: Console) -> None:
 
 
 def warnings_of(result: Result) -> list[str]:
-    """What the result's scene calls for but does not name, going by the drive that was asked for or found."""
+    """What the result's scene calls for but does not name, going by the drive that was asked for or found; and what it
+    says in vain."""
     from warp_plate.search.warnings import exceeded, why_no_energies
 
     lost = next((one.status for one in result.cases.values() if one.status != "ok"), None)
@@ -228,7 +229,12 @@ def warnings_of(result: Result) -> list[str]:
     best = result.history.get("best")
     if best is not None and len(best) and not math.isfinite(best[-1]):
         return ["No plate that the search tried has energies: the best single actuator stands for what it should find."]
-    return exceeded(result.placed(result.judged), result.peak)
+    called_for = exceeded(result.placed(result.judged), result.peak)
+    if best is None:
+        return called_for
+    from warp_plate.search.methods import unread
+
+    return called_for + unread(result.scene.search)
 
 
 def print_warnings(result: Result, console: Console) -> None:

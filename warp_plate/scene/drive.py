@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from warp_plate.scene.table import Gain, Instant, Moderate, NotNegative, Positive, Table, check_file_name
+from warp_plate.scene.table import Flag, Gain, Instant, Moderate, NotNegative, Positive, Table, check_file_name
 
 Place = Annotated[float, Field(ge=-1e6, le=1e6)]
 
@@ -64,7 +64,7 @@ class SampledSignal(Table):
     file: str
     rate: Annotated[float, Field(ge=1e-3, le=1e7)] | None = None
     gain: Gain = 1.0
-    repeat: bool = False
+    repeat: Flag = False
 
     @model_validator(mode="after")
     def _file_beside(self) -> SampledSignal:

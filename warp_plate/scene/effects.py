@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
 from warp_plate.scene.drive import MovingLoad
-from warp_plate.scene.table import Area, Moderate, NotNegative, Positive, Table, check_file_name
+from warp_plate.scene.table import Area, Flag, Moderate, NotNegative, Positive, Table, check_file_name
 
 # A plate that varies by more has a mistake in it, or no number left for the time step.
 LEAST_FACTOR, MOST_FACTOR = 1e-3, 1e3
@@ -71,7 +71,7 @@ class Orthotropic(Table):
 
 def _rows(value: object) -> object:
     if not isinstance(value, list | tuple) or not value or not all(isinstance(row, list | tuple) for row in value):
-        raise PydanticCustomError("rows", "should be an array of rows such as [[1.0, 1.0]], or a file's name")
+        raise PydanticCustomError("rows", "must be a list of rows such as [[1.0, 1.0]], or a file's name")
     return value
 
 
@@ -125,7 +125,7 @@ class Layer(Table):
     thickness: Positive
     young_modulus: Annotated[NotNegative, Field(le=1e13)]
     density: Annotated[NotNegative, Field(le=1e5)]
-    both: bool = False
+    both: Flag = False
 
 
 class Oscillator(Table):

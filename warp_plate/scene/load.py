@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 import sys
-from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.faults import explain
 from warp_plate.scene.model import Grid, Scene
 
 if sys.version_info >= (3, 11):
@@ -24,10 +23,6 @@ else:
 MOST_BYTES = 2**24
 _TEXT = re.compile(r"""\"{3}.*?\"{3}|'{3}.*?'{3}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'|\#[^\n]*""", re.DOTALL)
 _DEEP_KEY = re.compile(r"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){9}")
-_LONGEST_LINE = 500
-
-# What pydantic calls the kinds of an edge and of an array; no keys of a scene.
-_KINDS = ("word", "springs", "rows")
 _PRESETS = resources.files("warp_plate.scene.presets")
 
 
@@ -97,7 +92,7 @@ def checked_scene(tables: dict[str, Any]) -> Scene:
     try:
         return Scene.model_validate(tables)
     except ValidationError as error:
-        raise SceneError(explain(error)) from None
+        raise SceneError(explain(error, Scene)) from None
 
 
 def with_accuracy(scene: Scene, accuracy: float) -> Scene:
@@ -109,27 +104,7 @@ def with_accuracy(scene: Scene, accuracy: float) -> Scene:
     try:
         return scene.model_copy(update={"grid": Grid(accuracy=accuracy)})
     except ValidationError as error:
-        raise SceneError(f"grid.{explain(error)}") from None
-
-
-def explain(error: ValidationError) -> str:
-    """The first fault of a validation as one line (key: value, what would be right), and how many more."""
-    faults = error.errors()
-    # Keys that do not exist come first: they are often the cause of the others ("is missing").
-    faults.sort(key=lambda fault: fault["type"] != "extra_forbidden")
-    fault = faults[0]
-    key = _dotted(part for part in fault["loc"] if part not in _KINDS)
-    if fault["type"] == "extra_forbidden":
-        line = f"{key}: unknown key{_suggestion(fault['loc'])}"
-    elif fault["type"] == "missing":
-        line = f"{key}: is missing; it has no default"
-    elif fault["type"] == "value_error":
-        message = str(fault["ctx"]["error"])
-        line = f"{key}.{message}" if key else message
-    else:
-        line = f"{key} = {_short(fault['input'])}: {_lower(fault['msg'])}"
-    line = line if len(line) <= _LONGEST_LINE else line[: _LONGEST_LINE - 3] + "..."
-    return line + (f" (and {len(faults) - 1} more)" if len(faults) > 1 else "")
+        raise SceneError(f"grid.{explain(error, Grid)}") from None
 
 
 def dump_scene(scene: Scene) -> str:
@@ -183,47 +158,3 @@ def _toml(value: object) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(_toml(item) for item in value)}]"
     return repr(value)
-
-
-def _dotted(loc: Iterable[int | str]) -> str:
-    text = ""
-    for part in loc:
-        name = part if isinstance(part, int) or re.fullmatch(r"[\w-]+", part) else repr(part)
-        text += f"[{name}]" if isinstance(part, int) else f".{name}" if text else str(name)
-    return text
-
-
-def _suggestion(loc: tuple[int | str, ...]) -> str:
-    """'; did you mean ...' or the keys that the table knows."""
-    model: type[BaseModel] | None = Scene
-    for part in loc[:-1]:
-        model = _table_of(model, part) if isinstance(part, str) else model
-    known = list(model.model_fields) if model else []
-    close = difflib.get_close_matches(str(loc[-1]), known, n=1)
-    if close:
-        return f"; did you mean {close[0]!r}?"
-    return f"; known here: {', '.join(known)}" if known else ""
-
-
-def _table_of(model: type[BaseModel] | None, key: str) -> type[BaseModel] | None:
-    """The model behind a field, looked for inside tuples and unions."""
-    field = model.model_fields.get(key) if model else None
-    pending = [field.annotation] if field else []
-    while pending:
-        kind = pending.pop()
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
-            return kind
-        pending += list(getattr(kind, "__args__", ()))
-    return None
-
-
-def _short(value: object) -> str:
-    try:
-        text = repr(value)
-    except (ValueError, RecursionError):  # a whole number of thousands of digits, or as many tables in each other
-        text = f"a {type(value).__name__} too large to be shown"
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _lower(message: str) -> str:
-    return message[:1].lower() + message[1:]

@@ -38,7 +38,7 @@ def _edge_word(value: object) -> object:
     if value not in ("clamped", "supported", "free"):
         raise PydanticCustomError(
             "edge_word",
-            "should be 'clamped', 'supported', 'free', or a table of springs such as { translation = 1e6 }",
+            "must be 'clamped', 'supported', 'free', or a table of springs such as { translation = 1e6 }",
         )
     return value
 
@@ -206,6 +206,7 @@ class Scene(Table):
                 )
         for index, oscillator in enumerate(self.effects.oscillators):
             check_area(f"effects.oscillators[{index}].area", oscillator.area, size)
+        self.search.check_limits([actuator.name for actuator in self.actuators])
         if self.search.robust is not None:
             self.search.robust.check(self.effects, self.grid.load)
             if len(self.targets) > 1:

@@ -6,14 +6,17 @@ is the source paper's: all magnitudes and phases, those of the first actuator he
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from warp_plate.scene.effects import Effects
-from warp_plate.scene.table import Area, Instant, Name, NotNegative, Positive, Table
+from warp_plate.scene.table import Area, Flag, Instant, Name, NotNegative, Positive, Table
 
 Weight = Annotated[float, Field(ge=0, le=1e6)]
+# Of actuators; a table that names none at all is left out.
+Names = Annotated[tuple[Name, ...], Field(min_length=1)]
 # A part of a number's own size: 0.05 is ± 5 %.
 Tolerance = Annotated[float, Field(ge=0, lt=1)]
 
@@ -26,7 +29,7 @@ def _check_range(low: float, high: float) -> None:
 class FreePhase(Table):
     """Phases are sought, of all actuators or of the ones named; they wrap at 2π."""
 
-    actuators: tuple[Name, ...] | None = None
+    actuators: Names | None = None
 
 
 class FreeMagnitude(Table):
@@ -34,7 +37,7 @@ class FreeMagnitude(Table):
     ones named."""
 
     range: tuple[NotNegative, NotNegative]
-    actuators: tuple[Name, ...] | None = None
+    actuators: Names | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> FreeMagnitude:
@@ -46,8 +49,8 @@ class FreeFrequency(Table):
     """The frequency [Hz] is sought within ``range``: one for all actuators, or with ``own`` one for each."""
 
     range: tuple[Positive, Positive]
-    own: bool = False
-    actuators: tuple[Name, ...] | None = None
+    own: Flag = False
+    actuators: Names | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> FreeFrequency:
@@ -59,15 +62,15 @@ class FreePosition(Table):
     """Actuators are moved, all or the ones named, each staying whole within ``area`` [m] (None: the plate)."""
 
     area: Area | None = None
-    actuators: tuple[Name, ...] | None = None
+    actuators: Names | None = None
 
 
 class FreeDelay(Table):
     """The burst's start [s] is sought within ``range``: one for all actuators, or with ``own`` one for each."""
 
     range: tuple[Instant, Instant]
-    own: bool = False
-    actuators: tuple[Name, ...] | None = None
+    own: Flag = False
+    actuators: Names | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> FreeDelay:
@@ -105,7 +108,7 @@ class Limits(Table):
 
     magnitude: Positive | None = None
     power: Positive | None = None
-    equal_magnitudes: bool = False
+    equal_magnitudes: Flag = False
 
 
 class Robust(Table):
@@ -130,11 +133,18 @@ class Robust(Table):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
 
     def check(self, effects: Effects, load: str) -> None:
-        """Raise ValueError, naming the key, where nothing is drawn, or what is drawn is not in the scene."""
+        """Raise ValueError, naming the key, where nothing is drawn, what is drawn is not in the scene, or a quantile is
+        not read."""
         drawn = (self.young_modulus, self.thickness, self.damping, self.gain, self.place, self.without_oscillators)
         if not any(drawn):
             raise ValueError(
                 "search.robust: all scenarios are alike; write a tolerance such as young_modulus = 0.05, or delete it"
+            )
+        # The default is no fault: a scene that is written out has it too.
+        if self.measure != "quantile" and self.quantile != type(self).model_fields["quantile"].default:
+            raise ValueError(
+                f"search.robust.quantile = {self.quantile:g}: is read with measure = 'quantile' alone, and it is "
+                f"{self.measure!r}; change it, or delete quantile"
             )
         bed = effects.foundation is not None and effects.foundation.damping
         if self.damping and not (effects.damping or effects.material_damping or bed):
@@ -187,3 +197,22 @@ class Search(Table):
             if kind in kinds[:index]:
                 raise ValueError(f"objectives[{index}].kind: {kind!r} is there already; add their weights instead")
         return self
+
+    def check_limits(self, names: Sequence[str]) -> None:
+        """Raise ValueError, naming the key, where the limits shut out every magnitude that the actuators of these names
+        are free to have."""
+        free, limits = self.magnitude, self.limits
+        if free is None:
+            return
+        low = free.range[0]
+        if limits.magnitude is not None and limits.magnitude < low:
+            raise ValueError(
+                f"search.limits.magnitude = {limits.magnitude:g}: below search.magnitude.range[0] = {low:g}; raise it "
+                "or lower the range"
+            )
+        least = low**2 * sum(free.actuators is None or name in free.actuators for name in names)
+        if limits.power is not None and limits.power < least * (1 - 1e-9):
+            raise ValueError(
+                f"search.limits.power = {limits.power:g}: below {least:g}, which the squares of "
+                f"search.magnitude.range[0] = {low:g} add up to; raise it or lower the range"
+            )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -22,7 +23,7 @@ class Table(BaseModel):
 
 def _moderate(value: float) -> float:
     if value and not SMALLEST <= abs(value) <= LARGEST:
-        raise PydanticCustomError("moderate", f"its size should be 0 or from {SMALLEST:g} to {LARGEST:g}")
+        raise PydanticCustomError("moderate", f"must be 0, or of a size from {SMALLEST:g} to {LARGEST:g}")
     return value
 
 
@@ -30,6 +31,17 @@ def _not_zero(value: float) -> float:
     if value == 0:
         raise PydanticCustomError("not_zero", "must not be 0, which leaves nothing of the drive")
     return value
+
+
+def _without(letter: str, words: str) -> Callable[[str], str]:
+    """A check that a text has no such letter, which errors call by these words."""
+
+    def checked(text: str) -> str:
+        if letter in text:
+            raise PydanticCustomError("letter", f"must be a text without {words}")
+        return text
+
+    return checked
 
 
 Moderate = Annotated[float, AfterValidator(_moderate)]
@@ -40,9 +52,13 @@ NotNegative = Annotated[float, Field(ge=0), AfterValidator(_moderate)]
 Coordinate = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Instant = Annotated[float, Field(ge=0, le=LARGEST)]
 Area = tuple[Coordinate, Coordinate, Coordinate, Coordinate]
+# TOML has true and false: no text and no number that may stand for one of them.
+Flag = Annotated[bool, Field(strict=True)]
 # HDF5 cannot keep a text with a NUL in it.
-Text = Annotated[str, Field(pattern=r"^[^\x00]*$")]
-Name = Annotated[Text, Field(min_length=1)]
+Text = Annotated[str, AfterValidator(_without("\0", "the character NUL"))]
+Name = Annotated[str, Field(min_length=1), AfterValidator(_without("\0", "the character NUL"))]
+# What stands in the names of a result's datasets.
+PartName = Annotated[Name, AfterValidator(_without("/", "'/'"))]
 
 
 # A name, not a way: no folders, no drive letters, no line breaks.

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.table import NARROWEST, Area, Coordinate, Name, Positive, Table, check_area, check_file_name
+from warp_plate.scene.table import NARROWEST, Area, Coordinate, PartName, Positive, Table, check_area, check_file_name
 
 Corner = tuple[Coordinate, Coordinate]
 SHAPES = ("area", "disc", "polygon", "mask")
@@ -101,7 +101,7 @@ class Target(Table):
 class NamedTarget(Target):
     """One of several targets; its name stands in the names of a result's cases, which have no slash."""
 
-    name: Annotated[Name, Field(pattern=r"^[^/\x00]*$")]
+    name: PartName
 
     @property
     def unnamed(self) -> Target:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from warp_plate.plate.designs import own_of
-from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.scheme import MOST_STEPS, STEPS_A_PERIOD, make_scheme
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -77,7 +77,7 @@ def with_step(scene: Scene) -> Scene:
     """The scene with one time step for all the frequencies and starts that its search may find.
 
     Raises:
-        SceneError: the scene's own time step does not carry the range; see ``make_scheme``.
+        SceneError: the scene's own time step does not carry the range; see ``at_highest_frequency``, ``make_scheme``.
     """
     free, step = scene.search.frequency, scene.grid.time_step
     if step is None and (free is not None or scene.search.delay is not None):
@@ -86,7 +86,7 @@ def with_step(scene: Scene) -> Scene:
         step = min(make_scheme(hardest, general=general).time_step for general in {False, own_of(scene).each})
         return scene.with_tables(grid={**scene.grid.model_dump(), "time_step": step})
     if step is not None and free is not None:
-        carried = 0.5 / step / (1 if scene.drive.electrostatic is None else 2)
+        carried = 0.5 / step / _times(scene)
         if free.range[1] >= carried:
             raise SceneError(
                 f"search.frequency.range = {list(free.range)}: a step of {step:g} s carries less than {carried:.6g} "
@@ -96,16 +96,32 @@ def with_step(scene: Scene) -> Scene:
 
 
 def at_highest_frequency(scene: Scene) -> Scene:
-    """The scene with every frequency that is free at the upper end of its range: the one that asks most of a grid."""
+    """The scene with every frequency that is free at the upper end of its range: the one that asks most of a grid.
+
+    Raises:
+        SceneError: a step chosen for it is too short for a run of at most MOST_STEPS.
+    """
     free = scene.search.frequency
     if free is None or scene.drive.signal is not None:  # of which ``free_numbers`` says that they do not go together
         return scene
+    most = MOST_STEPS / STEPS_A_PERIOD / scene.window.end / _times(scene)
+    if scene.grid.time_step is None and free.range[1] > most:
+        raise SceneError(
+            f"search.frequency.range = {list(free.range)}: {free.range[1]:g} Hz takes "
+            f"{MOST_STEPS * free.range[1] / most:.3g} steps until window.end = {scene.window.end:g} s, and at most "
+            f"{MOST_STEPS:.3g} are possible; end the range at {most:.4g} Hz or lower"
+        )
     who = set(_named(scene, "frequency"))
     actuators = [
         one.model_dump() | ({"frequency": free.range[1]} if index in who else {})
         for index, one in enumerate(scene.actuators)
     ]
     return scene.with_tables(actuators=actuators)
+
+
+def _times(scene: Scene) -> int:
+    """By how much the plate's highest frequency is that of the voltage: squares have twice that."""
+    return 1 if scene.drive.electrostatic is None else 2
 
 
 def _paper_numbers(scene: Scene) -> tuple[Number, ...]:
@@ -227,7 +243,7 @@ def _named(scene: Scene, table: str) -> tuple[int, ...]:
     """Indices of the actuators that a table names; all where it names none.
 
     Raises:
-        SceneError: no actuator has a name that it names, or it names one twice or nobody.
+        SceneError: no actuator has a name that it names, or it names one twice.
     """
     there = [one.name for one in scene.actuators]
     names = getattr(scene.search, table).actuators
@@ -241,8 +257,6 @@ def _named(scene: Scene, table: str) -> tuple[int, ...]:
             )
         if name in names[:index]:
             raise SceneError(f"search.{table}.actuators[{index}] = {name!r}: stands there twice; delete one")
-    if not names:
-        raise SceneError(f"search.{table}.actuators = []: names no actuator; leave it out for all of them")
     return tuple(sorted(there.index(name) for name in names))
 
 

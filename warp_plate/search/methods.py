@@ -28,6 +28,14 @@ RESTART_AFTER = 20
 # Bytes a particle and number: positions, velocities, own bests, random numbers, drives; and what a descent keeps.
 SWARM_BYTES, MATRIX_BYTES = 120.0, 32.0
 
+# The keys of ``[search]`` that not every method reads, and those that do; docs/methods.md has the same table.
+_SWARMS = ("pso", "constriction", "ring")
+READ_BY = {
+    **dict.fromkeys(("particles", "iterations", "restarts", "stall"), (*_SWARMS, "cma", "gradient")),
+    "velocity_limit": _SWARMS,
+    **dict.fromkeys(("inertia", "decay", "cognitive", "social"), ("pso",)),
+}
+
 
 class Method(Protocol):
     """A search between two iterations; states are flat: plain numbers, texts, arrays, and one of random numbers."""
@@ -73,6 +81,16 @@ def searcher_from_state(
     return _made(search, space, seed, problem, dict(state))
 
 
+def unread(search: Search) -> list[str]:
+    """A sentence for each key that is not as the default has it, and that the method does not read."""
+    return [
+        f"search.{key} = {getattr(search, key)}: method = {search.method!r} does not read it, only "
+        f"{', '.join(map(repr, methods))}; delete it, or write another method."
+        for key, methods in READ_BY.items()
+        if search.method not in methods and getattr(search, key) != type(search).model_fields[key].default
+    ]
+
+
 def swarm_settings(search: Search, space: Space, seed: int) -> SwarmSettings:
     """What the swarm of "pso", "constriction" or "ring" is told.
 
@@ -102,9 +120,9 @@ def swarm_settings(search: Search, space: Space, seed: int) -> SwarmSettings:
 
 
 def _made(search: Search, space: Space, seed: int, problem: Quadratic | None, state: dict[str, Any] | None) -> Method:
-    evaluations, least = search.particles * search.iterations, least_size(search.objectives)
     if search.method == "exact":
         return ExactSearch(space, problem) if state is None else ExactSearch.from_state(space, problem, state)
+    evaluations, least = search.particles * search.iterations, least_size(search.objectives)
     if search.method == "gradient":
         if problem is None:
             raise SceneError(
