@@ -131,7 +131,7 @@ def test_what_a_method_does_not_read_is_told(method):
     read = Read(search)
     make_searcher(read, space, 1, problem)
     assert {key for key in READ_BY if key in read.names} == {key for key in READ_BY if method in READ_BY[key]}
-    assert read.names <= {"method", "seed", *READ_BY}
+    assert read.names <= {"method", "seed", "objectives", *READ_BY}
     changed = {"particles", "iterations", "restarts", "velocity_limit", "inertia"}
     lines = unread(search)
     assert {line.split(" ")[0] for line in lines} == {f"search.{key}" for key in changed - read.names}
