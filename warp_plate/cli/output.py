@@ -220,7 +220,7 @@ def print_accuracy(result: Result, console: Console) -> None:
 
 def warnings_of(result: Result) -> list[str]:
     """What the result's scene calls for but does not name, going by the drive that was asked for or found."""
-    from warp_plate.search.warnings import exceeded, why_no_energies
+    from warp_plate.search.warnings import exceeded, of_search, why_no_energies
 
     lost = next((one.status for one in result.cases.values() if one.status != "ok"), None)
     if lost is not None:
@@ -228,7 +228,8 @@ def warnings_of(result: Result) -> list[str]:
     best = result.history.get("best")
     if best is not None and len(best) and not math.isfinite(best[-1]):
         return ["No plate that the search tried has energies: the best single actuator stands for what it should find."]
-    return exceeded(result.placed(result.judged), result.peak)
+    found = of_search(result.scene) if result.command == "localize" else []
+    return found + exceeded(result.placed(result.judged), result.peak)
 
 
 def print_warnings(result: Result, console: Console) -> None:
