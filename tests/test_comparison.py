@@ -11,9 +11,10 @@ import pytest
 from warp_plate import viz
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Edges
+from warp_plate.scene.target import NamedTarget
 from warp_plate.viz import page
 from warp_plate.viz.availability import off_screen
-from warp_plate.viz.comparison import Comparison, common_scale, layout, ordered, rows_and_columns
+from warp_plate.viz.comparison import Comparison, common_scale, drive_words, heading, layout, ordered, rows_and_columns
 from warp_plate.viz.page import PEAK, STILL, page_data, write_page
 from warp_plate.viz.pictures import Look, largest_frame, make_plotter, stage
 from warp_plate.viz.quantity import QUANTITIES, scale_over
@@ -94,6 +95,22 @@ def test_the_picture_shows_the_moment_of_most():
     assert largest_frame([motion], "velocity") == 2
     assert largest_frame([motion], "energy") == 2
     assert largest_frame([motion], "rms-velocity") == 0
+
+
+def test_drives_for_several_targets_are_named_after_these(scene):
+    one = scene()
+    several = one.model_copy(
+        update={"targets": tuple(NamedTarget(name=name, area=(0, 0.1, 0, 0.1)) for name in ("a", "b"))}
+    )
+    names = ("equal", "best", "best b", "mine")
+    assert [drive_words(name, several) for name in names] == [
+        "equal drive",
+        "best drive for a",
+        "best drive for b",
+        "mine",
+    ]
+    assert drive_words("best", one) == "best drive found"
+    assert heading(motion_of("best b", 1e-7), 0, several).startswith("best drive for b, t = ")
 
 
 def test_plates_come_in_the_papers_order_and_in_rows():

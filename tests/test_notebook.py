@@ -45,6 +45,7 @@ def result():
         seconds={"solve": 1.5},
         node_steps=2_000_000,
         bound=0.6867,
+        bound_kind="attained within limits",
         history={"evaluations": np.arange(5), "best": np.linspace(0.3, 0.6, 5), "mean": np.linspace(0.2, 0.5, 5)},
         accuracy={"estimate": {"line": "localization factor 0.68 ± 0.04"}},
     )
@@ -132,7 +133,7 @@ def test_a_result_shows_its_tables_and_its_picture(result):
         ["drive", "localization factor"],
         ["equal drive", "50.00 %"],
         ["best drive found", "25.00 %"],
-        ["bound: no drive passes it", "68.67 %"],
+        ["bound of the drives that may be chosen", "68.67 %"],
     ]
     assert ["upper left", "0.5000", "4.7124", "1.5000"] in rows
     words = words_of(shown)

@@ -11,6 +11,7 @@ from conftest import scene_of
 
 from warp_plate import PlateSolver, Scene, SceneError, load_result, localize, resume
 from warp_plate.cli.main import main
+from warp_plate.cli.output import warnings_of
 from warp_plate.result import save_result
 from warp_plate.result.checkpoint import load_checkpoint, save_checkpoint
 from warp_plate.result.crosstalk import cases_of_targets, crosstalk, decibels, found_scenes, regions_of_targets
@@ -173,6 +174,16 @@ def test_the_command_prints_the_table_and_writes_a_scene_for_each(written, capsy
     assert [Path(f"panel-localize.best{part}.toml").exists() for part in ("", ".2", ".3", ".4")] == [1, 1, 1, 0]
     second = Scene.load("panel-localize.best.2.toml")
     assert second.target == second.targets[1].unnamed
+
+
+def test_places_that_no_panel_has_for_all_targets_are_told(found):
+    """Of a search alone, and only where it moves actuators."""
+    moved = found.scene.with_tables(search={**SEARCH, "position": {}})
+    told = [line for line in warnings_of(replace(found, scene=moved)) if "places of its own" in line]
+    assert len(told) == 1
+    assert "Each of the 3 targets" in told[0]
+    for other in (found, replace(found, scene=moved, command="simulate"), replace(found, scene=alone(moved, 0))):
+        assert "places of its own" not in " ".join(warnings_of(other))
 
 
 def test_the_command_s_json_has_it(written, capsys):

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warp_plate.scene.vary import counted
 from warp_plate.viz.availability import plot_beside
+from warp_plate.viz.axes import number_logarithmic
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -63,14 +65,16 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> Path:
             _plot_values(grid[0, column], comparison, clock)
             if comparison.bound is not None:
                 _plot_distances(grid[1, column], comparison, clock)
-            grid[-1, column].set_xlabel({"evaluations": "evaluations", "seconds": "seconds"}[clock])
+            grid[-1, column].set_xlabel(clock)
+            number_logarithmic(grid[-1, column].xaxis)
         grid[0, 0].set_ylabel("largest localization factor" if comparison.localization else "smallest loss")
         if comparison.bound is not None:
             grid[1, 0].set_ylabel(f"distance from the bound (≥ {NEAREST:g})")
+            number_logarithmic(grid[1, 0].yaxis)
         handles, labels = grid[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
         seeds = len({trial.seed for trial in comparison.trials})
-        title = f"{comparison.scene.title or comparison.source}: median, best and worst of {seeds} seeds"
+        title = f"{comparison.scene.title or comparison.source}: median, best and worst of {counted(seeds, 'seed')}"
         figure.suptitle(title, fontsize=9)
         figure.savefig(path, dpi=200)
     return Path(path)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_plate.result.crosstalk import cases_of_targets
 from warp_plate.result.model import Case
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
@@ -67,7 +68,7 @@ class Comparison:
             row, column = divmod(index, columns)
             plotter.subplot(row, column)
             field, colours = motion.displacement[0], self._colour(index, 0)
-            text, own = heading(motion, 0), motion.scene or scene
+            text, own = heading(motion, 0, scene), motion.scene or scene
             self.plates.append(add_plate(plotter, own, field, self.scale, text, font_size, False, colours))
         plotter.subplot(*(legend or (0, columns)))
         self._bar = add_legend(plotter, scene, self.scale, font_size)
@@ -82,7 +83,7 @@ class Comparison:
         self.frame = frame % self.frames
         for index, (motion, plate) in enumerate(zip(self.motions, self.plates, strict=True)):
             field = motion.displacement[self.frame]
-            plate.update(field, self._colour(index, self.frame), heading(motion, self.frame))
+            plate.update(field, self._colour(index, self.frame), heading(motion, self.frame, self.scene))
 
     def colour_by(self, quantity: str) -> None:
         """Show another quantity in colour, at the frame that is shown."""
@@ -119,14 +120,19 @@ def quantity_of(motions: Sequence[Motion], name: str) -> Quantity:
     return MODE if motions[0].localization_factor is None else QUANTITIES[name]
 
 
-def heading(motion: Motion, frame: int) -> str:
+def drive_words(name: str, scene: Scene) -> str:
+    """A case of a result of this scene, for people."""
+    targets = {case: target for target, case in cases_of_targets(scene).items()}
+    return f"best drive for {targets[name]}" if name in targets else DRIVES.get(name, name)
+
+
+def heading(motion: Motion, frame: int, scene: Scene) -> str:
     """What stands above a plate: drive, time and localization factor, or the mode."""
     if motion.localization_factor is None:
         return motion.name
     # Enough decimals to tell one frame from the next.
     decimals = max(0, math.ceil(-math.log10((motion.span[1] - motion.span[0]) / len(motion.times))))
-    name = DRIVES.get(motion.name, motion.name)
-    return caption(name, float(motion.times[frame]), motion.localization_factor, decimals)
+    return caption(drive_words(motion.name, scene), float(motion.times[frame]), motion.localization_factor, decimals)
 
 
 def ordered(cases: Mapping[str, Case]) -> dict[str, Case]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
 
 # Inches: width and height of a cell of the table, the longer side of a plate, and how many of these stand in a row.
 CELL, PLATE, IN_A_ROW = (0.9, 0.42), 1.9, 4
+# Inches that the words below the plates take: width, and height of their two lines.
+WORDS = (3.0, 0.4)
+# Inches of a letter, and of a further line of a name that is broken.
+LETTER, LINE = 0.07, 0.13
 
 
 def draw_crosstalk(result: Result, path: str | Path, form: str | None = None) -> Path:
@@ -42,15 +47,19 @@ def draw_crosstalk(result: Result, path: str | Path, form: str | None = None) ->
     drawn = {target: case for target, case in names.items() if case in result.cases and result.times.size}
     rows, columns = math.ceil(len(drawn) / IN_A_ROW), min(len(drawn), IN_A_ROW)
     width, height = (PLATE * side / max(result.scene.plate.size) for side in result.scene.plate.size)
-    (wide, table), plates = (side * len(names) for side in CELL), rows * (height + 0.3) + 0.25
-    table += 0.6
+    (wide, table), plates = (side * len(names) for side in CELL), rows * (height + 0.3) + WORDS[1]
+    wide = max(wide + 1.5, columns * (width + 0.2), WORDS[0])
+    words = [_broken(name, CELL[0]) for name in names]
+    titles = {case: _broken(f"drive for {target}", wide / columns) for target, case in drawn.items()}
+    table += 0.6 + LINE * max(name.count("\n") for name in words)
+    plates += LINE * rows * max((title.count("\n") for title in titles.values()), default=0)
     with rc_context({"font.size": 8, "axes.linewidth": 0.8, "svg.hashsalt": "warp-plate"}):
-        figure = Figure(figsize=(max(wide + 1.5, columns * (width + 0.2)), table + plates), layout="constrained")
+        figure = Figure(figsize=(wide, table + plates), layout="constrained")
         FigureCanvasAgg(figure)
         above, below = figure.subfigures(2, 1, height_ratios=[table, plates or 1e-3])
-        _table(above.subplots(), list(names), crosstalk(result))
+        _table(above.subplots(), words, crosstalk(result))
         if drawn:
-            _plates(below, result, drawn, rows, columns)
+            _plates(below, result, drawn, titles, rows, columns)
         figure.savefig(path, dpi=200, format=form)
     return Path(path)
 
@@ -74,7 +83,14 @@ def _table(axes: Axes, names: list[str], shares: np.ndarray) -> None:
     axes.spines[:].set_visible(False)
 
 
-def _plates(figure: SubFigure, result: Result, drawn: dict[str, str], rows: int, columns: int) -> None:
+def _broken(words: str, width: float) -> str:
+    """In lines of at most this width in inches."""
+    return textwrap.fill(words, int(width / LETTER))
+
+
+def _plates(
+    figure: SubFigure, result: Result, drawn: dict[str, str], titles: dict[str, str], rows: int, columns: int
+) -> None:
     panels = figure.subplots(rows, columns, squeeze=False)
     targets = {target.name: (key, target) for key, target in zip(
         result.scene.targets_by_key, result.scene.targets, strict=True
@@ -83,16 +99,16 @@ def _plates(figure: SubFigure, result: Result, drawn: dict[str, str], rows: int,
         fields = np.nan_to_num(result.cases[case].displacement, posinf=0, neginf=0)
         field = fields[np.abs(fields).max(axis=(1, 2)).argmax()]
         paint(axes, result.scene, field, scale_over([field], result.scene.plate.size))
-        for actuator in result.scene.actuators:
+        for actuator in result.placed(result.cases[case]).actuators:
             outline(axes, actuator.area, INK)
         for other, (key, target) in targets.items():
             for way in outlines_of(result.scene, key, target):
                 look = {"linewidth": 2.2} if other == name else {"linewidth": 0.8, "linestyle": "--"}
                 axes.plot(*way.T, color=TARGET, clip_on=False, zorder=4, **look)
         frame(axes, result.scene)
-        axes.set_title(f"drive for {name}", fontsize=8)
+        axes.set_title(titles[case], fontsize=8)
     width, height = result.scene.plate.size
-    words = f"displacement of the plate, {width:g} m × {height:g} m: red up, blue down, each in its own scale"
+    words = f"displacement of the plate, {width:g} m × {height:g} m:\nred up, blue down, each in its own scale"
     figure.supxlabel(words, fontsize=8)
     for axes in list(panels.flat)[len(drawn) :]:
         axes.set_axis_off()

@@ -11,7 +11,8 @@ import numpy as np
 from warp_plate.result.model import Case, Result
 from warp_plate.result.whole import whole_file
 from warp_plate.viz.availability import missing, missing_plots, off_screen, prepare
-from warp_plate.viz.comparison import DRIVES, ordered
+from warp_plate.viz.axes import first_of_several
+from warp_plate.viz.comparison import drive_words, ordered
 from warp_plate.viz.crosstalk_plot import draw_crosstalk
 from warp_plate.viz.lettering import add_legend
 from warp_plate.viz.quantity import scale_over
@@ -33,6 +34,9 @@ SMOOTHING = 1.25
 FONT_SIZE = 20
 ROW_HEIGHT = 480
 BAR_WIDTH = 180
+# What the mean of an iteration's losses is of, by method; "exact" tries one drive alone.
+MEANS = dict.fromkeys(("pso", "constriction", "ring"), "swarm mean")
+MEANS |= {"cma": "mean of the generation", "gradient": "mean of the descents"}
 # The localization factor that the paper reports for its swarm, as a loss.
 PUBLISHED_LOSS = 0.28
 
@@ -95,8 +99,8 @@ def draw_history(result: Result, path: str | Path, form: str | None = None) -> P
 
     The loss is 1 − localization factor, or less the weighted sum of what else is sought.
 
-    The bound is a line where the result claims one; the published final loss stands beside it for the preset
-    "paper" only.
+    Of several targets it is the first one's. The bound is a line where the result claims one; the published final loss
+    stands beside it for the preset "paper" only.
 
     Raises:
         ValueError: the result holds no history of a search, or Matplotlib does not know the ending.
@@ -124,20 +128,23 @@ def _plot_history(axes: Axes, result: Result) -> None:
     best = top - np.fmax.accumulate(_finite(result.history["best"]))
     iteration = np.arange(1, best.size + 1)
     marker = "." if best.size < 10 else None
-    if "mean" in result.history:
+    words = MEANS.get(result.scene.search.method)
+    if "mean" in result.history and words is not None:
         mean = top - _finite(result.history["mean"])
-        axes.plot(iteration, mean, color="#9ecae1", linewidth=1.0, marker=marker, label="swarm mean")
+        axes.plot(iteration, mean, color="#9ecae1", linewidth=1.0, marker=marker, label=words)
     axes.plot(iteration, best, color="#08519c", linewidth=1.6, marker=marker, label="best so far")
     # Of a robust search the history is of its measure, which has a bound of its own.
-    bound = result.bound if localization else result.values.get("bound")
+    bound, kind = result.bound if localization else result.values.get("bound"), result.bound_kind
     if result.scene.search.robust is not None:
-        bound = getattr(result.robust, "bound", None)
+        bound, kind = getattr(result.robust, "bound", None), "bound only"
     if bound is not None:
-        loss = top - bound
-        axes.axhline(loss, color="#b2182b", linewidth=1.0, linestyle="--", label=f"bound: {loss:.4f}".replace("-", "−"))
+        loss, only = top - bound, " only" if kind == "bound only" else ""
+        label = f"bound{only}: {loss:.4f}".replace("-", "−")
+        axes.axhline(loss, color="#b2182b", linewidth=1.0, linestyle="--", label=label)
     if result.source == "paper":
         label = f"published: {PUBLISHED_LOSS:g}"
         axes.axhline(PUBLISHED_LOSS, color="#8a8a8a", linewidth=1.0, linestyle=":", label=label)
+    axes.set_title(first_of_several(result.scene), fontsize=9, wrap=True)
     axes.set_xlabel("iteration")
     axes.set_ylabel("loss (1 − localization factor)" if localization else "loss (− weighted sum of objectives)")
     axes.set_xlim((1, best.size) if best.size > 1 else (0, 2))
@@ -171,7 +178,7 @@ def _draw_surfaces(result: Result, path: Path) -> Path:
     try:
         for row, (name, case) in enumerate(cases):
             letter = f"({chr(ord('a') + row)}) " if len(cases) > 1 else ""
-            _draw_row(plotter, row, result, letter + DRIVES.get(name, name), case, shown)
+            _draw_row(plotter, row, result, letter + drive_words(name, result.scene), case, shown)
         # With VTK's smoothing, wide lines are broken here and there.
         plotter.disable_anti_aliasing()
         large = plotter.screenshot(return_img=True)

@@ -18,7 +18,7 @@ from warp_plate.result.model import Case, Result
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import Target
 from warp_plate.viz.availability import missing, missing_plots
-from warp_plate.viz.comparison import DRIVES, ordered
+from warp_plate.viz.comparison import drive_words, ordered
 from warp_plate.viz.figures import draw_history, draw_surfaces
 from warp_plate.viz.scene_plan import scene_plan
 from warp_plate.viz.sides import NAMES, SIDES, edge_kind
@@ -45,9 +45,9 @@ def result_html(result: Result) -> str:
     """Localization factors, the drive found or given, what is known of the error, and a picture of the plate."""
     card = _card(result.scene.title or result.source or "Result")
     cases = ordered(result.cases)
-    rows = [(DRIVES.get(name, name), _share(case.localization_factor)) for name, case in cases.items()]
+    rows = [(drive_words(name, result.scene), _share(case.localization_factor)) for name, case in cases.items()]
     if result.bound is not None:
-        rows.append(("bound: no drive passes it", _share(result.bound)))
+        rows.append((result.bound_words, _share(result.bound)))
     tables = SubElement(card, "div", {"style": SIDE_BY_SIDE})
     _add_table(tables, ("drive", "localization factor"), rows)
     name, case = shown_case(result)
@@ -57,7 +57,7 @@ def result_html(result: Result) -> str:
             result.scene.actuators, case.magnitude, case.phase, *case.own.values(), strict=True
         )
     ]
-    words = DRIVES.get(name, name)
+    words = drive_words(name, result.scene)
     magnitude = f"magnitude ({result.scene.drive_unit})"
     _add_table(tables, (f"actuator, {words}", magnitude, "phase (rad)", "phase / π", *case.own), drive)
     for line in _notes(result):

@@ -99,7 +99,7 @@ def page_data(
         "outlines": _outlines(meshes),
         "plates": [
             {
-                "headings": [heading(motion, frame) for frame in range(len(motion.times))],
+                "headings": [heading(motion, frame, scene) for frame in range(len(motion.times))],
                 "heights": _whole(fields[index], peak),
                 "colours": None if same else _whole(colours[index], scale.limit),
                 # Where its actuators are elsewhere; null: as the others'.

@@ -55,7 +55,7 @@ def draw_plan(
         for axes, motion in zip(panels.flat, motions, strict=False):
             fields = shown.values(motion)
             _draw(axes, motion.scene or scene, fields[frame_shown % len(fields)], scale)
-            title = heading(motion, frame_shown)
+            title = heading(motion, frame_shown, scene)
             # A field that is the same at all times has no moment.
             axes.set_title(title if len(fields) > 1 else _without_time(title), fontsize=8, pad=6)
         for axes in panels.flat[len(motions) :]:

@@ -6,16 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from warp_plate.result.model import Result
+from warp_plate.scene.search import Search
+from warp_plate.viz.axes import first_of_several
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Name in the result: colour, width, words.
-CURVES = {
-    "best": ("#08519c", 1.6, "best drive at each frequency"),
-    "single": ("#6baed6", 1.1, "best single actuator"),
-    "equal": ("#8a8a8a", 1.1, "equal drive"),
-}
+# Name in the result: colour, width.
+CURVES = {"best": ("#08519c", 1.6), "single": ("#6baed6", 1.1), "equal": ("#8a8a8a", 1.1)}
 RESONANCE, FOUND = "#b2182b", "#e6820e"
 
 
@@ -43,10 +41,40 @@ def draw_spectrum(result: Result, path: str | Path, form: str | None = None) -> 
     return Path(path)
 
 
+def words_of(search: Search) -> dict[str, str]:
+    """What the curves show, by their names in a result.
+
+    Where the search may choose every phase, and every magnitude from zero on, its best drive at each frequency is an
+    eigenvector. Elsewhere the line is what no drive that it may choose passes, and a single actuator is none of these.
+    """
+    magnitude, phase, single = search.magnitude, search.phase, "best single actuator"
+    if magnitude is None and phase is None:
+        best = "the scene's drive"
+    elif phase is None or phase.actuators is not None or not _any_size(search):
+        best = "bound of the drives that may be chosen"
+    else:
+        best = "best drive at each frequency"
+    return {
+        "best": best,
+        "single": single if _any_size(search) else f"{single} (cannot be chosen)",
+        "equal": "equal drive",
+    }
+
+
+def _any_size(search: Search) -> bool:
+    """Whether the actuators may have any magnitudes beside each other's."""
+    magnitude = search.magnitude
+    return not (
+        magnitude is None or magnitude.actuators is not None or magnitude.range[0] > 0 or search.limits.equal_magnitudes
+    )
+
+
 def _plot(axes: Axes, result: Result) -> None:
     spectrum, case = result.spectrum, result.judged
-    for name, (colour, width, words) in CURVES.items():
-        axes.plot(spectrum["frequency"], spectrum[name], color=colour, linewidth=width, label=words)
+    words = words_of(result.scene.search)
+    for name, (colour, width) in CURVES.items():
+        axes.plot(spectrum["frequency"], spectrum[name], color=colour, linewidth=width, label=words[name])
+    axes.set_title(first_of_several(result.scene), fontsize=9, wrap=True)
     axes.set_ylim(0, 1.05)
     axes.set_xlim(spectrum["frequency"][0], spectrum["frequency"][-1])
     # Short, so that many of them hide no curve.

@@ -14,6 +14,7 @@ from warp_plate.result.sweep import REFUSED, Sweep
 from warp_plate.scene.keys import unit_of, words_of
 from warp_plate.scene.vary import counted
 from warp_plate.viz.availability import plot_beside
+from warp_plate.viz.axes import number_logarithmic
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -274,7 +275,9 @@ def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int]
 
 def _set_axis(axis: Axis, words: str, unit: str, most: int | None = None, size: float | None = None) -> None:
     """Its label and numbers, ``most`` of them; of small and large ones the power of ten stands with the unit."""
-    if axis.get_scale() == "linear":
+    if axis.get_scale() == "log":
+        number_logarithmic(axis, 5 if most is None else most - 1)
+    else:
         if most is not None:
             axis.axes.locator_params(axis.axis_name, nbins=most)
         power = math.floor(math.log10(np.abs(axis.get_view_interval()).max()))

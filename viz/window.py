@@ -13,7 +13,7 @@ import numpy as np
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.camera import look_at_plate
-from warp_plate.viz.comparison import DRIVES, Comparison, layout, rows_and_columns
+from warp_plate.viz.comparison import Comparison, drive_words, layout, rows_and_columns
 from warp_plate.viz.controls import Buttons, Slider
 from warp_plate.viz.lettering import LEGEND_WIDTH, add_text, style_text
 from warp_plate.viz.pictures import make_plotter
@@ -203,7 +203,7 @@ class Window:
         fields = {name: name.replace("-", " ") for name in self._field_names}
         self.fields = buttons(fields, 1, self.colour_by)
         self._drive_names = [*self.motions, ALL] if len(self.motions) > 1 else []
-        words = {**{name: name for name in self.motions}, **DRIVES, ALL: "side by side"}
+        words = {name: drive_words(name, self.comparison.scene) for name in self.motions} | {ALL: "side by side"}
         row, columns = (1, 7) if self._natural else (2, 6)
         self.drives = buttons({name: words[name] for name in self._drive_names}, row, self.show_only, columns)
         self.fields.mark(self.quantity)

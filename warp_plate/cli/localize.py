@@ -28,7 +28,10 @@ if TYPE_CHECKING:
     from warp_plate.scene.model import Scene
     from warp_plate.search.checkpoints import CheckpointFile
 
-TRIED = {"direct": "plates simulated for the search", "response": "drives tried by the search on the Gram matrices"}
+TRIED = {
+    "direct": ("plate", "simulated for the search"),
+    "response": ("drive", "tried by the search on the Gram matrices"),
+}
 # Ending of the scene that is found.
 FOUND = ".best.toml"
 MEANING = {
@@ -116,7 +119,8 @@ def localize(
         Show the drives that haptics takes without a search beside the one found: time reversal and inverse filter.
     spectrum
         After a search for one frequency of all actuators, take the localization factor over its whole range: of equal
-        drive, of the best single actuator and of the best drive at each frequency, with the plate's resonances.
+        drive, of the best single actuator and of the best drive that may be chosen at each frequency, or a bound of it,
+        with the plate's resonances.
     checkpoint_every
         Seconds between two checkpoints, at the end of an iteration: OUT.checkpoint.h5 for OUT.h5, and
         OUT.checkpoint.previous.h5, the one before. 0: after each iteration; inf: only after Ctrl-C.
@@ -272,6 +276,7 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
 
 def _print(result: Result, console: Console) -> None:
     from warp_plate.result.crosstalk import cases_of_targets
+    from warp_plate.scene.vary import counted
 
     published = PUBLISHED if result.source == "paper" else {}
     factors = {name: case.localization_factor for name, case in result.cases.items()}
@@ -301,9 +306,9 @@ def _print(result: Result, console: Console) -> None:
         console.print("Interrupted by Ctrl-C: the best so far is shown.")
     if published:
         console.print(NOT_REPRODUCED)
-    effects = ", ".join(result.effects) or "none"
+    effects, (thing, tried) = ", ".join(result.effects) or "none", TRIED[result.evaluator]
     console.print(
-        f"{result.evaluations} {TRIED[result.evaluator]}, {result.node_steps:.3g} node-steps in all on "
+        f"{counted(result.evaluations, thing)} {tried}, {result.node_steps:.3g} node-steps in all on "
         f"{result.device}, {result.path}: {result.seconds['solve']:.2f} s solving after "
         f"{result.seconds['compile']:.2f} s compiling or loading kernels. Effects compiled in: {effects}."
     )

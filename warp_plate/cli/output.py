@@ -219,9 +219,10 @@ def print_accuracy(result: Result, console: Console) -> None:
 
 
 def warnings_of(result: Result) -> list[str]:
-    """What the result's scene calls for but does not name, going by the drive that was asked for or found; and what it
-    says in vain."""
-    from warp_plate.search.warnings import exceeded, why_no_energies
+    """What the result's scene calls for but does not name, going by the drive that was asked for or found; and what its
+    search says in vain."""
+    from warp_plate.search.methods import unread
+    from warp_plate.search.warnings import exceeded, of_search, why_no_energies
 
     lost = next((one.status for one in result.cases.values() if one.status != "ok"), None)
     if lost is not None:
@@ -229,12 +230,8 @@ def warnings_of(result: Result) -> list[str]:
     best = result.history.get("best")
     if best is not None and len(best) and not math.isfinite(best[-1]):
         return ["No plate that the search tried has energies: the best single actuator stands for what it should find."]
-    called_for = exceeded(result.placed(result.judged), result.peak)
-    if best is None:
-        return called_for
-    from warp_plate.search.methods import unread
-
-    return called_for + unread(result.scene.search)
+    found = [*of_search(result.scene), *unread(result.scene.search)] if result.command == "localize" else []
+    return found + exceeded(result.placed(result.judged), result.peak)
 
 
 def print_warnings(result: Result, console: Console) -> None:

@@ -36,4 +36,7 @@ def own_device(devices: str | None, cluster: str | None, device: str | None) -> 
 
 def lost_lines(lost: Mapping[str, int]) -> list[str]:
     """A line for each way in which plates were lost."""
-    return [f"{count} plates of the search have no energies and count as worst: {why}" for why, count in lost.items()]
+    from warp_plate.scene.vary import counted
+
+    words = "of the search without energies, taken as worst"
+    return [f"{counted(count, 'plate')} {words}: {why}" for why, count in lost.items()]

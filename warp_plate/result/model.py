@@ -129,7 +129,8 @@ class Result:
     node_steps: nodes updated × steps × plates. path: how plates were stepped.
     peak: largest displacement [m] seen over the run under the drive of ``judged``; None where nothing was looked at.
     spectrum: of a search for a frequency, over the "frequency" [Hz] of its range, the localization factors "equal",
-        "single" and "best" (of any drive), and the "resonances" [Hz] in it; empty where none was made.
+        "single" and "best" (which no drive that may be chosen passes), and the "resonances" [Hz] in it; empty where
+        none was made.
     several: of a scene with several targets, the search for each that was come to; ``bound`` and ``history`` are the
         first's. Cases: see ``result.crosstalk``.
     robust: of a robust search, its drive and the "nominal" one, a case too, over fresh scenarios.

@@ -41,7 +41,7 @@ def read_several(file: h5py.File) -> tuple[Found, ...]:
                 position=state.get("position"),
                 single=int(state["single"]),
                 bound=None if state["bound"] is None else float(state["bound"]),
-                bound_kind=bound_kind(str(state["bound_kind"])),
+                bound_kind=bound_kind(str(state.get("bound_kind", ""))),
                 evaluations=int(state["evaluations"]),
                 history=_under("history ", state),
                 values={name: float(value) for name, value in _under("value ", state).items()},

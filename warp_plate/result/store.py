@@ -37,14 +37,14 @@ from warp_plate.scene.search import OBJECTIVE_UNITS
 HISTORY = {
     "evaluations": "drives tried so far",
     "best": "largest localization factor so far",
-    "mean": "mean localization factor of the swarm",
+    "mean": "mean localization factor of the iteration",
 }
 VALUES = {"sum": "sum of the objectives with their weights", "bound": "of that sum: no drive comes above it"}
 SPECTRUM = {
     "frequency": ("Hz", "where the localization factors were taken"),
     "equal": ("1", "localization factor of all actuators alike"),
     "single": ("1", "localization factor of the best single actuator"),
-    "best": ("1", "largest localization factor of any drive"),
+    "best": ("1", "largest localization factor, which no drive that may be chosen passes"),
     "resonances": ("Hz", "natural frequencies of the plate"),
 }
 # What a plate may have of its own: unit, meaning, and shape after the actuators.
@@ -53,7 +53,7 @@ OWN = {
     "centre": ("m", "x, y of the middle of each actuator", (2,)),
     "delay": ("s", "start of each actuator's burst", ()),
 }
-FORMAT = "warp-plate result 2"
+FORMAT = "warp-plate result 3"
 
 
 def save_result(result: Result, path: str | Path) -> Path:

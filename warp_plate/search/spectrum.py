@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import numpy as np
@@ -12,9 +13,12 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.result.model import Case
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.search.bounds import bound_localization
+from warp_plate.search.loss_bound import allowed_drives
 from warp_plate.search.problem import Problem, in_float64
+from warp_plate.search.variables import Variables, variables_of
 from warp_plate.search.warnings import MOST_SIDE
-from warp_plate.solve.response import response_of, unit_drives
+from warp_plate.solve.response import Response, response_of, unit_drives
 from warp_plate.solve.solver import PlateSolver
 
 # Frequencies: so many that their plates cost about what the search itself did, within these.
@@ -49,8 +53,9 @@ def factors_over(
     device: str = "auto",
     path: str = "auto",
 ) -> dict[str, np.ndarray]:
-    """Localization factors at each of (n,) frequencies [Hz]: "equal", "single" (the best one there), and "best", the
-    largest of any drive there, from the Gram matrices of that frequency. All plates run in one batch.
+    """Localization factors at each of (n,) frequencies [Hz]: "equal", "single" (the best one there), and "best", which
+    no drive passes that the search may choose there, from the Gram matrices of that frequency. All plates run in one
+    batch.
 
     centre, delay: (actuators, 2) [m] and (actuators,) [s], see :class:`Designs`; None: the scene's.
 
@@ -59,7 +64,7 @@ def factors_over(
     """
     exact = in_float64(scene)
     solver, actuators = PlateSolver(exact, device, path, own=own_of(exact)), len(scene.actuators)
-    units, singles = unit_drives(actuators), np.eye(actuators, dtype=complex)
+    units, singles, variables = unit_drives(actuators), np.eye(actuators, dtype=complex), variables_of(scene)
     drives = np.tile(units, (len(frequencies), 1))
     own = np.repeat(frequencies, len(units))[:, None] * np.ones(actuators)
     others = (None if one is None else np.broadcast_to(one, (len(drives), *one.shape)) for one in (centre, delay))
@@ -68,10 +73,23 @@ def factors_over(
     found: dict[str, list[float]] = {"equal": [], "single": [], "best": []}
     for one in energy:
         response = response_of(one, actuators)
-        found["equal"].append(float(localization_factor(response.energy(singles.sum(axis=0)[None]))[0]))
+        found["equal"].append(_factor(response, singles.sum(axis=0)))
         found["single"].append(float(np.nanmax(localization_factor(response.energy(singles)))))
-        found["best"].append(response.bound())
+        found["best"].append(_best(response, variables))
     return {name: np.array(values) for name, values in found.items()}
+
+
+def _factor(response: Response, drive: np.ndarray) -> float:
+    """Localization factor under a drive (actuators,)."""
+    return float(localization_factor(response.energy(drive[None]))[0])
+
+
+def _best(response: Response, variables: Variables) -> float:
+    """What no drive passes that the search may choose; where it may choose none, what the scene's own has."""
+    if not any(one.kind in ("magnitude", "phase") for one in variables.numbers):
+        return _factor(response, variables.designs(np.zeros((1, len(variables.numbers)))).drives[0])
+    bound = bound_localization(response, allowed_drives(variables))
+    return math.nan if bound is None else bound.value
 
 
 def resonances(scene: Scene, low: float, high: float) -> np.ndarray:

@@ -70,6 +70,16 @@ def exceeded(scene: Scene, peak_displacement: float | None) -> list[str]:
     return [warning.sentence for warning in warnings(scene, peak_displacement) if warning.exceeded]
 
 
+def of_search(scene: Scene) -> list[str]:
+    """Sentences about what a search finds that cannot be built."""
+    if len(scene.targets) < 2 or scene.search.position is None:
+        return []
+    return [
+        f"Each of the {len(scene.targets)} targets gets actuator places of its own, which one panel cannot have: in "
+        "the scene found for one of them delete [search.position], and localize it for the drives of its places."
+    ]
+
+
 def wavelengths(scene: Scene) -> tuple[float, float]:
     """Lengths [m] of straight bending waves along x and y at the highest frequency, in the plate without layers."""
     stiff, own = rigidity(scene), scene.effects.orthotropic
