@@ -113,9 +113,14 @@ class Judge:
         return {**found, "sum": np.asarray(sum(one.weight * found[one.kind] for one in self.objectives))}
 
     def keeps_limits(self, values: Mapping[str, float]) -> bool:
-        """Whether one drive's values are within all limits on the rest, but for rounding in float32."""
+        """Whether one drive's values are within all limits on the rest."""
         limits = {one.kind + OF_THE_REST: one.rest_limit for one in self.objectives if one.rest_limit is not None}
-        return all(values[name] <= limit * (1 + ROUNDING) for name, limit in limits.items())
+        return all(within(values[name], limit) for name, limit in limits.items())
+
+
+def within(value: float, limit: float) -> bool:
+    """Whether a value keeps its limit, but for rounding in float32."""
+    return value <= limit * (1 + ROUNDING)
 
 
 def make_judge(scene: Scene) -> Judge:
