@@ -4,6 +4,7 @@ import base64
 import json
 import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -114,7 +115,13 @@ def test_drives_for_several_targets_are_named_after_these(scene):
 
 
 def test_plates_come_in_the_papers_order_and_in_rows():
-    assert list(ordered(dict.fromkeys(("best", "equal", "mine", "single")))) == ["equal", "single", "best", "mine"]
+    targets = [SimpleNamespace(name=name) for name in "cab"]
+    for names, several, order in (
+        (("best", "equal", "mine", "single"), [], ["equal", "single", "best", "mine"]),
+        (("best", "best a", "best b", "equal", "mine"), targets, ["equal", "best", "best a", "best b", "mine"]),
+    ):
+        result = SimpleNamespace(cases=dict.fromkeys(names), scene=SimpleNamespace(targets=several))
+        assert list(ordered(result)) == order
     assert [rows_and_columns(count) for count in (1, 3, 4, 7)] == [(1, 1), (1, 3), (2, 3), (3, 3)]
 
 

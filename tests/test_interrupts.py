@@ -132,6 +132,34 @@ def test_before_anything_is_found(watch, panel):
     assert sorted(path.name for path in Path().iterdir()) == ["driver.py", "panel.toml"]
 
 
+LAST = """
+import os, signal, sys, time, weakref
+from warp_plate.cli.interrupts import at_safe_moments
+
+class Thing:
+    pass
+
+with at_safe_moments():
+    thing = Thing()
+    watching = weakref.ref(thing, lambda gone: os.kill(os.getpid(), signal.SIGINT))
+    del thing
+time.sleep(0.1)
+"""
+
+
+def test_one_that_was_lost_at_the_very_end_is_forgotten():
+    """Whoever would hear it is gone."""
+    answer = subprocess.run(
+        [sys.executable, "-c", LAST],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        timeout=60,
+        check=False,
+    )
+    assert (answer.returncode, answer.stderr) == (0, "")
+
+
 # Sends Ctrl-C when a module begins to be imported, the first of many moments of a start that is not quick.
 STARTING = """
 import os, signal, sys

@@ -71,20 +71,25 @@ def begin(name, payload, caught):
     say("begun", name)
     return lambda: (say("waited for", name), {{"value": {{}}}})[1]
 
-work.begin, work.at_work, worker.LOOKS = begin, lambda: 0 < len(begun) < {busy}, 100.0
+work.begin, work.at_work, worker.LOOKS = begin, lambda: 0 < len(begun) < {busy}, {looks}
 worker.main()
 """
 
 
 @pytest.mark.parametrize(
-    ("busy", "order"),
-    [(2, ["begun a", "begun b", "waited for a", "waited for b"]), (0, ["begun a", "waited for a", "begun b"])],
+    ("busy", "looks", "order"),
+    [
+        (2, 100.0, ["begun a", "begun b", "waited for a", "waited for b"]),
+        (0, 100.0, ["begun a", "waited for a", "begun b"]),
+        (9, 0.05, ["begun a", "waited for a", "begun b"]),
+    ],
+    ids=["at work", "idle", "never done"],
 )
-def test_a_worker_begins_a_task_that_comes_while_its_gpu_is_at_work(busy, order):
-    """And waits for none where it is not."""
+def test_a_worker_begins_a_task_that_comes_while_its_gpu_is_at_work(busy, looks, order):
+    """And waits for none where it is not, or not any more."""
     root = str(Path(__file__).parents[1])
     worker = subprocess.Popen(
-        [sys.executable, "-c", WORKER.format(busy=busy)],
+        [sys.executable, "-c", WORKER.format(busy=busy, looks=looks)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -94,9 +99,9 @@ def test_a_worker_begins_a_task_that_comes_while_its_gpu_is_at_work(busy, order)
     said = []
     for name in "ab":
         send({"ticket": 1, "name": name, "payload": {}}, worker.stdin)
-        while not said or said[-1] != (f"begun {name}" if busy or name == "b" else "waited for a"):
+        while not said or said[-1] != (f"begun {name}" if busy == 2 or name == "b" else "waited for a"):
             said.append(worker.stderr.readline().decode().strip())
-    if busy:
+    if busy == 2:
         said += [worker.stderr.readline().decode().strip() for _ in range(2)]
     assert said == order
     worker.stdin.close()

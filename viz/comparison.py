@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warp_plate.result.crosstalk import cases_of_targets
-from warp_plate.result.model import Case
+from warp_plate.result.model import Case, Result
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.lettering import LEGEND_WIDTH, add_legend, set_bar
@@ -135,10 +135,11 @@ def heading(motion: Motion, frame: int, scene: Scene) -> str:
     return caption(drive_words(motion.name, scene), float(motion.times[frame]), motion.localization_factor, decimals)
 
 
-def ordered(cases: Mapping[str, Case]) -> dict[str, Case]:
-    """The cases in the paper's order, then any others; a file gives them back by alphabet."""
-    names = [name for name in DRIVES if name in cases]
-    return {name: cases[name] for name in [*names, *(name for name in cases if name not in DRIVES)]}
+def ordered(result: Result) -> dict[str, Case]:
+    """Cases in the paper's order, then those of further targets in the scene's, then any others; a file gives them back
+    by alphabet."""
+    names = dict.fromkeys([*DRIVES, *cases_of_targets(result.scene).values(), *result.cases])
+    return {name: result.cases[name] for name in names if name in result.cases}
 
 
 def rows_and_columns(plates: int) -> tuple[int, int]:

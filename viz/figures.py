@@ -162,7 +162,7 @@ def _draw_surfaces(result: Result, path: Path) -> Path:
     import pyvista
     from PIL import Image
 
-    cases = list(ordered(result.cases).items())
+    cases = list(ordered(result).items())
     shown = _evenly(result.times.size, COLUMNS)
     cell = min(730, max(520, (1600 - BAR_WIDTH) // len(shown)))
     width, height = cell * len(shown) + BAR_WIDTH, ROW_HEIGHT * len(cases)

@@ -44,10 +44,11 @@ def scene_html(scene: Scene) -> str:
 def result_html(result: Result) -> str:
     """Localization factors, the drive found or given, what is known of the error, and a picture of the plate."""
     card = _card(result.scene.title or result.source or "Result")
-    cases = ordered(result.cases)
+    cases = ordered(result)
     rows = [(drive_words(name, result.scene), _share(case.localization_factor)) for name, case in cases.items()]
     if result.bound is not None:
-        rows.append((result.bound_words, _share(result.bound)))
+        of = f", target {result.scene.targets[0].name}" if result.several else ""
+        rows.append((result.bound_words + of, _share(result.bound)))
     tables = SubElement(card, "div", {"style": SIDE_BY_SIDE})
     _add_table(tables, ("drive", "localization factor"), rows)
     name, case = shown_case(result)

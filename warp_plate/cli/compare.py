@@ -184,11 +184,8 @@ def _print(result: Comparison, console: Console) -> None:
         shown = [f"{1 - loss if result.localization else loss:.6g}" for loss in losses]
         near = ["–", "–"] if row["gap"] is None else [f"{row['gap']:.1e}", f"{row['at_bound']}/{row['seeds']}"]
         cells = [str(row["method"]), *shown, *near, f"{row['evaluations']:.0f}", f"{row['seconds']:.2g}"]
-        for column, cell in zip(made.columns, cells, strict=True):
-            # A number without its end is another number: no column is narrowed, whatever the window's width.
-            column.min_width = max(column.min_width or len(str(column.header)), len(cell))
         made.add_row(*cells)
-    console.print(made, crop=False)
+    output.print_whole(console, made)
     if result.bound is None:
         console.print("\nbound: none claimed")
     else:

@@ -28,6 +28,7 @@ def crosstalk_json(result: Result) -> dict[str, object] | None:
         "share": shares.tolist(),
         "decibels": decibels(shares).tolist(),
         "bound": [one.bound for one in result.several],
+        "bound_kind": [one.bound_kind for one in result.several],
         "objectives": [dict(one.values) or None for one in result.several],
         "evaluations": [one.evaluations for one in result.several],
         "drives": {name: output.drive_json(case, result.scene) for name, case in found.items()},

@@ -12,6 +12,7 @@ from types import FrameType
 
 # Seconds after which a Ctrl-C that came at a bad moment is tried again.
 AGAIN = 0.02
+_later: threading.Timer | None = None
 
 
 @contextmanager
@@ -38,6 +39,7 @@ def at_safe_moments() -> Iterator[None]:
     try:
         yield
     finally:
+        _cancel()  # what was to be ended has ended
         sys.unraisablehook = report
         signal.signal(signal.SIGINT, before)
 
@@ -51,9 +53,15 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _again() -> None:
-    later = threading.Timer(AGAIN, _wake)
-    later.daemon = True
-    later.start()
+    global _later
+    _later = threading.Timer(AGAIN, _wake)
+    _later.daemon = True
+    _later.start()
+
+
+def _cancel() -> None:
+    if _later is not None:
+        _later.cancel()
 
 
 def _wake() -> None:

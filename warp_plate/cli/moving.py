@@ -98,7 +98,7 @@ def chosen_cases(result: Result, name: Path, cases: Sequence[str]) -> dict[str, 
     """
     from warp_plate.viz.comparison import ordered
 
-    known = ordered(result.cases)
+    known = ordered(result)
     for case in cases:
         if case not in known:
             raise SceneError(f"--case {case}: {name} holds {', '.join(known)}")

@@ -31,8 +31,6 @@ def print_objectives(result: Result, console: Console) -> None:
     columns = [target.name for target in result.scene.targets][: len(values)] or ["found"]
     beside = {heading: result.worth[name] for name, heading in HEADINGS.items() if name in result.worth}
     made = output.table("objective", "weight", "limit", *columns, *beside)
-    for column in made.columns[1:]:
-        column.no_wrap = True  # a number that is cut is none
     beyond = []
 
     def add(name: str, words: str, weight: str = "", limit: float | None = None) -> None:
@@ -49,10 +47,11 @@ def print_objectives(result: Result, console: Console) -> None:
             add(f"{one.kind} of the rest", f"{one.kind} of the rest ({unit})", limit=one.rest_limit)
     add("sum", "weighted sum")
     if any("bound" in one for one in values):
-        add("bound", f"{'bound only' if result.bound_kind == 'bound only' else 'bound'} of the sum")
-    console.print(made)
+        kinds = [one.bound_kind for one in result.several] or [result.bound_kind]
+        add("bound", f"{'bound only' if 'bound only' in kinds else 'bound'} of the sum")
+    output.print_whole(console, made)
     if beside and not beyond:
-        console.print("Found: within the search's limits, which the drives beside it need not keep.", style="dim")
+        console.print("Found: of the drives that may be chosen, which those beside it need not be.", style="dim")
     for words in beyond:
         console.print(f"! {words}: no drive was found that keeps the limit; the one nearest to it is shown")
     console.print()

@@ -77,6 +77,15 @@ def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int, str], 
         yield lambda done, total, note: progress.update(task, completed=done, total=total, note=note)
 
 
+def print_whole(console: Console, made: Table) -> None:
+    """Print a table whose numbers are never cut: a number without its end is another number."""
+    for column in made.columns:
+        column.min_width = max((len(word) for cell in column.cells for word in str(cell).split()), default=0)
+    for column in made.columns[1:]:
+        column.min_width = max((len(str(cell)) for cell in column.cells), default=0)
+    console.print(made, crop=False)
+
+
 def drive_table(case: Case, scene: Scene, target: str = "") -> Table:
     """A drive as the source paper's Table 1 gives it, and after it what else was found; target: of several."""
     headings = ("actuator", f"magnitude ({scene.drive_unit})", "phase (rad)", "phase / π", *case.own)

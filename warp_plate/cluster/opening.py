@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 from warp_plate.cluster.pool import Pool
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.vary import counted
 
 
 @contextmanager
@@ -44,6 +45,8 @@ def open_pool(
         yield pool
     finally:
         if pool is not None:
-            for why, count in pool.retried.items():
-                tell(f"{count} task{'s' if count > 1 else ''} done again: {why}")
-            pool.close()
+            try:
+                for why, count in pool.retried.items():
+                    tell(f"{counted(count, 'task')} done again: {why}")
+            finally:
+                pool.close()

@@ -12,17 +12,17 @@ from typing import IO, Any
 
 from warp_plate.cluster.frames import receive, send
 
-# Seconds between looks at a GPU while a task may come, and after which it is no longer looked at: one that has failed
-# is never done.
-LOOK, LOOKS = 1e-4, 0.1
+# Seconds between looks at a GPU while a task may come, at first and at most, and after which it is no longer looked at:
+# one that has failed is never done.
+LOOK, LONGEST_LOOK, LOOKS = 1e-4, 5e-3, 0.1
 
 
 def main() -> None:
     """Do tasks one after the other until standard input ends, which ends the process at once; and so does a task that
     raised what no task should: after an error of CUDA nothing in the process works any more.
 
-    One that comes before the GPU is done with the last is begun before that is waited for, so that it is never idle
-    between them.
+    One that comes within LOOKS seconds, while the GPU is at the last, is begun before that is waited for, so that it is
+    not idle between them.
     """
     answers = os.fdopen(os.dup(1), "wb")
     given = os.fdopen(os.dup(0), "rb")  # not sys.stdin, whose lock the thread would hold when Python ends
@@ -33,12 +33,13 @@ def main() -> None:
 
     def following() -> dict[str, Any] | None:
         """The next task; None where none comes while the GPU is at the one begun."""
-        until = time.monotonic() + LOOKS
+        look, until = LOOK, time.monotonic() + LOOKS
         while True:
             with suppress(Empty):
-                return tasks.get(timeout=LOOK)
+                return tasks.get(timeout=look)
             if not at_work() or time.monotonic() > until:
                 return None
+            look = min(1.5 * look, LONGEST_LOOK)
 
     send({"ready": os.getpid()}, answers)
     begun: tuple[int, Callable[[], dict[str, Any]]] | None = None

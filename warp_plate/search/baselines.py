@@ -73,12 +73,12 @@ def with_baselines(result: Result, device: str = "auto", path: str = "auto") -> 
     except KeyboardInterrupt:  # a search is not lost for want of what it is compared with
         return result
     cases = cases_of(drives, run)
-    worth = worth_of(scene, cases, device, path) if result.worth else {}
+    worth, more = worth_of(scene, cases, device, path)
     return replace(
         result,
         cases={**result.cases, **cases},
         worth={**result.worth, **worth},
-        node_steps=result.node_steps + solver.node_steps,
+        node_steps=result.node_steps + solver.node_steps + more,
     )
 
 

@@ -81,8 +81,9 @@ class Allowed:
         return np.array(columns).T.reshape(2 * count, -1)
 
 
-def bound_localization(response: Response, allowed: Allowed) -> Bound | None:
-    """Of the localization factor in a scene that is linear in its drives; None where no drive moves the plate."""
+def bound_localization(response: Response, allowed: Allowed, most_actuators: int = MOST_ACTUATORS) -> Bound | None:
+    """Of the localization factor in a scene that is linear in its drives; None where no drive moves the plate. Above so
+    many actuators with limits the eigenvalue of the drives without limits is kept."""
     plate, target = (response.matrices[REGIONS.index(name)] for name in ("plate", "target"))
     basis = allowed.basis()
     reduced = basis.T @ response.matrices @ basis
@@ -99,7 +100,7 @@ def bound_localization(response: Response, allowed: Allowed) -> Bound | None:
     sentence = "the largest eigenvalue of the energies' matrices"
     if _best_allowed(ratio, basis @ parameters, allowed) >= value * (1 - NEAR):
         return Bound(value, "attained", f"{sentence}, which a drive reaches")
-    if not allowed.at_any_scale and len(allowed.phase) <= MOST_ACTUATORS:
+    if not allowed.at_any_scale and len(allowed.phase) <= most_actuators:
         rows = [_row(plate, 1.0, 0.0), *_limit_rows(allowed)]
         least, nearest = _majorant(target, rows, basis, np.diag(plate))
         if least < value:

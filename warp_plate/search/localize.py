@@ -193,7 +193,7 @@ def _finish(
         accuracy |= estimated(found.scene, found.drives, found.run, seconds, problem.plain.device.alias, known)
     best = found.cases["best"]
     beside_best = {name: found.cases[name] for name in ("equal", "single")}
-    worth = worth_of(scene, beside_best, problem.plain.device.alias, begun.path) if first.values else {}
+    worth, more = worth_of(scene, beside_best, problem.plain.device.alias, begun.path)
     made = make_spectrum(problem, best, seconds) if spectrum and not searched.interrupted else {}
     return Result(
         command="localize",
@@ -215,7 +215,7 @@ def _finish(
         evaluator=begun.evaluator,
         interrupted=searched.interrupted,
         versions=begun.versions,
-        node_steps=searched.node_steps + problem.node_steps + beside - stepped,
+        node_steps=searched.node_steps + problem.node_steps + beside + more - stepped,
         evaluations=sum(one.evaluations for one in searched.found),
         accuracy=accuracy,
         peak=found.peak,

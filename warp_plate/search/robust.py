@@ -41,7 +41,7 @@ class RobustProblem(Problem):
         assert self.scene.search.robust is not None
         return self.scene.search.robust
 
-    @property
+    @cached_property
     def nominal(self) -> Problem:
         """The same search without scatter, on the same solvers."""
         return Problem(**{one.name: getattr(self, one.name) for one in fields(Problem)})

@@ -23,6 +23,8 @@ from warp_plate.solve.solver import PlateSolver
 
 # Frequencies: so many that their plates cost about what the search itself did, within these.
 FEWEST, MOST = 61, 201
+# Up to so many actuators a frequency's bound takes some 0.03 s; it grows as the fourth power.
+MOST_BOUNDED = 20
 # Natural frequencies are looked for among so many modes, twice as many while the range may hold more.
 MODES, MOST_MODES = 16, 256
 
@@ -88,7 +90,7 @@ def _best(response: Response, variables: Variables) -> float:
     """What no drive passes that the search may choose; where it may choose none, what the scene's own has."""
     if not any(one.kind in ("magnitude", "phase") for one in variables.numbers):
         return _factor(response, variables.designs(np.zeros((1, len(variables.numbers)))).drives[0])
-    bound = bound_localization(response, allowed_drives(variables))
+    bound = bound_localization(response, allowed_drives(variables), MOST_BOUNDED)
     return math.nan if bound is None else bound.value
 
 
