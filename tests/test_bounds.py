@@ -144,13 +144,16 @@ def test_a_power_limit_gives_the_eigenvalue(random):
 
 
 def test_a_limit_on_the_rest_gives_the_ratio(random):
-    """The most energy in the target for so much in the rest is that times LF / (1 − LF)."""
-    response = gram(random, 3)
-    target, plate = (response.matrices[REGIONS.index(name)] for name in ("target", "plate"))
-    factor = response.bound()
-    bound = bound_energy(target, allowed(3), [(plate - target, 0.7)])
-    assert bound.value == pytest.approx(0.7 * factor / (1 - factor), rel=1e-7)
-    assert bound.kind == "attained"
+    """The most energy in the target for so much in the rest is that times LF / (1 − LF), to what rounding leaves of a
+    rest that nearly vanishes."""
+    for draws in (random, *map(np.random.default_rng, (239, 364, 453))):
+        response = gram(draws, 3)
+        target, plate = (response.matrices[REGIONS.index(name)] for name in ("target", "plate"))
+        factor = response.bound()
+        bound = bound_energy(target, allowed(3), [(plate - target, 0.7)])
+        rounding = 1e-6 * max(1, 0.01 / (1 - factor))
+        assert 0 <= bound.value * (1 - factor) / (0.7 * factor) - 1 < rounding
+        assert bound.kind == "attained" or rounding > 1e-6
 
 
 def test_units_do_not_matter(random):

@@ -53,28 +53,45 @@ def least_majorant(objective: np.ndarray, limits: Limits) -> tuple[float, np.nda
         return np.inf, np.empty((0, 0))
     multipliers = _follow(objective / size, scaled, start)
     slack = _slack(objective / size, scaled, multipliers)
-    # S is computed with errors; one that is positive definite by more than these is so in truth.
-    error = ROUNDINGS * np.finfo(float).eps * (1 + np.abs(multipliers).sum()) * len(slack)
-    if np.linalg.eigvalsh(slack)[0] <= error:
-        multipliers, slack = start, _slack(objective / size, scaled, start)
     value = float(scaled.values @ multipliers)
     value += ROUNDINGS * np.finfo(float).eps * float(np.abs(scaled.values) @ np.abs(multipliers))
     return float(size * value), slack
 
 
 def _follow(objective: np.ndarray, limits: Limits, multipliers: np.ndarray) -> np.ndarray:
-    """The multipliers at the end of the central path, from ones inside."""
+    """The multipliers at the end of the central path, from ones inside; the last ones that rounding leaves inside."""
     count = len(objective) + np.count_nonzero(~limits.equation)
     weight = count / max(abs(float(limits.values @ multipliers)), 1e-3)
-    error = ROUNDINGS * np.finfo(float).eps * len(objective)
+    least = multipliers
     while True:
         multipliers, settled = _centre(objective, limits, multipliers, weight)
-        value = abs(float(limits.values @ multipliers))
-        smallest = np.linalg.eigvalsh(_slack(objective, limits, multipliers))[0]
-        near_rounding = smallest < 100 * error * (1 + np.abs(multipliers).sum())
-        if not settled or near_rounding or count / weight < GAP * value:
-            return multipliers
+        value = float(limits.values @ multipliers)
+        if not _surely_inside(_slack(objective, limits, multipliers), multipliers):
+            return _between(objective, limits, least, multipliers)
+        if value < float(limits.values @ least):
+            least = multipliers
+        if not settled or count / weight < GAP * abs(value):
+            return least
         weight *= GROWTH
+
+
+def _between(objective: np.ndarray, limits: Limits, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
+    """The last multipliers on the way from ones to others that are surely inside."""
+    low, high = 0.0, 1.0
+    for _ in range(20):
+        middle = (low + high) / 2
+        tried = inside + middle * (outside - inside)
+        if _surely_inside(_slack(objective, limits, tried), tried):
+            low = middle
+        else:
+            high = middle
+    return inside + low * (outside - inside)
+
+
+def _surely_inside(slack: np.ndarray, multipliers: np.ndarray) -> bool:
+    """S is computed with errors; one that is positive definite by more than these is so in truth."""
+    error = ROUNDINGS * np.finfo(float).eps * (1 + np.abs(multipliers).sum()) * len(slack)
+    return bool(np.linalg.eigvalsh(slack)[0] > error)
 
 
 def _centre(
@@ -99,7 +116,7 @@ def _centre(
         multipliers, level = tried, found
         if multipliers[-1] < stop_below:
             return multipliers, True
-    return multipliers, False
+    return multipliers, decrement < 1e-2
 
 
 def _newton(
