@@ -78,11 +78,13 @@ def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int, str], 
 
 
 def print_whole(console: Console, made: Table) -> None:
-    """Print a table whose numbers are never cut: a number without its end is another number."""
-    for column in made.columns:
-        column.min_width = max((len(word) for cell in column.cells for word in str(cell).split()), default=0)
-    for column in made.columns[1:]:
-        column.min_width = max((len(str(cell)) for cell in column.cells), default=0)
+    """Print a table of which nothing is cut, whatever the window's width: a number without its end is another number.
+    Headings and the first column, which is text, may take several lines."""
+    for index, column in enumerate(made.columns):
+        cells = [str(cell) for cell in column.cells]
+        texts, whole = ([column.header, *cells], []) if index == 0 else ([column.header], cells)
+        words = [word for text in texts for word in str(text).split()]
+        column.min_width = max(map(len, [*words, *whole]), default=0)
     console.print(made, crop=False)
 
 
