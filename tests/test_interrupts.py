@@ -81,18 +81,23 @@ def panel(tmp_path, monkeypatch, scene):
     return made
 
 
-def interrupted(watch):
-    """``warp-plate localize panel.toml --json`` in a process of its own that sends itself Ctrl-C."""
-    Path("driver.py").write_text(DRIVER.format(watch=watch), encoding="utf-8")
-    command = ["localize", "panel.toml", "--json", "--device", "cpu", "--no-pictures"]
+def python(*arguments):
+    """A process of its own, to its end."""
     return subprocess.run(
-        [sys.executable, "driver.py", *command],
+        [sys.executable, *arguments],
         capture_output=True,
         text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         timeout=300,
         check=False,
     )
+
+
+def interrupted(watch):
+    """``warp-plate localize panel.toml --json`` in a process of its own that sends itself Ctrl-C."""
+    Path("driver.py").write_text(DRIVER.format(watch=watch), encoding="utf-8")
+    command = ["localize", "panel.toml", "--json", "--device", "cpu", "--no-pictures"]
+    return python("driver.py", *command)
 
 
 def test_the_command_ends_with_the_best_so_far(panel):
@@ -149,14 +154,7 @@ time.sleep(0.1)
 
 def test_one_that_was_lost_at_the_very_end_is_forgotten():
     """Whoever would hear it is gone."""
-    answer = subprocess.run(
-        [sys.executable, "-c", LAST],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        timeout=60,
-        check=False,
-    )
+    answer = python("-c", LAST)
     assert (answer.returncode, answer.stderr) == (0, "")
 
 
@@ -181,14 +179,7 @@ MODULES += ["h5py", "scipy.linalg", "warp", "warp_plate.search.localize", "warp_
 @pytest.mark.parametrize("module", MODULES)
 def test_while_the_command_starts(module, panel):
     """Status 130 and one word, whatever is being imported."""
-    answer = subprocess.run(
-        [sys.executable, "-c", STARTING.format(module=module), "localize", "panel.toml", "--no-pictures"],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        timeout=300,
-        check=False,
-    )
+    answer = python("-c", STARTING.format(module=module), "localize", "panel.toml", "--no-pictures")
     assert answer.returncode == 128 + signal.SIGINT
     assert (answer.stdout, answer.stderr) == ("", "warp-plate: interrupted; nothing was written\n")
 
@@ -269,14 +260,7 @@ def test_while_files_are_written(interrupt, panel):
     pytest.importorskip("matplotlib")
     short = panel.model_copy(update={"search": panel.search.model_copy(update={"iterations": 2})})
     Path("panel.toml").write_text(dump_scene(short), encoding="utf-8")
-    answer = subprocess.run(
-        [sys.executable, "-c", DRAWING.format(interrupt=interrupt), "localize", "panel.toml", "--no-estimate"],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        timeout=300,
-        check=False,
-    )
+    answer = python("-c", DRAWING.format(interrupt=interrupt), "localize", "panel.toml", "--no-estimate")
     assert (answer.returncode, answer.stderr) == (0, "")
     assert "no pictures: interrupted by Ctrl-C" in answer.stdout
     assert not load_result("panel-localize.h5").interrupted

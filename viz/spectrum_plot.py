@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from warp_plate.result.model import Result
+from warp_plate.result.model import BOUND_WORDS, Result
 from warp_plate.scene.search import Search
 from warp_plate.viz.axes import first_of_several
 
@@ -51,7 +51,7 @@ def words_of(search: Search) -> dict[str, str]:
     if magnitude is None and phase is None:
         best = "the scene's drive"
     elif phase is None or phase.actuators is not None or not _any_size(search):
-        best = "bound of the drives that may be chosen"
+        best = BOUND_WORDS["attained within limits"]
     else:
         best = "best drive at each frequency"
     return {

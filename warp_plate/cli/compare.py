@@ -183,8 +183,7 @@ def _print(result: Comparison, console: Console) -> None:
         losses = [float(str(row[name])) for name in ("best", "median", "worst")]
         shown = [f"{1 - loss if result.localization else loss:.6g}" for loss in losses]
         near = ["–", "–"] if row["gap"] is None else [f"{row['gap']:.1e}", f"{row['at_bound']}/{row['seeds']}"]
-        cells = [str(row["method"]), *shown, *near, f"{row['evaluations']:.0f}", f"{row['seconds']:.2g}"]
-        made.add_row(*cells)
+        made.add_row(str(row["method"]), *shown, *near, f"{row['evaluations']:.0f}", f"{row['seconds']:.2g}")
     output.print_whole(console, made)
     if result.bound is None:
         console.print("\nbound: none claimed")

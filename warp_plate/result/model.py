@@ -96,8 +96,7 @@ class Found:
 
     position: (dimension,) the best one in the search's space; None where one actuator leaves no choice, or none had
     energies. single: index of the best single actuator; bound, bound_kind, history, values: as in
-    :class:`Result`; evaluations:
-    plates.
+    :class:`Result`; evaluations: plates.
     """
 
     position: np.ndarray | None

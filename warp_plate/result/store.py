@@ -116,11 +116,10 @@ def _write(file: h5py.File, result: Result) -> None:
     for name, values in result.history.items():
         put(file, f"history/{name}", values, "1", f"{HISTORY.get(name, name)}, after each iteration")
     for name, value in result.values.items():
-        put(file, f"objectives/{name}", value, OBJECTIVE_UNITS.get(name.split()[0], "1"), VALUES.get(name, name))
+        _put_value(file, f"objectives/{name}", value)
     for drive, worth in result.worth.items():
         for name, value in worth.items():
-            meaning = f"{VALUES.get(name, name)}, of the drive {drive}"
-            put(file, f"objectives_of/{drive}/{name}", value, OBJECTIVE_UNITS.get(name.split()[0], "1"), meaning)
+            _put_value(file, f"objectives_of/{drive}/{name}", value, f", of the drive {drive}")
     for name, values in result.spectrum.items():
         put(file, f"spectrum/{name}", values, *SPECTRUM[name])
     if result.several:
@@ -129,6 +128,11 @@ def _write(file: h5py.File, result: Result) -> None:
         file["crosstalk"].attrs["targets"] = json.dumps([target.name for target in result.scene.targets])
     if result.robust is not None:
         _write_comparison(file, result.robust)
+
+
+def _put_value(file: h5py.File, at: str, value: float, whose: str = "") -> None:
+    name = at.rpartition("/")[2]
+    put(file, at, value, OBJECTIVE_UNITS.get(name.split()[0], "1"), VALUES.get(name, name) + whose)
 
 
 def _write_case(file: h5py.File, at: str, case: Case, unit: str) -> None:

@@ -25,8 +25,10 @@ from warp_plate.plate.weights import REGIONS, bilinear, localization_factor, reg
 from warp_plate.result.model import Result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.search.judge import make_judge
 from warp_plate.search.last_runs import cases_of
 from warp_plate.search.peak import record_times
+from warp_plate.search.problem import areas_of
 from warp_plate.search.superposition import LINEAR_ORDERS, LINEAR_SAMPLES, last_period, motions_of
 from warp_plate.search.worth import worth_of
 from warp_plate.solve.response import Response
@@ -66,7 +68,7 @@ def with_baselines(result: Result, device: str = "auto", path: str = "auto") -> 
     """
     scene, shown = result.scene, list(BASELINES)[1:]
     try:
-        solver = PlateSolver(scene, device, path)
+        solver = PlateSolver(scene, device, path, areas=areas_of(scene, make_judge(scene)))
         transfer = transfer_functions(solver)
         drives = dict(zip(shown, (time_reversal(scene, transfer), inverse_filter(scene, transfer)), strict=True))
         run = solver.run(np.array(list(drives.values())), record_times(scene), scene.record.points)

@@ -62,6 +62,11 @@ class Judge:
         return any(one.kind == "displacement" for one in self.objectives)
 
     @property
+    def limits(self) -> dict[str, float]:
+        """The largest values on the rest that are allowed, by their names in ``values``."""
+        return {one.kind + OF_THE_REST: one.rest_limit for one in self.objectives if one.rest_limit is not None}
+
+    @property
     def only_localization(self) -> bool:
         """Whether the loss is 1 − LF, for which alone a bound is known."""
         return [(one.kind, one.weight) for one in self.objectives] == [("localization", 1)]
@@ -76,13 +81,12 @@ class Judge:
         """
         if self.only_localization:
             return loss(energy)
-        values = self.values(energy, displacement_energy)
-        total = -sum(one.weight * values[one.kind] for one in self.objectives)
-        limits = {one.kind: one.rest_limit for one in self.objectives if one.rest_limit is not None}
+        worth, limits = self.worth(energy, displacement_energy), self.limits
+        total = -worth["sum"]
         if not limits:
             return np.asarray(total)
         worst = MOST_DECIBELS * sum(one.weight for one in self.objectives if one.kind == "contrast")
-        excess = sum(np.maximum(values[kind + OF_THE_REST] / limit - 1, 0) for kind, limit in limits.items())
+        excess = sum(np.maximum(worth[name] / limit - 1, 0) for name, limit in limits.items())
         return np.where(excess > 0, worst + excess, total)
 
     def values(self, energy: np.ndarray, displacement_energy: np.ndarray | None = None) -> dict[str, np.ndarray]:
@@ -114,8 +118,7 @@ class Judge:
 
     def keeps_limits(self, values: Mapping[str, float]) -> bool:
         """Whether one drive's values are within all limits on the rest."""
-        limits = {one.kind + OF_THE_REST: one.rest_limit for one in self.objectives if one.rest_limit is not None}
-        return all(within(values[name], limit) for name, limit in limits.items())
+        return all(within(values[name], limit) for name, limit in self.limits.items())
 
 
 def within(value: float, limit: float) -> bool:

@@ -18,6 +18,7 @@ Worth = dict[str, dict[str, float]]
 
 def worth_of(scene: Scene, cases: Mapping[str, Case], device: str, path: str) -> tuple[Worth, int]:
     """For each case at the scene's own frequency and places, by its name: ``Judge.worth`` of its drive; and node-steps.
+    Their energies are those of a solver of ``areas_of``.
 
     Nothing where the localization factor is all that is sought, which a case has, where each of several targets has
     objectives of its own, or where Ctrl-C came first.
@@ -26,14 +27,13 @@ def worth_of(scene: Scene, cases: Mapping[str, Case], device: str, path: str) ->
         judge = make_judge(scene)
         if judge.only_localization or scene.targets:
             return {}, 0
-        drives, areas = np.array([case.drive for case in cases.values()]), areas_of(scene, judge)
-        plain = PlateSolver(scene, device, path, areas=areas).run(drives)
-        moved, node_steps = None, plain.node_steps
+        moved, node_steps = None, 0
         if judge.needs_displacement:
-            run = PlateSolver(scene, device, path, areas=areas, quantity="displacement").run(drives)
-            moved, node_steps = run.energy, node_steps + run.node_steps
+            solver = PlateSolver(scene, device, path, areas=areas_of(scene, judge), quantity="displacement")
+            run = solver.run(np.array([case.drive for case in cases.values()]))
+            moved, node_steps = run.energy, run.node_steps
     except (KeyboardInterrupt, SceneError):  # a result is not lost for want of what it is compared with
         return {}, 0
-    worth = judge.worth(plain.energy, moved)
+    worth = judge.worth(np.array([list(case.energy.values()) for case in cases.values()]), moved)
     each = {name: {kind: float(values[index]) for kind, values in worth.items()} for index, name in enumerate(cases)}
     return each, node_steps
