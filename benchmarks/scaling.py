@@ -70,7 +70,7 @@ def shipping(pool: Pool, problem: Problem) -> dict[str, object]:
     """What a block costs beside its plates: bytes there and back, and milliseconds of a task that does nothing, with
     so many bytes on its way there and without."""
     designs = Designs(np.ones((4096, len(problem.scene.actuators)), complex))
-    (task,) = Blocks(designs, 4096, "0" * 64)
+    (task,) = Blocks(designs, [slice(4096)], "0" * 64)
     there, back = sum(map(len, encode(task.payload))), 8 * len(problem.plain.specialized.regions) * 4096
     found: dict[str, object] = {"plates": 4096, "bytes_there": there, "bytes_back": back}
     for name, size in (
@@ -107,7 +107,7 @@ def measure(scene: Scene, device: str, pools: dict[str, Pool], plates: int, gene
     first = next(iter(pools))
     return {
         "plates": plates,
-        "plates_of_block": plates_of_block(problems[HERE].plain.node_steps_per_plate, kind),
+        "plates_of_block": plates_of_block(problems[HERE].plain.node_steps_per_plate, kind)[0],
         "rows": rows,
         "speed_over_first": {name: float(rows[first]["seconds"]) / float(rows[name]["seconds"]) for name in pools},
         "shipping": {name: shipping(pool, problems[name]) for name, pool in pools.items()},
@@ -142,7 +142,8 @@ def main() -> None:
         machine = describe_machine([device])
     except SceneError as error:
         parser.error(str(error))
-    print(f"{given.plates} plates, blocks of {found['plates_of_block']}; medians of {given.generations} generations")
+    blocks = f"blocks of at most {found['plates_of_block']}"
+    print(f"{given.plates} plates, {blocks}; medians of {given.generations} generations")
     for name, row in found["rows"].items():
         parts = ", ".join(f"{part} {1e3 * seconds:.1f}" for part, seconds in row["parts"].items())
         speed = found["speed_over_first"].get(name)

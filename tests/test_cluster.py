@@ -22,7 +22,7 @@ from warp_plate.search.panels import solve_directly
 from warp_plate.search.scenarios import draw_scenarios
 from warp_plate.search.variables import Positions, variables_of
 
-PLATES = 150  # blocks of 64, 64 and 22
+PLATES = 150  # blocks of 64, 22 and 64
 
 
 @pytest.fixture(scope="module")
@@ -102,15 +102,43 @@ def test_workers_make_designs_of_positions(name, pools, scene, random, small_blo
     expected = PlateSolver(made, "cpu", own=own).run(Positions(variables, positions))
     solver = SpreadSolver(pools[2], made, "cpu", own=own)
     assert_same(solver.run(Positions(variables, positions)), expected)
-    shipped = list(blocks.Blocks(Positions(variables, positions), 64, "", short=True))
+    shipped = list(blocks.Blocks(Positions(variables, positions), blocks.cut(PLATES, 64, 64), "", short=True))
     assert all(set(task.payload) == {"digest", "numbers", "maker"} for task in shipped)
-    pair = blocks.halves(shipped[1])
-    assert [task.place for task in pair] == [slice(64, 96), slice(96, 128)]
-    np.testing.assert_array_equal(np.concatenate([task.payload["numbers"] for task in pair]), positions[64:128])
+    pair, first = blocks.halves(shipped[-1]), PLATES - 64
+    assert [task.place for task in pair] == [slice(first, first + 32), slice(first + 32, first + 64)]
+    np.testing.assert_array_equal(np.concatenate([task.payload["numbers"] for task in pair]), positions[first:])
     # Of another scene they are no positions.
     other = SpreadSolver(pools[2], made.model_copy(), "cpu", own=own)
-    monkeypatch.setattr("warp_plate.search.variables.positions_of", None)
+    monkeypatch.setattr("warp_plate.search.variables.maker_of", None)
     assert_same(other.run(Positions(variables, positions)), expected)
+
+
+@pytest.mark.parametrize("plates", [0, 1, 63, 64, 2112, 4000, 4224, 20000, 131072, 10**6 + 7])
+@pytest.mark.parametrize(("most", "least"), [(8448, 2112), (64, 64)])
+def test_blocks_are_small_at_both_ends(plates, most, least):
+    """Where all workers wait for the first ones, and everybody for the last; the cut knows nothing of workers."""
+    places = blocks.cut(plates, most, least)
+    cuts = [0, *(place.stop for place in places)]
+    assert [place.start for place in places] == cuts[:-1]
+    assert cuts[-1] == plates
+    sizes = np.diff(cuts)
+    assert sum(size % least > 0 for size in sizes) <= 1
+    for place, size in zip(places, sizes, strict=True):
+        assert 0 < size <= max(least, min(place.start, plates - place.stop) / 2)
+    if plates > 2 * least:
+        assert {sizes[0], sizes[-1]} == {least}
+    if plates >= 6 * most:
+        assert max(sizes) == most
+
+
+@pytest.mark.parametrize("kind", ["cpu", "cuda"])
+@pytest.mark.parametrize("node_steps", [1, 10**4, 781250, 10**8, 10**11])
+def test_a_block_has_its_work_or_the_fewest_plates(kind, node_steps):
+    most, least = blocks.plates_of_block(node_steps, kind)
+    assert least % blocks.FEWEST == 0
+    assert most in {least << doubled for doubled in range(4)}
+    assert most * node_steps <= max(blocks.BLOCK_NODE_STEPS[kind], blocks.FEWEST * node_steps)
+    assert 2 * most * node_steps > min(blocks.BLOCK_NODE_STEPS[kind], 2 * blocks.FEWEST * node_steps)
 
 
 def test_displacements_and_what_is_recorded(pools, scene, random, small_blocks):

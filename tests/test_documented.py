@@ -66,7 +66,8 @@ def test_the_help_of_localize_names_limits_and_objectives():
 def test_the_page_on_scaling_has_the_blocks_of_the_code():
     words = " ".join((DOCS / "scaling.md").read_text(encoding="utf-8").split())
     solver = PlateSolver(Scene.load("paper"), "cpu")
-    cpu, cuda = (plates_of_block(solver.node_steps_per_plate, kind) for kind in ("cpu", "cuda"))
+    (cpu, _), (cuda, least) = (plates_of_block(solver.node_steps_per_plate, kind) for kind in ("cpu", "cuda"))
     assert f"about {BLOCK_NODE_STEPS['cpu']:.0e}".replace("e+0", "e") + f" node-steps on a CPU ({cpu} plates" in words
     assert f"{BLOCK_NODE_STEPS['cuda']:.1e}".replace("e+0", "e") + f" on a GPU ({cuda} plates" in words
-    assert f"{2 * cpu} plates of the paper's scene for a CPU worker, {2 * cuda} for a GPU" in words
+    assert f"{2 * cpu} plates of the paper's scene for a CPU worker, {2 * least} for a GPU" in words
+    assert f"begins and ends with blocks of {least}" in words

@@ -1,4 +1,4 @@
-"""Parts of a run, and runs begun before others end, share two states: no bit changes, whatever is cut short."""
+"""Parts of a run, and runs begun before others end, share states in turns: no bit changes, whatever is cut short."""
 
 import os
 import subprocess
@@ -12,7 +12,7 @@ import warp as wp
 from warp_plate import PlateSolver, SceneError
 from warp_plate.cluster.frames import receive, send
 from warp_plate.plate.designs import Designs
-from warp_plate.solve.parts import LARGEST_PART, part_sizes
+from warp_plate.solve.parts import LARGEST_PART, TURNS, part_sizes
 
 
 @pytest.mark.parametrize("effects", [{}, {"tension": {"x": 3.0, "y": 1.0}}], ids=["plain", "general"])
@@ -30,7 +30,7 @@ def test_parts_that_overlap_change_no_bit(effects, device, path, scene, phasors,
         np.testing.assert_array_equal(cut.energy, whole.energy)
         np.testing.assert_array_equal(cut.displacement, whole.displacement)
         np.testing.assert_array_equal(cut.status, whole.status)
-    assert len(solver._states) == 2
+    assert len(solver._states) == TURNS
     assert solver._states[0].capacity < 20
     assert told[-1] == (37 * solver.node_steps_per_plate,) * 2
     several = solver.run(Parts(drives))
@@ -56,9 +56,9 @@ def test_runs_begun_before_others_end_change_no_bit(overlaps, device, path, scen
     assert not solver._ends
 
 
-# A worker whose tasks say what becomes of them, on a GPU that is at work until two are begun.
+# A worker whose tasks say what becomes of them; its GPU is done with one when so many are begun.
 WORKER = """
-import sys
+import sys, time
 from warp_plate.cluster import work, worker
 
 begun = []
@@ -67,43 +67,57 @@ def say(*words):
     print(*words, file=sys.stderr, flush=True)
 
 def begin(name, payload, caught):
-    begun.append(name)
+    begun.append(payload["done when"])
     say("begun", name)
-    return lambda: (say("waited for", name), {{"value": {{}}}})[1]
+    return lambda: (say("waited for", name), {"value": {}})[1]
 
-work.begin, work.at_work, worker.LOOKS = begin, lambda: 0 < len(begun) < {busy}, {looks}
+def gpu_end():
+    def wait(until=begun[-1]):
+        while len(begun) < abs(until):
+            time.sleep(1e-3)
+        if until < 0:
+            raise RuntimeError("of CUDA")
+    return wait if begun[-1] else None
+
+work.begin, work.gpu_end = begin, gpu_end
 worker.main()
 """
+AT_ONCE = [f"{word} {name}" for name in "abc" for word in ("begun", "waited for")]
 
 
 @pytest.mark.parametrize(
-    ("busy", "looks", "order"),
+    ("done_when", "order"),
     [
-        (2, 100.0, ["begun a", "begun b", "waited for a", "waited for b"]),
-        (0, 100.0, ["begun a", "waited for a", "begun b"]),
-        (9, 0.05, ["begun a", "waited for a", "begun b"]),
+        ((3, 3, 3), [f"{word} {name}" for word in ("begun", "waited for") for name in "abc"]),
+        ((2, 0, 3), ["begun a", "begun b", "waited for a", "waited for b", "begun c", "waited for c"]),
+        ((2, 3, 3), ["begun a", "begun b", "waited for a", "begun c", "waited for b", "waited for c"]),
+        ((2, 2, 3), ["begun a", "begun b", "waited for a", "waited for b", "begun c", "waited for c"]),
+        ((1, 2, 3), AT_ONCE),
+        ((-1, -2, -3), AT_ONCE),
+        ((0, 0, 0), AT_ONCE),
     ],
-    ids=["at work", "idle", "never done"],
+    ids=["at work", "idle in between", "two at once", "two at once and one", "done before", "failed", "idle"],
 )
-def test_a_worker_begins_a_task_that_comes_while_its_gpu_is_at_work(busy, looks, order):
+def test_a_worker_begins_a_task_that_comes_while_its_gpu_is_at_work(done_when, order):
     """And waits for none where it is not, or not any more."""
     root = str(Path(__file__).parents[1])
     worker = subprocess.Popen(
-        [sys.executable, "-c", WORKER.format(busy=busy, looks=looks)],
+        [sys.executable, "-c", WORKER],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         env={**os.environ, "PYTHONPATH": root},
     )
     assert "ready" in receive(worker.stdout)
-    said = []
-    for name in "ab":
-        send({"ticket": 1, "name": name, "payload": {}}, worker.stdin)
-        while not said or said[-1] != (f"begun {name}" if busy == 2 or name == "b" else "waited for a"):
+    said: list[str] = []
+    for ticket, name in enumerate("abc"):
+        # It comes when those before it are done, or while the last one is under way.
+        while len(said) < order.index(f"begun {name}"):
             said.append(worker.stderr.readline().decode().strip())
-    if busy == 2:
-        said += [worker.stderr.readline().decode().strip() for _ in range(2)]
+        send({"ticket": ticket, "name": name, "payload": {"done when": done_when[ticket]}}, worker.stdin)
+    said += [worker.stderr.readline().decode().strip() for _ in order[len(said) :]]
     assert said == order
+    assert [receive(worker.stdout)["ticket"] for _ in "abc"] == [0, 1, 2]
     worker.stdin.close()
     assert worker.wait(60) == 0
     worker.stdout.close()

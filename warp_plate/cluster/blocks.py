@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,38 +14,63 @@ from warp_plate.cluster.work import run_block
 from warp_plate.plate.designs import Batch, Shorthand
 
 # About so much work is in a block: a tenth of a second of a core, and of a GPU what keeps it busy. It is the scene's
-# size and the kind of device that say how many plates that is, never how many workers there are.
+# size and the kind of device that say how many plates that is, never how many workers there are. (An H200 runs 2112
+# plates of the paper's scene side by side, and 8448 in four goes: so few plates more would take a fifth one.)
 BLOCK_NODE_STEPS = {"cpu": 8e8, "cuda": 6.6e9}
-# Whole groups of the CPU's lanes and of a GPU's warps.
+# The first and the last blocks of a batch have so many times fewer, a power of two: until they are made, sent and made
+# ready all GPUs wait, and for what is left to do after them everybody.
+SMALLER_ENDS = {"cpu": 1, "cuda": 4}
+# A block's plates are a multiple: whole groups of the CPU's lanes and of a GPU's warps.
 FEWEST = 64
 # Of a task's payload what has a row for each plate.
 PARTS = ("drives", "frequency", "centre", "delay", "numbers")
 
 
-def plates_of_block(node_steps_per_plate: int, kind: str) -> int:
-    """How many plates a block has: a power of two, at least FEWEST."""
+def plates_of_block(node_steps_per_plate: int, kind: str) -> tuple[int, int]:
+    """How many plates a block has at most and, but for the very last, at least."""
     most = BLOCK_NODE_STEPS[kind] / node_steps_per_plate
-    return max(FEWEST, 2 ** int(np.log2(max(most, 1))))
+    ends = SMALLER_ENDS[kind]
+    while ends * FEWEST > most and ends > 1:
+        ends //= 2
+    least = FEWEST * max(1, int(most / (ends * FEWEST)))
+    return ends * least, least
+
+
+def cut(plates: int, most: int, least: int) -> list[slice]:
+    """Blocks of ``least`` plates that double to ``most`` and back, and in the middle what is left over by ``least``.
+
+    None has more than half of the plates before it, nor of those after it, so that several workers share the small ones
+    at both ends, and each has the next one before it is done with one. ``most`` is ``least`` times a power of two.
+    """
+    sizes: list[int] = []
+    whole = plates - plates % least
+    while (first := sum(sizes)) < whole:
+        size = most
+        while size > least and 2 * size > min(first, whole - first - size):
+            size //= 2
+        sizes.append(size)
+    if whole < plates:
+        sizes.insert(len(sizes) // 2, plates - whole)
+    return [slice(*ends) for ends in itertools.pairwise(itertools.accumulate(sizes, initial=0))]
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """Tasks for so many plates of a batch each, made one by one; a worker knows the recipe by its digest.
+    """Tasks for some plates of a batch each, made one by one; a worker knows the recipe by its digest.
 
     short: whether the worker can make the designs of the batch's numbers.
     """
 
     batch: Batch
-    plates: int
+    places: Sequence[slice]
     digest: str
     short: bool = False
 
     def __len__(self) -> int:
-        return -(-len(self.batch) // self.plates)
+        return len(self.places)
 
     def __iter__(self) -> Iterator[Task]:
-        for first in range(0, len(self.batch), self.plates):
-            place = slice(first, min(first + self.plates, len(self.batch)))
+        for place in self.places:
             yield Task(run_block, {"digest": self.digest, **self._parts(place)}, place)
 
     def _parts(self, place: slice) -> dict[str, Any]:

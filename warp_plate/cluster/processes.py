@@ -21,15 +21,18 @@ from warp_plate.cluster.pool import Answer, Task, WorkersGone, fittest
 from warp_plate.cluster.recipe import DEVICE
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.devices import find_device
+from warp_plate.solve.parts import TURNS
 
-# Tasks with a worker at a time: the next one is there when one is done, and with a GPU, which has begun that, one more.
-DEPTH = {"cpu": 2, "cuda": 3}
+# Tasks with a worker at a time: the next one is there when one is done; with a GPU all are begun at once.
+DEPTH = {"cpu": 2, "cuda": TURNS}
 # A worker that ends so often before it could do anything is not started again.
 STARTS = 3
 # Seconds until a worker that was asked to end is made to.
 GRACE = 2.0
 # Of a pipe, where the system lets it be as large: a block passes at once.
 PIPE_BYTES = 2**20
+# For a worker's C library, where it is glibc: what held one block holds the next, and is not given back in between.
+MEMORY = {"MALLOC_MMAP_THRESHOLD_": str(2**25), "MALLOC_TRIM_THRESHOLD_": str(2**30)}
 # A new Python finds what this one finds, and nothing in the folder that it happens to run in.
 START = "import sys; sys.path[:] = sys.argv[1:]; from warp_plate.cluster.worker import main; main()"
 
@@ -152,7 +155,7 @@ class Processes:
         return [worker for worker in self._workers if worker.ready and worker.name in names]
 
     def _start(self, device: str) -> None:
-        environment, own = dict(os.environ), device
+        environment, own = {**MEMORY, **os.environ}, device
         if device.startswith("cuda"):
             index = int(device.partition(":")[2] or 0)
             seen = environment.get("CUDA_VISIBLE_DEVICES")

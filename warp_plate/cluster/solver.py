@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 import warp_plate
-from warp_plate.cluster.blocks import Blocks, halves, plates_of_block, put
+from warp_plate.cluster.blocks import Blocks, cut, halves, plates_of_block, put
 from warp_plate.cluster.pool import Pool, Task
 from warp_plate.cluster.recipe import recipe_of
 from warp_plate.cluster.spread import ATTEMPTS, spread
@@ -84,13 +84,13 @@ class SpreadSolver(PlateSolver):
         if isinstance(batch, Designs):
             self._checked(batch)  # a worker would name a plate by its number in the block
         plates, regions = len(batch), self.specialized.regions
-        energy, node_steps = np.full((plates, len(regions)), np.nan), 0
+        energy, node_steps = np.empty((plates, len(regions))), 0
         faults: dict[int, tuple[str, float]] = {}
         if not self._made:
             self._ask()
         short = isinstance(batch, Shorthand) and batch.scene is self.scene
-        block = plates_of_block(self.node_steps_per_plate, self._made["kind"])
-        blocks = Blocks(batch, block, self._recipe.digest, short)
+        sizes = plates_of_block(self.node_steps_per_plate, self._made["kind"])
+        blocks = Blocks(batch, cut(plates, *sizes), self._recipe.digest, short)
         for task, answer in spread(self.pool, blocks, halves, self._with_recipe, self._taken):
             if answer.fault == "wrong":
                 raise SceneError(answer.text)
@@ -98,6 +98,7 @@ class SpreadSolver(PlateSolver):
                 why, places = self._failed(answer.fault, answer.text), range(task.place.start, task.place.stop)
                 faults |= dict.fromkeys(places, (why, math.nan))
                 self.lost[why] += len(places)
+                energy[task.place] = np.nan
                 continue
             self._same(answer.value["made"])
             put(answer.value, task.place, energy, faults)

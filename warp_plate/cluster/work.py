@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 import warp_plate
@@ -17,11 +18,12 @@ from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import processor_of
 from warp_plate.solve.solver import PlateSolver
 
+MakersByName = dict[str, Callable[[np.ndarray], Batch]]
 # Of the recipes met last: the scenarios of a robust search take one each.
 MOST_SOLVERS = 128
 # How Warp's word for want of memory begins; it has no kind of error of its own for it.
 NO_MEMORY = "Failed to allocate"
-_SOLVERS: OrderedDict[str, PlateSolver] = OrderedDict()
+_SOLVERS: OrderedDict[str, tuple[PlateSolver, MakersByName]] = OrderedDict()
 
 
 def begin(name: str, payload: Mapping[str, Any], caught: bool = False) -> Callable[[], dict[str, Any]]:
@@ -35,9 +37,19 @@ def begin(name: str, payload: Mapping[str, Any], caught: bool = False) -> Callab
     return (lambda: _answer(rest, caught)) if callable(rest) else (lambda: fields)
 
 
-def at_work() -> bool:
-    """Whether this process's GPU is at what was begun."""
-    return any(one.device.is_cuda and not wp.get_stream(one.device).is_complete for one in _SOLVERS.values())
+def gpu_end() -> Callable[[], object] | None:
+    """What waits, in any thread, until this process's GPU is done with all that was begun; None where it is done."""
+    for solver, _ in reversed(_SOLVERS.values()):
+        device = solver.device
+        if device.is_cuda and not wp.get_stream(device).is_complete:
+            event = wp.get_stream(device).record_event()
+
+            def wait(device: wp.Device = device, event: wp.Event = event) -> None:
+                device.make_current()  # for this thread
+                wp.synchronize_event(event)
+
+            return wait
+    return None
 
 
 def perform(name: str, payload: Mapping[str, Any], caught: bool = False) -> dict[str, Any]:
@@ -69,11 +81,13 @@ def of_error(error: BaseException) -> dict[str, Any]:
     return {"fault": "lost", "text": f"{type(error).__name__}: {str(error).strip()}".partition("\n")[0]}
 
 
-def batch_in(payload: Mapping[str, Any], scene: Scene) -> Batch:
-    """What ``run_block`` is given."""
+def batch_in(payload: Mapping[str, Any], scene: Scene, makers: MakersByName) -> Batch:
+    """What ``run_block`` is given; makers: of that scene, those met before."""
     if "maker" in payload:
-        batch: Batch = _function(payload["maker"])(scene, payload["numbers"])
-        return batch
+        name = payload["maker"]
+        if name not in makers:
+            makers[name] = _function(name)(scene)
+        return makers[name](payload["numbers"])
     return Designs(payload["drives"], *(payload.get(name) for name in ("frequency", "centre", "delay")))
 
 
@@ -98,15 +112,16 @@ def run_block(payload: Mapping[str, Any]) -> Mapping[str, Any] | Callable[[], Ma
         SceneError: see :class:`PlateSolver`.
     """
     digest = payload["digest"]
-    solver = _SOLVERS.pop(digest, None)
-    if solver is None:
+    known = _SOLVERS.pop(digest, None)
+    if known is None:
         if "recipe" not in payload:
             return {"need": digest}
-        solver = make_solver(Recipe.from_plain(payload["recipe"]))
-    _SOLVERS[digest] = solver
+        known = make_solver(Recipe.from_plain(payload["recipe"])), {}
+    _SOLVERS[digest] = known
     while len(_SOLVERS) > MOST_SOLVERS:
         _SOLVERS.popitem(last=False)
-    begun = solver.begin(batch_in(payload, solver.scene))
+    solver, makers = known
+    begun = solver.begin(batch_in(payload, solver.scene, makers))
     made = {
         "kind": "cuda" if solver.device.is_cuda else "cpu",
         "processor": processor_of(solver.device),

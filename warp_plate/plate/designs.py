@@ -60,7 +60,7 @@ class Batch(Protocol):
 class Shorthand(Batch, Protocol):
     """A batch whose designs any process makes of fewer numbers, a row for each plate, for this scene.
 
-    maker: "module:function"; the function takes the scene and such rows and gives a batch.
+    maker: "module:function"; the function takes the scene and gives what makes a batch of such rows.
     """
 
     maker: str

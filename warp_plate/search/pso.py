@@ -74,8 +74,10 @@ class Swarm:
         self._lower, self._upper = settings.limits()
         self._period = np.full(settings.dimension, np.inf if settings.period is None else settings.period)
         self._wraps = np.flatnonzero(np.isfinite(self._period))
-        # What the next move will draw, where a large swarm has begun to draw it while its losses are found.
+        # What the next move will draw, where a large swarm has begun to draw it while its losses are found; and from
+        # what: a twin of ``random``, whose own state stays that of before.
         self._ahead: Future[np.ndarray] | None = None
+        self._twin: np.random.Generator | None = None
         self._draw()
         if settings.start is not None:
             start = np.array(settings.start)
@@ -151,7 +153,8 @@ class Swarm:
                 self._move()
             self._asked = True
             if in_blocks(self.settings.particles):
-                self._ahead = meanwhile(partial(self._pulls, copy.deepcopy(self.random)))
+                self._twin = self._twin or copy.deepcopy(self.random)
+                self._ahead = meanwhile(partial(self._pulls, self._twin))
             self._given = self._positions if self._moving is None else self._moving
         # Positions are never changed in place, so that these need not be a copy.
         self._positions.flags.writeable = False
@@ -227,7 +230,7 @@ class Swarm:
 
     def _draw(self) -> None:
         """Draw positions, from the part of their range that is within the bounds, and then velocities."""
-        settings = self.settings
+        settings, self._twin = self.settings, None
         shape = (settings.particles, settings.dimension)
         lowest, highest = np.clip(np.array(settings.position_range), self._lower, self._upper)
         slowest, fastest = np.array(settings.velocity_range)

@@ -10,8 +10,9 @@ give, in the scene's own units, and the rest stays as the scene has it. Z = w ex
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 from typing import ClassVar
 
 import numpy as np
@@ -178,7 +179,7 @@ class Positions:
 
     variables: Variables
     positions: np.ndarray | GrowingRows
-    maker: ClassVar[str] = f"{__name__}:positions_of"
+    maker: ClassVar[str] = f"{__name__}:maker_of"
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -201,9 +202,9 @@ class Positions:
         return np.asarray(self.positions[some], dtype=float)
 
 
-def positions_of(scene: Scene, positions: np.ndarray) -> Positions:
-    """``Positions.maker``: the same positions in another process."""
-    return Positions(variables_of(scene), positions)
+def maker_of(scene: Scene) -> Callable[[np.ndarray], Positions]:
+    """``Positions.maker``: makes the same ones of their numbers in another process."""
+    return partial(Positions, variables_of(scene))
 
 
 def variables_of(scene: Scene) -> Variables:

@@ -71,43 +71,25 @@ def _travel(specialized: Specialized) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return moving.wave / moving.largest, moving.along_x, moving.along_y
 
 
-class Rooms:
-    """The general paths' own tensors beside those of a state, made once for each of the two that take turns."""
+def make_fields(specialized: Specialized, state: State) -> Any:
+    """The struct of all fields of a state, with those of its own that the passes of a step take."""
+    effects = specialized.effects
+    (nx, ny), device, real = specialized.scheme.nodes, specialized.device, specialized.real
+    hanging = len(specialized.scene.effects.oscillators)
+    sums = hanging + int(effects.stretching)
 
-    def __init__(self, specialized: Specialized) -> None:
-        self._specialized = specialized
-        self._made: list[tuple[State, Any]] = []
+    def zeros(*shape: int) -> wp.array:
+        return wp.zeros((state.capacity, *shape), dtype=real, device=device)
 
-    def fields(self, state: State, start: int) -> Any:
-        """The struct of all fields of a state; at step 0 what hangs on the plates is at rest."""
-        fields = next((made for known, made in self._made if known is state), None)
-        if fields is None:
-            fields = self._make(state)
-            self._made = [*self._made[-1:], (state, fields)]
-        if start == 0:
-            fields.hung.zero_()
-            fields.push.zero_()
-        fields.units, fields.moving, fields.wave = state.units, state.moving, state.wave
-        return fields
-
-    def _make(self, state: State) -> Any:
-        specialized, effects = self._specialized, self._specialized.effects
-        (nx, ny), device, real = specialized.scheme.nodes, specialized.device, specialized.real
-        hanging = len(specialized.scene.effects.oscillators)
-        sums = hanging + int(effects.stretching)
-
-        def zeros(*shape: int) -> wp.array:
-            return wp.zeros((state.capacity, *shape), dtype=real, device=device)
-
-        fields = make_structs(real)[1]()
-        fields.loads = state.loads[:, :, 1 : ny + 1, :nx]
-        for name in ("u", "rate", "squares"):
-            setattr(fields, name, getattr(state, name)[:, 1 : ny + 1, :nx])
-        fields.mx, fields.my, fields.mxy = (zeros(ny, nx) for _ in range(3))
-        fields.pull = zeros(ny, nx) if effects.stretching else zeros(1, 1)
-        fields.row_sums = zeros(sums, 2, ny)
-        fields.tension, fields.push, fields.hung = zeros(), zeros(hanging), zeros(hanging, 2)
-        return fields
+    fields = make_structs(real)[1]()
+    fields.loads = state.loads[:, :, 1 : ny + 1, :nx]
+    for name in ("u", "rate", "squares"):
+        setattr(fields, name, getattr(state, name)[:, 1 : ny + 1, :nx])
+    fields.mx, fields.my, fields.mxy = (zeros(ny, nx) for _ in range(3))
+    fields.pull = zeros(ny, nx) if effects.stretching else zeros(1, 1)
+    fields.row_sums = zeros(sums, 2, ny)
+    fields.tension, fields.push, fields.hung = zeros(), zeros(hanging), zeros(hanging, 2)
+    return fields
 
 
 def streaming_path(specialized: Specialized) -> Advance:
@@ -118,11 +100,17 @@ def streaming_path(specialized: Specialized) -> Advance:
     for kernel in (bend, sum_rows, finish_sums, move, keep):
         wp.load_module(module=kernel.module, device=device)
     (nx, ny), window = specialized.scheme.nodes, wp.vec2i(*specialized.scheme.window)
-    material, rooms = material_of(specialized), Rooms(specialized)
+    material = material_of(specialized)
     clock = wp.zeros(1, dtype=int, device=device)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
-        fields = rooms.fields(state, start)
+        if bend not in state.beside:
+            state.beside[bend] = make_fields(specialized, state)
+        fields = state.beside[bend]
+        fields.units, fields.moving, fields.wave = state.units, state.moving, state.wave
+        if start == 0:  # what hangs on the plates is at rest
+            fields.hung.zero_()
+            fields.push.zero_()
         sums = fields.row_sums.shape[1]
         for step in range(start, stop):
             clock.fill_(step)
@@ -178,19 +166,16 @@ def blocks_path(specialized: Specialized, blocks: general_plan.Blocks) -> Advanc
     shared = [material, lines([named[name] for name in general_plan.used(effects)])]
     shared += [lines(list(material.holds.numpy())), wp.vec2i(*specialized.scheme.window)]
     room_size = 0 if blocks.on_chip else general_plan.layout(nx, hanging, blocks)["end"]
-    rooms: dict[str, wp.array] = {}
-    state_of_rooms: State | None = None
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
-        nonlocal state_of_rooms
-        if state is not state_of_rooms:
-            state_of_rooms = state
-            rooms["room"] = wp.zeros((state.capacity, room_size), dtype=real, device=device)
-            rooms["hung"] = wp.zeros((state.capacity, hanging, 2), dtype=real, device=device)
+        if kernel not in state.beside:
+            shapes = (state.capacity, room_size), (state.capacity, hanging, 2)
+            state.beside[kernel] = [wp.zeros(shape, dtype=real, device=device) for shape in shapes]
+        room, hung = state.beside[kernel]
         if start == 0:  # at rest; all plates of a chunk begin together
-            rooms["hung"].zero_()
+            hung.zero_()
         inputs = [*shared, start, stop, state.wave, state.units, state.moving, state.inner_nodes, state.loads]
-        outputs = [rooms["room"], state.u, state.rate, state.squares, rooms["hung"], state.trace]
+        outputs = [room, state.u, state.rate, state.squares, hung, state.trace]
         dim, threads = plates * blocks.threads, blocks.threads
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, block_dim=threads)
 

@@ -1,12 +1,14 @@
-"""How a large batch on a CUDA device is cut: while it steps a part, the host makes the next one ready."""
+"""How a large batch on a CUDA device is cut: while it steps a part, the host makes the next ones ready."""
 
 from __future__ import annotations
 
 import math
 
+# So many states take turns: the device steps one, the next one is ready, and the host is at the third.
+TURNS = 3
 # The first part, for which the device waits, is small, but has so much work as keeps it busy; the others grow to so
-# many times as many plates.
-FIRST_NODE_STEPS, LARGEST_PART = 1.6e9, 16
+# many times as many plates. (An H200 runs 2112 plates of the paper's scene side by side, which are just that part.)
+FIRST_NODE_STEPS, LARGEST_PART = 1.65e9, 16
 
 
 def first_part(node_steps_per_plate: int) -> int:

@@ -19,7 +19,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import load_drives, make_engine, queue_region_sums
-from warp_plate.solve.parts import first_part, part_sizes
+from warp_plate.solve.parts import TURNS, first_part, part_sizes
 from warp_plate.solve.paths import why_streaming
 from warp_plate.solve.run import Run
 from warp_plate.solve.scaling import energy_unit, scaled_coefficients
@@ -286,7 +286,7 @@ class PlateSolver:
         """What is run at once, one part after the other, and how many states take turns at that."""
         first = first_part(self.node_steps_per_plate)
         cut = self._overlaps and not traced_nodes and not self._ends and plates >= 4 * first
-        sizes, count = part_sizes(plates, first) if cut else [plates], 2 if cut or ahead else 1
+        sizes, count = part_sizes(plates, first) if cut else [plates], TURNS if cut or ahead else 1
         wanted = count * max(1, *sizes)
         most = self._plates_at_once(wanted, traced_nodes)
         whole = [0, *itertools.accumulate(sizes)]
@@ -318,7 +318,7 @@ class PlateSolver:
         return max(1, min(plates, most))
 
     def _rooms(self, parts: Sequence[slice], nodes: wp.array, count: int) -> list[State]:
-        """One state, or two that take turns, each large enough for any part."""
+        """One state, or some that take turns, each large enough for any part."""
         capacity = max((part.stop - part.start for part in parts), default=1)
         if count < 2 or len(self._states) < 2:
             self._wait(0)

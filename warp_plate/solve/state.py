@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -40,7 +42,7 @@ class State:
     (capacity, traced nodes, steps).
     wave: (capacity, steps, terms) that a run takes, which is shared_wave, or own_wave where plates have their own; of
     places of their own, along_x (capacity, actuators, nx) and along_y; see ``own``. host: where numbers wait for the
-    device, and those of the device for the host.
+    device, and those of the device for the host. beside: what a kernel needs beside all this, made by who launches it.
     """
 
     capacity: int
@@ -66,6 +68,7 @@ class State:
     along_x: wp.array
     along_y: wp.array
     host: HostSide
+    beside: dict[wp.Kernel, Any] = dataclasses.field(default_factory=dict)
 
     @property
     def own_waves(self) -> bool:
