@@ -139,6 +139,20 @@ def test_a_task_under_which_a_worker_ended_has_the_next_for_itself(two):
     assert two.free() == 4
 
 
+def test_small_tasks_take_less_room_and_go_to_who_has_least_work(two):
+    while two.idle() < 2:
+        two.wait(0.1)
+    sizes = [1.0, 0.25, 0.5, 0.25, 0.75, 0.5]
+    for size in sizes:
+        two.submit(Task(doubled, {"value": 1}, size=size))
+    assert [list(worker.tickets.values()) for worker in two._workers] == [[1.0, 0.75], [0.25, 0.5, 0.25, 0.5]]
+    assert two.free() == 0
+    done: list = []
+    while len(done) < len(sizes):
+        done += two.wait(0.1)
+    assert two.free() == 4
+
+
 def test_what_is_half_said_is_never_waited_for(two, monkeypatch):
     """Ctrl-C as a worker is given its first task, and a frame that is none: that worker is started again."""
     real, before = two.submit, two.processes

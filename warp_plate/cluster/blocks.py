@@ -70,8 +70,10 @@ class Blocks:
         return len(self.places)
 
     def __iter__(self) -> Iterator[Task]:
+        largest = max((place.stop - place.start for place in self.places), default=0)
         for place in self.places:
-            yield Task(run_block, {"digest": self.digest, **self._parts(place)}, place)
+            payload = {"digest": self.digest, **self._parts(place)}
+            yield Task(run_block, payload, place, (place.stop - place.start) / largest)
 
     def _parts(self, place: slice) -> dict[str, Any]:
         if self.short and isinstance(self.batch, Shorthand):
@@ -90,7 +92,7 @@ def halves(task: Task) -> list[Task]:
     def part(place: slice) -> Task:
         rows = slice(place.start - first, place.stop - first)
         payload = {name: value[rows] if name in PARTS else value for name, value in task.payload.items()}
-        return replace(task, payload=payload, place=place, attempts=0)
+        return replace(task, payload=payload, place=place, size=task.size / 2, attempts=0)
 
     return [part(slice(first, middle)), part(slice(middle, stop))]
 

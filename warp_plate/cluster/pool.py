@@ -32,13 +32,15 @@ class Task:
     """What a worker is to do.
 
     function: of a module's top level, so that a worker finds it by its name; payload: what it is called with, which
-    stays as it is until its answer has come. place: the caller's own, to know the answer by. attempts: how many workers
-    ended under it. avoid: the workers that failed it, the last one last.
+    stays as it is until its answer has come. place: the caller's own, to know the answer by. size: its work, as a part
+    of that of the largest tasks of its kind. attempts: how many workers ended under it. avoid: the workers that failed
+    it, the last one last.
     """
 
     function: Function
     payload: Payload
     place: Any = None
+    size: float = 1.0
     attempts: int = 0
     avoid: tuple[str, ...] = ()
 

@@ -23,7 +23,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.parts import TURNS
 
-# Tasks with a worker at a time: the next one is there when one is done; with a GPU all are begun at once.
+# Tasks of full size with a worker at a time: the next one is there when one is done, and a GPU has begun with it.
 DEPTH = {"cpu": 2, "cuda": TURNS}
 # A worker that ends so often before it could do anything is not started again.
 STARTS = 3
@@ -54,14 +54,15 @@ def device_names(text: str) -> list[str]:
 
 @dataclass(eq=False)
 class _Worker:
-    """tickets: of the task that it is at, and then of those that wait with it. alone: the last was attempted before.
+    """tickets: of the task that it is at, and then of those that wait with it, with their sizes. alone: the last was
+    attempted before.
     outbox: what a thread of its own writes to it, so that nobody else waits for one that reads nothing; None: no more.
     """
 
     device: str
     process: subprocess.Popen[bytes]
     outbox: SimpleQueue[Parts | None] = field(default_factory=SimpleQueue)
-    tickets: list[int] = field(default_factory=list)
+    tickets: dict[int, float] = field(default_factory=dict)
     ready: bool = False
     alone: bool = False
 
@@ -70,10 +71,16 @@ class _Worker:
         """In answers."""
         return str(self.process.pid)
 
+    @property
+    def load(self) -> float:
+        """Work that it has."""
+        return sum(self.tickets.values())
+
     def room(self, task: Task | None) -> int:
-        """For how many tasks."""
-        alone = (task is not None and task.attempts > 0) or (self.alone and self.tickets)
-        return (1 if alone else DEPTH[self.device.partition(":")[0]]) - len(self.tickets)
+        """For how many tasks of full size."""
+        if (task is not None and task.attempts > 0) or (self.alone and self.tickets):
+            return 1 - len(self.tickets)
+        return int(DEPTH[self.device.partition(":")[0]] - self.load)
 
 
 class Processes:
@@ -107,11 +114,11 @@ class Processes:
         return sum(not worker.tickets for worker in self._fit(task))
 
     def submit(self, task: Task) -> int:
-        """See ``Pool``; of the workers that have started, the one with the fewest tasks gets it."""
+        """See ``Pool``; of the workers that have started, the one with the least work gets it."""
         self._tickets += 1
         parts = encode({"ticket": self._tickets, "name": task.name, "payload": task.payload})
-        worker = min((one for one in self._fit(task) if one.room(task) > 0), key=lambda one: len(one.tickets))
-        worker.tickets.append(self._tickets)
+        worker = min((one for one in self._fit(task) if one.room(task) > 0), key=lambda one: one.load)
+        worker.tickets[self._tickets] = task.size
         worker.alone = task.attempts > 0
         worker.outbox.put(parts)
         return self._tickets
@@ -197,13 +204,15 @@ class Processes:
         if message is None:
             how = worker.process.returncode
             why = f"its worker on {worker.device} ended ({f'signal {-how}' if how < 0 else f'status {how}'})"
-            under, worker.tickets = worker.tickets[:1], worker.tickets[1:]
+            under = list(worker.tickets)[:1]
+            for ticket in under:
+                del worker.tickets[ticket]
             return [*((ticket, Answer(fault="lost", text=why)) for ticket in under), *self._ended(worker, why)]
         worker.ready = True
         self._failed_starts[worker.device] = 0
         if "ready" in message:
             return []
-        worker.tickets.remove(message["ticket"])
+        del worker.tickets[message["ticket"]]
         answer = Answer(**message["answer"], worker=worker.name)
         return [(message["ticket"], answer), *(self._ended(worker, answer.text) if answer.fault == "lost" else [])]
 

@@ -11,6 +11,7 @@ from queue import SimpleQueue
 from typing import IO, Any
 
 from warp_plate.cluster.frames import receive, send
+from warp_plate.solve.parts import TURNS
 
 # A task that came, or the ticket of one with which the GPU is done.
 Event = dict[str, Any] | int
@@ -20,7 +21,7 @@ def main() -> None:
     """Do tasks one after the other until standard input ends, which ends the process at once; and so does a task that
     raised what no task should: after an error of CUDA nothing in the process works any more.
 
-    Those that come while the GPU is at others are begun all the same, so that it has no pause between them.
+    Those that come while a GPU is at others are begun, as many as there are states, so that it does not stand still.
     """
     answers = os.fdopen(os.dup(1), "wb")
     given = os.fdopen(os.dup(0), "rb")  # not sys.stdin, whose lock the thread would hold when Python ends
@@ -31,24 +32,32 @@ def main() -> None:
     threading.Thread(target=_watch, args=(watched, events), daemon=True).start()
     from warp_plate.cluster.work import begin, gpu_end
 
-    send({"ready": os.getpid()}, answers)
+    waiting: deque[dict[str, Any]] = deque()
     begun: deque[tuple[int, Callable[[], dict[str, Any]]]] = deque()
+
+    def answer(last: int) -> None:
+        """Those begun, up to this ticket."""
+        while begun and begun[0][0] <= last:
+            ticket, rest = begun.popleft()
+            fields = rest()
+            send({"ticket": ticket, "answer": fields}, answers)
+            if fields.get("fault") == "lost":
+                os._exit(1)
+
+    send({"ready": os.getpid()}, answers)
     while True:
         event = events.get()
         if isinstance(event, dict):
-            ticket = event["ticket"]
-            begun.append((ticket, begin(event["name"], event["payload"], caught=True)))
-            if (wait := gpu_end()) is not None:
-                watched.put((ticket, wait))
-                continue
-            done = len(begun)
-        else:  # answered already where the GPU stood still when a later one had been begun
-            done = sum(ticket <= event for ticket, _ in begun)
-        for ticket, rest in [begun.popleft() for _ in range(done)]:
-            answer = rest()
-            send({"ticket": ticket, "answer": answer}, answers)
-            if answer.get("fault") == "lost":
-                os._exit(1)
+            waiting.append(event)
+        else:
+            answer(event)
+        while waiting and len(begun) < TURNS:
+            task = waiting.popleft()
+            begun.append((task["ticket"], begin(task["name"], task["payload"], caught=True)))
+            if (wait := gpu_end()) is None:
+                answer(task["ticket"])
+            else:
+                watched.put((task["ticket"], wait))
 
 
 def _listen(stream: IO[bytes], events: SimpleQueue[Event]) -> None:

@@ -18,7 +18,7 @@ from warp_plate.plate.interrupts import interrupts_held
 Made = TypeVar("Made")
 
 # Rows of a block; so few rows take one call and no thread. More threads than that wait for each other.
-ROWS = 8192
+ROWS = 8448
 MOST_THREADS = 8
 
 

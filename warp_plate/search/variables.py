@@ -68,7 +68,9 @@ class Variables:
 
         def fill(rows: slice) -> None:
             values = self._values(positions[rows])
-            drives[:, rows] = self.unit * (self._limited(values["magnitude"]) * self._turns(values["phase"]))
+            some = drives[:, rows]
+            np.multiply(self._limited(values["magnitude"]), self._turns(values["phase"]), out=some)
+            some *= self.unit
             for kind, into in own.items():
                 into[:, rows] = values[kind]
 
