@@ -70,7 +70,7 @@ def shipping(pool: Pool, problem: Problem) -> dict[str, object]:
     """What a block costs beside its plates: bytes there and back, and milliseconds of a task that does nothing, with
     so many bytes on its way there and without."""
     designs = Designs(np.ones((4096, len(problem.scene.actuators)), complex))
-    (task,) = Blocks(designs, [slice(4096)], "0" * 64)
+    (task,) = Blocks(designs, [slice(0, 4096)], "0" * 64)
     there, back = sum(map(len, encode(task.payload))), 8 * len(problem.plain.specialized.regions) * 4096
     found: dict[str, object] = {"plates": 4096, "bytes_there": there, "bytes_back": back}
     for name, size in (

@@ -124,10 +124,10 @@ def test_blocks_are_small_at_both_ends(plates, most, least):
     sizes = np.diff(cuts)
     assert sum(size % least > 0 for size in sizes) <= 1
     for place, size in zip(places, sizes, strict=True):
-        assert 0 < size <= max(least, min(place.start, plates - place.stop) / 2)
+        assert 0 < size <= max(least, min(place.start / 2, (plates - place.stop) / 4))
     if plates > 2 * least:
         assert {sizes[0], sizes[-1]} == {least}
-    if plates >= 6 * most:
+    if plates >= 8 * most:
         assert max(sizes) == most
 
 

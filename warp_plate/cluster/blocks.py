@@ -39,14 +39,15 @@ def plates_of_block(node_steps_per_plate: int, kind: str) -> tuple[int, int]:
 def cut(plates: int, most: int, least: int) -> list[slice]:
     """Blocks of ``least`` plates that double to ``most`` and back, and in the middle what is left over by ``least``.
 
-    None has more than half of the plates before it, nor of those after it, so that several workers share the small ones
-    at both ends, and each has the next one before it is done with one. ``most`` is ``least`` times a power of two.
+    None has more than half of the plates before it, so that a worker has the next one before it is done with one; nor
+    more than a quarter of those after it, so that all workers are done at about the same time. ``most`` is ``least``
+    times a power of two.
     """
     sizes: list[int] = []
     whole = plates - plates % least
     while (first := sum(sizes)) < whole:
         size = most
-        while size > least and 2 * size > min(first, whole - first - size):
+        while size > least and (2 * size > first or 4 * size > whole - first - size):
             size //= 2
         sizes.append(size)
     if whole < plates:

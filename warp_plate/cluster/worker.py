@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -23,6 +24,7 @@ def main() -> None:
 
     Those that come while a GPU is at others are begun, as many as there are states, so that it does not stand still.
     """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who started it
     answers = os.fdopen(os.dup(1), "wb")
     given = os.fdopen(os.dup(0), "rb")  # not sys.stdin, whose lock the thread would hold when Python ends
     os.dup2(2, 1)  # what libraries print must not come among the answers

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TypeAlias
 
@@ -74,6 +74,12 @@ class Signals:
         """How many waves there are."""
         return self.wave.shape[1]
 
+    @cached_property
+    def _mixed(self) -> list[list[int]]:
+        """Where ``mixing`` is not zero."""
+        places: list[list[int]] = np.argwhere(self.mixing).tolist()
+        return places
+
     def coefficients(self, phasors: np.ndarray) -> np.ndarray:
         """(plates, terms, actuators) real factors of the waves for phasors Z (plates, actuators)."""
         features = [phasors.real, -phasors.imag]
@@ -81,7 +87,7 @@ class Signals:
             if self.linear:
                 # Powers of two and zeros: exact in any order. Plates innermost: NumPy is slow along short rows.
                 columns = np.zeros((self.terms, phasors.shape[1], len(phasors)))
-                for term, feature, actuator in np.argwhere(self.mixing):
+                for term, feature, actuator in self._mixed:
                     part = features[feature][:, actuator]
                     columns[term, actuator] += self.mixing[term, feature, actuator] * part
                 return columns.transpose(2, 0, 1)

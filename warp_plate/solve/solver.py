@@ -183,9 +183,9 @@ class PlateSolver:
             self.node_steps += traced.node_steps
             return lambda: traced
         snapshots = [scheme.step_of(t) for t in times]
-        corners, shares = bilinear(points, scheme.nodes, self.scene.plate.size)
         nodes = self._untraced
         if points:
+            corners, shares = bilinear(points, scheme.nodes, self.scene.plate.size)
             nodes = wp.array(corners.reshape(-1, 2) + np.array([1, 0], np.int32), dtype=int, device=self.device)
         energy = np.empty((plates, len(self.specialized.regions)))
         displacement = np.full((plates, len(snapshots), ny, nx), np.nan)
@@ -339,9 +339,10 @@ class PlateSolver:
         room = state.host.coefficients.numpy()
         scale = scaled_coefficients(specialized.signals, phasors, sizes, travelling, room)
         load_drives(self.engine, state, len(scale), values.edges)
-        with np.errstate(over="ignore", invalid="ignore"):
-            state.host.units.numpy()[: len(scale)] = scale * specialized.scheme.load_scale
-        wp.copy(state.units, state.host.units, count=len(scale))
+        if not specialized.effects.plain:
+            with np.errstate(over="ignore", invalid="ignore"):
+                state.host.units.numpy()[: len(scale)] = scale * specialized.scheme.load_scale
+            wp.copy(state.units, state.host.units, count=len(scale))
         if specialized.moving:
             moving = np.zeros(state.capacity)
             moving[: len(scale)] = travelling / np.where(scale == 0, 1, scale)

@@ -14,6 +14,8 @@ from warp_plate.solve.specialize import Specialized
 
 # u, rate, squares, u_next, rate_next; and a load for each term
 FIELDS = 5
+# All plates are cleared at once where the first are no fewer than one of so many: the calls would take longer.
+WHOLE = 4
 # And of the general paths at most: u, mx, my, mxy, ∇²u and what strains
 GENERAL_FIELDS = 6
 
@@ -34,6 +36,7 @@ class HostSide:
 class State:
     """Room for ``capacity`` plates; fields are (capacity, rows, stride) and hold zeros outside the plate.
 
+    moves: the five fields u, rate, squares, u_next and rate_next in one piece.
     u_next, rate_next: the buffers that take turns with u and rate on the streaming paths; the resident path on CPU
     and the plain streaming path keep the curvature in u_next. coefficients: (capacity, terms, actuators), and loads:
     (terms, capacity, rows, stride), see ``kernels.load``; in_phase and quadrature are the first two loads. units:
@@ -50,6 +53,7 @@ class State:
     loads: wp.array
     in_phase: wp.array
     quadrature: wp.array
+    moves: wp.array
     u: wp.array
     rate: wp.array
     squares: wp.array
@@ -77,8 +81,11 @@ class State:
 
     def clear(self, plates: int) -> None:
         """The first plates, and the number beyond them, back to rest at t = 0; the load fields stay."""
+        if WHOLE * plates >= self.capacity:
+            self.moves.zero_()
+            return
         for field in (self.u, self.rate, self.squares, self.u_next, self.rate_next):
-            field[: min(plates + 1, field.shape[0])].zero_()
+            field[: plates + 1].zero_()
 
 
 # A path, called as advance(state, plates, start, stop): takes the first ``plates`` plates of a state from step
@@ -109,7 +116,7 @@ def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> Stat
     def field(*more: int) -> wp.array:
         return wp.zeros((*more, capacity + spare, specialized.rows, specialized.stride), dtype=real, device=device)
 
-    loads, steps, (nx, ny) = field(terms), specialized.scheme.steps, specialized.scheme.nodes
+    moves, loads, steps, (nx, ny) = field(FIELDS), field(terms), specialized.scheme.steps, specialized.scheme.nodes
     wave = shared_wave(specialized.wave, capacity)
     own = capacity if specialized.carriers else 0
     moved = capacity if specialized.own.centre else 0
@@ -123,11 +130,12 @@ def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> Stat
         loads=loads,
         in_phase=loads[0],
         quadrature=loads[1],
-        u=field(),
-        rate=field(),
-        squares=field(),
-        u_next=field(),
-        rate_next=field(),
+        moves=moves,
+        u=moves[0],
+        rate=moves[1],
+        squares=moves[2],
+        u_next=moves[3],
+        rate_next=moves[4],
         units=wp.zeros(capacity, dtype=real, device=device),
         moving=wp.zeros(capacity, dtype=real, device=device),
         nodes=nodes,
