@@ -21,10 +21,10 @@ from warp_plate.cluster.pool import Answer, Task, WorkersGone, fittest
 from warp_plate.cluster.recipe import DEVICE
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.parts import TURNS
 
-# Tasks of full size with a worker at a time: the next one is there when one is done, and a GPU has begun with it.
-DEPTH = {"cpu": 2, "cuda": TURNS}
+# Tasks of full size with a worker at a time, so that the next one is there when one is done, and a GPU has begun with
+# it; more would be given away before it is known who is done first.
+DEPTH = {"cpu": 2.0, "cuda": 2.5}
 # A worker that ends so often before it could do anything is not started again.
 STARTS = 3
 # Seconds until a worker that was asked to end is made to.

@@ -67,15 +67,16 @@ def spread(
     done, heard = 0, time.monotonic()
     try:
         while left or waiting or running:
-            while (waiting or left) and pool.free(waiting[0] if waiting else None) > 0:
+            given = (waiting or left) and pool.free(waiting[0] if waiting else None) > 0
+            if given:
                 if not waiting:
                     waiting.append(next(fresh))
                     left -= 1
                 task = waiting.popleft()
                 running[pool.submit(task)] = _Flight(task, time.monotonic())
-            if not (waiting or left):
+            elif not (waiting or left):
                 _second(pool, running, taken)
-            answers = pool.wait(LOOK)
+            answers = pool.wait(0.0 if given else LOOK)  # who gets the next one depends on what is done
             if answers:
                 heard = time.monotonic()
             elif waiting and pool.free() > 0 and heard < _before(taken, FIRST_SECONDS):
