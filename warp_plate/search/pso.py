@@ -173,11 +173,14 @@ class Swarm:
             raise ValueError(f"tell: losses of shape {told.shape}: must be ({self.settings.particles},)")
         self._arrive()
         finite = np.isfinite(told)
-        told[~finite] = np.inf
+        sound = told
+        if not finite.all():
+            sound = told[finite]
+            told[~finite] = np.inf
         best = int(np.argmin(told))
         if (told[best], best) < (self._best_loss, self._best):  # of equals the first
             self._best, self._best_loss = best, float(told[best])
-        self._record(told if finite.all() else told[finite])
+        self._record(sound)
         self._told = told
         self._asked = False
 
