@@ -142,14 +142,12 @@ def test_a_task_under_which_a_worker_ended_has_the_next_for_itself(two):
 def test_small_tasks_take_less_room_and_go_to_who_has_least_work(two):
     while two.idle() < 2:
         two.wait(0.1)
-    sizes = [1.0, 0.25, 0.5, 0.25, 0.75, 0.5]
-    for size in sizes:
+    for size in (1.0, 0.25, 0.5, 0.25, 0.75, 0.5):
         two.submit(Task(doubled, {"value": 1}, size=size))
     assert [list(worker.tickets.values()) for worker in two._workers] == [[1.0, 0.75], [0.25, 0.5, 0.25, 0.5]]
     assert two.free() == 0
-    done: list = []
-    while len(done) < len(sizes):
-        done += two.wait(0.1)
+    while two.idle() < 2:
+        two.wait(0.1)
     assert two.free() == 4
 
 
@@ -221,9 +219,8 @@ def poisoned(payload):
 def test_a_block_that_no_worker_survives_is_named(two, scene, random, small_blocks, monkeypatch):
     monkeypatch.setattr(blocks, "run_block", poisoned)
     made, drives = scene((9, 9), damping=20.0), drives_of(random)
-    lost = slice(PLATES - 64, PLATES)  # the last block
+    solver, lost = SpreadSolver(two, made, "cpu"), slice(PLATES - 64, PLATES)  # the last block
     drives[lost.start] = 7
-    solver = SpreadSolver(two, made, "cpu")
     run, expected = solver.run(drives), PlateSolver(made, "cpu").run(drives)
     (why,) = solver.lost
     assert why == f"block given up after {ATTEMPTS} attempts: its worker on cpu ended (status 3)"

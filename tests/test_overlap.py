@@ -185,6 +185,43 @@ def test_runs_begun_live_through_others_that_are_cut_short(device, path, scene, 
     np.testing.assert_array_equal(solver.run(blocks[1]).energy, whole[1])
 
 
+def test_plates_for_which_memory_is_short_run_one_after_the_other(device, path, scene, phasors, monkeypatch):
+    made, drives = scene(nodes=(9, 9), window=(0.002, 0.004)), phasors(5, 3)
+    right = PlateSolver(made, device, path).run(drives).energy
+    monkeypatch.setattr(PlateSolver, "_overlaps", True)
+    for room in range(1, TURNS + 1):
+        monkeypatch.setattr(PlateSolver, "_plates_at_once", lambda self, plates, nodes, room=room: min(room, plates))
+        solver = PlateSolver(made, device, path)
+        np.testing.assert_array_equal(solver.begin(drives)().energy, right)
+        assert [state.capacity for state in solver._states] == ([1] * TURNS if room == TURNS else [room])
+
+
+def test_what_a_run_that_is_cut_short_leaves_harms_no_other(device, path, scene, phasors, monkeypatch):
+    """Two that are begun keep their states while a third one, of several parts, ends in the middle."""
+    made = scene(nodes=(9, 9), window=(0.002, 0.004))
+    blocks = [phasors(3, 3) for _ in range(5)]
+    whole = [PlateSolver(made, device, path).run(drives).energy for drives in blocks]
+    monkeypatch.setattr(PlateSolver, "_overlaps", True)
+    monkeypatch.setattr(PlateSolver, "_plates_at_once", lambda self, plates, nodes: min(TURNS, plates))
+    solver = PlateSolver(made, device, path)
+    begun = [solver.begin(blocks[0][:1])]
+    with monkeypatch.context() as only:
+        real, starts = PlateSolver._start, []
+
+        def third(self, *args):
+            starts.append(args)
+            if len(starts) == 2:
+                raise KeyboardInterrupt
+            return real(self, *args)
+
+        only.setattr(PlateSolver, "_start", third)
+        with pytest.raises(KeyboardInterrupt):
+            solver.begin(blocks[1])
+    begun += [solver.begin(blocks[2][:1]), solver.begin(blocks[3][:1])]
+    for run, block in zip(begun, (0, 2, 3), strict=True):
+        np.testing.assert_array_equal(run().energy, whole[block][:1])
+
+
 @pytest.mark.parametrize(("plates", "first"), [(4, 1), (5, 1), (37, 3), (1000, 10), (131072, 2048)])
 def test_parts_are_all_plates(plates, first):
     sizes = part_sizes(plates, first)

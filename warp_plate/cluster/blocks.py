@@ -27,7 +27,7 @@ PARTS = ("drives", "frequency", "centre", "delay", "numbers")
 
 
 def plates_of_block(node_steps_per_plate: int, kind: str) -> tuple[int, int]:
-    """How many plates a block has at most and, but for the very last, at least."""
+    """How many plates a block has at most and, but for one with what is left over, at least."""
     most = BLOCK_NODE_STEPS[kind] / node_steps_per_plate
     ends = SMALLER_ENDS[kind]
     while ends * FEWEST > most and ends > 1:
@@ -44,12 +44,13 @@ def cut(plates: int, most: int, least: int) -> list[slice]:
     times a power of two.
     """
     sizes: list[int] = []
-    whole = plates - plates % least
-    while (first := sum(sizes)) < whole:
+    first, whole = 0, plates - plates % least
+    while first < whole:
         size = most
         while size > least and (2 * size > first or 4 * size > whole - first - size):
             size //= 2
         sizes.append(size)
+        first += size
     if whole < plates:
         sizes.insert(len(sizes) // 2, plates - whole)
     return [slice(*ends) for ends in itertools.pairwise(itertools.accumulate(sizes, initial=0))]

@@ -38,18 +38,22 @@ def begin(name: str, payload: Mapping[str, Any], caught: bool = False) -> Callab
 
 
 def gpu_end() -> Callable[[], object] | None:
-    """What waits, in any thread, until this process's GPU is done with all that was begun; None where it is done."""
-    for solver, _ in reversed(_SOLVERS.values()):
-        device = solver.device
-        if device.is_cuda and not wp.get_stream(device).is_complete:
-            event = wp.get_stream(device).record_event()
+    """What waits, in any thread, until this process's GPU is done with all that was begun; None where it is done, or
+    where it failed, which the ends of tasks say."""
+    solver, _ = next(reversed(_SOLVERS.values()), (None, None))
+    if solver is None or not solver.device.is_cuda or wp.get_stream(solver.device).is_complete:
+        return None
+    device = solver.device
+    try:
+        event = wp.get_stream(device).record_event()
+    except RuntimeError:
+        return None
 
-            def wait(device: wp.Device = device, event: wp.Event = event) -> None:
-                device.make_current()  # for this thread
-                wp.synchronize_event(event)
+    def wait() -> None:
+        device.make_current()  # for this thread
+        wp.synchronize_event(event)
 
-            return wait
-    return None
+    return wait
 
 
 def perform(name: str, payload: Mapping[str, Any], caught: bool = False) -> dict[str, Any]:

@@ -77,6 +77,6 @@ def _watch(watched: SimpleQueue[tuple[int, Callable[[], object]]], events: Simpl
     """Say when the GPU is done; what went wrong on it is said by who waits for the task's end."""
     while True:
         ticket, wait = watched.get()
-        with suppress(RuntimeError):
+        with suppress(Exception):
             wait()
         events.put(ticket)

@@ -74,8 +74,7 @@ class Swarm:
         self._lower, self._upper = settings.limits()
         self._period = np.full(settings.dimension, np.inf if settings.period is None else settings.period)
         self._wraps = np.flatnonzero(np.isfinite(self._period))
-        # What the next move will draw, where a large swarm has begun to draw it while its losses are found; and from
-        # what: a twin of ``random``, whose own state stays that of before.
+        # What the next move will draw: a large swarm does so while its losses are found, from a twin of ``random``.
         self._ahead: Future[np.ndarray] | None = None
         self._twin: np.random.Generator | None = None
         self._draw()
@@ -156,8 +155,7 @@ class Swarm:
                 self._twin = self._twin or copy.deepcopy(self.random)
                 self._ahead = meanwhile(partial(self._pulls, self._twin))
             self._given = self._positions if self._moving is None else self._moving
-        # Positions are never changed in place, so that these need not be a copy.
-        self._positions.flags.writeable = False
+        self._positions.flags.writeable = False  # they are never changed in place, so that these need not be a copy
         return self._given
 
     def tell(self, solutions: ArrayLike | GrowingRows, losses: ArrayLike) -> None:
@@ -173,9 +171,8 @@ class Swarm:
             raise ValueError(f"tell: losses of shape {told.shape}: must be ({self.settings.particles},)")
         self._arrive()
         finite = np.isfinite(told)
-        sound = told
-        if not finite.all():
-            sound = told[finite]
+        sound = told if finite.all() else told[finite]
+        if sound is not told:
             told[~finite] = np.inf
         best = int(np.argmin(told))
         if (told[best], best) < (self._best_loss, self._best):  # of equals the first
@@ -254,11 +251,9 @@ class Swarm:
         inertia = settings.inertia * settings.decay ** (self.iterations - self._restarted_at)
         leaders = None if settings.neighbours is None else self._best_neighbours(settings.neighbours)
         self._keep(slice(best, best + 1))
-        if self._ahead is None:
-            pulls = self._pulls(self.random)
-        else:
-            pulls, bits = self._ahead.result(), cast(Any, self.random.bit_generator)
-            bits.advance(pulls.size)
+        ahead, self._ahead = self._ahead, None
+        self._twin = None if ahead is None else self._twin
+        pulls = self._pulls(self.random) if ahead is None else ahead.result()
         moved, moving_at = np.empty(self._positions.shape), np.empty(self._velocities.shape)
 
         def move(rows: slice) -> None:
@@ -276,6 +271,8 @@ class Swarm:
             self._confine(moved[rows], velocity)
 
         self._moving, self._moving_at = GrowingRows(move, moved), moving_at
+        if ahead is not None:
+            cast(Any, self.random.bit_generator).advance(pulls.size)  # as the twin did
         if not in_blocks(settings.particles):
             self._arrive()
 

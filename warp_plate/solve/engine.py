@@ -91,10 +91,11 @@ def queue_region_sums(engine: Engine, state: State, plates: int) -> Callable[[],
     wp.launch(engine.sum_columns, dim=(plates, regions), inputs=inputs, outputs=outputs, device=specialized.device)
     wp.copy(state.host.energy, state.energy, count=plates * regions)
     done = wp.get_stream(specialized.device).record_event() if specialized.device.is_cuda else None
+    energy = state.host.energy  # and not the state, whose room may be wanted
 
     def wait() -> np.ndarray:
         if done is not None:
             wp.synchronize_event(done)
-        return np.asarray(state.host.energy.numpy()[:plates])
+        return np.asarray(energy.numpy()[:plates])
 
     return wait

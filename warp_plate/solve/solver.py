@@ -87,8 +87,7 @@ class PlateSolver:
         self._areas = areas
         self._share = share
         self._states: list[State] = []  # which take turns
-        self._turn = 0
-        self._ends: deque[End] = deque()  # of parts that the device may be at, the oldest first
+        self._ends: deque[tuple[State, End]] = deque()  # of parts that the device may be at, the oldest first
         self._untraced: wp.array = wp.empty((0, 2), dtype=int, device=self.device)
         self._fastest = fastest_per_step(specialized)
         self.node_steps = 0  # of all runs so far
@@ -154,7 +153,7 @@ class PlateSolver:
         try:
             yield ends
         except BaseException:
-            self._ends = deque(one for one in self._ends if one not in ends)
+            self._ends = deque(one for one in self._ends if one[1] not in ends)
             raise
 
     def _begin(
@@ -193,7 +192,7 @@ class PlateSolver:
         faults: dict[int, tuple[str, float]] = {}
         fastest = scheme.steps * self._fastest
         parts, count = self._parts(plates, nodes.shape[0], ahead)
-        states = self._rooms(parts, nodes, count)
+        states, several = self._rooms(parts, nodes, count), count > 1
         total = plates * self.node_steps_per_plate
         most, joules = (scheme.window[1] - scheme.window[0]) * fastest**2, energy_unit(self.specialized)
 
@@ -204,24 +203,23 @@ class PlateSolver:
             for plate, word in words.items():
                 caught = seen[plate] * scheme.time_step if seen[plate] >= 0 else math.nan
                 faults[some.start + plate] = word, caught
-            if progress is not None and len(states) > 1:
+            if progress is not None and several:
                 progress(some.stop * self.node_steps_per_plate, total)
 
         for some in parts:
             phasors, values = (whole[0][some], whole[1][some]) if whole else self._checked(batch[some])
             self._wait(len(states) - 1)
-            state = states[self._turn % len(states)]
+            state = next(one for one in states if all(one is not used for used, _ in self._ends))
             scale, before = self._start(state, phasors, values), some.start * self.node_steps_per_plate
 
             def tell(done: int, before: int = before) -> None:
                 if progress is not None:
                     progress(before + done, total)
 
-            reached, seen = self._march(state, len(scale), snapshots, displacement[some], tell, len(states) > 1)
+            reached, seen = self._march(state, len(scale), snapshots, displacement[some], tell, several)
             sums = queue_region_sums(self.engine, state, len(scale))
             ends.append(partial(end, some, phasors, scale, seen, sums))
-            self._ends.append(ends[-1])
-            self._turn += 1
+            self._ends.append((state, ends[-1]))
             unit = scale * scheme.load_scale
             with np.errstate(invalid="ignore", over="ignore"):  # of plates that left the finite numbers
                 displacement[some] *= unit[:, None, None, None]
@@ -231,7 +229,7 @@ class PlateSolver:
                     trace[some, :, reached:] = np.nan
 
         def finish() -> Run:
-            while ends and ends[-1] in self._ends:
+            while ends and any(one is ends[-1] for _, one in self._ends):
                 self._wait(len(self._ends) - 1)
             self.node_steps += total
             return Run(
@@ -251,7 +249,7 @@ class PlateSolver:
     def _wait(self, most: int) -> None:
         """Until the device is at no more than so many parts."""
         while len(self._ends) > most:
-            self._ends[0]()
+            self._ends[0][1]()
             self._ends.popleft()
 
     def _check(self, times: Sequence[float], points: Sequence[tuple[float, float]]) -> None:
@@ -289,6 +287,8 @@ class PlateSolver:
         sizes, count = part_sizes(plates, first) if cut else [plates], TURNS if cut or ahead else 1
         wanted = count * max(1, *sizes)
         most = self._plates_at_once(wanted, traced_nodes)
+        if most < count:
+            count = 1  # a plate takes so much room that there is none for a second one
         whole = [0, *itertools.accumulate(sizes)]
         cuts = whole if most >= wanted else [*range(0, plates, max(1, most // count)), plates]
         return [slice(*ends) for ends in itertools.pairwise(cuts) if plates], count
