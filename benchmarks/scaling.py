@@ -5,9 +5,9 @@
     python benchmarks/scaling.py --cluster local:1 local:4 --plates 16384 --out FILE
 
 Searches the paper's scene with a swarm of so many plates: in this process, and on each pool, a few generations of each
-in turn, so that a disturbance meets all alike. Medians; the first generation of each turn, which finds caches cold and
-the GPU in another process's hands, counts for nothing. The losses must be the same to the last bit everywhere, or the
-program ends with an error.
+in turn, so that a disturbance meets all alike. Medians; the first turns, in which workers start, count for nothing, nor
+does the first generation of each turn, which finds caches cold and the GPU in another process's hands. The losses must
+be the same to the last bit everywhere, or the program ends with an error.
 """
 
 from __future__ import annotations
@@ -103,11 +103,11 @@ def measure(scene: Scene, device: str, pools: dict[str, Pool], plates: int, gene
     """
     problems = {name: make_problem(scene, device, pool=pool) for name, pool in {HERE: None, **pools}.items()}
     turns = -(-generations // TURN)
-    searches = {name: Search(problem, plates, turns * (1 + TURN)) for name, problem in problems.items()}
-    for _ in range(turns):
+    searches = {name: Search(problem, plates, (1 + turns) * (1 + TURN)) for name, problem in problems.items()}
+    for turn in range(1 + turns):
         for name, search in searches.items():
             for index in range(1 + TURN):
-                search.generation(counts=index > 0)
+                search.generation(counts=turn > 0 and index > 0)
             if search.losses != searches[HERE].losses:
                 raise RuntimeError(f"{name}: other losses than {HERE}")
     rows = {name: search.row() for name, search in searches.items()}

@@ -127,28 +127,28 @@ def replaced(workers, before):
     return False
 
 
+def both_idle(workers):
+    while workers.idle() < 2:
+        workers.wait(0.1)
+
+
 def test_a_task_under_which_a_worker_ended_has_the_next_for_itself(two):
     """Which may have begun two tasks as it ends: who is to blame is known of one alone."""
-    while two.idle() < 2:
-        two.wait(0.1)
+    both_idle(two)
     assert (two.free(), two.free(Task(doubled, {}, attempts=1))) == (4, 2)
     two.submit(Task(doubled, {"value": 1}, attempts=1))
     assert (two.free(), two.free(Task(doubled, {}, attempts=1))) == (2, 1)
-    while two.idle() < 2:
-        two.wait(0.1)
+    both_idle(two)
     assert two.free() == 4
 
 
 def test_small_tasks_take_less_room_and_go_to_who_has_least_work(two):
-    while two.idle() < 2:
-        two.wait(0.1)
+    both_idle(two)
     for size in (1.0, 0.25, 0.5, 0.25, 0.75, 0.5):
         two.submit(Task(doubled, {"value": 1}, size=size))
     assert [list(worker.tickets.values()) for worker in two._workers] == [[1.0, 0.75], [0.25, 0.5, 0.25, 0.5]]
     assert two.free() == 0
-    while two.idle() < 2:
-        two.wait(0.1)
-    assert two.free() == 4
+    both_idle(two)
 
 
 def test_what_is_half_said_is_never_waited_for(two, monkeypatch):
@@ -191,8 +191,7 @@ def test_an_error_that_no_task_should_raise_is_tried_elsewhere_and_named(two, mo
     assert [found[at].value.get("twice") for at in range(8)] == [0, 2, 4, None, 8, 10, 12, 14]
     assert [task.attempts for task in tasks] == [0, 0, 0, 2, 0, 0, 0, 0]
     assert set(two.processes) != set(before)
-    while two.idle() < 2:
-        two.wait(0.1)
+    both_idle(two)
     tickets, answers = [two.submit(Task(failing, {"value": value})) for value in (3, 1, 2, 4)], {}
     while len(answers) < 4:
         answers |= dict(two.wait(0.1))
@@ -221,7 +220,9 @@ def test_a_block_that_no_worker_survives_is_named(two, scene, random, small_bloc
     made, drives = scene((9, 9), damping=20.0), drives_of(random)
     solver, lost = SpreadSolver(two, made, "cpu"), slice(PLATES - 64, PLATES)  # the last block
     drives[lost.start] = 7
-    run, expected = solver.run(drives), PlateSolver(made, "cpu").run(drives)
+    found = np.zeros((PLATES, 2))
+    run, expected = solver.run(drives, each=found.__setitem__), PlateSolver(made, "cpu").run(drives)
+    assert found.tobytes() == run.energy.tobytes()
     (why,) = solver.lost
     assert why == f"block given up after {ATTEMPTS} attempts: its worker on cpu ended (status 3)"
     assert solver.lost[why] == 64
@@ -243,8 +244,7 @@ def test_a_worker_without_memory_costs_no_plate_where_another_has_it(two, scene,
     """Though it is the quickest to answer."""
     monkeypatch.setattr(blocks, "run_block", starved)
     made, drives = scene((9, 9), damping=20.0), drives_of(random, 600)
-    while two.idle() < 2:
-        two.wait(0.1)
+    both_idle(two)
     drives[:, 0] = two.processes[0]
     solver, expected = SpreadSolver(two, made, "cpu"), PlateSolver(made, "cpu").run(drives)
     assert_same(solver.run(drives), expected)

@@ -8,6 +8,7 @@ from pydantic import BaseModel
 from warp_plate import PlateSolver, Scene
 from warp_plate.cli.localize import localize
 from warp_plate.cluster.blocks import BLOCK_NODE_STEPS, plates_of_block
+from warp_plate.cluster.processes import DEPTH
 from warp_plate.scene.search import OBJECTIVE_UNITS, Limits, Objective, Search
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -69,5 +70,7 @@ def test_the_page_on_scaling_has_the_blocks_of_the_code():
     (cpu, _), (cuda, least) = (plates_of_block(solver.node_steps_per_plate, kind) for kind in ("cpu", "cuda"))
     assert f"about {BLOCK_NODE_STEPS['cpu']:.0e}".replace("e+0", "e") + f" node-steps on a CPU ({cpu} plates" in words
     assert f"{BLOCK_NODE_STEPS['cuda']:.1e}".replace("e+0", "e") + f" on a GPU ({cuda} plates" in words
-    assert f"{2 * cpu} plates of the paper's scene for a CPU worker, {2 * least} for a GPU" in words
-    assert f"begins and ends with blocks of {least}" in words
+    assert f"{2 * cpu} plates of the paper's scene for each" in words
+    assert f"begins and ends with blocks of {least} plates, and {2 * least} lie between" in words
+    assert DEPTH["cuda"] == 2.5
+    assert "one and a half of full size in waiting" in words

@@ -33,8 +33,15 @@ def test_parts_that_overlap_change_no_bit(effects, device, path, scene, phasors,
     assert len(solver._states) == TURNS
     assert solver._states[0].capacity < 20
     assert told[-1] == (37 * solver.node_steps_per_plate,) * 2
-    several = solver.run(Parts(drives))
+    found = np.full((37, 2), -1.0)
+
+    def each(some, energy):
+        assert (found[some] == -1).all()
+        found[some] = energy
+
+    several = solver.run(Parts(drives), each=each)
     np.testing.assert_array_equal(several.energy, whole.energy)
+    np.testing.assert_array_equal(found, whole.energy)
 
 
 @pytest.mark.parametrize("overlaps", [False, True])

@@ -22,7 +22,7 @@ from warp_plate.plate.weights import NO_AREAS, Region
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Run
-from warp_plate.solve.solver import PlateSolver, Progress
+from warp_plate.solve.solver import Each, PlateSolver, Progress
 from warp_plate.solve.specialize import Quantity
 
 # So many of the last blocks say how long one takes.
@@ -72,6 +72,7 @@ class SpreadSolver(PlateSolver):
         times: Sequence[float] = (),
         points: Sequence[tuple[float, float]] = (),
         progress: Progress | None = None,
+        each: Each | None = None,
     ) -> Run:
         """See :meth:`PlateSolver.run`.
 
@@ -79,7 +80,7 @@ class SpreadSolver(PlateSolver):
             SceneError: also where workers are of different kinds or versions. WorkersGone: see there.
         """
         if len(times) or len(points):
-            return super().run(drives, times, points, progress)
+            return super().run(drives, times, points, progress, each)
         batch = drives if isinstance(drives, Batch) else Designs(as_phasors(drives, len(self.scene.actuators)))
         if isinstance(batch, Designs):
             self._checked(batch)  # a worker would name a plate by its number in the block
@@ -99,10 +100,12 @@ class SpreadSolver(PlateSolver):
                 faults |= dict.fromkeys(places, (why, math.nan))
                 self.lost[why] += len(places)
                 energy[task.place] = np.nan
-                continue
-            self._same(answer.value["made"])
-            put(answer.value, task.place, energy, faults)
-            node_steps += answer.value["node_steps"]
+            else:
+                self._same(answer.value["made"])
+                put(answer.value, task.place, energy, faults)
+                node_steps += answer.value["node_steps"]
+            if each is not None:
+                each(task.place, energy[task.place])
             if progress is not None:
                 progress(node_steps, plates * self.node_steps_per_plate)
         self.node_steps += node_steps

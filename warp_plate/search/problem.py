@@ -96,7 +96,7 @@ class Problem:
 
     def energies(self, designs: Batch) -> np.ndarray:
         """(plates, regions) energies [J]."""
-        if self.evaluator == "response" and designs.only_drives:
+        if self._of_response(designs):
             return self.energies_of_drives(designs[:].drives)
         return (self.plain if designs.only_drives else self.solver).run(designs).energy
 
@@ -108,7 +108,16 @@ class Problem:
 
     def losses_of(self, designs: Batch) -> np.ndarray:
         """(plates,) what is to be made small; NaN where a plate has no energies."""
-        return self.judge.losses(self.energies(designs), self._displaced(designs))
+        if self.judge.needs_displacement or self._of_response(designs):
+            return self.judge.losses(self.energies(designs), self._displaced(designs))
+        losses = np.empty(len(designs))
+
+        def judge(some: slice, energy: np.ndarray) -> None:
+            losses[some] = self.judge.losses(energy)
+
+        # Some are judged while others are simulated.
+        (self.plain if designs.only_drives else self.solver).run(designs, each=judge)
+        return losses
 
     def losses(self, positions: np.ndarray | GrowingRows) -> np.ndarray:
         """(n,) the same of positions (n, dimension)."""
@@ -174,6 +183,10 @@ class Problem:
     def _limited(self) -> bool:
         """Whether some drives may not be chosen."""
         return frees(self.scene) or self.scene.search.limits != Limits()
+
+    def _of_response(self, designs: Batch) -> bool:
+        """Whether Gram matrices give their energies."""
+        return self.evaluator == "response" and designs.only_drives
 
     def _displaced(self, designs: Batch) -> np.ndarray | None:
         """(plates, regions) energies of displacements, where these are judged."""

@@ -36,6 +36,7 @@ CPU_CHUNK_BYTES = 256 * 2**20
 FEWEST_PLATES = 64
 
 Progress = Callable[[int, int], None]
+Each = Callable[[slice, np.ndarray], object]
 End = Callable[[], None]
 
 
@@ -119,6 +120,7 @@ class PlateSolver:
         times: Sequence[float] = (),
         points: Sequence[tuple[float, float]] = (),
         progress: Progress | None = None,
+        each: Each | None = None,
     ) -> Run:
         """Simulate one plate a drive from rest to the end of the window.
 
@@ -130,6 +132,7 @@ class PlateSolver:
             times: at which to keep the displacement [s].
             points: (x, y) [m] at which to keep the displacement of every step (bilinear between nodes).
             progress: called with (node-steps done, node-steps in all) between launches.
+            each: called with (which plates, their energies) for some after the other, as soon as they are known.
 
         Raises:
             SceneError: drives of another shape or kind, a time outside the run, a point off the plate; designs that
@@ -137,7 +140,7 @@ class PlateSolver:
                 solver of displacements, whose plates move by running sums.
         """
         with self._dropping() as ends:
-            return self._begin(drives, times, points, progress, ends=ends)()
+            return self._begin(drives, times, points, progress, each, ends=ends)()
 
     def begin(self, drives: np.ndarray | Batch) -> Callable[[], Run]:
         """What gives ``run(drives)``; a CUDA device begins with it now, and goes on to the next one begun."""
@@ -162,6 +165,7 @@ class PlateSolver:
         times: Sequence[float] = (),
         points: Sequence[tuple[float, float]] = (),
         progress: Progress | None = None,
+        each: Each | None = None,
         ahead: bool = False,
         *,
         ends: list[End],
@@ -178,7 +182,7 @@ class PlateSolver:
                 own=self.specialized.own,
             )
             self.compile_seconds += streaming.compile_seconds
-            traced = streaming.run(drives, times, points, progress)
+            traced = streaming.run(drives, times, points, progress, each)
             self.node_steps += traced.node_steps
             return lambda: traced
         snapshots = [scheme.step_of(t) for t in times]
@@ -203,6 +207,8 @@ class PlateSolver:
             for plate, word in words.items():
                 caught = seen[plate] * scheme.time_step if seen[plate] >= 0 else math.nan
                 faults[some.start + plate] = word, caught
+            if each is not None:
+                each(some, energy[some])
             if progress is not None and several:
                 progress(some.stop * self.node_steps_per_plate, total)
 
