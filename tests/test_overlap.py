@@ -3,13 +3,16 @@
 import os
 import subprocess
 import sys
+from collections import OrderedDict
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import warp as wp
 
 from warp_plate import PlateSolver, SceneError
+from warp_plate.cluster import work
 from warp_plate.cluster.frames import receive, send
 from warp_plate.plate.designs import Designs
 from warp_plate.solve.parts import LARGEST_PART, TURNS, part_sizes
@@ -129,6 +132,23 @@ def test_a_worker_begins_a_task_that_comes_while_its_gpu_is_at_work(done_when, o
     assert worker.wait(60) == 0
     worker.stdout.close()
     worker.stderr.close()
+
+
+def test_a_gpu_that_failed_is_not_waited_for(monkeypatch):
+    """The ends of its tasks say what went wrong; an idle one is not waited for either."""
+
+    def failed():
+        raise RuntimeError("CUDA error 700")
+
+    stream = SimpleNamespace(is_complete=False, record_event=lambda: "event")
+    solver = SimpleNamespace(device=SimpleNamespace(is_cuda=True))
+    monkeypatch.setattr(work, "_SOLVERS", OrderedDict(one=(solver, {})))
+    monkeypatch.setattr(work.wp, "get_stream", lambda device: stream)
+    assert callable(work.gpu_end())
+    stream.record_event = failed
+    assert work.gpu_end() is None
+    stream.is_complete = True
+    assert work.gpu_end() is None
 
 
 def test_a_run_reads_nothing_from_the_device_but_its_sums(device, path, scene, phasors, monkeypatch):
