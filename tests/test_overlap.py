@@ -224,9 +224,9 @@ def test_plates_for_which_memory_is_short_run_one_after_the_other(device, path, 
 
 
 def test_what_a_run_that_is_cut_short_leaves_harms_no_other(device, path, scene, phasors, monkeypatch):
-    """Two that are begun keep their states while a third one, of several parts, ends in the middle."""
+    """One of several parts ends in its second while another is begun: it and two more keep their states."""
     made = scene(nodes=(9, 9), window=(0.002, 0.004))
-    blocks = [phasors(3, 3) for _ in range(5)]
+    blocks = [phasors(3, 3) for _ in range(4)]
     whole = [PlateSolver(made, device, path).run(drives).energy for drives in blocks]
     monkeypatch.setattr(PlateSolver, "_overlaps", True)
     monkeypatch.setattr(PlateSolver, "_plates_at_once", lambda self, plates, nodes: min(TURNS, plates))
@@ -235,13 +235,13 @@ def test_what_a_run_that_is_cut_short_leaves_harms_no_other(device, path, scene,
     with monkeypatch.context() as only:
         real, starts = PlateSolver._start, []
 
-        def third(self, *args):
+        def cut_short(self, *args):
             starts.append(args)
             if len(starts) == 2:
                 raise KeyboardInterrupt
             return real(self, *args)
 
-        only.setattr(PlateSolver, "_start", third)
+        only.setattr(PlateSolver, "_start", cut_short)
         with pytest.raises(KeyboardInterrupt):
             solver.begin(blocks[1])
     begun += [solver.begin(blocks[2][:1]), solver.begin(blocks[3][:1])]

@@ -30,7 +30,7 @@ DEPTH = 2
 ANSWERS, JOINS, LOOK = 10.0, 60.0, 2.0
 # Seconds in which a worker hands over an answer, some hundred kilobytes.
 FETCH = 10.0
-# Of workers that this program starts on cores that it fills: Dask's watching of itself took a twentieth of one.
+# Of workers that this program starts on cores that it fills: watching itself, Dask with two took a tenth of a core.
 QUIET = {
     "distributed.worker.profile.enabled": False,
     "distributed.admin.system-monitor.interval": "5s",

@@ -17,7 +17,8 @@ from warp_plate.plate.interrupts import interrupts_held
 
 Made = TypeVar("Made")
 
-# Rows of a block; so few rows take one call and no thread. More threads than that wait for each other.
+# Rows of a block; so few rows take one call and no thread, also those of the largest blocks that workers get of the
+# paper's scene (``cluster.blocks``). More threads than that wait for each other.
 ROWS = 8448
 MOST_THREADS = 8
 

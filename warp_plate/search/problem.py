@@ -98,7 +98,7 @@ class Problem:
         """(plates, regions) energies [J]."""
         if self._of_response(designs):
             return self.energies_of_drives(designs[:].drives)
-        return (self.plain if designs.only_drives else self.solver).run(designs).energy
+        return self._solver_of(designs).run(designs).energy
 
     def energies_of_drives(self, drives: np.ndarray) -> np.ndarray:
         """(plates, regions) energies [J] of drives (plates, actuators) where the scene has its frequency and places."""
@@ -115,8 +115,7 @@ class Problem:
         def judge(some: slice, energy: np.ndarray) -> None:
             losses[some] = self.judge.losses(energy)
 
-        # Some are judged while others are simulated.
-        (self.plain if designs.only_drives else self.solver).run(designs, each=judge)
+        self._solver_of(designs).run(designs, each=judge)  # some are judged while others are simulated
         return losses
 
     def losses(self, positions: np.ndarray | GrowingRows) -> np.ndarray:
@@ -183,6 +182,9 @@ class Problem:
     def _limited(self) -> bool:
         """Whether some drives may not be chosen."""
         return frees(self.scene) or self.scene.search.limits != Limits()
+
+    def _solver_of(self, designs: Batch) -> PlateSolver:
+        return self.plain if designs.only_drives else self.solver
 
     def _of_response(self, designs: Batch) -> bool:
         """Whether Gram matrices give their energies."""

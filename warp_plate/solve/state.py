@@ -14,10 +14,10 @@ from warp_plate.solve.specialize import Specialized
 
 # u, rate, squares, u_next, rate_next; and a load for each term
 FIELDS = 5
-# All plates are cleared at once where the first are no fewer than one of so many: the calls would take longer.
-WHOLE = 4
 # And of the general paths at most: u, mx, my, mxy, ∇²u and what strains
 GENERAL_FIELDS = 6
+# All plates are cleared at once where the first are no fewer than one of so many: a call for each field takes longer.
+WHOLE = 4
 
 
 @dataclass(frozen=True)
