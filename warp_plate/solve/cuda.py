@@ -13,6 +13,7 @@ from warp_plate.kernels.cuda import LANES
 from warp_plate.plate.operator import INSIDE
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve import streaming
+from warp_plate.solve.launches import Launch, repeat
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
 
@@ -20,8 +21,8 @@ from warp_plate.solve.state import Advance, State
 # and the compiler may take as many registers as pay; beyond, what counts is how many plates run side by side.
 LANES_BLOCK = 32
 FEW_PLATES, FEW_REGISTERS, FEW_LOADED_ROWS = 12, 160, 16
-# Launches in one captured graph; even, so that buffers that take turns end where they began.
-GRAPH_LAUNCHES = 16
+# Launches that are put together; even, so that buffers that take turns end where they began.
+LAUNCHES = 16
 # Threads a block on the streaming path, whose warps know nothing of each other.
 MARCH_BLOCK = 128
 # As many warps as keep a large GPU busy, and the fewest rows that are worth a tile with its margins.
@@ -151,7 +152,7 @@ def _cuda_advance(
 
 
 def streaming_path(specialized: Specialized, march: March | None = None) -> Advance:
-    """Several steps a launch; runs of GRAPH_LAUNCHES launches are captured once as a CUDA graph and replayed."""
+    """Several steps a launch; a launch for each where the trace is kept."""
     if specialized.scheme.order == 4:
         return streaming.streaming_path(specialized)
     march = march or March()
@@ -174,13 +175,12 @@ def streaming_path(specialized: Specialized, march: March | None = None) -> Adva
     factors = [specialized.to_device(taps.factors) for taps in (scheme.taps_x, scheme.taps_y)]
     shared = [specialized.parameters, *factors, loaded]
     clock = wp.zeros(1, dtype=int, device=device)
-    graphs: dict[tuple[int, ...], wp.Graph] = {}
 
-    def launches(state: State, plates: int, count: int, levels: int, summed: bool) -> None:
+    def launches(launch: Launch, state: State, plates: int, count: int, levels: int, summed: bool) -> None:
         strips = -(-(nx - 2) // streaming_march.useful_columns(march.columns, levels))
         tiles = march.tiles(plates * strips, ny - 2)
         for index in range(count):
-            wp.launch(
+            launch(
                 kernels[levels, summed],
                 dim=plates * strips * tiles * LANES,
                 inputs=[*shared, state.wave, clock, index * levels, tiles, -(-(ny - 2) // tiles)]
@@ -194,31 +194,21 @@ def streaming_path(specialized: Specialized, march: March | None = None) -> Adva
             if state.nodes.shape[0]:
                 inputs = [clock, index, state.nodes, state.u]
                 outputs = [state.trace]
-                wp.launch(keep, dim=(plates, state.nodes.shape[0]), inputs=inputs, outputs=outputs, device=device)
-        wp.launch(record.advance_clock, dim=1, inputs=[clock, count * levels], device=device)
-
-    def replay(state: State, plates: int, levels: int, summed: bool) -> None:
-        # A graph holds addresses: it serves one number of plates, one state, and one order of the two buffers.
-        arrays = (state.u, state.u_next, state.rate, state.squares, state.in_phase, state.nodes, state.trace)
-        key = (plates, levels, int(summed), state.wave.ptr, *(array.ptr or 0 for array in arrays))
-        if key not in graphs:
-            with wp.ScopedCapture(device=device) as capture:
-                launches(state, plates, GRAPH_LAUNCHES, levels, summed)
-            graphs[key] = capture.graph
-        wp.capture_launch(graphs[key])
+                launch(keep, dim=(plates, state.nodes.shape[0]), inputs=inputs, outputs=outputs, device=device)
+        launch(record.advance_clock, dim=1, inputs=[clock, count * levels], device=device)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         clock.fill_(start)
         levels = 1 if state.nodes.shape[0] else march.levels  # a trace needs every step
         for low, high, summed in _cut_at_window(specialized, start, stop):
             deep, rest = divmod(high - low, levels)
-            graphs_whole, deep = divmod(deep, GRAPH_LAUNCHES)
-            for _ in range(graphs_whole):
-                replay(state, plates, levels, summed)
+            runs, deep = divmod(deep, LAUNCHES)
+            for _ in range(runs):
+                repeat(device, launches, state, plates, LAUNCHES, levels, summed)
             if deep:
-                launches(state, plates, deep, levels, summed)
+                launches(wp.launch, state, plates, deep, levels, summed)
             if rest:
-                launches(state, plates, rest, 1, summed)
+                launches(wp.launch, state, plates, rest, 1, summed)
 
     return advance
 

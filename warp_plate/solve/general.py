@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels import general_blocks, general_cpu, general_passes, general_plan, record
+from warp_plate.kernels import general_blocks, general_cpu, general_passes, general_plan
 from warp_plate.kernels.general import make_structs
 from warp_plate.plate.bending import oscillator_shares
 from warp_plate.solve.cpu import compiler_flags, shared_among_threads
+from warp_plate.solve.launches import Launch
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
+from warp_plate.solve.streaming import step_by_step
 
 
 def material_of(specialized: Specialized) -> Any:
@@ -96,12 +98,21 @@ def streaming_path(specialized: Specialized) -> Advance:
     """A launch for each pass of a step."""
     device, effects = specialized.device, specialized.effects
     bend, sum_rows, finish_sums, move = general_passes.make_passes(effects, specialized.real)
-    keep = record.make_record(specialized.real)
-    for kernel in (bend, sum_rows, finish_sums, move, keep):
+    for kernel in (bend, sum_rows, finish_sums, move):
         wp.load_module(module=kernel.module, device=device)
     (nx, ny), window = specialized.scheme.nodes, wp.vec2i(*specialized.scheme.window)
     material = material_of(specialized)
-    clock = wp.zeros(1, dtype=int, device=device)
+
+    def step(launch: Launch, state: State, plates: int, clock: wp.array, offset: int) -> None:
+        fields = state.beside[bend]
+        sums = fields.row_sums.shape[1]
+        launch(bend, dim=(plates, ny, nx), inputs=[fields, material], device=device)
+        if sums:
+            launch(sum_rows, dim=(plates, sums, ny), inputs=[fields, material], device=device)
+            launch(finish_sums, dim=(plates, sums), inputs=[fields, material], device=device)
+        launch(move, dim=(plates, ny, nx), inputs=[fields, material, window, clock, offset], device=device)
+
+    steps = step_by_step(specialized, step)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         if bend not in state.beside:
@@ -111,17 +122,7 @@ def streaming_path(specialized: Specialized) -> Advance:
         if start == 0:  # what hangs on the plates is at rest
             fields.hung.zero_()
             fields.push.zero_()
-        sums = fields.row_sums.shape[1]
-        for step in range(start, stop):
-            clock.fill_(step)
-            wp.launch(bend, dim=(plates, ny, nx), inputs=[fields, material], device=device)
-            if sums:
-                wp.launch(sum_rows, dim=(plates, sums, ny), inputs=[fields, material], device=device)
-                wp.launch(finish_sums, dim=(plates, sums), inputs=[fields, material], device=device)
-            wp.launch(move, dim=(plates, ny, nx), inputs=[fields, material, window, clock, 0], device=device)
-            if state.nodes.shape[0]:
-                inputs, outputs = [clock, 0, state.nodes, state.u], [state.trace]
-                wp.launch(keep, dim=(plates, state.nodes.shape[0]), inputs=inputs, outputs=outputs, device=device)
+        steps(state, plates, start, stop)
 
     return advance
 

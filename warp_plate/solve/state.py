@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,7 +45,8 @@ class State:
     (capacity, traced nodes, steps).
     wave: (capacity, steps, terms) that a run takes, which is shared_wave, or own_wave where plates have their own; of
     places of their own, along_x (capacity, actuators, nx) and along_y; see ``own``. host: where numbers wait for the
-    device, and those of the device for the host. beside: what a kernel needs beside all this, made by who launches it.
+    device, and those of the device for the host. beside: what kernels need beside all this, and launches put together,
+    made by who launches them.
     """
 
     capacity: int
@@ -72,7 +73,7 @@ class State:
     along_x: wp.array
     along_y: wp.array
     host: HostSide
-    beside: dict[wp.Kernel, Any] = dataclasses.field(default_factory=dict)
+    beside: dict[Hashable, Any] = dataclasses.field(default_factory=dict)
 
     @property
     def own_waves(self) -> bool:

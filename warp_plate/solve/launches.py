@@ -1,0 +1,41 @@
+"""Launches that are done again and again: put together once, and repeated without what each takes in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import warp as wp
+
+from warp_plate.solve.state import State
+
+# ``wp.launch``, or what takes the same and puts the launch together with others.
+Launch = Callable[..., Any]
+
+
+def repeat(device: wp.Device, launches: Callable[..., object], state: State, *which: int) -> None:
+    """``launches(wp.launch, state, *which)``, which are the same each time that they are called with these numbers.
+
+    They are kept with the state, whose addresses they hold: as a CUDA graph; on CPU one by one.
+    """
+    # Beside the numbers, waves may be others, and buffers that take turns may lie the other way round.
+    name = (launches, *which, state.own_waves, state.u.ptr)
+    if name not in state.beside:
+        state.beside[name] = _put_together(device, lambda launch: launches(launch, state, *which))
+    state.beside[name]()
+
+
+def _put_together(device: wp.Device, launches: Callable[[Launch], object]) -> Callable[[], object]:
+    if device.is_cuda:
+        with wp.ScopedCapture(device=device) as capture:
+            launches(wp.launch)
+        return lambda: wp.capture_launch(capture.graph)
+    # (Warp's graphs on CPU are faster still, but while one is captured nothing else can be launched, in any thread.)
+    recorded: list[wp.Launch] = []
+    launches(lambda kernel, **given: recorded.append(wp.launch(kernel, **given, record_cmd=True)))
+
+    def again() -> None:
+        for one in recorded:
+            one.launch()
+
+    return again
