@@ -46,11 +46,14 @@ def served(tmp_path, scene):
         text=True,
     )
     line = process.stdout.readline()
+    address = re.search(r"http://127\.0\.0\.1:\d+/", line)
     try:
-        yield re.search(r"http://127\.0\.0\.1:\d+/", line).group()
+        if address:
+            yield address.group()
     finally:
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=PATIENCE)
+    assert address, f"said {line + out!r} and {err!r}, and ended with {process.returncode}"
     assert (process.returncode, out, err) == (0, "", "ended\n")
 
 
