@@ -1,6 +1,6 @@
 """What the streaming paths do between steps: keep the trace of single nodes, and count steps on the device.
 
-``clock`` holds the step at which a run of launches began, so that a captured CUDA graph can be replayed.
+``clock`` holds the step at which a run of launches began, so that launches that were put together can be repeated.
 """
 
 from functools import cache

@@ -1,6 +1,8 @@
 """Motion and energies under any drive, from unit responses: what a plate under that drive does."""
 
 import math
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -8,7 +10,14 @@ import pytest
 from warp_plate import PlateSolver
 from warp_plate.plate.weights import localization_factor
 from warp_plate.result.live import QUADRANTS, SteadyMotion, quadrants
-from warp_plate.search.superposition import LINEAR_ORDERS, last_period, live_solver, motions_of, unit_responses
+from warp_plate.search.superposition import (
+    LINEAR_ORDERS,
+    last_period,
+    live_solver,
+    motions_of,
+    simulated,
+    unit_responses,
+)
 
 # Damped so strongly that the motion is steady when the run ends, and not so strongly that low modes creep.
 DAMPING = 120.0
@@ -79,9 +88,8 @@ def test_any_drive_is_a_plate_that_was_run(precision, scene, phasors):
     assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
     assert sum(reading.share(name) for name in QUADRANTS) == pytest.approx(1, rel=1e-12)
     assert reading.share("lower left") == pytest.approx(reading.localization_factor, rel=1e-9)
-    for when, field in zip(run.times, run.displacement[0], strict=True):
-        shown = reading.motion.at(made.drive_angular_frequency * when)
-        np.testing.assert_allclose(shown, field, atol=1e-4 * np.abs(field).max())
+    shown = [reading.motion.at(made.drive_angular_frequency * when) for when in run.times]
+    np.testing.assert_allclose(shown, run.displacement[0], rtol=0, atol=1e-4 * np.abs(run.displacement).max())
 
 
 def test_a_motion_that_is_not_steady_is_superposed_exactly(scene, phasors):
@@ -94,6 +102,29 @@ def test_a_motion_that_is_not_steady_is_superposed_exactly(scene, phasors):
     shown = responses.read(drive[0]).motion
     np.testing.assert_allclose(shown.amplitudes, direct.amplitudes, atol=1e-10 * np.abs(direct.amplitudes).max())
     assert shown.left_over > 0.01
+
+
+def test_one_simulation_at_a_time(scene, monkeypatch):
+    """Also of two settings: the last swarm of a search that was ended, and what is shown now."""
+    made = scene(nodes=(9, 9), window=(0.002, 0.004), effects={"stretching": {}})
+    both = [simulated(made, "cpu", "streaming") for _ in range(2)]
+    real, running, most = PlateSolver.run, [], []
+
+    def run(self, *given):
+        running.append(self)
+        most.append(len(running))
+        time.sleep(0.1)
+        running.remove(self)
+        return real(self, *given)
+
+    monkeypatch.setattr(PlateSolver, "run", run)
+    threads = [threading.Thread(target=one.energies, args=(np.ones((1, 3)),)) for one in both]
+    for thread in threads:
+        thread.start()
+    both[0].read(np.ones(3))
+    for thread in threads:
+        thread.join()
+    assert most == [1, 1, 1]
 
 
 def test_quadrants_of_another_target(scene):

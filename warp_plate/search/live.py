@@ -21,7 +21,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.search.last_runs import reference_drives
 from warp_plate.search.live_settings import Settings, changed_scene, polar, ranges_of
 from warp_plate.search.objective import unit_of_drives
-from warp_plate.search.superposition import Simulated, UnitResponses, live_solver, unit_responses
+from warp_plate.search.superposition import Simulated, UnitResponses, simulated, unit_responses
 from warp_plate.search.watch import WatchedSearch
 from warp_plate.solve.solver import Progress
 
@@ -234,7 +234,7 @@ class LiveModel:
     def _simulated(self, scene: Scene, progress: Progress | None = None) -> UnitResponses | Simulated:
         if scene.linear:
             return unit_responses(scene, self._device, self._path, progress)
-        return Simulated(scene, live_solver(scene, self._device, self._path))
+        return simulated(scene, self._device, self._path)
 
     def _take(self, choice: str, seconds: float) -> None:
         responses, actuators = self._responses, len(self.scene.actuators)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from warp_plate.solve.solver import PlateSolver, Progress
 # frequency alone, one that stretches at its multiples as well.
 LINEAR_SAMPLES, LINEAR_ORDERS = 12, np.arange(1, 2)
 SAMPLES, ORDERS = 32, np.arange(1, 6)
+# A search asks beside whoever draws, and an ended one may still be at its last swarm under other settings; but a solver
+# has one state, and all solvers on a device queue on the same stream, of which graphs are captured.
+_ONE_AT_A_TIME = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -88,21 +91,29 @@ class Simulated:
 
     scene: Scene
     solver: PlateSolver
-    # A solver has one state, and a search asks beside whoever draws.
-    _one_at_a_time: threading.Lock = field(default_factory=threading.Lock)
 
     def energies(self, drives: np.ndarray) -> np.ndarray:
         """(plates, regions) energies [J] of drives (plates, actuators)."""
-        with self._one_at_a_time:
+        with _ONE_AT_A_TIME:
             return self.solver.run(drives).energy
 
     def read(self, drive: np.ndarray) -> Reading:
         """The plate under one drive (actuators,) [N/m²]."""
         times = last_period(self.scene, self.solver.specialized.scheme.time_step, SAMPLES)
-        with self._one_at_a_time:
+        with _ONE_AT_A_TIME:
             run = self.solver.run(drive[None], times)
         energy = dict(zip(run.regions, run.energy[0].tolist(), strict=True))
         return Reading(self.scene, drive, motions_of(run, self.scene, ORDERS)[0], energy, None)
+
+
+def simulated(scene: Scene, device: str, path: str) -> Simulated:
+    """What simulates a scene drive by drive.
+
+    Raises:
+        SceneError: see :class:`PlateSolver`.
+    """
+    with _ONE_AT_A_TIME:
+        return Simulated(scene, live_solver(scene, device, path))
 
 
 def live_solver(scene: Scene, device: str, path: str) -> PlateSolver:

@@ -13,7 +13,7 @@ from warp_plate.kernels.cuda import LANES
 from warp_plate.plate.operator import INSIDE
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve import streaming
-from warp_plate.solve.launches import Launch, repeat
+from warp_plate.solve.launches import Launcher, repeat
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
 
@@ -176,7 +176,7 @@ def streaming_path(specialized: Specialized, march: March | None = None) -> Adva
     shared = [specialized.parameters, *factors, loaded]
     clock = wp.zeros(1, dtype=int, device=device)
 
-    def launches(launch: Launch, state: State, plates: int, count: int, levels: int, summed: bool) -> None:
+    def launches(launch: Launcher, state: State, plates: int, count: int, levels: int, summed: bool) -> None:
         strips = -(-(nx - 2) // streaming_march.useful_columns(march.columns, levels))
         tiles = march.tiles(plates * strips, ny - 2)
         for index in range(count):

@@ -12,7 +12,7 @@ from warp_plate.kernels import general_blocks, general_cpu, general_passes, gene
 from warp_plate.kernels.general import make_structs
 from warp_plate.plate.bending import oscillator_shares
 from warp_plate.solve.cpu import compiler_flags, shared_among_threads
-from warp_plate.solve.launches import Launch
+from warp_plate.solve.launches import Launcher
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
 from warp_plate.solve.streaming import step_by_step
@@ -103,7 +103,7 @@ def streaming_path(specialized: Specialized) -> Advance:
     (nx, ny), window = specialized.scheme.nodes, wp.vec2i(*specialized.scheme.window)
     material = material_of(specialized)
 
-    def step(launch: Launch, state: State, plates: int, clock: wp.array, offset: int) -> None:
+    def step(launch: Launcher, state: State, plates: int, clock: wp.array, offset: int) -> None:
         fields = state.beside[bend]
         sums = fields.row_sums.shape[1]
         launch(bend, dim=(plates, ny, nx), inputs=[fields, material], device=device)

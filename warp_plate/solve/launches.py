@@ -9,28 +9,29 @@ import warp as wp
 
 from warp_plate.solve.state import State
 
-# ``wp.launch``, or what takes the same and puts the launch together with others.
-Launch = Callable[..., Any]
+# ``wp.launch``, or what takes the same and records the launch instead.
+Launcher = Callable[..., Any]
 
 
 def repeat(device: wp.Device, launches: Callable[..., object], state: State, *which: int) -> None:
-    """``launches(wp.launch, state, *which)``, which are the same each time that they are called with these numbers.
+    """``launches(wp.launch, state, *which)``, put together when it is called with these numbers for the first time.
 
-    They are kept with the state, whose addresses they hold: as a CUDA graph; on CPU one by one.
+    They are kept with the state, whose addresses they hold: as a CUDA graph; on CPU one by one. Buffers that take turns
+    must end where they began. No other thread may use the device's stream meanwhile.
     """
-    # Beside the numbers, waves may be others, and buffers that take turns may lie the other way round.
+    # Of what a state has, waves may be others the next time, and buffers that take turns may have been left turned.
     name = (launches, *which, state.own_waves, state.u.ptr)
     if name not in state.beside:
         state.beside[name] = _put_together(device, lambda launch: launches(launch, state, *which))
     state.beside[name]()
 
 
-def _put_together(device: wp.Device, launches: Callable[[Launch], object]) -> Callable[[], object]:
+def _put_together(device: wp.Device, launches: Callable[[Launcher], object]) -> Callable[[], object]:
     if device.is_cuda:
         with wp.ScopedCapture(device=device) as capture:
             launches(wp.launch)
         return lambda: wp.capture_launch(capture.graph)
-    # (Warp's graphs on CPU are faster still, but while one is captured nothing else can be launched, in any thread.)
+    # (Warp's graphs on CPU are faster still, but they capture what any thread launches on the CPU, and threads do.)
     recorded: list[wp.Launch] = []
     launches(lambda kernel, **given: recorded.append(wp.launch(kernel, **given, record_cmd=True)))
 

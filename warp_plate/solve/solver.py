@@ -46,7 +46,7 @@ class PlateSolver:
     Args:
         scene: what to simulate.
         device: "cpu", "cuda", "cuda:1", ..., or "auto" for the first CUDA device, else the CPU.
-        path: "auto", "resident" (all steps in one launch) or "streaming" (a launch a step).
+        path: "auto", "resident" (all steps in one launch) or "streaming" (many launches).
         chunk: plates that run at once, at least 1; left out: as many as memory holds.
         threads: of the CPU; left out: as many as it has.
         allow_unstable: whether to take a time step above the stability limit too.

@@ -7,14 +7,14 @@ from collections.abc import Callable
 import warp as wp
 
 from warp_plate.kernels import record, streaming
-from warp_plate.solve.launches import Launch, repeat
+from warp_plate.solve.launches import Launcher, repeat
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
 
 # Steps whose launches are put together.
 STEPS = 16
-# (launch, state, plates, clock, offset): the launches of one step, the clock's and ``offset`` more.
-Step = Callable[[Launch, State, int, wp.array, int], None]
+# (launch, state, plates, clock, offset): the launches of step clock[0] + offset.
+Step = Callable[[Launcher, State, int, wp.array, int], None]
 
 
 def step_by_step(specialized: Specialized, step: Step) -> Advance:
@@ -24,7 +24,7 @@ def step_by_step(specialized: Specialized, step: Step) -> Advance:
         wp.load_module(module=kernel.module, device=device)
     clock = wp.zeros(1, dtype=int, device=device)
 
-    def steps(launch: Launch, state: State, plates: int, count: int) -> None:
+    def steps(launch: Launcher, state: State, plates: int, count: int) -> None:
         for offset in range(count):
             step(launch, state, plates, clock, offset)
             if state.nodes.shape[0]:
@@ -53,7 +53,7 @@ def streaming_path(specialized: Specialized) -> Advance:
     shared = [specialized.parameters, move_x, move_y]
     window = wp.vec2i(*specialized.scheme.window)
 
-    def step(launch: Launch, state: State, plates: int, clock: wp.array, offset: int) -> None:
+    def step(launch: Launcher, state: State, plates: int, clock: wp.array, offset: int) -> None:
         curvature = state.u_next
         launch(bend, dim=(plates, ny, nx), inputs=[bend_x, bend_y, state.u], outputs=[curvature], device=device)
         launch(
