@@ -23,6 +23,14 @@ pytestmark = [
 ROOT = Path(__file__).parents[1]
 # Shared machines are slow at times; nothing here waits so long where all is well.
 PATIENCE = 60.0
+# The command, with a secret that begins as one in 64 does.
+COMMAND = """
+import secrets, sys
+made = secrets.token_urlsafe
+secrets.token_urlsafe = lambda: "-" + made()
+from warp_plate.cli.main import main
+main(sys.argv[1:])
+"""
 
 
 @pytest.fixture
@@ -38,7 +46,7 @@ def served(tmp_path, scene):
     )
     (tmp_path / "panel.toml").write_text(dump_scene(made), encoding="utf-8")
     process = subprocess.Popen(
-        [sys.executable, "-m", "warp_plate", "explore", "panel.toml", "--web", "--port", "0", "--device", "cpu"],
+        [sys.executable, "-c", COMMAND, "explore", "panel.toml", "--web", "--port", "0", "--device", "cpu"],
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         stdout=subprocess.PIPE,

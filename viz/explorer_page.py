@@ -71,7 +71,7 @@ class ExplorerPage:
         """Answer browsers; port 0 takes any free one; ``ready`` is called with the page's address."""
         secret = secrets.token_urlsafe()
         self.server.controller.on_server_bind.add(lambda server: _answer_where(server, host, secret))
-        with _arguments("--authKey", secret, "--nosignalhandlers"):
+        with _arguments(f"--authKey={secret}", "--nosignalhandlers"):  # it may begin with a hyphen
             task = self.server.start(
                 port=port,
                 host=host,
