@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from warp_plate import PlateSolver, Scene, SceneError
+from warp_plate.analysis.effect_toggles import TYPICAL, bare_scene, without
+from warp_plate.analysis.influence import seconds_a_step
 from warp_plate.bench.machine import busy, describe_machine, describe_versions
-from warp_plate.search.influence import seconds_a_step
-from warp_plate.search.typical import TYPICAL, bare_scene, without
 
 
 def bare_plate(nodes: int) -> Scene:

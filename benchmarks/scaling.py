@@ -28,11 +28,11 @@ from warp_plate.cluster.blocks import Blocks, plates_of_block
 from warp_plate.cluster.frames import encode
 from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.pool import Pool, Task
-from warp_plate.cluster.spread import spread
-from warp_plate.cluster.work import run_block
+from warp_plate.cluster.scheduler import spread
+from warp_plate.cluster.tasks import run_block
 from warp_plate.plate.designs import Designs
-from warp_plate.search.methods import make_searcher
-from warp_plate.search.problem import Problem, make_problem
+from warp_plate.problem.methods import make_searcher
+from warp_plate.problem.problem import Problem, make_problem
 
 PLATES, GENERATIONS = 4096, 9
 # Generations of a turn that count.

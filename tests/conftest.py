@@ -23,6 +23,8 @@ from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.cli.main import main
 from warp_plate.plate.limit import time_step_limit
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.scene import preset_text
+from warp_plate.scene.load import parse_scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import paths_of
 
@@ -32,6 +34,7 @@ settings.load_profile("no deadline")
 
 # The panel of the source paper.
 MATERIAL = {"thickness": 5e-4, "young_modulus": 1e9, "poisson_ratio": 0.33, "density": 1000.0}
+PAPER = preset_text("paper")
 SIDES = ("left", "bottom", "right", "top")
 # Actuators as shares of the plate's sides, x0, x1, y0, y1, alike in nothing.
 THREE_PATCHES = ((0.15, 0.3, 0.2, 0.35), (0.6, 0.85, 0.15, 0.4), (0.25, 0.65, 0.55, 0.8))
@@ -72,6 +75,16 @@ def scene_of(
             **tables,
         }
     )
+
+
+def refusal(text):
+    """The one line that a text is refused with, without the file's name."""
+    with pytest.raises(SceneError) as caught:
+        parse_scene(text, "panel.toml")
+    line = str(caught.value)
+    assert line.startswith("panel.toml: ")
+    assert len(line.splitlines()) == 1
+    return line.removeprefix("panel.toml: ")
 
 
 def all_edges():

@@ -1,11 +1,10 @@
-"""Who may import whom, by reading every file's imports, and what a file may not hold."""
+"""The floors of the project: who may import whom, read from every import, and what files may not hold."""
 
 import ast
 import re
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
-
-import pytest
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -13,178 +12,149 @@ else:
     import tomli as tomllib
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("warp_plate", "kernels", "viz")
-# Beside Python's own library. What is imported only while drawing counts too.
-SCIENCE = {"numpy", "scipy"}
-# room: (rooms of warp_plate that it may import, libraries); a file's own room, "warp_plate.scene.model" for a
-# single module, is found by the longest name that fits.
-RULES: dict[str, tuple[set[str], set[str]]] = {
-    "kernels": ({"kernels"}, {"warp"}),
-    "scene": ({"scene", "viz.html"}, {*SCIENCE, "pydantic", "pydantic_core", "tomli", "tomllib"}),
-    "plate": ({"plate", "scene"}, SCIENCE),
-    "reference": ({"reference", "plate", "scene"}, SCIENCE),
-    "result": ({"result", "plate", "scene", "viz.html"}, {*SCIENCE, "h5py"}),
-    "solve": ({"solve", "kernels", "plate", "scene"}, {*SCIENCE, "warp"}),
-    "bench": ({"bench", "solve", "kernels", "plate", "scene", ""}, {*SCIENCE, "warp"}),
-    "accuracy": ({"accuracy", "solve", "reference", "plate", "scene", ""}, {*SCIENCE, "pydantic", "warp"}),
-    "cluster": ({"cluster", "solve", "plate", "scene", ""}, {*SCIENCE, "warp"}),
-    "cluster.dask": ({"cluster", "scene"}, {"dask", "distributed"}),
-    "search": ({"search", "accuracy", "cluster", "solve", "result", "plate", "scene", ""}, {*SCIENCE, "warp"}),
-    "search.cma_es": ({"search", "scene"}, {*SCIENCE, "cma"}),
-    "search.pso": ({"search.pso_settings", "search.record", "plate.blocks"}, SCIENCE),
-    "search.record": (set(), SCIENCE),
-    "search.pso_settings": (set(), SCIENCE),
-    "plate.blocks": ({"plate.interrupts"}, SCIENCE),
-    "plate.interrupts": (set(), set()),
-    "viz": (
-        {"viz", "result", "scene"},
-        {*SCIENCE, "pyvista", "vtkmodules", "matplotlib", "PIL", "imageio_ffmpeg"},
-    ),
-    "viz.explorer_page": ({"viz", "result", "scene"}, {"pyvista", "trame", "aiohttp"}),
-    # Scenes and results ask it how to show themselves in a notebook, when they are shown.
-    "viz.html": ({"viz", "result", "scene"}, set()),
-    "cli": (
-        {"cli", "accuracy", "bench", "cluster", "search", "solve", "result", "plate", "scene", "viz", ""},
-        {*SCIENCE, "cyclopts", "rich"},
-    ),
-    "notebook": ({"search", "viz", "result", "scene"}, set()),
-    "__main__": ({"cli"}, set()),
-    "": (set(), set()),
+# From the ground up. A room may import itself and the rooms of the floors below it.
+FLOORS = (
+    {"scene", "kernels", "optimize"},
+    {"plate"},
+    {"reference", "result"},
+    {"solve", "viz"},
+    {"accuracy", "bench", "cluster"},
+    {"problem"},
+    {"analysis"},
+    {"studies"},
+    {"explore"},
+    {"cli", "notebook"},
+)
+ROOMS = set().union(*FLOORS)
+# The libraries that only some rooms may import, and the rooms.
+OWNERS = {
+    "warp": {"kernels", "solve", "accuracy", "bench", "cluster", "analysis", "studies"},
+    "pyvista": {"viz"},
+    "vtkmodules": {"viz"},
+    "matplotlib": {"viz"},
+    "trame": {"viz"},
+    "h5py": {"result"},
+    "pydantic": {"scene"},
+    "cyclopts": {"cli"},
+    "rich": {"cli"},
+    "dask": {"cluster"},
+    "distributed": {"cluster"},
+    "cma": {"optimize"},
 }
+# Imported only inside functions, so that ``warp-plate --help`` starts quickly.
+LATE = re.compile(r"(scipy\.(signal|stats)|matplotlib|pyvista|vtkmodules|trame|dask|distributed)(\.|$)")
 
 
 def sources():
-    """(file, its module's name inside warp_plate) of every Python file of the three top folders."""
-    files = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
-    parts = [path.relative_to(ROOT).with_suffix("").parts for path in files]
-    inside = [names[1:] if names[0] == "warp_plate" else names for names in parts]
-    return [
-        (path, ".".join(name for name in names if name != "__init__"))
-        for path, names in zip(files, inside, strict=True)
-    ]
+    """Yield (path, name inside warp_plate, parsed module) of every product file."""
+    for top in ("warp_plate", "kernels", "viz"):
+        for path in sorted((ROOT / top).rglob("*.py")):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            names = [name for name in (parts[1:] if top == "warp_plate" else parts) if name != "__init__"]
+            yield path, ".".join(names), ast.parse(path.read_text(encoding="utf-8"))
 
 
-def imports(path):
-    """(module, whether late: in a function, or for type checkers only) of every import of a file."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    inner = {
-        id(node)
-        for outer in ast.walk(tree)
-        if isinstance(outer, ast.FunctionDef)
-        or (isinstance(outer, ast.If) and ast.unparse(outer.test) == "TYPE_CHECKING")
-        for node in ast.walk(outer)
-    }
-    for node in ast.walk(tree):
+def imports(tree):
+    """Yield (module imported, names taken from it, whether inside a function), but for type checkers' imports."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            continue
         if isinstance(node, ast.Import):
-            for alias in node.names:
-                yield alias.name, id(node) in inner
+            yield from ((alias.name, [], False) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import; write from warp_plate. ..."
-            yield node.module, id(node) in inner
+            assert node.level == 0, "relative import: write from warp_plate. ..."
+            yield node.module, [alias.name for alias in node.names], False
+        else:
+            inner = isinstance(node, ast.FunctionDef)
+            yield from ((name, names, late or inner) for name, names, late in imports(node))
 
 
 def room_of(module):
-    """The rule that a module of warp_plate falls under: the longest that is a head of its name."""
-    heads = [rule for rule in RULES if rule and (module == rule or module.startswith(rule + "."))]
-    return max(heads, key=len, default="" if module == "" else None)
+    return module.split(".")[0]
 
 
-@pytest.mark.parametrize(
-    ("path", "module"), sources(), ids=lambda part: part if isinstance(part, str) else ""
-)
-def test_imports_keep_to_the_rules(path, module):
-    room = room_of(module)
-    assert room is not None, f"{path}: a new room; say in RULES what it may import"
-    rooms, libraries = RULES[room]
-    for name, _ in imports(path):
-        head, _, inside = name.partition(".")
-        if head == "warp_plate":
-            target = room_of(inside)
-            assert target is not None, f"{path}: imports {name}, which is in no room"
-            allowed = target in rooms or target.split(".")[0] in rooms
-            assert allowed, f"{path}: {room or 'warp_plate'} may not import {name}"
-        else:
-            standard = head in sys.stdlib_module_names
-            assert standard or head in libraries, f"{path}: {room or 'warp_plate'} may not import {name}"
-
-
-def test_top_folders_are_no_top_imports():
-    """``kernels`` and ``viz`` are folders; as imports they are warp_plate.kernels and warp_plate.viz."""
-    for folder in (*PACKAGES, "tests", "benchmarks"):
-        for path in (ROOT / folder).rglob("*.py"):
-            heads = {name.split(".")[0] for name, _ in imports(path)}
-            assert not heads & {"kernels", "viz"}, path
-
-
-def test_pictures_are_imported_only_when_drawn():
-    """Commands start quickly and run where no graphics library is: viz, PyVista and Warp come inside
-    functions."""
-    rooms = "viz|solve|cluster|search|accuracy|bench|kernels"
-    late = re.compile(rf"(warp|pyvista|matplotlib|vtkmodules|warp_plate\.({rooms}))(\.|$)")
-    for path, module in sources():
-        if room_of(module) in ("cli", "notebook", "__main__", ""):
-            assert not [name for name, inner in imports(path) if not inner and late.match(name)], path
-
-
-def test_scenes_and_results_ask_for_pictures_only_when_shown():
-    late = {
-        module: inner
-        for path, module in sources()
-        if room_of(module) in ("scene", "result")
-        for name, inner in imports(path)
-        if name == "warp_plate.viz.html"
-    }
-    assert late == {"scene.model": True, "result.model": True}
-
-
-def test_the_rules_are_checked():
-    """The walk finds the files, and its rules say no: a kernel may not import NumPy, nor a solver the
-    search."""
-    modules = {module for _, module in sources()}
-    assert {"kernels.update", "solve.solver", "viz.figures", "search.pso", "scene.model", ""} <= modules
-    assert "numpy" not in RULES["kernels"][1]
-    assert not RULES["solve"][0] & {"search", "viz", "cli", "result"}
-    assert not RULES["viz"][0] & {"solve", "search", "kernels", "cli"}
-    for room in ("scene", "plate", "reference", "result", "search.pso"):
-        assert not RULES[room][1] & {"warp", "pyvista"}
-        assert not RULES[room][0] & {"kernels", "solve", "viz", "cli"}
-
-
-def test_every_package_folder_is_packaged():
-    """pyproject.toml lists them by name: an installed copy holds what the checkout holds."""
-    listed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"][
-        "packages"
+def test_rooms_import_only_floors_below():
+    floor = {room: height for height, rooms in enumerate(FLOORS) for room in rooms}
+    upward = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path, module, tree in sources()
+        if (here := room_of(module)) in ROOMS
+        for name, _, _ in imports(tree)
+        if (there := room_of(name.removeprefix("warp_plate").lstrip("."))) in ROOMS
+        and name.startswith("warp_plate.")
+        and there != here
+        and floor[there] >= floor[here]
     ]
-    found = {
-        ".".join(("warp_plate", *module.split("."))).rstrip(".")
-        for path, module in sources()
-        if path.name == "__init__.py"
-    }
-    assert set(listed) == found
-    folders = {path.parent for path, _ in sources()}
-    assert all((folder / "__init__.py").is_file() for folder in folders)
+    assert not upward
 
 
-def written_files():
-    """Every text file that is the project's own: named folders, and what lies beside them."""
-    folders = (*PACKAGES, "tests", "benchmarks", "docs", ".ci")
-    inside = [path for folder in folders for path in (ROOT / folder).rglob("*") if path.is_file()]
-    beside = [path for path in ROOT.iterdir() if path.suffix in (".md", ".toml", ".cff")]
-    return [path for path in inside + beside if "__pycache__" not in path.parts]
+def test_every_room_has_a_floor():
+    assert {room_of(module) for _, module, _ in sources()} - {"", "__main__"} == ROOMS
 
 
-def test_no_file_over_400_lines():
-    """A file has one subject; 300 lines are many."""
-    long = {
-        str(path.relative_to(ROOT)): lines
-        for path in written_files()
-        if path.suffix in (".py", ".c", ".cu", ".sh") and (lines := len(path.read_bytes().splitlines())) > 400
-    }
+def test_no_circle_of_imports():
+    modules = {module for _, module, _ in sources()}
+    graph = {}
+    for _, module, tree in sources():
+        targets = set()
+        for name, taken, _ in imports(tree):
+            if name.startswith("warp_plate."):
+                inside = name.removeprefix("warp_plate.")
+                deeper = {f"{inside}.{each}" for each in taken} & modules
+                targets |= deeper or {inside}
+        graph[module] = targets & modules - {module}
+    TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
+
+
+def test_libraries_stay_in_their_rooms():
+    strays = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path, module, tree in sources()
+        for name, _, _ in imports(tree)
+        if room_of(module) not in OWNERS.get(name.split(".")[0], {room_of(module)})
+    ]
+    assert not strays
+
+
+def test_heavy_libraries_are_imported_when_needed():
+    early = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path, _, tree in sources()
+        for name, _, late in imports(tree)
+        if not late and LATE.match(name)
+    ]
+    assert not early
+
+
+def test_every_package_is_installed():
+    """pyproject.toml lists packages by name, so that an installed copy holds what the checkout holds."""
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"]
+    packages = {f"warp_plate.{module}".rstrip(".") for path, module, _ in sources() if path.name == "__init__.py"}
+    assert set(listed) == packages
+
+
+def test_no_public_class_name_is_used_twice():
+    names = [
+        node.name
+        for _, _, tree in sources()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    ]
+    assert sorted(names) == sorted(set(names))
+
+
+def test_files_are_short_and_folders_small():
+    long = [str(path) for path, _, _ in sources() if len(path.read_text(encoding="utf-8").splitlines()) > 400]
     assert not long
+    folders = [path.parent for path, _, _ in sources() if path.name != "__init__.py"]
+    full = {str(folder) for folder in folders if folders.count(folder) > 20}
+    assert full <= {str(ROOT / "kernels"), str(ROOT / "warp_plate" / "cli")}
 
 
 def test_no_file_names_a_place_of_one_machine():
-    """Paths of a home or a working folder belong to whoever wrote them."""
     place = re.compile(rb"(?<![\w.])/(home|root|work|Users|mnt|tmp)/[\w.]|[A-Z]:\\\\?Users")
-    found = [str(path.relative_to(ROOT)) for path in written_files() if place.search(path.read_bytes())]
-    assert not found
+    folders = ("warp_plate", "kernels", "viz", "tests", "benchmarks", "docs", ".ci")
+    inside = [path for folder in folders for path in (ROOT / folder).rglob("*") if path.is_file()]
+    beside = [path for path in ROOT.iterdir() if path.suffix in (".md", ".toml", ".cff")]
+    files = [path for path in inside + beside if "__pycache__" not in path.parts]
+    assert not [str(path.relative_to(ROOT)) for path in files if place.search(path.read_bytes())]

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from warp_plate.result.whole import whole_file
+from warp_plate.result.atomic_io import whole_file
 
 WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
 X_WINDOW = "vtkXOpenGLRenderWindow"

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warp_plate.result.atomic_io import whole_file
 from warp_plate.result.model import Case, Result
-from warp_plate.result.whole import whole_file
 from warp_plate.viz.availability import missing, missing_plots, off_screen, prepare
-from warp_plate.viz.axes import first_of_several
 from warp_plate.viz.comparison import drive_words, ordered
-from warp_plate.viz.crosstalk_plot import draw_crosstalk
 from warp_plate.viz.lettering import add_legend
+from warp_plate.viz.plots.axes import first_of_several
+from warp_plate.viz.plots.crosstalk import draw_crosstalk
+from warp_plate.viz.plots.robust import draw_robust
+from warp_plate.viz.plots.spectrum import draw_spectrum
 from warp_plate.viz.quantity import scale_over
-from warp_plate.viz.robust_plot import draw_robust
 from warp_plate.viz.scene3d import add_plate
-from warp_plate.viz.spectrum_plot import draw_spectrum
 from warp_plate.viz.surface import caption
 
 if TYPE_CHECKING:

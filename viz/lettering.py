@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from warp_plate.scene.model import Scene
 from warp_plate.viz.camera import side_names
+from warp_plate.viz.edges import SIDES, kinds_of
 from warp_plate.viz.quantity import Scale
-from warp_plate.viz.sides import SIDES, kinds_of
 
 if TYPE_CHECKING:
     import pyvista

@@ -19,9 +19,9 @@ from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.availability import EXTRA, off_screen
 from warp_plate.viz.comparison import Comparison, layout, quantity_of
+from warp_plate.viz.edges import SIDES
 from warp_plate.viz.lettering import TARGET, lookup_table
 from warp_plate.viz.quantity import Scale
-from warp_plate.viz.sides import SIDES
 
 if TYPE_CHECKING:
     import pyvista

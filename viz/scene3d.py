@@ -12,6 +12,7 @@ import numpy as np
 
 from warp_plate.scene.model import Scene
 from warp_plate.viz.camera import look_at_plate
+from warp_plate.viz.edges import SIDES
 from warp_plate.viz.lettering import (
     INK,
     TARGET,
@@ -23,7 +24,6 @@ from warp_plate.viz.lettering import (
     set_bar,
 )
 from warp_plate.viz.quantity import Scale
-from warp_plate.viz.sides import SIDES
 from warp_plate.viz.surface import FIELD, OnSurface, PlateMeshes, plate_meshes
 
 if TYPE_CHECKING:

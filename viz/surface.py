@@ -15,8 +15,8 @@ import numpy as np
 
 from warp_plate.result.outlines import outlines
 from warp_plate.scene.model import Area, Scene
+from warp_plate.viz.edges import SIDES, kinds_of
 from warp_plate.viz.quantity import Scale
-from warp_plate.viz.sides import SIDES, kinds_of
 
 if TYPE_CHECKING:
     import pyvista

@@ -55,9 +55,9 @@ def view(
         SceneError: a case or quantity that is none, a span outside the run.
         DrawingUnavailable: PyVista is not installed.
     """
-    from warp_plate.search.motion import motions
+    from warp_plate.analysis.motion import motions
     from warp_plate.viz.availability import DrawingUnavailable, missing_meshes
-    from warp_plate.viz.html import shown_case
+    from warp_plate.viz.notebook import shown_case
     from warp_plate.viz.page import write_page
     from warp_plate.viz.quantity import QUANTITIES
 

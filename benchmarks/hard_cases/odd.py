@@ -8,10 +8,10 @@ import numpy as np
 
 from hard_cases.case import PATCHES, Case, Measured, Where, both, grouped, largest_difference, scene_of
 from warp_plate import SceneError
+from warp_plate.analysis.warnings import warnings
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.model import Scene
-from warp_plate.search.warnings import warnings
 
 PATCH = (0.06, 0.1, 0.05, 0.12)
 GENERAL = {"foundation": {"stiffness": 1e4}}

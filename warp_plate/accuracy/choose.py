@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warp_plate.accuracy.family import Configuration, Order, highest_order, scene_with
-from warp_plate.accuracy.text import percent, seconds_text, two_digits
-from warp_plate.accuracy.trial import PATH, Trial, cost_of_run
-from warp_plate.accuracy.truth import Truth, find_truth
-from warp_plate.accuracy.walk import CLOSE_ENOUGH, MOST_NODE_STEPS, TRIALS, Aim, confirmed, finer
+from warp_plate.accuracy.configurations import Configuration, Order, highest_order, scene_with
+from warp_plate.accuracy.formatting import percent, seconds_text, two_digits
+from warp_plate.accuracy.grid_search import CLOSE_ENOUGH, MOST_NODE_STEPS, TRIALS, Aim, confirmed, finer
+from warp_plate.accuracy.reference_solution import Truth, find_truth
+from warp_plate.accuracy.trial_runs import PATH, Trial, cost_of_run
 from warp_plate.reference.forced import bound, localization_factors
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene

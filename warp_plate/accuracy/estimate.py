@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warp_plate.accuracy.family import (
+from warp_plate.accuracy.configurations import (
     LOAD_OF,
     Configuration,
     configuration_of,
@@ -18,10 +18,10 @@ from warp_plate.accuracy.family import (
     node_steps,
     nodes_for,
 )
-from warp_plate.accuracy.text import percent, two_digits
-from warp_plate.accuracy.trial import Trial, cost_of_run, try_out
-from warp_plate.accuracy.truth import Stage, grow, ritz_field
-from warp_plate.accuracy.walk import finer
+from warp_plate.accuracy.formatting import percent, two_digits
+from warp_plate.accuracy.grid_search import finer
+from warp_plate.accuracy.reference_solution import Stage, grow, ritz_field
+from warp_plate.accuracy.trial_runs import Trial, cost_of_run, try_out
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.reference.forced import localization_factors as factors_of
 from warp_plate.scene.errors import SceneError

@@ -13,11 +13,11 @@ from statistics import median
 
 import numpy as np
 
-from warp_plate.accuracy.family import Configuration, configuration_of, node_steps, scene_with, spacing_of
-from warp_plate.accuracy.spectrum import natural_frequencies
-from warp_plate.accuracy.text import seconds_text
-from warp_plate.accuracy.trial import PATH, RELATIVE_COST
-from warp_plate.accuracy.truth import Truth
+from warp_plate.accuracy.configurations import Configuration, configuration_of, node_steps, scene_with, spacing_of
+from warp_plate.accuracy.formatting import seconds_text
+from warp_plate.accuracy.natural_frequencies import natural_frequencies
+from warp_plate.accuracy.reference_solution import Truth
+from warp_plate.accuracy.trial_runs import PATH, RELATIVE_COST
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
 from warp_plate.reference.forced import bound as bound_of

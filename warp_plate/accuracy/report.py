@@ -7,11 +7,11 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
-from warp_plate.accuracy.family import Configuration, make_family
+from warp_plate.accuracy.configurations import Configuration, make_family
 from warp_plate.accuracy.fit import Law, Recommendation, fit_laws, pareto_front, recommend
 from warp_plate.accuracy.measure import Bench, Row, cost_order, measure, speeds_json
-from warp_plate.accuracy.trial import PATH
-from warp_plate.accuracy.truth import Truth, find_truth
+from warp_plate.accuracy.reference_solution import Truth, find_truth
+from warp_plate.accuracy.trial_runs import PATH
 from warp_plate.scene.model import Grid, Scene
 
 # The reference may take this part of the budget; its error is to be far below the smallest tolerance.

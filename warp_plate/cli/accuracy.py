@@ -84,12 +84,12 @@ def accuracy(
 
 def _write(record: Mapping[str, object], path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """The figures as JSON and their picture; returns the files, and why a picture is missing."""
-    from warp_plate.result.whole import write_whole
+    from warp_plate.result.atomic_io import write_whole
 
     write_whole(f"{json_format.dumps(record, indent=1)}\n".encode(), path)
     if not pictures:
         return [path], None
-    from warp_plate.viz.accuracy_plot import draw_accuracy_beside
+    from warp_plate.viz.plots.accuracy import draw_accuracy_beside
 
     drawn, missing = draw_accuracy_beside(record, path)
     return [path, *drawn], missing
@@ -125,7 +125,7 @@ def _print(report: Report, device: str, console: Console) -> None:
 
 
 def _recommendations(report: Report) -> object:
-    from warp_plate.accuracy.text import percent, seconds_text
+    from warp_plate.accuracy.formatting import percent, seconds_text
 
     swarm = f"{report.particles} × {report.iterations} plates"
     made = output.table("for", "use", "error", "a plate", swarm)
@@ -164,7 +164,7 @@ def _size(row: Row) -> str:
 
 
 def _cells(row: Row, on_front: bool) -> list[str]:
-    from warp_plate.accuracy.text import percent, seconds_text
+    from warp_plate.accuracy.formatting import percent, seconds_text
 
     step = "" if row.time_step is None else f"{row.time_step:.2g}"
     head = [_size(row), step, row.precision.removeprefix("float")]

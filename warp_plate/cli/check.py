@@ -34,8 +34,8 @@ def check(
         Print one JSON object instead of sentences.
     """
     loaded = output.load_scene(scene, accuracy, allow_unstable)
-    from warp_plate.search.check import check as look
-    from warp_plate.search.localize import resolve
+    from warp_plate.analysis.check import check as look
+    from warp_plate.studies.localize import resolve
 
     found = look(resolve(loaded, device)[0], device, allow_unstable)
     if json:

@@ -85,7 +85,7 @@ def compare(
             raise SceneError(f"{option} {value}: must be a whole number from 1 to 10^9")
     names = None if methods is None else [name.strip() for name in methods.split(",")]
     loaded = output.load_scene(scene)
-    from warp_plate.search.compare import compare as run
+    from warp_plate.studies.compare import compare as run
 
     own = own_device(devices, cluster, device)
     on = "auto" if own is None else own
@@ -108,7 +108,7 @@ def _write(result: Comparison, path: Path, pictures: bool) -> tuple[list[Path], 
         save_comparison(result, path)
     if not pictures:
         return [path], None
-    from warp_plate.viz.compare_plot import draw_comparison_beside
+    from warp_plate.viz.plots.compare import draw_comparison_beside
 
     drawn, missing = draw_comparison_beside(result, path)
     return [path, *drawn], missing
@@ -118,8 +118,8 @@ def rows(result: Comparison) -> list[dict[str, object]]:
     """For each method what the table shows: losses, the gap, how many seeds came near the bound, and the cost."""
     import numpy as np
 
-    from warp_plate.search.objective import least_size
-    from warp_plate.search.record import size_of
+    from warp_plate.optimize.record import size_of
+    from warp_plate.problem.objective import least_size
 
     near = NEAR * size_of(result.bound or 0.0, least_size(result.scene.search.objectives))
     made: list[dict[str, object]] = []

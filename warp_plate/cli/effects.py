@@ -10,9 +10,9 @@ import cyclopts
 from warp_plate.cli import output
 
 if TYPE_CHECKING:
+    from warp_plate.analysis.influence import Influence, Switch
+    from warp_plate.analysis.warnings import Finding
     from warp_plate.scene.model import Scene
-    from warp_plate.search.influence import Influence, Switch
-    from warp_plate.search.warnings import Finding
 
 
 def effects(
@@ -37,9 +37,9 @@ def effects(
         Print one JSON object instead of tables.
     """
     loaded = output.load_scene(scene, accuracy)
-    from warp_plate.search.influence import switches
-    from warp_plate.search.localize import resolve
-    from warp_plate.search.warnings import warnings
+    from warp_plate.analysis.influence import switches
+    from warp_plate.analysis.warnings import warnings
+    from warp_plate.studies.localize import resolve
 
     loaded = resolve(loaded, device)[0]
     with output.progress_bar("switching", shown=not json) as show:

@@ -13,8 +13,8 @@ from warp_plate.scene.errors import SceneError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from warp_plate.explore.live_model import LiveModel
     from warp_plate.scene.model import Scene
-    from warp_plate.search.live import LiveModel
 
 
 def explore(
@@ -65,8 +65,8 @@ def explore(
 
 def _model(scene: Scene, device: str, path: str) -> LiveModel:
     """The scene with a grid, its unit responses simulated."""
-    from warp_plate.search.live import LiveModel
-    from warp_plate.search.localize import resolve
+    from warp_plate.explore.live_model import LiveModel
+    from warp_plate.studies.localize import resolve
 
     if scene.grid.accuracy is not None:
         scene = resolve(scene, device)[0]

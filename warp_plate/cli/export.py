@@ -14,8 +14,8 @@ from warp_plate.scene.errors import SceneError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from warp_plate.result.export.drive_signals import Encoding, Signal
     from warp_plate.result.model import Case, Result
-    from warp_plate.result.signals import Encoding, Signal
 
 Format = Literal["pvd", "vtkhdf", "traces-csv", "drive-wav", "drive-csv"]
 # What is added to the result's name.
@@ -101,7 +101,7 @@ def export(
             files = _write_signal(signal, to, target, encoding or "float32")
             told = {"case": name, **_signal_record(signal)}
         elif to == "traces-csv":
-            from warp_plate.result.table import write_traces
+            from warp_plate.result.export.traces import write_traces
 
             files = write_traces(loaded, cases, target)
         else:
@@ -143,7 +143,7 @@ def _write_series(
     result: Result, name: Path, choice: Choice, to: Format, target: Path, quiet: bool
 ) -> tuple[list[Path], dict[str, Any]]:
     """The files of the times that are recorded, or of another run where the options ask for one; and what is told."""
-    from warp_plate.result.paraview import write_pvd, write_vtkhdf
+    from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
 
     recorded = choice.start is None and choice.end is None and choice.frames is None
     if recorded:
@@ -166,14 +166,14 @@ def _one_drive(cases: Mapping[str, Case], asked: list[str] | None) -> str:
 
 
 def _signal(result: Result, case: Case, rate: int | None, duration: float | None, full_scale: float | None) -> Signal:
-    from warp_plate.result.signals import make_signal
+    from warp_plate.result.export.drive_signals import make_signal
 
     rate = RATE if rate is None else rate
     return make_signal(result.placed(case), case, rate, DURATION if duration is None else duration, full_scale)
 
 
 def _write_signal(signal: Signal, to: Format, target: Path, encoding: Encoding) -> list[Path]:
-    from warp_plate.result.signals import write_drive_csv, write_wav
+    from warp_plate.result.export.drive_signals import write_drive_csv, write_wav
 
     return write_wav(signal, target, encoding) if to == "drive-wav" else write_drive_csv(signal, target)
 

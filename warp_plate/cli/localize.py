@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from warp_plate.cluster.pool import Pool
     from warp_plate.result.model import Result
     from warp_plate.scene.model import Scene
-    from warp_plate.search.checkpoints import CheckpointFile
+    from warp_plate.studies.checkpointing import CheckpointFile
 
 TRIED = {
     "direct": ("plate", "simulated for the search"),
@@ -141,7 +141,7 @@ def localize(
     target = output.output_file(out or beside, scene or "", "localize")
     loaded = None if scene is None else output.load_scene(scene, accuracy, searched=True)
     from warp_plate.result.checkpoint import ENDING
-    from warp_plate.search.checkpoints import CheckpointFile
+    from warp_plate.studies.checkpointing import CheckpointFile
 
     same: dict[str, object] = {"seed": seed, "evaluator": evaluator, "path": path}
     # A search that goes on is on the device that it began on, unless --device names another.
@@ -151,8 +151,8 @@ def localize(
     if checkpoint is None and kept.path.exists():
         output.tell(f"{kept.path} is of a search that did not end; a checkpoint of this one will replace it")
     output.prepare_pictures(pictures)
-    from warp_plate.search.localize import localize as search
-    from warp_plate.search.localize import resume as go_on
+    from warp_plate.studies.localize import localize as search
+    from warp_plate.studies.localize import resume as go_on
 
     searched = loaded if checkpoint is None else checkpoint.scene
     assert searched is not None
@@ -162,7 +162,7 @@ def localize(
         on = "auto" if own is None else own
         run = partial(search, loaded, scene or "", on, seed, evaluator, path or "auto")
     if baselines:
-        from warp_plate.search.baselines import check_baselines, with_baselines
+        from warp_plate.studies.baselines import check_baselines, with_baselines
 
         check_baselines(searched)
     with workers(devices, cluster, device) as pool:
@@ -223,8 +223,8 @@ def _write(result: Result, target: Path, pictures: bool, kept: CheckpointFile) -
 def _write_found(result: Result, path: Path) -> list[Path]:
     """The scene that was found, for ``simulate``, and of several targets one for each, numbered from the second on;
     nothing where no scene may have its numbers, which is told."""
+    from warp_plate.result.atomic_io import write_whole
     from warp_plate.result.crosstalk import found_scenes
-    from warp_plate.result.whole import write_whole
     from warp_plate.scene.load import dump_scene
 
     try:

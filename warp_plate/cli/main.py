@@ -56,4 +56,4 @@ def _what_was_written(before: int) -> str:
 
 def _written() -> list[str]:
     """The files that this process has written; whoever writes one has imported what knows them."""
-    return getattr(sys.modules.get("warp_plate.result.whole"), "WRITTEN", [])
+    return getattr(sys.modules.get("warp_plate.result.atomic_io"), "WRITTEN", [])

@@ -68,16 +68,16 @@ def _with_grid(scene: Scene) -> Scene:
     """The scene with the grid that its accuracy asks for, if it does."""
     if scene.grid.accuracy is None:
         return scene
-    from warp_plate.search.localize import resolve
+    from warp_plate.studies.localize import resolve
 
     return resolve(scene, "auto")[0]
 
 
 def _draw(scene: Scene, found: NaturalModes, path: Path) -> tuple[list[Path], str | None]:
     """The files written, and None or why none was."""
-    from warp_plate.result.whole import whole_file
+    from warp_plate.result.atomic_io import whole_file
     from warp_plate.viz.availability import missing_plots
-    from warp_plate.viz.modes_plot import draw_modes
+    from warp_plate.viz.plots.modes import draw_modes
 
     problem = missing_plots()
     if problem is not None:

@@ -39,8 +39,8 @@ def chosen_motions(result: Result, name: Path, choice: Choice, field: Field, qui
     Raises:
         SceneError: options that do not go together, and see ``motions`` and ``mode_motions``.
     """
+    from warp_plate.analysis.motion import mode_motions, motions
     from warp_plate.plate.modes import refuse_many_nodes
-    from warp_plate.search.motion import mode_motions, motions
 
     if choice.frames is not None and choice.frames < 2:
         raise SceneError(f"--frames {choice.frames}: must be at least 2")

@@ -22,8 +22,8 @@ HEADINGS = {
 def print_objectives(result: Result, console: Console) -> None:
     """A row for each objective, a column for each target's drive, or for what was found and the drives beside it;
     nothing where only localization is sought."""
+    from warp_plate.problem.objectives import within
     from warp_plate.scene.search import OBJECTIVE_UNITS
-    from warp_plate.search.judge import within
 
     if result.only_localization or not result.values:
         return

@@ -184,8 +184,8 @@ def load_scene(
         patches(scene)
         region_weights(scene, regions_of_targets(scene))
         if searched:
-            from warp_plate.search.free import with_step
-            from warp_plate.search.variables import variables_of
+            from warp_plate.problem.design_variables import with_step
+            from warp_plate.problem.parametrization import variables_of
 
             variables_of(with_step(scene))
     except SceneError as error:
@@ -232,8 +232,8 @@ def print_accuracy(result: Result, console: Console) -> None:
 def warnings_of(result: Result) -> list[str]:
     """What the result's scene calls for but does not name, going by the drive that was asked for or found; and what its
     search says in vain."""
-    from warp_plate.search.methods import unread
-    from warp_plate.search.warnings import exceeded, of_search, why_no_energies
+    from warp_plate.analysis.warnings import exceeded, of_search, why_no_energies
+    from warp_plate.problem.methods import unread
 
     lost = next((one.status for one in result.cases.values() if one.status != "ok"), None)
     if lost is not None:

@@ -192,10 +192,10 @@ def _draw(
     rate: float,
     quiet: bool,
 ) -> None:
-    from warp_plate.result.whole import written_whole
+    from warp_plate.result.atomic_io import written_whole
     from warp_plate.viz.page import write_page
     from warp_plate.viz.pictures import draw_gif, draw_mp4, draw_picture
-    from warp_plate.viz.plan import draw_plan
+    from warp_plate.viz.plots.plan import draw_plan
 
     ending = target.suffix.lower()
     with (
@@ -224,7 +224,7 @@ def _paper_figures(result: Result, name: Path) -> list[Path]:
     Raises:
         SceneError: the result is no search's or keeps no displacement, or a library is missing.
     """
-    from warp_plate.result.whole import written_whole
+    from warp_plate.result.atomic_io import written_whole
     from warp_plate.viz.availability import missing, missing_plots
     from warp_plate.viz.figures import draw_history, draw_surfaces
 

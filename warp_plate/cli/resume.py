@@ -101,8 +101,8 @@ def differences(file: Path, begun: Checkpoint | Sweep, device: str | None) -> li
     Raises:
         SceneError: no such device.
     """
-    from warp_plate.search.localize import versions
     from warp_plate.solve.devices import find_device, processor_of
+    from warp_plate.studies.localize import versions
 
     lines = []
     if device is not None:

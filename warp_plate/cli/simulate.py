@@ -53,7 +53,7 @@ def simulate(
     target = output.output_file(out, scene, "simulate")
     loaded = output.load_scene(scene, accuracy, allow_unstable)
     output.prepare_pictures(pictures)
-    from warp_plate.search.simulate import simulate as run
+    from warp_plate.studies.simulate import simulate as run
 
     with output.progress_bar("simulating", shown=not json) as show:
 

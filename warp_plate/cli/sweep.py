@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from warp_plate.cluster.pool import Pool
     from warp_plate.result.sweep import Sweep
     from warp_plate.scene.model import Scene
-    from warp_plate.search.sweep import Elsewhere
-    from warp_plate.search.sweep_file import SweepFile
+    from warp_plate.studies.sweep import Elsewhere
+    from warp_plate.studies.sweep_file import SweepFile
 
 # So many points and columns are a table; of more, the smallest and largest figures are shown.
 MOST_ROWS, MOST_COLUMNS = 40, 7
@@ -114,8 +114,8 @@ def sweep(
     from warp_plate.result.checkpoint import ENDING
     from warp_plate.scene import Scene
     from warp_plate.scene.vary import make_plan, parse_vary
-    from warp_plate.search.sweep import begin_sweep
-    from warp_plate.search.sweep_file import SweepFile, refuse_to_replace
+    from warp_plate.studies.sweep import begin_sweep
+    from warp_plate.studies.sweep_file import SweepFile, refuse_to_replace
 
     loaded = None if scene is None else Scene.load(scene)
     unfinished = target.with_suffix(ENDING)
@@ -212,7 +212,7 @@ def _going_on(file: Path, begun: Sweep, device: str | None, there: bool) -> Swee
     Raises:
         SceneError: see ``continued``.
     """
-    from warp_plate.search.sweep_file import continued
+    from warp_plate.studies.sweep_file import continued
 
     output.tell(f"{file}: {begun.progress} done; {'nothing is left' if begun.finished else 'going on'}")
     for line in differences(file, begun, None if there or not begun.processor else device):
@@ -223,7 +223,7 @@ def _going_on(file: Path, begun: Sweep, device: str | None, there: bool) -> Swee
 def _run(begun: Sweep, kept: SweepFile, pool: Pool | None, elsewhere: Elsewhere | None, shown: bool) -> Sweep:
     """The sweep with its progress; Ctrl-C and workers that are gone say how to go on."""
     from warp_plate.cluster.pool import WorkersGone
-    from warp_plate.search.sweep import run_sweep
+    from warp_plate.studies.sweep import run_sweep
 
     total = len(begun.plan)
     try:
@@ -251,7 +251,7 @@ def _write(result: Sweep, path: Path, pictures: bool, kept: SweepFile) -> tuple[
     """The file and its picture; returns the files, and why a picture is missing."""
     from warp_plate.plate.interrupts import interrupts_held
     from warp_plate.result.sweep import save_sweep
-    from warp_plate.search.sweep_file import free_name, refuse_to_replace
+    from warp_plate.studies.sweep_file import free_name, refuse_to_replace
 
     with interrupts_held():
         try:
@@ -269,7 +269,7 @@ def _write(result: Sweep, path: Path, pictures: bool, kept: SweepFile) -> tuple[
         kept.remove()
     if not pictures:
         return [path], None
-    from warp_plate.viz.sweep_plot import draw_sweep_beside
+    from warp_plate.viz.plots.sweep import draw_sweep_beside
 
     drawn, missing = draw_sweep_beside(result, path)
     return [path, *drawn], missing

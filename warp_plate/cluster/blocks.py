@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from warp_plate.cluster.pool import Task
-from warp_plate.cluster.work import run_block
+from warp_plate.cluster.tasks import run_block
 from warp_plate.plate.designs import Batch, Shorthand
 
 # About so much work is in a block: a tenth of a second of a core, and of a GPU what keeps it busy. It is the scene's

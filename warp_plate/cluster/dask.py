@@ -18,7 +18,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from warp_plate.cluster.pool import Answer, Task, WorkersGone, fittest
-from warp_plate.cluster.work import of_error, perform
+from warp_plate.cluster.tasks import of_error, perform
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
-from warp_plate.cluster.work import perform
+from warp_plate.cluster.tasks import perform
 from warp_plate.scene.errors import SceneError
 
 Payload = Mapping[str, Any]

@@ -18,7 +18,7 @@ from typing import IO, Any
 
 from warp_plate.cluster.frames import Parts, encode, receive
 from warp_plate.cluster.pool import Answer, Task, WorkersGone, fittest
-from warp_plate.cluster.recipe import DEVICE
+from warp_plate.cluster.solver_spec import DEVICE
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.devices import find_device
 

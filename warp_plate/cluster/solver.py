@@ -14,9 +14,9 @@ import warp as wp
 import warp_plate
 from warp_plate.cluster.blocks import Blocks, cut, halves, plates_of_block, put
 from warp_plate.cluster.pool import Pool, Task
-from warp_plate.cluster.recipe import recipe_of
-from warp_plate.cluster.spread import ATTEMPTS, spread
-from warp_plate.cluster.work import run_block
+from warp_plate.cluster.scheduler import ATTEMPTS, spread
+from warp_plate.cluster.solver_spec import recipe_of
+from warp_plate.cluster.tasks import run_block
 from warp_plate.plate.designs import NOTHING_OWN, Batch, Designs, Own, Shorthand, as_phasors
 from warp_plate.plate.weights import NO_AREAS, Region
 from warp_plate.scene.errors import SceneError

@@ -12,7 +12,7 @@ from queue import SimpleQueue
 from typing import IO, Any
 
 from warp_plate.cluster.frames import receive, send
-from warp_plate.solve.parts import TURNS
+from warp_plate.solve.batching import TURNS
 
 # A task that came, or the ticket of one with which the GPU is done.
 Event = dict[str, Any] | int
@@ -32,7 +32,7 @@ def main() -> None:
     watched: SimpleQueue[tuple[int, Callable[[], object]]] = SimpleQueue()
     threading.Thread(target=_listen, args=(given, events), daemon=True).start()
     threading.Thread(target=_watch, args=(watched, events), daemon=True).start()
-    from warp_plate.cluster.work import begin, gpu_end
+    from warp_plate.cluster.tasks import begin, gpu_end
 
     waiting: deque[dict[str, Any]] = deque()
     begun: deque[tuple[int, Callable[[], dict[str, Any]]]] = deque()

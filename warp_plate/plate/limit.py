@@ -90,8 +90,8 @@ def time_step_limit(kappa: float, spacing: tuple[float, float], backward_loss: f
 
     The largest eigenvalue of the discrete κ²∇⁴ is at most Λ = κ²(s/hx² + s/hy²)², s = 4 for second order and 16/3 for
     fourth: there the spectrum of a periodic plate ends, and edges only lower it (of second order they are even and odd
-    mirror images; of fourth see tests/test_operator.py). Undamped or with centred damping the scheme is stable for
-    Λ Δt² ≤ 4 (κΔt/h² ≤ 1/4 or 3/16 on square cells); with backward damping for Λ Δt² ≤ 4 − 2cΔt/ρH.
+    mirror images; of fourth see tests/plate/test_operator.py). Undamped or with centred damping the scheme is stable
+    for Λ Δt² ≤ 4 (κΔt/h² ≤ 1/4 or 3/16 on square cells); with backward damping for Λ Δt² ≤ 4 − 2cΔt/ρH.
     """
     largest = kappa**2 * (LARGEST[order] / spacing[0] ** 2 + LARGEST[order] / spacing[1] ** 2) ** 2
     return _root(largest, backward_loss)

@@ -6,7 +6,7 @@
     attributes of /: scene (with its grid) and asked (as written), both TOML, seed, evaluator, path, device, ...
     attributes of /swarm: shapes, numbers  JSON of the arrays' shapes, and of the rest of the state
 
-Behind the HDF5 content stands a seal, see ``warp_plate.result.whole``.
+Behind the HDF5 content stands a seal, see ``warp_plate.result.atomic_io``.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from typing import Any
 import h5py
 import numpy as np
 
+from warp_plate.result.atomic_io import intact
 from warp_plate.result.model import Found
-from warp_plate.result.plain import count, lost_of, numbers, opened, put, save_hdf5, table, text
+from warp_plate.result.safe_hdf5 import count, lost_of, numbers, opened, put, save_hdf5, table, text
 from warp_plate.result.search_state import put_state, read_state
 from warp_plate.result.several import put_several, read_several
-from warp_plate.result.whole import intact
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene

@@ -14,7 +14,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from warp_plate.result.plain import count, lost_of, names_in, numbers, opened, put, save_hdf5, table, text
+from warp_plate.result.safe_hdf5 import count, lost_of, names_in, numbers, opened, put, save_hdf5, table, text
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene

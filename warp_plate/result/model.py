@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from warp_plate.plate.found import scene_with
+from warp_plate.plate.scene_overrides import scene_with
 from warp_plate.result.robust import RobustComparison
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -202,7 +202,7 @@ class Result:
         return np.linspace(0, self.scene.plate.size[1], self.scene.grid.nodes[1])
 
     def _repr_html_(self) -> str:
-        """How a notebook shows it: see :mod:`warp_plate.viz.html`."""
-        from warp_plate.viz.html import result_html
+        """How a notebook shows it: see :mod:`warp_plate.viz.notebook`."""
+        from warp_plate.viz.notebook import result_html
 
         return result_html(self)

@@ -13,7 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from warp_plate.result.plain import names_in, numbers, table
+from warp_plate.result.safe_hdf5 import names_in, numbers, table
 
 SETTINGS, SHAPES, NUMBERS = "settings", "shapes", "numbers"
 

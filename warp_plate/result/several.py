@@ -8,7 +8,7 @@ from typing import Any
 import h5py
 
 from warp_plate.result.model import Found, bound_kind
-from warp_plate.result.plain import names_in
+from warp_plate.result.safe_hdf5 import names_in
 from warp_plate.result.search_state import put_state, read_state
 from warp_plate.scene.errors import SceneError
 

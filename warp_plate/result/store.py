@@ -13,7 +13,7 @@
     /spectrum/frequency, equal, single, best, resonances
     attributes of /: command, source, scene (TOML), device, seed, effects, versions, seconds, bound_kind, ...
 
-Behind the HDF5 content stands a seal, see ``warp_plate.result.whole``.
+Behind the HDF5 content stands a seal, see ``warp_plate.result.atomic_io``.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ import numpy as np
 
 from warp_plate.result.crosstalk import crosstalk
 from warp_plate.result.model import Case, Result, bound_kind
-from warp_plate.result.plain import count, lost_of, names_in, numbers, opened, put, save_hdf5, table, text
 from warp_plate.result.robust import RobustComparison
+from warp_plate.result.safe_hdf5 import count, lost_of, names_in, numbers, opened, put, save_hdf5, table, text
 from warp_plate.result.several import put_several, read_several
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import dump_scene, parse_scene

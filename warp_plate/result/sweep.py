@@ -7,8 +7,8 @@
     /reason                why a point was refused
     attributes of /: source, scene (TOML), what, count, keys, outputs, seconds, versions, ...
 
-Behind the HDF5 content stands a seal, see ``warp_plate.result.whole``. An unfinished sweep is the same file with points
-that are not run yet; it goes on from there.
+Behind the HDF5 content stands a seal, see ``warp_plate.result.atomic_io``. An unfinished sweep is the same file with
+points that are not run yet; it goes on from there.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from warp_plate.result.plain import count, numbers, opened, put, save_hdf5, table, text, texts
+from warp_plate.result.safe_hdf5 import count, numbers, opened, put, save_hdf5, table, text, texts
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import numeric_keys, unit_of, words_of
 from warp_plate.scene.load import dump_scene, parse_scene

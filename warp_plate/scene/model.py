@@ -324,7 +324,7 @@ class Scene(Table):
         return 2 * math.pi * self.drive.frequency
 
     def _repr_html_(self) -> str:
-        """How a notebook shows it: see :mod:`warp_plate.viz.html`."""
-        from warp_plate.viz.html import scene_html
+        """How a notebook shows it: see :mod:`warp_plate.viz.notebook`."""
+        from warp_plate.viz.notebook import scene_html
 
         return scene_html(self)

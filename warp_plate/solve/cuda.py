@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels import record, resident_lanes, resident_strips, resident_wide, streaming_march
+from warp_plate.kernels import record, resident_lanes, resident_strips, resident_wide
+from warp_plate.kernels import temporal_blocking as streaming_march
 from warp_plate.kernels.cuda import LANES
 from warp_plate.plate.operator import INSIDE
 from warp_plate.scene.errors import SceneError

@@ -14,8 +14,8 @@ import warp as wp
 from warp_plate.kernels.energy import make_sum_along_columns, make_sum_columns
 from warp_plate.kernels.load import make_spread_drives
 from warp_plate.scene.errors import SceneError
-from warp_plate.solve.own import OwnKernels, make_own_kernels
 from warp_plate.solve.paths import choose_path, paths_of
+from warp_plate.solve.per_plate import OwnKernels, make_own_kernels
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
 

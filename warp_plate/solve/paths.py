@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import warp as wp
 
-from warp_plate.solve import cpu, cuda, general, streaming
+from warp_plate.solve import cpu, cuda, streaming
+from warp_plate.solve import moment_form as general
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance
 

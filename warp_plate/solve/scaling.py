@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from warp_plate.plate.blocks import over_blocks
+from warp_plate.plate.row_blocks import over_blocks
 from warp_plate.plate.signals import Signals
 from warp_plate.solve.specialize import Specialized
 

@@ -17,9 +17,9 @@ from warp_plate.plate.designs import NOTHING_OWN, Batch, Designs, Own, OwnValues
 from warp_plate.plate.weights import NO_AREAS, Region, bilinear
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.solve.batching import TURNS, first_part, part_sizes
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import load_drives, make_engine, queue_region_sums
-from warp_plate.solve.parts import TURNS, first_part, part_sizes
 from warp_plate.solve.paths import why_streaming
 from warp_plate.solve.run import Run
 from warp_plate.solve.scaling import energy_unit, scaled_coefficients

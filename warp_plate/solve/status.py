@@ -11,7 +11,7 @@ from functools import reduce
 
 import numpy as np
 
-from warp_plate.plate.blocks import over_blocks
+from warp_plate.plate.row_blocks import over_blocks
 from warp_plate.solve.specialize import Specialized
 
 OK = "ok"

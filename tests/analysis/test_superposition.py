@@ -1,0 +1,138 @@
+"""Motion and energies under any drive, from unit responses: what a plate under that drive does."""
+
+import math
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from warp_plate import PlateSolver
+from warp_plate.analysis.superposition import (
+    LINEAR_ORDERS,
+    last_period,
+    live_solver,
+    motions_of,
+    simulated,
+    unit_responses,
+)
+from warp_plate.plate.weights import localization_factor
+from warp_plate.result.live import QUADRANTS, SteadyMotion, quadrants
+
+# Damped so strongly that the motion is steady when the run ends, and not so strongly that low modes creep.
+DAMPING = 120.0
+
+
+@pytest.fixture
+def panel(scene):
+    """Three actuators, steady at the end."""
+    return scene(damping=DAMPING, window=(0.08, 0.1))
+
+
+def times_of(scene, samples):
+    """The times that the live model looks at."""
+    return last_period(scene, PlateSolver(scene, "cpu").specialized.scheme.time_step, samples)
+
+
+# Motion -----------------------------------------------------------------------------------------------------
+
+
+def test_a_harmonic_motion_is_found_exactly(random, panel):
+    """Of fields A cos ωt − B sin ωt, and of their multiples, the amplitudes A + iB come back."""
+    orders = np.array([1, 3])
+    amplitudes = random.normal(size=(2, 4, 5)) + 1j * random.normal(size=(2, 4, 5))
+    times = np.array(times_of(panel, 32))
+    turned = np.exp(1j * panel.drive_angular_frequency * np.outer(orders, times))
+    fields = np.real(np.einsum("kji,kt->tji", amplitudes, turned))
+    run = PlateSolver(panel, "cpu").run(np.ones((1, 3)), times.tolist())
+    made = type(run)(**{**vars(run), "displacement": fields[None], "times": times})
+    (motion,) = motions_of(made, panel, orders)
+    np.testing.assert_allclose(motion.amplitudes, amplitudes, atol=1e-10)
+    assert motion.left_over < 1e-10
+    for index in (0, 7, 20):
+        angle = panel.drive_angular_frequency * times[index]
+        np.testing.assert_allclose(motion.at(angle), fields[index], atol=1e-9)
+    largest = max(np.abs(motion.at(angle)).max() for angle in np.linspace(0, 7, 2000))
+    assert motion.peak() == pytest.approx(largest, rel=0.02)
+
+
+def test_a_drift_beside_the_motion_is_told_and_left_out(panel):
+    """A low mode that dies out slowly is a straight line over one period."""
+    times = np.array(times_of(panel, 12))
+    wave = np.cos(panel.drive_angular_frequency * times)
+    run = PlateSolver(panel, "cpu").run(np.ones((1, 3)), times.tolist())
+    made = type(run)(**{**vars(run), "displacement": (wave + 0.5)[None, :, None, None], "times": times})
+    (motion,) = motions_of(made, panel, LINEAR_ORDERS)
+    np.testing.assert_allclose(motion.amplitudes.ravel(), [1], atol=1e-10)
+    assert motion.left_over == pytest.approx(math.sqrt(12 * 0.25 / ((wave + 0.5) ** 2).sum()), rel=1e-9)
+
+
+def test_peak_of_one_order_is_the_largest_amplitude():
+    assert SteadyMotion(np.array([1]), np.array([[[3 + 4j, 1.0]]])).peak() == 5
+
+
+# Superposition ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_any_drive_is_a_plate_that_was_run(precision, scene, phasors):
+    """Motion, localization factor, quadrants: to rounding of a run in float64, whose motion is steady to 1e-4."""
+    made = scene(damping=DAMPING, window=(0.08, 0.1), precision=precision)
+    responses = unit_responses(made, "cpu")
+    drive = phasors(1, 3)
+    reading = responses.read(drive[0])
+    exact = made.model_copy(update={"grid": made.grid.model_copy(update={"precision": "float64"})})
+    run = live_solver(exact, "cpu", "auto").run(drive, times_of(exact, 7))
+    assert run.regions == ("plate", "target", *QUADRANTS)
+    np.testing.assert_allclose(list(reading.energy.values()), run.energy[0], rtol=1e-9)
+    assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
+    assert sum(reading.share(name) for name in QUADRANTS) == pytest.approx(1, rel=1e-12)
+    assert reading.share("lower left") == pytest.approx(reading.localization_factor, rel=1e-9)
+    shown = [reading.motion.at(made.drive_angular_frequency * when) for when in run.times]
+    np.testing.assert_allclose(shown, run.displacement[0], rtol=0, atol=1e-4 * np.abs(run.displacement).max())
+
+
+def test_a_motion_that_is_not_steady_is_superposed_exactly(scene, phasors):
+    """Undamped, start-up motion never ends; the part at the drive's frequency is linear in the drives all the same."""
+    made = scene(window=(0.004, 0.012))
+    responses = unit_responses(made, "cpu")
+    drive = phasors(1, 3)
+    run = PlateSolver(made, "cpu").run(drive, times_of(made, 12))
+    (direct,) = motions_of(run, made, LINEAR_ORDERS)
+    shown = responses.read(drive[0]).motion
+    np.testing.assert_allclose(shown.amplitudes, direct.amplitudes, atol=1e-10 * np.abs(direct.amplitudes).max())
+    assert shown.left_over > 0.01
+
+
+def test_one_simulation_at_a_time(scene, monkeypatch):
+    """Also of two settings: the last swarm of a search that was ended, and what is shown now."""
+    made = scene(nodes=(9, 9), window=(0.002, 0.004), effects={"stretching": {}})
+    both = [simulated(made, "cpu", "streaming") for _ in range(2)]
+    real, running, most = PlateSolver.run, [], []
+
+    def run(self, *given):
+        running.append(self)
+        most.append(len(running))
+        time.sleep(0.1)
+        running.remove(self)
+        return real(self, *given)
+
+    monkeypatch.setattr(PlateSolver, "run", run)
+    threads = [threading.Thread(target=one.energies, args=(np.ones((1, 3)),)) for one in both]
+    for thread in threads:
+        thread.start()
+    both[0].read(np.ones(3))
+    for thread in threads:
+        thread.join()
+    assert most == [1, 1, 1]
+
+
+def test_quadrants_of_another_target(scene):
+    """The four quarters are summed beside the target, whatever it is, on any device path of the solver."""
+    made = scene(damping=DAMPING, target={"area": (0.05, 0.15, 0.02, 0.2)}, size=(0.2, 0.24))
+    alone = PlateSolver(made, "cpu").run(np.ones((1, 3)))
+    run = PlateSolver(made, "cpu", areas=quadrants(made.plate.size)).run(np.ones((1, 3)))
+    np.testing.assert_array_equal(run.energy[:, :2], alone.energy)
+    assert run.energy[0, 2:].sum() == pytest.approx(run.energy[0, 0], rel=1e-12)
+    upper = made.model_copy(update={"target": made.target.model_copy(update={"area": (0.0, 0.1, 0.12, 0.24)})})
+    assert run.energy[0, 4] == pytest.approx(PlateSolver(upper, "cpu").run(np.ones((1, 3))).energy[0, 1], rel=1e-12)

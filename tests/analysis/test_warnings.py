@@ -1,0 +1,104 @@
+"""What is said of a drive in time: whether its motion is steady, and whether drive.frequency covers its file."""
+
+import math
+
+import numpy as np
+import pytest
+
+from warp_plate import PlateSolver, Scene
+from warp_plate.analysis.influence import switches
+from warp_plate.analysis.warnings import exceeded, slowest_frequency, warnings
+from warp_plate.scene.load import dump_scene
+from warp_plate.solve.specialize import effect_names
+
+START = 0.004  # when the window of the tests' scene opens [s]
+TAU = 1e-5
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Short timed runs: what they show is not looked at."""
+    monkeypatch.setattr("warp_plate.analysis.influence.TIMED_NODE_STEPS", {"cpu": 1e4, "cuda": 1e6})
+    monkeypatch.setattr("warp_plate.analysis.influence.ROUNDS", 1)
+
+
+def left(scene):
+    return next(number for number in warnings(scene, None) if number.name == "start-up motion left")
+
+
+def decayed(frequency):
+    """By material damping alone."""
+    return math.exp(-TAU * (2 * math.pi * frequency) ** 2 / 2 * START)
+
+
+@pytest.mark.parametrize(
+    ("tables", "named"),
+    [
+        ({"drive": {"frequency": 290.0, "burst": {"duration": 0.01}}}, "drive.burst"),
+        ({"drive": {"frequency": 290.0, "chirp": {"end_frequency": 400.0, "duration": 0.01}}}, "drive.chirp"),
+        ({"effects": {"moving_load": {"force": 1.0, "start": (0.1, 0.1)}}}, "effects.moving_load"),
+    ],
+)
+def test_what_is_not_meant_to_be_steady_is_not_judged(scene, tables, named):
+    found = left(scene(**tables))
+    assert not found.exceeded
+    assert math.isnan(found.value)
+    assert named in found.sentence
+
+
+def test_start_up_motion_goes_by_the_lowest_frequency_in_use(scene):
+    made = scene(effects={"material_damping": {"time": TAU}})
+    actuators = [one.model_dump() for one in made.actuators]
+    actuators[1]["frequency"], actuators[2]["frequency"] = 150.0, 400.0
+    assert left(made).value == pytest.approx(decayed(290.0))
+    assert left(made.with_tables(actuators=actuators)).value == pytest.approx(decayed(150.0))
+
+
+def test_the_step_of_a_squared_voltage_rings_the_lowest_modes(scene):
+    """A supported square's lowest frequency is π/L² √(D/ρH)."""
+    made = scene(
+        (41, 41), edges=("supported",) * 4, effects={"material_damping": {"time": TAU}},
+        drive={"frequency": 290.0, "electrostatic": {"bias": 10.0, "gain": 1.0}},
+    )  # fmt: skip
+    plate = made.plate
+    stiff = plate.young_modulus * plate.thickness**3 / 12 / (1 - plate.poisson_ratio**2)
+    lowest = math.pi / plate.size[0] ** 2 * math.sqrt(stiff / plate.density / plate.thickness)
+    assert slowest_frequency(made) == pytest.approx(lowest, rel=2e-3)
+    assert left(made).value == pytest.approx(decayed(lowest), rel=2e-3)
+    assert left(made).value > left(made.with_tables(drive={"frequency": 290.0})).value
+
+
+@pytest.mark.parametrize(("frequency", "named"), [(300.0, False), (100.0, True)])
+def test_a_file_with_much_higher_frequencies(tmp_path, scene, frequency, named):
+    times = np.arange(2000) / 8000
+    np.savetxt(tmp_path / "tone.csv", np.column_stack([times, np.sin(2 * np.pi * 290 * times)]), delimiter=",")
+    made = scene(drive={"frequency": frequency, "signal": {"file": "tone.csv"}})
+    (tmp_path / "panel.toml").write_text(dump_scene(made), encoding="utf-8")
+    loaded = Scene.load(tmp_path / "panel.toml")
+    number = warnings(loaded, None)[-1]
+    assert number.value == pytest.approx(290 / frequency, rel=0.12)
+    assert any("write drive.frequency higher" in line for line in exceeded(loaded, 0.0)) == named
+    assert "drive.signal" in left(loaded).sentence
+
+
+@pytest.mark.usefixtures("quick")
+def test_one_actuator_has_one_frequency(scene):
+    made = scene(actuators=[(0.05, 0.09, 0.05, 0.09)])
+    found = {switch.name: switch for switch in switches(made, "cpu").switches}["own_frequencies"]
+    assert found.price is None
+    assert found.switched == "refused: one actuator has one frequency"
+
+
+@pytest.mark.parametrize(
+    ("tables", "waves"),
+    [
+        ({"drive": {"frequency": 290.0, "electrostatic": {"gain": 1.0}}}, True),
+        ({"effects": {"moving_load": {"force": 1.0, "start": (0.1, 0.1)}}}, False),
+        ({}, False),
+    ],
+)
+def test_effects_compiled_in_are_those_of_the_kernel(scene, tables, waves):
+    made = scene(**tables)
+    effects = PlateSolver(made, "cpu").specialized.effects
+    assert ("several waves" in effect_names(made)) == (effects.terms > 2) == waves
+    assert ("bending by moments" in effect_names(made)) == effects.moments == (not effects.plain)

@@ -1,0 +1,146 @@
+"""``warp-plate accuracy``: its table, its JSON object, its picture, and what Ctrl-C and bad options do."""
+
+import json
+import os
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from warp_plate.accuracy import configurations as family
+from warp_plate.accuracy import report
+from warp_plate.viz.plots.accuracy import draw_accuracy, draw_accuracy_beside, families, longest_steps, refused_points
+
+ROW_KEYS = {
+    "order", "load", "nodes", "time_step", "precision", "localization_factor", "bound", "error", "seconds_per_plate",
+    "status",
+}  # fmt: skip
+NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
+
+
+@pytest.fixture
+def command(command, tmp_path, monkeypatch):
+    """Run ``accuracy`` on small grids in an empty folder: (status, standard output, standard error)."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(family, "LADDER", (9, 13, 417))
+    monkeypatch.setattr(family, "BASE", 9)
+    monkeypatch.setattr(report, "REFERENCE_ERROR", 2e-3)
+
+    return partial(command, "accuracy")
+
+
+def test_json_and_picture(command):
+    pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
+    status, out, err = command("paper-supported", "--device", "cpu", "--budget", "60", "--json", "--out", "a.json")
+    assert (status, err) == (0, "")
+    answer = json.loads(out)
+    assert set(answer["reference"]) >= {"kind", "localization_factor", "bound", "uncertainty"}
+    assert answer["reference"]["localization_factor"] == pytest.approx(0.6223, abs=1e-3)
+    rows = answer["rows"]
+    assert all(set(row) >= ROW_KEYS for row in rows)
+    assert [row["as_written"] for row in rows].count(True) == 1
+    kinds = {row["status"].partition(":")[0] for row in rows}
+    assert kinds == {"ok", "refused", "skipped"}
+    measured = [row for row in rows if row["status"] == "ok"]
+    assert all(0 < row["error"] < 10 and row["seconds_per_plate"] > 0 for row in measured)
+    assert [one["tolerance"] for one in answer["recommended"]] == [0.1, 0.03, 0.01, 0.003, 0.001]
+    for one in answer["recommended"]:
+        if one["row"] is not None:
+            assert rows[one["row"]]["error"] <= one["tolerance"]
+    assert {"system", "devices"} <= set(answer["machine"])
+    assert "warp-lang" in answer["versions"]
+    files = answer.pop("files")
+    assert files == ["a.json", "a.png", "a.svg"]
+    assert json.loads(Path("a.json").read_text(encoding="utf-8")) == answer
+    assert Path("a.png").read_bytes().startswith(b"\x89PNG")
+    assert "order 4, moments" in Path("a.svg").read_text(encoding="utf-8")
+
+
+def test_table(command):
+    status, out, err = command("paper", "--device", "cpu", "--budget", "40", "--no-pictures")
+    assert (status, err) == (0, "")
+    for part in ("as written: order 2, nodes, backward damping", "order 4, moments", "measured laws", "refused"):
+        assert part in out
+    assert out.splitlines()[-1] == "wrote paper-accuracy.json"
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_ctrl_c_keeps_what_is_measured(command, monkeypatch):
+    plain = report.measure
+    calls = []
+
+    def stopped(*arguments):
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return plain(*arguments)
+
+    monkeypatch.setattr(report, "measure", stopped)
+    status, out, err = command("paper", "--device", "cpu", "--json", "--no-pictures")
+    assert (status, err) == (0, "")
+    answer = json.loads(out)
+    assert answer["interrupted"]
+    assert len(answer["rows"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["paper", "--budget", "0"], "--budget"),
+        (["paper", "--budget", "nan"], "--budget"),
+        (["paper", "--out", "a.txt"], ".json"),
+        (["paper", "--out", "nowhere/a.json"], "nowhere"),
+        (["paper", "--device", "tpu"], "tpu"),
+        (["nosuch"], "nosuch"),
+    ],
+    ids=lambda part: "-".join(part) if isinstance(part, list) else "",
+)
+def test_bad_options(command, arguments, named):
+    """One line that names the option, status 2, nothing written."""
+    status, out, err = command(*arguments)
+    assert (status, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert named in err
+    assert os.listdir() == []
+
+
+def row(**changes):
+    """A measured row as JSON has it."""
+    usual = {
+        "order": 4, "load": "moments", "nodes": [13, 13], "time_step": 1e-4, "precision": "float32", "spacing": 0.01,
+        "as_written": False, "status": "ok", "error": 0.01, "seconds_per_plate": 1e-3,
+    }  # fmt: skip
+    return {**usual, **changes}
+
+
+def test_what_is_plotted():
+    rows = [
+        row(),
+        row(time_step=5e-5),
+        row(nodes=[27, 27], spacing=0.005, time_step=2e-5),
+        row(order=2, load="overlap"),
+        row(order=2, load="overlap", precision="float64"),
+        row(as_written=True, load="nodes", order=2),
+    ]
+    assert families(rows) == [
+        ((2, "overlap"), "float32"), ((2, "overlap"), "float64"), ((4, "moments"), "float32"),
+    ]  # fmt: skip
+    line, others = longest_steps(rows[:3])
+    assert line == [rows[0], rows[2]]
+    assert others == [rows[1]]
+    refused = row(status="refused: grid.time_step", time_step=2e-4, error=None)
+    assert refused_points([*rows, refused], rows) == [pytest.approx(5e-4)]
+    assert refused_points([row(status="refused: grid.time_step", nodes=[9, 9])], rows) == []
+
+
+def test_a_plot_that_cannot_be_is_told_of(tmp_path):
+    """The figures are kept; nothing is raised."""
+    pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
+    reference = {"uncertainty": 1e-3}
+    nothing = {"rows": [row(status="skipped: so", error=None)], "front": [], "reference": reference}
+    assert draw_accuracy_beside(nothing, tmp_path / "a.json") == ([], "no plot: nothing was measured")
+    record = {"rows": [row()], "front": [0], "reference": reference}
+    files, missing = draw_accuracy_beside(record, tmp_path / "absent" / "a.json")
+    assert files == []
+    assert "absent" in missing
+    assert draw_accuracy(record, tmp_path / "a.svg").exists()

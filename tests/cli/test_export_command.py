@@ -1,0 +1,184 @@
+"""``warp-plate export``: what each format prints and writes, and what wrong options do; MATLAB's way to a result."""
+
+import json
+import re
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import wavfile
+
+from warp_plate import load_result
+from warp_plate.scene.load import dump_scene
+
+GUIDE = Path(__file__).parents[2] / "docs" / "exports.md"
+RECORD = {"times": (0.002, 0.004), "points": ((0.1, 0.1),)}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, scene, command):
+    """The working folder with one search's result, run.h5, in it."""
+    monkeypatch.chdir(tmp_path)
+    made = scene(damping=88.5, record=RECORD, search={"particles": 4, "iterations": 3})
+    Path("panel.toml").write_text(dump_scene(made), encoding="utf-8")
+    options = ("--device", "cpu", "--no-pictures", "--no-estimate", "--out", "run.h5")
+    assert command("localize", "panel.toml", *options)[0] == 0
+    Path("panel.toml").unlink()
+    Path("run.best.toml").unlink()
+    return tmp_path
+
+
+def new_files():
+    return sorted(path.name for path in Path().iterdir() if path.name != "run.h5")
+
+
+@pytest.mark.parametrize(
+    ("to", "files", "words"),
+    [
+        (
+            "pvd",
+            ["run-0000.vti", "run-0001.vti", "run.pvd"],
+            "wrote run.pvd and 2 .vti files beside it\nIt holds the 2",
+        ),
+        (
+            "vtkhdf",
+            ["run.vtkhdf"],
+            "wrote run.vtkhdf\nIt holds the 2 recorded times; --frames 60 takes so many of a period",
+        ),
+        ("traces-csv", ["run-traces.csv"], "wrote run-traces.csv\n"),
+        ("drive-wav", ["run-drive.wav"], "290 periods of 290 Hz in 48000 samples at 48000 Hz, which repeat without"),
+        ("drive-csv", ["run-drive.csv"], "Drive best: 290 periods"),
+    ],
+)
+def test_each_format(command, folder, to, files, words):
+    status, out, err = command("export", "run.h5", "--to", to)
+    assert (status, err) == (0, "")
+    assert new_files() == files
+    assert words in out
+    for name in files:
+        Path(name).unlink()
+    status, out, err = command("export", "run.h5", "--to", to, "--json")
+    assert (status, err) == (0, "")
+    answer = json.loads(out)
+    assert sorted(answer["files"]) == files
+    assert (answer["result"], answer["to"]) == ("run.h5", to)
+    if to in ("pvd", "vtkhdf"):
+        assert answer["fields"] == ["displacement_best", "displacement_equal", "displacement_single"]
+        assert (answer["times"], answer["recorded"]) == (2, True)
+
+
+def test_options_of_a_drive(command, folder):
+    options = "--case single --rate 8000 --duration 0.05 --full-scale 4 --encoding pcm16 --out s.wav --json"
+    status, out, err = command("export", "run.h5", "--to", "drive-wav", *options.split())
+    assert (status, err) == (0, "")
+    answer = json.loads(out)
+    drive = load_result("run.h5").cases["single"].drive
+    rate, read = wavfile.read("s.wav")
+    assert (answer["case"], answer["rate"], answer["full_scale"]) == ("single", rate, 4.0)
+    assert read.shape == (answer["samples"], len(answer["channels"]))
+    assert answer["seconds"] == answer["samples"] / 8000 <= 0.05
+    assert answer["periods"] == pytest.approx(290 * answer["seconds"] - answer["seam_degrees"] / 360)
+    np.testing.assert_allclose(read[0] / 32767 * 4, drive.real, atol=1e-4)
+    out = command("export", "run.h5", "--to", "drive-csv", "--rate", 8000, "--duration", 0.05)[1]
+    assert re.search(r"which repeat with a phase jump of -?\d\.?\d* degrees\. 1\.0 stands for", out)
+
+
+def test_one_case_of_a_series(command, folder):
+    assert command("export", "run.h5", "--to", "vtkhdf", "--case", "equal")[0] == 0
+    with h5py.File("run.vtkhdf") as file:
+        assert set(file["VTKHDF/PointData"]) == {"displacement_equal", "target", "actuators"}
+
+
+@pytest.mark.parametrize("to", ["pvd", "vtkhdf"])
+def test_a_motion_is_the_run_itself(command, folder, to):
+    """Frames of another run, whose displacements at the recorded time are those of the result."""
+    options = ("--case", "best", "--case", "single", "--start", 0.002, "--end", 0.004, "--frames", 4, "--device", "cpu")
+    assert "recorded times" not in command("export", "run.h5", "--to", to, *options)[1]
+    status, out, err = command("export", "run.h5", "--to", to, *options, "--json")
+    assert (status, err) == (0, "")
+    answer = json.loads(out)
+    assert (answer["times"], answer["recorded"]) == (4, False)
+    assert answer["fields"] == ["displacement_best", "displacement_single", "velocity_best", "velocity_single"]
+    recorded = load_result("run.h5")
+    if to == "vtkhdf":
+        with h5py.File("run.vtkhdf") as file:
+            root = file["VTKHDF"]
+            assert root["Steps/Values"][0] == pytest.approx(recorded.times[0])
+            first = root["PointData/displacement_single"][0]
+            assert root["PointData/velocity_best"].attrs["units"] == "m/s"
+            assert np.abs(root["PointData/velocity_best"]).max() > 0
+        np.testing.assert_array_equal(first, recorded.cases["single"].displacement[0])
+    else:
+        assert len(answer["files"]) == 5
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ("--to pvd --rate 3", "--rate 3: --to pvd does not read it; leave it out"),
+        ("--to drive-csv --encoding pcm16", "--encoding pcm16: --to drive-csv does not read it; leave it out"),
+        ("--to pvd --case worst", "--case worst: run.h5 holds equal, single, best"),
+        ("--to drive-wav --case best --case single", "--case best single: a file plays one drive; name one case"),
+        ("--to traces-csv --frames 9", "--frames 9: --to traces-csv does not read it; leave it out"),
+        ("--to pvd --device cpu", "--device cpu: nothing is run without --frames, --start or --end; leave it out"),
+        ("--to pvd --frames 1", "--frames 1: must be at least 2"),
+        ("--to vtkhdf --start 3", "run.h5: start = 3"),
+        ("--to pvd --out run.vtk", "--out run.vtk: must end in .pvd"),
+        ("--to drive-wav --out nowhere/run.wav", "--out nowhere/run.wav: no such folder: nowhere"),
+        ("--to drive-wav --rate 100", "--rate 100: 290 Hz takes more than 580 samples a second"),
+        ("--to mat", "Invalid value"),
+        ("", 'Command "export" parameter --to requires an argument'),
+    ],
+)
+def test_wrong_options_are_told_in_one_line(command, folder, options, line):
+    status, out, err = command("export", "run.h5", *options.split())
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith(f"warp-plate: {line}")
+    assert new_files() == []
+
+
+def test_a_result_without_traces_is_named_with_the_key_to_add(command, folder, scene):
+    Path("panel.toml").write_text(dump_scene(scene()), encoding="utf-8")
+    command("simulate", "panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate", "--out", "bare.h5")
+    status, _, err = command("export", "bare.h5", "--to", "traces-csv")
+    assert status == 2
+    line = "holds no traces; add record.points = [[x, y], ...] (metres) to its scene and run it again"
+    assert err == f"warp-plate: bare.h5: {line}\n"
+    assert command("export", "bare.h5", "--to", "drive-csv", "--json")[0] == 0
+    assert command("export", "nothing.h5", "--to", "pvd")[2].startswith("warp-plate: nothing.h5: no such file")
+
+
+def test_h5read_of_matlab_can_read_all_of_a_result(folder):
+    """Plain numbers in datasets, no compounds, enumerations or references; texts only as attributes, in UTF-8."""
+
+    def visit(name, item):
+        if isinstance(item, h5py.Dataset):
+            assert item.dtype.kind in "fiu", name
+            assert h5py.check_enum_dtype(item.dtype) is None, name
+        for key, value in item.attrs.items():
+            assert isinstance(value, str | np.integer), (name, key)
+            if isinstance(value, str):
+                assert h5py.check_string_dtype(item.attrs.get_id(key).dtype).encoding == "utf-8"
+
+    with h5py.File("run.h5") as file:
+        visit("/", file)
+        file.visititems(visit)
+
+
+def test_the_example_in_matlab_names_what_a_result_holds(folder):
+    """Each dataset and attribute that the guide's example reads is there, with the dimensions that it says."""
+    (example,) = re.findall(r"```matlab\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.S)
+    assert len(example.splitlines()) == 10
+    with h5py.File("run.h5") as file:
+        read = re.findall(r"h5read\(f, '([^']+)'\)", example)
+        assert len(read) == 8
+        for name in read:
+            assert isinstance(file[name], h5py.Dataset), name
+        attributes = re.findall(r"h5readatt\(f, '([^']+)', '([^']+)'\)", example)
+        assert len(attributes) == 2
+        for name, attribute in attributes:
+            assert attribute in file[name].attrs
+        assert file["/cases/best/displacement"].shape == (2, len(file["/y"]), len(file["/x"]))
+        phasors = file["/cases/best/magnitude"][:] * np.exp(-1j * file["/cases/best/phase"][:])
+    np.testing.assert_allclose(phasors, load_result("run.h5").cases["best"].drive)

@@ -1,0 +1,162 @@
+"""``warp-plate modes``: its table, its JSON object, its picture, and what bad options do."""
+
+import json
+import math
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from warp_plate.plate.modes import natural_modes
+from warp_plate.scene.load import dump_scene
+from warp_plate.viz.plots.modes import draw_modes, frequency_text, layout, nodal_field
+
+NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
+EDGES = ("clamped", {"translation": 100.0, "rotation": 0.1}, "free", "supported")
+EFFECTS = {
+    "foundation": {"stiffness": 100.0, "damping": 3.0},
+    "layers": [{"area": (0.05, 0.12, 0.05, 0.12), "thickness": 5e-4, "young_modulus": 5e9, "density": 2000.0}],
+    "oscillators": [
+        {"area": (0.2, 0.23, 0.02, 0.05), "stiffness": 100.0},
+        {"area": (0.2, 0.23, 0.12, 0.15), "mass": 0.003, "stiffness": 30.0},
+    ],
+    "stretching": {},
+}
+
+
+@pytest.fixture
+def panel(tmp_path, monkeypatch, scene):
+    """A small scene with all kinds of edges and some effects, in a file of the working folder."""
+    monkeypatch.chdir(tmp_path)
+    made = scene((19, 15), (0.3, 0.2), EDGES, effects=EFFECTS)
+    Path("panel.toml").write_text(dump_scene(made), encoding="utf-8")
+    return made
+
+
+@pytest.fixture
+def command(command):
+    """Run ``modes`` in this process: (status, standard output, standard error)."""
+
+    return partial(command, "modes")
+
+
+def test_json_and_picture(command, panel):
+    pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
+    status, out, err = command("panel.toml", "--count", 4, "--json")
+    assert (status, err) == (0, "")
+    answer, right = json.loads(out), natural_modes(panel, 4)
+    assert answer["frequencies"] == pytest.approx(right.frequencies.tolist())
+    assert answer["frequencies_stepped"] == pytest.approx(right.stepped.tolist())
+    assert answer["half_waves"] == [None if pair is None else list(pair) for pair in right.half_waves()]
+    assert [row[0] for row in answer["oscillators"]] == [None] * 4
+    assert [row[1] for row in answer["oscillators"]] == pytest.approx(right.oscillators[:, 1].tolist())
+    assert (answer["nodes"], answer["order"], answer["scene"]) == ([19, 15], 2, "panel.toml")
+    assert answer["left_out"] == ["damping of the foundation", "stretching"]
+    assert answer["files"] == ["panel-modes.png"]
+    assert Path("panel-modes.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_table(command, panel):
+    status, out, err = command("panel.toml", "--no-pictures")
+    assert (status, err) == (0, "")
+    for frequency in natural_modes(panel, 6).frequencies:
+        assert f"{frequency:.2f}" in out
+    assert "19 × 15 nodes" in out
+    assert "mass 1" in out
+    assert "mass 0" not in out
+    assert "Not in natural modes: damping of the foundation, stretching." in out
+    assert not Path("panel-modes.png").exists()
+
+
+def test_rigid_motions_are_named(command, tmp_path, monkeypatch, scene):
+    monkeypatch.chdir(tmp_path)
+    Path("loose.toml").write_text(dump_scene(scene(edges=("free",) * 4)), encoding="utf-8")
+    status, out, _ = command("loose.toml", "--no-pictures", "--count", 4)
+    assert status == 0
+    assert out.count("0 (rigid)") == 3
+
+
+def test_accuracy_chooses_the_grid(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = command("paper-supported", "--accuracy", "5%", "--count", 3, "--json", "--no-pictures")
+    assert status == 0
+    answer = json.loads(out)
+    # π²κ(m² + n²)/2πa², κ = 0.1530 m²/s, a = 0.2 m.
+    exact = np.array([2, 5, 5]) * math.pi / 2 * math.sqrt(1e9 * 5e-4**2 / 12 / (1 - 0.33**2) / 1000) / 0.04
+    np.testing.assert_allclose(answer["frequencies"], exact, rtol=0.02)
+    assert answer["nodes"] != [27, 27] or answer["order"] == 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("panel.toml", "--count", 0), "--count 0: must be at least 1"),
+        (("panel.toml", "--out", "a.gif"), "--out a.gif: must end in .png, .svg or .pdf"),
+        (("panel.toml", "--out", "nowhere/a.png"), "--out nowhere/a.png: no such folder: nowhere"),
+        (("fine.toml",), "grid.nodes = [701, 701]: 491401 are too many"),
+        (("none.toml",), "none.toml: no such preset or file"),
+    ],
+)
+def test_what_is_refused(command, panel, scene, arguments, message):
+    Path("fine.toml").write_text(dump_scene(scene((701, 701))), encoding="utf-8")
+    status, out, err = command(*arguments)
+    assert (status, out) == (2, "")
+    assert message in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("ending", [".svg", ".pdf"])
+@pytest.mark.parametrize("count", [1, 7])
+def test_pictures_of_any_number(panel, tmp_path, count, ending):
+    """A title a mode, and only the kinds of edges that there are in the key."""
+    pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
+    found = natural_modes(panel, count)
+    path = draw_modes(panel, found.frequencies, found.shapes, tmp_path / f"shapes{ending}")
+    assert path.stat().st_size > 1000
+    if ending == ".svg":
+        text = path.read_text(encoding="utf-8")
+        for number, frequency in enumerate(found.frequencies, 1):
+            assert f"{number}: {frequency_text(frequency)}" in text
+        for words in ("clamped", "supported", "on springs", "free", "nodal line", "layer", "oscillator"):
+            assert f"<!-- {words} -->" in text
+
+
+def test_nothing_to_draw(panel, tmp_path):
+    with pytest.raises(ValueError, match="no shapes"):
+        draw_modes(panel, np.empty(0), np.empty((0, 15, 19)), tmp_path / "a.png")
+
+
+def test_nodal_field(scene):
+    """Of a clamped square plate's second mode its zeros lie on the middle line; the first has none, not even in
+    corners, where its sign changes by a part in thousands."""
+    clamped = scene((21, 21), (0.2, 0.2))
+    first, second = (nodal_field(clamped, shape) for shape in natural_modes(clamped, 2).shapes)
+    assert (first[2][np.isfinite(first[2])] > 0).all()
+    x, y, field = second
+    assert field.shape == (y.size, x.size)
+    below, above = field[y < 0.0999], field[y > 0.1001]
+    signs = [np.unique(np.sign(part[np.isfinite(part)])) for part in (below, above)]
+    assert all(len(sign) == 1 for sign in signs)
+    assert signs[0] == -signs[1]
+    assert np.nanmax(np.abs(field[np.isclose(y, 0.1)])) == 0
+    assert np.isnan(field[:, [0, -1]]).all()
+
+
+def test_layout():
+    """Room for all, no empty row, and long plates stacked."""
+    for count in range(1, 40):
+        for size in ((0.2, 0.2), (1.0, 0.1), (0.1, 1.0)):
+            rows, columns = layout(count, size)
+            assert (rows - 1) * columns < count <= rows * columns
+    assert layout(6, (0.2, 0.2)) == (2, 3)
+    assert layout(4, (1.0, 0.1)) == (4, 1)
+    assert layout(4, (0.1, 1.0)) == (1, 4)
+
+
+@pytest.mark.parametrize(
+    ("frequency", "text"),
+    [(0.0, "rigid, 0 Hz"), (7.4816, "7.482 Hz"), (98.196, "98.20 Hz"), (12345.6, "12346 Hz"), (0.01234, "0.01234 Hz")],
+)
+def test_frequency_text(frequency, text):
+    assert frequency_text(frequency) == text

@@ -1,0 +1,213 @@
+"""``warp-plate render``: every kind of file, and what is refused."""
+
+import json
+import subprocess
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from warp_plate import viz
+from warp_plate.cli.main import main
+from warp_plate.result import load_result, save_result
+from warp_plate.studies.localize import localize
+from warp_plate.viz import availability, pictures
+
+pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory):
+    """A result file of a small search."""
+    from conftest import scene_of
+
+    scene = scene_of(damping=200.0, search={"particles": 4, "iterations": 3})
+    path = tmp_path_factory.mktemp("search") / "panel.h5"
+    return save_result(localize(scene, device="cpu", estimate=False), path)
+
+
+@pytest.fixture
+def render(searched, tmp_path, monkeypatch, capsys):
+    """Runs the command in an empty folder; gives back its JSON object, or the line about what is wrong."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*options):
+        width = [] if "--width" in options else ["--width", "160"]
+        status = None
+        try:
+            main(["render", str(searched), "--device", "cpu", "--json", *width, *options])
+        except SystemExit as left:
+            status = left.code
+        out, err = capsys.readouterr()
+        if status is None:
+            assert err == ""
+            return json.loads(out)
+        assert (status, out, err.count("\n")) == (2, "", 1)
+        return err
+
+    return run
+
+
+@pytest.fixture
+def drawing():
+    """Skips the test where nothing can be drawn off screen."""
+    if (problem := viz.missing()) is not None:
+        pytest.skip(problem)
+
+
+def frames_of(path):
+    from PIL import Image
+
+    with Image.open(path) as movie:
+        for index in range(movie.n_frames):
+            movie.seek(index)
+            yield np.asarray(movie.convert("RGB")).astype(int)
+
+
+def test_a_picture_is_the_default(render, drawing, tmp_path):
+    assert render()["files"] == ["panel.png"]
+    assert [path.name for path in tmp_path.iterdir()] == ["panel.png"]
+    (picture,) = frames_of(tmp_path / "panel.png")
+    assert ((picture.max(axis=-1) - picture.min(axis=-1)) > 100).sum() > 300
+
+
+def test_movies_play_all_frames(render, drawing, tmp_path):
+    """As GIF and MP4: the frames differ, and paper stays white."""
+    if (problem := pictures.missing_movies()) is not None:
+        pytest.skip(problem)
+    import imageio_ffmpeg
+
+    told = render("--out", "a.gif", "--out", "a.mp4", "--frames", "6", "--rate", "12", "--case", "best")
+    assert told["files"] == ["a.gif", "a.mp4"]
+    frames = list(frames_of(tmp_path / "a.gif"))
+    assert len(frames) == 6
+    assert all((one != other).any() for one, other in pairwise(frames))
+    assert all((frame[0] == 255).all() for frame in frames)
+    height, width = (side // 2 * 2 for side in frames[0].shape[:2])
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", "a.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    read = subprocess.run(command, capture_output=True, check=True)
+    about = read.stderr.decode()
+    for words in ("Video: h264", "yuv420p", f"{width}x{height}", "12 fps"):
+        assert words in about
+    played = np.frombuffer(read.stdout, np.uint8).reshape(-1, height, width, 3).astype(int)
+    # Repeated to last six seconds.
+    assert len(played) == 72
+    assert np.abs(played[6] - frames[0][:height, :width]).mean() < 4
+    assert np.abs(played[0] - played[3]).mean() > np.abs(played[0] - played[6]).mean()
+
+
+def test_pages_and_plans_need_no_window(render, monkeypatch, tmp_path):
+    """A browser or Matplotlib draws them: nothing of VTK's windows is asked for."""
+    monkeypatch.setattr(availability, "PROBE", "raise SystemExit(1)")
+    availability._probe.cache_clear()
+    try:
+        render("--out", "a.html", "--out", "a.svg", "--out", "a.pdf", "--field", "phase")
+        render("--out", "b.png", "--plan", "--time", "0.0095")
+        assert "the plate cannot be drawn" in render("--out", "c.png")
+    finally:
+        availability._probe.cache_clear()
+    assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
+    assert "phase lag" in (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "<svg" in (tmp_path / "a.svg").read_text(encoding="utf-8")
+    (picture,) = frames_of(tmp_path / "b.png")
+    assert ((picture.max(axis=-1) - picture.min(axis=-1)) > 100).sum() > 1000
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_plan_names_what_it_shows(searched, tmp_path):
+    from matplotlib import rc_context
+
+    from warp_plate.analysis.motion import motions
+    from warp_plate.viz.plots.plan import draw_plan
+
+    result = load_result(searched)
+    shown = motions(result.scene, result.cases, device="cpu")
+    with rc_context({"svg.fonttype": "none"}):
+        for field, words in (("rms-velocity", "RMS velocity ["), ("displacement", "displacement [")):
+            draw_plan(result.scene, shown, tmp_path / "plan.svg", field, 0)
+            text = (tmp_path / "plan.svg").read_text(encoding="utf-8")
+            assert words in text
+            assert "localization factor" in text
+            # What is the same at all times has no time.
+            assert (", t = 0.0" in text) is (field == "displacement")
+            assert ">clamped<" in text
+
+
+def test_the_papers_figures(render, drawing, tmp_path):
+    files = render("--figures", "paper")["files"]
+    assert files == ["panel-figure-2.png", *(f"panel-figure-3.{form}" for form in ("png", "svg", "pdf"))]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(files)
+    assert "svg" in (tmp_path / "panel-figure-3.svg").read_text(encoding="utf-8")[:400]
+
+
+def test_natural_shapes(render, tmp_path):
+    render("--modes", "3", "--out", "modes.html")
+    assert "displacement\\nover its largest" in (tmp_path / "modes.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (["--out", "a.jpg"], "--out a.jpg: must end in .png, .svg, .pdf, .gif, .mp4 or .html"),
+        (["--out", "no/a.png"], "--out no/a.png: no such folder: no"),
+        (["--width", "10"], "--width 10: must be from 120 to 4000 pixels"),
+        (["--rate", "1000"], "--rate 1000: must be from 1 to 120"),
+        (["--heights", "0"], "--heights 0: must be above 0"),
+        (["--case", "worst"], "--case worst: "),
+        (["--frames", "1"], "--frames 1: must be at least 2"),
+        (["--modes", "40"], "--modes 40: must be from 1 to 6"),
+        (["--modes", "2", "--field", "phase"], "--field phase: natural shapes have their displacement only"),
+        (["--time", "7"], "--time 7: must be from 0 to 0.012 s"),
+        (["--time", "0.001", "--start", "0.01"], "--time 0.001: must lie between --start and --end, 0.01 and 0.012 s"),
+        (["--start", "0.01", "--end", "7"], "start = 0.01, end = 7: must lie inside the run"),
+    ],
+)
+def test_what_is_wrong_is_named(render, tmp_path, options, complaint):
+    out = [] if "--out" in options else ["--out", "a.html"]
+    assert complaint in render(*options, *out)
+    assert not list(tmp_path.iterdir())
+
+
+def test_figures_of_the_paper_come_from_a_search(searched, tmp_path, capsys):
+    other = save_result(replace(load_result(searched), history={}), tmp_path / "other.h5")
+    with pytest.raises(SystemExit):
+        main(["render", str(other), "--figures", "paper"])
+    assert "holds no search; make it with localize" in capsys.readouterr().err
+
+
+def test_a_moment_is_the_frame_of_pictures(searched):
+    """--time: frames over the period from there on, or over the last one."""
+    from warp_plate.analysis.motion import motions
+    from warp_plate.cli.render import _around, _frame
+
+    result = load_result(searched)
+    period = 1 / result.scene.drive.frequency
+    assert _around(result, 0.004, None, None) == pytest.approx((0.004, 0.004 + period))
+    assert _around(result, 0.0119, None, None) == pytest.approx((0.012 - period, 0.012))
+    assert _around(result, None, 0.001, None) == (0.001, None)
+    shown = motions(result.scene, result.cases, _around(result, 0.0119, None, None), device="cpu")
+    moment = shown[0].times[_frame(shown, 0.0119, "displacement")]
+    assert moment == pytest.approx(0.0119, abs=period / 20)
+
+
+def test_ctrl_c_keeps_the_files_that_are_done(searched, monkeypatch, tmp_path, capsys):
+    from warp_plate.viz.plots import plan
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(plan, "draw_plan", interrupted)
+    for out, line in (("a.html", "interrupted; wrote only a.html"), ("a.svg", "interrupted; nothing was written")):
+        with pytest.raises(SystemExit) as left:
+            main(["render", str(searched), "--device", "cpu", "--out", out, "--out", "b.svg"])
+        assert left.value.code == 130
+        assert capsys.readouterr().err == f"warp-plate: {line}\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.html"]
+
+
+def test_without_a_driver_for_movies_only_they_are_missing(render, drawing, monkeypatch, tmp_path):
+    monkeypatch.setattr(pictures, "missing_movies", lambda: "MP4 cannot be written without imageio-ffmpeg: pip")
+    assert "without imageio-ffmpeg" in render("--out", "a.mp4")
+    assert render("--out", "a.png")["files"] == ["a.png"]

@@ -1,0 +1,337 @@
+"""The live model: what it shows at once is what plates do when they are run."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+from warp_plate import PlateSolver, SceneError, localize
+from warp_plate.analysis.superposition import ORDERS, last_period
+from warp_plate.explore.live_model import CHOICES, LiveModel
+from warp_plate.explore.settings import changed_scene, ranges_of
+from warp_plate.plate.weights import localization_factor
+
+# Damped so strongly that the motion is steady when the run ends, and not so strongly that low modes creep.
+DAMPING = 120.0
+SEARCH = {"particles": 12, "iterations": 15}
+
+
+@pytest.fixture
+def panel(scene):
+    """Three actuators, steady at the end."""
+    return scene(damping=DAMPING, window=(0.08, 0.1), search=SEARCH)
+
+
+@pytest.fixture
+def film(scene):
+    """Large displacements, which are not linear in the drives."""
+    return scene(
+        frequency=60.0, window=(0.08, 0.1), effects={"stretching": {}, "damping": {"viscous": DAMPING}}, search=SEARCH
+    )
+
+
+@pytest.fixture
+def live():
+    """Makes live models on the CPU and ends their threads."""
+    made = []
+
+    def make(scene):
+        made.append(LiveModel(scene, "cpu"))
+        return made[-1]
+
+    yield make
+    for model in made:
+        model.close()
+
+
+# Settings ---------------------------------------------------------------------------------------------------
+
+
+def test_bound_and_exact_best_are_those_of_localize(panel, live):
+    model = live(panel)
+    model.choose("exact")
+    model.wait()
+    assert model.read().bound == pytest.approx(localize(panel, device="cpu", estimate=False).bound, rel=1e-9)
+    assert model.read().localization_factor == pytest.approx(model.read().bound, rel=1e-9)
+
+
+def test_sliders_move_the_reading(panel, live):
+    """Magnitude and phase at once, without a simulation; lag φ as in cos(ωt − φ)."""
+    model = live(panel)
+    model.set_actuator(1, magnitude=2.0)
+    model.set_actuator(1, phase=math.pi / 2)
+    assert not model.busy()
+    np.testing.assert_allclose(model.read().drive, [1, -2j, 1], atol=1e-15)
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [(240.0, DAMPING), (290.0, 500.0), (290.0, 0.0)])
+def test_frequency_and_damping_are_simulated_again(frequency, damping, panel, live):
+    model = live(panel)
+    model.set_frequency(frequency)
+    model.set_damping(damping)
+    model.wait()
+    reading, other = model.read(), changed_scene(panel, frequency, damping)
+    run = PlateSolver(other, "cpu").run(np.ones((1, 3)))
+    assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
+    assert (reading.scene.drive.frequency, reading.scene.effects.damping.viscous) == (frequency, damping)
+
+
+def test_reading_does_not_wait_for_a_simulation(panel, live, monkeypatch):
+    """While the worker is at it, the old reading stays, drives still move it, and the status says so."""
+    import warp_plate.explore.live_model as module
+
+    model = live(panel)
+    slow = module.unit_responses
+
+    def slowed(*arguments):
+        time.sleep(0.3)
+        return slow(*arguments)
+
+    monkeypatch.setattr(module, "unit_responses", slowed)
+    model.set_frequency(200.0)
+    assert model.busy()
+    assert model.status() == "simulating ..."
+    model.set_actuator(0, magnitude=0.5)
+    assert model.read().scene.drive.frequency == 290.0
+    assert model.read().drive[0] == 0.5
+    model.wait()
+    assert model.read().scene.drive.frequency == 200.0
+    assert model.read().drive[0] == 0.5
+    assert not model.busy()
+
+
+def test_the_latest_of_many_frequencies_wins(panel, live):
+    model = live(panel)
+    for frequency in np.linspace(150, 320, 60):
+        model.set_frequency(frequency)
+    model.wait()
+    assert model.read().scene.drive.frequency == 320.0
+
+
+def test_damping_where_the_scene_names_none(scene, live):
+    made = scene()
+    model = live(made)
+    assert ranges_of(made).damping == pytest.approx(0.5 * made.drive_angular_frequency * 0.5)
+    model.set_damping(100.0)
+    model.wait()
+    assert model.read().scene.effects.damping.viscous == 100.0
+
+
+def test_what_cannot_be_simulated_is_told_and_the_rest_goes_on(scene, live):
+    """A step that a stronger damping, taken backward, makes unstable."""
+    made = scene(damping=10.0, scheme="backward", time_step=1.2e-4)
+    model = live(made)
+    before = model.read()
+    model.set_damping(1e5)
+    model.wait()
+    assert "above the stability limit" in model.status()
+    assert model.read().scene is before.scene
+    model.set_damping(20.0)
+    model.wait()
+    assert "limit" not in model.status()
+    assert model.read().scene.effects.damping.viscous == 20.0
+
+
+def test_ranges(panel, scene):
+    """Within what the run can carry."""
+    ranges = ranges_of(panel)
+    assert ranges.magnitude == 2.0
+    assert ranges.damping == 5 * DAMPING
+    assert ranges.frequency == pytest.approx((58, 580))
+    short = ranges_of(scene(window=(0.0, 0.005), time_step=8e-4, nodes=(7, 7)))
+    assert short.frequency == pytest.approx((200, 312.5))
+
+
+# Choices ----------------------------------------------------------------------------------------------------
+
+
+def test_choices(panel, live):
+    """Each is what localize means by the name."""
+    model, found = live(panel), localize(panel, device="cpu", estimate=False)
+    for choice, case in (("equal", "equal"), ("single", "single"), ("found", "best")):
+        model.choose(choice)
+        model.wait()
+        # A run in float64 against one in the scene's precision.
+        assert model.read().localization_factor == pytest.approx(found.cases[case].localization_factor, rel=1e-6)
+    model.choose("random")
+    model.wait()
+    first = model.read().drive
+    model.choose("random")
+    model.wait()
+    assert np.abs(first - model.read().drive).min() > 0
+    model.choose("scene")
+    model.wait()
+    np.testing.assert_allclose(model.read().drive, [1, 1, 1])
+    with pytest.raises(ValueError, match="'best': there are: scene, equal"):
+        model.choose("best")
+
+
+def test_drives_found_fit_the_sliders(panel, live):
+    model = live(panel)
+    for choice in CHOICES:
+        model.choose(choice)
+        model.wait()
+        assert max(model.settings.magnitude) <= model.ranges.magnitude * (1 + 1e-12)
+        assert all(0 <= phase < 2 * math.pi for phase in model.settings.phase)
+
+
+def test_one_actuator(scene, live):
+    model = live(scene(damping=DAMPING, actuators=[(0.03, 0.06, 0.04, 0.07)]))
+    for choice in CHOICES:
+        model.choose(choice)
+        model.wait()
+        assert model.read().localization_factor > 0
+    assert model.swarm() is None
+
+
+# The swarm, watched -----------------------------------------------------------------------------------------
+
+
+def test_a_search_is_watched(panel, live):
+    """Particles and best so far at each iteration; the plate is that of the best, as localize finds it."""
+    model = live(panel)
+    model.choose("found", seconds=0.02)
+    seen = {}
+    while model.busy():
+        swarm = model.swarm()
+        if swarm is not None:
+            seen[swarm.best.size] = swarm
+        time.sleep(0.002)
+    model.wait()
+    last = model.swarm()
+    assert len(seen) > 5
+    assert not last.running
+    assert (last.best.size, last.iterations) == (15, 15)
+    assert np.all(np.diff(last.best) >= 0)
+    for swarm in seen.values():
+        assert swarm.drives.shape == (12, 3)
+        np.testing.assert_array_equal(swarm.drives[:, 0], 1)
+    assert last.factors.max() <= last.best[-1] <= model.read().bound
+    assert model.read().localization_factor == pytest.approx(last.best[-1], rel=1e-12)
+    history = localize(panel, device="cpu", evaluator="response", estimate=False).history["best"]
+    np.testing.assert_allclose(last.best, history, rtol=1e-9)
+
+
+def test_before_the_first_swarm_is_evaluated_the_status_says_so(panel, live, monkeypatch):
+    model = live(panel)
+    model.choose("found")
+    model.wait()
+    assert model.status() == ""
+    monkeypatch.setattr(model._search, "read", lambda: None)
+    assert model.status() == "searching: the first swarm ..."
+
+
+def test_a_search_ends_when_it_is_told_or_the_drive_is_moved(panel, live):
+    model = live(panel)
+    model.choose("found", seconds=0.02)
+    while model.swarm() is None:
+        time.sleep(0.002)
+    model.end_search()
+    model.wait()
+    assert not model.swarm().running
+    assert model.swarm().best.size < 15
+    model.choose("found", seconds=0.02)
+    while model.swarm() is None or not model.swarm().running:
+        time.sleep(0.002)
+    model.set_actuator(0, magnitude=0.25)
+    assert model.swarm() is None
+    time.sleep(0.1)
+    assert model.settings.magnitude[0] == 0.25
+
+
+def test_what_an_ended_search_finds_comes_too_late(panel, live):
+    """Even if its thread is just about to tell."""
+    model = live(panel)
+    model.choose("found", seconds=0.02)
+    while model.swarm() is None:
+        time.sleep(0.002)
+    tell = model._search._found
+    model.set_actuator(0, magnitude=0.25)
+    tell(np.array([1.0, 1.0, 1.0]))
+    assert model.settings.magnitude[0] == 0.25
+
+
+def test_a_frequency_that_is_asked_for_during_a_search_stays(panel, live):
+    """It ends the search, whose drives are those of another frequency."""
+    model = live(panel)
+    for frequency in (200.0, 210.0, 220.0):
+        model.choose("found")
+        model.set_frequency(frequency)
+        model.wait()
+        assert model.settings.frequency == frequency
+        assert model.read().scene.drive.frequency == frequency
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_failure_that_no_scene_explains_is_told(panel, live, monkeypatch):
+    """Such as a device that runs out of memory; what is shown stays."""
+    import warp_plate.explore.live_model as module
+
+    model = live(panel)
+
+    def fail(*_):
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr(module, "unit_responses", fail)
+    model.set_frequency(200.0)
+    model.wait()
+    assert model.status().startswith("the simulation has failed")
+    assert model.read().scene.drive.frequency == 290.0
+
+
+# Not linear -------------------------------------------------------------------------------------------------
+
+
+def test_stretching_is_simulated_for_each_drive(film, live):
+    """Where the plate moves by its thickness and more, ten times the drive is not ten times the motion."""
+    model = live(film)
+    shown = []
+    for magnitude in (10.0, 100.0):
+        for index in range(3):
+            model.set_actuator(index, magnitude=magnitude)
+        model.wait()
+        reading = model.read()
+        solver = PlateSolver(film, "cpu")
+        times = last_period(film, solver.specialized.scheme.time_step, 5)
+        run = solver.run(np.full((1, 3), magnitude), times)
+        assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
+        assert reading.bound is None
+        shown.append(reading.motion)
+        field = run.displacement[0, 2]
+        at = reading.motion.at(film.drive_angular_frequency * run.times[2])
+        np.testing.assert_allclose(at, field, atol=0.02 * np.abs(field).max())
+    np.testing.assert_array_equal(shown[0].orders, ORDERS)
+    assert shown[1].peak() < 9.8 * shown[0].peak()
+
+
+def test_no_exact_best_where_nothing_is_linear(film, live):
+    model = live(film)
+    before = model.settings
+    model.choose("exact")
+    model.wait()
+    assert model.status().startswith("exact best: effects.stretching is not linear")
+    assert model.settings == before
+    model.choose("equal")
+    model.wait()
+    assert "stretching" not in model.status()
+
+
+def test_a_swarm_of_plates_that_stretch(film, live):
+    """Simulated, beside the plate that is shown."""
+    model = live(film)
+    model.choose("found")
+    model.wait()
+    assert model.read().localization_factor == pytest.approx(model.swarm().best[-1], rel=1e-6)
+
+
+def test_a_drive_that_no_run_survives_is_told(film, live):
+    model = live(film)
+    model.set_actuator(0, magnitude=1e12)
+    model.wait()
+    assert model.status()
+
+
+def test_a_scene_that_cannot_run_is_refused_at_once(scene):
+    with pytest.raises(SceneError, match="above the stability limit"):
+        LiveModel(scene(time_step=1e-3), "cpu")

@@ -1,0 +1,291 @@
+"""Targets of any shape: their weights against exact areas and integrals, what they change in a run, what is refused."""
+
+import math
+
+import numpy as np
+import pytest
+from conftest import PAPER, refusal
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warp_plate import PlateSolver, Scene, SceneError
+from warp_plate.plate.files import digests
+from warp_plate.plate.shapes import cells, clipped, cubics, polygon_weights
+from warp_plate.plate.weights import REGIONS, localization_factor, region_weights
+from warp_plate.reference import forced, series
+from warp_plate.result.outlines import outlines
+from warp_plate.scene.load import dump_scene, load_scene, parse_scene
+from warp_plate.scene.target import Target, area_within
+
+TARGET = REGIONS.index("target")
+SIZE = (0.2, 0.15)
+# A star of five points, not convex, and an L: corners [m].
+ANGLES = 0.3 + np.arange(10) * math.pi / 5
+RADII = np.tile([0.06, 0.028], 5)
+STAR = np.column_stack([0.1 + RADII * np.cos(ANGLES), 0.07 + RADII * np.sin(ANGLES)])
+L_SHAPE = np.array([(0.02, 0.01), (0.15, 0.01), (0.15, 0.05), (0.07, 0.05), (0.07, 0.13), (0.02, 0.13)])
+LOADS = ("overlap", "moments")
+
+
+def weights_of(scene, target, nodes=(27, 21), load="overlap"):
+    return region_weights(scene(nodes, SIZE, load=load, target=target))[TARGET]
+
+
+def area_of(field):
+    ny, nx = field.shape
+    return field.sum() * SIZE[0] / (nx - 1) * SIZE[1] / (ny - 1)
+
+
+def middle_of(field):
+    """x, y of the centre of area [m]."""
+    x, y = (np.linspace(0, side, count) for side, count in zip(SIZE, field.shape[::-1], strict=True))
+    return (field.sum(axis=0) @ x / field.sum(), field.sum(axis=1) @ y / field.sum())
+
+
+@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize("nodes", [(9, 9), (27, 21), (40, 64)])
+def test_weights_sum_to_the_exact_area(load, nodes, scene):
+    disc = weights_of(scene, {"disc": (0.08, 0.07, 0.05)}, nodes, load)
+    assert area_of(disc) == pytest.approx(math.pi * 0.05**2, rel=1e-12)
+    star = weights_of(scene, {"polygon": STAR.tolist()}, nodes, load)
+    # Ten triangles from the middle, of two radii and 36° between them.
+    assert area_of(star) == pytest.approx(10 * 0.06 * 0.028 * math.sin(math.pi / 5) / 2, rel=1e-12)
+    bent = weights_of(scene, {"polygon": L_SHAPE.tolist()}, nodes, load)
+    assert area_of(bent) == pytest.approx(0.13 * 0.04 + 0.05 * 0.08, rel=1e-12)
+    np.testing.assert_allclose(
+        weights_of(scene, {"polygon": L_SHAPE[::-1].tolist()}, nodes, load), bent, rtol=0, atol=1e-13
+    )
+    if load == "moments":  # which keep the first moments too
+        assert middle_of(disc) == pytest.approx((0.08, 0.07), rel=1e-12)
+        assert middle_of(star) == pytest.approx((0.1, 0.07), rel=1e-12)
+    else:
+        assert min(disc.min(), star.min(), bent.min()) == 0
+        assert max(disc.max(), star.max(), bent.max()) <= 1 + 1e-12
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_a_polygon_with_four_right_angles_is_a_rectangle(load, scene, random):
+    for _ in range(10):
+        (x0, y0), (x1, y1) = (random.uniform(low, high, 2) * SIZE for low, high in ((0, 0.5), (0.6, 1)))
+        corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+        rectangle = weights_of(scene, {"area": (x0, x1, y0, y1)}, load=load)
+        np.testing.assert_allclose(
+            weights_of(scene, {"polygon": corners}, load=load), rectangle, rtol=0, atol=1e-12
+        )
+
+
+def test_an_l_is_two_rectangles(scene):
+    for load in LOADS:
+        parts = [(0.02, 0.15, 0.01, 0.05), (0.02, 0.07, 0.05, 0.13)]
+        whole = sum(weights_of(scene, {"area": area}, load=load) for area in parts)
+        np.testing.assert_allclose(
+            weights_of(scene, {"polygon": L_SHAPE.tolist()}, load=load), whole, rtol=0, atol=1e-12
+        )
+
+
+@given(st.integers(0, 2**32), st.sampled_from([cells, cubics]))
+def test_parts_of_any_polygon_are_the_whole(seed, axis):
+    """A polygon seen whole from a point inside, cut in four anywhere: every node gets what it gets of the whole."""
+    random = np.random.default_rng(seed)
+    nodes = random.integers(5, 40, 2)
+    count = random.integers(4, 12)
+    angles = 2 * math.pi * (np.arange(count) + random.uniform(0, 0.9, count)) / count
+    reach = random.uniform(0.05, 0.5, angles.size)
+    corners = (0.5 + reach[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])) * (nodes - 1)
+    across, up = (axis(int(count)) for count in nodes)
+    whole = polygon_weights(corners, across, up)
+    assert whole.sum() == pytest.approx(area_within(corners), rel=1e-11)
+    x, y = random.uniform(0, 1, 2) * (nodes - 1)
+    quarters = [(0, x, 0, y), (x, nodes[0], 0, y), (0, x, y, nodes[1]), (x, nodes[0], y, nodes[1])]
+    parts = sum(polygon_weights(clipped(corners, area), across, up) for area in quarters)
+    np.testing.assert_allclose(parts, whole, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(("load", "order", "last"), [("overlap", 2, 2e-4), ("moments", 4, 1e-7)])
+def test_integrals_of_a_smooth_function_fall_with_their_order(load, order, last, scene):
+    """Of exp(a x) cos(b y) over the disc: exactly 2πR J₁(cR)/c · exp(a x₀) cos(b y₀) with c² = b² − a² (a mean value of
+    Helmholtz's equation, whose solution this is)."""
+    from scipy.special import j1
+
+    x0, y0, radius, a, b = 0.09, 0.07, 0.055, 12.0, 31.0
+    c = math.sqrt(b**2 - a**2)
+    exact = 2 * math.pi * radius * j1(c * radius) / c * math.exp(a * x0) * math.cos(b * y0)
+    errors = []
+    for count in (13, 25, 49, 97):
+        field = weights_of(scene, {"disc": (x0, y0, radius)}, (count, count), load)
+        x, y = (np.linspace(0, side, count) for side in SIZE)
+        values = np.exp(a * x) * np.cos(b * y)[:, None]
+        cell = SIZE[0] * SIZE[1] / (count - 1) ** 2
+        errors.append(abs(cell * (field * values).sum() / exact - 1))
+        # The law's constant is that of the coarsest grid, twice over for what differs from grid to grid.
+        assert errors[-1] <= 2 * max(errors[0], 1e-9) * ((13 - 1) / (count - 1)) ** order
+    assert errors[-1] < last
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_a_mask_of_ones_is_the_plate_and_a_ramp_is_its_integral(load, scene, tmp_path):
+    np.savetxt(tmp_path / "ones.csv", np.ones((3, 4)), delimiter=",")
+    np.savetxt(tmp_path / "row.csv", np.linspace(0, 1, 6)[None], delimiter=",")
+    np.savetxt(tmp_path / "column.csv", np.linspace(0, 1, 2)[:, None], delimiter=",")
+    made = {name: scene((14, 11), SIZE, load=load, target={"mask": f"{name}.csv"}).in_folder(tmp_path)
+            for name in ("ones", "row", "column")}  # fmt: skip
+    plate, ones = region_weights(made["ones"])
+    np.testing.assert_allclose(ones, plate, rtol=0, atol=1e-13)
+    for name, middle in (("row", (2 / 3 * 0.2, 0.075)), ("column", (0.1, 2 / 3 * 0.15))):
+        field = region_weights(made[name])[TARGET]
+        assert area_of(field) == pytest.approx(0.015, rel=1e-12)
+        if load == "moments":
+            assert middle_of(field) == pytest.approx(middle, rel=1e-12)
+
+
+def test_a_fine_mask_is_the_polygon_that_it_draws(scene, tmp_path):
+    """1 or 0 at 301 × 401 points: the L within half of their spacing all around it."""
+    x, y = np.linspace(0, SIZE[0], 401), np.linspace(0, SIZE[1], 301)[:, None]
+    inside = ((x > 0.02) & (x < 0.15) & (y > 0.01) & (y < 0.05)) | ((x > 0.02) & (x < 0.07) & (y > 0.01) & (y < 0.13))
+    np.savetxt(tmp_path / "l.csv", inside, delimiter=",", fmt="%d")
+    made = scene((27, 21), SIZE, target={"mask": "l.csv"}).in_folder(tmp_path)
+    field, polygon = region_weights(made)[TARGET], weights_of(scene, {"polygon": L_SHAPE.tolist()})
+    around = np.hypot(*(np.roll(L_SHAPE, -1, axis=0) - L_SHAPE).T).sum()
+    assert abs(area_of(field) - area_of(polygon)) <= around * 0.2 / 400 / 2
+    assert np.abs(field - polygon).max() < 0.1
+    assert set(digests(made)) == {"target.mask"}
+
+
+def test_a_disc_s_localization_factor_is_that_of_a_fine_run(scene):
+    """By moments and order 4 on 27 × 27 nodes, within 1 % of a run with half the spacing."""
+    tables = {"order": 4, "load": "moments", "target": {"disc": (0.08, 0.06, 0.045)}, "damping": 88.0}
+    found = [
+        localization_factor(PlateSolver(scene((nodes, nodes), **tables), "cpu").run(np.ones((1, 3))).energy)[0]
+        for nodes in (27, 53)
+    ]
+    assert 0.05 < found[1] < 0.95
+    assert found[0] == pytest.approx(found[1], rel=1e-2)
+
+
+def test_a_solver_takes_shapes_and_weights_as_regions(scene):
+    made = scene(target={"disc": (0.1, 0.1, 0.05)})
+    areas = {"same": Target(disc=(0.1, 0.1, 0.05)), "own": region_weights(made)[TARGET], "half": (0.0, 0.1, 0.0, 0.2)}
+    run = PlateSolver(made, "cpu", areas=areas).run(np.ones((1, 3)))
+    assert run.regions == ("plate", "target", "same", "own", "half")
+    assert run.energy[0, 1] == run.energy[0, 2] == run.energy[0, 3]
+    assert 0 < run.energy[0, 4] < run.energy[0, 0]
+
+
+def test_references_say_that_they_take_rectangles(scene):
+    made = scene(edges=("supported",) * 4, target={"disc": (0.1, 0.1, 0.05)})
+    with pytest.raises(SceneError, match=r"^target\.disc = \[0\.1, 0\.1, 0\.05\]: .* rectangles only"):
+        series.kinetic_energies(made, np.ones(3), terms=2)
+    with pytest.raises(SceneError, match="rectangles only"):
+        forced.converge(made, np.ones((1, 3)), counts=(4,))
+
+
+def paper_with(lines):
+    head, _, rest = PAPER.partition("[target]")
+    return head + lines + "\n" + rest[rest.index("[record]") :]
+
+
+@pytest.mark.parametrize(
+    ("lines", "named", "right"),
+    [
+        ("[target]", "target.area: no shape is given", "area, disc, polygon and mask"),
+        ("[target]\narea = [0.0, 0.1, 0.0, 0.1]\ndisc = [0.1, 0.1, 0.05]", "target.disc: area is given too", "one of"),
+        ("[target]\ndisc = [0.1, 0.1]", "target.disc = [0.1, 0.1]: must be a list of 3 numbers", ""),
+        ("[target]\ndisc = [0.1, 0.1, 0.0]", "target.disc[2] = 0.0", "greater than 0"),
+        ("[target]\ndisc = [0.1, 0.1, 0.11]", "target.disc: [0.1, 0.1, 0.11]", "whole disc in 0 ... 0.2"),
+        ("[target]\ndisc = [0.1, 0.1, 1e-9]", "target.disc: a radius of 1e-09 m", "at least 1e-07"),
+        ("[target]\npolygon = [[0, 0], [0.1, 0]]", "target.polygon = [[0, 0], [0.1, 0]]", "at least 3"),
+        ("[target]\npolygon = [[0, 0], [0.1, 0], [0.1, 0.3]]", "target.polygon[2]: [0.1, 0.3]", "0 ... 0.2"),
+        ("[target]\npolygon = [[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]", "target.polygon: the sides", "0 and 2"),
+        ("[target]\npolygon = [[0, 0], [0.1, 0], [0.1, 0], [0, 0.1]]", "target.polygon: the sides", "none twice"),
+        ("[target]\npolygon = [[0, 0], [0.1, 0.1], [0.05, 0.05], [0.02, 0.1]]", "target.polygon: the sides", "0 and 1"),
+        ("[target]\npolygon = [[0, 0], [0.1, 0], [0.1, 0.1], [0.05, 0], [0, 0.1]]", "target.polygon: the sides", ""),
+        ("[target]\npolygon = [[0, 0], [0.1, 0], [0.2, 0]]", "target.polygon: is less than 2e-07 m wide", "wider"),
+        ("[target]\npolygon = [[0, 0], [0.1, 0.1], [0.2, 0.2]]", "target.polygon: the sides", ""),
+        ('[target]\nmask = "mask.png"', "target.mask: 'mask.png' is not the name of a .csv file", "without folders"),
+        ('[target]\nmask = "../mask.csv"', "target.mask: '../mask.csv'", "without folders"),
+        ("", "target: is missing", ""),
+        ('[[targets]]\nname = "a"', "targets[0].area: no shape is given", "area, disc"),
+        ("[[targets]]\narea = [0.0, 0.1, 0.0, 0.1]", "targets[0].name: is missing", ""),
+        ('[[targets]]\nname = "a"\ndiscs = [0.1, 0.1, 0.05]', "targets[0].discs: unknown key", "'disc'"),
+        (
+            '[[targets]]\nname = "a"\ndisc = [0.1, 0.1, 0.05]\n[[targets]]\nname = "a"\narea = [0.0, 0.1, 0.0, 0.1]',
+            "targets[1].name: 'a' is taken",
+            "its own",
+        ),
+        (
+            '[[targets]]\nname = "a"\ndisc = [0.1, 0.1, 0.05]\n[target]\narea = [0.0, 0.1, 0.0, 0.1]',
+            "target: there are [[targets]] too",
+            "none of them; write one of the two",
+        ),
+        ('[[targets]]\nname = "a/b"\ndisc = [0.1, 0.1, 0.05]', "targets[0].name = 'a/b'", "without '/'"),
+    ],
+)  # fmt: skip
+def test_wrong_shapes_are_refused_in_one_line(lines, named, right):
+    line = refusal(paper_with(lines))
+    assert line.startswith(named)
+    assert right in line
+
+
+@pytest.mark.parametrize(
+    ("text", "right"),
+    [
+        (None, "no such file beside the scene file"),
+        ("", "holds no numbers"),
+        ("0,0\n0,0\n", "holds no number above 0"),
+        ("0,1\n0,1.5\n", "line 2, column 2: 1.5 is no number from 0 to 1"),
+        ("0,1\n0,nan\n", "line 2, column 2: nan"),
+        ("0,1\n0\n", "line 2"),
+    ],
+)
+def test_wrong_masks_are_refused_in_one_line(text, right, tmp_path):
+    if text is not None:
+        (tmp_path / "mask.csv").write_text(text)
+    (tmp_path / "panel.toml").write_text(paper_with('[target]\nmask = "mask.csv"'))
+    with pytest.raises(SceneError) as refused:
+        PlateSolver(load_scene(tmp_path / "panel.toml"), "cpu")
+    line = str(refused.value)
+    assert line.startswith("target.mask = 'mask.csv': ")
+    assert right in line
+    assert len(line.splitlines()) == 1
+
+
+def test_a_target_that_no_moving_node_has_a_part_of_is_refused(scene):
+    with pytest.raises(SceneError, match="covers no node that can move on a grid of 13 x 13"):
+        PlateSolver(scene(target={"disc": (0.1, 0.004, 0.002)}), "cpu")
+
+
+def test_the_first_of_several_targets_is_the_target(tmp_path):
+    lines = [f'[[targets]]\nname = "{name}"\n{shape}' for name, shape in (
+        ("disc", "disc = [0.1, 0.1, 0.05]"), ("star", f"polygon = {STAR.tolist()}"), ("left", 'mask = "left.csv"'),
+    )]  # fmt: skip
+    np.savetxt(tmp_path / "left.csv", [[1, 0]], delimiter=",")
+    (tmp_path / "panel.toml").write_text(paper_with("\n".join(lines)))
+    made = Scene.load(tmp_path / "panel.toml")
+    assert made.target == Target(disc=(0.1, 0.1, 0.05))
+    assert [target.name for target in made.targets] == ["disc", "star", "left"]
+    assert parse_scene(dump_scene(made), "").in_folder(tmp_path) == made
+    other = made.aimed_at(1)
+    assert other.target.polygon == made.targets[1].polygon
+    assert parse_scene(dump_scene(other), "").in_folder(tmp_path) == other
+    assert set(digests(made)) == {"targets[2].mask"}
+    run = PlateSolver(made, "cpu", areas={one.name: one for one in made.targets[1:]}).run(np.ones((1, 4)))
+    assert (run.energy[0] > 0).all()
+
+
+def test_outlines_go_round_every_shape(scene, tmp_path):
+    np.savetxt(tmp_path / "mask.csv", [[0, 0, 0, 0], [0, 1, 1, 0], [0, 0, 0, 0], [1, 1, 1, 1]], delimiter=",")
+    for target, length in (
+        ({"area": (0.0, 0.1, 0.0, 0.05)}, 0.3),
+        ({"disc": (0.1, 0.07, 0.05)}, 2 * math.pi * 0.05),
+        ({"polygon": L_SHAPE.tolist()}, 2 * (0.13 + 0.12)),
+    ):
+        (way,) = outlines(scene(size=SIZE, target=target))
+        assert (way[0] == way[-1]).all()
+        assert np.hypot(*np.diff(way, axis=0).T).sum() == pytest.approx(length, rel=1e-3)
+    ways = outlines(scene(size=SIZE, target={"mask": "mask.csv"}).in_folder(tmp_path))
+    assert len(ways) == 2
+    assert all((way[0] == way[-1]).all() for way in ways)
+    # Of a bilinear patch's half, counterclockwise: the strip along the upper side, half of the spacing high.
+    strip = max(ways, key=lambda way: way[:, 1].max())
+    assert area_within(strip[:-1]) == pytest.approx(0.2 * 0.025, rel=1e-9)
+    assert not outlines(scene(size=SIZE, target={"mask": "gone.csv"}).in_folder(tmp_path))

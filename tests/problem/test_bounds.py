@@ -1,0 +1,191 @@
+"""Bounds under limits: never passed by any drive that keeps them, tight where the relaxation is, and valid for any
+multipliers."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from warp_plate import PlateSolver
+from warp_plate.plate.weights import REGIONS, localization_factor
+from warp_plate.problem.bounds import MOST_ACTUATORS, Allowed, bound_energy, bound_localization
+from warp_plate.problem.semidefinite import Limits, least_majorant
+from warp_plate.solve.response import Response, measure_response
+
+INFINITE, FREE = math.inf, math.nan
+
+
+def gram(random, actuators, rank=None):
+    """Matrices like those of a plate: 0 ⪯ target ⪯ plate."""
+    count = 2 * actuators
+    factor = random.normal(size=(count, rank or count))
+    orthogonal, _ = np.linalg.qr(random.normal(size=(rank or count, rank or count)))
+    shares = orthogonal * random.uniform(0, 1, rank or count) @ orthogonal.T
+    matrices = {"plate": factor @ factor.T, "target": factor @ shares @ factor.T}
+    return Response(np.array([matrices[name] for name in REGIONS]))
+
+
+def allowed(actuators, lower=-INFINITE, upper=INFINITE, phase=FREE, power=INFINITE, equal=False):
+    """Numbers or a list of one an actuator."""
+    arrays = (np.broadcast_to(np.asarray(value, float), actuators) for value in (lower, upper, phase))
+    return Allowed(*arrays, power, equal)
+
+
+def drawn(random, limits, count):
+    """Random drives that keep the limits, many of them at a limit."""
+    actuators = len(limits.phase)
+    top = np.where(np.isfinite(limits.upper), limits.upper, 2.0)
+    low = np.where(np.isfinite(limits.lower), limits.lower, -top)
+    size = low + (top - low) * np.clip(random.uniform(-0.5, 1.5, (count, actuators)), 0, 1)
+    if limits.equal:
+        size = np.broadcast_to(size[:, :1], size.shape)
+    power = (size**2).sum(axis=1)
+    if math.isfinite(limits.power):
+        if (limits.lower > 0).any():
+            size = size[power <= limits.power]
+        else:
+            size = size * np.sqrt(np.minimum(1, limits.power / power))[:, None]
+    phase = random.uniform(0, 2 * np.pi, size.shape)
+    return size * np.exp(-1j * np.where(np.isnan(limits.phase), phase, limits.phase))
+
+
+CASES = {
+    "none": {},
+    "first phase held": {"phase": [0.4, FREE, FREE]},
+    "all phases held": {"phase": [0.4, 1.0, 3.0]},
+    "held, no sign": {"phase": [0.4, 1.0, 3.0], "lower": 0.0},
+    "equal": {"equal": True, "lower": 0.0},
+    "range": {"lower": 0.5, "upper": 1.0},
+    "own ranges": {"lower": [0.0, 0.3, 0.2], "upper": [1.0, 0.4, INFINITE]},
+    "one magnitude held": {"lower": [1.0, 0.2, 0.0], "upper": [1.0, 0.8, 1.0], "phase": [0.0, FREE, FREE]},
+    "magnitudes held": {"lower": [1.0, 0.5, 0.2], "upper": [1.0, 0.5, 0.2]},
+    "one off": {"lower": 0.0, "upper": [1.0, 0.0, 1.0], "equal": False},
+    "power": {"lower": 0.5, "power": 1.2},
+    "all": {"lower": 0.2, "upper": 1.0, "power": 1.5, "phase": [0.0, FREE, FREE]},
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_no_allowed_drive_passes_the_ratios_bound(random, case):
+    limits = allowed(3, **case)
+    for rank in (None, 2):
+        response = gram(random, 3, rank)
+        bound = bound_localization(response, limits)
+        energy = response.energy(drawn(random, limits, 20_000))
+        moved = energy[:, REGIONS.index("plate")] > 1e-9 * energy.max()
+        best = localization_factor(energy[moved]).max()
+        assert best <= bound.value + 1e-8, (case, rank)
+        assert bound.value <= response.bound() * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("case", [*list(CASES.values())[5:], {"power": 1.0}], ids=str)
+def test_no_allowed_drive_passes_the_energys_bound(random, case):
+    limits, response = allowed(3, **case), gram(random, 3)
+    target, plate = (response.matrices[REGIONS.index(name)] for name in ("target", "plate"))
+    energies = response.energy(drawn(random, limits, 20_000))
+    inside, rest = energies[:, REGIONS.index("target")], energies[:, REGIONS.index("plate")]
+    rest = rest - inside
+    bound = bound_energy(target, limits)
+    if (np.isinf(limits.upper)).any() and math.isinf(limits.power):
+        assert bound is None  # nothing limits it
+    else:
+        assert inside.max() <= bound.value * (1 + 1e-9)
+    most = float(np.median(rest))
+    with_rest = bound_energy(target, limits, [(plate - target, most)])
+    assert inside[rest <= most].max() <= with_rest.value * (1 + 1e-9)
+    assert bound is None or with_rest.value <= bound.value * (1 + 1e-6)
+
+
+def test_equal_magnitudes_of_two_are_bounded_by_the_best_on_a_grid(random):
+    """Of two actuators with one phase held the relaxation is exact: the bound is the best of all phases."""
+    for _ in range(5):
+        response = gram(random, 2)
+        bound = bound_localization(response, allowed(2, lower=0.0, phase=[0.0, FREE], equal=True))
+        turn = np.exp(-1j * np.linspace(0, 2 * np.pi, 20_001))
+        best = localization_factor(response.energy(np.stack([np.ones_like(turn), turn], axis=1))).max()
+        assert bound.value == pytest.approx(best, abs=1e-6)
+        assert bound.kind == "attained"
+
+
+def test_three_actuators_of_a_plate_by_grid(scene):
+    """Equal magnitudes on a plate: its energies hardly know a common phase, and up to three are then bounded exactly,
+    up to what is left of the start."""
+    response = measure_response(PlateSolver(scene(damping=88.5, window=(0.02, 0.03)), "cpu"))
+    bound = bound_localization(response, allowed(3, lower=0.0, phase=[0.0, FREE, FREE], equal=True))
+    first, second = np.meshgrid(*[np.linspace(0, 2 * np.pi, 361)] * 2)
+    drives = np.exp(-1j * np.stack([0 * first.ravel(), first.ravel(), second.ravel()], axis=1))
+    best = localization_factor(response.energy(drives)).max()
+    assert best <= bound.value <= best * 1.005
+    assert bound.value < response.bound()
+
+
+def test_any_multipliers_bound_the_ratio(random):
+    """The duality itself, written out: for Σ d = 0 the largest eigenvalue of (A + diag d, B) is passed by no drive of
+    equal magnitudes, and none of them is below what is found as the least."""
+    response = gram(random, 3)
+    target, plate = (response.matrices[REGIONS.index(name)] for name in ("target", "plate"))
+    limits = allowed(3, lower=0.5, upper=1.0, equal=True)
+    bound = bound_localization(response, limits)
+    best = localization_factor(response.energy(drawn(random, limits, 20_000))).max()
+    for _ in range(200):
+        multiplier = random.normal(size=3)
+        multiplier -= multiplier.mean()
+        lifted = target + np.diag(np.tile(multiplier, 2)) * random.uniform(0, 2)
+        other = scipy.linalg.eigh(lifted, plate, eigvals_only=True)[-1]
+        assert best <= bound.value <= other + 1e-9
+
+
+def test_a_power_limit_gives_the_eigenvalue(random):
+    matrix = gram(random, 4).matrices[0]
+    bound = bound_energy(matrix, allowed(4, power=3.0))
+    assert bound.value == pytest.approx(3 * np.linalg.eigvalsh(matrix)[-1], rel=1e-8)
+    assert bound.kind == "attained"
+
+
+def test_a_limit_on_the_rest_gives_the_ratio(random):
+    """The most energy in the target for so much in the rest is that times LF / (1 − LF), to what rounding leaves of a
+    rest that nearly vanishes."""
+    for draws in (random, *map(np.random.default_rng, (239, 364, 453))):
+        response = gram(draws, 3)
+        target, plate = (response.matrices[REGIONS.index(name)] for name in ("target", "plate"))
+        factor = response.bound()
+        bound = bound_energy(target, allowed(3), [(plate - target, 0.7)])
+        rounding = 1e-6 * max(1, 0.01 / (1 - factor))
+        assert 0 <= bound.value * (1 - factor) / (0.7 * factor) - 1 < rounding
+        assert bound.kind == "attained" or rounding > 1e-6
+
+
+def test_units_do_not_matter(random):
+    """Actuators of very different strength, and energies in tiny units."""
+    response = gram(random, 3)
+    size = np.array([1e-6, 1.0, 1e5])
+    both = np.tile(size, 2)
+    other = Response(1e-20 * response.matrices / np.outer(both, both))
+    lower, upper = np.array([0.5, 0.2, 0.3]), np.array([1.0, 1.0, 2.0])
+    bound = bound_localization(response, allowed(3, lower=lower, upper=upper))
+    scaled = bound_localization(other, allowed(3, lower=lower * size, upper=upper * size))
+    assert scaled.value == pytest.approx(bound.value, rel=1e-6)
+    energy = bound_energy(response.matrices[1], allowed(3, lower=lower, upper=upper))
+    tiny = bound_energy(other.matrices[1], allowed(3, lower=lower * size, upper=upper * size))
+    assert tiny.value == pytest.approx(1e-20 * energy.value, rel=1e-6)
+
+
+def test_no_motion_and_no_limit_claim_nothing():
+    still = Response(np.zeros((2, 4, 4)))
+    assert bound_localization(still, allowed(2)) is None
+    assert bound_localization(still, allowed(2, lower=0.0, upper=0.0)) is None
+    assert bound_energy(np.eye(4), allowed(2)) is None
+
+
+def test_many_actuators_keep_the_eigenvalue(random):
+    response = gram(random, MOST_ACTUATORS + 1)
+    bound = bound_localization(response, allowed(MOST_ACTUATORS + 1, lower=0.0, equal=True))
+    assert (bound.value, bound.kind) == (pytest.approx(response.bound()), "bound only")
+
+
+def test_without_multipliers_there_is_no_bound():
+    """−z² ≤ 1 does not hold z² down."""
+    value, slack = least_majorant(np.eye(1), Limits(-np.ones((1, 1, 1)), np.ones(1), np.zeros(1, bool)))
+    assert value == math.inf
+    assert slack.size == 0

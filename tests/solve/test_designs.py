@@ -1,0 +1,365 @@
+"""Batches in which plates have frequencies, places and delays of their own: each plate against the scene that has its
+values written in it, on every path; and energies of displacements."""
+
+import numpy as np
+import pytest
+from test_paths import poison
+
+from warp_plate import PlateSolver, SceneError
+from warp_plate.kernels import moment_form_plan as general_plan
+from warp_plate.plate.designs import Designs, Own, own_of
+from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.signals import make_signals, own_waves
+from warp_plate.plate.weights import patches, region_weights
+from warp_plate.reference.numpy_moment_form import run_general
+from warp_plate.reference.numpy_plate import run_plate
+from warp_plate.solve import moment_form as general
+from warp_plate.solve import paths
+from warp_plate.solve.state import bytes_per_plate
+
+# Both sides round a few times ε a step, in another order, for some hundred steps.
+TOLERANCE = {"float32": 3e-4, "float64": 1e-11}
+EFFECTS = {
+    "damping": {"viscous": 30.0},
+    "tension": {"x": 5.0, "y": 2.0},
+    "foundation": {"stiffness": 1e4},
+    "oscillators": [{"area": (0.0, 0.1, 0.0, 0.08), "mass": 0.003, "stiffness": 300.0}],
+    "variation": {"thickness": [[0.8, 1.3]]},
+}
+# One for each kernel: a warp's, a block's, one that a CPU walks row by row, fourth order, all effects.
+KINDS = {
+    "small": {"nodes": (13, 11), "size": (0.2, 0.17)},
+    "block": {"nodes": (41, 35), "size": (0.2, 0.17)},
+    "row by row": {"nodes": (71, 63), "size": (0.07, 0.062)},
+    "fourth order": {"nodes": (16, 13), "size": (0.2, 0.17), "order": 4, "load": "moments"},
+    "general": {"nodes": (9, 8), "size": (0.2, 0.17), "load": "moments", "effects": EFFECTS},
+}
+OWN = {
+    "frequency": Own(frequency=True),
+    "delay": Own(delay=True),
+    "centre": Own(centre=True),
+    "all": Own(frequency=True, delay=True, centre=True),
+}
+EACH = Own(frequency=True, delay=True, centre=True, each=True)
+CASES = [(kind, own) for kind in KINDS for own in OWN if own == "all" or kind in ("small", "general")]
+STEPS = 90
+
+
+@pytest.fixture
+def burst_scene(scene):
+    """Factory of scenes of STEPS steps under a burst."""
+
+    def make(precision="float64", damping=30.0, drive=(), **tables):
+        if "effects" not in tables:
+            tables["damping"] = damping
+        step = 0.8 * make_scheme(scene(**tables)).limit
+        end = STEPS * step
+        burst = {"start": 0.1 * end, "duration": 0.6 * end, "ramp": 0.1 * end}
+        return scene(
+            precision=precision, time_step=step, window=(end / 3, end),
+            drive={"frequency": 0.03 / step, "burst": burst, **dict(drive)}, **tables,
+        )  # fmt: skip
+
+    return make
+
+
+@pytest.fixture
+def draw(random, phasors):
+    """Random designs of a scene, with what ``own`` says."""
+
+    def make(made, own, plates):
+        count, step, end = len(made.actuators), made.grid.time_step, made.window.end
+        columns = count if own.each else 1
+        frequency = np.tile(random.uniform(0.01, 0.1, (plates, columns)) / step, count // columns)
+        delay = np.tile(random.uniform(0, 0.3, (plates, columns)) * end, count // columns)
+        half = half_sides(made)
+        centre = half + random.uniform(0, 1, (plates, count, 2)) * (np.array(made.plate.size) - 2 * half)
+        return Designs(
+            phasors(plates, count),
+            frequency if own.frequency else None,
+            centre if own.centre else None,
+            delay if own.delay else None,
+        )
+
+    return make
+
+
+def half_sides(made):
+    """(actuators, 2) of the patches [m]."""
+    areas = np.array([actuator.area for actuator in made.actuators])
+    return np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1) / 2
+
+
+def written(made, designs, plate):
+    """The scene with one plate's values in it."""
+    tables = made.model_dump(exclude_none=True)
+    for index, (actuator, half) in enumerate(zip(tables["actuators"], half_sides(made), strict=True)):
+        if designs.frequency is not None:
+            actuator["frequency"] = designs.frequency[plate, index]
+        if designs.centre is not None:
+            (x, y), (width, height) = designs.centre[plate, index], half
+            actuator["area"] = (x - width, x + width, y - height, y + height)
+        if designs.delay is not None:
+            actuator["delay"] = designs.delay[plate, index]
+    return made.with_tables(**tables)
+
+
+def reference(made, drives):
+    """(energy, displacements of all steps) in plain NumPy, of a scene of either kind."""
+    scheme = make_scheme(made)
+    if scheme.bending is not None:
+        history = run_general(made, drives)
+        return history.energy, history.displacement
+    wave = make_signals(made, scheme.time_step, scheme.steps).wave
+    carrier = wave[:, 0] + 1j * wave[:, 1]
+    carrier[0] *= 2  # which the reference halves by itself
+    edges = [getattr(made.edges, side) for side in ("left", "bottom", "right", "top")]
+    viscous = made.effects.damping.viscous
+    displacement, squares = run_plate(scheme, tuple(edges), viscous, False, patches(made), drives, carrier)
+    weights = 0.5 * scheme.surface_density * scheme.spacing[0] * scheme.spacing[1] * region_weights(made)
+    return np.einsum("ryx,pyx->pr", weights, squares), displacement
+
+
+@pytest.mark.parametrize("precision", TOLERANCE)
+@pytest.mark.parametrize(("kind", "own"), CASES)
+def test_each_plate_is_its_own_scene(device, path, kind, own, precision, burst_scene, draw, fitting_solver):
+    """Against NumPy; and on CPU against a solver for each design, which differs by the last bits of a cosine."""
+    made = burst_scene(precision, **KINDS[kind])
+    designs, step, tolerance = draw(made, OWN[own], 2), made.grid.time_step, TOLERANCE[precision]
+    times = (20 * step, 75 * step)
+    run = fitting_solver(made, device, path, own=OWN[own]).run(designs, times)
+    for plate in range(2):
+        one, drives = written(made, designs, plate), designs.drives[plate : plate + 1]
+        energy, history = reference(one, drives)
+        np.testing.assert_allclose(run.energy[plate], energy[0], rtol=tolerance)
+        shown, largest = history[0, [20, 75]], np.abs(history).max()
+        np.testing.assert_allclose(run.displacement[plate], shown, rtol=0, atol=tolerance * largest)
+        if device == "cpu":
+            alone = PlateSolver(one, device, path).run(drives)
+            np.testing.assert_allclose(run.energy[plate], alone.energy[0], rtol=min(tolerance, 1e-5))
+
+
+@pytest.mark.parametrize("precision", TOLERANCE)
+@pytest.mark.parametrize("kind", ["small", "general"])
+def test_a_frequency_and_a_delay_for_each_actuator(device, path, kind, precision, burst_scene, draw):
+    made = burst_scene(precision, **KINDS[kind])
+    designs = draw(made, EACH, 3)
+    solver = PlateSolver(made, device, path, own=EACH)
+    assert solver.specialized.effects.terms == 2 * len(made.actuators)
+    run = solver.run(designs)
+    for plate in range(3):
+        energy, _ = reference(written(made, designs, plate), designs.drives[plate : plate + 1])
+        np.testing.assert_allclose(run.energy[plate], energy[0], rtol=TOLERANCE[precision])
+    # What is not given is the scene's.
+    plain = PlateSolver(made, device, path).run(designs.drives)
+    np.testing.assert_allclose(solver.run(designs.drives).energy, plain.energy, rtol=TOLERANCE[precision])
+
+
+def test_the_kernel_of_blocks_on_cpu(burst_scene, draw, monkeypatch):
+    """The CUDA kernel of general plates, in a block of one thread."""
+    made = burst_scene(**KINDS["general"])
+    designs = draw(made, EACH, 2)
+
+    def one_thread(specialized):
+        (nx, ny), planes = specialized.scheme.nodes, general_plan.planes_of(specialized.effects, ())
+        return general.blocks_path(specialized, general_plan.Blocks(1, nx * ny, (), planes, False, 64))
+
+    monkeypatch.setitem(paths.GENERAL, "resident", one_thread)
+    run = PlateSolver(made, "cpu", "resident", own=EACH).run(designs)
+    energies = [reference(written(made, designs, k), designs.drives[k : k + 1])[0][0] for k in range(2)]
+    np.testing.assert_allclose(run.energy, energies, rtol=TOLERANCE["float64"])
+
+
+@pytest.mark.parametrize("kind", ["small", "block", "fourth order", "general"])
+@pytest.mark.parametrize("precision", TOLERANCE)
+def test_a_plate_knows_nothing_of_its_batch(device, path, kind, precision, burst_scene, draw, fitting_solver):
+    """Alone, in chunks, beside a plate without a finite drive, after others, after NaN in memory: the same bits."""
+    made, own = burst_scene(precision, **KINDS[kind]), OWN["all"]
+    designs, solver = draw(made, own, 19), fitting_solver(made, device, path, own=own)
+    together = solver.run(designs).energy
+    assert len(np.unique(together[:, 0])) == 19
+    chunks = PlateSolver(made, device, path, chunk=7, own=own)
+    np.testing.assert_array_equal(chunks.run(designs).energy, together)
+    plain = solver.run(designs.drives).energy
+    assert {"own_wave", "along_x", "along_y"} <= poison(solver._states[0])
+    np.testing.assert_array_equal(solver.run(designs[3:4]).energy, together[3:4])
+    np.testing.assert_array_equal(solver.run(designs.drives).energy, plain)
+    designs.drives[5] = np.nan
+    mixed = solver.run(designs)
+    assert mixed.status[5] == "drive is not finite"
+    np.testing.assert_array_equal(np.delete(mixed.energy, 5, axis=0), np.delete(together, 5, axis=0))
+
+
+def test_traces_of_designs(device, path, burst_scene, draw):
+    made, own = burst_scene(**KINDS["small"]), OWN["all"]
+    designs, (nx, ny) = draw(made, own, 3), made.grid.nodes
+    point, step = tuple(np.array(made.plate.size) * (6 / (nx - 1), 5 / (ny - 1))), made.grid.time_step
+    run = PlateSolver(made, device, path, own=own).run(designs, (50 * step,), [point])
+    shown = run.displacement[:, 0, 5, 6]
+    np.testing.assert_allclose(run.trace[:, 0, 49], shown, rtol=0, atol=1e-12 * np.abs(shown).max())
+    for plate in range(3):
+        energy, _ = reference(written(made, designs, plate), designs.drives[plate : plate + 1])
+        np.testing.assert_allclose(run.energy[plate], energy[0], rtol=TOLERANCE["float64"])
+
+
+@pytest.mark.parametrize("load", ["overlap", "moments"])
+@pytest.mark.parametrize("effects", [{}, EFFECTS], ids=["plain", "general"])
+def test_patches_are_those_of_the_scene(load, effects, burst_scene, draw, pairs):
+    """Load fields of random rectangles, some flush with the plate's edge, as the scene with each of them has them."""
+    tables = {"effects": effects} if effects else {}
+    made, own = burst_scene(nodes=(9, 8), size=(0.2, 0.17), load=load, **tables), Own(centre=True)
+    designs = draw(made, own, 7)
+    half, count = half_sides(made), len(made.actuators)
+    designs.centre[0], designs.centre[1] = half, np.array(made.plate.size) - half
+    designs.centre[2, :, 0] = half[:, 0]
+    for device in {device for device, _ in pairs}:
+        solver = PlateSolver(made, device, own=own)
+        solver.run(Designs(np.tile(np.eye(count), (7, 1)), centre=np.repeat(designs.centre, count, axis=0)))
+        found = solver._states[0].in_phase.numpy()[: 7 * count].reshape(7, count, 10, -1)
+        for plate in range(7):
+            alone = PlateSolver(written(made, designs, plate), "cpu")
+            alone.run(np.eye(count))
+            expected = alone._states[0].in_phase.numpy()[:count]
+            np.testing.assert_allclose(found[plate], expected, rtol=0, atol=1e-13 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("load", ["overlap", "moments"])
+def test_patches_move_without_jumps(load, burst_scene):
+    """Over half the plate in small steps: no node's load changes by more than the border's way would explain."""
+    made = burst_scene(nodes=(13, 11), size=(0.2, 0.17), load=load)
+    places, spacing = np.linspace(0.05, 0.15, 2001), 0.2 / 12
+    areas = np.array([actuator.area for actuator in made.actuators])
+    centre = np.tile((areas[:, [0, 2]] + areas[:, [1, 3]]) / 2, (2001, 1, 1))
+    centre[:, 0, 0] = places
+    drives = np.tile([1.0, 0, 0], (2001, 1))
+    solver = PlateSolver(made, "cpu", own=Own(centre=True))
+    solver.run(Designs(drives, centre=centre))
+    jumps = np.abs(np.diff(solver._states[0].in_phase.numpy()[:2001], axis=0)).max()
+    assert 0 < jumps < 3 * (places[1] - places[0]) / spacing
+
+
+DRIVES = {
+    "tone": {"burst": None},
+    "bursts": {"burst": {"duration": 0.002, "ramp": 0.0006, "period": 0.003}},
+    "no ramp": {"burst": {"duration": 0.002}},
+    "linear sweep": {"chirp": {"end_frequency": 400.0, "duration": 0.005}},
+    "logarithmic sweep": {"chirp": {"end_frequency": 400.0, "duration": 0.005, "law": "logarithmic"}},
+    "squares": {"electrostatic": {"gain": 2.0}},
+    "biased squares": {"electrostatic": {"gain": 2.0, "bias": 3.0}},
+}
+
+
+@pytest.mark.parametrize("each", [False, True])
+@pytest.mark.parametrize("name", DRIVES)
+def test_waves_are_those_of_the_scene(name, each, scene, draw, phasors, pairs):
+    """Host and device, and both against the signals of a scene with one plate's values."""
+    drive = {"frequency": 290.0, "burst": {"start": 0.001, "duration": 0.006, "ramp": 0.002}, **DRIVES[name]}
+    made = scene((9, 9), time_step=8e-5, drive=drive)
+    own = Own(frequency=True, delay=drive["burst"] is not None, each=each)
+    designs, steps = draw(made, own, 4), make_scheme(made).steps
+    drives = phasors(1, 3)
+    columns = slice(None) if each else slice(1)
+    frequency = designs.frequency[:, columns]
+    delay = None if designs.delay is None else designs.delay[:, columns]
+    shared = make_signals(made, 8e-5, steps, each=each)
+    waves = own_waves(made, 8e-5, steps, frequency, delay)
+    assert waves.shape == (4, steps, shared.terms)
+    for plate in range(4):
+        expected = make_signals(written(made, designs, plate), 8e-5, steps)
+        pressure = np.einsum("nt,ptk->pnk", waves[plate], shared.coefficients(drives))
+        asked = np.einsum("nt,ptk->pnk", expected.wave, expected.coefficients(drives))
+        np.testing.assert_allclose(pressure, asked, rtol=0, atol=1e-12 * np.abs(asked).max())
+    for device in {device for device, _ in pairs}:
+        solver = PlateSolver(made, device, own=own)
+        solver.run(designs)
+        np.testing.assert_allclose(solver._states[0].wave.numpy()[:4], waves, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("precision", TOLERANCE)
+@pytest.mark.parametrize("kind", KINDS)
+def test_energies_of_displacements(device, path, kind, precision, burst_scene, draw, fitting_solver):
+    """Against the displacement of every step in the window, of plain drives and of designs."""
+    made, tolerance = burst_scene(precision, **KINDS[kind]), TOLERANCE[precision]
+    own, scheme = OWN["all"], make_scheme(made)
+    designs = draw(made, own, 2)
+    solver = fitting_solver(made, device, path, own=own, quantity="displacement")
+    for asked in (designs.drives, designs):
+        run = solver.run(asked)
+        scenes = [written(made, designs, k) if asked is designs else made for k in range(2)]
+        for plate, one in enumerate(scenes):
+            _, history = reference(one, designs.drives[plate : plate + 1])
+            squares = (history[0, scheme.window[0] + 1 : scheme.window[1] + 1] ** 2).mean(axis=0)
+            mass = scheme.spacing[0] * scheme.spacing[1] * region_weights(one)
+            mass = mass * (scheme.surface_density if scheme.bending is None else scheme.bending.mass)
+            expected = np.einsum("ryx,yx->r", mass, squares)
+            np.testing.assert_allclose(run.energy[plate], expected / 2, rtol=tolerance)
+            np.testing.assert_allclose(run.mean_square[plate], expected / mass.sum(axis=(1, 2)), rtol=tolerance)
+
+
+def test_mean_square_velocity_of_a_uniform_plate(burst_scene, phasors):
+    """[m²/s²]: twice the energy over the region's mass."""
+    made = burst_scene(**KINDS["small"])
+    run = PlateSolver(made, "cpu").run(phasors(2, 3))
+    mass = 1000.0 * 5e-4 * 0.2 * 0.17
+    np.testing.assert_allclose(run.masses, [mass, mass / 4], rtol=1e-12)
+    np.testing.assert_allclose(run.mean_square, 2 * run.energy / run.masses, rtol=1e-15)
+
+
+def test_waves_and_places_count_as_memory(scene):
+    made = scene((9, 9), time_step=8e-5, drive={"frequency": 290.0})
+    plain = PlateSolver(made, "cpu").specialized
+    own = PlateSolver(made, "cpu", own=Own(frequency=True, centre=True)).specialized
+    assert bytes_per_plate(own, 0) - bytes_per_plate(plain, 0) == 8 * (2 * plain.scheme.steps + 3 * (9 + 9 + 4))
+
+
+def test_what_a_search_frees_is_own(scene):
+    made = scene((9, 9), drive={"frequency": 290.0, "burst": {"duration": 0.01}})
+    assert own_of(made) == Own()
+    position = {"actuators": ["0", "2"], "area": (0.0, 0.15, 0.0, 0.15)}
+    free = made.with_tables(
+        search={"frequency": {"range": (100.0, 9e3), "own": True}, "delay": {"range": (0, 0.01)}, "position": position}
+    )
+    areas = ((0.0, 0.15, 0.0, 0.15), made.actuators[1].area, (0.0, 0.15, 0.0, 0.15))
+    assert own_of(free) == Own(frequency=True, delay=True, centre=True, each=True, areas=areas)
+
+
+def refused(message, call, *arguments, **options):
+    with pytest.raises(SceneError, match=message):
+        call(*arguments, **options)
+
+
+def test_what_is_refused(scene, burst_scene, draw):
+    made = burst_scene(nodes=(9, 9), size=(0.2, 0.17))
+    own = OWN["all"]
+    designs, solver = draw(made, own, 3), PlateSolver(made, "cpu", own=own)
+    refused(r"designs\.frequency.*Own\(frequency=True\)", PlateSolver(made, "cpu").run, designs)
+    refused("designs.centre: shape", solver.run, Designs(designs.drives, centre=designs.centre[:2]))
+    for name, value, message in (
+        ("centre", (0.001, 0.08), "of actuator '1' on plate 2; must be a place"),
+        ("centre", np.nan, "'1' on plate 2; must be a place"),
+        ("frequency", 0.6 / made.grid.time_step, "'1' on plate 2; must be 0 ... "),
+        ("frequency", -1.0, "'1' on plate 2; must be 0 ... "),
+        ("frequency", 200.0, r"'1' on plate 2; must be one value .* Own\(each=True\)"),
+        ("delay", made.window.end, "'1' on plate 2; must be 0 ... "),
+    ):
+        values = getattr(designs, name).copy()
+        values[2, 1] = value
+        refused(message, solver.run, Designs(designs.drives, **{name: values}))
+    kept = tuple(actuator.area for actuator in made.actuators)
+    refused("'0' on plate 0", PlateSolver(made, "cpu", own=Own(centre=True, areas=kept)).run,
+            Designs(designs.drives, centre=designs.centre))  # fmt: skip
+    moving = PlateSolver(made, "cpu", quantity="displacement")
+    refused("times, points", moving.run, designs.drives, times=(0.0,))
+
+
+def test_scenes_that_have_nothing_of_their_own(scene, tmp_path):
+    def solver(own=None, quantity="velocity", **tables):
+        PlateSolver(scene((9, 9), **tables), "cpu", own=own or Own(), quantity=quantity)
+
+    refused("grid.load", solver, Own(centre=True), load="nodes")
+    refused("drive.burst", solver, Own(delay=True))
+    refused("drive.signal", solver, Own(frequency=True), drive={"frequency": 290.0, "signal": {"file": "a.wav"}})
+    refused("own.areas", solver, Own(centre=True, areas=((0.0, 0.2, 0.0, 0.2),)))
+    refused("quantity = 'speed'", solver, quantity="speed")
+    refused("effects.stretching", solver, quantity="displacement", effects={"stretching": {}})
+    refused("grid.order = 4", solver, Own(frequency=True, each=True), order=4)

@@ -1,0 +1,133 @@
+"""Plates under drives beyond one tone: bursts, sweeps, files, several frequencies and squares, on every path."""
+
+import numpy as np
+import pytest
+
+from warp_plate import PlateSolver, SceneError
+from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.signals import make_signals
+from warp_plate.plate.weights import patches
+from warp_plate.reference.numpy_plate import run_plate
+from warp_plate.scene.load import load_scene
+from warp_plate.studies.localize import localize
+
+WINDOW = (0.004, 0.012)
+TIMES = (0.003, 0.0075, 0.012)
+CARRIERS = {
+    "burst": {"burst": {"start": 0.001, "duration": 0.008, "ramp": 0.002}},
+    "bursts that jump": {"burst": {"duration": 0.001, "period": 0.003}},
+    "chirp": {"chirp": {"end_frequency": 500.0, "duration": 0.01, "law": "logarithmic"}},
+}
+
+
+@pytest.fixture
+def driven(scene):
+    """The factory of small scenes under a drive; ``own``: the actuators' frequencies."""
+
+    def make(own=(None,) * 3, frequency=290.0, **drive):
+        kept = {name: drive.pop(name) for name in ("order", "effects", "precision", "damping") if name in drive}
+        made = scene(window=WINDOW, frequency=frequency, **kept)
+        pairs = zip(made.model_dump()["actuators"], own, strict=True)
+        actuators = [{**table, "frequency": one} for table, one in pairs]
+        return made.with_tables(drive={"frequency": frequency, **drive}, actuators=actuators)
+
+    return make
+
+
+def displacement(scene, drives, device, path):
+    """At TIMES, with the step of the first scene given, so that all runs of a test have the same."""
+    return PlateSolver(scene, device, path).run(np.atleast_2d(drives), TIMES).displacement
+
+
+def stepped(scene, step):
+    return scene.model_copy(update={"grid": scene.grid.model_copy(update={"time_step": step})})
+
+
+@pytest.mark.parametrize("order", [2, 4])
+@pytest.mark.parametrize("name", [*CARRIERS, "file"])
+def test_one_carrier_takes_the_paths_of_a_tone(device, path, name, order, driven, phasors, tmp_path):
+    """Against plain NumPy under the same carrier; the kernels are those of a tone."""
+    if name == "file":
+        times = np.arange(0, 0.015, 1 / 8000)
+        tap = np.stack([times, np.exp(-400 * times) * np.sin(3000 * times)], axis=1)
+        np.savetxt(tmp_path / "tap.csv", tap, delimiter=",")
+        made = driven(order=order, damping=60.0, signal={"file": "tap.csv"})
+        made._folder = tmp_path
+    else:
+        made = driven(order=order, damping=60.0, **CARRIERS[name])
+    solver, scheme, drives = PlateSolver(made, device, path), make_scheme(made), phasors(3, 3)
+    tone = PlateSolver(driven(order=order, damping=60.0), device, path)
+    assert solver.specialized.effects == tone.specialized.effects
+    wave = make_signals(made, scheme.time_step, scheme.steps, made.folder).wave
+    carrier = (wave[:, 0] + 1j * wave[:, 1]) * np.where(np.arange(scheme.steps) == 0, 2, 1)
+    history, _ = run_plate(scheme, ("clamped",) * 4, 60.0, False, patches(made), drives, carrier)
+    run = solver.run(drives, TIMES)
+    steps = np.rint(run.times / scheme.time_step).astype(int)
+    np.testing.assert_allclose(run.displacement, history[:, steps], rtol=0, atol=1e-11 * np.abs(history).max())
+
+
+def test_own_frequencies_superpose(device, path, driven, phasors):
+    """Each actuator's motion is the one that it makes alone, under a drive of its own frequency."""
+    own, drive = (170.0, None, 410.0), phasors(1, 3)
+    together = driven(own)
+    step = make_scheme(together).time_step
+    alone = [
+        displacement(stepped(driven(frequency=frequency), step), drive * np.eye(3)[actuator], device, path)
+        for actuator, frequency in enumerate((170.0, 290.0, 410.0))
+    ]
+    found = displacement(together, drive, device, path)
+    np.testing.assert_allclose(found, sum(alone), rtol=0, atol=1e-10 * np.abs(found).max())
+
+
+@pytest.mark.parametrize("bias", [0.0, 3.0])
+def test_square_of_the_voltage(device, path, bias, driven, phasors):
+    """gain·(bias + V)² moves the plate as a constant, a tone and a tone of twice the frequency do, each in a linear
+    scene; without a voltage the bias still does."""
+    gain, drives = 0.7, np.concatenate([phasors(1, 3), np.zeros((1, 3))])
+    squared = driven(electrostatic={"bias": bias, "gain": gain})
+    step = make_scheme(squared).time_step
+
+    def linear(frequency, drive):
+        return displacement(stepped(driven(frequency=frequency), step), drive, device, path)
+
+    constant = gain * (bias**2 + np.abs(drives) ** 2 / 2)
+    expected = linear(1e-6, constant) + linear(290.0, 2 * gain * bias * drives)
+    expected += linear(580.0, gain / 2 * drives**2)
+    found = displacement(squared, drives, device, path)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(found).max())
+    assert found[1].any() == (bias != 0)
+
+
+def test_fourth_order_knows_one_frequency(driven):
+    for changes in ({"own": (170.0, None, None)}, {"electrostatic": {"gain": 1.0}}):
+        with pytest.raises(SceneError, match=r"^grid\.order = 4: .* actuators of one frequency; write 2"):
+            make_scheme(driven(order=4, **changes))
+
+
+def test_search_under_squares_keeps_to_the_volts_of_the_scene(driven):
+    """No bound is claimed, and a magnitude of one stands for the largest of the scene's."""
+    made = driven(electrostatic={"bias": 50.0, "gain": 1e-3})
+    tables = made.model_dump()["actuators"]
+    volts = [{**table, "magnitude": one} for table, one in zip(tables, (20.0, 120.0, 80.0), strict=True)]
+    made = made.with_tables(actuators=volts, search={"particles": 4, "iterations": 2})
+    found = localize(made, device="cpu", estimate=True)
+    assert found.bound is None
+    np.testing.assert_array_equal(found.cases["equal"].drive, np.full(3, 120.0))
+    assert found.cases["best"].magnitude[0] == pytest.approx(120.0)
+    assert "no error estimate" in found.accuracy["estimate"]["line"]
+    with pytest.raises(SceneError, match=r"^evaluator = 'response': drive\.electrostatic is not linear"):
+        localize(made, device="cpu", evaluator="response")
+
+
+def test_files_lie_beside_the_scene(tmp_path, driven):
+    """A scene that was read from a file finds the signal there, from wherever the program is called."""
+    from warp_plate.scene.load import dump_scene
+
+    made = driven(signal={"file": "tone.csv"})
+    (tmp_path / "scene.toml").write_text(dump_scene(made), encoding="utf-8")
+    (tmp_path / "tone.csv").write_text("\n".join(f"{n / 8000},{np.sin(n)}" for n in range(200)))
+    read = load_scene(tmp_path / "scene.toml")
+    assert read.folder == tmp_path
+    assert PlateSolver(read, "cpu").run(np.ones((1, 3)), TIMES).displacement.any()
+    with pytest.raises(SceneError, match=r"^drive\.signal\.file = 'tone\.csv': this scene was not read from a file"):
+        PlateSolver(made, "cpu")

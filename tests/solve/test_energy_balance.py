@@ -1,0 +1,168 @@
+"""What the load does equals what the plate stores and loses, in the scheme's own energy, step by step.
+
+Multiply a step M (v⁺ − v)/Δt = f − K u − (losses) by Δt v̄, v̄ = (v⁺ + v)/2 = (u⁺ − u⁻)/2Δt: since
+vᵀMv changes by 2Δt v̄ᵀM(v⁺ − v)/Δt, and K is symmetric, it says without remainder
+
+    E_{n+½} − E_{n−½} = Δt fᵀv̄ − Δt v̄ᵀ(losses),   E_{n+½} = ½ v⁺ᵀMv⁺ + ½ uᵀKu⁺
+
+for plate and oscillators together. The losses are C v̄ (viscous damping, centred), C v (backward), τK_b v (material)
+and, in each damper, d times the last half-step's difference of rates. Everything is taken from the displacements of
+all steps of a run. With stretching, E also has the potential ¼ B (uᵀLu)(u⁺ᵀLu⁺) of N = B uᵀLu, whose change is the work
+of N only up to the square of the step.
+"""
+
+import numpy as np
+import pytest
+
+from warp_plate import PlateSolver
+from warp_plate.plate.limit import needs_moments
+from warp_plate.plate.moving import moving_weights
+from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.weights import patches, region_weights
+from warp_plate.reference.numpy_moment_form import inverse, make_matrices
+
+MIXES, STRETCHED = 36, 6
+STEPS = 400
+PARTS = np.linspace(0.05, 1, 20)  # of a run, at which its reach is looked for
+EDGES = ("clamped", "supported", "free", {"translation": 3e3, "rotation": 0.05}, {"translation": 1e6})
+SIZES = (((9, 11), (0.2, 0.24)), ((14, 8), (0.2, 0.1)), ((5, 17), (0.05, 0.2)))
+
+
+def some_effects(random, size):
+    """Each effect with even chance."""
+    x, y = np.sort(random.uniform(0, 1, (2, 2, 3)), axis=1) * np.array(size)[:, None, None]
+    x[1] += 0.1 * (size[0] - x[1])
+    y[1] += 0.1 * (size[1] - y[1])
+    areas = [tuple(map(float, (*x[:, k], *y[:, k]))) for k in range(3)]
+    tables = {
+        "damping": {"viscous": 60.0, "scheme": str(random.choice(["centred", "backward"]))},
+        "material_damping": {"time": 4e-6},
+        "tension": {"x": 12.0, "y": 3.0},
+        "foundation": {"stiffness": 8e4, "damping": 25.0},
+        "orthotropic": {"Dx": 0.015, "Dy": 0.03, "D1": 0.004, "Dxy": 0.006},
+        "variation": {"thickness": [[0.8, 1.3], [1.1, 0.7], [1.0, 1.2]], "density": [[1.5, 0.9]]},
+        "layers": [
+            {"area": areas[0], "thickness": 3e-4, "young_modulus": 2e9, "density": 2500.0},
+            {"area": areas[1], "thickness": 2e-4, "young_modulus": 6e9, "density": 900.0, "both": True},
+        ],
+        "oscillators": [
+            {"area": areas[1], "mass": 0.004, "stiffness": 500.0, "damping": 0.2},
+            {"area": areas[2], "stiffness": 150.0, "damping": 0.3},
+            {"area": areas[0], "mass": 0.001, "stiffness": 80.0},
+        ],
+        "moving_load": {"force": 0.01, "start": areas[2][::2], "velocity": (size[0] * 5, -size[1] * 3), "size": 0.01},
+    }
+    return {name: table for name, table in tables.items() if random.random() < 0.5}
+
+
+@pytest.fixture
+def mix(scene, random):
+    """Draws make(step as part of the limit, steps), which makes always the same mix, and its drive."""
+
+    def draw(number, **more):
+        nodes, size = SIZES[number % len(SIZES)]
+        asked = {
+            "edges": [EDGES[index] for index in random.integers(len(EDGES), size=4)],
+            "effects": {**some_effects(random, size), **more},
+            "load": str(random.choice(["overlap", "moments"])),
+        }
+        if not needs_moments(scene(nodes, size, **asked)):
+            asked["effects"]["foundation"] = {"stiffness": 8e4}
+        limit, turn = make_scheme(scene(nodes, size, frequency=1.0, **asked)).limit, random.uniform(0.01, 0.05)
+        own = random.choice([1.0, 0.6], 3)
+
+        def make(part=0.9, steps=STEPS):
+            step = part * limit
+            frequency = turn * STEPS / steps / step
+            made = scene(nodes, size, window=(0.0, steps * step), time_step=step, frequency=frequency, **asked)
+            pairs = zip(made.model_dump()["actuators"], own, strict=True)
+            return made.with_tables(actuators=[{**table, "frequency": one * frequency} for table, one in pairs])
+
+        print(asked)
+        return make, random.normal(size=3) + 1j * random.normal(size=3)
+
+    return draw
+
+
+def hung_masses(m, u, v, step):
+    """(steps + 1, oscillators) displacements and last rates of what hangs on the plate, from its own equation of
+    motion and what the plate did; v: (steps + 1, nodes), that before the first step first."""
+    z, pace = np.zeros((len(u), len(m.hung))), np.zeros((len(u), len(m.hung)))
+    for n in range(len(u) - 1):
+        push = m.springs * (z[n] - m.shares @ u[n]) + m.dampers * (pace[n] - m.shares @ v[n])
+        pace[n + 1] = pace[n] - step * inverse(m.hung) * push
+        z[n + 1] = z[n] + step * pace[n + 1]
+    return z, pace
+
+
+def balance(made, drive, device, path):
+    """(steps,) energy at the half-steps, work done until then and energy lost until then [J]."""
+    scheme = make_scheme(made)
+    m, step, (nx, ny) = make_matrices(made, scheme), scheme.time_step, scheme.nodes
+    run = PlateSolver(made, device, path).run(drive[None], list(step * np.arange(scheme.steps + 1)))
+    u = run.displacement[0].reshape(-1, nx * ny)
+    v = np.concatenate([np.zeros((1, nx * ny)), np.diff(u, axis=0) / step])
+    before, after, centred = v[:-1], v[1:], (v[:-1] + v[1:]) / 2
+    z, pace = hung_masses(m, u, v, step)
+    apart, rates = z - u @ m.shares.T, pace - v @ m.shares.T
+    slopes = np.einsum("nk,nk->n", u, u @ m.slopes)
+    stored = 0.5 * (m.mass * after**2).sum(axis=1) + 0.5 * (m.hung * pace[1:] ** 2).sum(axis=1)
+    np.testing.assert_allclose(run.energy[0, 0], energy_of_plate(made, scheme, after), rtol=1e-9)
+    stored += 0.5 * np.einsum("nk,nk->n", u[:-1] @ (m.bending + m.other), u[1:])
+    stored += 0.5 * (m.springs * apart[:-1] * apart[1:]).sum(axis=1) + m.berger / 4 * slopes[:-1] * slopes[1:]
+    late = before if scheme.backward else centred
+    lost = (m.viscous * centred * late).sum(axis=1)
+    lost += m.retardation * np.einsum("nk,nk->n", centred @ m.bending, before)
+    lost += (m.dampers * (rates[:-1] + rates[1:]) / 2 * rates[:-1]).sum(axis=1)
+    forces = run_forces(made, scheme, drive)
+    work = (forces * centred).sum(axis=1)
+    return stored, step * np.cumsum(work), step * np.cumsum(lost)
+
+
+def run_forces(made, scheme, drive):
+    """(steps, nodes) forces [N] of the actuators under one tone or two, and of what moves over the plate."""
+    cell, turns = scheme.spacing[0] * scheme.spacing[1], 2j * np.pi * scheme.time_step * np.arange(scheme.steps)
+    own = [actuator.frequency or made.drive.frequency for actuator in made.actuators]
+    waves = np.exp(np.outer(turns, own))
+    waves[0] /= 2
+    forces = cell * np.tensordot((waves * drive).real, patches(made), axes=1)
+    if made.effects.moving_load is not None:
+        wave, along_x, along_y = moving_weights(made, scheme.time_step, scheme.steps)
+        forces += cell * np.einsum("n,nj,ni->nji", wave, along_y, along_x)
+    return forces.reshape(scheme.steps, -1)
+
+
+def energy_of_plate(made, scheme, rates):
+    """Kinetic energy of the plate in a run's own weights, averaged over the window, which is the whole run."""
+    cells = scheme.spacing[0] * scheme.spacing[1] * region_weights(made)[0] * scheme.bending.mass
+    return 0.5 * (cells.ravel() * rates**2).sum() / len(rates)
+
+
+@pytest.mark.parametrize(
+    "number", [n if n < 8 else pytest.param(n, marks=pytest.mark.slow) for n in range(MIXES)]
+)
+def test_work_is_energy_stored_and_lost(device, path, number, mix):
+    """To 1e-10 of the work, at every step, for linear mixes drawn at random."""
+    make, drive = mix(number)
+    stored, work, lost = balance(make(), drive, device, path)
+    scale = np.abs(work).max()
+    assert scale > 0
+    assert np.abs(work - stored - lost).max() < 1e-10 * scale
+    # Below the stability limit no energy is negative.
+    assert stored.min() > -1e-12 * scale
+    assert work[-1] > 0
+
+
+@pytest.mark.parametrize("number", range(STRETCHED))
+def test_work_with_stretching_to_the_order_of_the_step(device, path, number, mix):
+    """What is missing falls with the square of the step; thrown some thicknesses far, it is not rounding."""
+    make, drive = mix(number, stretching={})
+    small = PlateSolver(make(), device, path).run(1e-9 * drive[None], list(PARTS * make().window.end))
+    drive = drive * 1e-9 * 2 * make().plate.thickness / np.abs(small.displacement).max()
+    missing = []
+    for halved in (2, 4):
+        stored, work, lost = balance(make(1 / halved, STEPS // 2 * halved), drive, device, path)
+        missing.append(np.abs(work - stored - lost).max() / np.abs(work).max())
+    print(missing)
+    assert 1e-10 < missing[0] < 0.05
+    assert missing[1] < 0.35 * missing[0]

@@ -1,0 +1,175 @@
+"""What plots of curves and maps say: labels that fit, numbers that do not overlap, words that are true."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import scene_of
+
+from warp_plate import Scene
+from warp_plate.result import Case, Result
+from warp_plate.result.comparison import Comparison, Trial
+from warp_plate.viz.figures import draw_history
+from warp_plate.viz.lettering import INK
+from warp_plate.viz.plots.axes import number_logarithmic
+from warp_plate.viz.plots.compare import draw_comparison
+from warp_plate.viz.plots.crosstalk import draw_crosstalk
+from warp_plate.viz.plots.spectrum import draw_spectrum, words_of
+
+figures = pytest.importorskip("matplotlib.figure", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
+
+TARGETS = ({"name": "left", "area": (0.0, 0.1, 0.0, 0.2)}, {"name": "disc", "disc": (0.15, 0.1, 0.03)})
+LONG = ("lower left quarter of the panel", "disc under the index finger")
+FREE = {"magnitude": {"range": [0.0, 2.0]}, "phase": {}, "frequency": {"range": [100.0, 400.0]}}
+
+
+@pytest.fixture
+def drawn(monkeypatch, tmp_path):
+    """Draws a result or a comparison, and returns the figure and its texts with the boxes that they fill in it [0, 1].
+
+    No text leaves the figure, and none lies on another.
+    """
+    from matplotlib.text import Text
+
+    saved, found, save, write = [], {}, figures.Figure.savefig, Text.draw
+
+    def saves(figure, *given, **named):
+        saved.append(figure)
+        found.clear()
+        save(figure, *given, **named)
+
+    def writes(text, renderer):
+        if text.get_visible() and text.get_text().strip():
+            box = text.get_window_extent(renderer).transformed(saved[-1].transFigure.inverted())
+            found[text] = (text.get_text(), box)  # the last one: a figure is laid out by drawing it once more
+        write(text, renderer)
+
+    def draw(how, what):
+        how(what, tmp_path / "one.png")
+        for words, box in found.values():
+            assert min(*box.min, *(1 - box.max)) > -0.002, f"{words!r} is cut off"
+        for (words, box), (others, other) in itertools.combinations(found.values(), 2):
+            assert not box.overlaps(other), f"{words!r} lies on {others!r}"
+        return saved[-1], [words for words, _ in found.values()]
+
+    monkeypatch.setattr(figures.Figure, "savefig", saves)
+    monkeypatch.setattr(Text, "draw", writes)
+    return draw
+
+
+def result_of(names=(), **search):
+    """As a search leaves it; of several targets with places of their own for the second."""
+    made = scene_of(nodes=(11, 11), search=search).model_dump()
+    if names:
+        made |= {"targets": [one | {"name": name} for one, name in zip(TARGETS, names, strict=True)]}
+        del made["target"]
+    scene = Scene.model_validate(made)
+    energy = {"plate": 1.0, "target": 0.5, **{f"target {name}": 0.4 for name in names}}
+    field = np.ones((1, 11, 11)) * np.linspace(-1, 1, 11) * 1e-7
+    middles = np.array([(0.05, 0.05), (0.1, 0.1), (0.15, 0.12)])
+    best = Case(np.ones(3, complex), energy, field, np.zeros((0, 3)), frequency=np.full(3, 250.0))
+    cases = {"best": best} | {f"best {name}": replace(best, centre=middles) for name in names[1:]}
+    frequencies = np.linspace(100, 400, 7)
+    factors = {name: np.full(7, value) for name, value in (("equal", 0.2), ("single", 0.4), ("best", 0.5))}
+    return Result(
+        command="localize",
+        source="panel.toml",
+        scene=scene,
+        device="cpu",
+        seed=0,
+        effects=(),
+        cases=cases,
+        times=np.array([0.01]),
+        trace_times=np.arange(3.0),
+        seconds={},
+        node_steps=1,
+        history={"evaluations": np.arange(1, 9), "best": np.linspace(0.1, 0.5, 8), "mean": np.linspace(0, 0.3, 8)},
+        spectrum={"frequency": frequencies, **factors, "resonances": np.array([210.0])},
+    )
+
+
+@pytest.mark.parametrize("names", [("left", "disc"), LONG])
+def test_the_words_of_the_crosstalk_fit(drawn, names):
+    _, words = drawn(draw_crosstalk, result_of(names))
+    assert {f"drive for {name}" for name in names} <= {one.replace("\n", " ") for one in words}
+
+
+def test_crosstalk_shows_actuators_where_they_were(drawn):
+    """Those of the second target's drive were moved by the search."""
+    result = result_of(("left", "disc"), position={})
+    figure, _ = drawn(draw_crosstalk, result)
+    panels = [one for one in figure.get_axes() if one.get_title()]
+    for axes, case in zip(panels, result.cases.values(), strict=True):
+        shown = [one.get_xdata()[0] for one in axes.lines if one.get_color() == INK and one.get_zorder() == 2]
+        np.testing.assert_allclose(shown, [one.area[0] for one in result.placed(case).actuators])
+    assert not np.allclose(shown, [one.area[0] for one in result.scene.actuators])
+
+
+@pytest.mark.parametrize("draw", [draw_history, draw_spectrum])
+def test_the_first_of_several_searches_is_named(drawn, draw):
+    assert f"search for target {LONG[0]}, the first of 2" in drawn(draw, result_of(LONG, **FREE))[1]
+    assert "search for" not in " ".join(drawn(draw, result_of())[1])
+
+
+@pytest.mark.parametrize(
+    ("method", "words"),
+    [
+        ("ring", ["swarm mean"]),
+        ("cma", ["mean of the generation"]),
+        ("gradient", ["mean of the descents"]),
+        ("exact", []),
+    ],
+)
+def test_a_swarm_is_named_only_where_there_is_one(drawn, method, words):
+    _, shown = drawn(draw_history, result_of(method=method))
+    assert [one for one in shown if "mean" in one] == words
+
+
+@pytest.mark.parametrize(
+    ("search", "best", "any_size"),
+    [
+        (FREE, "best drive at each frequency", True),
+        ({**FREE, "magnitude": {"range": [0.5, 2.0]}}, "bound of the drives that may be chosen", False),
+        ({**FREE, "magnitude": None}, "bound of the drives that may be chosen", False),
+        ({**FREE, "phase": None}, "bound of the drives that may be chosen", True),
+        ({**FREE, "limits": {"equal_magnitudes": True}}, "bound of the drives that may be chosen", False),
+        ({"frequency": FREE["frequency"]}, "the scene's drive", False),
+    ],
+)
+def test_a_bound_is_called_one(drawn, search, best, any_size):
+    result = result_of(**search)
+    words = words_of(result.scene.search)
+    assert (words["best"], "cannot" not in words["single"]) == (best, any_size)
+    assert set(words.values()) <= set(drawn(draw_spectrum, result)[1])
+
+
+@pytest.mark.parametrize(
+    ("ends", "numbers"),
+    [
+        ((30, 940), ["50", "100", "200", "500"]),
+        ((0.009, 0.25), ["0.01", "0.02", "0.05", "0.1", "0.2"]),
+        ((195, 410), ["200", "250", "300", "350", "400"]),
+        ((18, 95), ["20", "40", "60", "80"]),
+        ((0.9, 4100), ["10^{0}", "10^{1}", "10^{2}", "10^{3}"]),
+        ((1.5e-6, 9e-5), [r"2\times10^{-6}", r"5\times10^{-6}", "10^{-5}", r"2\times10^{-5}", r"5\times10^{-5}"]),
+    ],
+)
+def test_numbers_of_a_logarithmic_axis(drawn, ends, numbers):
+    def draw(ends, path):
+        figure = figures.Figure(figsize=(4, 2), layout="constrained")
+        axes = figure.add_subplot()
+        axes.set(xscale="log", xlim=ends, yticks=[])
+        number_logarithmic(axes.xaxis)
+        figure.savefig(path)
+
+    _, shown = drawn(draw, ends)
+    assert [one.replace(r"$\mathdefault{", "").replace("}$", "") for one in shown] == numbers
+
+
+def test_a_comparison_of_few_evaluations_can_be_read(drawn):
+    rising = np.linspace(0.6, 0.2, 20)
+    trial = Trial("ring", 5, np.arange(40, 840, 40), np.geomspace(0.01, 0.2, 20), rising)
+    scene = scene_of(nodes=(11, 11))
+    _, words = drawn(draw_comparison, Comparison("panel", scene, "cpu", "direct", 800, 0.5, True, (trial,)))
+    assert "panel: median, best and worst of 1 seed" in words

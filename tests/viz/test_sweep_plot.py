@@ -1,0 +1,101 @@
+"""Pictures of sweeps: of all shapes, with numbers that have room and figures that are all seen."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from warp_plate.result.sweep import REFUSED
+from warp_plate.scene.vary import make_plan, parse_vary
+from warp_plate.studies.quantities_of_interest import FIGURES
+from warp_plate.studies.sweep import begin_sweep
+from warp_plate.viz.plots.sweep import COLOURS, draw_sweep, edges_of
+
+NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
+
+
+@pytest.fixture
+def panel(scene):
+    return scene(damping=88.5, time_step=2e-4)
+
+
+def made_up(panel, vary, what="localize", samples=None):
+    """A sweep with made-up figures, some of its points refused and one figure not finite."""
+    plan = make_plan([parse_vary(panel, one) for one in vary], samples)
+    begun = begin_sweep(panel, plan, what, "cpu", count=3)
+    values = {name: np.random.default_rng(1).random(one.shape) for name, one in begun.values.items()}
+    status = np.ones(len(plan), dtype="i1")
+    status[::5] = REFUSED
+    for one in values.values():
+        one[::5] = np.nan
+    next(iter(values.values())).flat[-1] = np.inf
+    return replace(begun, values=values, status=status, reasons=dict.fromkeys(range(0, len(plan), 5), "no"))
+
+
+LINE, PAIR = ["drive.frequency=log:200:300:12"], ["drive.frequency=300:200:4", "effects.damping.viscous=log:1:100:3"]
+FOUR = [f"{key}=1:2:3" for key in ("drive.frequency", "plate.thickness", "window.end", "plate.density")]
+
+
+@pytest.mark.parametrize(
+    ("what", "vary", "samples"),
+    [
+        *((what, LINE, None) for what in FIGURES),
+        ("localize", ["drive.frequency=290"], None),
+        ("check", ["plate.thickness=4e-4:6e-4:5"], None),
+        ("modes", ["plate.thickness=4e-4:6e-4", "target.area[1]=0.05:0.15", "plate.density=log:900:1500"], 20),
+        ("localize", PAIR, None),
+        ("modes", PAIR, None),
+        ("check", ["drive.frequency=290", "effects.damping.viscous=0,1,5"], None),
+        ("modes", ["drive.frequency=1,2", "effects.damping.viscous=1,2", "plate.thickness=log:1e-4:2e-4:3"], None),
+        ("localize", FOUR, None),
+        ("simulate", ["drive.frequency=200:300", "effects.damping.viscous=log:1:100"], 20),
+    ],
+)
+def test_pictures_of_all_shapes(panel, tmp_path, monkeypatch, what, vary, samples):
+    pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
+    from matplotlib.figure import Figure
+
+    figures, save = [], Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda self, *args, **how: (figures.append(self), save(self, *args, **how)))
+    picture = draw_sweep(made_up(panel, vary, what, samples), tmp_path / "a.png")
+    from matplotlib.image import imread
+
+    drawn = imread(picture)
+    assert min(drawn.shape[:2]) > 300
+    assert drawn[..., :3].std() > 0.02
+    lettered = figures[0].axes
+    for axis in (axis for axes in lettered if axes.get_visible() for axis in (axes.xaxis, axes.yaxis)):
+        ends = sorted(axis.get_view_interval())
+        shown = [tick.label1 for tick in axis.get_major_ticks() if ends[0] <= tick.get_loc() <= ends[1]]
+        boxes = [label.get_window_extent() for label in shown if label.get_visible() and label.get_text()]
+        boxes.sort(key=lambda box: (box.x0, box.y0))
+        # Numbers have room between them.
+        assert all(one.x1 + 5 < two.x0 or one.y1 < two.y0 for one, two in itertools.pairwise(boxes))
+    if what == "check" and len(vary) == 1:
+        assert [axes.get_ylabel() for axes in lettered] == ["time step [s]", "resolution"]
+        assert lettered[-1].get_xlabel() in ("drive frequency [Hz]", "plate thickness [$10^{-4}$ m]")
+
+
+@pytest.mark.parametrize("samples", [None, 5])
+def test_figures_that_are_alike_are_all_seen(panel, tmp_path, samples):
+    """Every colour of the legend is in the panels, though modes 2 and 3, or best and bound, lie on each other."""
+    pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
+    from matplotlib.colors import to_rgb
+    from matplotlib.image import imread
+
+    sweep = made_up(panel, ["plate.thickness=4e-4:6e-4:6"], "localize", samples)
+    sweep.values.update({name: np.linspace(0.2, 0.7, len(sweep.plan)) for name in sweep.values})
+    sweep.values["single"], sweep.values["equal"] = (1 - sweep.values[name] for name in ("best", "bound"))
+    drawn = imread(draw_sweep(replace(sweep, status=np.ones_like(sweep.status)), tmp_path / "a.png"))[..., :3]
+    legend = drawn[:150] if samples is None else drawn[:, -350:]
+    for colour in COLOURS[:4]:
+        seen = [np.isclose(part, to_rgb(colour), atol=0.01).all(axis=2).sum() for part in (drawn, legend)]
+        assert seen[0] > seen[1] + 40
+
+
+def test_cells_lie_half_way_between_values():
+    np.testing.assert_allclose(edges_of(np.array([1.0, 2.0, 4.0]), False), [0.5, 1.5, 3.0, 5.0])
+    np.testing.assert_allclose(edges_of(np.array([1.0, 100.0]), True), [0.1, 10.0, 1000.0])
+    low, high = edges_of(np.array([0.0]), False)
+    assert low < 0 < high

@@ -1,0 +1,138 @@
+"""The scenarios of a robust search, compiled: plates × scenarios in, losses out.
+
+A scenario has its own stiffness and mass, which all plates of a launch share: so each scenario is a launch of its own,
+of kernels compiled once for all. Where energies are quadratic forms of the drive, each scenario has Gram matrices of
+its own instead, and one product of arrays holds all plates and all scenarios.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from warp_plate.cluster.pool import Pool
+from warp_plate.cluster.solver import solver_on
+from warp_plate.plate.designs import Designs
+from warp_plate.problem.objectives import Judge, make_judge
+from warp_plate.problem.problem import in_float64
+from warp_plate.problem.uncertainty import Scenario, kept_on_plate
+from warp_plate.solve.response import Response, measure_response
+from warp_plate.solve.solver import PlateSolver
+
+# Plates × matrices whose energies are worked out at once from Gram matrices.
+BLOCK = 2**22
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A scenario with the judge of its energies; solvers: of velocities and, where these are judged, of displacements;
+    none where Gram matrices stand for them."""
+
+    scenario: Scenario
+    judge: Judge
+    solvers: tuple[PlateSolver, ...] = ()
+
+
+@dataclass(frozen=True)
+class Panels:
+    """All scenarios of a search.
+
+    matrices: (scenarios · regions, 2M, 2M), scenario by scenario, those of displacements after those of velocities,
+    gains included; None where plates are simulated. spent: seconds that compiling took, and node-steps, of solvers that
+    are not kept.
+    """
+
+    each: tuple[Panel, ...]
+    matrices: np.ndarray | None = None
+    spent: tuple[float, int] = (0.0, 0)
+
+    @property
+    def node_steps(self) -> int:
+        """Of all plates so far."""
+        return self.spent[1] + sum(solver.node_steps for panel in self.each for solver in panel.solvers)
+
+    @property
+    def compile_seconds(self) -> float:
+        """Of all solvers."""
+        return self.spent[0] + sum(solver.compile_seconds for panel in self.each for solver in panel.solvers)
+
+    def losses(self, designs: Designs) -> np.ndarray:
+        """(plates, scenarios); not finite where a plate has no energies."""
+        if self.matrices is None:
+            return np.stack([_losses_of_plates(panel, designs) for panel in self.each], axis=1)
+        response, block = Response(self.matrices), max(1, BLOCK // len(self.matrices))
+        cuts = range(0, max(len(designs), 1), block)
+        return np.concatenate([self.judged(response.energy(designs.drives[at : at + block])) for at in cuts])
+
+    def judged(self, energy: np.ndarray) -> np.ndarray:
+        """(plates, scenarios) losses of energies (plates, scenarios · regions), in the order of ``matrices``."""
+        regions = energy.shape[1] // len(self.each)
+        if self.each[0].judge.only_localization:  # of all panels at once: judges then differ in nothing
+            found: np.ndarray = self.each[0].judge.losses(energy.reshape(-1, regions)).reshape(-1, len(self.each))
+            return found
+        columns = []
+        for index, panel in enumerate(self.each):
+            own = energy[:, index * regions : (index + 1) * regions]
+            columns.append(panel.judge.losses(*np.split(own, 2 if panel.judge.needs_displacement else 1, axis=1)))
+        return np.stack(columns, axis=1)
+
+
+def in_scenario(designs: Designs, scenario: Scenario) -> Designs:
+    """What designs are on the panel of a scenario: its gains times their drives, places of their own off as well."""
+    centre = designs.centre
+    if centre is not None:
+        areas = np.array([actuator.area for actuator in scenario.scene.actuators]).reshape(-1, 2, 2)
+        half = np.diff(areas, axis=2)[..., 0] / 2
+        centre = kept_on_plate(centre + scenario.offset, half, scenario.scene.plate.size)
+    return replace(designs, drives=designs.drives * scenario.gain, centre=centre)
+
+
+def solve_directly(
+    scenarios: Sequence[Scenario], device: str = "auto", path: str = "auto", pool: Pool | None = None
+) -> Panels:
+    """Panels whose plates are simulated, a launch a scenario; together they take the memory of one solver.
+
+    Raises:
+        SceneError: see :class:`PlateSolver` and ``make_judge``.
+    """
+    panels = []
+    for one in scenarios:
+        judge = make_judge(one.scene)
+        share = 1 / (len(scenarios) * (2 if judge.needs_displacement else 1))
+        panels.append(Panel(one, judge, _solvers(one, judge, device, path, pool, share=share)))
+    return Panels(tuple(panels))
+
+
+def measure_scenarios(scenarios: Sequence[Scenario], device: str = "auto", path: str = "auto") -> Panels:
+    """Panels by their Gram matrices, measured in float64, for scenes whose energies are quadratic in the drive.
+
+    Raises:
+        SceneError: see :class:`PlateSolver`, ``make_judge`` and ``measure_response``.
+    """
+    panels, matrices, seconds, node_steps = [], [], 0.0, 0
+    for one in scenarios:
+        exact, gain = replace(one, scene=in_float64(one.scene)), np.tile(one.gain, 2)
+        judge = make_judge(exact.scene)
+        for solver in _solvers(exact, judge, device, path):
+            matrices.append(measure_response(solver).matrices * np.outer(gain, gain))
+            seconds, node_steps = seconds + solver.compile_seconds, node_steps + solver.node_steps
+        panels.append(Panel(one, judge))
+    return Panels(tuple(panels), np.concatenate(matrices), (seconds, node_steps))
+
+
+def _losses_of_plates(panel: Panel, designs: Designs) -> np.ndarray:
+    own = in_scenario(designs, panel.scenario)
+    return panel.judge.losses(*(solver.run(own).energy for solver in panel.solvers))
+
+
+def _solvers(
+    one: Scenario, judge: Judge, device: str, path: str, pool: Pool | None = None, **options: Any
+) -> tuple[PlateSolver, ...]:
+    common: dict[str, Any] = {"areas": judge.regions, "own": one.own, **options}
+    made = solver_on(pool, one.scene, device, path, **common)
+    if not judge.needs_displacement:
+        return (made,)
+    return made, solver_on(pool, one.scene, device, path, quantity="displacement", **common)

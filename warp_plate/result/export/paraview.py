@@ -1,0 +1,137 @@
+"""Fields as a time series for ParaView: VTI files under a PVD index, or one VTKHDF file.
+
+The plate is flat image data in the plane z = 0. Point data: fields such as ``displacement_best`` [m], and the shares of
+each node's cell that lie in the ``target`` and under the ``actuators``. Written without VTK. Formats: "VTK XML
+Formats" and "VTKHDF format specification" (temporal image data) of the VTK documentation.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import h5py
+import numpy as np
+
+from warp_plate.plate.weights import REGIONS, region_weights
+from warp_plate.result.atomic_io import written_whole
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+# By the first word of a field's name.
+UNITS = {"displacement": "m", "velocity": "m/s", "target": "1", "actuators": "1"}
+
+
+def write_pvd(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray], path: str | Path) -> list[Path]:
+    """Write PATH (.pvd) and beside it a VTI file for each time; the files written, the VTI files first.
+
+    Args:
+        times: (times,) [s]. fields: (times, ny, nx) by name, which begins with a word of UNITS; the first is active.
+
+    Raises:
+        SceneError: no times, or a file cannot be written.
+    """
+    path = Path(path)
+    moving, still = _fields(times, fields), _still_fields(scene)
+    digits = max(4, len(str(len(times) - 1)))
+    parts = [path.with_name(f"{path.stem}-{index:0{digits}}.vti") for index in range(len(times))]
+    with written_whole(*parts, path) as (*temporaries, index_file):
+        for index, (time, temporary) in enumerate(zip(times.tolist(), temporaries, strict=True)):
+            now = {name: field[index] for name, field in moving.items()}
+            temporary.write_text("\n".join(_vti_lines(scene, time, now | still)), encoding="utf-8")
+        index_file.write_text("\n".join(_pvd_lines(times, parts)), encoding="utf-8")
+    return [*parts, path]
+
+
+def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray], path: str | Path) -> list[Path]:
+    """Write all times into PATH (.vtkhdf, for ParaView 5.12 and later); the file written.
+
+    Args and errors as :func:`write_pvd`.
+    """
+    path = Path(path)
+    moving, still = _fields(times, fields), _still_fields(scene)
+    with written_whole(path) as (temporary,), h5py.File(temporary, "w") as file:
+        root = file.create_group("VTKHDF")
+        nx, ny = scene.grid.nodes
+        root.attrs["Version"] = np.array([2, 0])
+        root.attrs["Type"] = np.bytes_("ImageData")
+        root.attrs["WholeExtent"] = np.array([0, nx - 1, 0, ny - 1, 0, 0])
+        root.attrs["Origin"] = np.zeros(3)
+        root.attrs["Spacing"] = np.array(_spacing(scene))
+        root.attrs["Direction"] = np.eye(3).ravel()
+        points = root.create_group("PointData")
+        steps = root.create_group("Steps")
+        steps.attrs["NSteps"] = len(times)
+        steps["Values"] = times.astype(float)
+        offsets = steps.create_group("PointDataOffsets")
+        # Arrays are (time, y, x): the axis of a flat image's thickness is left out.
+        for name, field in (moving | {name: field[None] for name, field in still.items()}).items():
+            points[name] = field
+            points[name].attrs["units"] = _unit(name)
+            offsets[name] = np.minimum(np.arange(len(times)), len(field) - 1)
+        # How the active array is told: to older readers, and from version 2.6 of the format on.
+        active = next(iter(moving))
+        points.attrs["Scalars"] = np.bytes_(active)
+        points[active].attrs["Attribute"] = "Scalars"
+    return [path]
+
+
+def _fields(times: np.ndarray, fields: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """(times, ny, nx) by name of the array."""
+    if not len(times):
+        raise SceneError("holds no displacements; add record.times = [...] (seconds) to its scene and run it again")
+    return {name: field.astype("<f4") for name, field in fields.items()}
+
+
+def _still_fields(scene: Scene) -> dict[str, np.ndarray]:
+    """(ny, nx) share of each node's cell that is covered, by name of the array."""
+    areas = {str(index): actuator.area for index, actuator in enumerate(scene.actuators)}
+    by_overlap = scene.model_copy(update={"grid": scene.grid.model_copy(update={"load": "overlap"})})
+    weights = region_weights(by_overlap, areas)
+    actuators = weights[len(REGIONS) :].sum(axis=0)
+    shares = {"target": weights[REGIONS.index("target")], "actuators": np.minimum(actuators, 1)}
+    return {name: share.astype("<f4") for name, share in shares.items()}
+
+
+def _unit(name: str) -> str:
+    return UNITS[name.partition("_")[0]]
+
+
+def _spacing(scene: Scene) -> tuple[float, float, float]:
+    (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
+    return width / (nx - 1), height / (ny - 1), 1.0
+
+
+def _pvd_lines(times: np.ndarray, parts: list[Path]) -> Iterator[str]:
+    yield '<?xml version="1.0" encoding="UTF-8"?>'
+    yield '<VTKFile type="Collection" version="1.0" byte_order="LittleEndian">'
+    yield "<Collection>"
+    for time, part in zip(times.tolist(), parts, strict=True):
+        yield f'<DataSet timestep="{time!r}" part="0" file={quoteattr(part.name)}/>'
+    yield "</Collection>"
+    yield "</VTKFile>\n"
+
+
+def _vti_lines(scene: Scene, time: float, fields: Mapping[str, np.ndarray]) -> Iterator[str]:
+    """Image data with its time; fields: float32 (ny, nx) by name, the first of them the active one."""
+    nx, ny = scene.grid.nodes
+    extent = f"0 {nx - 1} 0 {ny - 1} 0 0"
+    spacing = " ".join(map(repr, _spacing(scene)))
+    yield '<?xml version="1.0" encoding="UTF-8"?>'
+    yield '<VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64">'
+    yield f'<ImageData WholeExtent="{extent}" Origin="0 0 0" Spacing="{spacing}">'
+    yield f'<FieldData><DataArray type="Float64" Name="TimeValue" NumberOfTuples="1">{time!r}</DataArray></FieldData>'
+    yield f'<Piece Extent="{extent}">'
+    yield f"<PointData Scalars={quoteattr(next(iter(fields)))}>"
+    for name, field in fields.items():
+        data = field.tobytes()
+        inline = base64.b64encode(len(data).to_bytes(8, "little") + data).decode()
+        yield f'<DataArray type="Float32" Name={quoteattr(name)} format="binary">{inline}'
+        yield f'<InformationKey name="UNITS_LABEL" location="vtkDataArray">{_unit(name)}</InformationKey>'
+        yield "</DataArray>"
+    yield "</PointData>"
+    yield "</Piece>"
+    yield "</ImageData>"
+    yield "</VTKFile>\n"
