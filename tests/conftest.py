@@ -21,8 +21,8 @@ from hypothesis import settings
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.cli.main import main
-from warp_plate.plate.limit import time_step_limit
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.stability_limit import time_step_limit
 from warp_plate.scene import preset_text
 from warp_plate.scene.load import parse_scene
 from warp_plate.solve.devices import find_device

@@ -10,9 +10,9 @@ import pytest
 from warp_plate import PlateSolver, load_result
 from warp_plate.analysis.check import check
 from warp_plate.cli.main import main
-from warp_plate.plate.limit import find_limit
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.stability_limit import find_limit
 from warp_plate.scene.load import dump_scene
 
 

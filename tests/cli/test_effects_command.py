@@ -13,7 +13,7 @@ from warp_plate.analysis.effect_toggles import DRIVES, bare_scene, is_on
 from warp_plate.analysis.influence import switches
 from warp_plate.analysis.warnings import exceeded, warnings
 from warp_plate.plate.modes import natural_modes
-from warp_plate.plate.scene_overrides import scene_drive
+from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.scene.effects import Damping, Effects
 from warp_plate.scene.load import dump_scene
@@ -79,7 +79,7 @@ def test_table(command, panel):
 def test_influence_is_that_of_a_run_without_the_effect(panel):
     """Switched off by hand: the same numbers."""
     effects = panel.effects.model_copy(update={"damping": None})
-    run = PlateSolver(panel.model_copy(update={"effects": effects}), "cpu").run(scene_drive(panel)[None])
+    run = PlateSolver(panel.model_copy(update={"effects": effects}), "cpu").run(scene_phasors(panel)[None])
     switch = by_name(switches(panel, "cpu"))["damping"]
     assert switch.localization_factor == pytest.approx(run.energy[0, 1] / run.energy[0, 0], rel=1e-9)
 
@@ -261,7 +261,7 @@ def test_the_large_amplitude_preset_stretches():
     linear = scene.model_copy(update={"effects": scene.effects.model_copy(update={"stretching": None})})
     times = scene.window.end - np.arange(16) / 16 / scene.drive.frequency
     peaks = [
-        np.abs(PlateSolver(one, "cpu").run(scene_drive(one)[None], times.tolist()).displacement).max()
+        np.abs(PlateSolver(one, "cpu").run(scene_phasors(one)[None], times.tolist()).displacement).max()
         for one in (scene, linear)
     ]
     assert peaks[0] > scene.plate.thickness

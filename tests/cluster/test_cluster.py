@@ -15,7 +15,7 @@ from warp_plate.cluster.pool import Here, Task
 from warp_plate.cluster.processes import Processes
 from warp_plate.cluster.scheduler import spread
 from warp_plate.cluster.solver import SpreadSolver
-from warp_plate.plate.designs import Designs, own_of
+from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.problem.parametrization import Positions, variables_of
 from warp_plate.problem.uncertain_panels import solve_directly
 from warp_plate.problem.uncertainty import draw_scenarios
@@ -46,7 +46,7 @@ def drives_of(random, plates=PLATES, actuators=3):
 
 def designs_for(scene, random, plates=PLATES):
     """Random ones of all that the scene's search frees."""
-    own, drives = own_of(scene), drives_of(random, plates)
+    own, drives = per_plate_of(scene), drives_of(random, plates)
     frequency = np.repeat(random.uniform(250, 300, (plates, 1)), 3, axis=1) if own.frequency else None
     delay = np.repeat(random.uniform(0, 1e-3, (plates, 1)), 3, axis=1) if own.delay else None
     centre = random.uniform(0.09, 0.11, (plates, 3, 2)) if own.centre else None
@@ -76,13 +76,13 @@ SCENES = {
 def test_plates_have_the_same_bits_on_any_number_of_workers(name, pools, scene, random, small_blocks):
     """And on the threads of this process, whose batch is one: plates know nothing of each other."""
     made = scene((9, 9), window=(0.002, 0.004), **SCENES[name])
-    own = own_of(made)
+    own = per_plate_of(made)
     designs = designs_for(made, random)
     designs.drives[70] = np.nan
-    expected = PlateSolver(made, "cpu", own=own, areas={"left": (0, 0.1, 0, 0.2)}).run(designs)
+    expected = PlateSolver(made, "cpu", per_plate=own, areas={"left": (0, 0.1, 0, 0.2)}).run(designs)
     assert expected.status[70] != "ok"
     for count, pool in pools.items():
-        solver = SpreadSolver(pool, made, "cpu", own=own, areas={"left": (0, 0.1, 0, 0.2)})
+        solver = SpreadSolver(pool, made, "cpu", per_plate=own, areas={"left": (0, 0.1, 0, 0.2)})
         told = []
         run = solver.run(designs, progress=lambda done, total, told=told: told.append((done, total)))
         assert_same(run, expected)
@@ -95,12 +95,12 @@ def test_plates_have_the_same_bits_on_any_number_of_workers(name, pools, scene, 
 def test_workers_make_designs_of_positions(name, pools, scene, random, small_blocks, monkeypatch):
     """Which are smaller, and are made while the worker before them is at work; memory halves them as it does others."""
     made = scene((9, 9), window=(0.002, 0.004), **SCENES[name])
-    variables, own = variables_of(made), own_of(made)
+    variables, own = variables_of(made), per_plate_of(made)
     space = variables.space
     first = np.array([space.first_low, space.first_high])
     positions = random.uniform(*first, (PLATES, space.dimension))
-    expected = PlateSolver(made, "cpu", own=own).run(Positions(variables, positions))
-    solver = SpreadSolver(pools[2], made, "cpu", own=own)
+    expected = PlateSolver(made, "cpu", per_plate=own).run(Positions(variables, positions))
+    solver = SpreadSolver(pools[2], made, "cpu", per_plate=own)
     assert_same(solver.run(Positions(variables, positions)), expected)
     shipped = list(blocks.Blocks(Positions(variables, positions), blocks.cut(PLATES, 64, 64), "", short=True))
     assert all(set(task.payload) == {"digest", "numbers", "maker"} for task in shipped)
@@ -108,7 +108,7 @@ def test_workers_make_designs_of_positions(name, pools, scene, random, small_blo
     assert [task.place for task in pair] == [slice(first, first + 32), slice(first + 32, first + 64)]
     np.testing.assert_array_equal(np.concatenate([task.payload["numbers"] for task in pair]), positions[first:])
     # Of another scene they are no positions.
-    other = SpreadSolver(pools[2], made.model_copy(), "cpu", own=own)
+    other = SpreadSolver(pools[2], made.model_copy(), "cpu", per_plate=own)
     monkeypatch.setattr("warp_plate.problem.parametrization.maker_of", None)
     assert_same(other.run(Positions(variables, positions)), expected)
 
@@ -166,7 +166,9 @@ def test_a_design_that_is_refused_has_its_number_in_the_batch(scene, random, sma
     made = scene((9, 9), **SCENES["own"])
     designs = designs_for(made, random)
     designs.frequency[70] = -1.0
-    for solver in (PlateSolver(made, "cpu", own=own_of(made)), SpreadSolver(Here(), made, "cpu", own=own_of(made))):
+    per_plate = per_plate_of(made)
+    here = SpreadSolver(Here(), made, "cpu", per_plate=per_plate)
+    for solver in (PlateSolver(made, "cpu", per_plate=per_plate), here):
         with pytest.raises(SceneError, match=r"designs\.frequency: -1\.0 of actuator .* on plate 70;"):
             solver.run(designs)
 

@@ -12,9 +12,9 @@ import pytest
 import scipy.optimize
 
 from warp_plate.plate.bending import make_bending, oscillator_shares, stiffness_matrix, system
-from warp_plate.plate.limit import FORMULA_NODES, find_limit
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.stability_limit import FORMULA_NODES, find_limit
 
 SIZES = {
     "smallest": ((5, 5), (0.2, 0.2)),

@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from warp_plate import PlateSolver, SceneError
-from warp_plate.plate.moving import moving_weights
+from warp_plate.plate.moving_load import moving_weights
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import moments, overlap
 from warp_plate.scene.effects import Effects

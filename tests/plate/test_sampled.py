@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from warp_plate import SceneError
 from warp_plate.plate import sampled
-from warp_plate.plate.sampled import Samples, read_samples, resample
+from warp_plate.plate.sampled_signal import Samples, read_samples, resample
 from warp_plate.scene.drive import SampledSignal
 
 STEPS = 4000

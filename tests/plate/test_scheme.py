@@ -8,8 +8,8 @@ import pytest
 import scipy.sparse.linalg
 
 from warp_plate import PlateSolver, Scene, SceneError
-from warp_plate.plate.limit import time_step_limit
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.stability_limit import time_step_limit
 from warp_plate.plate.weights import REGIONS, patches, region_weights
 from warp_plate.reference.numpy_plate import biharmonic, with_ghosts
 

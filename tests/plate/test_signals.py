@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from warp_plate import SceneError
-from warp_plate.plate.sampled import read_samples, resample
+from warp_plate.plate.sampled_signal import read_samples, resample
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import highest_frequency, make_signals
 from warp_plate.scene.load import dump_scene, parse_scene, preset_text

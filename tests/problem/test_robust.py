@@ -84,7 +84,7 @@ def test_bits_do_not_depend_on_how_a_batch_is_cut(robust, phasors, monkeypatch):
         only = Panels(panels.each[1:2], None if panels.matrices is None else panels.matrices[2:4])
         np.testing.assert_array_equal(only.losses(designs)[:, 0], whole[:, 1])
     cut = [
-        replace(panel, solvers=(PlateSolver(panel.scenario.scene, "cpu", chunk=2, own=panel.scenario.own),))
+        replace(panel, solvers=(PlateSolver(panel.scenario.scene, "cpu", chunk=2, per_plate=panel.scenario.per_plate),))
         for panel in direct.each
     ]
     np.testing.assert_array_equal(Panels(tuple(cut)).losses(designs), direct.losses(designs))

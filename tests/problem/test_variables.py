@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from warp_plate import SceneError
-from warp_plate.plate.scene_overrides import scene_drive
+from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.problem.design_variables import at_highest_frequency, with_step
 from warp_plate.problem.parametrization import variables_of
@@ -151,7 +151,7 @@ def test_designs_and_scenes_agree(search):
     variables = variables_of(with_search(search))
     for position in positions_in(variables.space):
         designs, scene = variables.designs(position[None]), variables.scene_of(position)
-        assert np.array_equal(scene_drive(scene), designs.drives[0])
+        assert np.array_equal(scene_phasors(scene), designs.drives[0])
         for index, actuator in enumerate(scene.actuators):
             if designs.frequency is not None:
                 assert (actuator.frequency or scene.drive.frequency) == designs.frequency[0, index]
@@ -196,7 +196,7 @@ def test_no_drive_breaks_the_limits(limits, values, tables, search):
     variables = variables_of(scene_of(search={**search, "limits": limits}, **tables))
     position = np.array(values[: variables.space.dimension])
     drives = variables.designs(position[None]).drives[0]
-    assert np.allclose(scene_drive(variables.scene_of(position)), drives, rtol=1e-15, atol=1e-29)
+    assert np.allclose(scene_phasors(variables.scene_of(position)), drives, rtol=1e-15, atol=1e-29)
     if limits["magnitude"] is not None:
         assert np.abs(drives).max() <= limits["magnitude"] * (1 + 1e-12)
     if limits["power"] is not None:

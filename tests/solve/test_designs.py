@@ -7,9 +7,9 @@ from test_paths import poison
 
 from warp_plate import PlateSolver, SceneError
 from warp_plate.kernels import moment_form_plan as general_plan
-from warp_plate.plate.designs import Designs, Own, own_of
+from warp_plate.plate.designs import Designs, PerPlate, per_plate_of
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.signals import make_signals, own_waves
+from warp_plate.plate.signals import make_signals, waves_per_plate
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.reference.numpy_moment_form import run_general
 from warp_plate.reference.numpy_plate import run_plate
@@ -35,12 +35,12 @@ KINDS = {
     "general": {"nodes": (9, 8), "size": (0.2, 0.17), "load": "moments", "effects": EFFECTS},
 }
 OWN = {
-    "frequency": Own(frequency=True),
-    "delay": Own(delay=True),
-    "centre": Own(centre=True),
-    "all": Own(frequency=True, delay=True, centre=True),
+    "frequency": PerPlate(frequency=True),
+    "delay": PerPlate(delay=True),
+    "centre": PerPlate(centre=True),
+    "all": PerPlate(frequency=True, delay=True, centre=True),
 }
-EACH = Own(frequency=True, delay=True, centre=True, each=True)
+EACH = PerPlate(frequency=True, delay=True, centre=True, per_actuator=True)
 CASES = [(kind, own) for kind in KINDS for own in OWN if own == "all" or kind in ("small", "general")]
 STEPS = 90
 
@@ -127,7 +127,7 @@ def test_each_plate_is_its_own_scene(device, path, kind, own, precision, burst_s
     made = burst_scene(precision, **KINDS[kind])
     designs, step, tolerance = draw(made, OWN[own], 2), made.grid.time_step, TOLERANCE[precision]
     times = (20 * step, 75 * step)
-    run = fitting_solver(made, device, path, own=OWN[own]).run(designs, times)
+    run = fitting_solver(made, device, path, per_plate=OWN[own]).run(designs, times)
     for plate in range(2):
         one, drives = written(made, designs, plate), designs.drives[plate : plate + 1]
         energy, history = reference(one, drives)
@@ -144,7 +144,7 @@ def test_each_plate_is_its_own_scene(device, path, kind, own, precision, burst_s
 def test_a_frequency_and_a_delay_for_each_actuator(device, path, kind, precision, burst_scene, draw):
     made = burst_scene(precision, **KINDS[kind])
     designs = draw(made, EACH, 3)
-    solver = PlateSolver(made, device, path, own=EACH)
+    solver = PlateSolver(made, device, path, per_plate=EACH)
     assert solver.specialized.effects.terms == 2 * len(made.actuators)
     run = solver.run(designs)
     for plate in range(3):
@@ -165,7 +165,7 @@ def test_the_kernel_of_blocks_on_cpu(burst_scene, draw, monkeypatch):
         return general.blocks_path(specialized, general_plan.Blocks(1, nx * ny, (), planes, False, 64))
 
     monkeypatch.setitem(paths.GENERAL, "resident", one_thread)
-    run = PlateSolver(made, "cpu", "resident", own=EACH).run(designs)
+    run = PlateSolver(made, "cpu", "resident", per_plate=EACH).run(designs)
     energies = [reference(written(made, designs, k), designs.drives[k : k + 1])[0][0] for k in range(2)]
     np.testing.assert_allclose(run.energy, energies, rtol=TOLERANCE["float64"])
 
@@ -175,13 +175,13 @@ def test_the_kernel_of_blocks_on_cpu(burst_scene, draw, monkeypatch):
 def test_a_plate_knows_nothing_of_its_batch(device, path, kind, precision, burst_scene, draw, fitting_solver):
     """Alone, in chunks, beside a plate without a finite drive, after others, after NaN in memory: the same bits."""
     made, own = burst_scene(precision, **KINDS[kind]), OWN["all"]
-    designs, solver = draw(made, own, 19), fitting_solver(made, device, path, own=own)
+    designs, solver = draw(made, own, 19), fitting_solver(made, device, path, per_plate=own)
     together = solver.run(designs).energy
     assert len(np.unique(together[:, 0])) == 19
-    chunks = PlateSolver(made, device, path, chunk=7, own=own)
+    chunks = PlateSolver(made, device, path, chunk=7, per_plate=own)
     np.testing.assert_array_equal(chunks.run(designs).energy, together)
     plain = solver.run(designs.drives).energy
-    assert {"own_wave", "along_x", "along_y"} <= poison(solver._states[0])
+    assert {"plate_waves", "along_x", "along_y"} <= poison(solver._states[0])
     np.testing.assert_array_equal(solver.run(designs[3:4]).energy, together[3:4])
     np.testing.assert_array_equal(solver.run(designs.drives).energy, plain)
     designs.drives[5] = np.nan
@@ -194,7 +194,7 @@ def test_traces_of_designs(device, path, burst_scene, draw):
     made, own = burst_scene(**KINDS["small"]), OWN["all"]
     designs, (nx, ny) = draw(made, own, 3), made.grid.nodes
     point, step = tuple(np.array(made.plate.size) * (6 / (nx - 1), 5 / (ny - 1))), made.grid.time_step
-    run = PlateSolver(made, device, path, own=own).run(designs, (50 * step,), [point])
+    run = PlateSolver(made, device, path, per_plate=own).run(designs, (50 * step,), [point])
     shown = run.displacement[:, 0, 5, 6]
     np.testing.assert_allclose(run.trace[:, 0, 49], shown, rtol=0, atol=1e-12 * np.abs(shown).max())
     for plate in range(3):
@@ -207,13 +207,13 @@ def test_traces_of_designs(device, path, burst_scene, draw):
 def test_patches_are_those_of_the_scene(load, effects, burst_scene, draw, pairs):
     """Load fields of random rectangles, some flush with the plate's edge, as the scene with each of them has them."""
     tables = {"effects": effects} if effects else {}
-    made, own = burst_scene(nodes=(9, 8), size=(0.2, 0.17), load=load, **tables), Own(centre=True)
+    made, own = burst_scene(nodes=(9, 8), size=(0.2, 0.17), load=load, **tables), PerPlate(centre=True)
     designs = draw(made, own, 7)
     half, count = half_sides(made), len(made.actuators)
     designs.centre[0], designs.centre[1] = half, np.array(made.plate.size) - half
     designs.centre[2, :, 0] = half[:, 0]
     for device in {device for device, _ in pairs}:
-        solver = PlateSolver(made, device, own=own)
+        solver = PlateSolver(made, device, per_plate=own)
         solver.run(Designs(np.tile(np.eye(count), (7, 1)), centre=np.repeat(designs.centre, count, axis=0)))
         found = solver._states[0].in_phase.numpy()[: 7 * count].reshape(7, count, 10, -1)
         for plate in range(7):
@@ -232,7 +232,7 @@ def test_patches_move_without_jumps(load, burst_scene):
     centre = np.tile((areas[:, [0, 2]] + areas[:, [1, 3]]) / 2, (2001, 1, 1))
     centre[:, 0, 0] = places
     drives = np.tile([1.0, 0, 0], (2001, 1))
-    solver = PlateSolver(made, "cpu", own=Own(centre=True))
+    solver = PlateSolver(made, "cpu", per_plate=PerPlate(centre=True))
     solver.run(Designs(drives, centre=centre))
     jumps = np.abs(np.diff(solver._states[0].in_phase.numpy()[:2001], axis=0)).max()
     assert 0 < jumps < 3 * (places[1] - places[0]) / spacing
@@ -255,14 +255,14 @@ def test_waves_are_those_of_the_scene(name, each, scene, draw, phasors, pairs):
     """Host and device, and both against the signals of a scene with one plate's values."""
     drive = {"frequency": 290.0, "burst": {"start": 0.001, "duration": 0.006, "ramp": 0.002}, **DRIVES[name]}
     made = scene((9, 9), time_step=8e-5, drive=drive)
-    own = Own(frequency=True, delay=drive["burst"] is not None, each=each)
+    own = PerPlate(frequency=True, delay=drive["burst"] is not None, per_actuator=each)
     designs, steps = draw(made, own, 4), make_scheme(made).steps
     drives = phasors(1, 3)
     columns = slice(None) if each else slice(1)
     frequency = designs.frequency[:, columns]
     delay = None if designs.delay is None else designs.delay[:, columns]
     shared = make_signals(made, 8e-5, steps, each=each)
-    waves = own_waves(made, 8e-5, steps, frequency, delay)
+    waves = waves_per_plate(made, 8e-5, steps, frequency, delay)
     assert waves.shape == (4, steps, shared.terms)
     for plate in range(4):
         expected = make_signals(written(made, designs, plate), 8e-5, steps)
@@ -270,7 +270,7 @@ def test_waves_are_those_of_the_scene(name, each, scene, draw, phasors, pairs):
         asked = np.einsum("nt,ptk->pnk", expected.wave, expected.coefficients(drives))
         np.testing.assert_allclose(pressure, asked, rtol=0, atol=1e-12 * np.abs(asked).max())
     for device in {device for device, _ in pairs}:
-        solver = PlateSolver(made, device, own=own)
+        solver = PlateSolver(made, device, per_plate=own)
         solver.run(designs)
         np.testing.assert_allclose(solver._states[0].wave.numpy()[:4], waves, rtol=0, atol=1e-12)
 
@@ -282,7 +282,7 @@ def test_energies_of_displacements(device, path, kind, precision, burst_scene, d
     made, tolerance = burst_scene(precision, **KINDS[kind]), TOLERANCE[precision]
     own, scheme = OWN["all"], make_scheme(made)
     designs = draw(made, own, 2)
-    solver = fitting_solver(made, device, path, own=own, quantity="displacement")
+    solver = fitting_solver(made, device, path, per_plate=own, quantity="displacement")
     for asked in (designs.drives, designs):
         run = solver.run(asked)
         scenes = [written(made, designs, k) if asked is designs else made for k in range(2)]
@@ -308,19 +308,19 @@ def test_mean_square_velocity_of_a_uniform_plate(burst_scene, phasors):
 def test_waves_and_places_count_as_memory(scene):
     made = scene((9, 9), time_step=8e-5, drive={"frequency": 290.0})
     plain = PlateSolver(made, "cpu").specialized
-    own = PlateSolver(made, "cpu", own=Own(frequency=True, centre=True)).specialized
+    own = PlateSolver(made, "cpu", per_plate=PerPlate(frequency=True, centre=True)).specialized
     assert bytes_per_plate(own, 0) - bytes_per_plate(plain, 0) == 8 * (2 * plain.scheme.steps + 3 * (9 + 9 + 4))
 
 
 def test_what_a_search_frees_is_own(scene):
     made = scene((9, 9), drive={"frequency": 290.0, "burst": {"duration": 0.01}})
-    assert own_of(made) == Own()
+    assert per_plate_of(made) == PerPlate()
     position = {"actuators": ["0", "2"], "area": (0.0, 0.15, 0.0, 0.15)}
     free = made.with_tables(
         search={"frequency": {"range": (100.0, 9e3), "own": True}, "delay": {"range": (0, 0.01)}, "position": position}
     )
     areas = ((0.0, 0.15, 0.0, 0.15), made.actuators[1].area, (0.0, 0.15, 0.0, 0.15))
-    assert own_of(free) == Own(frequency=True, delay=True, centre=True, each=True, areas=areas)
+    assert per_plate_of(free) == PerPlate(frequency=True, delay=True, centre=True, per_actuator=True, areas=areas)
 
 
 def refused(message, call, *arguments, **options):
@@ -331,22 +331,22 @@ def refused(message, call, *arguments, **options):
 def test_what_is_refused(scene, burst_scene, draw):
     made = burst_scene(nodes=(9, 9), size=(0.2, 0.17))
     own = OWN["all"]
-    designs, solver = draw(made, own, 3), PlateSolver(made, "cpu", own=own)
-    refused(r"designs\.frequency.*Own\(frequency=True\)", PlateSolver(made, "cpu").run, designs)
+    designs, solver = draw(made, own, 3), PlateSolver(made, "cpu", per_plate=own)
+    refused(r"designs\.frequency.*PerPlate\(frequency=True\)", PlateSolver(made, "cpu").run, designs)
     refused("designs.centre: shape", solver.run, Designs(designs.drives, centre=designs.centre[:2]))
     for name, value, message in (
         ("centre", (0.001, 0.08), "of actuator '1' on plate 2; must be a place"),
         ("centre", np.nan, "'1' on plate 2; must be a place"),
         ("frequency", 0.6 / made.grid.time_step, "'1' on plate 2; must be 0 ... "),
         ("frequency", -1.0, "'1' on plate 2; must be 0 ... "),
-        ("frequency", 200.0, r"'1' on plate 2; must be one value .* Own\(each=True\)"),
+        ("frequency", 200.0, r"'1' on plate 2; must be one value .* PerPlate\(per_actuator=True\)"),
         ("delay", made.window.end, "'1' on plate 2; must be 0 ... "),
     ):
         values = getattr(designs, name).copy()
         values[2, 1] = value
         refused(message, solver.run, Designs(designs.drives, **{name: values}))
     kept = tuple(actuator.area for actuator in made.actuators)
-    refused("'0' on plate 0", PlateSolver(made, "cpu", own=Own(centre=True, areas=kept)).run,
+    refused("'0' on plate 0", PlateSolver(made, "cpu", per_plate=PerPlate(centre=True, areas=kept)).run,
             Designs(designs.drives, centre=designs.centre))  # fmt: skip
     moving = PlateSolver(made, "cpu", quantity="displacement")
     refused("times, points", moving.run, designs.drives, times=(0.0,))
@@ -354,12 +354,12 @@ def test_what_is_refused(scene, burst_scene, draw):
 
 def test_scenes_that_have_nothing_of_their_own(scene, tmp_path):
     def solver(own=None, quantity="velocity", **tables):
-        PlateSolver(scene((9, 9), **tables), "cpu", own=own or Own(), quantity=quantity)
+        PlateSolver(scene((9, 9), **tables), "cpu", per_plate=own or PerPlate(), quantity=quantity)
 
-    refused("grid.load", solver, Own(centre=True), load="nodes")
-    refused("drive.burst", solver, Own(delay=True))
-    refused("drive.signal", solver, Own(frequency=True), drive={"frequency": 290.0, "signal": {"file": "a.wav"}})
-    refused("own.areas", solver, Own(centre=True, areas=((0.0, 0.2, 0.0, 0.2),)))
+    refused("grid.load", solver, PerPlate(centre=True), load="nodes")
+    refused("drive.burst", solver, PerPlate(delay=True))
+    refused("drive.signal", solver, PerPlate(frequency=True), drive={"frequency": 290.0, "signal": {"file": "a.wav"}})
+    refused("per_plate.areas", solver, PerPlate(centre=True, areas=((0.0, 0.2, 0.0, 0.2),)))
     refused("quantity = 'speed'", solver, quantity="speed")
     refused("effects.stretching", solver, quantity="displacement", effects={"stretching": {}})
-    refused("grid.order = 4", solver, Own(frequency=True, each=True), order=4)
+    refused("grid.order = 4", solver, PerPlate(frequency=True, per_actuator=True), order=4)

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver
-from warp_plate.plate.limit import needs_moments
-from warp_plate.plate.moving import moving_weights
+from warp_plate.plate.moving_load import moving_weights
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.stability_limit import needs_moment_form
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.reference.numpy_moment_form import inverse, make_matrices
 
@@ -66,7 +66,7 @@ def mix(scene, random):
             "effects": {**some_effects(random, size), **more},
             "load": str(random.choice(["overlap", "moments"])),
         }
-        if not needs_moments(scene(nodes, size, **asked)):
+        if not needs_moment_form(scene(nodes, size, **asked)):
             asked["effects"]["foundation"] = {"stiffness": 8e4}
         limit, turn = make_scheme(scene(nodes, size, frequency=1.0, **asked)).limit, random.uniform(0.01, 0.05)
         own = random.choice([1.0, 0.6], 3)

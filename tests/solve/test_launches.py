@@ -8,7 +8,7 @@ import warp as wp
 from conftest import device_paths
 
 from warp_plate import PlateSolver
-from warp_plate.plate.designs import Designs, Own
+from warp_plate.plate.designs import Designs, PerPlate
 from warp_plate.solve import cuda, streaming
 from warp_plate.solve.launches import repeat
 
@@ -38,7 +38,7 @@ def test_together_they_change_no_bit(kind, device, scene, random, monkeypatch):
         (Designs(drives[2:], own[2:]), [(0.05, 0.11)]),
         (drives, []),
     ]
-    solvers = [PlateSolver(made, device, "streaming", own=Own(frequency=True)) for _ in range(2)]
+    solvers = [PlateSolver(made, device, "streaming", per_plate=PerPlate(frequency=True)) for _ in range(2)]
     together = [solvers[0].run(given, points=points) for given, points in runs]
     monkeypatch.setattr(streaming, "STEPS", ONE_BY_ONE)
     monkeypatch.setattr(cuda, "LAUNCHES", ONE_BY_ONE)
@@ -60,7 +60,7 @@ def add(before: wp.array[float], after: wp.array[float], more: float):
 @pytest.mark.parametrize("device", DEVICES)
 def test_buffers_that_were_left_turned_and_other_numbers_are_told_apart(device):
     u, u_next = (wp.zeros(1, dtype=float, device=device) for _ in range(2))
-    state = SimpleNamespace(u=u, u_next=u_next, own_waves=False, beside={})
+    state = SimpleNamespace(u=u, u_next=u_next, has_plate_waves=False, beside={})
     wp.load_module(module=add.module, device=device)
 
     def launches(launch, state, count, more):

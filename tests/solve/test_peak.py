@@ -10,7 +10,7 @@ import pytest
 from warp_plate import PlateSolver
 from warp_plate.analysis.influence import switches
 from warp_plate.cli.main import main
-from warp_plate.plate.scene_overrides import scene_drive
+from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.scene.load import dump_scene
 from warp_plate.solve import peak
 from warp_plate.solve.peak import look_times, record_times, run_and_look
@@ -31,7 +31,7 @@ def traced_peak(made):
     nx, ny = made.grid.nodes
     width, height = made.plate.size
     points = [(x, y) for y in np.linspace(0, height, ny) for x in np.linspace(0, width, nx)]
-    return np.abs(PlateSolver(made, "cpu").run(scene_drive(made)[None], points=points).trace).max()
+    return np.abs(PlateSolver(made, "cpu").run(scene_phasors(made)[None], points=points).trace).max()
 
 
 def test_a_burst_between_the_recorded_times_is_seen(struck):
@@ -49,7 +49,7 @@ def test_a_burst_between_the_recorded_times_is_seen(struck):
 def test_looks_change_nothing_of_the_run(struck, path, effects):
     """To the last bit: a plate that is looked at is stopped, copied and gone on with."""
     made = struck.with_tables(effects=effects, grid={"nodes": (17, 15), "precision": "float32"})
-    solver, drives = PlateSolver(made, "cpu", path), np.stack([scene_drive(made), 2j * scene_drive(made)])
+    solver, drives = PlateSolver(made, "cpu", path), np.stack([scene_phasors(made), 2j * scene_phasors(made)])
     plain = solver.run(drives, record_times(made))
     looked, _ = run_and_look(solver, drives)
     np.testing.assert_array_equal(looked.energy, plain.energy)

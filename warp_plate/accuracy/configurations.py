@@ -8,10 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from warp_plate.plate.limit import find_limit, needs_moments
 from warp_plate.plate.operator import FEWEST_NODES
 from warp_plate.plate.scheme import SAFETY, STEPS_A_PERIOD
 from warp_plate.plate.signals import highest_frequency
+from warp_plate.plate.stability_limit import find_limit, needs_moment_form
 from warp_plate.scene.model import Scene
 
 Order = Literal[2, 4]
@@ -68,7 +68,7 @@ def scene_with(scene: Scene, configuration: Configuration) -> Scene:
 
 def highest_order(scene: Scene) -> Order:
     """Four where the scene allows it."""
-    return 2 if needs_moments(scene) else 4
+    return 2 if needs_moment_form(scene) else 4
 
 
 def bending_wave(scene: Scene) -> float:

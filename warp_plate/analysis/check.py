@@ -10,9 +10,9 @@ import numpy as np
 
 from warp_plate.analysis.warnings import Finding, slowest_frequency, warnings, wavelengths
 from warp_plate.plate.bending import Bending
-from warp_plate.plate.limit import Limit, find_limit
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.signals import highest_frequency
+from warp_plate.plate.stability_limit import StabilityLimit, find_limit
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import choose_path
@@ -34,7 +34,7 @@ class Check:
     precision: str
     time_step: float
     steps: int
-    limit: Limit
+    limit: StabilityLimit
     stable: bool
     growth: float
     frequency: float
@@ -132,7 +132,7 @@ def check(scene: Scene, device: str = "auto", allow_unstable: bool = False) -> C
     )
 
 
-def _amplitude(scene: Scene, scheme: Scheme, bending: Bending, limit: Limit) -> float:
+def _amplitude(scene: Scene, scheme: Scheme, bending: Bending, limit: StabilityLimit) -> float:
     """In thicknesses: see ``Check``.
 
     A tension N, κN along y, adds N(4/hx² + 4κ/hy²)/ρH to the largest eigenvalue 4/limit², and Berger's is proportional

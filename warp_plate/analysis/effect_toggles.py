@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from warp_plate.plate.signals import own_frequencies
+from warp_plate.plate.signals import carrier_frequencies
 from warp_plate.plate.weights import REGIONS, region_weights
 from warp_plate.scene.drive import Burst, Chirp, Drive, Electrostatic, MovingLoad
 from warp_plate.scene.effects import (
@@ -46,7 +46,7 @@ def is_on(scene: Scene, name: str) -> bool:
     if name == "edges":
         return any(edge not in ("clamped", "supported") for _, edge in scene.edges)
     if name == "own_frequencies":
-        return len(own_frequencies(scene)) > 1
+        return len(carrier_frequencies(scene)) > 1
     value = getattr(scene.drive if name in DRIVES else scene.effects, name)
     return value is not None and value != ()
 

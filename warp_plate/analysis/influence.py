@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_plate.analysis.effect_toggles import TYPICAL, bare_scene, is_on, names, with_value, without
-from warp_plate.plate.scene_overrides import scene_drive
+from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.effects import MovingLoad
 from warp_plate.scene.errors import SceneError
@@ -128,7 +128,7 @@ def _other(scene: Scene, name: str, device: str) -> tuple[PlateSolver | None, st
 def _run(solver: PlateSolver) -> tuple[float, float]:
     """Localization factor under the scene's own drive, and the peak displacement [m]."""
     scene = solver.scene
-    run = solver.run(scene_drive(scene)[None], look_times(scene))
+    run = solver.run(scene_phasors(scene)[None], look_times(scene))
     return float(localization_factor(run.energy)[0]), largest(run.displacement)
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from warp_plate.analysis.effect_toggles import film, rigidity
 from warp_plate.plate.modes import natural_modes
-from warp_plate.plate.sampled import read_samples
+from warp_plate.plate.sampled_signal import read_samples
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.signals import highest_frequency, own_frequencies
+from warp_plate.plate.signals import carrier_frequencies, highest_frequency
 from warp_plate.scene.drive import SampledSignal
 from warp_plate.scene.model import Scene
 
@@ -102,7 +102,7 @@ def decay_rate(scene: Scene) -> float:
     own = viscous / (2 * scene.plate.density * scene.plate.thickness)
     if not retardation:
         return own
-    lowest = min(own_frequencies(scene))
+    lowest = min(carrier_frequencies(scene))
     if scene.drive.electrostatic is not None:
         lowest = min(lowest, slowest_frequency(scene))
     return own + retardation * (2 * math.pi * lowest) ** 2 / 2

@@ -17,7 +17,7 @@ from warp_plate.cluster.pool import Pool, Task
 from warp_plate.cluster.scheduler import ATTEMPTS, spread
 from warp_plate.cluster.solver_spec import recipe_of
 from warp_plate.cluster.tasks import run_block
-from warp_plate.plate.designs import NOTHING_OWN, Batch, Designs, Own, Shorthand, as_phasors
+from warp_plate.plate.designs import NO_PER_PLATE, Batch, Designs, PerPlate, Shorthand, as_phasors
 from warp_plate.plate.weights import NO_AREAS, Region
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -55,14 +55,14 @@ class SpreadSolver(PlateSolver):
         device: str = "auto",
         path: str = "auto",
         areas: Mapping[str, Region] = NO_AREAS,
-        own: Own = NOTHING_OWN,
+        per_plate: PerPlate = NO_PER_PLATE,
         quantity: Quantity = "velocity",
         share: float = 1.0,
     ) -> None:
-        super().__init__(scene, device, path, areas=areas, own=own, quantity=quantity, share=share)
+        super().__init__(scene, device, path, areas=areas, per_plate=per_plate, quantity=quantity, share=share)
         self.pool = pool
         self.lost: Counter[str] = Counter()
-        self._recipe = recipe_of(scene, pool.device, path, areas, own, quantity, share)
+        self._recipe = recipe_of(scene, pool.device, path, areas, per_plate, quantity, share)
         self._made: dict[str, str] = {}
         self._taken: deque[float] = deque(maxlen=REMEMBERED)
 

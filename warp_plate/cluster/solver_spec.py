@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from warp_plate.cluster.frames import encode
-from warp_plate.plate.designs import NOTHING_OWN, Own
+from warp_plate.plate.designs import NO_PER_PLATE, PerPlate
 from warp_plate.plate.files import named_files, read_beside
 from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, region_weights
 from warp_plate.scene.load import dump_scene, parse_scene
@@ -35,22 +35,22 @@ class Recipe:
     device: str
     path: str
     areas: Mapping[str, np.ndarray]
-    own: Own
+    per_plate: PerPlate
     quantity: Quantity
     share: float
 
     @property
     def plain(self) -> dict[str, Any]:
         """For a task's payload."""
-        return {one.name: getattr(self, one.name) for one in fields(self)} | {"own": asdict(self.own)}
+        return {one.name: getattr(self, one.name) for one in fields(self)} | {"per_plate": asdict(self.per_plate)}
 
     @staticmethod
     def from_plain(table: Mapping[str, Any]) -> Recipe:
         """What ``plain`` gave."""
-        own = dict(table["own"])
-        if own["areas"] is not None:
-            own["areas"] = tuple(map(tuple, own["areas"]))
-        return Recipe(**{**table, "own": Own(**own)})
+        per_plate = dict(table["per_plate"])
+        if per_plate["areas"] is not None:
+            per_plate["areas"] = tuple(map(tuple, per_plate["areas"]))
+        return Recipe(**{**table, "per_plate": PerPlate(**per_plate)})
 
     @cached_property
     def digest(self) -> str:
@@ -63,14 +63,14 @@ def recipe_of(
     device: str = "auto",
     path: str = "auto",
     areas: Mapping[str, Region] = NO_AREAS,
-    own: Own = NOTHING_OWN,
+    per_plate: PerPlate = NO_PER_PLATE,
     quantity: Quantity = "velocity",
     share: float = 1.0,
 ) -> Recipe:
     """The recipe of ``PlateSolver(scene, ...)``; for the arguments and errors see there."""
     weights = region_weights(scene, areas)[len(REGIONS) :]
     named = dict(zip(areas, weights, strict=True))
-    return Recipe(dump_scene(scene), contents_of(scene), device, path, named, own, quantity, share)
+    return Recipe(dump_scene(scene), contents_of(scene), device, path, named, per_plate, quantity, share)
 
 
 def contents_of(scene: Scene) -> dict[str, bytes]:
@@ -106,7 +106,7 @@ def make_solver(recipe: Recipe) -> PlateSolver:
             recipe.path,
             threads=None if os.environ.get("WARP_PLATE_THREADS") else 1,
             areas=recipe.areas,
-            own=recipe.own,
+            per_plate=recipe.per_plate,
             quantity=recipe.quantity,
             share=recipe.share,
         )

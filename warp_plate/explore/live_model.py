@@ -17,7 +17,7 @@ import numpy as np
 from warp_plate.analysis.superposition import Simulated, UnitResponses, simulated, unit_responses
 from warp_plate.explore.settings import Settings, changed_scene, polar, ranges_of
 from warp_plate.explore.watched_search import WatchedSearch
-from warp_plate.plate.scene_overrides import scene_drive
+from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.problem.evaluate_cases import reference_drives
 from warp_plate.problem.objective import unit_of_drives
 from warp_plate.result.live import Reading, SwarmReading
@@ -54,7 +54,7 @@ class LiveModel:
         self.ranges = ranges_of(scene)
         self._device, self._path = device, path
         self._scale = max((abs(one.magnitude) for one in scene.actuators), default=0.0) or 1.0
-        drive = scene_drive(scene)
+        drive = scene_phasors(scene)
         damping = scene.effects.damping.viscous if scene.effects.damping else 0.0
         self.settings = Settings(scene.drive.frequency, damping, *polar(drive))
         self._random = np.random.default_rng()
@@ -244,7 +244,7 @@ class LiveModel:
                 self._search = WatchedSearch(responses.scene, responses.energies, self._scale, seconds, found)
             return
         if choice == "scene":
-            drive = scene_drive(self.scene)
+            drive = scene_phasors(self.scene)
         elif choice == "random":
             turns = np.exp(2j * math.pi * self._random.random(actuators))
             drive = self._scale * self._random.random(actuators) * turns

@@ -76,7 +76,7 @@ class Shorthand(Batch, Protocol):
 
 
 @dataclass(frozen=True)
-class Own:
+class PerPlate:
     """What the plates of a solver may have of their own beside their drives: it is compiled for that.
 
     frequency, delay, centre: whether ``Designs`` may bring it. each: frequency and delay differ from actuator to
@@ -87,14 +87,14 @@ class Own:
     frequency: bool = False
     delay: bool = False
     centre: bool = False
-    each: bool = False
+    per_actuator: bool = False
     areas: tuple[Area, ...] | None = None
 
 
-NOTHING_OWN = Own()
+NO_PER_PLATE = PerPlate()
 
 
-def own_of(scene: Scene) -> Own:
+def per_plate_of(scene: Scene) -> PerPlate:
     """What plates need of their own for the free variables of ``[search]``."""
     search = scene.search
     free, areas = search.position, None
@@ -103,38 +103,38 @@ def own_of(scene: Scene) -> Own:
         whole = free.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
         areas = tuple(one.area if one.name in kept else whole for one in scene.actuators)
     apart = [one for one in (search.frequency, search.delay) if one is not None]
-    return Own(
+    return PerPlate(
         frequency=search.frequency is not None,
         delay=search.delay is not None,
         centre=free is not None,
-        each=any(one.own or one.actuators is not None for one in apart),
+        per_actuator=any(one.own or one.actuators is not None for one in apart),
         areas=areas,
     )
 
 
-def carriers_of(scene: Scene, own: Own) -> int:
+def carriers_of(scene: Scene, per_plate: PerPlate) -> int:
     """How many carriers each plate has of its own: none, one, or one for each actuator.
 
     Raises:
         SceneError: the scene has no carrier or no burst that could differ, or a load that cannot be moved.
     """
-    if own.centre and scene.grid.load == "nodes":
+    if per_plate.centre and scene.grid.load == "nodes":
         raise SceneError(
             'grid.load = "nodes": actuators would jump from node to node; to move them write "overlap" or "moments"'
         )
-    if own.areas is not None and len(own.areas) != len(scene.actuators):
-        raise SceneError(f"own.areas: {len(own.areas)} instead of {len(scene.actuators)}, one for each actuator")
-    if own.delay and scene.drive.burst is None:
+    if per_plate.areas is not None and len(per_plate.areas) != len(scene.actuators):
+        raise SceneError(f"per_plate.areas: {len(per_plate.areas)} instead of {len(scene.actuators)}, one an actuator")
+    if per_plate.delay and scene.drive.burst is None:
         raise SceneError("drive.burst: missing; a delay of its own needs a burst that is delayed")
-    if not (own.frequency or own.delay):
+    if not (per_plate.frequency or per_plate.delay):
         return 0
     if scene.drive.signal is not None:
         raise SceneError("drive.signal: a file has no frequency or burst that differs from plate to plate; delete it")
-    return len(scene.actuators) if own.each or waves_apart(scene) > 1 else 1
+    return len(scene.actuators) if per_plate.per_actuator or waves_apart(scene) > 1 else 1
 
 
 @dataclass(frozen=True)
-class OwnValues:
+class PerPlateValues:
     """Designs made ready: frequency and delay (plates, carriers), edges (plates, actuators, 4) x0, x1, y0, y1 [m];
     None where the plates share the scene's."""
 
@@ -142,11 +142,11 @@ class OwnValues:
     delay: np.ndarray | None
     edges: np.ndarray | None
 
-    def __getitem__(self, some: slice) -> OwnValues:
-        return OwnValues(*(None if one is None else one[some] for one in (self.frequency, self.delay, self.edges)))
+    def __getitem__(self, some: slice) -> PerPlateValues:
+        return PerPlateValues(*(None if one is None else one[some] for one in (self.frequency, self.delay, self.edges)))
 
 
-def check_designs(designs: Designs, scene: Scene, own: Own, time_step: float) -> OwnValues:
+def check_designs(designs: Designs, scene: Scene, per_plate: PerPlate, time_step: float) -> PerPlateValues:
     """What a solver made for ``own`` needs of designs.
 
     Raises:
@@ -160,8 +160,8 @@ def check_designs(designs: Designs, scene: Scene, own: Own, time_step: float) ->
         values = getattr(designs, name)
         if values is None:
             continue
-        if not getattr(own, name):
-            raise SceneError(f"designs.{name}: this solver is not made for it; make it with own = Own({name}=True)")
+        if not getattr(per_plate, name):
+            raise SceneError(f"designs.{name}: not enabled for this solver; make it with PerPlate({name}=True)")
         given[name] = np.asarray(values, dtype=float)
         if given[name].shape != (*shape, *more):
             raise SceneError(f"designs.{name}: shape {given[name].shape} instead of {(*shape, *more)}")
@@ -177,28 +177,28 @@ def check_designs(designs: Designs, scene: Scene, own: Own, time_step: float) ->
         if delay is not None:
             end = scene.window.end
             _refuse(scene, "delay", delay, np.asarray((delay >= 0) & (delay < end)), f"0 ... {end:g} s")
-        if carriers_of(scene, own) == 1:
+        if carriers_of(scene, per_plate) == 1:
             for name, values in (("frequency", frequency), ("delay", delay)):
                 if values is not None:
-                    right = "one value for all actuators, or a solver with Own(each=True)"
+                    right = "one value for all actuators, or a solver with PerPlate(per_actuator=True)"
                     _refuse(scene, name, values, values == values[:, :1], right)
             frequency, delay = frequency[:, :1], None if delay is None else delay[:, :1]
-    return OwnValues(frequency, delay, _edges(scene, own, given["centre"]) if "centre" in given else None)
+    return PerPlateValues(frequency, delay, _edges(scene, per_plate, given["centre"]) if "centre" in given else None)
 
 
-def actuator_spaces(scene: Scene, own: Own) -> np.ndarray:
+def actuator_spaces(scene: Scene, per_plate: PerPlate) -> np.ndarray:
     """(actuators, 4) x0, x1, y0, y1 [m] within which, and on the plate, each actuator stays whole."""
     plate = (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
-    spaces = np.array(own.areas if own.areas is not None else [plate] * len(scene.actuators))
+    spaces = np.array(per_plate.areas if per_plate.areas is not None else [plate] * len(scene.actuators))
     return np.clip(spaces, 0, np.repeat(scene.plate.size, 2))
 
 
-def _edges(scene: Scene, own: Own, centre: np.ndarray) -> np.ndarray:
+def _edges(scene: Scene, per_plate: PerPlate, centre: np.ndarray) -> np.ndarray:
     """(plates, actuators, 4) the rectangles of actuators in other places."""
     areas = np.array([actuator.area for actuator in scene.actuators])
     half = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1) / 2
     low, high = centre - half, centre + half
-    spaces, slack = actuator_spaces(scene, own), SLACK * np.array(scene.plate.size)
+    spaces, slack = actuator_spaces(scene, per_plate), SLACK * np.array(scene.plate.size)
     inside: Any = ((low >= spaces[:, [0, 2]] - slack) & (high <= spaces[:, [1, 3]] + slack)).all(axis=-1)
     _refuse(scene, "centre", centre, inside, "a place where the actuator stays whole within its area")
     return np.stack([low[..., 0], high[..., 0], low[..., 1], high[..., 1]], axis=-1)

@@ -48,15 +48,15 @@ def refuse_beyond_memory(needed: float, what: str) -> None:
         )
 
 
-def check_grid_memory(scene: Scene, general: bool) -> None:
-    """Refuse a grid whose fields do not fit; ``general``: whether the scene is more than a plain plate.
+def check_grid_memory(scene: Scene, moment_form: bool) -> None:
+    """Refuse a grid whose fields do not fit; ``moment_form``: whether the scene is more than a plain plate.
 
     Raises:
         SceneError: see :func:`refuse_beyond_memory`.
     """
     effects, nodes = scene.effects, math.prod(scene.grid.nodes)
     each = PLAIN + 16.0 * (len(scene.actuators) + CASES * len(scene.record.times))
-    if general:
+    if moment_form:
         each += GENERAL + 32 * len(effects.oscillators)
         each += MATRICES * bool(effects.layers or effects.oscillators)
         each += FACTORISED * (effects.tension is not None and min(effects.tension.x, effects.tension.y) < 0)

@@ -49,7 +49,7 @@ def scene_with(
     return scene.with_tables(drive=drive, actuators=actuators)
 
 
-def scene_drive(scene: Scene) -> np.ndarray:
+def scene_phasors(scene: Scene) -> np.ndarray:
     """(actuators,) the phasors of the magnitudes and phases that the scene gives its actuators."""
     magnitude = np.array([actuator.magnitude for actuator in scene.actuators])
     phase = np.array([actuator.phase for actuator in scene.actuators])
@@ -57,7 +57,7 @@ def scene_drive(scene: Scene) -> np.ndarray:
     return drive
 
 
-def middles(scene: Scene) -> np.ndarray:
+def actuator_centres(scene: Scene) -> np.ndarray:
     """(actuators, 2) x, y of the actuators' middles [m]."""
     areas = np.array([one.area for one in scene.actuators])
     return np.stack([(areas[:, 0] + areas[:, 1]) / 2, (areas[:, 2] + areas[:, 3]) / 2], axis=1)

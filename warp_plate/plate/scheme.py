@@ -16,10 +16,10 @@ import math
 from dataclasses import dataclass
 
 from warp_plate.plate.bending import Bending
-from warp_plate.plate.limit import find_limit, needs_moments, plain_edge, viscous_damping
 from warp_plate.plate.memory import check_grid_memory, check_steps_memory
 from warp_plate.plate.operator import DIVISOR, Taps, make_taps
 from warp_plate.plate.signals import check_rate, highest_frequency
+from warp_plate.plate.stability_limit import find_limit, needs_moment_form, plain_edge, viscous_damping
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -92,8 +92,8 @@ class Scheme:
         return min(max(round(time / self.time_step), 0), self.steps)
 
 
-def make_scheme(scene: Scene, allow_unstable: bool = False, general: bool = False) -> Scheme:
-    """The scheme of a scene; ``allow_unstable``: with a time step above the stability limit too; ``general``: by
+def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = False) -> Scheme:
+    """The scheme of a scene; ``allow_unstable``: with a time step above the stability limit too; ``moment_form``: by
     moments, also where a plain plate would do.
 
     Raises:
@@ -107,14 +107,14 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, general: bool = Fals
             f"grid.accuracy = {grid.accuracy:g}: no grid is chosen yet; warp_plate.accuracy.choose(scene, "
             f"{grid.accuracy:g}).scene has one"
         )
-    check_grid_memory(scene, general or needs_moments(scene))
+    check_grid_memory(scene, moment_form or needs_moment_form(scene))
     spacing = (plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1))
     rigidity = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
     surface_density = plate.density * plate.thickness
     kappa = math.sqrt(rigidity / surface_density)
     viscous, backward = viscous_damping(scene)
     rate_of_loss = viscous / surface_density
-    found, bending = find_limit(scene, general)
+    found, bending = find_limit(scene, moment_form)
     limit = found.time_step
     longest = min(SAFETY * limit, 1 / (STEPS_A_PERIOD * highest_frequency(scene)))
     time_step = grid.time_step or scene.window.end / math.ceil(scene.window.end / longest)

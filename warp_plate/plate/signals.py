@@ -2,8 +2,8 @@
 
     pressure of actuator k at step n = Σ_t wave[n, t] · coefficient[plate, t, k]
 
-The waves are the same for all plates, or as many and each plate's own (``own_waves``), and the coefficients are the
-same for all steps, so a step costs the same for any number of actuators. With V = envelope·Re(Z·carrier), Z the phasor:
+The waves are the same for all plates, or each plate's own (``waves_per_plate``), and the coefficients are the same for
+all steps, so a step costs the same for any number of actuators. With V = envelope·Re(Z·carrier), Z the phasor:
 
     linear:         V                  = Re Z·(e Re a) + (−Im Z)·(e Im a)                  a the carrier, e the envelope
     electrostatic:  gain·(bias + V)²   = gain·(bias² + 2 bias V + ½|Z|² e²|a|² + ½ Re(Z² e²a²))
@@ -20,7 +20,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from warp_plate.plate.sampled import Samples, read_samples, resample
+from warp_plate.plate.sampled_signal import Samples, read_samples, resample
 from warp_plate.scene.drive import Burst, Chirp
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -105,7 +105,7 @@ def highest_frequency(scene: Scene) -> float:
     return max(times * frequency for _, frequency, times in _named_frequencies(scene))
 
 
-def own_frequencies(scene: Scene) -> tuple[float, ...]:
+def carrier_frequencies(scene: Scene) -> tuple[float, ...]:
     """The different frequencies [Hz] of the actuators' carriers at t = 0, in the order of the actuators; of a file one
     in all."""
     if scene.drive.signal is not None:
@@ -115,7 +115,7 @@ def own_frequencies(scene: Scene) -> tuple[float, ...]:
 
 def waves_apart(scene: Scene) -> int:
     """How many different carriers there are, each with its burst."""
-    frequencies = own_frequencies(scene)[:1] * len(scene.actuators)
+    frequencies = carrier_frequencies(scene)[:1] * len(scene.actuators)
     if scene.drive.signal is None:
         frequencies = tuple(actuator_frequencies(scene).tolist())
     return len(set(zip(frequencies, actuator_delays(scene).tolist(), strict=True)))
@@ -178,7 +178,7 @@ def make_signals(
     return Signals(wave, mixing, scene.drive.electrostatic is None)
 
 
-def own_waves(
+def waves_per_plate(
     scene: Scene, time_step: float, steps: int, frequency: np.ndarray, delay: np.ndarray | None
 ) -> np.ndarray:
     """(plates, steps, terms) waves of plates with frequencies [Hz] and starts of the burst [s] of their own.

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from warp_plate.plate.designs import own_of
+from warp_plate.plate.designs import per_plate_of
 from warp_plate.plate.scheme import MOST_STEPS, STEPS_A_PERIOD, make_scheme
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.scene.errors import SceneError
@@ -83,7 +83,8 @@ def with_step(scene: Scene) -> Scene:
     if step is None and (free is not None or scene.search.delay is not None):
         hardest = at_highest_frequency(scene)
         # Plates whose actuators differ in these go the general way, which has a limit of its own.
-        step = min(make_scheme(hardest, general=general).time_step for general in {False, own_of(scene).each})
+        forms = {False, per_plate_of(scene).per_actuator}
+        step = min(make_scheme(hardest, moment_form=moment_form).time_step for moment_form in forms)
         return scene.with_tables(grid={**scene.grid.model_dump(), "time_step": step})
     if step is not None and free is not None:
         carried = 0.5 / step / _times(scene)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warp_plate.plate.scene_overrides import scene_drive
+from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.objective import unit_of_drives
 from warp_plate.problem.problem import Energies, Problem
@@ -48,7 +48,7 @@ def last_runs(problem: Problem, single: int, position: np.ndarray | None) -> Las
     # The scene that was found, run as ``simulate`` runs it: what is written is what was judged.
     found, designs = problem.variables.scene_of(position), problem.variables.designs(position[None])
     solver = PlateSolver(found, problem.plain.device.alias, problem.path, areas=regions_of_targets(found))
-    best = {"best": scene_drive(found)}
+    best = {"best": scene_phasors(found)}
     own, peak = run_and_look(solver, best["best"][None])
     cases = cases_of(drives, run)
     frequency, centre, delay = (

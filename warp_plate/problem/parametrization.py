@@ -20,7 +20,7 @@ import numpy as np
 from warp_plate.optimize.space import Space
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.row_blocks import GrowingRows, over_blocks
-from warp_plate.plate.scene_overrides import middles, scene_with
+from warp_plate.plate.scene_overrides import actuator_centres, scene_with
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.problem.design_variables import Number, free_numbers, frees, only_ratios
 from warp_plate.problem.objective import unit_of_drives
@@ -145,8 +145,8 @@ class Variables:
             "magnitude": np.array([one.magnitude if own else 1.0 for one in actuators]),
             "phase": np.array([one.phase if own else 0.0 for one in actuators]),
             "frequency": actuator_frequencies(self.scene),
-            "x": middles(self.scene)[:, 0],
-            "y": middles(self.scene)[:, 1],
+            "x": actuator_centres(self.scene)[:, 0],
+            "y": actuator_centres(self.scene)[:, 1],
             "delay": actuator_delays(self.scene),
         }
 

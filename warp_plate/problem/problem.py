@@ -14,7 +14,7 @@ from warp_plate.cluster.pool import Pool
 from warp_plate.cluster.solver import SpreadSolver, solver_on
 from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.optimize.space import Space
-from warp_plate.plate.designs import Batch, Designs, own_of
+from warp_plate.plate.designs import Batch, Designs, per_plate_of
 from warp_plate.plate.row_blocks import GrowingRows
 from warp_plate.plate.weights import Region
 from warp_plate.problem.bounds import Bound
@@ -221,7 +221,7 @@ def make_problem(
             no quadratic form of the drives.
     """
     variables = variables_of(with_step(scene))
-    scene, own = variables.scene, own_of(variables.scene)
+    scene, per_plate = variables.scene, per_plate_of(variables.scene)
     if evaluator == "response" and not variables.quadratic:
         raise SceneError(f"evaluator = 'response': {_why_not_quadratic(variables)}; write 'direct'")
     judge = make_judge(scene)
@@ -229,9 +229,9 @@ def make_problem(
     plain = solver_on(pool, scene, device, path, areas=areas)
     solver, moved = plain, None
     if not variables.only_drives:
-        solver = solver_on(pool, scene, device, path, areas=areas, own=own)
+        solver = solver_on(pool, scene, device, path, areas=areas, per_plate=per_plate)
     if judge.needs_displacement:
-        moved = solver_on(pool, scene, device, path, areas=areas, own=own, quantity="displacement")
+        moved = solver_on(pool, scene, device, path, areas=areas, per_plate=per_plate, quantity="displacement")
     seconds, node_steps = 0.0, 0
     if matrices is None and variables.quadratic:
         parts = []

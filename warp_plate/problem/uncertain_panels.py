@@ -131,7 +131,7 @@ def _losses_of_plates(panel: Panel, designs: Designs) -> np.ndarray:
 def _solvers(
     one: Scenario, judge: Judge, device: str, path: str, pool: Pool | None = None, **options: Any
 ) -> tuple[PlateSolver, ...]:
-    common: dict[str, Any] = {"areas": judge.regions, "own": one.own, **options}
+    common: dict[str, Any] = {"areas": judge.regions, "per_plate": one.per_plate, **options}
     made = solver_on(pool, one.scene, device, path, **common)
     if not judge.needs_displacement:
         return (made,)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.plate.designs import Own, own_of
+from warp_plate.plate.designs import PerPlate, per_plate_of
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.scene.errors import SceneError
@@ -28,14 +28,14 @@ class Scenario:
 
     scene: with its stiffness, thickness, damping, oscillators and actuators where they are; gain: (actuators,) by which
     drives are multiplied; offset: (actuators, 2) x, y by which actuators are off [m], as drawn: ``scene`` keeps them on
-    the plate. own: what its solver is made for, the same for all scenarios of a scene, so that they share kernels
+    the plate. per_plate: what its solver is made for, the same for all scenarios of a scene, so that they share kernels
     wherever their actuators are.
     """
 
     scene: Scene
     gain: np.ndarray
     offset: np.ndarray
-    own: Own
+    per_plate: PerPlate
 
 
 def draw_scenarios(scene: Scene, count: int, seed: int, fresh: bool = False) -> tuple[Scenario, ...]:
@@ -112,21 +112,21 @@ def _moved(scene: Scene, offset: np.ndarray) -> list[dict[str, Any]]:
     ]
 
 
-def _own(scene: Scene, place: float) -> Own:
+def _own(scene: Scene, place: float) -> PerPlate:
     """What plates have of their own, each actuator's area being wider by ``place`` [m] on all sides."""
-    own = own_of(scene)
+    per_plate = per_plate_of(scene)
     if not place:
-        return own
-    areas = np.array(own.areas or [actuator.area for actuator in scene.actuators])
+        return per_plate
+    areas = np.array(per_plate.areas or [actuator.area for actuator in scene.actuators])
     wider = np.clip(areas + place * np.array([-1, 1, -1, 1]), 0, np.repeat(scene.plate.size, 2))
-    return replace(own, centre=True, areas=tuple(map(tuple, wider.tolist())))
+    return replace(per_plate, centre=True, areas=tuple(map(tuple, wider.tolist())))
 
 
 def _common_step(scene: Scene, drawn: list[Scenario]) -> float:
     """A time step [s] that is stable for all."""
     free = scene.grid.model_copy(update={"time_step": None})
-    general = own_of(scene).each  # whose limit may be another
-    schemes = [make_scheme(one.scene.model_copy(update={"grid": free}), general=general) for one in drawn]
+    moment_form = per_plate_of(scene).per_actuator  # whose limit may be another
+    schemes = [make_scheme(one.scene.model_copy(update={"grid": free}), moment_form=moment_form) for one in drawn]
     own = scene.grid.time_step
     if own is not None and own <= min(scheme.limit for scheme in schemes):
         return own

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse
 
 from warp_plate.plate.bending import mass_matrix, oscillator_shares, stiffness_matrix
-from warp_plate.plate.moving import moving_weights
+from warp_plate.plate.moving_load import moving_weights
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.signals import make_signals
 from warp_plate.plate.weights import patches, region_weights

@@ -109,7 +109,7 @@ def _cpu_share(
     """Plates first ... last − 1 on one thread: in groups as long as these are full enough, the rest singly."""
     low, high = plates
     grouped = low
-    if by_groups is not None and not state.own_waves:  # the plates of a group share their waves
+    if by_groups is not None and not state.has_plate_waves:  # the plates of a group share their waves
         launch, lanes, fill = by_groups
         groups, rest = divmod(high - low, lanes)
         grouped = high if rest >= fill * lanes else low + groups * lanes

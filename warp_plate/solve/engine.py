@@ -15,7 +15,7 @@ from warp_plate.kernels.energy import make_sum_along_columns, make_sum_columns
 from warp_plate.kernels.load import make_spread_drives
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.paths import choose_path, paths_of
-from warp_plate.solve.per_plate import OwnKernels, make_own_kernels
+from warp_plate.solve.per_plate import PerPlateKernels, make_per_plate_kernels
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
 
@@ -28,7 +28,7 @@ class Engine:
     path: str
     advance: Advance
     spread_drives: wp.Kernel
-    own: OwnKernels
+    per_plate: PerPlateKernels
     sum_along_columns: wp.Kernel
     sum_columns: wp.Kernel
 
@@ -49,7 +49,7 @@ def make_engine(specialized: Specialized, path: str = "auto") -> Engine:
     for kernel in (spread, along_columns, columns):
         wp.load_module(module=kernel.module, device=device)
     advance = paths_of(device, specialized.effects.plain)[path](specialized)
-    return Engine(specialized, path, advance, spread, make_own_kernels(specialized), along_columns, columns)
+    return Engine(specialized, path, advance, spread, make_per_plate_kernels(specialized), along_columns, columns)
 
 
 def load_drives(engine: Engine, state: State, plates: int, edges: np.ndarray | None = None) -> None:
@@ -61,8 +61,8 @@ def load_drives(engine: Engine, state: State, plates: int, edges: np.ndarray | N
     wp.copy(state.coefficients, state.host.coefficients, count=plates * state.coefficients[0].size)
     spread, inputs = engine.spread_drives, [specialized.support, specialized.patches]
     if edges is not None:
-        engine.own.put_places(state, edges)
-        spread, inputs = engine.own.spread_moved_drives, [*engine.own.inputs, state.along_x, state.along_y]
+        engine.per_plate.put_places(state, edges)
+        spread, inputs = engine.per_plate.spread_moved_drives, [*engine.per_plate.inputs, state.along_x, state.along_y]
     wp.launch(
         spread,
         dim=(plates, specialized.effects.terms, specialized.support.shape[0]),

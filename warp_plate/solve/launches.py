@@ -20,7 +20,7 @@ def repeat(device: wp.Device, launches: Callable[..., object], state: State, *wh
     must end where they began. No other thread may use the device's stream meanwhile.
     """
     # Of what a state has, waves may be others the next time, and buffers that take turns may have been left turned.
-    name = (launches, *which, state.own_waves, state.u.ptr)
+    name = (launches, *which, state.has_plate_waves, state.u.ptr)
     if name not in state.beside:
         state.beside[name] = _put_together(device, lambda launch: launches(launch, state, *which))
     state.beside[name]()

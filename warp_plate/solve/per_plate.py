@@ -11,14 +11,14 @@ import warp as wp
 
 from warp_plate.kernels.load import make_spread_moved_drives, make_weigh_along
 from warp_plate.kernels.wave import Envelope, make_running_sums, make_tones
-from warp_plate.plate.designs import OwnValues
-from warp_plate.plate.signals import own_waves
+from warp_plate.plate.designs import PerPlateValues
+from warp_plate.plate.signals import waves_per_plate
 from warp_plate.plate.weights import CUBICS, node_positions
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import State
 
 # (state, values) → (1 or plates, terms) powers of two by which the waves are divided.
-PutWaves = Callable[[State, OwnValues], np.ndarray]
+PutWaves = Callable[[State, PerPlateValues], np.ndarray]
 # (state, edges (plates, actuators, 4) [m]): weighs the patches of the plates.
 PutPlaces = Callable[[State, np.ndarray], None]
 # Numbers that the host makes at once.
@@ -26,7 +26,7 @@ HOST_NUMBERS = 2**24
 
 
 @dataclass(frozen=True)
-class OwnKernels:
+class PerPlateKernels:
     """What a solver needs to give plates what is their own; compiled when it is made."""
 
     put_waves: PutWaves
@@ -35,13 +35,13 @@ class OwnKernels:
     inputs: list[Any]
 
 
-def make_own_kernels(specialized: Specialized) -> OwnKernels:
-    """Compile what ``specialized.own`` asks for, or read it from Warp's cache."""
+def make_per_plate_kernels(specialized: Specialized) -> PerPlateKernels:
+    """Compile what ``specialized.per_plate`` asks for, or read it from Warp's cache."""
     spread = make_spread_moved_drives(specialized.real)
-    if specialized.own.centre:
+    if specialized.per_plate.centre:
         wp.load_module(module=spread.module, device=specialized.device)
     share: wp.array = wp.array(specialized.share, dtype=wp.float64, device=specialized.device)
-    return OwnKernels(_waves(specialized), _places(specialized), spread, [specialized.support, share])
+    return PerPlateKernels(_waves(specialized), _places(specialized), spread, [specialized.support, share])
 
 
 def _waves(specialized: Specialized) -> PutWaves:
@@ -58,12 +58,12 @@ def _waves(specialized: Specialized) -> PutWaves:
         envelope.duration, envelope.ramp, envelope.period = burst.duration, burst.ramp, burst.period or 0.0
     on_device = drive.chirp is None and drive.electrostatic is None
 
-    def put(state: State, values: OwnValues) -> np.ndarray:
+    def put(state: State, values: PerPlateValues) -> np.ndarray:
         frequency, delay = values.frequency, values.delay
         if frequency is None:
             state.wave = state.shared_wave
             return specialized.sizes[None]
-        state.wave, plates = state.own_wave, len(frequency)
+        state.wave, plates = state.plate_waves, len(frequency)
         if on_device:
             late = np.zeros_like(frequency) if delay is None else delay
             inputs: list[Any] = [wp.array(one, dtype=wp.float64, device=device) for one in (frequency, late)]
@@ -71,21 +71,21 @@ def _waves(specialized: Specialized) -> PutWaves:
                 tones,
                 dim=(plates, scheme.steps, specialized.carriers),
                 inputs=[*inputs, scheme.time_step, envelope],
-                outputs=[state.own_wave],
+                outputs=[state.plate_waves],
                 device=device,
             )
         else:
             block = max(1, HOST_NUMBERS // (scheme.steps * specialized.signals.terms))
             for first in range(0, plates, block):
                 some = slice(first, min(first + block, plates))
-                made = own_waves(
+                made = waves_per_plate(
                     scene, scheme.time_step, scheme.steps, frequency[some], None if delay is None else delay[some]
                 )
-                state.own_wave[some].assign(made.astype(scene.grid.precision))
+                state.plate_waves[some].assign(made.astype(scene.grid.precision))
         if specialized.quantity == "velocity":
             return np.ones((1, specialized.signals.terms))
         sizes = wp.zeros((plates, specialized.signals.terms), dtype=wp.float64, device=device)
-        wp.launch(add_up, dim=sizes.shape, inputs=[state.own_wave], outputs=[sizes], device=device)
+        wp.launch(add_up, dim=sizes.shape, inputs=[state.plate_waves], outputs=[sizes], device=device)
         return np.asarray(sizes.numpy())
 
     return put
@@ -94,7 +94,7 @@ def _waves(specialized: Specialized) -> PutWaves:
 def _places(specialized: Specialized) -> PutPlaces:
     scene, device = specialized.scene, specialized.device
     weigh_along = make_weigh_along(scene.grid.load == "moments")
-    if specialized.own.centre:
+    if specialized.per_plate.centre:
         wp.load_module(module=weigh_along.module, device=device)
     positions: list[wp.array] = [wp.array(axis, dtype=wp.float64, device=device) for axis in node_positions(scene)]
     to_weights = wp.mat44d(*np.linalg.inv(CUBICS).ravel().tolist())

@@ -13,7 +13,16 @@ from functools import partial
 import numpy as np
 import warp as wp
 
-from warp_plate.plate.designs import NOTHING_OWN, Batch, Designs, Own, OwnValues, as_numbers, as_phasors, check_designs
+from warp_plate.plate.designs import (
+    NO_PER_PLATE,
+    Batch,
+    Designs,
+    PerPlate,
+    PerPlateValues,
+    as_numbers,
+    as_phasors,
+    check_designs,
+)
 from warp_plate.plate.weights import NO_AREAS, Region, bilinear
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -52,14 +61,14 @@ class PlateSolver:
         allow_unstable: whether to take a time step above the stability limit too.
         areas: by name, further regions whose energy runs give beside the plate's and the target's: rectangles x0, x1,
             y0, y1 [m], shapes, or weights (ny, nx) in cells.
-        own: what plates may have of their own beside drives, see ``plate.designs``. The time step is the scene's: it
+        per_plate: what may differ between plates beside drives, see ``plate.designs``. The scene's time step
             must carry their frequencies.
         quantity: "velocity" or "displacement", of which energies are, see :class:`Run`.
         share: the part of the memory for plates that this solver may take, where several have plates at a time.
 
     Raises:
         SceneError: unstable time step, an actuator that covers no node, no such device or path; a scene that cannot
-            have what ``own`` asks for (a frequency or a delay where a file is the carrier, a delay without
+            have what ``per_plate`` asks for (a frequency or a delay where a file is the carrier, a delay without
             drive.burst, places where grid.load = "nodes"), or displacements of a scene that is not linear.
     """
 
@@ -72,7 +81,7 @@ class PlateSolver:
         threads: int | None = None,
         allow_unstable: bool = False,
         areas: Mapping[str, Region] = NO_AREAS,
-        own: Own = NOTHING_OWN,
+        per_plate: PerPlate = NO_PER_PLATE,
         quantity: Quantity = "velocity",
         share: float = 1.0,
     ) -> None:
@@ -81,7 +90,7 @@ class PlateSolver:
             raise SceneError(f"chunk = {chunk}: must be at least 1 plate")
         self.scene = scene
         self.device = find_device(device)
-        specialized = specialize(scene, self.device, threads, allow_unstable, areas, own, quantity)
+        specialized = specialize(scene, self.device, threads, allow_unstable, areas, per_plate, quantity)
         self.engine = make_engine(specialized, path)
         self.path = self.engine.path
         self._chunk = chunk
@@ -179,7 +188,7 @@ class PlateSolver:
             # A plate that stays in registers shows nothing between launches: traces are streamed.
             streaming = PlateSolver(
                 self.scene, self.device.alias, "streaming", self._chunk, allow_unstable=True, areas=self._areas,
-                own=self.specialized.own,
+                per_plate=self.specialized.per_plate,
             )
             self.compile_seconds += streaming.compile_seconds
             traced = streaming.run(drives, times, points, progress, each)
@@ -277,9 +286,11 @@ class PlateSolver:
             if not (0 <= x <= width and 0 <= y <= height):
                 raise SceneError(f"points: {[x, y]} is off the plate of {[width, height]} m")
 
-    def _checked(self, designs: Designs) -> tuple[np.ndarray, OwnValues]:
+    def _checked(self, designs: Designs) -> tuple[np.ndarray, PerPlateValues]:
         phasors = as_phasors(designs.drives, len(self.scene.actuators))
-        return phasors, check_designs(designs, self.scene, self.specialized.own, self.specialized.scheme.time_step)
+        return phasors, check_designs(
+            designs, self.scene, self.specialized.per_plate, self.specialized.scheme.time_step
+        )
 
     @property
     def _overlaps(self) -> bool:
@@ -337,11 +348,11 @@ class PlateSolver:
             self._states += [make_state(self.specialized, capacity, nodes) for _ in range(count)]
         return self._states[:count]
 
-    def _start(self, state: State, phasors: np.ndarray, values: OwnValues) -> np.ndarray:
+    def _start(self, state: State, phasors: np.ndarray, values: PerPlateValues) -> np.ndarray:
         """Put plates at rest under their loads; returns (plates,) the pressure [N/m²] that each is scaled by."""
         specialized, precision = self.specialized, self.scene.grid.precision
         travelling = specialized.moving.largest if specialized.moving else 0.0
-        sizes = self.engine.own.put_waves(state, values)
+        sizes = self.engine.per_plate.put_waves(state, values)
         room = state.host.coefficients.numpy()
         scale = scaled_coefficients(specialized.signals, phasors, sizes, travelling, room)
         load_drives(self.engine, state, len(scale), values.edges)

@@ -12,11 +12,11 @@ import warp as wp
 
 from warp_plate.kernels.effects import Effects
 from warp_plate.kernels.update import make_parameters
-from warp_plate.plate.designs import NOTHING_OWN, Own, actuator_spaces, carriers_of
-from warp_plate.plate.limit import needs_moments
-from warp_plate.plate.moving import MovingWeights, moving_weights
+from warp_plate.plate.designs import NO_PER_PLATE, PerPlate, actuator_spaces, carriers_of
+from warp_plate.plate.moving_load import MovingWeights, moving_weights
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.signals import Signals, make_signals, running_sums, waves_apart
+from warp_plate.plate.stability_limit import needs_moment_form
 from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, patches, reachable_nodes, region_weights
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -37,8 +37,8 @@ class Specialized:
     support: (covered nodes, 2), patches: (actuators, covered nodes), weights: (regions, rows, stride),
     wave: (steps, terms), all on the device; signals, moving: what drives and a moving load do in time; parameters:
     the kernels' struct.
-    own: what plates may have of their own; carriers: of each plate's own, or 0; share: (covered nodes,) what a pressure
-    of one on a node's whole cell is worth there. quantity: what energies are of; for "displacement" the wave holds
+    per_plate: what may differ between plates; carriers: of each plate's own, or 0; share: (covered nodes,) what
+    a pressure of one on a node's whole cell is worth there. quantity: of energies; for "displacement" the wave holds
     running sums, divided by sizes (terms,), powers of two.
     """
 
@@ -58,7 +58,7 @@ class Specialized:
     signals: Signals
     moving: MovingWeights | None
     wave: wp.array
-    own: Own
+    per_plate: PerPlate
     carriers: int
     share: np.ndarray
     quantity: Quantity
@@ -114,7 +114,7 @@ def effect_names(scene: Scene, several_waves: bool = False) -> tuple[str, ...]:
     damping = scene.effects.damping
     named = {
         f"viscous damping ({damping.scheme})" if damping else "": damping,
-        "bending by moments": several_waves or needs_moments(scene),
+        "bending by moments": several_waves or needs_moment_form(scene),
         "material damping": scene.effects.material_damping,
         "tension": scene.effects.tension,
         "foundation": scene.effects.foundation,
@@ -126,8 +126,8 @@ def effect_names(scene: Scene, several_waves: bool = False) -> tuple[str, ...]:
     return tuple(name for name, table in named.items() if table)
 
 
-def general_effects(scene: Scene, general: bool = False) -> dict[str, bool]:
-    """The part of the compile key that is off for a plain plate; ``general``: taken by moments all the same."""
+def moment_form_effects(scene: Scene, moment_form: bool = False) -> dict[str, bool]:
+    """The part of the compile key that is off for a plain plate; ``moment_form``: taken by moments all the same."""
     effects = scene.effects
     elastic = any(not isinstance(edge, str) for _, edge in scene.edges)
     found = {
@@ -138,7 +138,7 @@ def general_effects(scene: Scene, general: bool = False) -> dict[str, bool]:
         "oscillators": bool(effects.oscillators),
         "moving_load": effects.moving_load is not None,
     }
-    return {"moments": general or needs_moments(scene), **found}
+    return {"moments": moment_form or needs_moment_form(scene), **found}
 
 
 def specialize(
@@ -147,18 +147,18 @@ def specialize(
     threads: int | None = None,
     allow_unstable: bool = False,
     areas: Mapping[str, Region] = NO_AREAS,
-    own: Own = NOTHING_OWN,
+    per_plate: PerPlate = NO_PER_PLATE,
     quantity: Quantity = "velocity",
 ) -> Specialized:
     """Make a scene ready for a device; ``threads`` of the CPU, or as many as it has; ``areas``: further regions.
 
     Raises:
         SceneError: unstable time step, empty window, an actuator that covers no node, or a scene that cannot have what
-            ``own`` or ``quantity`` ask for.
+            ``per_plate`` or ``quantity`` ask for.
     """
     _check_quantity(scene, quantity)
-    carriers = carriers_of(scene, own)
-    scheme = make_scheme(scene, allow_unstable, general=carriers > 1)
+    carriers = carriers_of(scene, per_plate)
+    scheme = make_scheme(scene, allow_unstable, moment_form=carriers > 1)
     real = {"float32": wp.float32, "float64": wp.float64}[scene.grid.precision]
     dtype = np.dtype(scene.grid.precision)
     nx, ny = scheme.nodes
@@ -166,8 +166,8 @@ def specialize(
     stride = -(-nx // line) * line
     fields = patches(scene)
     reached = fields.any(axis=0)
-    if own.centre:
-        reached |= reachable_nodes(scene, actuator_spaces(scene, own))
+    if per_plate.centre:
+        reached |= reachable_nodes(scene, actuator_spaces(scene, per_plate))
     share = np.ones(fields.shape[1:])
     regions = region_weights(scene, areas)
     if scheme.bending is not None:
@@ -196,7 +196,7 @@ def specialize(
             square_cells=scheme.square_cells or scheme.order == 4,
             order=scheme.order,
             terms=signals.terms,
-            **general_effects(scene, general=carriers > 1),
+            **moment_form_effects(scene, moment_form=carriers > 1),
         ),
         real=real,
         rows=ny + 2,
@@ -211,7 +211,7 @@ def specialize(
         signals=signals,
         moving=moving_weights(scene, scheme.time_step, scheme.steps) if scene.effects.moving_load else None,
         wave=wp.array(wave.astype(dtype), dtype=real, device=device),
-        own=own,
+        per_plate=per_plate,
         carriers=carriers,
         share=share[support[:, 0], support[:, 1]],
         quantity=quantity,

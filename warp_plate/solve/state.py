@@ -43,8 +43,8 @@ class State:
     (capacity,) displacement that one stands for [m]; moving: (capacity,) the moving load's size in units of pressure;
     nodes: (traced nodes, 2), row of the tensor and column; inner_nodes: the same with the row of the plate; trace:
     (capacity, traced nodes, steps).
-    wave: (capacity, steps, terms) that a run takes, which is shared_wave, or own_wave where plates have their own; of
-    places of their own, along_x (capacity, actuators, nx) and along_y; see ``own``. host: where numbers wait for the
+    wave: (capacity, steps, terms) that a run takes, which is shared_wave, or plate_waves; of
+    places of their own, along_x (capacity, actuators, nx) and along_y; see ``per_plate``. host: numbers waiting for the
     device, and those of the device for the host. beside: what kernels need beside all this, and launches put together,
     made by who launches them.
     """
@@ -69,16 +69,16 @@ class State:
     energy: wp.array
     wave: wp.array
     shared_wave: wp.array
-    own_wave: wp.array
+    plate_waves: wp.array
     along_x: wp.array
     along_y: wp.array
     host: HostSide
     beside: dict[Hashable, Any] = dataclasses.field(default_factory=dict)
 
     @property
-    def own_waves(self) -> bool:
+    def has_plate_waves(self) -> bool:
         """Whether the plates of the run at hand have waves of their own."""
-        return self.wave is self.own_wave
+        return self.wave is self.plate_waves
 
     def clear(self, plates: int) -> None:
         """The first plates, and the number beyond them, back to rest at t = 0; the load fields stay."""
@@ -100,9 +100,9 @@ def bytes_per_plate(specialized: Specialized, traced_nodes: int) -> int:
     regions, rows, stride = specialized.weights.shape
     count = FIELDS + specialized.effects.terms + (0 if specialized.effects.plain else GENERAL_FIELDS)
     fields = count * rows * stride + traced_nodes * specialized.scheme.steps
-    own_wave = specialized.scheme.steps * specialized.effects.terms if specialized.carriers else 0
-    places = specialized.patches.shape[0] * (sum(specialized.scheme.nodes) + 4) if specialized.own.centre else 0
-    return (fields + own_wave) * itemsize + 8 * (regions * (stride + 1) + places)
+    plate_waves = specialized.scheme.steps * specialized.effects.terms if specialized.carriers else 0
+    places = specialized.patches.shape[0] * (sum(specialized.scheme.nodes) + 4) if specialized.per_plate.centre else 0
+    return (fields + plate_waves) * itemsize + 8 * (regions * (stride + 1) + places)
 
 
 def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> State:
@@ -120,7 +120,7 @@ def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> Stat
     moves, loads, steps, (nx, ny) = field(FIELDS), field(terms), specialized.scheme.steps, specialized.scheme.nodes
     wave = shared_wave(specialized.wave, capacity)
     own = capacity if specialized.carriers else 0
-    moved = capacity if specialized.own.centre else 0
+    moved = capacity if specialized.per_plate.centre else 0
 
     def beside(shape: tuple[int, ...], dtype: type) -> wp.array:
         return wp.zeros(shape, dtype=dtype, device="cpu", pinned=device.is_cuda)
@@ -146,7 +146,7 @@ def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> Stat
         energy=wp.zeros((capacity, regions), dtype=wp.float64, device=device),
         wave=wave,
         shared_wave=wave,
-        own_wave=wp.zeros((own, steps, terms), dtype=real, device=device),
+        plate_waves=wp.zeros((own, steps, terms), dtype=real, device=device),
         along_x=wp.zeros((moved, actuators, nx), dtype=wp.float64, device=device),
         along_y=wp.zeros((moved, actuators, ny), dtype=wp.float64, device=device),
         host=HostSide(

@@ -31,7 +31,7 @@ def fastest_per_step(specialized: Specialized) -> float:
     patches = specialized.patches.numpy().astype(float)
     # Waves are below two in size and coefficients at most one.
     sizes = np.linalg.norm(patches, axis=1)
-    if specialized.own.centre:
+    if specialized.per_plate.centre:
         sizes = np.maximum(sizes, largest_patches(specialized))
     load = 2 * specialized.signals.terms * sizes.sum()
     if specialized.moving is not None:

@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 
 from warp_plate.analysis.superposition import LINEAR_ORDERS, LINEAR_SAMPLES, last_period, motions_of
-from warp_plate.plate.signals import own_frequencies
+from warp_plate.plate.signals import carrier_frequencies
 from warp_plate.plate.weights import REGIONS, bilinear, localization_factor, region_weights
 from warp_plate.problem.evaluate_cases import cases_of
 from warp_plate.problem.objective_values import worth_of
@@ -102,7 +102,7 @@ def why_none(scene: Scene) -> str | None:
     for key in ("signal", "chirp", "burst"):
         if getattr(scene.drive, key) is not None:
             return f"drive.{key} is no steady drive of one frequency"
-    if len(own_frequencies(scene)) > 1:
+    if len(carrier_frequencies(scene)) > 1:
         return "the actuators' frequencies differ"
     return None
 
@@ -115,7 +115,7 @@ def transfer_functions(solver: PlateSolver) -> np.ndarray:
     """
     scene = solver.scene
     check_baselines(scene)
-    (frequency,) = own_frequencies(scene)
+    (frequency,) = carrier_frequencies(scene)
     # ``superposition`` reads the drive's frequency, which here is that of all actuators.
     tone = scene.model_copy(update={"drive": scene.drive.model_copy(update={"frequency": frequency})})
     times = last_period(tone, solver.specialized.scheme.time_step, LINEAR_SAMPLES)

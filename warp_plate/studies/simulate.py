@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_plate.plate.scene_overrides import scene_drive
+from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.problem.evaluate_cases import cases_of, reference_drives
 from warp_plate.problem.objective import unit_of_drives
 from warp_plate.result.crosstalk import regions_of_targets
@@ -45,7 +45,7 @@ def simulate(
         SceneError: see :class:`PlateSolver`; a drive that is none of these or that has other actuators.
     """
     file_drive = None if drive in ("scene", "equal", "single") else drive_of_file(drive, scene)
-    named = scene_drive(scene) if drive == "scene" else file_drive
+    named = scene_phasors(scene) if drive == "scene" else file_drive
     scene, accuracy, seconds, stage = resolve(scene, device, None if named is None else named[None])
     areas = regions_of_targets(scene)
     solver = PlateSolver(scene, device, path, allow_unstable=allow_unstable, areas=areas)
@@ -53,7 +53,7 @@ def simulate(
     if file_drive is not None:
         phasors = file_drive
     elif drive == "scene":
-        phasors = scene_drive(scene)
+        phasors = scene_phasors(scene)
     elif drive == "equal":
         phasors = np.full(len(scene.actuators), unit_of_drives(scene), dtype=complex)
     else:

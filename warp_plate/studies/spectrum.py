@@ -8,7 +8,7 @@ import time
 import numpy as np
 
 from warp_plate.analysis.warnings import MOST_SIDE
-from warp_plate.plate.designs import Designs, own_of
+from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.bounds import bound_localization
@@ -65,7 +65,7 @@ def factors_over(
         SceneError: see :class:`PlateSolver`; a scene without a search for the frequency, or not linear in its drives.
     """
     exact = in_float64(scene)
-    solver, actuators = PlateSolver(exact, device, path, own=own_of(exact)), len(scene.actuators)
+    solver, actuators = PlateSolver(exact, device, path, per_plate=per_plate_of(exact)), len(scene.actuators)
     units, singles, variables = unit_drives(actuators), np.eye(actuators, dtype=complex), variables_of(scene)
     drives = np.tile(units, (len(frequencies), 1))
     own = np.repeat(frequencies, len(units))[:, None] * np.ones(actuators)

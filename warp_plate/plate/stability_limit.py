@@ -51,7 +51,7 @@ CLOSE, MOST_SOLVES = 1e-4, 20
 
 
 @dataclass(frozen=True)
-class Limit:
+class StabilityLimit:
     """time_step: the largest stable one [s], at most 1 % below the true one and never above; shares: what part each
     stiffness and loss has in the fastest motion, the sum being 1; frequency: of that motion without losses and steps
     in time [Hz]; formula: whether it comes from a formula instead of
@@ -64,13 +64,13 @@ class Limit:
     place: tuple[float, float] | None = None
 
 
-def find_limit(scene: Scene, general: bool = False) -> tuple[Limit, Bending | None]:
-    """The limit of a scene with a grid; and the plate as moments, where it goes that way, or ``general`` says so.
+def find_limit(scene: Scene, moment_form: bool = False) -> tuple[StabilityLimit, Bending | None]:
+    """The limit of a scene with a grid; and the plate as moments, where it goes that way, or ``moment_form`` says so.
 
     Raises:
         SceneError: the plate buckles, or fourth order is asked of one that does not know it.
     """
-    if not (general or needs_moments(scene)):
+    if not (moment_form or needs_moment_form(scene)):
         return _limit_of_plain(scene), None
     if scene.grid.order == 4:
         raise SceneError(
@@ -104,7 +104,7 @@ def viscous_damping(scene: Scene) -> tuple[float, bool]:
     return viscous, damping is not None and damping.scheme == "backward"
 
 
-def needs_moments(scene: Scene) -> bool:
+def needs_moment_form(scene: Scene) -> bool:
     """Whether a scene is more than a plain plate with viscous damping under one carrier, and goes the general way."""
     effects = scene.effects
     rest = (
@@ -120,7 +120,7 @@ def plain_edge(edge: object) -> str:
     return "clamped" if edge == "clamped" else "supported"
 
 
-def _limit_of_plain(scene: Scene) -> Limit:
+def _limit_of_plain(scene: Scene) -> StabilityLimit:
     plate, (nx, ny), order = scene.plate, scene.grid.nodes, scene.grid.order
     spacing = (plate.size[0] / (nx - 1), plate.size[1] / (ny - 1))
     surface_density = plate.density * plate.thickness
@@ -144,13 +144,13 @@ def _root(largest: float, late: float) -> float:
     return 4 / (late + math.sqrt(late**2 + 4 * largest))
 
 
-def _by_formula(stiff: Mapping[str, float], late: Mapping[str, float]) -> Limit:
+def _by_formula(stiff: Mapping[str, float], late: Mapping[str, float]) -> StabilityLimit:
     """From the largest eigenvalue of each part [1/s², 1/s], all of one motion."""
     step = _root(sum(stiff.values()), sum(late.values()))
     parts = {name: value * step**2 / 4 for name, value in stiff.items()}
     parts |= {name: value * step / 2 for name, value in late.items()}
     frequency = math.sqrt(sum(stiff.values())) / (2 * math.pi)
-    return Limit(step, {name: part for name, part in parts.items() if part}, frequency, True)
+    return StabilityLimit(step, {name: part for name, part in parts.items() if part}, frequency, True)
 
 
 def _by_matrices(
@@ -159,7 +159,7 @@ def _by_matrices(
     late: Mapping[str, scipy.sparse.sparray],
     masses: np.ndarray,
     nodes: np.ndarray,
-) -> Limit:
+) -> StabilityLimit:
     """From parts of K and C, whose first unknowns are these nodes of the grid, counted row by row.
 
     The largest eigenvalue of A(Δt) rises with Δt as a maximum of quadratics, so that the root of the quadratic of its
@@ -185,7 +185,7 @@ def _by_matrices(
     # A shorter step lowers the eigenvalue by its own part at least, without losses by twice that.
     over = max(1.0, largest / 4) * (1 + margin)
     frequency = math.sqrt(float(vector @ (whole_stiff @ vector))) / (2 * math.pi)
-    return Limit(step / (over if whole_late.nnz else math.sqrt(over)), shares, frequency, False, place)
+    return StabilityLimit(step / (over if whole_late.nnz else math.sqrt(over)), shares, frequency, False, place)
 
 
 def _largest(matrix: scipy.sparse.csr_array) -> tuple[float, np.ndarray]:
