@@ -38,7 +38,7 @@ def panel(tmp_path, monkeypatch, scene):
 def left(panel):
     """A search of the panel that Ctrl-C ended: its checkpoint, and its Scene."""
     file = CheckpointFile(Path("panel-localize.checkpoint.h5"), np.inf)
-    localize(panel, "panel.toml", "cpu", told=stop_after(5), estimate=False, checkpoints=file)
+    localize(panel, "panel.toml", "cpu", on_progress=stop_after(5), estimate=False, checkpoints=file)
     return file.path
 
 
@@ -208,7 +208,7 @@ def killed_until(times, longest, panel, random):
     # To the end in this process, from what the last one left.
     found = resume(checkpoint, estimate=False)
     assert_same(replace(found, source="panel.toml"), whole)
-    file = CheckpointFile(Path("panel-localize.checkpoint.h5"), goes_on=True)
+    file = CheckpointFile(Path("panel-localize.checkpoint.h5"), resumes=True)
     file.remove()
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
 
@@ -254,7 +254,8 @@ def test_files_that_the_scene_names_must_be_the_same(command, panel):
     Path("scenes/map.csv").write_text("1.0, 1.1\n0.9, 1.0\n", encoding="utf-8")
     made = Scene.load("scenes/panel.toml")
     file = Path("panel-localize.checkpoint.h5")
-    localize(made, "panel", "cpu", told=stop_after(390), estimate=False, checkpoints=CheckpointFile(file, np.inf))
+    checkpoints = CheckpointFile(file, np.inf)
+    localize(made, "panel", "cpu", on_progress=stop_after(390), estimate=False, checkpoints=checkpoints)
     kept, going_on = file.read_bytes(), ["localize", "--resume", file, "--no-pictures", "--no-estimate"]
     for others, named in (
         ((), "effects.variation.thickness = 'map.csv': no such file beside the scene file"),

@@ -237,7 +237,7 @@ def test_a_scheduler_that_goes_away_leaves_a_checkpoint(tmp_path, scene, small_b
     try:
         checkpoints = CheckpointFile(path, np.inf)
         with open_pool(None, str(file)) as there, pytest.raises(WorkersGone, match="the scheduler is gone"):
-            localize(made, device="cpu", estimate=False, pool=there, told=after, checkpoints=checkpoints)
+            localize(made, device="cpu", estimate=False, pool=there, on_progress=after, checkpoints=checkpoints)
     finally:
         for process in (scheduler, worker):
             process.kill()

@@ -289,7 +289,7 @@ def test_a_full_disk_loses_nothing(small_disk, scene, monkeypatch, capsys):
             raise KeyboardInterrupt
 
     file = CheckpointFile(path, 0, warn=warned.append)
-    localize(made, "panel.toml", "cpu", told=told, estimate=False, checkpoints=file)
+    localize(made, "panel.toml", "cpu", on_progress=told, estimate=False, checkpoints=file)
     assert len(warned) == 1  # not one for each that fails
     assert "panel-localize.checkpoint.h5: cannot be written: No space left on device" in warned[0]
     assert load_checkpoint(path).iterations == 3

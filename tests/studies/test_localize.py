@@ -131,7 +131,7 @@ def test_ctrl_c_keeps_the_best_so_far(device, path, scene):
         if done == 5:
             raise KeyboardInterrupt
 
-    result = localize(made, "", device, told=stop, path=path)
+    result = localize(made, "", device, on_progress=stop, path=path)
     whole = localize(made, "", device, path=path)
     assert result.interrupted
     assert result.evaluations == 40

@@ -33,9 +33,9 @@ def assert_same(one, other):
 def stopped(tmp_path):
     """Search until ``told`` or the solver raises KeyboardInterrupt; the checkpoint that is left."""
 
-    def run(made, *options, told=None):
+    def run(made, *options, on_progress=None):
         file = CheckpointFile(tmp_path / "one.checkpoint.h5", np.inf)
-        result = localize(made, "mine", *options, told=told, estimate=False, checkpoints=file)
+        result = localize(made, "mine", *options, on_progress=on_progress, estimate=False, checkpoints=file)
         assert result.interrupted
         return load_checkpoint(file.path)
 
@@ -56,7 +56,7 @@ def test_from_any_iteration_to_the_same_bits(evaluator, device, path, scene, sto
     options = (device, None, evaluator, path)
     whole = localize(made, "mine", *options, estimate=False)
     for iterations in (1, 4, 8):
-        checkpoint = stopped(made, *options, told=stop_after(iterations))
+        checkpoint = stopped(made, *options, on_progress=stop_after(iterations))
         assert (checkpoint.iterations, checkpoint.progress) == (iterations, f"{iterations} of 9 iterations")
         assert_same(resume(checkpoint, estimate=False), whole)
 
@@ -84,10 +84,10 @@ def test_ctrl_c_amid_an_iteration(call, scene, stopped, monkeypatch):
 def test_stopped_again_and_again(scene, stopped, tmp_path):
     made = scene(damping=88.5, effects={"stretching": {}}, **SMALL)
     whole = localize(made, "mine", "cpu", estimate=False)
-    checkpoint = stopped(made, "cpu", told=stop_after(1))
+    checkpoint = stopped(made, "cpu", on_progress=stop_after(1))
     for iterations in range(2, 9):
-        file = CheckpointFile(tmp_path / "two.checkpoint.h5", np.inf, goes_on=True)
-        resume(checkpoint, told=stop_after(iterations), estimate=False, checkpoints=file)
+        file = CheckpointFile(tmp_path / "two.checkpoint.h5", np.inf, resumes=True)
+        resume(checkpoint, on_progress=stop_after(iterations), estimate=False, checkpoints=file)
         checkpoint = load_checkpoint(file.path)
         assert checkpoint.iterations == iterations
     found = resume(checkpoint, estimate=False)
@@ -104,7 +104,7 @@ def test_a_grid_that_was_chosen_is_not_chosen_again(scene, stopped, monkeypatch)
         if done == 2:
             raise KeyboardInterrupt
 
-    checkpoint = stopped(asked, "cpu", told=keep)
+    checkpoint = stopped(asked, "cpu", on_progress=keep)
     assert checkpoint.asked == asked
     monkeypatch.setattr("warp_plate.studies.localize.choose", None)
     found = resume(checkpoint, estimate=False)
@@ -115,7 +115,7 @@ def test_a_grid_that_was_chosen_is_not_chosen_again(scene, stopped, monkeypatch)
 
 
 def test_another_device_only_by_name(scene, stopped):
-    checkpoint = stopped(scene(**SMALL), "cpu", told=stop_after(2))
+    checkpoint = stopped(scene(**SMALL), "cpu", on_progress=stop_after(2))
     elsewhere = replace(checkpoint, device="cuda:7", processor="another one")
     with pytest.raises(SceneError, match=r"began on cuda:7 \(another one\).*--device") as refused:
         resume(elsewhere)
@@ -127,10 +127,10 @@ def test_another_device_only_by_name(scene, stopped):
 
 
 def test_a_search_that_moved_goes_on_where_it_is(scene, stopped, tmp_path):
-    checkpoint = stopped(scene(**SMALL), "cpu", told=stop_after(2))
+    checkpoint = stopped(scene(**SMALL), "cpu", on_progress=stop_after(2))
     elsewhere = replace(checkpoint, device="cuda:7", processor="another one")
-    file = CheckpointFile(tmp_path / "two.checkpoint.h5", np.inf, goes_on=True)
-    resume(elsewhere, "cpu", told=stop_after(4), estimate=False, checkpoints=file)
+    file = CheckpointFile(tmp_path / "two.checkpoint.h5", np.inf, resumes=True)
+    resume(elsewhere, "cpu", on_progress=stop_after(4), estimate=False, checkpoints=file)
     moved = load_checkpoint(file.path)
     assert (moved.device, moved.processor) == (checkpoint.device, checkpoint.processor)
     found = resume(moved, estimate=False)
@@ -152,7 +152,7 @@ def test_checkpoints_come_by_the_clock(scene, tmp_path, monkeypatch):
 
     for every, expected in ((4.0, [5, 9]), (0.0, [*range(1, 10)]), (100.0, [])):
         file = CheckpointFile(tmp_path / "a.checkpoint.h5", every)
-        localize(made, "", "cpu", told=told, estimate=False, checkpoints=file)
+        localize(made, "", "cpu", on_progress=told, estimate=False, checkpoints=file)
         assert written == expected
         if len(expected) > 1:
             assert load_checkpoint(previous_of(file.path)).iterations == expected[-2]
@@ -162,7 +162,7 @@ def test_checkpoints_come_by_the_clock(scene, tmp_path, monkeypatch):
 
 
 def test_the_one_before_is_never_that_of_another_search(scene, tmp_path, stopped):
-    checkpoint = stopped(scene(**SMALL), "cpu", told=stop_after(2))
+    checkpoint = stopped(scene(**SMALL), "cpu", on_progress=stop_after(2))
     path = tmp_path / "a.checkpoint.h5"
     other = replace(checkpoint, seed=99)
     save_checkpoint(other, path)
@@ -187,4 +187,4 @@ def test_drives_of_every_kind(tables, scene, stopped):
     made = scene(**SMALL)
     made = made.with_tables(**{**tables, **({"drive": made.drive.model_dump()} if "drive" not in tables else {})})
     whole = localize(made, "mine", "cpu", estimate=False)
-    assert_same(resume(stopped(made, "cpu", told=stop_after(4)), estimate=False), whole)
+    assert_same(resume(stopped(made, "cpu", on_progress=stop_after(4)), estimate=False), whole)

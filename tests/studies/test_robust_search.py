@@ -89,7 +89,7 @@ def test_a_search_that_goes_on_ends_bit_for_bit_the_same(robust, tmp_path):
         if done == 5:
             raise KeyboardInterrupt
 
-    cut = localize(made, device="cpu", estimate=False, told=stop, checkpoints=CheckpointFile(file, 0))
+    cut = localize(made, device="cpu", estimate=False, on_progress=stop, checkpoints=CheckpointFile(file, 0))
     assert cut.interrupted
     assert cut.robust is None
     again = resume(load_checkpoint(file), estimate=False)

@@ -76,7 +76,7 @@ def test_what_is_found_is_a_scene_that_gives_the_same(name, tmp_path):
 def test_a_search_that_was_stopped_finds_the_same(name, stopped):  # noqa: F811
     made = searched(name)
     whole = localize(made, "mine", "cpu", estimate=False, spectrum=False)
-    checkpoint = stopped(made, "cpu", told=stop_after(3))
+    checkpoint = stopped(made, "cpu", on_progress=stop_after(3))
     after = resume(checkpoint, estimate=False, spectrum=False)
     assert_same(after, whole)
     for heading, values in whole.cases["best"].own.items():
@@ -84,7 +84,7 @@ def test_a_search_that_was_stopped_finds_the_same(name, stopped):  # noqa: F811
 
 
 def test_a_stopped_search_of_another_scene_is_refused(stopped):  # noqa: F811
-    checkpoint = stopped(searched("frequency"), "cpu", told=stop_after(2))
+    checkpoint = stopped(searched("frequency"), "cpu", on_progress=stop_after(2))
     other = checkpoint.scene.with_tables(search={**SEARCHES["phase"], "particles": 6, "iterations": 5})
     with pytest.raises(SceneError, match="checkpoint: "):
         resume(replace(checkpoint, scene=other), estimate=False)
@@ -95,7 +95,7 @@ def test_other_methods_stop_and_go_on(method, stopped):  # noqa: F811
     made = searched("phase")
     made = made.with_tables(search={**made.search.model_dump(), "method": method})
     whole = localize(made, "mine", "cpu", estimate=False)
-    assert_same(resume(stopped(made, "cpu", told=stop_after(2)), estimate=False), whole)
+    assert_same(resume(stopped(made, "cpu", on_progress=stop_after(2)), estimate=False), whole)
 
 
 def test_other_objectives_are_followed_and_their_history_says_so():

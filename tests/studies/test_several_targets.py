@@ -105,7 +105,7 @@ def stopped_at(count):
 @pytest.mark.parametrize(("count", "index", "iterations"), [(9, 0, 9), (10, 1, 1), (25, 2, 7)])
 def test_a_stopped_search_goes_on_to_the_same_bits(count, index, iterations, found, tmp_path):
     file = CheckpointFile(tmp_path / "one.checkpoint.h5", np.inf)
-    left = localize(panel(), "mine", "cpu", told=stopped_at(count), estimate=False, checkpoints=file)
+    left = localize(panel(), "mine", "cpu", on_progress=stopped_at(count), estimate=False, checkpoints=file)
     assert left.interrupted
     assert len(left.several) == index + 1
     shares = crosstalk(left)
@@ -126,7 +126,7 @@ def test_a_stopped_search_goes_on_to_the_same_bits(count, index, iterations, fou
 
 def test_a_checkpoint_of_other_targets_is_refused(tmp_path):
     file = CheckpointFile(tmp_path / "one.checkpoint.h5", np.inf)
-    localize(panel(), "mine", "cpu", told=stopped_at(12), estimate=False, checkpoints=file)
+    localize(panel(), "mine", "cpu", on_progress=stopped_at(12), estimate=False, checkpoints=file)
     checkpoint = load_checkpoint(file.path)
     save_checkpoint(replace(checkpoint, scene=checkpoint.scene.aimed_at(0)), file.path)
     with pytest.raises(SceneError, match="1 searches do not fit the scene's targets"):

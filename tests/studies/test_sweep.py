@@ -22,7 +22,7 @@ from warp_plate.scene.load import dump_scene
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies import sweep as module
 from warp_plate.studies.localize import localize
-from warp_plate.studies.quantities_of_interest import FIGURES
+from warp_plate.studies.quantities_of_interest import QUANTITIES
 from warp_plate.studies.simulate import simulate
 from warp_plate.studies.sweep import begin_sweep, run_sweep
 from warp_plate.studies.sweep_file import SweepFile, continued, free_name, refuse_to_replace
@@ -39,7 +39,7 @@ def plate(scene):
 def test_figures_are_those_of_the_commands(plate):
     """Each point alone, by the command itself, gives the same."""
     plan = make_plan([parse_vary(plate, "drive.frequency=250,290"), parse_vary(plate, "actuators[1].phase=0,1.5")])
-    found = {what: sweep(plate, plan, what, device="cpu", count=3) for what in FIGURES}
+    found = {what: sweep(plate, plan, what, device="cpu", count=3) for what in QUANTITIES}
     for point in range(len(plan)):
         scene = plan.scene(plate, point)
         alone = simulate(scene, device="cpu", estimate=False)
@@ -134,7 +134,7 @@ def test_a_sweep_that_is_stopped_anywhere_goes_on_to_the_same(plate, tmp_path, r
     begun = begin_sweep(plate, plan, "simulate", "cpu")
     for _ in range(200):
         try:
-            found = run_sweep(begun, told, SweepFile(file, math.inf, goes_on=file.exists()))
+            found = run_sweep(begun, told, SweepFile(file, math.inf, resumes=file.exists()))
             break
         except Stop:
             begun = continued(load_sweep(file))
@@ -230,7 +230,7 @@ def test_what_workers_ran_on_is_kept_and_another_kind_is_not_mixed_in(plate, tmp
     with pytest.raises(SceneError, match="a worker: device = 'cuda:99': not on this machine"):
         run_sweep(begun, pool=without)
     # Whoever asks for it has it, and the file says so.
-    kept = SweepFile(file, math.inf, goes_on=True)
+    kept = SweepFile(file, math.inf, resumes=True)
     with pytest.raises(Stop):
         run_sweep(continued(half, there=True), stop_after(3), kept, Away("Another"), lines.append)
     assert len(lines) == 1
@@ -245,14 +245,14 @@ def test_what_workers_ran_on_is_kept_and_another_kind_is_not_mixed_in(plate, tmp
 
 @pytest.mark.parametrize("error", [RuntimeError("Failed to allocate 9 bytes\non device 'cuda:0'"), MemoryError("9")])
 def test_a_point_without_memory_is_given_up_and_others_run(plate, monkeypatch, error):
-    real = FIGURES["check"]
+    real = QUANTITIES["check"]
 
     def figures(scene, options):
         if scene.drive.frequency == 250:
             raise error
         return real.of(scene, options)
 
-    monkeypatch.setitem(FIGURES, "check", replace(real, of=figures))
+    monkeypatch.setitem(QUANTITIES, "check", replace(real, of=figures))
     for pool in (None, Here()):
         found = sweep(plate, ["drive.frequency=200:300:3"], "check", device="cpu", pool=pool)
         assert found.status.tolist() == [RUN, REFUSED, RUN]
@@ -273,7 +273,7 @@ def test_processes_give_the_same(plate):
             if done == 1:
                 os.kill(pool.processes[0], signal.SIGKILL)
 
-        there = sweep(plate, plan, "simulate", device="cpu", told=kill_one, pool=pool)
+        there = sweep(plate, plan, "simulate", device="cpu", on_progress=kill_one, pool=pool)
     here = sweep(plate, plan, "simulate", device="cpu")
     for name, values in here.values.items():
         np.testing.assert_array_equal(there.values[name], values)

@@ -8,7 +8,7 @@ import pytest
 
 from warp_plate.result.sweep import REFUSED
 from warp_plate.scene.vary import make_plan, parse_vary
-from warp_plate.studies.quantities_of_interest import FIGURES
+from warp_plate.studies.quantities_of_interest import QUANTITIES
 from warp_plate.studies.sweep import begin_sweep
 from warp_plate.viz.plots.sweep import COLOURS, draw_sweep, edges_of
 
@@ -40,7 +40,7 @@ FOUR = [f"{key}=1:2:3" for key in ("drive.frequency", "plate.thickness", "window
 @pytest.mark.parametrize(
     ("what", "vary", "samples"),
     [
-        *((what, LINE, None) for what in FIGURES),
+        *((what, LINE, None) for what in QUANTITIES),
         ("localize", ["drive.frequency=290"], None),
         ("check", ["plate.thickness=4e-4:6e-4:5"], None),
         ("modes", ["plate.thickness=4e-4:6e-4", "target.area[1]=0.05:0.15", "plate.density=log:900:1500"], 20),

@@ -193,7 +193,7 @@ def _run(
         if pool is not None:
             pool.told = lambda done, of: show(iterations, total, f"{found} block {done}/{of}")
         try:
-            return run(told=told, estimate=estimate, checkpoints=kept)
+            return run(on_progress=told, estimate=estimate, checkpoints=kept)
         except SceneError as error:
             if kept.saved is None:
                 raise

@@ -47,8 +47,8 @@ class Sweep:
     """What was found at the points of a plan.
 
     scene: as written, before anything is varied; source: its name; files: SHA-256 of the files that it names, by key.
-    what: of ``search.figures.FIGURES``; count: length of the outputs' own axis. device, processor: what points were run
-    on last, as who ran them says, "" while no worker has said it; earlier, path: as in :class:`Checkpoint`.
+    what: of ``QUANTITIES``; count: length of the outputs' own axis. device, processor: what points were
+    run on last, as who ran them says, "" while no worker has said it; earlier, path: as in :class:`Checkpoint`.
     values: of each output (points,), or (points, count) where it has an axis. status: (points,); reasons: why points
     were refused, by point. seconds: spent on points so far.
     """

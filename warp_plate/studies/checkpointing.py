@@ -22,8 +22,8 @@ class CheckpointFile:
     Args:
         path: of the file; the one before it is kept as ``previous_of(path)``.
         every: seconds between two, at least; 0: one after each iteration; infinite: only when Ctrl-C ends the search.
-        goes_on: whether the search goes on from what is there. If not, that is replaced, not kept as the previous one.
-        warn: told in one line when a file cannot be written. The search then goes on, and the last one stays.
+        resumes: whether the search goes on from what is there. If not, that is replaced, not kept as the previous one.
+        warn: called with one line when a file cannot be written. The search then goes on, and the last one stays.
 
     Raises:
         SceneError: ``every`` is no number of seconds.
@@ -33,7 +33,7 @@ class CheckpointFile:
         self,
         path: Path,
         every: float = EVERY,
-        goes_on: bool = False,
+        resumes: bool = False,
         warn: Callable[[str], object] = warnings.warn,
     ) -> None:
         if not every >= 0:
@@ -41,8 +41,8 @@ class CheckpointFile:
         self.path = path
         self.every = every
         self.saved: Checkpoint | None = None  # the last one that was written
-        self._goes_on = goes_on
-        self._keep = goes_on and intact(path)
+        self._goes_on = resumes
+        self._keep = resumes and intact(path)
         self._seen = _mark(path)
         self._lost = False
         self._warn = warn

@@ -23,7 +23,7 @@ METHODS = ("pso", "constriction", "ring", "cma", "gradient", "exact")
 # Methods that find the same from every seed.
 SEEDLESS = ("exact",)
 # Told during a trial: evaluations done, in all, and what is tried.
-Told = Callable[[int, int, str], object]
+OnProgress = Callable[[int, int, str], object]
 
 
 def compare(
@@ -35,7 +35,7 @@ def compare(
     path: str = "auto",
     evaluator: Evaluator | None = None,
     evaluations: int | None = None,
-    told: Told | None = None,
+    on_progress: OnProgress | None = None,
     pool: Pool | None = None,
 ) -> Comparison:
     """Run every method from every seed, in turn, so that a disturbance of the machine meets all alike.
@@ -45,7 +45,7 @@ def compare(
         device, path: see :class:`PlateSolver`.
         evaluator: left out: "response" where energies are quadratic forms of the drives, else "direct".
         evaluations: that each trial may make; left out: the scene's particles × iterations.
-        told: called after each iteration.
+        on_progress: called after each iteration.
         pool: see ``localize``.
 
     Ctrl-C ends it, and so does a pool whose workers are gone; the trials that are done are kept. Seconds are those of
@@ -95,8 +95,8 @@ def compare(
         for index, (method, seed) in enumerate(pairs):
 
             def tell(done: int, before: int = index * budget, note: str = f"{method}, seed {seed}") -> None:
-                if told is not None:
-                    told(before + done, len(pairs) * budget, note)
+                if on_progress is not None:
+                    on_progress(before + done, len(pairs) * budget, note)
 
             trials.append(_trial(begin, method, seed, problem, budget, tell))
     except (KeyboardInterrupt, WorkersGone) as reason:

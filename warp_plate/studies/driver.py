@@ -21,7 +21,7 @@ from warp_plate.studies.checkpointing import CheckpointFile
 
 # Told after each iteration: iterations done, iterations in all, best so far: the localization factor, or the weighted
 # sum of the objectives.
-Told = Callable[[int, int, float], object]
+OnProgress = Callable[[int, int, float], object]
 
 
 def searcher_of(problem: Problem, seed: int, state: Mapping[str, Any] | None = None) -> Method | None:
@@ -44,13 +44,14 @@ def searcher_of(problem: Problem, seed: int, state: Mapping[str, Any] | None = N
 
 
 def run_search(
-    begun: Checkpoint, problem: Problem, told: Told | None, checkpoints: CheckpointFile | None
+    begun: Checkpoint, problem: Problem, on_progress: OnProgress | None, checkpoints: CheckpointFile | None
 ) -> tuple[Method | None, bool]:
     """The searcher after its search, and whether Ctrl-C ended it; none where one actuator leaves no choice.
 
     Args:
         begun: the search until now; problem: made from its scene.
-        told: called after each iteration; checkpoints: written when due, and when Ctrl-C or an error ends the search.
+        on_progress: called after each iteration.
+        checkpoints: written when due, and when Ctrl-C or an error ends the search.
 
     Raises:
         SceneError: the checkpoint does not fit its scene. WorkersGone: see there.
@@ -83,8 +84,9 @@ def run_search(
         counted, lost = problem.node_steps, problem.lost
         if checkpoints is not None and checkpoints.due():
             save()
-        if told is not None:
-            told(searcher.iterations, begun.scene.search.iterations, float(problem.value_of(searcher.result.fbest)))
+        if on_progress is not None:
+            total = begun.scene.search.iterations
+            on_progress(searcher.iterations, total, float(problem.value_of(searcher.result.fbest)))
 
     with interrupts_held() as let_through:
 

@@ -30,7 +30,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import device_aliases, find_device, processor_of
 from warp_plate.solve.run import Run
 from warp_plate.studies.checkpointing import CheckpointFile
-from warp_plate.studies.driver import Told, searcher_of
+from warp_plate.studies.driver import OnProgress, searcher_of
 from warp_plate.studies.several_targets import run_searches, runs_of_all
 from warp_plate.studies.spectrum import make_spectrum
 from warp_plate.studies.validation import against_nominal
@@ -43,7 +43,7 @@ def localize(
     seed: int | None = None,
     evaluator: Evaluator | None = None,
     path: str = "auto",
-    told: Told | None = None,
+    on_progress: OnProgress | None = None,
     estimate: bool = True,
     checkpoints: CheckpointFile | None = None,
     spectrum: bool = True,
@@ -57,7 +57,7 @@ def localize(
         seed: of the swarm; left out: the scene's.
         evaluator: "direct" simulates a plate for each particle; "response" uses the Gram matrices instead; left out:
             "direct", and "response" for a robust search where these hold.
-        told: called after each iteration.
+        on_progress: called after each iteration.
         estimate: whether to estimate the errors of the localization factors at the end.
         checkpoints: where to keep what :func:`resume` goes on from.
         spectrum: whether a search for one frequency of all actuators ends with the factors over its range.
@@ -102,13 +102,13 @@ def localize(
         matrices=problem.matrices,
         swarm=None if searcher is None else searcher.state(False),
     )
-    return _finish(begun, problem, told, estimate, checkpoints, stage, spectrum)
+    return _finish(begun, problem, on_progress, estimate, checkpoints, stage, spectrum)
 
 
 def resume(
     checkpoint: Checkpoint,
     device: str | None = None,
-    told: Told | None = None,
+    on_progress: OnProgress | None = None,
     estimate: bool = True,
     checkpoints: CheckpointFile | None = None,
     spectrum: bool = True,
@@ -121,7 +121,7 @@ def resume(
 
     Args:
         device: another one than the search began on: its rounding may be another; left out: the same.
-        told, estimate, checkpoints, spectrum, pool: see :func:`localize`.
+        on_progress, estimate, checkpoints, spectrum, pool: see :func:`localize`.
 
     Raises:
         SceneError: there is no such device any more; a file that the scene names is missing or another; or the
@@ -148,7 +148,7 @@ def resume(
         seconds=spent,
         versions=with_earlier(checkpoint.versions),
     )
-    return _finish(begun, problem, told, estimate, checkpoints, None, spectrum)
+    return _finish(begun, problem, on_progress, estimate, checkpoints, None, spectrum)
 
 
 def same_device(device: str, processor: str, what: str = "search") -> str:
@@ -170,14 +170,14 @@ def same_device(device: str, processor: str, what: str = "search") -> str:
 def _finish(
     begun: Checkpoint,
     problem: Problem,
-    told: Told | None,
+    on_progress: OnProgress | None,
     estimate: bool,
     checkpoints: CheckpointFile | None,
     stage: Stage | None,
     spectrum: bool,
 ) -> Result:
     """From a checkpoint, which may be that of iteration 0, to the result: a search knows nothing else of its past."""
-    searched = run_searches(begun, problem, told, checkpoints)
+    searched = run_searches(begun, problem, on_progress, checkpoints)
     problem, seconds, first = searched.problem, dict(searched.seconds), searched.found[0]
     scene = problem.scene
     started, stepped = time.perf_counter(), problem.node_steps

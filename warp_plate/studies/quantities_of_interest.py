@@ -100,7 +100,7 @@ def check_figures(scene: Scene, options: Options) -> Values:
     }
 
 
-FIGURES: Mapping[str, Figures] = {
+QUANTITIES: Mapping[str, Figures] = {
     "localize": Figures(
         {
             "best": Output("1", "localization factor, best drive"),

@@ -22,7 +22,7 @@ from warp_plate.result.model import Case
 from warp_plate.result.several import Found
 from warp_plate.solve.solver import PlateSolver
 from warp_plate.studies.checkpointing import CheckpointFile
-from warp_plate.studies.driver import Told, history_of, run_search, searcher_of
+from warp_plate.studies.driver import OnProgress, history_of, run_search, searcher_of
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Searched:
 
 
 def run_searches(
-    begun: Checkpoint, problem: Problem, told: Told | None, checkpoints: CheckpointFile | None
+    begun: Checkpoint, problem: Problem, on_progress: OnProgress | None, checkpoints: CheckpointFile | None
 ) -> Searched:
     """From a checkpoint, which says which targets were searched before, to the end of the last or to Ctrl-C.
 
@@ -48,7 +48,9 @@ def run_searches(
     count = max(len(problem.scene.targets), 1)
     while True:
         started, first_steps = time.perf_counter(), problem.node_steps
-        searcher, interrupted = run_search(begun, problem, _of_all(told, len(begun.several), count), checkpoints)
+        searcher, interrupted = run_search(
+            begun, problem, _of_all(on_progress, len(begun.several), count), checkpoints
+        )
         position = None if searcher is None else searcher.result.xbest
         one = Found(
             position=position,
@@ -117,12 +119,12 @@ def _aimed(problem: Problem, index: int) -> Problem:
     return replace(problem, variables=replace(problem.variables, scene=scene), plain=plain)
 
 
-def _of_all(told: Told | None, before: int, count: int) -> Told | None:
+def _of_all(on_progress: OnProgress | None, before: int, count: int) -> OnProgress | None:
     """Told of one search, as a part of all."""
-    if told is None or count == 1:
-        return told
+    if on_progress is None or count == 1:
+        return on_progress
 
     def of_all(done: int, total: int, best: float) -> None:
-        told(before * total + done, count * total, best)
+        on_progress(before * total + done, count * total, best)
 
     return of_all

@@ -18,11 +18,11 @@ from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import Plan, counted, make_plan, parse_vary
 from warp_plate.solve.devices import find_device, processor_of
 from warp_plate.studies.localize import versions
-from warp_plate.studies.quantities_of_interest import FIGURES
+from warp_plate.studies.quantities_of_interest import QUANTITIES
 from warp_plate.studies.sweep_point import Found, run_here, run_there
 
 # Told after each point: points done, in all, and what was found or refused, in a word.
-Told = Callable[[int, int, str], object]
+OnProgress = Callable[[int, int, str], object]
 # Told in one line that points go on on another processor.
 Elsewhere = Callable[[str], object]
 # Takes what there is so far; whether the sweep is at its end or was interrupted.
@@ -40,7 +40,7 @@ def sweep(
     path: str = "auto",
     source: str = "",
     count: int = 6,
-    told: Told | None = None,
+    on_progress: OnProgress | None = None,
     pool: Pool | None = None,
 ) -> Sweep:
     """The figures of a command at every point of what is varied.
@@ -51,10 +51,10 @@ def sweep(
     Args:
         scene: where nothing is varied; source: its name, kept in the result.
         vary: KEY=START:STOP:COUNT, KEY=log:START:STOP:COUNT or KEY=a,b,c each, in the words of ``--vary``.
-        what: of ``search.figures.FIGURES``; count: how many modes.
+        what: of ``search.figures.QUANTITIES``; count: how many modes.
         samples, seed: draw so many points from a Latin hypercube instead of the full grid.
         device, path: see :class:`PlateSolver`; a pool's workers have its device, and this one is not read.
-        told: called after each point.
+        on_progress: called after each point.
         pool: whose workers run the points, see ``cluster.pool``; left out: this process.
 
     A point whose scene is refused is NaN in all outputs, and its reason is kept.
@@ -64,7 +64,7 @@ def sweep(
     """
     plan = vary if isinstance(vary, Plan) else make_plan([parse_vary(scene, one) for one in vary], samples, seed)
     here = device if pool is None else "auto"
-    return run_sweep(begin_sweep(scene, plan, what, here, path, source, count), told, None, pool)
+    return run_sweep(begin_sweep(scene, plan, what, here, path, source, count), on_progress, None, pool)
 
 
 def begin_sweep(
@@ -76,11 +76,11 @@ def begin_sweep(
     Raises:
         SceneError: no such figures or device, or a file that the scene names is missing.
     """
-    if what not in FIGURES:
-        raise SceneError(f"--what {what}: must be one of {', '.join(FIGURES)}")
+    if what not in QUANTITIES:
+        raise SceneError(f"--what {what}: must be one of {', '.join(QUANTITIES)}")
     if not 1 <= count <= MOST_MODES:
         raise SceneError(f"--count {count}: must be from 1 to {MOST_MODES}")
-    outputs, found = FIGURES[what].outputs, find_device(device)
+    outputs, found = QUANTITIES[what].outputs, find_device(device)
     return Sweep(
         source=source,
         scene=scene,
@@ -103,7 +103,7 @@ def begin_sweep(
 
 def run_sweep(
     begun: Sweep,
-    told: Told | None = None,
+    on_progress: OnProgress | None = None,
     keep: Keep | None = None,
     pool: Pool | None = None,
     elsewhere: Elsewhere | None = None,
@@ -112,8 +112,10 @@ def run_sweep(
     so that a sweep that goes on, or whose points are run elsewhere, gives the same to the last bit.
 
     Args:
-        told: called after each point; keep: after each point too, and with True where Ctrl-C or an error ends the run.
-        pool: see :func:`sweep`. elsewhere: told where its workers have another processor than the points that are done
+        on_progress: called after each point.
+        keep: after each point too, and with True where Ctrl-C or an error ends the run.
+        pool: see :func:`sweep`.
+        elsewhere: called where its workers have another processor than the points that are done
             were run on; left out: that is refused.
 
     Raises:
@@ -146,8 +148,8 @@ def run_sweep(
                     for name, value in found.values.items():
                         values[name][found.point] = value
                 status[found.point] = REFUSED if found.values is None else RUN
-                if told is not None:
-                    told(done, total, _note(found, begun))
+                if on_progress is not None:
+                    on_progress(done, total, _note(found, begun))
                 if keep is not None:
                     keep(now(), False)
         except BaseException:

@@ -26,15 +26,15 @@ class SweepFile:
     Args:
         path: of the file; where another process has made one there since, a free name beside it is taken.
         every: seconds between two writings, at least; 0: after each point; infinite: at the end, and after Ctrl-C.
-        warn: told in one line when the file cannot be written, or has another name. The sweep then goes on.
-        goes_on: whether the sweep goes on from what is there.
+        warn: called with one line when the file cannot be written, or has another name. The sweep then goes on.
+        resumes: whether the sweep goes on from what is there.
 
     Raises:
         SceneError: ``every`` is no number of seconds.
     """
 
     def __init__(
-        self, path: Path, every: float = EVERY, warn: Callable[[str], object] = warnings.warn, goes_on: bool = False
+        self, path: Path, every: float = EVERY, warn: Callable[[str], object] = warnings.warn, resumes: bool = False
     ) -> None:
         if not every >= 0:
             raise SceneError(f"checkpoint-every = {every:g}: must be a number of seconds, 0 or more")
@@ -42,7 +42,7 @@ class SweepFile:
         self.every = every
         self.saved: Sweep | None = None  # the last one that was written
         self._warn = warn
-        self._own = goes_on
+        self._own = resumes
         self._warned = False
         self._last = time.monotonic()
 

@@ -24,7 +24,7 @@ from warp_plate.scene.keys import with_numbers
 from warp_plate.scene.load import dump_scene
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device, processor_of
-from warp_plate.studies.quantities_of_interest import FIGURES, Options, Values
+from warp_plate.studies.quantities_of_interest import QUANTITIES, Options, Values
 
 # That a worker keeps, with the files that they name.
 MOST_SCENES = 4
@@ -57,7 +57,7 @@ def run_point(payload: Mapping[str, Any]) -> dict[str, Any]:
     values: Values | None = None
     reason = ""
     try:
-        values = FIGURES[payload["what"]].of(with_numbers(payload["scene"], payload["numbers"]), options)
+        values = QUANTITIES[payload["what"]].of(with_numbers(payload["scene"], payload["numbers"]), options)
     except SceneError as error:
         reason = str(error)
     return {"values": values, "reason": reason, "device": device.alias, "made": made}
