@@ -11,6 +11,7 @@ The names below are imported when they are first used, so that ``warp-plate --he
 
 import importlib
 import os
+import sys
 
 __version__ = "0.1.0"
 
@@ -40,3 +41,14 @@ def __getattr__(name: str) -> object:
     if name not in _HOME:
         raise AttributeError(f"module 'warp_plate' has no attribute {name!r}")
     return getattr(importlib.import_module(_HOME[name]), name)
+
+
+def load_ipython_extension(shell: object) -> None:
+    """Show scenes and results as HTML in an IPython shell (the hook of ``%load_ext warp_plate``)."""
+    from warp_plate.notebook import register
+
+    register(shell)
+
+
+if "IPython" in sys.modules and (_shell := sys.modules["IPython"].get_ipython()) is not None:
+    load_ipython_extension(_shell)

@@ -1,9 +1,12 @@
-"""A result's plates in motion inside a notebook: the page of ``render``, in a frame.
+"""Scenes, results and moving plates in IPython and Jupyter notebooks.
+
+``import warp_plate`` in a running notebook (or ``%load_ext warp_plate``) shows every :class:`Scene` and :class:`Result`
+as a table with a picture, and :func:`view` plays a result:
 
     >>> from warp_plate import load_result, view
     >>> view(load_result("paper-localize.h5"))
 
-The frame holds the whole page, so that it plays without a server, without a network, and in a notebook that was saved.
+The player holds its whole page, so it needs neither a server nor a network, and also works in a saved notebook.
 """
 
 from __future__ import annotations
@@ -11,23 +14,49 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import Element, tostring
 
-from warp_plate.result.model import Result
-from warp_plate.scene.errors import SceneError
+if TYPE_CHECKING:
+    from warp_plate.result.model import Result
+    from warp_plate.scene.model import Scene
+
+
+def register(shell: Any) -> None:
+    """Register the HTML formatters of scenes and results with an IPython shell."""
+    formatter = shell.display_formatter.formatters["text/html"]
+    formatter.for_type_by_name("warp_plate.scene.model", "Scene", _scene_html)
+    formatter.for_type_by_name("warp_plate.result.model", "Result", _result_html)
+
+
+def _scene_html(scene: Scene) -> str:
+    from warp_plate.viz.notebook import scene_html
+
+    return scene_html(scene)
+
+
+def _result_html(result: Result) -> str:
+    from warp_plate.viz.notebook import result_html
+
+    return result_html(result)
 
 
 @dataclass(frozen=True)
-class Page:
-    """A page that a notebook shows in a frame of this height [pixels]; ``html`` is all of it."""
+class NotebookPlayer:
+    """A page shown in a frame of a notebook.
+
+    Attributes:
+        html: the complete page.
+        height: height of the frame [pixels].
+    """
 
     html: str
     height: int
 
     def _repr_html_(self) -> str:
-        # The page's scripts see nothing of the notebook.
-        looks = {"sandbox": "allow-scripts", "width": "100%", "height": str(self.height), "style": "border: none"}
-        frame = Element("iframe", {"srcdoc": self.html, **looks})
+        # The sandbox keeps the scripts of the page away from the notebook.
+        style = {"sandbox": "allow-scripts", "width": "100%", "height": str(self.height), "style": "border: none"}
+        frame = Element("iframe", {"srcdoc": self.html, **style})
         return tostring(frame, encoding="unicode", short_empty_elements=False)
 
 
@@ -40,22 +69,25 @@ def view(
     rate: float = 30.0,
     height: int = 680,
     device: str = "auto",
-) -> Page:
-    """Run the drives of a result once more and show their plates, side by side, to play and to turn.
+) -> NotebookPlayer:
+    """Run cases of a result again and return a player of their plates, side by side.
 
     Args:
-        cases: names of the result's cases; left out: the best, or the only one.
-        quantity: in colour: displacement, velocity, energy, rms-velocity or phase.
-        span: beginning and end of what is shown [s], frames: how many; left out: 60 over the last period of the drive,
-            or over the first burst or the window where the drive does not repeat.
-        rate: frames a second at first; height: of the frame in the notebook [pixels].
-        device: where the plates run: cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
+        cases: names of cases of the result (default: the best drive, or the only case).
+        quantity: field shown in colour: displacement, velocity, energy, rms-velocity or phase.
+        span: beginning and end of the frames [s] (default: the last period of the drive, or the first burst or the
+            window if the drive does not repeat).
+        frames: number of frames (default: 60 a period).
+        rate: initial frame rate [1/s].
+        height: height of the frame in the notebook [pixels].
+        device: cpu, cuda, cuda:1, …; auto takes a CUDA device if there is one.
 
     Raises:
-        SceneError: a case or quantity that is none, a span outside the run.
+        SceneError: an unknown case or quantity, or a span outside the run.
         DrawingUnavailable: PyVista is not installed.
     """
     from warp_plate.analysis.motion import motions
+    from warp_plate.scene.errors import SceneError
     from warp_plate.viz.availability import DrawingUnavailable, missing_meshes
     from warp_plate.viz.notebook import shown_case
     from warp_plate.viz.page import write_page
@@ -71,4 +103,4 @@ def view(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "page.html"
         write_page(result.scene, moving, path, quantity, rate)
-        return Page(path.read_text(encoding="utf-8"), height)
+        return NotebookPlayer(path.read_text(encoding="utf-8"), height)

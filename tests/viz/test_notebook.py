@@ -63,7 +63,7 @@ def words_of(shown):
 @pytest.mark.parametrize("name", preset_names())
 def test_every_preset_shows_itself(name):
     scene = Scene.load(name)
-    shown = scene._repr_html_()
+    shown = html.scene_html(scene)
     rows = dict(row[:2] for row in rows_of(shown))
     assert ElementTree.fromstring(shown).find("strong").text == scene.title
     assert rows["drive"] == f"{scene.drive.frequency:g} Hz"
@@ -81,7 +81,7 @@ def test_the_plan_shows_where_things_are(scene):
             "oscillators": [{"area": (0.05, 0.06, 0.1, 0.2), "stiffness": 3.0}],
         },
     )
-    svg = ElementTree.fromstring(made._repr_html_()).find(f".//{SVG}svg")
+    svg = ElementTree.fromstring(html.scene_html(made)).find(f".//{SVG}svg")
     boxes = {}
     for box in svg.iter(f"{SVG}rect"):
         x, y, width, height = (float(box.get(key)) for key in ("x", "y", "width", "height"))
@@ -110,7 +110,7 @@ def test_names_cannot_break_out_of_the_page(scene):
     made = scene()
     wild = made.actuators[0].model_copy(update={"name": "<script>alert('&')</script>"})
     made = made.model_copy(update={"actuators": (wild,), "title": 'a < b & "c" > d'})
-    shown = made._repr_html_()
+    shown = html.scene_html(made)
     assert "<script" not in shown
     assert ElementTree.fromstring(shown).find("strong").text == made.title
     assert [wild.name, "0.03 … 0.06, 0.04 … 0.07", "1", "0"] in rows_of(shown)
@@ -118,7 +118,7 @@ def test_names_cannot_break_out_of_the_page(scene):
 
 def test_a_scene_that_asks_for_an_accuracy_has_no_grid_to_show():
     made = Scene.load("paper").model_dump(exclude_none=True, exclude={"grid"})
-    shown = Scene.model_validate({**made, "grid": {"accuracy": 0.01}})._repr_html_()
+    shown = html.scene_html(Scene.model_validate({**made, "grid": {"accuracy": 0.01}}))
     assert ["grid", "for a relative error of 1 %"] in rows_of(shown)
 
 
@@ -127,7 +127,7 @@ def test_a_result_shows_its_tables_and_its_picture(result):
         pytest.skip(problem)
     from PIL import Image
 
-    shown = result._repr_html_()
+    shown = html.result_html(result)
     rows = rows_of(shown)
     assert rows[:4] == [
         ["drive", "localization factor"],
@@ -152,16 +152,16 @@ def test_a_result_shows_its_tables_and_its_picture(result):
 def test_without_anything_to_draw_with_a_result_shows_tables_and_says_what_to_install(result, monkeypatch):
     monkeypatch.setattr(html, "missing", lambda: "nothing draws here: install it")
     monkeypatch.setattr(html, "missing_plots", lambda: "no curves either")
-    shown = result._repr_html_()
+    shown = html.result_html(result)
     assert not list(ElementTree.fromstring(shown).iter("img"))
     assert ["equal drive", "50.00 %"] in rows_of(shown)
     assert "no curves either" in words_of(shown)
     simulation = replace(result, cases={"drive": result.cases["best"]}, history={}, bound=None, interrupted=True)
-    shown = simulation._repr_html_()
+    shown = html.result_html(simulation)
     assert "nothing draws here: install it" in words_of(shown)
     assert "Interrupted by Ctrl-C" in words_of(shown)
     assert [row[0] for row in rows_of(shown)][:2] == ["drive", "given drive"]
-    shown = replace(simulation, times=np.zeros(0))._repr_html_()
+    shown = html.result_html(replace(simulation, times=np.zeros(0)))
     assert "the result holds nothing to draw" in words_of(shown)
 
 

@@ -200,9 +200,3 @@ class Result:
     def y(self) -> np.ndarray:
         """(ny,) positions of the nodes [m]."""
         return np.linspace(0, self.scene.plate.size[1], self.scene.grid.nodes[1])
-
-    def _repr_html_(self) -> str:
-        """How a notebook shows it: see :mod:`warp_plate.viz.notebook`."""
-        from warp_plate.viz.notebook import result_html
-
-        return result_html(self)

@@ -322,9 +322,3 @@ class Scene(Table):
     def drive_angular_frequency(self) -> float:
         """2πf [rad/s]."""
         return 2 * math.pi * self.drive.frequency
-
-    def _repr_html_(self) -> str:
-        """How a notebook shows it: see :mod:`warp_plate.viz.notebook`."""
-        from warp_plate.viz.notebook import scene_html
-
-        return scene_html(self)
