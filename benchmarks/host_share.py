@@ -22,8 +22,8 @@ import warp as wp
 
 from warp_plate import Scene, SceneError
 from warp_plate.bench.machine import busy, describe_machine, describe_versions
-from warp_plate.problem.methods import make_searcher
-from warp_plate.problem.problem import Problem, make_problem
+from warp_plate.problem.methods import make_optimizer
+from warp_plate.problem.problem import Problem, make_nominal_problem
 
 PLATES = (20, 1024, 16384, 131072)
 GENERATIONS, FIRST = 9, 2
@@ -37,10 +37,10 @@ class DeviceTime:
     """
 
     def __init__(self, problem: Problem) -> None:
-        self._engine, self._device = problem.plain.engine, problem.plain.device
+        self._engine, self._device = problem.drive_solver.engine, problem.drive_solver.device
         self._marks: list[tuple[wp.Event, wp.Event]] = []
         self._seconds = 0.0
-        problem.plain.engine = replace(self._engine, advance=self._advance)
+        problem.drive_solver.engine = replace(self._engine, advance=self._advance)
         self._begin()
 
     def _begin(self) -> None:
@@ -70,7 +70,7 @@ class DeviceTime:
 def generations(problem: Problem, device: DeviceTime, plates: int, count: int) -> dict[str, object]:
     """Medians over so many generations of a swarm of so many particles [s]."""
     search = problem.scene.search.model_copy(update={"particles": plates, "iterations": count + FIRST})
-    searcher = make_searcher(search, problem.space, 0)
+    searcher = make_optimizer(search, problem.space, 0)
     taken: dict[str, list[float]] = {name: [] for name in ("whole", "device", "steps", *PARTS)}
     device.taken()
     for _ in range(count + FIRST):
@@ -96,7 +96,7 @@ def measure(
     scene: Scene, device: str, plates: tuple[int, ...] = PLATES, count: int = GENERATIONS
 ) -> list[dict[str, object]]:
     """The rows of the table."""
-    problem = make_problem(scene, device)
+    problem = make_nominal_problem(scene, device)
     device_time = DeviceTime(problem)
     return [generations(problem, device_time, each, count) for each in plates]
 

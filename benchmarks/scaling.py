@@ -31,8 +31,8 @@ from warp_plate.cluster.pool import Pool, Task
 from warp_plate.cluster.scheduler import spread
 from warp_plate.cluster.tasks import run_block
 from warp_plate.plate.designs import Designs
-from warp_plate.problem.methods import make_searcher
-from warp_plate.problem.problem import Problem, make_problem
+from warp_plate.problem.methods import make_optimizer
+from warp_plate.problem.problem import Problem, make_nominal_problem
 
 PLATES, GENERATIONS = 4096, 9
 # Generations of a turn that count.
@@ -49,7 +49,7 @@ class Search:
         self.problem = problem
         self.seconds: list[list[float]] = []
         self.losses: list[str] = []
-        self._searcher = make_searcher(search, problem.space, 0)
+        self._searcher = make_optimizer(search, problem.space, 0)
 
     def generation(self, counts: bool) -> None:
         """Ask, losses and tell, once."""
@@ -77,7 +77,7 @@ def shipping(pool: Pool, problem: Problem) -> dict[str, object]:
     so many bytes on its way there and without."""
     designs = Designs(np.ones((4096, len(problem.scene.actuators)), complex))
     (task,) = Blocks(designs, [slice(0, 4096)], "0" * 64)
-    there, back = sum(map(len, encode(task.payload))), 8 * len(problem.plain.specialized.regions) * 4096
+    there, back = sum(map(len, encode(task.payload))), 8 * len(problem.drive_solver.specialized.regions) * 4096
     found: dict[str, object] = {"plates": 4096, "bytes_there": there, "bytes_back": back}
     for name, size in (
         ("milliseconds_empty", 0),
@@ -101,7 +101,7 @@ def measure(scene: Scene, device: str, pools: dict[str, Pool], plates: int, gene
     Raises:
         RuntimeError: their losses are not the same.
     """
-    problems = {name: make_problem(scene, device, pool=pool) for name, pool in {HERE: None, **pools}.items()}
+    problems = {name: make_nominal_problem(scene, device, pool=pool) for name, pool in {HERE: None, **pools}.items()}
     turns = -(-generations // TURN)
     searches = {name: Search(problem, plates, (1 + turns) * (1 + TURN)) for name, problem in problems.items()}
     for turn in range(1 + turns):
@@ -111,11 +111,11 @@ def measure(scene: Scene, device: str, pools: dict[str, Pool], plates: int, gene
             if search.losses != searches[HERE].losses:
                 raise RuntimeError(f"{name}: other losses than {HERE}")
     rows = {name: search.row() for name, search in searches.items()}
-    kind = "cuda" if problems[HERE].plain.device.is_cuda else "cpu"
+    kind = "cuda" if problems[HERE].drive_solver.device.is_cuda else "cpu"
     first = next(iter(pools))
     return {
         "plates": plates,
-        "plates_of_block": plates_of_block(problems[HERE].plain.node_steps_per_plate, kind)[0],
+        "plates_of_block": plates_of_block(problems[HERE].drive_solver.node_steps_per_plate, kind)[0],
         "rows": rows,
         "speed_over_first": {name: float(rows[first]["seconds"]) / float(rows[name]["seconds"]) for name in pools},
         "shipping": {name: shipping(pool, problems[name]) for name, pool in pools.items()},

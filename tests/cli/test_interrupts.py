@@ -31,19 +31,19 @@ DRIVER = """
 import os, signal, sys, threading
 import warp_plate.problem.problem as search
 from warp_plate.cli.main import main
-from warp_plate.problem.objectives import Judge
+from warp_plate.problem.objectives import Objectives
 
 def interrupt():
     os.kill(os.getpid(), signal.SIGINT)
 
-losses, calls = Judge.losses, []
+losses, calls = Objectives.losses, []
 
 def watched(*arguments):
     calls.append(1)
     on_loss(len(calls))
     return losses(*arguments)
 
-Judge.losses = watched
+Objectives.losses = watched
 {watch}
 main(sys.argv[1:])
 """

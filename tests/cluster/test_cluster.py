@@ -16,8 +16,8 @@ from warp_plate.cluster.processes import Processes
 from warp_plate.cluster.scheduler import spread
 from warp_plate.cluster.solver import SpreadSolver
 from warp_plate.plate.designs import Designs, per_plate_of
-from warp_plate.problem.parametrization import Positions, variables_of
-from warp_plate.problem.uncertain_panels import solve_directly
+from warp_plate.problem.parametrization import Positions, parametrization_of
+from warp_plate.problem.scenario_losses import simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.scene.load import dump_scene
 from warp_plate.studies.compare import compare
@@ -95,9 +95,9 @@ def test_plates_have_the_same_bits_on_any_number_of_workers(name, pools, scene, 
 def test_workers_make_designs_of_positions(name, pools, scene, random, small_blocks, monkeypatch):
     """Which are smaller, and are made while the worker before them is at work; memory halves them as it does others."""
     made = scene((9, 9), window=(0.002, 0.004), **SCENES[name])
-    variables, own = variables_of(made), per_plate_of(made)
+    variables, own = parametrization_of(made), per_plate_of(made)
     space = variables.space
-    first = np.array([space.first_low, space.first_high])
+    first = np.array([space.initial_lower, space.initial_upper])
     positions = random.uniform(*first, (PLATES, space.dimension))
     expected = PlateSolver(made, "cpu", per_plate=own).run(Positions(variables, positions))
     solver = SpreadSolver(pools[2], made, "cpu", per_plate=own)
@@ -205,7 +205,7 @@ def test_robust_searches_and_comparisons_are_the_same_on_workers(pools, scene, s
     scenarios, areas = draw_scenarios(robust, 3, 0), np.array([one.area for one in robust.actuators])
     middles = areas.reshape(-1, 2, 2).mean(axis=2)
     designs = Designs(drives_of(np.random.default_rng(1)), centre=np.tile(middles, (PLATES, 1, 1)))
-    here, there = solve_directly(scenarios, "cpu"), solve_directly(scenarios, "cpu", pool=pools[2])
+    here, there = simulate_scenarios(scenarios, "cpu"), simulate_scenarios(scenarios, "cpu", pool=pools[2])
     assert there.losses(designs).tobytes() == here.losses(designs).tobytes()
     assert there.node_steps == here.node_steps
     made = searched(scene)

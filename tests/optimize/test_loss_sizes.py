@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from conftest import scene_of
 
-from warp_plate.optimize.record import size_of
-from warp_plate.problem.methods import make_searcher, searcher_from_state
-from warp_plate.problem.objective import least_size
-from warp_plate.problem.problem import make_problem
+from warp_plate.optimize.record import tolerance_scale
+from warp_plate.problem.methods import make_optimizer, optimizer_from_state
+from warp_plate.problem.objectives import loss_scale
+from warp_plate.problem.problem import make_nominal_problem
 from warp_plate.result.comparison import Comparison, Trial
 from warp_plate.scene.search import Objective
 
@@ -22,14 +22,14 @@ LIMITED = {"kind": "displacement", "rest_limit": 2e-8}
 def problem(**objective):
     """A search for displacements of about 5e-8 m, answered by Gram matrices."""
     search = {"magnitude": {"range": [0.0, 0.1]}, "phase": {}, "objectives": [objective]}
-    return make_problem(scene_of(nodes=(9, 9), damping=88.5, search=search), "cpu", evaluator="response")
+    return make_nominal_problem(scene_of(nodes=(9, 9), damping=88.5, search=search), "cpu", evaluator="response")
 
 
 def found(objective, weight, resumed=False, **keys):
     """(all positions asked for, all losses, why it stopped) of a search with that weight."""
     made = problem(**objective, weight=weight)
     search = made.scene.search.model_copy(update={"particles": 8, "iterations": 150, **keys})
-    searcher = make_searcher(search, made.space, 1, made.quadratic)
+    searcher = make_optimizer(search, made.space, 1, made.quadratic)
     asked, losses = [], []
     while not searcher.stop():
         asked.append(np.array(searcher.ask()))
@@ -38,7 +38,7 @@ def found(objective, weight, resumed=False, **keys):
         searcher.tell(asked[-1], losses[-1])
         if resumed and len(asked) in (7, 40):
             state = json.loads(json.dumps(searcher.state()))
-            searcher = searcher_from_state(search, made.space, 1, state, made.quadratic)
+            searcher = optimizer_from_state(search, made.space, 1, state, made.quadratic)
     return np.concatenate(asked), np.concatenate(losses), searcher.stop()
 
 
@@ -80,11 +80,11 @@ def test_a_decimal_weight_changes_rounding_alone():
 
 def test_sizes_of_losses():
     """1 − LF keeps its 1e-6; numbers of order one have a least size, for sums that pass zero; velocities have none."""
-    assert least_size([Objective()]) == size_of(0.3, 1.0) == 1.0
-    assert least_size([Objective(kind="velocity", weight=1e9), Objective(kind="displacement")]) == 0.0
-    assert least_size([Objective(kind="contrast", weight=0.5), Objective(kind="uniformity", weight=2.0)]) == 2.5
-    assert size_of(-7e-8, 0.0) == 7e-8
-    assert size_of(-7e-8, 2.5) == 2.5
+    assert loss_scale([Objective()]) == tolerance_scale(0.3, 1.0) == 1.0
+    assert loss_scale([Objective(kind="velocity", weight=1e9), Objective(kind="displacement")]) == 0.0
+    assert loss_scale([Objective(kind="contrast", weight=0.5), Objective(kind="uniformity", weight=2.0)]) == 2.5
+    assert tolerance_scale(-7e-8, 0.0) == 7e-8
+    assert tolerance_scale(-7e-8, 2.5) == 2.5
 
 
 @pytest.mark.parametrize("weight", [1.0, 1e9])

@@ -16,8 +16,8 @@ from warp_plate.optimize.pso import optimize
 from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.optimize.space import Space
 from warp_plate.plate.weights import localization_factor
-from warp_plate.problem.methods import READ_BY, make_searcher, searcher_from_state, unread
-from warp_plate.problem.objective import drives_of
+from warp_plate.problem.methods import READ_BY, make_optimizer, optimizer_from_state, unread_keys
+from warp_plate.problem.parametrization import paper_phasors
 from warp_plate.result.search_state import put_state, read_state
 from warp_plate.scene.search import Search
 
@@ -75,7 +75,7 @@ def quadratic(space, matrices, losses_of=localization, limit=None):
 
     def drives(positions):
         if not whole:
-            return drives_of(positions)
+            return paper_phasors(positions)
         found = positions[:, :actuators] * np.exp(-1j * positions[:, actuators:])
         return found if limit is None else limit(found)
 
@@ -129,11 +129,11 @@ def test_what_a_method_does_not_read_is_told(method):
     """And no key but those that the table of methods knows; a key as the default has it need not have been written."""
     search, space, problem, _ = case(method, restarts=2, velocity_limit=1.0, inertia=0.3)
     read = Read(search)
-    make_searcher(read, space, 1, problem)
+    make_optimizer(read, space, 1, problem)
     assert {key for key in READ_BY if key in read.names} == {key for key in READ_BY if method in READ_BY[key]}
     assert read.names <= {"method", "seed", "objectives", *READ_BY}
     changed = {"particles", "iterations", "restarts", "velocity_limit", "inertia"}
-    lines = unread(search)
+    lines = unread_keys(search)
     assert {line.split(" ")[0] for line in lines} == {f"search.{key}" for key in changed - read.names}
     assert all(f"method = '{method}' does not read it" in line for line in lines)
 
@@ -149,7 +149,7 @@ def test_the_bound_is_reached(method, free, actuators):
     space = magnitudes_and_phases(actuators) if free == "all" else line(2 * actuators - 2)
     matrices = gram_matrices(actuators)
     problem = quadratic(space, matrices)
-    searcher = make_searcher(Search(method=method, particles=20, iterations=150), space, 3, problem)
+    searcher = make_optimizer(Search(method=method, particles=20, iterations=150), space, 3, problem)
     result = optimize(searcher, problem.losses)
     assert 1 - result.fbest == pytest.approx(bound_of(matrices), abs=1e-6 if method == "cma" else 1e-10)
     np.testing.assert_array_equal(problem.losses(result.xbest[None]), result.fbest)
@@ -164,7 +164,9 @@ def test_the_gradient_s_slopes():
         return np.sqrt(energy[:, 0]) - 2 * np.log10(energy[:, 1]) + energy[:, 1] / energy[:, 0]
 
     problem = quadratic(space, matrices, losses_of, lambda drives: drives / np.maximum(np.abs(drives), 1.5))
-    positions = space.first_low + (space.first_high - space.first_low) * np.random.default_rng(1).random((5, 6))
+    positions = space.initial_lower + (space.initial_upper - space.initial_lower) * np.random.default_rng(1).random(
+        (5, 6)
+    )
     _, slopes = problem.losses_and_slopes(positions, np.ones(6), space.lower, space.upper)
     for column in range(6):
         step = 1e-5 * np.eye(6)[column]
@@ -177,12 +179,14 @@ def test_the_gradient_stops_at_limits_that_bind():
     space, matrices = magnitudes_and_phases(3, 0.5, 1.0), gram_matrices(3, seed=11)
     problem = quadratic(space, matrices)
     ends = list(zip(space.lower, space.upper, strict=True))
-    starts = space.first_low + (space.first_high - space.first_low) * np.random.default_rng(0).random((12, 6))
+    starts = space.initial_lower + (space.initial_upper - space.initial_lower) * np.random.default_rng(0).random(
+        (12, 6)
+    )
     best = min(
         scipy.optimize.minimize(lambda x: problem.losses(x[None])[0], one, method="L-BFGS-B", bounds=ends).fun
         for one in starts
     )
-    result = optimize(make_searcher(Search(method="gradient"), space, 0, problem), problem.losses)
+    result = optimize(make_optimizer(Search(method="gradient"), space, 0, problem), problem.losses)
     assert result.fbest == pytest.approx(best, abs=1e-8)
     assert np.isclose(result.xbest[:3], space.lower[:3]).any() or np.isclose(result.xbest[:3], 1.0).any()
     assert result.fbest > 1 - bound_of(matrices) + 1e-3
@@ -190,7 +194,7 @@ def test_the_gradient_stops_at_limits_that_bind():
 
 @pytest.mark.parametrize("method", SAMPLING)
 def test_the_minimum_of_a_sphere(method):
-    searcher = make_searcher(Search(method=method, particles=30, iterations=150), line(4), 1)
+    searcher = make_optimizer(Search(method=method, particles=30, iterations=150), line(4), 1)
     np.testing.assert_allclose(optimize(searcher, sphere).xbest, 0.5, atol=1e-3)
 
 
@@ -200,18 +204,18 @@ def test_one_number_alone_within_limits(method, seed):
     """The least at 3 with limits beside it, and at a wall; pycma itself asks for two numbers or more."""
     space = make_space([1.0], [9.0], [(1.0, 9.0)], [np.inf])
     for least in (3.0, 0.0):
-        searcher = make_searcher(Search(method=method, particles=10, iterations=60), space, seed)
+        searcher = make_optimizer(Search(method=method, particles=10, iterations=60), space, seed)
         found = optimize(searcher, lambda positions, least=least: (positions[:, 0] - least) ** 2).xbest
         np.testing.assert_allclose(found, [max(least, 1.0)], atol=1e-3)
     state = searcher.state()
-    again = searcher_from_state(Search(method=method, particles=10, iterations=60), space, seed, state)
+    again = optimizer_from_state(Search(method=method, particles=10, iterations=60), space, seed, state)
     assert again.state() == state
 
 
 @pytest.mark.parametrize("method", SAMPLING)
 def test_the_lowest_valley_lies_where_the_period_is_cut(method):
     space = make_space([-np.inf] * 3, [np.inf] * 3, [(0, TURN)] * 3, [TURN] * 3)
-    searcher = make_searcher(Search(method=method, particles=40, iterations=150), space, 5)
+    searcher = make_optimizer(Search(method=method, particles=40, iterations=150), space, 5)
     while not searcher.stop():
         positions = searcher.ask()
         assert np.all((positions >= 0) & (positions <= TURN))
@@ -235,13 +239,13 @@ def test_stopped_anywhere_goes_on_to_the_same_bits(method, tmp_path):
 
     def again(searcher, turn):
         if turn % 2:
-            return searcher_from_state(search, space, 6, json.loads(text(searcher)), problem)
+            return optimizer_from_state(search, space, 6, json.loads(text(searcher)), problem)
         with h5py.File(tmp_path / f"{turn}.h5", "w") as file:
             put_state(file, "search", searcher.state(False))
         with h5py.File(tmp_path / f"{turn}.h5") as file:
-            return searcher_from_state(search, space, 6, read_state(file, "search"), problem)
+            return optimizer_from_state(search, space, 6, read_state(file, "search"), problem)
 
-    whole, broken, turn = make_searcher(search, space, 6, problem), make_searcher(search, space, 6, problem), 0
+    whole, broken, turn = make_optimizer(search, space, 6, problem), make_optimizer(search, space, 6, problem), 0
     while not whole.stop():
         assert not broken.stop()
         broken, turn = again(broken, turn), turn + 1
@@ -264,7 +268,7 @@ def test_same_seed_same_search_and_nothing_global(method):
     found = []
     for seed in (1, 1, 2):
         search, space, problem, losses = case(method)
-        searcher = make_searcher(search, space, seed, problem)
+        searcher = make_optimizer(search, space, seed, problem)
         optimize(searcher, losses)
         found.append(text(searcher))
     assert found[0] == found[1] != found[2]
@@ -274,7 +278,7 @@ def test_same_seed_same_search_and_nothing_global(method):
 @pytest.mark.parametrize("method", ALL)
 def test_budget_history_and_what_is_told(method):
     search, space, problem, losses = case(method, restarts=3)
-    searcher, count = make_searcher(search, space, 0, problem), 0
+    searcher, count = make_optimizer(search, space, 0, problem), 0
     assert searcher.iterations == searcher.result.evaluations == 0
     assert searcher.result.xbest is None
     while not searcher.stop():
@@ -310,7 +314,7 @@ def test_limits_and_periods_hold_for_any_loss(method, seed, low, width, restarts
     problem = Quadratic(
         problem.matrices, problem.drives, problem.positions, lambda energy: np.sin(9 * energy[:, 0]), False
     )
-    searcher = make_searcher(Search(method=method, particles=6, iterations=8, restarts=restarts), space, seed, problem)
+    searcher = make_optimizer(Search(method=method, particles=6, iterations=8, restarts=restarts), space, seed, problem)
     while not searcher.stop():
         positions = searcher.ask()
         assert np.all((positions[:, 0] >= low) & (positions[:, 0] <= low + width))
@@ -323,7 +327,7 @@ def test_limits_and_periods_hold_for_any_loss(method, seed, low, width, restarts
 @pytest.mark.parametrize("method", ALL)
 def test_a_state_of_something_else_is_refused(method):
     search, space, problem, losses = case(method)
-    searcher = make_searcher(search, space, 0, problem)
+    searcher = make_optimizer(search, space, 0, problem)
     for _ in range(1 if method == "exact" else 3):
         asked = searcher.ask()
         searcher.tell(asked, losses(asked))
@@ -334,7 +338,7 @@ def test_a_state_of_something_else_is_refused(method):
     wrong = wrong[:2] if method == "gradient" else wrong
     for changed in wrong:
         with pytest.raises(ValueError, match="state") as refusal:
-            searcher_from_state(search, space, 0, changed, problem)
+            optimizer_from_state(search, space, 0, changed, problem)
         assert "\n" not in str(refusal.value)
 
 
@@ -343,7 +347,7 @@ def test_a_state_of_something_else_is_refused(method):
 
 def refused(method, space, problem):
     with pytest.raises(SceneError, match=r"^search\.method") as refusal:
-        make_searcher(Search(method=method), space, 0, problem)
+        make_optimizer(Search(method=method), space, 0, problem)
     assert "\n" not in str(refusal.value)
     return str(refusal.value)
 
@@ -366,7 +370,7 @@ def test_a_power_limit_is_met_by_scaling():
         return drives / np.maximum(np.sqrt((np.abs(drives) ** 2).sum(axis=1, keepdims=True)), 1)
 
     problem = quadratic(space, matrices, limit=within_power)
-    searcher = make_searcher(Search(method="exact"), space, 0, problem)
+    searcher = make_optimizer(Search(method="exact"), space, 0, problem)
     assert 1 - optimize(searcher, problem.losses).fbest == pytest.approx(bound_of(matrices), abs=1e-12)
     assert searcher.result.xbest[:3].max() == pytest.approx(5.0)
 

@@ -74,9 +74,7 @@ def test_first_swarm_fills_its_ranges():
 def test_moves_are_equations_7_and_8(random_numbers):
     particles, dimension, inertia, decay, cognitive, social = 4, 3, 0.7, 0.9, 1.5, 2.5
     swarm = Swarm(
-        SwarmSettings(
-            dimension, particles, 5, inertia, decay, cognitive, social, seed=9, random_numbers=random_numbers
-        )
+        SwarmSettings(dimension, particles, 5, inertia, decay, cognitive, social, seed=9, random_numbers=random_numbers)
     )
     random = np.random.default_rng(9)
     x = -2 + 4 * random.random((particles, dimension))
@@ -167,9 +165,7 @@ def test_state_of_something_else_is_refused():
 
 def test_bounds_and_velocity_limit_hold():
     lower, upper, limit = np.array([-1.0, 0.0]), np.array([0.25, np.inf]), np.array([0.5, 0.125])
-    swarm = Swarm(
-        SwarmSettings(dimension=2, inertia=4, bounds=(lower, upper), velocity_limit=limit, iterations=30)
-    )
+    swarm = Swarm(SwarmSettings(dimension=2, inertia=4, bounds=(lower, upper), velocity_limit=limit, iterations=30))
     walls = 0
     while not swarm.stop():
         positions = step(swarm, sphere)
@@ -232,9 +228,7 @@ def test_nonfinite_losses_are_worst_and_counted():
     np.testing.assert_array_equal(swarm.personal_losses, [np.inf, 3, np.inf, 2, np.inf])
     second = step(swarm, lambda positions: np.full(5, np.nan))
     # Those that have had no finite loss are not held to the place where they began.
-    np.testing.assert_array_equal(
-        swarm.personal_positions, np.where([[1], [0], [1], [0], [1]], second, first)
-    )
+    np.testing.assert_array_equal(swarm.personal_positions, np.where([[1], [0], [1], [0], [1]], second, first))
     step(swarm, lambda positions: np.arange(1.0, 6.0))
     assert swarm.result.nonfinite == 8
     history = swarm.history
@@ -366,7 +360,7 @@ def test_settings_are_plain_frozen_and_comparable():
         ("cognitive", "2", "a number"),
         ("social", -1, "from 0"),
         ("stall_tolerance", -1e-9, "from 0"),
-        ("least_size", math.inf, "from 0"),
+        ("loss_scale", math.inf, "from 0"),
         ("random_numbers", "swarm", "'component' or 'particle'"),
         ("position_range", (2, -2), "in this order"),
         ("position_range", (5, 6), "meets bounds"),

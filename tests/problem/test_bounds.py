@@ -9,8 +9,8 @@ import scipy.linalg
 
 from warp_plate import PlateSolver
 from warp_plate.plate.weights import REGIONS, localization_factor
-from warp_plate.problem.bounds import MOST_ACTUATORS, Allowed, bound_energy, bound_localization
-from warp_plate.problem.semidefinite import Limits, least_majorant
+from warp_plate.problem.bounds import MOST_ACTUATORS, AllowedDrives, bound_energy, bound_localization
+from warp_plate.problem.semidefinite import QuadraticLimits, least_majorant
 from warp_plate.solve.response import Response, measure_response
 
 INFINITE, FREE = math.inf, math.nan
@@ -29,7 +29,7 @@ def gram(random, actuators, rank=None):
 def allowed(actuators, lower=-INFINITE, upper=INFINITE, phase=FREE, power=INFINITE, equal=False):
     """Numbers or a list of one an actuator."""
     arrays = (np.broadcast_to(np.asarray(value, float), actuators) for value in (lower, upper, phase))
-    return Allowed(*arrays, power, equal)
+    return AllowedDrives(*arrays, power, equal)
 
 
 def drawn(random, limits, count):
@@ -186,6 +186,6 @@ def test_many_actuators_keep_the_eigenvalue(random):
 
 def test_without_multipliers_there_is_no_bound():
     """−z² ≤ 1 does not hold z² down."""
-    value, slack = least_majorant(np.eye(1), Limits(-np.ones((1, 1, 1)), np.ones(1), np.zeros(1, bool)))
+    value, slack = least_majorant(np.eye(1), QuadraticLimits(-np.ones((1, 1, 1)), np.ones(1), np.zeros(1, bool)))
     assert value == math.inf
     assert slack.size == 0

@@ -6,9 +6,9 @@ import pytest
 from warp_plate import PlateSolver
 from warp_plate.problem import objective_bound as loss_bound
 from warp_plate.problem.bounds import Bound
-from warp_plate.problem.objective_bound import allowed_drives, bound_loss
-from warp_plate.problem.objectives import make_judge
-from warp_plate.problem.parametrization import variables_of
+from warp_plate.problem.loss_bounds import allowed_drives, bound_loss
+from warp_plate.problem.objectives import make_objectives
+from warp_plate.problem.parametrization import parametrization_of
 from warp_plate.solve.response import measure_response
 
 RANGE = {"magnitude": {"range": (0.5, 2.0)}, "phase": {}}
@@ -44,11 +44,13 @@ def test_no_position_has_less_loss(scene, random, search):
     if not search.get("limits", {}).get("equal_magnitudes"):
         tables["actuators"][2]["magnitude"] = -0.6
     made = type(made).model_validate(tables)
-    variables, judge = variables_of(made), make_judge(made)
+    variables, judge = parametrization_of(made), make_objectives(made)
     response = measure_response(PlateSolver(made, "cpu", areas=judge.regions))
     bound = bound_loss(variables, judge, response)
     space = variables.space
-    positions = space.first_low + (space.first_high - space.first_low) * random.random((20_000, space.dimension))
+    positions = space.initial_lower + (space.initial_upper - space.initial_lower) * random.random(
+        (20_000, space.dimension)
+    )
     losses = judge.losses(response.energy(variables.designs(positions).drives))
     assert np.isfinite(bound.value)
     assert np.nanmin(losses) >= bound.value - 1e-9 * abs(bound.value)
@@ -63,7 +65,7 @@ def test_what_a_drive_outside_the_range_reaches_is_a_bound_only(scene, monkeypat
         ends = {"magnitude": {"range": (lowest, 1.0)}, "phase": {}}
         made = scene(search={"objectives": [{"kind": "velocity"}], "limits": {"power": 1.0}, **ends})
         response = measure_response(PlateSolver(made, "cpu"))
-        kinds.append(bound_loss(variables_of(made), make_judge(made), response).kind)
+        kinds.append(bound_loss(parametrization_of(made), make_objectives(made), response).kind)
     assert kinds == ["bound only", "attained"]
 
 
@@ -71,9 +73,11 @@ def test_drives_of_positions_are_allowed(scene, random):
     """Magnitudes and phases of what positions give lie within what the bound takes as allowed."""
     for name in ("ranges", "some", "velocity, power", "velocity, magnitude", "magnitudes alone"):
         made = scene(search=SEARCHES[name])
-        variables = variables_of(made)
+        variables = parametrization_of(made)
         allowed, space = allowed_drives(variables), variables.space
-        positions = space.first_low + (space.first_high - space.first_low) * random.random((500, space.dimension))
+        positions = space.initial_lower + (space.initial_upper - space.initial_lower) * random.random(
+            (500, space.dimension)
+        )
         drives = variables.designs(positions).drives
         held = ~np.isnan(allowed.phase)
         turned = drives * np.exp(1j * np.where(held, allowed.phase, -np.angle(drives)))
@@ -85,23 +89,23 @@ def test_drives_of_positions_are_allowed(scene, random):
 
 def test_other_searches_claim_nothing(scene):
     moved = scene(search={"position": {}})
-    variables, judge = variables_of(moved), make_judge(moved)
+    variables, judge = parametrization_of(moved), make_objectives(moved)
     response = measure_response(PlateSolver(moved, "cpu"))
     assert bound_loss(variables, judge, response) is None
-    assert bound_loss(variables_of(scene()), judge, None) is None
+    assert bound_loss(parametrization_of(scene()), judge, None) is None
     displaced = scene(search={"objectives": [{"kind": "displacement"}], **RANGE})
-    assert bound_loss(variables_of(displaced), make_judge(displaced), response) is None
+    assert bound_loss(parametrization_of(displaced), make_objectives(displaced), response) is None
 
 
 def test_displacements_are_bounded_by_their_own_matrices(scene, random):
     made = scene(damping=130.0, search={"objectives": [{"kind": "displacement"}], **RANGE})
-    variables, judge = variables_of(made), make_judge(made)
+    variables, judge = parametrization_of(made), make_objectives(made)
     moved = measure_response(PlateSolver(made, "cpu", quantity="displacement"))
     response = measure_response(PlateSolver(made, "cpu"))
     bound = bound_loss(variables, judge, response, moved)
     space = variables.space
     drives = variables.designs(
-        space.first_low + (space.first_high - space.first_low) * random.random((20_000, space.dimension))
+        space.initial_lower + (space.initial_upper - space.initial_lower) * random.random((20_000, space.dimension))
     ).drives
     losses = judge.losses(response.energy(drives), moved.energy(drives))
     assert bound.value <= losses.min() <= 0.8 * bound.value

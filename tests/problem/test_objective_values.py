@@ -10,7 +10,7 @@ import pytest
 from warp_plate import Scene, load_result, localize
 from warp_plate.cli.main import main
 from warp_plate.problem.objectives import within
-from warp_plate.problem.problem import make_problem
+from warp_plate.problem.problem import make_nominal_problem
 from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.result.store import save_result
 from warp_plate.scene.load import dump_scene
@@ -80,8 +80,8 @@ def test_of_a_robust_search_they_are_those_of_the_plate_without_scatter(scene):
     result = localize(scene((9, 9), damping=88.5, search=search), device="cpu", estimate=False)
     assert result.robust is not None
     assert result.values["sum"] == pytest.approx(result.robust.nominal_plate[0], rel=1e-9)
-    plain = make_problem(scene((9, 9), damping=88.5, search=SEARCH), "cpu")
-    assert result.values["bound"] == pytest.approx(-plain.bound_of_loss.value, rel=1e-9)
+    plain = make_nominal_problem(scene((9, 9), damping=88.5, search=SEARCH), "cpu")
+    assert result.values["bound"] == pytest.approx(-plain.loss_bound.value, rel=1e-9)
 
 
 CASES = ("equal", "single", "time_reversal", "inverse_filter")
@@ -102,10 +102,12 @@ def test_the_command_shows_them_beside_those_of_other_drives(panel, tmp_path, mo
         known = [column[name] for column in columns if name in column]
         assert any(row[-len(known) :] == pytest.approx(known, rel=1e-3) for row in rows if len(row) >= len(known))
     assert "…" not in out
-    problem = make_problem(panel, "cpu")
+    problem = make_nominal_problem(panel, "cpu")
     for name in CASES:
         drive = result.cases[name].drive[None]
-        worth = problem.judge.worth(problem.plain.run(drive).energy, problem.moved.run(drive).energy)
+        worth = problem.objectives.values(
+            problem.drive_solver.run(drive).energy, problem.displacement_solver.run(drive).energy
+        )
         assert result.worth[name] == pytest.approx({kind: float(value[0]) for kind, value in worth.items()})
     main([*ONLY, "--json"])
     found = json.loads(capsys.readouterr().out)
@@ -132,7 +134,7 @@ def test_ctrl_c_while_other_drives_are_judged_leaves_the_result(panel, monkeypat
     def interrupt(scene):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("warp_plate.problem.objective_values.make_judge", interrupt)
+    monkeypatch.setattr("warp_plate.problem.objective_values.make_objectives", interrupt)
     result = localize(panel, device="cpu", estimate=False)
     assert result.values
     assert result.worth == {}

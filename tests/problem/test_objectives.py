@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from warp_plate import PlateSolver, SceneError
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import REGIONS, localization_factor, patches, region_weights
-from warp_plate.problem.objectives import MOST_CELLS, Judge, make_judge
+from warp_plate.problem.objectives import MOST_CELLS, Objectives, make_objectives
 from warp_plate.reference.numpy_plate import run_plate
 from warp_plate.scene.search import Objective
 
@@ -54,7 +54,7 @@ def energies_of(made, mean_squares, judge):
 def test_values_are_those_of_recorded_displacements(moved):
     """Root mean squares and densities straight from the fields at the nodes, weighed by the target's shares."""
     made, velocity, displacement = moved
-    judge = make_judge(made)
+    judge = make_objectives(made)
     values = judge.values(energies_of(made, velocity, judge), energies_of(made, displacement, judge))
     plate, target = region_weights(made)
     rest = plate - target
@@ -72,7 +72,7 @@ def test_values_are_those_of_recorded_displacements(moved):
 
 def test_a_solver_s_energies_give_the_same_velocities(moved):
     made, velocity, _ = moved
-    judge = make_judge(made)
+    judge = make_objectives(made)
     run = PlateSolver(made, "cpu", areas=judge.regions).run(DRIVES)
     np.testing.assert_allclose(run.energy, energies_of(made, velocity, judge), rtol=1e-9)
 
@@ -81,18 +81,18 @@ def test_cells_cut_the_target(scene):
     """They sum to the target, node by node, and have two nodes or more a side, at most so many."""
     for target in (DISC, {"area": (0.02, 0.17, 0.05, 0.11)}, {"area": (0.0, 0.2, 0.0, 0.2)}):
         made = judged(scene, "uniformity", target=target)
-        judge = make_judge(made)
-        np.testing.assert_allclose(
-            sum(judge.regions.values()), region_weights(made)[1], rtol=0, atol=1e-9
-        )
+        judge = make_objectives(made)
+        np.testing.assert_allclose(sum(judge.regions.values()), region_weights(made)[1], rtol=0, atol=1e-9)
         assert judge.cells.sum() == pytest.approx(judge.areas[0], rel=1e-9)
         assert 2 <= len(judge.regions) <= MOST_CELLS**2
-    assert len(make_judge(judged(scene, "uniformity", target={"area": (0.0, 0.1, 0.0, 0.06)})).regions) == 4 * 2
+    assert len(make_objectives(judged(scene, "uniformity", target={"area": (0.0, 0.1, 0.0, 0.06)})).regions) == 4 * 2
 
 
 def judge_of(*asked):
     """A judge of unit areas and masses and of four cells of a quarter."""
-    return Judge(asked, {str(index): np.zeros((1, 1)) for index in range(4)}, np.ones(2), np.ones(2), np.full(4, 0.25))
+    return Objectives(
+        asked, {str(index): np.zeros((1, 1)) for index in range(4)}, np.ones(2), np.ones(2), np.full(4, 0.25)
+    )
 
 
 def test_uniformity_by_hand():
@@ -107,7 +107,7 @@ def test_uniformity_by_hand():
 def test_uniformity_lies_between_0_and_1_and_knows_no_size(seed):
     random = np.random.default_rng(seed)
     areas = random.uniform(0.01, 1, 7)
-    judge = Judge((Objective(kind="uniformity"),), {}, np.ones(2), np.ones(2), areas)
+    judge = Objectives((Objective(kind="uniformity"),), {}, np.ones(2), np.ones(2), areas)
     energy = random.exponential(1, (5, 9)) ** 3
     found = judge.values(energy)["uniformity"]
     assert ((found > 0) & (found <= 1 + 1e-12)).all()
@@ -118,10 +118,10 @@ def test_uniformity_lies_between_0_and_1_and_knows_no_size(seed):
 
 def test_one_localization_is_the_paper_s_loss_to_the_last_bit(scene, random):
     energy = random.uniform(1, 2, (50, 2)) * [3, 1]
-    assert (make_judge(scene()).losses(energy) == 1 - localization_factor(energy)).all()
+    assert (make_objectives(scene()).losses(energy) == 1 - localization_factor(energy)).all()
     two = judge_of(Objective(weight=2.0))
     np.testing.assert_allclose(two.losses(energy), -2 * localization_factor(energy), rtol=1e-15)
-    assert make_judge(scene()).only_localization
+    assert make_objectives(scene()).only_localization
     assert not two.only_localization
 
 
@@ -129,7 +129,7 @@ def test_losses_are_weighed_sums(moved):
     made, velocity, displacement = moved
     weights = dict(zip(KINDS, (0.5, 0.1, 2e3, 3e6, 0.25), strict=True))
     asked = [{"kind": kind, "weight": weight} for kind, weight in weights.items()]
-    judge = make_judge(made.with_tables(search={"objectives": asked}))
+    judge = make_objectives(made.with_tables(search={"objectives": asked}))
     assert judge.needs_displacement
     energies = [energies_of(made, field, judge) for field in (velocity, displacement)]
     values = judge.values(*energies)
@@ -179,7 +179,7 @@ def test_energies_with_mass_that_varies_give_the_velocity_of_a_rigid_motion(scen
         (17, 15), edges=("free",) * 4, target=DISC, search={"objectives": objectives("velocity")},
         effects={"variation": {"density": [[1.0, 3.0], [2.0, 0.5]]}},
     )  # fmt: skip
-    judge, scheme = make_judge(made), make_scheme(made)
+    judge, scheme = make_objectives(made), make_scheme(made)
     mass = math.prod(scheme.spacing) * scheme.bending.mass
     energy = 0.5 * (mass * region_weights(made)).sum(axis=(1, 2))[None] * 0.3**2
     values = judge.values(energy)
@@ -192,11 +192,11 @@ def test_energies_with_mass_that_varies_give_the_velocity_of_a_rigid_motion(scen
 def test_objectives_that_a_scene_cannot_have_are_refused(scene):
     whole = {"area": (0.0, 0.2, 0.0, 0.2)}
     with pytest.raises(SceneError, match=r"^search\.objectives\[0\]\.kind = 'contrast': .* no rest"):
-        make_judge(judged(scene, "contrast", target=whole))
+        make_objectives(judged(scene, "contrast", target=whole))
     with pytest.raises(SceneError, match=r"^search\.objectives\[1\]\.kind = 'velocity': .* no rest"):
-        make_judge(judged(scene, "localization", "velocity", target=whole, velocity=1e-3))
+        make_objectives(judged(scene, "localization", "velocity", target=whole, velocity=1e-3))
     with pytest.raises(SceneError, match=r"^target\.disc = .* too few for search\.objectives"):
-        make_judge(judged(scene, "uniformity", target={"disc": (0.1, 0.1, 0.01)}))
+        make_objectives(judged(scene, "uniformity", target={"disc": (0.1, 0.1, 0.01)}))
 
 
 @pytest.mark.parametrize(
@@ -223,7 +223,7 @@ def test_wrong_objectives_are_refused_in_one_line(lines, named, right):
 
 def test_a_solver_s_displacement_energies_give_the_same_displacements(moved):
     made, _, displacement = moved
-    judge = make_judge(made)
+    judge = make_objectives(made)
     run = PlateSolver(made, "cpu", areas=judge.regions, quantity="displacement").run(DRIVES)
     exact = energies_of(made, displacement, judge)
     found, expected = (judge.values(one, one) for one in (run.energy, exact))

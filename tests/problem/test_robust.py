@@ -14,7 +14,7 @@ from warp_plate import PlateSolver, kernels
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.robust import measured
-from warp_plate.problem.uncertain_panels import Panels, in_scenario, measure_scenarios, solve_directly
+from warp_plate.problem.scenario_losses import ScenarioLosses, in_scenario, scenario_responses, simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.robust import worst_tail
 from warp_plate.scene.search import Robust
@@ -38,7 +38,7 @@ def robust(scene):
 
 def energies(panels, designs):
     """(scenarios, plates, regions)."""
-    return np.array([panel.solvers[0].run(in_scenario(designs, panel.scenario)).energy for panel in panels.each])
+    return np.array([panel.solvers[0].run(in_scenario(designs, panel.scenario)).energy for panel in panels.scenarios])
 
 
 @pytest.mark.parametrize("finger", [False, True])
@@ -46,7 +46,7 @@ def test_plates_of_scenarios_are_those_of_their_scenes(device, path, robust, pha
     """To the last bit: a scenario is a scene of its own, under gain times the drive."""
     scenarios = draw_scenarios(robust(finger), 4, 1)
     drives = phasors(5, 3)
-    panels = solve_directly(scenarios, device, path)
+    panels = simulate_scenarios(scenarios, device, path)
     found, losses = energies(panels, Designs(drives)), panels.losses(Designs(drives))
     for index, one in enumerate(scenarios):
         alone = PlateSolver(one.scene, device, path).run(drives * one.gain).energy
@@ -62,7 +62,7 @@ def test_gram_matrices_give_the_losses_of_plates(device, path, robust, phasors, 
     made = robust(finger, tables={"objectives": objectives})
     scenarios = draw_scenarios(made, 3, 2)
     designs = Designs(phasors(7, 3))
-    gram, direct = measure_scenarios(scenarios, device, path), solve_directly(scenarios, device, path)
+    gram, direct = scenario_responses(scenarios, device, path), simulate_scenarios(scenarios, device, path)
     np.testing.assert_allclose(gram.losses(designs), direct.losses(designs), rtol=1e-9)
     runs = 21 * len(direct.each[0].solvers)
     assert len(direct.each[0].solvers) == len(objectives)
@@ -73,7 +73,7 @@ def test_bits_do_not_depend_on_how_a_batch_is_cut(robust, phasors, monkeypatch):
     """Neither with plates beside each other, nor in memory for a few only, nor with other scenarios."""
     scenarios = draw_scenarios(robust(True, "float32"), 3, 3)
     designs = Designs(phasors(9, 3))
-    gram, direct = measure_scenarios(scenarios, "cpu"), solve_directly(scenarios, "cpu")
+    gram, direct = scenario_responses(scenarios, "cpu"), simulate_scenarios(scenarios, "cpu")
     for panels in (gram, direct):
         whole = panels.losses(designs)
         parts = np.concatenate([panels.losses(designs[cut]) for cut in (slice(0, 2), slice(2, 3), slice(3, 9))])
@@ -81,15 +81,15 @@ def test_bits_do_not_depend_on_how_a_batch_is_cut(robust, phasors, monkeypatch):
         for measure in ("mean", "worst", "quantile"):
             of_parts, of_whole = (measured(losses, Robust(measure=measure)) for losses in (parts[:1], whole))
             assert of_parts[0] == of_whole[0]
-        only = Panels(panels.each[1:2], None if panels.matrices is None else panels.matrices[2:4])
+        only = ScenarioLosses(panels.scenarios[1:2], None if panels.matrices is None else panels.matrices[2:4])
         np.testing.assert_array_equal(only.losses(designs)[:, 0], whole[:, 1])
     cut = [
         replace(panel, solvers=(PlateSolver(panel.scenario.scene, "cpu", chunk=2, per_plate=panel.scenario.per_plate),))
         for panel in direct.each
     ]
-    np.testing.assert_array_equal(Panels(tuple(cut)).losses(designs), direct.losses(designs))
+    np.testing.assert_array_equal(ScenarioLosses(tuple(cut)).losses(designs), direct.losses(designs))
     whole = gram.losses(designs)
-    monkeypatch.setattr("warp_plate.problem.uncertain_panels.BLOCK", 13)
+    monkeypatch.setattr("warp_plate.problem.scenario_losses.BLOCK", 13)
     np.testing.assert_array_equal(gram.losses(designs), whole)
 
 
@@ -98,9 +98,9 @@ def test_kernels_do_not_grow_with_scenarios(robust):
     scenarios = draw_scenarios(robust(True, place=0.03), 12, 0)
     with_finger = [bool(one.scene.effects.oscillators) for one in scenarios]
     first = {there: with_finger.index(there) for there in (True, False)}
-    solve_directly([scenarios[at] for at in first.values()], "cpu")
+    simulate_scenarios([scenarios[at] for at in first.values()], "cpu")
     compiled = kernels_made()
-    solvers = [panel.solvers[0] for panel in solve_directly(scenarios, "cpu").each]
+    solvers = [panel.solvers[0] for panel in simulate_scenarios(scenarios, "cpu").each]
     assert kernels_made() == compiled > 0
     assert {tuple(solver.specialized.loaded_rows) for solver in solvers} == {tuple(solvers[0].specialized.loaded_rows)}
     covered = {tuple(PlateSolver(one.scene, "cpu").specialized.loaded_rows) for one in scenarios}
@@ -122,7 +122,7 @@ def test_solvers_share_the_memory(robust, monkeypatch):
     scenarios = draw_scenarios(robust(), 5, 0)
     drives = np.ones((40, 3), complex)
     PlateSolver(scenarios[0].scene, "cpu").run(drives)
-    solve_directly(scenarios, "cpu").losses(Designs(drives))
+    simulate_scenarios(scenarios, "cpu").losses(Designs(drives))
     alone, *shared = asked
     assert 10 <= alone < 40
     assert len(shared) == 5
@@ -155,7 +155,7 @@ def test_actuators_are_off_by_their_offsets(device, path, robust, phasors, searc
     made = robust(tables={"position": {}} if searched else {}, place=0.01)
     one = draw_scenarios(made, 1, 4)[0]
     drives, centre = phasors(1, 3), np.array([[[0.05, 0.05], [0.1, 0.14], [0.11, 0.1]]])
-    panels = solve_directly([one], device, path)
+    panels = simulate_scenarios([one], device, path)
     found = energies(panels, Designs(drives, centre=centre if searched else None))[0]
     tables = [actuator.model_dump() for actuator in made.actuators]
     for table, middle, offset in zip(tables, centre[0], one.offset, strict=True):
@@ -200,7 +200,7 @@ def test_a_plate_that_fails_in_one_scenario_is_worse_than_any(measure):
 
 def test_a_drive_beyond_all_numbers_fails_alone(robust):
     """NaN from the plates of one drive in all scenarios, and nothing in its neighbours."""
-    panels = solve_directly(draw_scenarios(robust(), 2, 0), "cpu")
+    panels = simulate_scenarios(draw_scenarios(robust(), 2, 0), "cpu")
     drives = np.ones((3, 3), complex)
     drives[1] = 1e200
     losses = panels.losses(Designs(drives))

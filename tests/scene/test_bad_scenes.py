@@ -15,7 +15,7 @@ from warp_plate.plate.moving_load import moving_weights
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import make_signals
 from warp_plate.plate.weights import patches, region_weights
-from warp_plate.problem.objectives import make_judge
+from warp_plate.problem.objectives import make_objectives
 from warp_plate.reference.numpy_moment_form import run_general
 from warp_plate.scene import preset_text
 from warp_plate.scene.load import MOST_BYTES, dump_scene, parse_scene
@@ -150,7 +150,7 @@ def goes_on(scene):
     try:
         scheme = make_scheme(scene)
         fields = [patches(scene), region_weights(scene, {one.name: one for one in scene.targets[1:]})]
-        judge = make_judge(scene)
+        judge = make_objectives(scene)
         fields += [judge.areas, judge.masses, judge.cells]
         if scheme.steps <= LONGEST_RUN:
             signals = make_signals(scene, scheme.time_step, scheme.steps)

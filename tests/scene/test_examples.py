@@ -7,8 +7,8 @@ import pytest
 
 from warp_plate import Scene, localize
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.problem.design_variables import free_numbers, with_step
-from warp_plate.problem.parametrization import variables_of
+from warp_plate.problem.design_variables import make_design_variables, with_common_step
+from warp_plate.problem.parametrization import parametrization_of
 
 DOCS = Path(__file__).parents[2] / "docs"
 EXAMPLES = sorted((DOCS / "examples").glob("*.toml"))
@@ -29,10 +29,10 @@ FOUND = {
 
 @names
 def test_example_is_a_scene_that_can_be_searched(path):
-    scene = with_step(Scene.load(path))
+    scene = with_common_step(Scene.load(path))
     scheme = make_scheme(scene)
     assert 0 < scheme.time_step <= scheme.limit
-    assert free_numbers(scene)
+    assert make_design_variables(scene)
 
 
 @names
@@ -71,6 +71,6 @@ def test_example_finds_what_its_page_says(path):
     if scene.search.robust is not None:  # its comparison over fresh panels has tests of its own
         few = scene.search.robust.model_copy(update={"fresh": 2})
         scene = scene.model_copy(update={"search": scene.search.model_copy(update={"robust": few})})
-    evaluator = "response" if variables_of(with_step(scene)).quadratic else "direct"
+    evaluator = "response" if parametrization_of(with_common_step(scene)).quadratic else "direct"
     result = localize(scene, path.name, device="cpu", estimate=False, spectrum=False, evaluator=evaluator)
     assert result.values.get("sum", result.judged.localization_factor) >= FOUND[path.stem]

@@ -8,7 +8,8 @@ import scipy.optimize
 
 from warp_plate import PlateSolver
 from warp_plate.plate.weights import REGIONS, localization_factor
-from warp_plate.problem.objective import drives_of, loss
+from warp_plate.problem.objectives import localization_loss
+from warp_plate.problem.parametrization import paper_phasors
 from warp_plate.solve.response import Response, measure_response, unit_drives
 
 PATCHES = [(0.03, 0.06, 0.04, 0.07), (0.12, 0.17, 0.03, 0.08), (0.05, 0.13, 0.11, 0.16)]
@@ -161,7 +162,7 @@ def test_unit_drives():
 
 def test_positions_are_the_other_actuators_magnitudes_and_phases():
     """Section II.C of the source paper: w₂ ... w_M, φ₂ ... φ_M, with w₁ = 1 and φ₁ = 0."""
-    drives = drives_of(np.array([[2.0, -3.0, math.pi / 2, math.pi]]))
+    drives = paper_phasors(np.array([[2.0, -3.0, math.pi / 2, math.pi]]))
     np.testing.assert_allclose(drives, [[1, -2j, 3]], atol=1e-15)
 
 
@@ -171,4 +172,4 @@ def test_loss_of_a_plate_at_rest_is_no_number():
         :, [REGIONS.index("plate"), REGIONS.index("target")]
     ]
     np.testing.assert_array_equal(localization_factor(energy), [0.25, np.nan, np.nan])
-    np.testing.assert_array_equal(loss(energy), [0.75, np.nan, np.nan])
+    np.testing.assert_array_equal(localization_loss(energy), [0.75, np.nan, np.nan])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from warp_plate.cli.main import main
-from warp_plate.problem.robust import RobustProblem, measured, problem_of
+from warp_plate.problem.robust import RobustProblem, make_problem, measured
 from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.result.store import load_result, save_result
 from warp_plate.scene.load import dump_scene
@@ -47,36 +47,36 @@ def test_the_robust_drive_beats_the_nominal_one_in_the_worst_twentieth(robust, s
 
 @pytest.mark.parametrize("measure", ["mean", "worst", "quantile"])
 def test_losses_are_the_measure_over_scenarios_and_no_drive_passes_the_bound(robust, measure, random):
-    problem = problem_of(robust(measure=measure, scenarios=5), "cpu")
+    problem = make_problem(robust(measure=measure, scenarios=5), "cpu")
     assert isinstance(problem, RobustProblem)
-    assert problem.evaluator == "response"
+    assert problem.evaluator_name == "response"
     positions = random.normal(size=(40, problem.space.dimension))
-    designs = problem.variables.designs(positions)
+    designs = problem.parametrization.designs(positions)
     losses = problem.losses(positions)
-    np.testing.assert_array_equal(losses, measured(problem.panels.losses(designs), problem.robust))
+    np.testing.assert_array_equal(losses, measured(problem.scenario_losses.losses(designs), problem.robust))
     np.testing.assert_allclose(problem.quadratic.losses(positions), losses, rtol=1e-12)
-    assert np.all(losses > problem.bound_of_loss.value)
+    assert np.all(losses > problem.loss_bound.value)
     np.testing.assert_array_equal(
-        problem.nominal.losses(positions), problem.judge.losses(problem.response.energy(designs.drives))
+        problem.nominal.losses(positions), problem.objectives.losses(problem.response.energy(designs.drives))
     )
-    direct = problem_of(robust(measure=measure, scenarios=5), "cpu", evaluator="direct")
+    direct = make_problem(robust(measure=measure, scenarios=5), "cpu", evaluator="direct")
     assert direct.quadratic is None
-    assert direct.bound_of_loss is None
+    assert direct.loss_bound is None
     np.testing.assert_allclose(direct.losses(positions), losses, rtol=1e-9)
 
 
 def test_what_is_not_quadratic_is_simulated(robust):
     """Places, and scenes that are not linear in their drives."""
-    places = problem_of(robust(search={"position": {}, "phase": {}}, scenarios=3), "cpu")
-    stretching = problem_of(robust({"damping": {"viscous": 20.0}, "stretching": {}}, scenarios=3), "cpu")
+    places = make_problem(robust(search={"position": {}, "phase": {}}, scenarios=3), "cpu")
+    stretching = make_problem(robust({"damping": {"viscous": 20.0}, "stretching": {}}, scenarios=3), "cpu")
     for problem in (places, stretching):
-        assert problem.evaluator == "direct"
+        assert problem.evaluator_name == "direct"
         start = np.random.default_rng(0).uniform(
-            problem.space.first_low, problem.space.first_high, (4, problem.space.dimension)
+            problem.space.initial_lower, problem.space.initial_upper, (4, problem.space.dimension)
         )
         losses = problem.losses(start)
         assert np.isfinite(losses).all()
-        scattered = problem.panels.losses(problem.variables.designs(start))
+        scattered = problem.scenario_losses.losses(problem.parametrization.designs(start))
         assert scattered.shape == (4, 3)
         np.testing.assert_array_equal(losses, scattered.mean(axis=1))
 
@@ -138,8 +138,8 @@ def test_methods_are_compared_by_robust_losses(robust):
     """Each trial ends at a measure over the scenarios, above its bound."""
     made = robust(scenarios=3)
     found = compare(made, methods=("gradient", "ring"), seeds=1, device="cpu", evaluations=64)
-    problem = problem_of(made, "cpu")
+    problem = make_problem(made, "cpu")
     assert found.evaluator == "response"
-    assert found.bound == pytest.approx(problem.bound_of_loss.value)
+    assert found.bound == pytest.approx(problem.loss_bound.value)
     assert all(trial.loss[-1] > found.bound for trial in found.trials)
-    assert found.bound > problem.nominal.bound_of_loss.value - 0.2
+    assert found.bound > problem.nominal.loss_bound.value - 0.2

@@ -118,10 +118,10 @@ def rows(result: Comparison) -> list[dict[str, object]]:
     """For each method what the table shows: losses, the gap, how many seeds came near the bound, and the cost."""
     import numpy as np
 
-    from warp_plate.optimize.record import size_of
-    from warp_plate.problem.objective import least_size
+    from warp_plate.optimize.record import tolerance_scale
+    from warp_plate.problem.objectives import loss_scale
 
-    near = NEAR * size_of(result.bound or 0.0, least_size(result.scene.search.objectives))
+    near = NEAR * tolerance_scale(result.bound or 0.0, loss_scale(result.scene.search.objectives))
     made: list[dict[str, object]] = []
     for method in result.methods:
         trials = result.of(method)

@@ -22,7 +22,7 @@ HEADINGS = {
 def print_objectives(result: Result, console: Console) -> None:
     """A row for each objective, a column for each target's drive, or for what was found and the drives beside it;
     nothing where only localization is sought."""
-    from warp_plate.problem.objectives import within
+    from warp_plate.problem.objectives import keeps_limit
     from warp_plate.scene.search import OBJECTIVE_UNITS
 
     if result.only_localization or not result.values:
@@ -37,7 +37,7 @@ def print_objectives(result: Result, console: Console) -> None:
         shown = [output.known(one.get(name), ".4g") for one in values]
         shown += [output.known(one[name], ".4g") if name in one else "" for one in beside.values()]
         made.add_row(words, weight, "" if limit is None else f"{limit:g}", *shown)
-        if limit is not None and not all(within(one.get(name, 0.0), limit) for one in values):
+        if limit is not None and not all(keeps_limit(one.get(name, 0.0), limit) for one in values):
             beyond.append(words)
 
     for one in result.scene.search.objectives:

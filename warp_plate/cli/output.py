@@ -167,7 +167,7 @@ def load_scene(
     may be above the limit. searched: whether what its search frees must fit too.
 
     Raises:
-        SceneError: see ``Scene.load``, ``make_scheme``, ``patches`` and ``variables_of``; or no accuracy.
+        SceneError: see ``Scene.load``, ``make_scheme``, ``patches`` and ``parametrization_of``; or no accuracy.
     """
     from warp_plate.plate.scheme import make_scheme
     from warp_plate.plate.weights import patches, region_weights
@@ -184,10 +184,10 @@ def load_scene(
         patches(scene)
         region_weights(scene, regions_of_targets(scene))
         if searched:
-            from warp_plate.problem.design_variables import with_step
-            from warp_plate.problem.parametrization import variables_of
+            from warp_plate.problem.design_variables import with_common_step
+            from warp_plate.problem.parametrization import parametrization_of
 
-            variables_of(with_step(scene))
+            parametrization_of(with_common_step(scene))
     except SceneError as error:
         raise SceneError(f"{source}: {error}") from None
     return scene
@@ -233,7 +233,7 @@ def warnings_of(result: Result) -> list[str]:
     """What the result's scene calls for but does not name, going by the drive that was asked for or found; and what its
     search says in vain."""
     from warp_plate.analysis.warnings import exceeded, of_search, why_no_energies
-    from warp_plate.problem.methods import unread
+    from warp_plate.problem.methods import unread_keys
 
     lost = next((one.status for one in result.cases.values() if one.status != "ok"), None)
     if lost is not None:
@@ -241,7 +241,7 @@ def warnings_of(result: Result) -> list[str]:
     best = result.history.get("best")
     if best is not None and len(best) and not math.isfinite(best[-1]):
         return ["No plate that the search tried has energies: the best single actuator stands for what it should find."]
-    found = [*of_search(result.scene), *unread(result.scene.search)] if result.command == "localize" else []
+    found = [*of_search(result.scene), *unread_keys(result.scene.search)] if result.command == "localize" else []
     return found + exceeded(result.placed(result.judged), result.peak)
 
 

@@ -18,8 +18,8 @@ from warp_plate.analysis.superposition import Simulated, UnitResponses, simulate
 from warp_plate.explore.settings import Settings, changed_scene, polar, ranges_of
 from warp_plate.explore.watched_search import WatchedSearch
 from warp_plate.plate.scene_overrides import scene_phasors
-from warp_plate.problem.evaluate_cases import reference_drives
-from warp_plate.problem.objective import unit_of_drives
+from warp_plate.problem.evaluate_cases import reference_phasors
+from warp_plate.problem.parametrization import magnitude_unit
 from warp_plate.result.live import Reading, SwarmReading
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -253,9 +253,9 @@ class LiveModel:
                 raise SceneError(f"exact best: {self.scene.not_linear} is not linear in the drives, so none is known")
             drive = self._scale * responses.best_drive
         else:
-            references = reference_drives(self.scene, responses.energies)
+            references = reference_phasors(self.scene, responses.energies)
             drive = references["equal" if choice == "equal" else "single"]
-            drive = drive * (self._scale / unit_of_drives(self.scene))
+            drive = drive * (self._scale / magnitude_unit(self.scene))
         self._move_to(drive)
 
     def _move_to(self, drive: np.ndarray, search: int | None = None) -> None:

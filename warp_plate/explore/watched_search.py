@@ -10,10 +10,9 @@ import numpy as np
 
 from warp_plate.optimize.pso import Swarm, optimize
 from warp_plate.plate.weights import localization_factor
-from warp_plate.problem.design_variables import without_tables
+from warp_plate.problem.design_variables import with_paper_search
 from warp_plate.problem.methods import swarm_settings
-from warp_plate.problem.objective import drives_of
-from warp_plate.problem.parametrization import variables_of
+from warp_plate.problem.parametrization import paper_phasors, parametrization_of
 from warp_plate.result.live import SwarmReading
 from warp_plate.scene.model import Scene
 
@@ -47,7 +46,7 @@ class WatchedSearch:
         self._ended = threading.Event()
         self._reading: SwarmReading | None = None
         # What is free in the scene's own search is for ``localize``: here it is always the drives.
-        space = variables_of(without_tables(scene)).space
+        space = parametrization_of(with_paper_search(scene)).space
         swarm = Swarm(swarm_settings(scene.search, space, scene.search.seed))
         self._thread = threading.Thread(target=self._run, args=(swarm,), name="swarm", daemon=True)
         self._thread.start()
@@ -70,7 +69,7 @@ class WatchedSearch:
             self._publish(swarm, running=False)
 
     def _losses(self, positions: np.ndarray) -> np.ndarray:
-        self._factors = localization_factor(self._energies(self._scale * drives_of(positions)))
+        self._factors = localization_factor(self._energies(self._scale * paper_phasors(positions)))
         losses: np.ndarray = 1 - self._factors
         return losses
 
@@ -85,10 +84,10 @@ class WatchedSearch:
     def _publish(self, swarm: Swarm, running: bool) -> None:
         best = swarm.result.xbest
         self._reading = SwarmReading(
-            drives=drives_of(swarm.positions),
+            drives=paper_phasors(swarm.positions),
             factors=self._factors,
             best=np.array([value if math.isfinite(value) else math.nan for value in self._best]),
-            best_drive=None if best is None else drives_of(best[None])[0],
+            best_drive=None if best is None else paper_phasors(best[None])[0],
             iterations=swarm.settings.iterations,
             running=running,
         )

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_plate.optimize.record import Record, Recorded, check_format, plain, shaped, size_of
+from warp_plate.optimize.record import Record, Recorded, check_format, plain, shaped, tolerance_scale
 from warp_plate.optimize.space import Space
 from warp_plate.scene.errors import SceneError
 
@@ -31,14 +31,14 @@ TOLERANCES = {"tolfun": 1e-11, "tolfunhist": 1e-12}
 class CovarianceSettings:
     """population: positions asked for at once, until a restart doubles it; evaluations: in all, never passed;
     restarts: how many at most, each when pycma sees no more progress or after ``stall`` iterations without one;
-    least_size: see ``record.size_of``."""
+    loss_scale: see ``record.tolerance_scale``."""
 
     population: int
     evaluations: int
     restarts: int = 0
     stall: int | None = None
     seed: int = 0
-    least_size: float = 1.0
+    loss_scale: float = 1.0
 
 
 class CovarianceSearch(Recorded):
@@ -52,8 +52,8 @@ class CovarianceSearch(Recorded):
         self.space, self.settings = space, settings
         self._cma = _pycma()
         self._random = np.random.RandomState(np.random.MT19937(settings.seed))
-        self._span = np.where(space.first_high > space.first_low, space.first_high - space.first_low, 1.0)
-        self._record = Record(space.dimension, settings.least_size)
+        self._span = np.where(space.initial_upper > space.initial_lower, space.initial_upper - space.initial_lower, 1.0)
+        self._record = Record(space.dimension, settings.loss_scale)
         self._told: list[np.ndarray] = []  # all losses, from which the whole search follows again
         self._restarts = self._began_at = 0
         self._cloud = self._begin()
@@ -80,7 +80,9 @@ class CovarianceSearch(Recorded):
         told = self._record.tell(self.positions if self._asked else None, solutions, losses)
         finite, worst = told[np.isfinite(told)], 0.0
         if finite.size:
-            size, worst = (size_of(float(end), self.settings.least_size) for end in (finite.min(), finite.max()))
+            size, worst = (
+                tolerance_scale(float(end), self.settings.loss_scale) for end in (finite.min(), finite.max())
+            )
             self._cloud.opts.set({name: part * size for name, part in TOLERANCES.items()})
             worst += float(finite.max())
         # The cloud goes by ranks alone, but knows no infinity.
@@ -149,7 +151,7 @@ class CovarianceSearch(Recorded):
         space = self.space
         idle = max(FEWEST_NUMBERS - space.dimension, 0)
         limits = [
-            np.append((end - space.first_low) / self._span, np.full(idle, limit))
+            np.append((end - space.initial_lower) / self._span, np.full(idle, limit))
             for end, limit in ((space.lower, 0.0), (space.upper, 1.0))
         ]
         middle = np.append(self._random.random_sample(space.dimension), np.full(idle, 0.5))
@@ -166,9 +168,9 @@ class CovarianceSearch(Recorded):
 
     def _positions(self, points: np.ndarray) -> np.ndarray:
         space = self.space
-        positions = space.first_low + self._span * points[:, : space.dimension]
+        positions = space.initial_lower + self._span * points[:, : space.dimension]
         wraps = np.isfinite(space.period)
-        period, lowest = space.period[wraps], space.first_low[wraps]
+        period, lowest = space.period[wraps], space.initial_lower[wraps]
         positions[:, wraps] -= period * np.floor((positions[:, wraps] - lowest) / period)
         clipped: np.ndarray = np.clip(positions, space.lower, space.upper)
         return clipped

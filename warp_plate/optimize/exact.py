@@ -95,7 +95,7 @@ def _eigen_drive(space: Space, problem: Quadratic) -> tuple[float, np.ndarray]:
     """The largest localization factor, and a drive (M,) that has it, in the span of all that positions can have."""
     target, plate = problem.matrices[REGIONS.index("target")], problem.matrices[REGIONS.index("plate")]
     drawn = np.random.default_rng(0).random((4 * len(plate), space.dimension))
-    z = real_parts(problem.drives(space.first_low + (space.first_high - space.first_low) * drawn))
+    z = real_parts(problem.drives(space.initial_lower + (space.initial_upper - space.initial_lower) * drawn))
     # Actuators of very different size must not make each other look like rounding: units of equal energy first.
     size = np.sqrt(np.where(np.diag(plate) > 0, np.diag(plate), 1))
     _, strength, spanned = np.linalg.svd(z * size, full_matrices=False)

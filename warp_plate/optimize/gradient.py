@@ -32,14 +32,14 @@ ARRAYS = ("base", "loss", "slope", "inverse", "way", "step", "tries", "left")
 @dataclass(frozen=True)
 class GradientSettings:
     """starts: descents side by side; evaluations: in all, never passed; restarts: of each descent, at most;
-    least_size: see ``record.size_of``."""
+    loss_scale: see ``record.tolerance_scale``."""
 
     starts: int
     evaluations: int
     restarts: int = 0
     stall: int | None = None
     seed: int = 0
-    least_size: float = 1.0
+    loss_scale: float = 1.0
 
 
 class GradientSearch(Recorded):
@@ -50,9 +50,9 @@ class GradientSearch(Recorded):
     def __init__(self, space: Space, problem: Quadratic, settings: GradientSettings) -> None:
         self.space, self.problem, self.settings = space, problem, settings
         self._random = np.random.default_rng(settings.seed)
-        self._span = np.where(space.first_high > space.first_low, space.first_high - space.first_low, 1.0)
-        self._limits = tuple((end - space.first_low) / self._span for end in (space.lower, space.upper))
-        self._record = Record(space.dimension, settings.least_size)
+        self._span = np.where(space.initial_upper > space.initial_lower, space.initial_upper - space.initial_lower, 1.0)
+        self._limits = tuple((end - space.initial_lower) / self._span for end in (space.lower, space.upper))
+        self._record = Record(space.dimension, settings.loss_scale)
         starts, dimension = settings.starts, space.dimension
         self.base, self.loss = np.zeros((starts, dimension)), np.full(starts, np.inf)
         self.slope, self.way = np.zeros((starts, dimension)), np.zeros((starts, dimension))
@@ -148,9 +148,9 @@ class GradientSearch(Recorded):
     def _place(self, points: np.ndarray, wrap: bool = True) -> np.ndarray:
         """Positions of points in units of the first ranges."""
         space = self.space
-        positions = space.first_low + self._span * points
+        positions = space.initial_lower + self._span * points
         wraps = np.isfinite(space.period) & wrap
-        period, lowest = space.period[wraps], space.first_low[wraps]
+        period, lowest = space.period[wraps], space.initial_lower[wraps]
         positions[:, wraps] -= period * np.floor((positions[:, wraps] - lowest) / period)
         clipped: np.ndarray = np.clip(positions, space.lower, space.upper)
         return clipped
@@ -189,7 +189,7 @@ class GradientSearch(Recorded):
         way[unknown] = -FIRST_STEP * slope[unknown] / np.where(size > 0, size, 1.0)[unknown, None]
         promised = -(way * slope).sum(axis=1)
         self.way[rows], self.step[rows] = way, 1.0
-        sizes = np.maximum(np.abs(self.loss[rows]), REST * self.settings.least_size)
+        sizes = np.maximum(np.abs(self.loss[rows]), REST * self.settings.loss_scale)
         self._rest(rows[~(promised > REST * sizes)])
 
     def _shorten(self, rows: np.ndarray, found: np.ndarray, moved: np.ndarray) -> None:

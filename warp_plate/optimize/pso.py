@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_plate.optimize.pso_settings import LARGEST, SwarmSettings
-from warp_plate.optimize.record import SearchResult, size_of
+from warp_plate.optimize.record import SearchResult, tolerance_scale
 from warp_plate.optimize.record import plain as as_plain
 from warp_plate.plate.row_blocks import GrowingRows, in_blocks, meanwhile
 
@@ -321,7 +321,7 @@ class Swarm:
             [min(self._best_loss, self._kept_loss), mean, worst, float(self.settings.particles - finite_losses.size)]
         )
         # Compared with the last loss that counted, so that many small steps together do count.
-        least = self.settings.stall_tolerance * size_of(self._best_loss, self.settings.least_size)
+        least = self.settings.stall_tolerance * tolerance_scale(self._best_loss, self.settings.loss_scale)
         if self._best_loss < self._improved_loss - least:
             self._improved_loss = self._best_loss
             self._improved_at = self.iterations

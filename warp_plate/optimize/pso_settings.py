@@ -28,7 +28,7 @@ class SwarmSettings:
     the best of itself and of so many on each side in the ring of all; None: to the best of all.
 
     The search stops after `iterations`, or after `stall` of them in a row that together lower the best loss
-    by no more than `stall_tolerance`, as a part of that loss, or of `least_size` where the loss is smaller; as
+    by no more than `stall_tolerance`, as a part of that loss, or of `loss_scale` where the loss is smaller; as
     long as there are `restarts` left, the swarm is drawn anew instead.
 
     Raises ValueError, one line with the setting's name, its value and what would be right.
@@ -53,7 +53,7 @@ class SwarmSettings:
     period: ArrayLike | None = None
     neighbours: int | None = None
     restarts: int = 0
-    least_size: float = 1.0
+    loss_scale: float = 1.0
 
     def __post_init__(self) -> None:
         for name, least in WHOLE.items():
@@ -61,7 +61,7 @@ class SwarmSettings:
                 self._keep(name, _whole(name, getattr(self, name), least))
         for name in ("inertia", "decay", "cognitive", "social", "stall_tolerance"):
             self._keep(name, _real(name, getattr(self, name), 1.0 if name == "decay" else 1e6))
-        self._keep("least_size", _real("least_size", self.least_size, LARGEST))
+        self._keep("loss_scale", _real("loss_scale", self.loss_scale, LARGEST))
         if self.random_numbers not in ("component", "particle"):
             raise _refusal("random_numbers", self.random_numbers, "'component' or 'particle'")
         for name, largest in (("position_range", LARGEST), ("velocity_range", LARGEST), ("bounds", math.inf)):

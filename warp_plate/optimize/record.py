@@ -28,17 +28,17 @@ class SearchResult:
     nonfinite: int
 
 
-def size_of(loss: float, least: float) -> float:
+def tolerance_scale(loss: float, least: float) -> float:
     """What tolerances of a loss are parts of, so that its unit and its weight change no search: its magnitude, or
-    ``least`` where that is larger, for losses that pass zero (``objective.least_size``)."""
+    ``least`` where that is larger, for losses that pass zero (``objective.loss_scale``)."""
     return max(abs(loss), least)
 
 
 class Record:
-    """The best position and a row of COLUMNS for each iteration; least_size: see ``size_of``."""
+    """The best position and a row of COLUMNS for each iteration; loss_scale: see ``tolerance_scale``."""
 
-    def __init__(self, dimension: int, least_size: float = 1.0) -> None:
-        self._least_size = least_size
+    def __init__(self, dimension: int, loss_scale: float = 1.0) -> None:
+        self._least_size = loss_scale
         self.position = np.full(dimension, np.nan)
         self.loss = math.inf
         self.rows: list[list[float]] = []
@@ -73,7 +73,7 @@ class Record:
         earlier = self.rows[-1 - stall][0]
         if not math.isfinite(self.loss):
             return True
-        return not earlier - self.loss > STALL_TOLERANCE * size_of(self.loss, self._least_size)
+        return not earlier - self.loss > STALL_TOLERANCE * tolerance_scale(self.loss, self._least_size)
 
     def tell(self, asked: np.ndarray | None, solutions: ArrayLike, losses: ArrayLike) -> np.ndarray:
         """Keep the losses of positions (n, dimension) that were asked for; returns them, infinite where not finite.

@@ -11,16 +11,16 @@ import numpy as np
 class Space:
     """All arrays are (dimension,).
 
-    names: for people, such as "phase of upper left". lower, upper: limits, infinite where there is none. first_low,
-    first_high: a search begins in between. period: what a number may be shifted by without any change, infinite for
+    names: for people, such as "phase of upper left". lower, upper: limits, infinite where there is none. initial_lower,
+    initial_upper: a search begins in between. period: what a number may be shifted by without any change, infinite for
     most; limits of a number with a period are infinite.
     """
 
     names: tuple[str, ...]
     lower: np.ndarray
     upper: np.ndarray
-    first_low: np.ndarray
-    first_high: np.ndarray
+    initial_lower: np.ndarray
+    initial_upper: np.ndarray
     period: np.ndarray
 
     @property

@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from warp_plate.plate.weights import REGIONS
-from warp_plate.problem.semidefinite import ROUNDINGS, Limits, least_majorant
+from warp_plate.problem.semidefinite import ROUNDINGS, QuadraticLimits, least_majorant
 from warp_plate.solve.response import Response, largest_ratio, real_parts
 
 # Relative distance within which a drive that keeps all limits must come for its bound to be called attained.
@@ -42,7 +42,7 @@ class Bound:
 
 
 @dataclass(frozen=True)
-class Allowed:
+class AllowedDrives:
     """Which drives may be chosen; arrays (actuators,), magnitudes in the unit of drives.
 
     lower, upper: of magnitudes; lower −∞ where a magnitude may be of any sign; both the same where it is held. phase
@@ -58,10 +58,10 @@ class Allowed:
     wider: bool = False
 
     @staticmethod
-    def all_drives(actuators: int) -> Allowed:
+    def all_drives(actuators: int) -> AllowedDrives:
         """No limit at all."""
         low, high, free = (np.full(actuators, value) for value in (-math.inf, math.inf, math.nan))
-        return Allowed(low, high, free)
+        return AllowedDrives(low, high, free)
 
     @property
     def at_any_scale(self) -> bool:
@@ -81,7 +81,9 @@ class Allowed:
         return np.array(columns).T.reshape(2 * count, -1)
 
 
-def bound_localization(response: Response, allowed: Allowed, most_actuators: int = MOST_ACTUATORS) -> Bound | None:
+def bound_localization(
+    response: Response, allowed: AllowedDrives, most_actuators: int = MOST_ACTUATORS
+) -> Bound | None:
     """Of the localization factor in a scene that is linear in its drives; None where no drive moves the plate. Above so
     many actuators with limits the eigenvalue of the drives without limits is kept."""
     plate, target = (response.matrices[REGIONS.index(name)] for name in ("plate", "target"))
@@ -108,7 +110,9 @@ def bound_localization(response: Response, allowed: Allowed, most_actuators: int
     return Bound(value, "bound only", f"{sentence}; no drive that keeps all limits is known to reach it")
 
 
-def bound_energy(matrix: np.ndarray, allowed: Allowed, others: Sequence[tuple[np.ndarray, float]] = ()) -> Bound | None:
+def bound_energy(
+    matrix: np.ndarray, allowed: AllowedDrives, others: Sequence[tuple[np.ndarray, float]] = ()
+) -> Bound | None:
     """Of zᵀ matrix z; others: further matrices and the most that their forms may be. None where nothing limits it."""
     basis = allowed.basis()
     if not basis.shape[1] or len(allowed.phase) > MOST_ACTUATORS:
@@ -139,7 +143,7 @@ def _row(matrix: np.ndarray, constant: float, value: float) -> _Row:
     return matrix, -value, constant, False
 
 
-def _limit_rows(allowed: Allowed) -> list[_Row]:
+def _limit_rows(allowed: AllowedDrives) -> list[_Row]:
     """Limits on |z_k|² and on their sum."""
     count = len(allowed.phase)
     squares = []
@@ -189,7 +193,7 @@ def _majorant(
         made: np.ndarray = wide.T @ whole @ wide
         return made
 
-    limits = Limits(
+    limits = QuadraticLimits(
         np.array([widened(matrix, entry) for matrix, entry, _, _ in rows]),
         np.array([constant for _, _, constant, _ in rows]),
         np.array([equation for _, _, _, equation in rows]),
@@ -200,7 +204,7 @@ def _majorant(
     return least, scaled @ np.linalg.eigh(slack)[1][: basis.shape[1], 0]
 
 
-def _best_allowed(judge: Callable[[np.ndarray], np.ndarray], z: np.ndarray, allowed: Allowed) -> float:
+def _best_allowed(judge: Callable[[np.ndarray], np.ndarray], z: np.ndarray, allowed: AllowedDrives) -> float:
     """The best of what ``judge`` makes of the drives near ±z, (2M,), that keep the limits; −∞ if none does."""
     if not np.abs(z).max() > 0:
         return -math.inf
@@ -216,7 +220,7 @@ def _best_allowed(judge: Callable[[np.ndarray], np.ndarray], z: np.ndarray, allo
     return best
 
 
-def _that_keep(sizes: np.ndarray, allowed: Allowed) -> np.ndarray:
+def _that_keep(sizes: np.ndarray, allowed: AllowedDrives) -> np.ndarray:
     """Magnitudes (some, actuators) that keep the limits, out of others (tried, actuators)."""
     if allowed.equal:
         sizes = np.where(sizes < 0, -1, 1) * np.abs(sizes).mean(axis=1, keepdims=True)
@@ -231,7 +235,7 @@ def _that_keep(sizes: np.ndarray, allowed: Allowed) -> np.ndarray:
     return sizes[kept]
 
 
-def _typical(allowed: Allowed) -> float:
+def _typical(allowed: AllowedDrives) -> float:
     """A magnitude among those that are allowed."""
     named = [*allowed.lower, *allowed.upper, math.sqrt(allowed.power / len(allowed.phase))]
     return max((value for value in named if 0 < value < math.inf), default=1.0)

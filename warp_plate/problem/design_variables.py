@@ -1,4 +1,4 @@
-"""Which numbers a scene's ``[search]`` frees, their limits, and whether they fit the scene."""
+"""Which numbers a scene's ``[search]`` has_design_tables, their limits, and whether they fit the scene."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TURN = 2 * math.pi
 
 
 @dataclass(frozen=True)
-class Number:
+class DesignVariable:
     """A number that is searched: for people its name, what it is (magnitude, phase, frequency, x, y or delay), and of
     which actuators, by index; for the others see ``Space``. held: what the scene has."""
 
@@ -37,12 +37,12 @@ class Number:
     period: float = math.inf
 
 
-def frees(scene: Scene) -> bool:
+def has_design_tables(scene: Scene) -> bool:
     """Whether some table says what is free, so that the search is not the source paper's."""
     return any(getattr(scene.search, name) is not None for name in TABLES)
 
 
-def without_tables(scene: Scene) -> Scene:
+def with_paper_search(scene: Scene) -> Scene:
     """The scene with the source paper's search for its localization factor, and the swarm that its own has."""
     plain = Search()
     fixed = {name: getattr(plain, name) for name in (*TABLES, "objectives", "limits", "robust")}
@@ -54,13 +54,13 @@ def only_ratios(scene: Scene) -> bool:
     return scene.linear and all(one.kind in RATIOS for one in scene.search.objectives)
 
 
-def free_numbers(scene: Scene) -> tuple[Number, ...]:
+def make_design_variables(scene: Scene) -> tuple[DesignVariable, ...]:
     """The free numbers; none only where the paper's reading meets a single actuator, which leaves no choice.
 
     Raises:
         SceneError: nothing is free, or a table does not fit the scene; names the key.
     """
-    if not frees(scene):
+    if not has_design_tables(scene):
         return _paper_numbers(scene)
     _check_equal(scene)
     _check_some_drive(scene)
@@ -73,7 +73,7 @@ def free_numbers(scene: Scene) -> tuple[Number, ...]:
     return made
 
 
-def with_step(scene: Scene) -> Scene:
+def with_common_step(scene: Scene) -> Scene:
     """The scene with one time step for all the frequencies and starts that its search may find.
 
     Raises:
@@ -103,7 +103,9 @@ def at_highest_frequency(scene: Scene) -> Scene:
         SceneError: a step chosen for it is too short for a run of at most MOST_STEPS.
     """
     free = scene.search.frequency
-    if free is None or scene.drive.signal is not None:  # of which ``free_numbers`` says that they do not go together
+    if (
+        free is None or scene.drive.signal is not None
+    ):  # of which ``make_design_variables`` says that they do not go together
         return scene
     most = MOST_STEPS / STEPS_A_PERIOD / scene.window.end / _times(scene)
     if scene.grid.time_step is None and free.range[1] > most:
@@ -125,7 +127,7 @@ def _times(scene: Scene) -> int:
     return 1 if scene.drive.electrostatic is None else 2
 
 
-def _paper_numbers(scene: Scene) -> tuple[Number, ...]:
+def _paper_numbers(scene: Scene) -> tuple[DesignVariable, ...]:
     """Section II.C of the source paper; see ``variables``."""
     search, others = scene.search, range(1, len(scene.actuators))
     ends = search.limits.magnitude or search.limits.power
@@ -140,11 +142,11 @@ def _paper_numbers(scene: Scene) -> tuple[Number, ...]:
         if kind == "magnitude" and search.limits.equal_magnitudes:
             continue
         held = 1.0 if kind == "magnitude" else 0.0
-        made += [Number(_title(scene, kind, (one,)), kind, (one,), held, PAPER_FIRST) for one in others]
+        made += [DesignVariable(_title(scene, kind, (one,)), kind, (one,), held, PAPER_FIRST) for one in others]
     return tuple(made)
 
 
-def _magnitudes(scene: Scene) -> Iterator[Number]:
+def _magnitudes(scene: Scene) -> Iterator[DesignVariable]:
     free, limits = scene.search.magnitude, scene.search.limits
     if free is None:
         return
@@ -159,10 +161,10 @@ def _magnitudes(scene: Scene) -> Iterator[Number]:
         groups = [] if only_ratios(scene) else [who]
     for group in groups:
         held = scene.actuators[group[0]].magnitude
-        yield Number(_title(scene, "magnitude", group), "magnitude", group, held, (low, high), low, high)
+        yield DesignVariable(_title(scene, "magnitude", group), "magnitude", group, held, (low, high), low, high)
 
 
-def _phases(scene: Scene) -> Iterator[Number]:
+def _phases(scene: Scene) -> Iterator[DesignVariable]:
     """A common phase shifts a steady motion in time, and changes nothing: then the first actuator's is held.
 
     It is free where the motion has a time of its own: a burst, a sweep, a file, a moving load.
@@ -175,10 +177,10 @@ def _phases(scene: Scene) -> Iterator[Number]:
         who = who[1:]
     for one in who:
         name, held = _title(scene, "phase", (one,)), scene.actuators[one].phase
-        yield Number(name, "phase", (one,), held, (0.0, TURN), period=TURN)
+        yield DesignVariable(name, "phase", (one,), held, (0.0, TURN), period=TURN)
 
 
-def _frequencies(scene: Scene) -> Iterator[Number]:
+def _frequencies(scene: Scene) -> Iterator[DesignVariable]:
     free = scene.search.frequency
     if free is None:
         return
@@ -188,10 +190,10 @@ def _frequencies(scene: Scene) -> Iterator[Number]:
     who, (low, high) = _named(scene, "frequency"), free.range
     for group in [(one,) for one in who] if free.own else [who]:
         held = float(actuator_frequencies(scene)[group[0]])
-        yield Number(_title(scene, "frequency", group), "frequency", group, held, (low, high), low, high)
+        yield DesignVariable(_title(scene, "frequency", group), "frequency", group, held, (low, high), low, high)
 
 
-def _positions(scene: Scene) -> Iterator[Number]:
+def _positions(scene: Scene) -> Iterator[DesignVariable]:
     """Middles of patches, so that the whole patch stays in the area; along a side that leaves no room, it stays."""
     free = scene.search.position
     if free is None:
@@ -220,10 +222,12 @@ def _positions(scene: Scene) -> Iterator[Number]:
                     f"{scene.actuators[one].name!r}, which lies elsewhere; move it there, or enlarge the area"
                 )
             if upper - lower > 1e-9 * side:
-                yield Number(_title(scene, axis, (one,)), axis, (one,), (low + high) / 2, (lower, upper), lower, upper)
+                yield DesignVariable(
+                    _title(scene, axis, (one,)), axis, (one,), (low + high) / 2, (lower, upper), lower, upper
+                )
 
 
-def _delays(scene: Scene) -> Iterator[Number]:
+def _delays(scene: Scene) -> Iterator[DesignVariable]:
     free = scene.search.delay
     if free is None:
         return
@@ -237,7 +241,7 @@ def _delays(scene: Scene) -> Iterator[Number]:
         )
     for group in [(one,) for one in who] if free.own else [who]:
         held = float(actuator_delays(scene)[group[0]])
-        yield Number(_title(scene, "delay", group), "delay", group, held, (low, high), low, high)
+        yield DesignVariable(_title(scene, "delay", group), "delay", group, held, (low, high), low, high)
 
 
 def _named(scene: Scene, table: str) -> tuple[int, ...]:

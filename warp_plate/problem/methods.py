@@ -19,7 +19,7 @@ from warp_plate.optimize.record import SearchResult
 from warp_plate.optimize.space import Space
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.row_blocks import GrowingRows
-from warp_plate.problem.objective import least_size
+from warp_plate.problem.objectives import loss_scale
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.search import Search
 
@@ -37,7 +37,7 @@ READ_BY = {
 }
 
 
-class Method(Protocol):
+class Optimizer(Protocol):
     """A search between two iterations; states are flat: plain numbers, texts, arrays, and one of random numbers."""
 
     @property
@@ -58,7 +58,7 @@ class Method(Protocol):
     def state(self, plain: bool = True, /) -> dict[str, Any]: ...
 
 
-def make_searcher(search: Search, space: Space, seed: int, problem: Quadratic | None = None) -> Method:
+def make_optimizer(search: Search, space: Space, seed: int, problem: Quadratic | None = None) -> Optimizer:
     """The method of a table ``[search]`` at its beginning.
 
     problem: where losses are functions of quadratic forms of the drive, which "gradient" and "exact" need.
@@ -69,19 +69,19 @@ def make_searcher(search: Search, space: Space, seed: int, problem: Quadratic | 
     return _made(search, space, seed, problem, None)
 
 
-def searcher_from_state(
+def optimizer_from_state(
     search: Search, space: Space, seed: int, state: Mapping[str, Any], problem: Quadratic | None = None
-) -> Method:
+) -> Optimizer:
     """The same, where its ``state`` was taken, bit for bit.
 
     Raises:
-        SceneError: as :func:`make_searcher`.
+        SceneError: as :func:`make_optimizer`.
         ValueError: the state is not that of such a search.
     """
     return _made(search, space, seed, problem, dict(state))
 
 
-def unread(search: Search) -> list[str]:
+def unread_keys(search: Search) -> list[str]:
     """A sentence for each key that is not as the default has it, and that the method does not read."""
     return [
         f"search.{key} = {getattr(search, key)}: method = {search.method!r} does not read it, only "
@@ -98,16 +98,16 @@ def swarm_settings(search: Search, space: Space, seed: int) -> SwarmSettings:
         SceneError: it takes more memory than there is.
     """
     _refuse_beyond_memory(search, space, SWARM_BYTES * space.dimension)
-    span = space.first_high - space.first_low
+    span = space.initial_upper - space.initial_lower
     common: dict[str, Any] = {
         "particles": search.particles,
         "iterations": search.iterations,
         "velocity_limit": search.velocity_limit,
         "stall": search.stall if search.stall or not search.restarts else RESTART_AFTER,
         "restarts": search.restarts,
-        "least_size": least_size(search.objectives),
+        "loss_scale": loss_scale(search.objectives),
         "seed": seed,
-        "position_range": (space.first_low, space.first_high),
+        "position_range": (space.initial_lower, space.initial_upper),
         # In the source paper both ranges are −2 ... 2: a velocity goes at most half-way across.
         "velocity_range": (-span / 2, span / 2),
         "bounds": (space.lower, space.upper) if np.isfinite([space.lower, space.upper]).any() else None,
@@ -119,10 +119,12 @@ def swarm_settings(search: Search, space: Space, seed: int) -> SwarmSettings:
     return SwarmSettings.constriction(space.dimension, neighbours=1 if search.method == "ring" else None, **common)
 
 
-def _made(search: Search, space: Space, seed: int, problem: Quadratic | None, state: dict[str, Any] | None) -> Method:
+def _made(
+    search: Search, space: Space, seed: int, problem: Quadratic | None, state: dict[str, Any] | None
+) -> Optimizer:
     if search.method == "exact":
         return ExactSearch(space, problem) if state is None else ExactSearch.from_state(space, problem, state)
-    evaluations, least = search.particles * search.iterations, least_size(search.objectives)
+    evaluations, least = search.particles * search.iterations, loss_scale(search.objectives)
     if search.method == "gradient":
         if problem is None:
             raise SceneError(

@@ -16,7 +16,7 @@ limits are passed: such a drive is worse than any that keeps them, the more so t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,6 @@ import numpy as np
 from warp_plate.plate.section import make_section
 from warp_plate.plate.shapes import bounds, shape_weights
 from warp_plate.plate.weights import REGIONS, localization_factor, region_weights
-from warp_plate.problem.objective import loss
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Objective
@@ -42,7 +41,7 @@ _PLATE, _TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
 
 @dataclass(frozen=True)
-class Judge:
+class Objectives:
     """The objectives of a scene, ready for energies on its grid.
 
     regions: weights (ny, nx) by name, which a solver must sum beside the plate and the target
@@ -50,7 +49,7 @@ class Judge:
     ``regions`` [m²].
     """
 
-    objectives: tuple[Objective, ...]
+    terms: tuple[Objective, ...]
     regions: Mapping[str, np.ndarray]
     areas: np.ndarray
     masses: np.ndarray
@@ -59,17 +58,17 @@ class Judge:
     @property
     def needs_displacement(self) -> bool:
         """Whether :meth:`losses` needs the run of a solver for displacements too."""
-        return any(one.kind == "displacement" for one in self.objectives)
+        return any(one.kind == "displacement" for one in self.terms)
 
     @property
     def limits(self) -> dict[str, float]:
         """The largest values on the rest that are allowed, by their names in ``values``."""
-        return {one.kind + OF_THE_REST: one.rest_limit for one in self.objectives if one.rest_limit is not None}
+        return {one.kind + OF_THE_REST: one.rest_limit for one in self.terms if one.rest_limit is not None}
 
     @property
     def only_localization(self) -> bool:
         """Whether the loss is 1 − LF, for which alone a bound is known."""
-        return [(one.kind, one.weight) for one in self.objectives] == [("localization", 1)]
+        return [(one.kind, one.weight) for one in self.terms] == [("localization", 1)]
 
     def losses(self, energy: np.ndarray, displacement_energy: np.ndarray | None = None) -> np.ndarray:
         """(plates,) what is to be made small; not finite where a plate has no energies, and NaN for one at rest whose
@@ -80,12 +79,12 @@ class Judge:
             displacement_energy: the same of ½ ∫ ρH u² dA [J s²], where displacements are judged.
         """
         if self.only_localization:
-            return loss(energy)
-        worth, limits = self.worth(energy, displacement_energy), self.limits
+            return localization_loss(energy)
+        worth, limits = self.values(energy, displacement_energy), self.limits
         total = -worth["sum"]
         if not limits:
             return np.asarray(total)
-        worst = MOST_DECIBELS * sum(one.weight for one in self.objectives if one.kind == "contrast")
+        worst = MOST_DECIBELS * sum(one.weight for one in self.terms if one.kind == "contrast")
         excess = sum(np.maximum(worth[name] / limit - 1, 0) for name, limit in limits.items())
         return np.where(excess > 0, worst + excess, total)
 
@@ -95,7 +94,7 @@ class Judge:
         Args: see :meth:`losses`.
         """
         found: dict[str, np.ndarray] = {}
-        for one in self.objectives:
+        for one in self.terms:
             if one.kind == "localization":
                 found[one.kind] = localization_factor(energy)
             elif one.kind == "contrast":
@@ -109,24 +108,19 @@ class Judge:
                 with np.errstate(invalid="ignore", divide="ignore"):  # a target that is all of the plate has no rest
                     target, rest = np.sqrt(2 * np.maximum(_target_and_rest(moved), 0) / self.masses).T
                 found |= {one.kind: target, one.kind + OF_THE_REST: rest}
-        return found
+        return {**found, "sum": np.asarray(sum(one.weight * found[one.kind] for one in self.terms))}
 
-    def worth(self, energy: np.ndarray, displacement_energy: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """``values``, and their "sum" with their weights."""
-        found = self.values(energy, displacement_energy)
-        return {**found, "sum": np.asarray(sum(one.weight * found[one.kind] for one in self.objectives))}
-
-    def keeps_limits(self, values: Mapping[str, float]) -> bool:
+    def within_limits(self, values: Mapping[str, float]) -> bool:
         """Whether one drive's values are within all limits on the rest."""
-        return all(within(values[name], limit) for name, limit in self.limits.items())
+        return all(keeps_limit(values[name], limit) for name, limit in self.limits.items())
 
 
-def within(value: float, limit: float) -> bool:
+def keeps_limit(value: float, limit: float) -> bool:
     """Whether a value keeps its limit, but for rounding in float32."""
     return value <= limit * (1 + ROUNDING)
 
 
-def make_judge(scene: Scene) -> Judge:
+def make_objectives(scene: Scene) -> Objectives:
     """The judge of a scene with a grid.
 
     Raises:
@@ -151,8 +145,8 @@ def make_judge(scene: Scene) -> Judge:
                 f"target.{scene.target.words}: has fewer than {2 * CELL_NODES} nodes along x and along y, too few for "
                 "search.objectives with kind = 'uniformity'; enlarge it, or use more nodes"
             )
-    return Judge(
-        objectives=objectives,
+    return Objectives(
+        terms=objectives,
         regions=regions,
         areas=areas,
         masses=masses,
@@ -202,3 +196,17 @@ def _uniformity(energy: np.ndarray, areas: np.ndarray) -> np.ndarray:
         share = energy / largest
         found: np.ndarray = share.sum(axis=1) ** 2 / (areas.sum() * (share**2 / areas).sum(axis=1))
     return found
+
+
+def localization_loss(energy: np.ndarray) -> np.ndarray:
+    """(plates,) Λ = 1 − LF, Problem 2 of the source paper."""
+    return 1 - localization_factor(energy)
+
+
+def loss_scale(objectives: Iterable[Objective]) -> float:
+    """What tolerances of a loss are parts of where the loss itself is smaller (``record.size_of``); 1 of 1 − LF.
+
+    Localization, contrast and uniformity are numbers of order one, whose sum with others may pass zero. A velocity or a
+    displacement is as small as its unit makes it: its own size is all that there is to go by.
+    """
+    return float(sum(one.weight for one in objectives if one.kind not in ("velocity", "displacement")))

@@ -1,6 +1,7 @@
 """What a scene's search may choose: from a position, a row of numbers, to drives, places, frequencies, and a scene.
 
-Without a table that frees something the search is the source paper's (section II.C of Jo, Yang and Shin, 2024): a
+Without a table that has_design_tables something the search is the source paper's (section II.C of Jo, Yang and Shin,
+2024): a
 position is w₂ ... w_M, φ₂ ... φ_M with w₁ = 1 and φ₁ = 0, first drawn from −2 ... 2 and without limits, because a
 common factor does not change the localization factor, nor does a common phase once the plate vibrates steadily (in the
 scene ``paper`` what is left of the start moves it by 4e-5). With such tables, what they free has the limits that they
@@ -22,20 +23,19 @@ from warp_plate.plate.designs import Designs
 from warp_plate.plate.row_blocks import GrowingRows, over_blocks
 from warp_plate.plate.scene_overrides import actuator_centres, scene_with
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
-from warp_plate.problem.design_variables import Number, free_numbers, frees, only_ratios
-from warp_plate.problem.objective import unit_of_drives
+from warp_plate.problem.design_variables import DesignVariable, has_design_tables, make_design_variables, only_ratios
 from warp_plate.scene.model import Scene
 
 
 @dataclass(frozen=True)
-class Variables:
+class Parametrization:
     """A scene's free numbers, in the order in which they stand in a position.
 
-    scene: whose time step carries every frequency that may be found, see ``with_step``.
+    scene: whose time step carries every frequency that may be found, see ``with_common_step``.
     """
 
     scene: Scene
-    numbers: tuple[Number, ...]
+    numbers: tuple[DesignVariable, ...]
 
     @cached_property
     def space(self) -> Space:
@@ -56,7 +56,7 @@ class Variables:
     @cached_property
     def unit(self) -> float:
         """What a magnitude of one stands for [N/m², or V: ``Scene.drive_unit``]."""
-        return 1.0 if frees(self.scene) else unit_of_drives(self.scene)
+        return 1.0 if has_design_tables(self.scene) else magnitude_unit(self.scene)
 
     def designs(self, positions: np.ndarray) -> Designs:
         """What the plates of positions (n, dimension) have of their own; within the scene's limits of drives."""
@@ -88,7 +88,7 @@ class Variables:
         drives, held = designs.drives / self.unit, self._values(np.zeros((1, len(self.numbers))))
         if self._first_is_held("phase"):
             drives = drives * np.exp(-1j * (np.angle(drives[:, :1]) + held["phase"][0]))
-        if not frees(self.scene) and not self.scene.search.limits.equal_magnitudes:
+        if not has_design_tables(self.scene) and not self.scene.search.limits.equal_magnitudes:
             with np.errstate(divide="ignore", invalid="ignore"):
                 drives = np.nan_to_num(drives / np.abs(drives[:, :1]))
         values = {
@@ -140,7 +140,7 @@ class Variables:
     @cached_property
     def _held(self) -> dict[str, np.ndarray]:
         """(actuators,) of each kind as the scene has it; in the paper's reading magnitude 1 and phase 0."""
-        actuators, own = self.scene.actuators, frees(self.scene)
+        actuators, own = self.scene.actuators, has_design_tables(self.scene)
         return {
             "magnitude": np.array([one.magnitude if own else 1.0 for one in actuators]),
             "phase": np.array([one.phase if own else 0.0 for one in actuators]),
@@ -179,7 +179,7 @@ class Variables:
 class Positions:
     """Designs of positions (n, dimension), made when they are asked for; a ``Shorthand`` of ``plate.designs``."""
 
-    variables: Variables
+    variables: Parametrization
     positions: np.ndarray | GrowingRows
     maker: ClassVar[str] = f"{__name__}:maker_of"
 
@@ -206,19 +206,40 @@ class Positions:
 
 def maker_of(scene: Scene) -> Callable[[np.ndarray], Positions]:
     """``Positions.maker``: makes the same ones of their numbers in another process."""
-    return partial(Positions, variables_of(scene))
+    return partial(Positions, parametrization_of(scene))
 
 
-def variables_of(scene: Scene) -> Variables:
-    """What the scene's tables ``[search.magnitude]`` and so on free; see ``free.free_numbers``.
+def parametrization_of(scene: Scene) -> Parametrization:
+    """What the scene's tables ``[search.magnitude]`` and so on free; see ``free.make_design_variables``.
 
     Raises:
         SceneError: nothing is free, or a table does not fit the scene; names the key.
     """
-    return Variables(scene, free_numbers(scene))
+    return Parametrization(scene, make_design_variables(scene))
 
 
 def _down_to(most: float, sizes: np.ndarray) -> np.ndarray:
     """(n,) factors that bring sizes down to ``most``; one where they are no larger."""
     factors: np.ndarray = most / np.maximum(sizes, most)
     return factors
+
+
+def paper_phasors(positions: np.ndarray) -> np.ndarray:
+    """(plates, actuators) phasors Z [N/m²] of positions (plates, 2·(actuators − 1)).
+
+    Section II.C of the source paper: a position is w₂ ... w_M, φ₂ ... φ_M, with w₁ = 1 and φ₁ = 0, because a common
+    factor does not change the localization factor, nor does a common phase once the plate vibrates steadily (in the
+    scene ``paper`` what is left of the start moves it by 4e-5); Z = w exp(−iφ).
+    """
+    magnitude, phase = np.split(np.asarray(positions, dtype=float), 2, axis=1)
+    first = np.ones((len(magnitude), 1), dtype=complex)
+    return np.concatenate([first, magnitude * np.exp(-1j * phase)], axis=1)
+
+
+def magnitude_unit(scene: Scene) -> float:
+    """What a magnitude of one in the search stands for: the largest magnitude that the scene's actuators have.
+
+    Where displacements are linear in the drives a common factor changes no localization factor, and it is one.
+    """
+    largest = max(abs(actuator.magnitude) for actuator in scene.actuators)
+    return 1.0 if scene.linear or largest == 0 else largest

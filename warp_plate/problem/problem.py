@@ -18,10 +18,10 @@ from warp_plate.plate.designs import Batch, Designs, per_plate_of
 from warp_plate.plate.row_blocks import GrowingRows
 from warp_plate.plate.weights import Region
 from warp_plate.problem.bounds import Bound
-from warp_plate.problem.design_variables import frees, with_step
-from warp_plate.problem.objective_bound import bound_loss
-from warp_plate.problem.objectives import Judge, make_judge
-from warp_plate.problem.parametrization import Positions, Variables, variables_of
+from warp_plate.problem.design_variables import has_design_tables, with_common_step
+from warp_plate.problem.loss_bounds import bound_loss
+from warp_plate.problem.objectives import Objectives, make_objectives
+from warp_plate.problem.parametrization import Parametrization, Positions, parametrization_of
 from warp_plate.result.crosstalk import regions_of_targets
 from warp_plate.result.model import BoundKind
 from warp_plate.scene.errors import SceneError
@@ -30,7 +30,7 @@ from warp_plate.scene.search import Limits
 from warp_plate.solve.response import Response, measure_response
 from warp_plate.solve.solver import PlateSolver
 
-Evaluator = Literal["direct", "response"]
+EvaluatorName = Literal["direct", "response"]
 Energies = Callable[[np.ndarray], np.ndarray]
 
 
@@ -40,20 +40,21 @@ class Problem:
 
     variables: what is free; judge: of energies. plain: plates of the scene that differ in their drives alone; solver:
     the ones that the search runs, which is the same where nothing but drives is free; moved: the same for ½ ∫ ρH u² dA,
-    None where displacements are not judged. response, moved_response: of plain and moved, energies of all drives in
+    None where displacements are not judged. response, displacement_response: of plain and moved, energies of all
+    drives in
     Gram matrices, None where they are no quadratic forms. evaluator: "response" takes energies from these instead of
     from plates; path: as asked for; spent: seconds that compiling took, and node-steps of what was measured, before the
     search. pool: which runs the plates of plain, solver and moved; None: this process.
     """
 
-    variables: Variables
-    judge: Judge
-    plain: PlateSolver
-    solver: PlateSolver
-    moved: PlateSolver | None
+    parametrization: Parametrization
+    objectives: Objectives
+    drive_solver: PlateSolver
+    design_solver: PlateSolver
+    displacement_solver: PlateSolver | None
     response: Response | None
-    moved_response: Response | None
-    evaluator: str
+    displacement_response: Response | None
+    evaluator_name: str
     path: str
     spent: tuple[float, int]
     pool: Pool | None
@@ -61,17 +62,17 @@ class Problem:
     @property
     def scene(self) -> Scene:
         """With a grid and a time step that carry all that may be found."""
-        return self.variables.scene
+        return self.parametrization.scene
 
     @property
     def space(self) -> Space:
         """The numbers that are searched."""
-        return self.variables.space
+        return self.parametrization.space
 
     @property
     def only_localization(self) -> bool:
         """Whether losses are 1 − LF."""
-        return self.judge.only_localization
+        return self.objectives.only_localization
 
     @property
     def node_steps(self) -> int:
@@ -86,57 +87,59 @@ class Problem:
     @property
     def lost(self) -> Counter[str]:
         """Plates without energies because workers failed, by what went wrong."""
-        return lost_by(self._solvers)
+        return lost_plates(self._solvers)
 
     @property
     def matrices(self) -> np.ndarray | None:
-        """(regions, 2M, 2M) of the response, and after them those of displacements; what ``make_problem`` takes."""
-        known = [one.matrices for one in (self.response, self.moved_response) if one is not None]
+        """(regions, 2M, 2M) of the response, and after them those of displacements; what ``make_nominal_problem``
+        takes."""
+        known = [one.matrices for one in (self.response, self.displacement_response) if one is not None]
         return np.concatenate(known) if known else None
 
     def energies(self, designs: Batch) -> np.ndarray:
         """(plates, regions) energies [J]."""
         if self._of_response(designs):
-            return self.energies_of_drives(designs[:].drives)
+            return self.energies_of_phasors(designs[:].drives)
         return self._solver_of(designs).run(designs).energy
 
-    def energies_of_drives(self, drives: np.ndarray) -> np.ndarray:
+    def energies_of_phasors(self, drives: np.ndarray) -> np.ndarray:
         """(plates, regions) energies [J] of drives (plates, actuators) where the scene has its frequency and places."""
-        if self.evaluator == "response" and self.response is not None:
+        if self.evaluator_name == "response" and self.response is not None:
             return self.response.energy(drives)
-        return self.plain.run(drives).energy
+        return self.drive_solver.run(drives).energy
 
     def losses_of(self, designs: Batch) -> np.ndarray:
         """(plates,) what is to be made small; NaN where a plate has no energies."""
-        if self.judge.needs_displacement or self._of_response(designs):
-            return self.judge.losses(self.energies(designs), self._displaced(designs))
+        if self.objectives.needs_displacement or self._of_response(designs):
+            return self.objectives.losses(self.energies(designs), self._displaced(designs))
         losses = np.empty(len(designs))
 
         def judge(some: slice, energy: np.ndarray) -> None:
-            losses[some] = self.judge.losses(energy)
+            losses[some] = self.objectives.losses(energy)
 
         self._solver_of(designs).run(designs, each=judge)  # some are judged while others are simulated
         return losses
 
     def losses(self, positions: np.ndarray | GrowingRows) -> np.ndarray:
         """(n,) the same of positions (n, dimension)."""
-        return self.losses_of(Positions(self.variables, positions))
+        return self.losses_of(Positions(self.parametrization, positions))
 
-    def value_of(self, loss: float | np.ndarray) -> float | np.ndarray:
+    def value_from_loss(self, loss: float | np.ndarray) -> float | np.ndarray:
         """What people want large: LF, or the weighted sum of the objectives."""
         return 1 - loss if self.only_localization else -loss
 
-    def values_at(self, position: np.ndarray) -> dict[str, float]:
-        """What a position (dimension,) is worth: ``Judge.worth``, and the "bound" of its sum where one is known and the
+    def objective_values(self, position: np.ndarray) -> dict[str, float]:
+        """What a position (dimension,) is worth: ``Objectives.worth``, and the "bound" of its sum where one is known
+        and the
         limits are kept. Nothing where the localization factor is all that is sought: a result has it."""
         if self.only_localization:
             return {}
-        designs = self.variables.designs(position[None])
-        worth = self.judge.worth(self.energies(designs), self._displaced(designs))
+        designs = self.parametrization.designs(position[None])
+        worth = self.objectives.values(self.energies(designs), self._displaced(designs))
         found = {name: float(value[0]) for name, value in worth.items()}
-        if self.bound_of_loss is None or not self.judge.keeps_limits(found):
+        if self.loss_bound is None or not self.objectives.within_limits(found):
             return found
-        return {**found, "bound": -self.bound_of_loss.value}
+        return {**found, "bound": -self.loss_bound.value}
 
     @cached_property
     def quadratic(self) -> Quadratic | None:
@@ -146,62 +149,62 @@ class Problem:
         count = len(self.response.matrices)
 
         def losses_of(energy: np.ndarray) -> np.ndarray:
-            return self.judge.losses(energy[:, :count], energy[:, count:] if self.moved_response else None)
+            return self.objectives.losses(energy[:, :count], energy[:, count:] if self.displacement_response else None)
 
         return Quadratic(
             matrices=self.matrices,
-            drives=lambda positions: self.variables.designs(positions).drives,
-            positions=lambda drives: self.variables.positions_of(Designs(drives)),
+            drives=lambda positions: self.parametrization.designs(positions).drives,
+            positions=lambda drives: self.parametrization.positions_of(Designs(drives)),
             losses_of=losses_of,
             localization=self.only_localization,
         )
 
     @cached_property
-    def bound_of_loss(self) -> Bound | None:
+    def loss_bound(self) -> Bound | None:
         """The least loss that is proved to be out of reach; None where none is claimed."""
-        return bound_loss(self.variables, self.judge, self.response, self.moved_response)
+        return bound_loss(self.parametrization, self.objectives, self.response, self.displacement_response)
 
     @cached_property
     def bound(self) -> float | None:
         """The largest localization factor that any drive can reach; None where none is claimed, or something else is
         sought."""
-        if self.response is None or not self.only_localization or self.bound_of_loss is None:
+        if self.response is None or not self.only_localization or self.loss_bound is None:
             return None
-        return 1 - self.bound_of_loss.value if self._limited else self.response.bound()
+        return 1 - self.loss_bound.value if self._limited else self.response.bound()
 
     @property
     def bound_kind(self) -> BoundKind:
         """Of that bound, or of that of the objectives' sum."""
-        if self.bound_of_loss is None:
+        if self.loss_bound is None:
             return ""
         if self.only_localization and not self._limited:
             return "attained"
-        return "bound only" if self.bound_of_loss.kind == "bound only" else "attained within limits"
+        return "bound only" if self.loss_bound.kind == "bound only" else "attained within limits"
 
     @property
     def _limited(self) -> bool:
         """Whether some drives may not be chosen."""
-        return frees(self.scene) or self.scene.search.limits != Limits()
+        return has_design_tables(self.scene) or self.scene.search.limits != Limits()
 
     def _solver_of(self, designs: Batch) -> PlateSolver:
-        return self.plain if designs.only_drives else self.solver
+        return self.drive_solver if designs.only_drives else self.design_solver
 
     def _of_response(self, designs: Batch) -> bool:
         """Whether Gram matrices give their energies."""
-        return self.evaluator == "response" and designs.only_drives
+        return self.evaluator_name == "response" and designs.only_drives
 
     def _displaced(self, designs: Batch) -> np.ndarray | None:
         """(plates, regions) energies of displacements, where these are judged."""
-        if self.evaluator == "response" and self.moved_response is not None:
-            return self.moved_response.energy(designs[:].drives)
-        return None if self.moved is None else self.moved.run(designs).energy
+        if self.evaluator_name == "response" and self.displacement_response is not None:
+            return self.displacement_response.energy(designs[:].drives)
+        return None if self.displacement_solver is None else self.displacement_solver.run(designs).energy
 
     @property
     def _solvers(self) -> set[PlateSolver]:
-        return {one for one in (self.plain, self.solver, self.moved) if one is not None}
+        return {one for one in (self.drive_solver, self.design_solver, self.displacement_solver) if one is not None}
 
 
-def make_problem(
+def make_nominal_problem(
     scene: Scene,
     device: str = "auto",
     path: str = "auto",
@@ -217,15 +220,16 @@ def make_problem(
         pool: see :class:`Problem`.
 
     Raises:
-        SceneError: see ``variables_of``, ``with_step``, ``make_judge`` and :class:`PlateSolver`; "response" for what is
+        SceneError: see ``parametrization_of``, ``with_common_step``, ``make_objectives`` and :class:`PlateSolver`;
+        "response" for what is
             no quadratic form of the drives.
     """
-    variables = variables_of(with_step(scene))
+    variables = parametrization_of(with_common_step(scene))
     scene, per_plate = variables.scene, per_plate_of(variables.scene)
     if evaluator == "response" and not variables.quadratic:
         raise SceneError(f"evaluator = 'response': {_why_not_quadratic(variables)}; write 'direct'")
-    judge = make_judge(scene)
-    areas = areas_of(scene, judge)
+    judge = make_objectives(scene)
+    areas = summed_regions(scene, judge)
     plain = solver_on(pool, scene, device, path, areas=areas)
     solver, moved = plain, None
     if not variables.only_drives:
@@ -252,13 +256,13 @@ def make_problem(
     )
 
 
-def lost_by(solvers: Iterable[PlateSolver]) -> Counter[str]:
+def lost_plates(solvers: Iterable[PlateSolver]) -> Counter[str]:
     """Plates that these solvers have lost, by what went wrong."""
     spread = [one for one in solvers if isinstance(one, SpreadSolver)]
     return sum((one.lost for one in spread), Counter())
 
 
-def _why_not_quadratic(variables: Variables) -> str:
+def _why_not_quadratic(variables: Parametrization) -> str:
     if not variables.scene.linear:
         return f"{variables.scene.not_linear} is not linear in the drives"
     kinds = {one.kind: None for one in variables.numbers if one.kind not in ("magnitude", "phase")}
@@ -272,10 +276,10 @@ def in_float64(scene: Scene) -> Scene:
 
 def _in_float64(solver: PlateSolver, path: str) -> PlateSolver:
     made, quantity = in_float64(solver.scene), solver.specialized.quantity
-    areas = areas_of(made, make_judge(made))
+    areas = summed_regions(made, make_objectives(made))
     return PlateSolver(made, solver.device.alias, path, areas=areas, quantity=quantity)
 
 
-def areas_of(scene: Scene, judge: Judge) -> dict[str, Region]:
+def summed_regions(scene: Scene, judge: Objectives) -> dict[str, Region]:
     """What is summed beside the plate and the target: what the judge needs, then all of several targets."""
     return {**judge.regions, **regions_of_targets(scene)}

@@ -19,9 +19,9 @@ from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.plate.designs import Batch, Designs
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.problem.bounds import Bound
-from warp_plate.problem.objective_bound import bound_loss
-from warp_plate.problem.problem import Problem, lost_by, make_problem
-from warp_plate.problem.uncertain_panels import Panels, measure_scenarios, solve_directly
+from warp_plate.problem.loss_bounds import bound_loss
+from warp_plate.problem.problem import Problem, lost_plates, make_nominal_problem
+from warp_plate.problem.scenario_losses import ScenarioLosses, scenario_responses, simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.model import BoundKind
 from warp_plate.scene.model import Scene
@@ -33,7 +33,7 @@ from warp_plate.solve.response import Response
 class RobustProblem(Problem):
     """A problem whose losses are those of ``panels``, measured; what is about one plate is about the nominal one."""
 
-    panels: Panels
+    scenario_losses: ScenarioLosses
 
     @property
     def robust(self) -> Robust:
@@ -49,50 +49,54 @@ class RobustProblem(Problem):
     @property
     def node_steps(self) -> int:
         """Of all plates so far."""
-        return super().node_steps + self.panels.node_steps
+        return super().node_steps + self.scenario_losses.node_steps
 
     @property
     def compile_seconds(self) -> float:
         """Of all solvers."""
-        return super().compile_seconds + self.panels.compile_seconds
+        return super().compile_seconds + self.scenario_losses.compile_seconds
 
     @property
     def lost(self) -> Counter[str]:
         """Plates without energies because workers failed, by what went wrong."""
-        return super().lost + lost_by(solver for panel in self.panels.each for solver in panel.solvers)
+        return super().lost + lost_plates(
+            solver for panel in self.scenario_losses.scenarios for solver in panel.solvers
+        )
 
     def losses_of(self, designs: Batch) -> np.ndarray:
         """(plates,) what is to be made small; NaN where a plate has no energies on some panel."""
-        return measured(self.panels.losses(designs[:]), self.robust)
+        return measured(self.scenario_losses.losses(designs[:]), self.robust)
 
-    def values_at(self, position: np.ndarray) -> dict[str, float]:
+    def objective_values(self, position: np.ndarray) -> dict[str, float]:
         """Of the plate without scatter."""
-        return self.nominal.values_at(position)
+        return self.nominal.objective_values(position)
 
     @cached_property
     def quadratic(self) -> Quadratic | None:
         """For methods that need no plates; None where these are simulated."""
-        if self.panels.matrices is None:
+        if self.scenario_losses.matrices is None:
             return None
         return Quadratic(
-            matrices=self.panels.matrices,
-            drives=lambda positions: self.variables.designs(positions).drives,
-            positions=lambda drives: self.variables.positions_of(Designs(drives)),
-            losses_of=lambda energy: measured(self.panels.judged(energy), self.robust),
+            matrices=self.scenario_losses.matrices,
+            drives=lambda positions: self.parametrization.designs(positions).drives,
+            positions=lambda drives: self.parametrization.positions_of(Designs(drives)),
+            losses_of=lambda energy: measured(self.scenario_losses.judged(energy), self.robust),
             localization=False,
         )
 
     @cached_property
-    def bound_of_loss(self) -> Bound | None:
+    def loss_bound(self) -> Bound | None:
         """The measure of what each panel alone could reach: no drive, the same for all, has a smaller one."""
-        if self.panels.matrices is None:
+        if self.scenario_losses.matrices is None:
             return None
         least = []
         for panel, matrices in zip(
-            self.panels.each, np.split(self.panels.matrices, len(self.panels.each)), strict=True
+            self.scenario_losses.scenarios,
+            np.split(self.scenario_losses.matrices, len(self.scenario_losses.scenarios)),
+            strict=True,
         ):
-            forms = [Response(one) for one in np.split(matrices, 2 if panel.judge.needs_displacement else 1)]
-            bound = bound_loss(self.variables, panel.judge, *forms)
+            forms = [Response(one) for one in np.split(matrices, 2 if panel.objectives.needs_displacement else 1)]
+            bound = bound_loss(self.parametrization, panel.objectives, *forms)
             if bound is None:
                 return None
             least.append(bound.value)
@@ -110,7 +114,7 @@ class RobustProblem(Problem):
         return self.nominal.bound_kind
 
 
-def problem_of(
+def make_problem(
     scene: Scene,
     device: str = "auto",
     path: str = "auto",
@@ -119,30 +123,30 @@ def problem_of(
     pool: Pool | None = None,
 ) -> Problem:
     """The problem of a scene with a grid, robust where it has ``[search.robust]``; for the arguments see
-    ``make_problem``.
+    ``make_nominal_problem``.
 
     evaluator: left out, "direct"; of a robust search "response" where energies are quadratic forms of the drive.
 
     Raises:
-        SceneError: see ``make_problem`` and ``draw_scenarios``.
+        SceneError: see ``make_nominal_problem`` and ``draw_scenarios``.
     """
     robust = scene.search.robust
-    made = make_problem(scene, device, path, evaluator or "direct", matrices, pool)
+    made = make_nominal_problem(scene, device, path, evaluator or "direct", matrices, pool)
     if robust is None:
         return made
-    chosen = evaluator or ("response" if made.variables.quadratic else "direct")
+    chosen = evaluator or ("response" if made.parametrization.quadratic else "direct")
     refuse_beyond_memory(
         24.0 * scene.search.particles * robust.scenarios,
         f"search.particles = {scene.search.particles} with search.robust.scenarios = {robust.scenarios}",
     )
     scenarios = draw_scenarios(made.scene, robust.scenarios, robust.seed)
-    alias = made.plain.device.alias
+    alias = made.drive_solver.device.alias
     if chosen == "response":
-        panels = measure_scenarios(scenarios, alias, path)
+        panels = scenario_responses(scenarios, alias, path)
     else:
-        panels = solve_directly(scenarios, alias, path, pool)
+        panels = simulate_scenarios(scenarios, alias, path, pool)
     own = {one.name: getattr(made, one.name) for one in fields(Problem)}
-    return RobustProblem(**{**own, "evaluator": chosen}, panels=panels)
+    return RobustProblem(**{**own, "evaluator_name": chosen}, scenario_losses=panels)
 
 
 def measured(losses: np.ndarray, robust: Robust) -> np.ndarray:

@@ -28,7 +28,7 @@ ROUNDINGS = 64
 
 
 @dataclass(frozen=True)
-class Limits:
+class QuadraticLimits:
     """matrices: (limits, n, n) C_i, symmetric; values: (limits,) c_i; equation: (limits,) whether zᵀC_i z is c_i."""
 
     matrices: np.ndarray
@@ -36,7 +36,7 @@ class Limits:
     equation: np.ndarray
 
 
-def least_majorant(objective: np.ndarray, limits: Limits) -> tuple[float, np.ndarray]:
+def least_majorant(objective: np.ndarray, limits: QuadraticLimits) -> tuple[float, np.ndarray]:
     """The bound Σ μ_i c_i and the slack S(μ), (n, n), whose smallest eigenvector is near the z that comes nearest.
 
     Infinity and an empty slack where no multipliers are found. The value lies above the exact one of its μ by what
@@ -58,7 +58,7 @@ def least_majorant(objective: np.ndarray, limits: Limits) -> tuple[float, np.nda
     return float(size * value), slack
 
 
-def _follow(objective: np.ndarray, limits: Limits, multipliers: np.ndarray) -> np.ndarray:
+def _follow(objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndarray) -> np.ndarray:
     """The multipliers at the end of the central path, from ones inside; the last ones that rounding leaves inside."""
     count = len(objective) + np.count_nonzero(~limits.equation)
     weight = count / max(abs(float(limits.values @ multipliers)), 1e-3)
@@ -75,7 +75,7 @@ def _follow(objective: np.ndarray, limits: Limits, multipliers: np.ndarray) -> n
         weight *= GROWTH
 
 
-def _between(objective: np.ndarray, limits: Limits, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
+def _between(objective: np.ndarray, limits: QuadraticLimits, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
     """The last multipliers on the way from ones to others that are surely inside."""
     low, high = 0.0, 1.0
     for _ in range(20):
@@ -95,7 +95,7 @@ def _surely_inside(slack: np.ndarray, multipliers: np.ndarray) -> bool:
 
 
 def _centre(
-    objective: np.ndarray, limits: Limits, multipliers: np.ndarray, weight: float, stop_below: float = -np.inf
+    objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndarray, weight: float, stop_below: float = -np.inf
 ) -> tuple[np.ndarray, bool]:
     """Newton's method at one t; whether it settled. Ends early where the last multiplier falls below ``stop_below``."""
     level = _barrier(objective, limits, multipliers, weight)
@@ -120,7 +120,7 @@ def _centre(
 
 
 def _newton(
-    objective: np.ndarray, limits: Limits, multipliers: np.ndarray, weight: float
+    objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndarray, weight: float
 ) -> tuple[np.ndarray, float]:
     """Newton's step for φ, and by how much φ falls along it to first order."""
     try:
@@ -138,7 +138,7 @@ def _newton(
     return step, float(-slope @ step)
 
 
-def _barrier(objective: np.ndarray, limits: Limits, multipliers: np.ndarray, weight: float) -> float:
+def _barrier(objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndarray, weight: float) -> float:
     """φ, infinite outside."""
     bounded = multipliers[~limits.equation]
     if (bounded <= 0).any():
@@ -151,10 +151,10 @@ def _barrier(objective: np.ndarray, limits: Limits, multipliers: np.ndarray, wei
     return float(weight * limits.values @ multipliers - logs)
 
 
-def _inside(objective: np.ndarray, limits: Limits) -> np.ndarray | None:
+def _inside(objective: np.ndarray, limits: QuadraticLimits) -> np.ndarray | None:
     """Multipliers with S ≻ 0: the least s with S + s·1 ⪰ 0 is sought until it is below zero; None if it never is."""
     count, size = len(limits.values), len(objective)
-    wider = Limits(
+    wider = QuadraticLimits(
         np.concatenate([limits.matrices, np.eye(size)[None]]),
         np.append(np.zeros(count), 1.0),
         np.append(limits.equation, True),
@@ -171,6 +171,6 @@ def _inside(objective: np.ndarray, limits: Limits) -> np.ndarray | None:
     return None
 
 
-def _slack(objective: np.ndarray, limits: Limits, multipliers: np.ndarray) -> np.ndarray:
+def _slack(objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndarray) -> np.ndarray:
     slack: np.ndarray = np.tensordot(multipliers, limits.matrices, 1) - objective
     return slack

@@ -38,10 +38,11 @@ class Scenario:
     per_plate: PerPlate
 
 
-def draw_scenarios(scene: Scene, count: int, seed: int, fresh: bool = False) -> tuple[Scenario, ...]:
+def draw_scenarios(scene: Scene, count: int, seed: int, validation: bool = False) -> tuple[Scenario, ...]:
     """So many scenarios of a scene with ``[search.robust]`` and a grid; the nominal scene is none of them.
 
-    The same seed draws the same scenarios; ``fresh``: from another stream, which shares nothing with the first. All
+    The same seed draws the same scenarios; ``validation``: from another stream, which shares nothing with the first.
+    All
     have one time step: the scene's own where it is stable for each, else the one that the stiffest would choose.
 
     Raises:
@@ -54,7 +55,7 @@ def draw_scenarios(scene: Scene, count: int, seed: int, fresh: bool = False) -> 
     refuse_beyond_memory(
         count * (SCENE_BYTES + ACTUATOR_BYTES * actuators), f"search.robust: {count} scenarios of {actuators} actuators"
     )
-    numbers = np.random.default_rng([seed, int(fresh)]).random((count, 4 + 3 * actuators))
+    numbers = np.random.default_rng([seed, int(validation)]).random((count, 4 + 3 * actuators))
     drawn = [_scenario(scene, robust, row) for row in numbers]
     step = _common_step(scene, drawn)
     grid = scene.grid.model_copy(update={"time_step": step})

@@ -23,10 +23,9 @@ import numpy as np
 from warp_plate.analysis.superposition import LINEAR_ORDERS, LINEAR_SAMPLES, last_period, motions_of
 from warp_plate.plate.signals import carrier_frequencies
 from warp_plate.plate.weights import REGIONS, bilinear, localization_factor, region_weights
-from warp_plate.problem.evaluate_cases import cases_of
-from warp_plate.problem.objective_values import worth_of
-from warp_plate.problem.objectives import make_judge
-from warp_plate.problem.problem import areas_of
+from warp_plate.problem.evaluate_cases import cases_from_run, evaluate_objectives
+from warp_plate.problem.objectives import make_objectives
+from warp_plate.problem.problem import summed_regions
 from warp_plate.result.model import Result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -68,14 +67,14 @@ def with_baselines(result: Result, device: str = "auto", path: str = "auto") -> 
     """
     scene, shown = result.scene, list(BASELINES)[1:]
     try:
-        solver = PlateSolver(scene, device, path, areas=areas_of(scene, make_judge(scene)))
+        solver = PlateSolver(scene, device, path, areas=summed_regions(scene, make_objectives(scene)))
         transfer = transfer_functions(solver)
         drives = dict(zip(shown, (time_reversal(scene, transfer), inverse_filter(scene, transfer)), strict=True))
         run = solver.run(np.array(list(drives.values())), record_times(scene), scene.record.points)
     except KeyboardInterrupt:  # a search is not lost for want of what it is compared with
         return result
-    cases = cases_of(drives, run)
-    worth, more = worth_of(scene, cases, device, path)
+    cases = cases_from_run(drives, run)
+    worth, more = evaluate_objectives(scene, cases, device, path)
     return replace(
         result,
         cases={**result.cases, **cases},

@@ -11,9 +11,9 @@ import numpy as np
 from warp_plate.cluster.pool import Pool, WorkersGone
 from warp_plate.plate.interrupts import interrupts_held
 from warp_plate.problem.design_variables import at_highest_frequency
-from warp_plate.problem.methods import Method, make_searcher
-from warp_plate.problem.problem import Evaluator, Problem
-from warp_plate.problem.robust import problem_of
+from warp_plate.problem.methods import Optimizer, make_optimizer
+from warp_plate.problem.problem import EvaluatorName, Problem
+from warp_plate.problem.robust import make_problem
 from warp_plate.result.comparison import Comparison, Trial
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -33,7 +33,7 @@ def compare(
     seeds: int = 10,
     device: str = "auto",
     path: str = "auto",
-    evaluator: Evaluator | None = None,
+    evaluator: EvaluatorName | None = None,
     evaluations: int | None = None,
     on_progress: OnProgress | None = None,
     pool: Pool | None = None,
@@ -54,7 +54,7 @@ def compare(
 
     Raises:
         SceneError: a method that was named does not fit the scene; fewer evaluations than particles; see
-            :func:`problem_of`.
+            :func:`make_problem`.
         KeyboardInterrupt: Ctrl-C before the first trial was done.
     """
     particles = scene.search.particles
@@ -69,17 +69,17 @@ def compare(
         search = search.model_copy(update={"iterations": evaluations // search.particles})
         scene = scene.model_copy(update={"search": search})
     started = time.perf_counter()
-    problem = problem_of(scene, device, path, evaluator, pool=pool)
+    problem = make_problem(scene, device, path, evaluator, pool=pool)
     prepared = time.perf_counter() - started - problem.compile_seconds
     if evaluator is None and problem.response is not None:
-        problem = replace(problem, evaluator="response")
+        problem = replace(problem, evaluator_name="response")
     if not problem.space.dimension:
         raise SceneError("actuators: one alone leaves nothing to search, so there is nothing to compare")
     budget = search.particles * search.iterations
 
-    def begin(method: str, seed: int) -> Method:
+    def begin(method: str, seed: int) -> Optimizer:
         named = search.model_copy(update={"method": method})
-        return make_searcher(named, problem.space, seed, problem.quadratic)
+        return make_optimizer(named, problem.space, seed, problem.quadratic)
 
     fitting, skipped = _fitting(methods, begin, search.seed)
     trials, interrupted, gone = [], False, dict[str, int]()
@@ -104,12 +104,12 @@ def compare(
             raise
         interrupted = True
         gone = {str(reason): search.particles} if isinstance(reason, WorkersGone) else {}
-    bound = problem.bound_of_loss
+    bound = problem.loss_bound
     return Comparison(
         source=source,
         scene=problem.scene,
-        device=device_name(problem.plain.device) + of_pool(problem),
-        evaluator=problem.evaluator,
+        device=device_name(problem.drive_solver.device) + of_pool(problem),
+        evaluator=problem.evaluator_name,
         budget=budget,
         prepared=prepared,
         localization=problem.only_localization,
@@ -125,7 +125,7 @@ def compare(
 
 
 def _fitting(
-    methods: Sequence[str] | None, begin: Callable[[str, int], Method], seed: int
+    methods: Sequence[str] | None, begin: Callable[[str, int], Optimizer], seed: int
 ) -> tuple[list[str], dict[str, str]]:
     """The methods to try, and by name why others are not."""
     fitting, skipped = [], {}
@@ -143,14 +143,14 @@ def _fitting(
     return list(dict.fromkeys(fitting)), skipped
 
 
-def _warm(searcher: Method, problem: Problem) -> None:
+def _warm(searcher: Optimizer, problem: Problem) -> None:
     """One iteration, so that what is compiled, loaded or allocated once costs no method its first."""
     positions = searcher.ask()
     searcher.tell(positions, problem.losses(positions))
 
 
 def _trial(
-    begin: Callable[[str, int], Method],
+    begin: Callable[[str, int], Optimizer],
     method: str,
     seed: int,
     problem: Problem,

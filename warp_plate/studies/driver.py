@@ -13,7 +13,7 @@ import numpy as np
 from warp_plate.optimize.pso import optimize
 from warp_plate.plate.interrupts import interrupts_held
 from warp_plate.plate.row_blocks import GrowingRows
-from warp_plate.problem.methods import Method, make_searcher, searcher_from_state
+from warp_plate.problem.methods import Optimizer, make_optimizer, optimizer_from_state
 from warp_plate.problem.problem import Problem
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.scene.errors import SceneError
@@ -24,19 +24,19 @@ from warp_plate.studies.checkpointing import CheckpointFile
 OnProgress = Callable[[int, int, float], object]
 
 
-def searcher_of(problem: Problem, seed: int, state: Mapping[str, Any] | None = None) -> Method | None:
+def searcher_of(problem: Problem, seed: int, state: Mapping[str, Any] | None = None) -> Optimizer | None:
     """What searches the problem, from its beginning or from a state; None where one actuator leaves no choice.
 
     Raises:
-        SceneError: see ``make_searcher``; the state does not fit the problem.
+        SceneError: see ``make_optimizer``; the state does not fit the problem.
     """
     search, space = problem.scene.search, problem.space
     if not space.dimension:
         return None
     if state is None:
-        return make_searcher(search, space, seed, problem.quadratic)
+        return make_optimizer(search, space, seed, problem.quadratic)
     try:
-        return searcher_from_state(search, space, seed, state, problem.quadratic)
+        return optimizer_from_state(search, space, seed, state, problem.quadratic)
     except SceneError:
         raise
     except ValueError as error:
@@ -45,7 +45,7 @@ def searcher_of(problem: Problem, seed: int, state: Mapping[str, Any] | None = N
 
 def run_search(
     begun: Checkpoint, problem: Problem, on_progress: OnProgress | None, checkpoints: CheckpointFile | None
-) -> tuple[Method | None, bool]:
+) -> tuple[Optimizer | None, bool]:
     """The searcher after its search, and whether Ctrl-C ended it; none where one actuator leaves no choice.
 
     Args:
@@ -79,14 +79,14 @@ def run_search(
             )
         )
 
-    def after(searcher: Method) -> None:
+    def after(searcher: Optimizer) -> None:
         nonlocal counted, lost
         counted, lost = problem.node_steps, problem.lost
         if checkpoints is not None and checkpoints.due():
             save()
         if on_progress is not None:
             total = begun.scene.search.iterations
-            on_progress(searcher.iterations, total, float(problem.value_of(searcher.result.fbest)))
+            on_progress(searcher.iterations, total, float(problem.value_from_loss(searcher.result.fbest)))
 
     with interrupts_held() as let_through:
 
@@ -107,10 +107,10 @@ def run_search(
     return searcher, False
 
 
-def history_of(searcher: Method | None, problem: Problem) -> dict[str, np.ndarray]:
-    """What ``Problem.value_of`` is after each iteration; nothing without a search."""
+def history_of(searcher: Optimizer | None, problem: Problem) -> dict[str, np.ndarray]:
+    """What ``Problem.value_from_loss`` is after each iteration; nothing without a search."""
     if searcher is None:
         return {}
     history = searcher.history
-    values = {name: np.asarray(problem.value_of(history[name])) for name in ("best", "mean")}
+    values = {name: np.asarray(problem.value_from_loss(history[name])) for name in ("best", "mean")}
     return {"evaluations": history["evaluations"], **values}

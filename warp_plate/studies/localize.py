@@ -19,10 +19,9 @@ from warp_plate.cluster.pool import Pool
 from warp_plate.plate.files import digests
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import at_highest_frequency
-from warp_plate.problem.evaluate_cases import reference_drives
-from warp_plate.problem.objective_values import worth_of
-from warp_plate.problem.problem import Evaluator, Problem
-from warp_plate.problem.robust import RobustProblem, problem_of
+from warp_plate.problem.evaluate_cases import evaluate_objectives, reference_phasors
+from warp_plate.problem.problem import EvaluatorName, Problem
+from warp_plate.problem.robust import RobustProblem, make_problem
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.result.model import Result
 from warp_plate.scene.errors import SceneError
@@ -41,7 +40,7 @@ def localize(
     source: str = "",
     device: str = "auto",
     seed: int | None = None,
-    evaluator: Evaluator | None = None,
+    evaluator: EvaluatorName | None = None,
     path: str = "auto",
     on_progress: OnProgress | None = None,
     estimate: bool = True,
@@ -79,8 +78,8 @@ def localize(
     chosen, accuracy, seconds, stage = resolve(hardest, device)
     scene = chosen.model_copy(update={"actuators": asked.actuators})
     started = time.perf_counter()
-    problem = problem_of(scene, device, path, evaluator, pool=pool)
-    drives = reference_drives(problem.scene, problem.energies_of_drives)
+    problem = make_problem(scene, device, path, evaluator, pool=pool)
+    drives = reference_phasors(problem.scene, problem.energies_of_phasors)
     searcher = searcher_of(problem, seed)
     compiling = problem.compile_seconds
     begun = Checkpoint(
@@ -88,11 +87,11 @@ def localize(
         scene=problem.scene,
         source=source,
         files=files,
-        device=problem.plain.device.alias,
-        processor=processor_of(problem.plain.device),
+        device=problem.drive_solver.device.alias,
+        processor=processor_of(problem.drive_solver.device),
         earlier="",
         path=path,
-        evaluator=problem.evaluator,
+        evaluator=problem.evaluator_name,
         seed=seed,
         accuracy=accuracy,
         seconds=seconds | {"compile": compiling, "solve": time.perf_counter() - started - compiling},
@@ -132,10 +131,10 @@ def resume(
         if checkpoint.files.get(key) != digest:
             raise SceneError(f"{key}: the file holds something else than when the search began")
     on, matrices = device or same_device(checkpoint.device, checkpoint.processor), checkpoint.matrices
-    problem = problem_of(checkpoint.scene, on, checkpoint.path, checkpoint.evaluator, matrices, pool)
-    if problem.variables.quadratic and matrices is None:
+    problem = make_problem(checkpoint.scene, on, checkpoint.path, checkpoint.evaluator, matrices, pool)
+    if problem.parametrization.quadratic and matrices is None:
         raise SceneError("checkpoint: the matrices of its scene's response are missing")
-    solver, spent = problem.plain, dict(checkpoint.seconds)
+    solver, spent = problem.drive_solver, dict(checkpoint.seconds)
     spent["compile"] = spent.get("compile", 0.0) + time.perf_counter() - started
     processor, earlier = processor_of(solver.device), checkpoint.earlier
     if processor != checkpoint.processor:
@@ -190,19 +189,19 @@ def _finish(
     accuracy = dict(begun.accuracy)
     if estimate:
         known = stage if found.scene is scene else None  # the reference of another plate tells nothing
-        accuracy |= estimated(found.scene, found.drives, found.run, seconds, problem.plain.device.alias, known)
+        accuracy |= estimated(found.scene, found.drives, found.run, seconds, problem.drive_solver.device.alias, known)
     best = found.cases["best"]
     beside_best = {name: found.cases[name] for name in ("equal", "single")}
-    worth, more = worth_of(scene, beside_best, problem.plain.device.alias, begun.path)
+    worth, more = evaluate_objectives(scene, beside_best, problem.drive_solver.device.alias, begun.path)
     made = make_spectrum(problem, best, seconds) if spectrum and not searched.interrupted else {}
     return Result(
         command="localize",
         source=begun.source,
         scene=scene,
-        device=begun.earlier + device_name(problem.plain.device) + of_pool(problem),
+        device=begun.earlier + device_name(problem.drive_solver.device) + of_pool(problem),
         seed=begun.seed,
-        effects=problem.solver.effects,
-        path=problem.solver.path_words(bool(scene.record.points)),
+        effects=problem.design_solver.effects,
+        path=problem.design_solver.path_words(bool(scene.record.points)),
         cases=cases,
         times=found.run.times,
         trace_times=found.run.trace_times,
@@ -278,7 +277,7 @@ def of_pool(problem: Problem) -> str:
     """For people, behind ``device_name``: where the plates of the search ran, if not there."""
     if problem.pool is None:
         return ""
-    if problem.evaluator == "response":
+    if problem.evaluator_name == "response":
         return f"; {problem.pool.words}: nothing to do, for Gram matrices run no plates of the search"
     return f", plates of the search on {problem.pool.words}"
 

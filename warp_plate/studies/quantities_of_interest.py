@@ -13,9 +13,9 @@ from warp_plate.optimize.pso import optimize
 from warp_plate.plate.modes import natural_modes, refuse_many_nodes
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import at_highest_frequency
-from warp_plate.problem.evaluate_cases import reference_drives
+from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.problem import Problem
-from warp_plate.problem.robust import problem_of
+from warp_plate.problem.robust import make_problem
 from warp_plate.result.sweep import Output
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -54,16 +54,16 @@ def localize_figures(scene: Scene, options: Options) -> Values:
     """
     one = scene.model_copy(update={"targets": ()})
     chosen = resolve(at_highest_frequency(one), options.device)[0]
-    problem = problem_of(chosen.model_copy(update={"actuators": one.actuators}), options.device, options.path)
+    problem = make_problem(chosen.model_copy(update={"actuators": one.actuators}), options.device, options.path)
     if problem.response is not None and scene.search.robust is None:
-        problem = replace(problem, evaluator="response")
-    drives = np.array(list(reference_drives(problem.scene, problem.energies_of_drives).values()))
-    equal, single = localization_factor(problem.energies_of_drives(drives)).tolist()
+        problem = replace(problem, evaluator_name="response")
+    drives = np.array(list(reference_phasors(problem.scene, problem.energies_of_phasors).values()))
+    equal, single = localization_factor(problem.energies_of_phasors(drives)).tolist()
     if not np.isfinite([equal, single]).any():
         _refuse_fault(problem, drives)
     position, best = _best_position(problem), single
     if position is not None:
-        best = float(localization_factor(problem.energies(problem.variables.designs(position[None])))[0])
+        best = float(localization_factor(problem.energies(problem.parametrization.designs(position[None])))[0])
     return {"equal": equal, "single": single, "best": best, "bound": np.nan if problem.bound is None else problem.bound}
 
 
@@ -148,6 +148,6 @@ def _best_position(problem: Problem) -> np.ndarray | None:
 
 def _refuse_fault(problem: Problem, drives: np.ndarray) -> None:
     """Refuse a scene whose plates have no energies, by what went wrong with them; where nothing did, they rest."""
-    fault = problem.plain.run(drives[:1]).fault(0)
+    fault = problem.drive_solver.run(drives[:1]).fault(0)
     if fault != "ok":
         raise SceneError(fault)

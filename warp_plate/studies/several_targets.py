@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from warp_plate.plate.weights import REGIONS
-from warp_plate.problem.evaluate_cases import LastRuns, last_runs, reference_drives
-from warp_plate.problem.problem import Problem, make_problem
+from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, reference_phasors
+from warp_plate.problem.problem import Problem, make_nominal_problem
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.result.crosstalk import cases_of_targets, regions_of_targets
 from warp_plate.result.model import Case
@@ -59,7 +59,7 @@ def run_searches(
             bound_kind=problem.bound_kind,
             evaluations=0 if searcher is None else searcher.result.evaluations,
             history=history_of(searcher, problem),
-            values={} if position is None else problem.values_at(position),
+            values={} if position is None else problem.objective_values(position),
         )
         found = (*begun.several, one)
         node_steps = begun.node_steps + problem.node_steps - first_steps
@@ -67,7 +67,7 @@ def run_searches(
         last = interrupted or len(found) == count
         if not last:
             problem = _next(problem, len(found), begun)
-            drives = reference_drives(problem.scene, problem.energies_of_drives)
+            drives = reference_phasors(problem.scene, problem.energies_of_phasors)
             searcher = searcher_of(problem, begun.seed)
         spent = begun.seconds.get("solve", 0.0) + time.perf_counter() - started
         seconds = {**begun.seconds, "solve": spent}
@@ -87,36 +87,38 @@ def run_searches(
         )
 
 
-def runs_of_all(searched: Searched) -> LastRuns:
+def runs_of_all(searched: Searched) -> EvaluatedCases:
     """The last runs of the first target, with the cases of the best drives for the others."""
     problem, (first, *others) = searched.problem, searched.found
-    runs, node_steps = last_runs(problem, first.single, first.position), 0
+    runs, node_steps = evaluate_cases(problem, first.single, first.position), 0
     cases: dict[str, Case] = {}
     for index, (one, name) in enumerate(zip(others, list(cases_of_targets(problem.scene).values())[1:], strict=False)):
         aimed = _aimed(problem, index + 1)
-        before = aimed.plain.node_steps
-        more = last_runs(aimed, one.single, one.position)
+        before = aimed.drive_solver.node_steps
+        more = evaluate_cases(aimed, one.single, one.position)
         cases[name] = more.cases["best"]
-        node_steps += aimed.plain.node_steps - before + more.node_steps
+        node_steps += aimed.drive_solver.node_steps - before + more.node_steps
     return replace(runs, cases={**runs.cases, **cases}, node_steps=runs.node_steps + node_steps)
 
 
 def _next(problem: Problem, index: int, begun: Checkpoint) -> Problem:
     """The problem of another target."""
     scene, matrices = problem.scene.aimed_at(index), None
-    if problem.matrices is not None and not problem.judge.regions:
-        regions = problem.plain.specialized.regions
+    if problem.matrices is not None and not problem.objectives.regions:
+        regions = problem.drive_solver.specialized.regions
         matrices = problem.matrices.reshape(-1, len(regions), *problem.matrices.shape[1:]).copy()
         matrices[:, REGIONS.index("target")] = matrices[:, regions.index(list(regions_of_targets(scene))[index])]
         matrices = matrices.reshape(problem.matrices.shape)
-    return make_problem(scene, problem.plain.device.alias, begun.path, begun.evaluator, matrices, problem.pool)
+    return make_nominal_problem(
+        scene, problem.drive_solver.device.alias, begun.path, begun.evaluator, matrices, problem.pool
+    )
 
 
 def _aimed(problem: Problem, index: int) -> Problem:
     """For last runs: what is searched and its plates, with another target."""
     scene = problem.scene.aimed_at(index)
-    plain = PlateSolver(scene, problem.plain.device.alias, problem.path, areas=regions_of_targets(scene))
-    return replace(problem, variables=replace(problem.variables, scene=scene), plain=plain)
+    plain = PlateSolver(scene, problem.drive_solver.device.alias, problem.path, areas=regions_of_targets(scene))
+    return replace(problem, parametrization=replace(problem.parametrization, scene=scene), drive_solver=plain)
 
 
 def _of_all(on_progress: OnProgress | None, before: int, count: int) -> OnProgress | None:

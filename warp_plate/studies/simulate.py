@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from warp_plate.plate.scene_overrides import scene_phasors
-from warp_plate.problem.evaluate_cases import cases_of, reference_drives
-from warp_plate.problem.objective import unit_of_drives
+from warp_plate.problem.evaluate_cases import cases_from_run, reference_phasors
+from warp_plate.problem.parametrization import magnitude_unit
 from warp_plate.result.crosstalk import regions_of_targets
 from warp_plate.result.model import Result
 from warp_plate.result.store import load_result
@@ -55,9 +55,9 @@ def simulate(
     elif drive == "scene":
         phasors = scene_phasors(scene)
     elif drive == "equal":
-        phasors = np.full(len(scene.actuators), unit_of_drives(scene), dtype=complex)
+        phasors = np.full(len(scene.actuators), magnitude_unit(scene), dtype=complex)
     else:
-        phasors = reference_drives(scene, lambda drives: solver.run(drives).energy)[drive]
+        phasors = reference_phasors(scene, lambda drives: solver.run(drives).energy)[drive]
     run, peak = run_and_look(solver, phasors[None], progress)
     seconds |= {"compile": solver.compile_seconds, "solve": time.perf_counter() - started}
     drives = {"drive": phasors}
@@ -71,7 +71,7 @@ def simulate(
         seed=scene.search.seed,
         effects=solver.effects,
         path=solver.path_words(bool(scene.record.points)),
-        cases=cases_of(drives, run),
+        cases=cases_from_run(drives, run),
         times=run.times,
         trace_times=run.trace_times,
         seconds=seconds,

@@ -12,8 +12,8 @@ from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.bounds import bound_localization
-from warp_plate.problem.objective_bound import allowed_drives
-from warp_plate.problem.parametrization import Variables, variables_of
+from warp_plate.problem.loss_bounds import allowed_drives
+from warp_plate.problem.parametrization import Parametrization, parametrization_of
 from warp_plate.problem.problem import Problem, in_float64
 from warp_plate.result.model import Case
 from warp_plate.scene.errors import SceneError
@@ -39,7 +39,9 @@ def make_spectrum(problem: Problem, best: Case, seconds: dict[str, float]) -> di
     tried, units = scene.search.particles * scene.search.iterations, len(unit_drives(len(scene.actuators)))
     frequencies = np.linspace(*free.range, min(MOST, max(FEWEST, tried // units)))
     try:
-        factors = factors_over(scene, frequencies, best.centre, best.delay, problem.plain.device.alias, problem.path)
+        factors = factors_over(
+            scene, frequencies, best.centre, best.delay, problem.drive_solver.device.alias, problem.path
+        )
         made = {"frequency": frequencies, **factors, "resonances": resonances(scene, *free.range)}
     except (KeyboardInterrupt, SceneError):  # a result is not lost for want of a picture
         return {}
@@ -66,7 +68,7 @@ def factors_over(
     """
     exact = in_float64(scene)
     solver, actuators = PlateSolver(exact, device, path, per_plate=per_plate_of(exact)), len(scene.actuators)
-    units, singles, variables = unit_drives(actuators), np.eye(actuators, dtype=complex), variables_of(scene)
+    units, singles, variables = unit_drives(actuators), np.eye(actuators, dtype=complex), parametrization_of(scene)
     drives = np.tile(units, (len(frequencies), 1))
     own = np.repeat(frequencies, len(units))[:, None] * np.ones(actuators)
     others = (None if one is None else np.broadcast_to(one, (len(drives), *one.shape)) for one in (centre, delay))
@@ -86,7 +88,7 @@ def _factor(response: Response, drive: np.ndarray) -> float:
     return float(localization_factor(response.energy(drive[None]))[0])
 
 
-def _best(response: Response, variables: Variables) -> float:
+def _best(response: Response, variables: Parametrization) -> float:
     """What no drive passes that the search may choose; where it may choose none, what the scene's own has."""
     if not any(one.kind in ("magnitude", "phase") for one in variables.numbers):
         return _factor(response, variables.designs(np.zeros((1, len(variables.numbers)))).drives[0])

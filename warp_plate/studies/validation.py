@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from warp_plate.problem.evaluate_cases import last_runs
+from warp_plate.problem.evaluate_cases import evaluate_cases
 from warp_plate.problem.robust import RobustProblem
-from warp_plate.problem.uncertain_panels import solve_directly
+from warp_plate.problem.scenario_losses import simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.result.model import Case
@@ -38,7 +38,7 @@ def against_nominal(
     if interrupted or found is None or found.result.xbest is None:
         return None, {}, 0
     try:
-        last = last_runs(nominal, begun.single, found.result.xbest)
+        last = evaluate_cases(nominal, begun.single, found.result.xbest)
         compared, node_steps = compare_over_fresh(problem, position, found.result.xbest)
     except (KeyboardInterrupt, SceneError):  # a result is not lost for want of a comparison
         return None, {}, 0
@@ -53,24 +53,26 @@ def compare_over_fresh(problem: RobustProblem, robust: np.ndarray, nominal: np.n
     Each scenario is simulated, both drives as two plates of one launch.
 
     Raises:
-        SceneError: see ``draw_scenarios`` and ``solve_directly``.
+        SceneError: see ``draw_scenarios`` and ``simulate_scenarios``.
     """
-    table, designs = problem.robust, problem.variables.designs(np.stack([robust, nominal]))
+    table, designs = problem.robust, problem.parametrization.designs(np.stack([robust, nominal]))
     losses, node_steps = [], 0
-    for one in draw_scenarios(problem.scene, table.fresh, table.seed, fresh=True):
-        panels = solve_directly([one], problem.plain.device.alias, problem.path)  # used once, and then let go
+    for one in draw_scenarios(problem.scene, table.fresh, table.seed, validation=True):
+        panels = simulate_scenarios(
+            [one], problem.drive_solver.device.alias, problem.path
+        )  # used once, and then let go
         losses.append(panels.losses(designs)[:, 0])
         node_steps += panels.node_steps
-    bound = problem.bound_of_loss
+    bound = problem.loss_bound
 
     def values(losses: np.ndarray) -> np.ndarray:
-        return np.asarray(problem.value_of(losses))
+        return np.asarray(problem.value_from_loss(losses))
 
     compared = RobustComparison(
         measure=f"quantile {table.quantile:g}" if table.measure == "quantile" else table.measure,
         scenarios=table.scenarios,
         localization=problem.only_localization,
-        bound=None if bound is None else float(problem.value_of(bound.value)),
+        bound=None if bound is None else float(problem.value_from_loss(bound.value)),
         searched=values(problem.losses_of(designs)),
         nominal_plate=values(problem.nominal.losses_of(designs)),
         fresh=values(np.stack(losses, axis=1)),

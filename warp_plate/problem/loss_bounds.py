@@ -11,10 +11,10 @@ import math
 import numpy as np
 
 from warp_plate.plate.weights import REGIONS
-from warp_plate.problem.bounds import Allowed, Bound, bound_energy, bound_localization
-from warp_plate.problem.design_variables import frees, only_ratios
-from warp_plate.problem.objectives import MOST_DECIBELS, Judge
-from warp_plate.problem.parametrization import Variables
+from warp_plate.problem.bounds import AllowedDrives, Bound, bound_energy, bound_localization
+from warp_plate.problem.design_variables import has_design_tables, only_ratios
+from warp_plate.problem.objectives import MOST_DECIBELS, Objectives
+from warp_plate.problem.parametrization import Parametrization
 from warp_plate.scene.search import Objective
 from warp_plate.solve.response import Response
 
@@ -22,7 +22,7 @@ _PLATE, _TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
 
 def bound_loss(
-    variables: Variables, judge: Judge, response: Response | None, displacement: Response | None = None
+    variables: Parametrization, judge: Objectives, response: Response | None, displacement: Response | None = None
 ) -> Bound | None:
     """The bound of the loss; None where none is claimed.
 
@@ -36,19 +36,19 @@ def bound_loss(
     allowed = allowed_drives(variables)
     forms = {"velocity": response, "displacement": displacement}
     rests = []
-    for one in judge.objectives:
+    for one in judge.terms:
         form = forms.get(one.kind)
         if one.rest_limit is not None and form is not None:
             rests.append((form.matrices[_PLATE] - form.matrices[_TARGET], judge.masses[1] * one.rest_limit**2 / 2))
     bounds = []
-    for one in judge.objectives:
+    for one in judge.terms:
         bound = _bound(one, judge, allowed, response, forms.get(one.kind), rests)
         if bound is None:
             return None
         bounds.append(_unattained(bound) if allowed.wider else bound)
     if judge.only_localization:
         return Bound(1 - bounds[0].value, bounds[0].kind, bounds[0].sentence)
-    total = -sum(one.weight * bound.value for one, bound in zip(judge.objectives, bounds, strict=True))
+    total = -sum(one.weight * bound.value for one, bound in zip(judge.terms, bounds, strict=True))
     if len(bounds) == 1:
         return Bound(total, bounds[0].kind, bounds[0].sentence)
     return Bound(total, "bound only", "the sum of what each objective alone could reach")
@@ -56,8 +56,8 @@ def bound_loss(
 
 def _bound(
     objective: Objective,
-    judge: Judge,
-    allowed: Allowed,
+    objectives: Objectives,
+    allowed: AllowedDrives,
     response: Response,
     form: Response | None,
     rests: list[tuple[np.ndarray, float]],
@@ -69,7 +69,7 @@ def _bound(
         bound = bound_localization(response, allowed)
         if bound is None or objective.kind == "localization":
             return bound
-        target, rest = judge.areas
+        target, rest = objectives.areas
         ratio = bound.value / (1 - bound.value) * rest / target if bound.value < 1 else math.inf
         decibels = min(10 * math.log10(ratio), MOST_DECIBELS) if ratio > 0 else -MOST_DECIBELS
         return Bound(decibels, bound.kind, f"contrast grows with the localization factor, and of that {bound.sentence}")
@@ -78,13 +78,13 @@ def _bound(
     energy = bound_energy(form.matrices[_TARGET], allowed, rests)
     if energy is None:
         return None
-    return Bound(math.sqrt(2 * max(energy.value, 0.0) / judge.masses[0]), energy.kind, energy.sentence)
+    return Bound(math.sqrt(2 * max(energy.value, 0.0) / objectives.masses[0]), energy.kind, energy.sentence)
 
 
-def allowed_drives(variables: Variables) -> Allowed:
+def allowed_drives(variables: Parametrization) -> AllowedDrives:
     """What drives a search's positions can have, or more."""
     scene, unit = variables.scene, variables.unit
-    own = frees(scene)
+    own = has_design_tables(scene)
     count = len(scene.actuators)
     held = np.array([one.magnitude if own else unit for one in scene.actuators])
     phase = np.array([one.phase if own else 0.0 for one in scene.actuators])
@@ -102,13 +102,13 @@ def allowed_drives(variables: Variables) -> Allowed:
     phase = np.where(turned, phase + math.pi, phase)
     limits = scene.search.limits
     if only_ratios(scene):  # a drive that is too large is taken smaller, and has the same ratios
-        return Allowed(lower, upper, phase, equal=equal)
+        return AllowedDrives(lower, upper, phase, equal=equal)
     if limits.magnitude is not None:
         lower, upper = np.minimum(lower, limits.magnitude), np.minimum(upper, limits.magnitude)
     if limits.power is None:
-        return Allowed(lower, upper, phase, equal=equal)
+        return AllowedDrives(lower, upper, phase, equal=equal)
     # What is brought down to the power may end below the range.
-    return Allowed(np.minimum(lower, 0.0), upper, phase, limits.power, equal, wider=bool((lower > 0).any()))
+    return AllowedDrives(np.minimum(lower, 0.0), upper, phase, limits.power, equal, wider=bool((lower > 0).any()))
 
 
 def _unattained(bound: Bound) -> Bound:

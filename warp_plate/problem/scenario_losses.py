@@ -16,7 +16,7 @@ import numpy as np
 from warp_plate.cluster.pool import Pool
 from warp_plate.cluster.solver import solver_on
 from warp_plate.plate.designs import Designs
-from warp_plate.problem.objectives import Judge, make_judge
+from warp_plate.problem.objectives import Objectives, make_objectives
 from warp_plate.problem.problem import in_float64
 from warp_plate.problem.uncertainty import Scenario, kept_on_plate
 from warp_plate.solve.response import Response, measure_response
@@ -27,17 +27,17 @@ BLOCK = 2**22
 
 
 @dataclass(frozen=True)
-class Panel:
+class ScenarioPlates:
     """A scenario with the judge of its energies; solvers: of velocities and, where these are judged, of displacements;
     none where Gram matrices stand for them."""
 
     scenario: Scenario
-    judge: Judge
+    objectives: Objectives
     solvers: tuple[PlateSolver, ...] = ()
 
 
 @dataclass(frozen=True)
-class Panels:
+class ScenarioLosses:
     """All scenarios of a search.
 
     matrices: (scenarios · regions, 2M, 2M), scenario by scenario, those of displacements after those of velocities,
@@ -45,38 +45,42 @@ class Panels:
     are not kept.
     """
 
-    each: tuple[Panel, ...]
+    scenarios: tuple[ScenarioPlates, ...]
     matrices: np.ndarray | None = None
     spent: tuple[float, int] = (0.0, 0)
 
     @property
     def node_steps(self) -> int:
         """Of all plates so far."""
-        return self.spent[1] + sum(solver.node_steps for panel in self.each for solver in panel.solvers)
+        return self.spent[1] + sum(solver.node_steps for panel in self.scenarios for solver in panel.solvers)
 
     @property
     def compile_seconds(self) -> float:
         """Of all solvers."""
-        return self.spent[0] + sum(solver.compile_seconds for panel in self.each for solver in panel.solvers)
+        return self.spent[0] + sum(solver.compile_seconds for panel in self.scenarios for solver in panel.solvers)
 
     def losses(self, designs: Designs) -> np.ndarray:
         """(plates, scenarios); not finite where a plate has no energies."""
         if self.matrices is None:
-            return np.stack([_losses_of_plates(panel, designs) for panel in self.each], axis=1)
+            return np.stack([_losses_of_plates(panel, designs) for panel in self.scenarios], axis=1)
         response, block = Response(self.matrices), max(1, BLOCK // len(self.matrices))
         cuts = range(0, max(len(designs), 1), block)
         return np.concatenate([self.judged(response.energy(designs.drives[at : at + block])) for at in cuts])
 
     def judged(self, energy: np.ndarray) -> np.ndarray:
         """(plates, scenarios) losses of energies (plates, scenarios · regions), in the order of ``matrices``."""
-        regions = energy.shape[1] // len(self.each)
-        if self.each[0].judge.only_localization:  # of all panels at once: judges then differ in nothing
-            found: np.ndarray = self.each[0].judge.losses(energy.reshape(-1, regions)).reshape(-1, len(self.each))
+        regions = energy.shape[1] // len(self.scenarios)
+        if self.scenarios[0].objectives.only_localization:  # of all panels at once: judges then differ in nothing
+            found: np.ndarray = (
+                self.scenarios[0].objectives.losses(energy.reshape(-1, regions)).reshape(-1, len(self.scenarios))
+            )
             return found
         columns = []
-        for index, panel in enumerate(self.each):
+        for index, panel in enumerate(self.scenarios):
             own = energy[:, index * regions : (index + 1) * regions]
-            columns.append(panel.judge.losses(*np.split(own, 2 if panel.judge.needs_displacement else 1, axis=1)))
+            columns.append(
+                panel.objectives.losses(*np.split(own, 2 if panel.objectives.needs_displacement else 1, axis=1))
+            )
         return np.stack(columns, axis=1)
 
 
@@ -90,46 +94,46 @@ def in_scenario(designs: Designs, scenario: Scenario) -> Designs:
     return replace(designs, drives=designs.drives * scenario.gain, centre=centre)
 
 
-def solve_directly(
+def simulate_scenarios(
     scenarios: Sequence[Scenario], device: str = "auto", path: str = "auto", pool: Pool | None = None
-) -> Panels:
-    """Panels whose plates are simulated, a launch a scenario; together they take the memory of one solver.
+) -> ScenarioLosses:
+    """ScenarioLosses whose plates are simulated, a launch a scenario; together they take the memory of one solver.
 
     Raises:
-        SceneError: see :class:`PlateSolver` and ``make_judge``.
+        SceneError: see :class:`PlateSolver` and ``make_objectives``.
     """
     panels = []
     for one in scenarios:
-        judge = make_judge(one.scene)
+        judge = make_objectives(one.scene)
         share = 1 / (len(scenarios) * (2 if judge.needs_displacement else 1))
-        panels.append(Panel(one, judge, _solvers(one, judge, device, path, pool, share=share)))
-    return Panels(tuple(panels))
+        panels.append(ScenarioPlates(one, judge, _solvers(one, judge, device, path, pool, share=share)))
+    return ScenarioLosses(tuple(panels))
 
 
-def measure_scenarios(scenarios: Sequence[Scenario], device: str = "auto", path: str = "auto") -> Panels:
-    """Panels by their Gram matrices, measured in float64, for scenes whose energies are quadratic in the drive.
+def scenario_responses(scenarios: Sequence[Scenario], device: str = "auto", path: str = "auto") -> ScenarioLosses:
+    """ScenarioLosses by their Gram matrices, measured in float64, for scenes whose energies are quadratic in the drive.
 
     Raises:
-        SceneError: see :class:`PlateSolver`, ``make_judge`` and ``measure_response``.
+        SceneError: see :class:`PlateSolver`, ``make_objectives`` and ``measure_response``.
     """
     panels, matrices, seconds, node_steps = [], [], 0.0, 0
     for one in scenarios:
         exact, gain = replace(one, scene=in_float64(one.scene)), np.tile(one.gain, 2)
-        judge = make_judge(exact.scene)
+        judge = make_objectives(exact.scene)
         for solver in _solvers(exact, judge, device, path):
             matrices.append(measure_response(solver).matrices * np.outer(gain, gain))
             seconds, node_steps = seconds + solver.compile_seconds, node_steps + solver.node_steps
-        panels.append(Panel(one, judge))
-    return Panels(tuple(panels), np.concatenate(matrices), (seconds, node_steps))
+        panels.append(ScenarioPlates(one, judge))
+    return ScenarioLosses(tuple(panels), np.concatenate(matrices), (seconds, node_steps))
 
 
-def _losses_of_plates(panel: Panel, designs: Designs) -> np.ndarray:
+def _losses_of_plates(panel: ScenarioPlates, designs: Designs) -> np.ndarray:
     own = in_scenario(designs, panel.scenario)
-    return panel.judge.losses(*(solver.run(own).energy for solver in panel.solvers))
+    return panel.objectives.losses(*(solver.run(own).energy for solver in panel.solvers))
 
 
 def _solvers(
-    one: Scenario, judge: Judge, device: str, path: str, pool: Pool | None = None, **options: Any
+    one: Scenario, judge: Objectives, device: str, path: str, pool: Pool | None = None, **options: Any
 ) -> tuple[PlateSolver, ...]:
     common: dict[str, Any] = {"areas": judge.regions, "per_plate": one.per_plate, **options}
     made = solver_on(pool, one.scene, device, path, **common)
