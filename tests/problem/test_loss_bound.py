@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver
-from warp_plate.problem import objective_bound as loss_bound
+from warp_plate.problem import loss_bounds as loss_bound
 from warp_plate.problem.bounds import Bound
 from warp_plate.problem.loss_bounds import allowed_drives, bound_loss
 from warp_plate.problem.objectives import make_objectives
@@ -54,7 +54,7 @@ def test_no_position_has_less_loss(scene, random, search):
     losses = judge.losses(response.energy(variables.designs(positions).drives))
     assert np.isfinite(bound.value)
     assert np.nanmin(losses) >= bound.value - 1e-9 * abs(bound.value)
-    assert bound.kind == "bound only" or len(judge.objectives) == 1
+    assert bound.kind == "bound only" or len(judge.terms) == 1
 
 
 def test_what_a_drive_outside_the_range_reaches_is_a_bound_only(scene, monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 
 from warp_plate import Scene, load_result, localize
 from warp_plate.cli.main import main
-from warp_plate.problem.objectives import within
+from warp_plate.problem.objectives import keeps_limit
 from warp_plate.problem.problem import make_nominal_problem
 from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.result.store import save_result
@@ -126,15 +126,15 @@ def test_a_limit_that_no_drive_keeps_is_told(scene, tmp_path, monkeypatch, capsy
     values = load_result("panel-localize.h5").values
     assert values["velocity of the rest"] > 1e-7
     assert "bound" not in values
-    assert within(1 + 1e-6, 1.0)
-    assert not within(1 + 1e-4, 1.0)
+    assert keeps_limit(1 + 1e-6, 1.0)
+    assert not keeps_limit(1 + 1e-4, 1.0)
 
 
 def test_ctrl_c_while_other_drives_are_judged_leaves_the_result(panel, monkeypatch):
     def interrupt(scene):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("warp_plate.problem.objective_values.make_objectives", interrupt)
+    monkeypatch.setattr("warp_plate.problem.evaluate_cases.make_objectives", interrupt)
     result = localize(panel, device="cpu", estimate=False)
     assert result.values
     assert result.worth == {}

@@ -64,8 +64,8 @@ def test_gram_matrices_give_the_losses_of_plates(device, path, robust, phasors, 
     designs = Designs(phasors(7, 3))
     gram, direct = scenario_responses(scenarios, device, path), simulate_scenarios(scenarios, device, path)
     np.testing.assert_allclose(gram.losses(designs), direct.losses(designs), rtol=1e-9)
-    runs = 21 * len(direct.each[0].solvers)
-    assert len(direct.each[0].solvers) == len(objectives)
+    runs = 21 * len(direct.scenarios[0].solvers)
+    assert len(direct.scenarios[0].solvers) == len(objectives)
     assert gram.node_steps == sum(runs * PlateSolver(one.scene, device, path).node_steps_per_plate for one in scenarios)
 
 
@@ -85,7 +85,7 @@ def test_bits_do_not_depend_on_how_a_batch_is_cut(robust, phasors, monkeypatch):
         np.testing.assert_array_equal(only.losses(designs)[:, 0], whole[:, 1])
     cut = [
         replace(panel, solvers=(PlateSolver(panel.scenario.scene, "cpu", chunk=2, per_plate=panel.scenario.per_plate),))
-        for panel in direct.each
+        for panel in direct.scenarios
     ]
     np.testing.assert_array_equal(ScenarioLosses(tuple(cut)).losses(designs), direct.losses(designs))
     whole = gram.losses(designs)
