@@ -25,7 +25,7 @@ from peer_codes.machine import machine, versions
 
 from warp_plate import Scene
 from warp_plate.explore.live_model import LiveModel
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.viz.availability import off_screen
 from warp_plate.viz.explorer_window import ExplorerWindow, make_plotter
 

@@ -24,7 +24,6 @@ from warp_plate.cli.main import main
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.stability_limit import time_step_limit
 from warp_plate.scene import preset_text
-from warp_plate.scene.load import parse_scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import paths_of
 
@@ -80,7 +79,7 @@ def scene_of(
 def refusal(text):
     """The one line that a text is refused with, without the file's name."""
     with pytest.raises(SceneError) as caught:
-        parse_scene(text, "panel.toml")
+        Scene.parse(text, "panel.toml")
     line = str(caught.value)
     assert line.startswith("panel.toml: ")
     assert len(line.splitlines()) == 1

@@ -146,7 +146,7 @@ def _scene_rows(scene: Scene) -> list[tuple[str, str]]:
 def _target_rows(scene: Scene) -> list[tuple[str, str]]:
     named: dict[str, Target] = {f"target {target.name}": target for target in scene.targets}
     rows = named or {"target": scene.target}
-    return [(name, f"{_area(one.area)} m" if one.area is not None else one.words) for name, one in rows.items()]
+    return [(name, f"{_area(one.area)} m" if one.area is not None else one.description) for name, one in rows.items()]
 
 
 def _edges(scene: Scene) -> str:

@@ -8,7 +8,7 @@ import pytest
 from warp_plate import PlateSolver, Scene
 from warp_plate.analysis.influence import switches
 from warp_plate.analysis.warnings import exceeded, slowest_frequency, warnings
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.solve.specialize import effect_names
 
 START = 0.004  # when the window of the tests' scene opens [s]

@@ -13,7 +13,7 @@ from warp_plate import load_result
 from warp_plate.cli.main import main
 from warp_plate.cli.output import LONGEST_ENDING
 from warp_plate.plate import memory
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 
 ROOT = Path(__file__).parents[2]
 QUIET = ("--device", "cpu", "--no-pictures", "--no-estimate")

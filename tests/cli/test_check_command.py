@@ -13,7 +13,7 @@ from warp_plate.cli.main import main
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.stability_limit import find_limit
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 
 
 @pytest.fixture

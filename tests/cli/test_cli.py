@@ -15,7 +15,7 @@ import warp_plate
 from warp_plate import Scene, load_result
 from warp_plate.cli.main import main
 from warp_plate.scene import preset_names, preset_text
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 
 ROOT = Path(__file__).parents[2]
 QUIET = ["--device", "cpu", "--no-pictures"]

@@ -10,7 +10,7 @@ import pytest
 
 from warp_plate import SceneError
 from warp_plate.result.comparison import Comparison, Trial, load_comparison, save_comparison
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.studies import compare as module
 from warp_plate.studies.compare import METHODS, compare
 from warp_plate.viz.plots.compare import draw_comparison, spread

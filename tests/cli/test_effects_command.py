@@ -15,8 +15,8 @@ from warp_plate.analysis.warnings import exceeded, warnings
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.effects import Damping, Effects
-from warp_plate.scene.load import dump_scene
 from warp_plate.scene.search import Search
 from warp_plate.solve.specialize import effect_names
 

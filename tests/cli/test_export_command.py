@@ -10,7 +10,7 @@ import pytest
 from scipy.io import wavfile
 
 from warp_plate import load_result
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 
 GUIDE = Path(__file__).parents[2] / "docs" / "exports.md"
 RECORD = {"times": (0.002, 0.004), "points": ((0.1, 0.1),)}

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver, load_checkpoint, load_result
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT to send to oneself")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from warp_plate.plate.modes import natural_modes
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.viz.plots.modes import draw_modes, frequency_text, layout, nodal_field
 
 NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"

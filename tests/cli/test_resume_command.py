@@ -18,7 +18,7 @@ from test_resume import assert_same, stop_after
 from warp_plate import Scene, SceneError, load_result, localize, resume
 from warp_plate.cli.localize import localize as localize_command
 from warp_plate.result.checkpoint import load_newest, previous_of
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.checkpointing import EVERY, CheckpointFile
 
 ROOT = Path(__file__).parents[2]

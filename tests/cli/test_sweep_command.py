@@ -15,7 +15,7 @@ from warp_plate.cluster import opening
 from warp_plate.cluster.pool import Here, WorkersGone
 from warp_plate.result.atomic_io import check_seal
 from warp_plate.result.sweep import REFUSED, save_sweep
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies import sweep as sweeps
 from warp_plate.studies import sweep_point as module

@@ -19,7 +19,7 @@ from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.problem.parametrization import Positions, parametrization_of
 from warp_plate.problem.scenario_losses import simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.compare import compare
 
 PLATES = 150  # blocks of 64, 22 and 64

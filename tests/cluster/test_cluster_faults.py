@@ -31,7 +31,7 @@ from warp_plate.cluster.pool import Answer, Here, Task, WorkersGone, fittest
 from warp_plate.cluster.processes import Processes
 from warp_plate.cluster.scheduler import ATTEMPTS, spread
 from warp_plate.cluster.solver import SpreadSolver
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from warp_plate import viz
 from warp_plate.cli.main import main
 from warp_plate.explore.live_model import LiveModel
 from warp_plate.result.live import Reading, SteadyMotion, SwarmReading
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.viz import explorer_page, explorer_window
 from warp_plate.viz.availability import off_screen
 from warp_plate.viz.explorer import CHOICES, LOWEST, Stage, factor_text, share_texts

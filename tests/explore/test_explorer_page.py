@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from warp_plate import viz
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.viz.explorer_page import missing_page
 
 pytestmark = [

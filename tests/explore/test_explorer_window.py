@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
 

@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from warp_plate import SceneError
+from warp_plate import Scene, SceneError
 from warp_plate.plate.sampled_signal import read_samples, resample
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import highest_frequency, make_signals
-from warp_plate.scene.load import dump_scene, parse_scene, preset_text
+from warp_plate.scene.dump import dump_scene
+from warp_plate.scene.load import preset_text
 
 TIME_STEP, STEPS = 1e-4, 4000
 TIMES = TIME_STEP * np.arange(STEPS)
@@ -78,7 +79,7 @@ def test_plain_drive_is_what_it_was(driven_scene, random):
     assert signals.terms == 2
     assert signals.linear
     assert scene.linear
-    assert scene.not_harmonic is None
+    assert scene.nonharmonic_key is None
     assert highest_frequency(scene) == 290
     angle = scheme.angular_frequency * scheme.time_step * np.arange(scheme.steps)
     expected = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -274,7 +275,7 @@ def test_pieces_of_a_tone_in_a_file(driven_scene, random, tmp_path):
 )
 def test_tables_are_refused_by_name(table, named, right):
     with pytest.raises(SceneError) as caught:
-        parse_scene(preset_text("paper") + "\n" + table, "")
+        Scene.parse(preset_text("paper") + "\n" + table, "")
     line = str(caught.value).removeprefix(": ")
     assert line.startswith(named)
     assert right in line
@@ -350,11 +351,11 @@ def test_any_table_is_run_or_refused_on_one_line(tables, frequency, own):
         text += "\n".join(("", f"[drive.{name}]", *values))
     text += f"\n[[actuators]]\nname = 'own'\narea = [0, 0.1, 0, 0.1]\nfrequency = {own!r}\n" if own else ""
     try:
-        scene = parse_scene(text, "")
+        scene = Scene.parse(text, "")
         signals = make_signals(scene, TIME_STEP, 50)
     except SceneError as error:
         refused_on_one_line(error)
         return
     assert np.isfinite(signals.wave).all()
     assert np.isfinite(signals.coefficients(np.ones((2, len(scene.actuators)), complex))).all()
-    assert parse_scene(dump_scene(scene), "") == scene
+    assert Scene.parse(dump_scene(scene), "") == scene

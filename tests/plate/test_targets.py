@@ -14,7 +14,7 @@ from warp_plate.plate.shapes import cells, clipped, cubics, polygon_weights
 from warp_plate.plate.weights import REGIONS, localization_factor, region_weights
 from warp_plate.reference import forced, series
 from warp_plate.result.outlines import outlines
-from warp_plate.scene.load import dump_scene, load_scene, parse_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.target import Target, area_within
 
 TARGET = REGIONS.index("target")
@@ -242,7 +242,7 @@ def test_wrong_masks_are_refused_in_one_line(text, right, tmp_path):
         (tmp_path / "mask.csv").write_text(text)
     (tmp_path / "panel.toml").write_text(paper_with('[target]\nmask = "mask.csv"'))
     with pytest.raises(SceneError) as refused:
-        PlateSolver(load_scene(tmp_path / "panel.toml"), "cpu")
+        PlateSolver(Scene.load(tmp_path / "panel.toml"), "cpu")
     line = str(refused.value)
     assert line.startswith("target.mask = 'mask.csv': ")
     assert right in line
@@ -263,10 +263,10 @@ def test_the_first_of_several_targets_is_the_target(tmp_path):
     made = Scene.load(tmp_path / "panel.toml")
     assert made.target == Target(disc=(0.1, 0.1, 0.05))
     assert [target.name for target in made.targets] == ["disc", "star", "left"]
-    assert parse_scene(dump_scene(made), "").in_folder(tmp_path) == made
+    assert Scene.parse(dump_scene(made), "").in_folder(tmp_path) == made
     other = made.aimed_at(1)
     assert other.target.polygon == made.targets[1].polygon
-    assert parse_scene(dump_scene(other), "").in_folder(tmp_path) == other
+    assert Scene.parse(dump_scene(other), "").in_folder(tmp_path) == other
     assert set(digests(made)) == {"targets[2].mask"}
     run = PlateSolver(made, "cpu", areas={one.name: one for one in made.targets[1:]}).run(np.ones((1, 4)))
     assert (run.energy[0] > 0).all()

@@ -21,8 +21,8 @@ from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.variation import factors_at_nodes
 from warp_plate.reference.ritz import make_line
+from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.effects import Variation
-from warp_plate.scene.load import dump_scene, parse_scene
 
 SIZE, NODES = (0.2, 0.18), (13, 11)
 FUNCTIONS, POINTS = 18, 30
@@ -142,7 +142,7 @@ def test_rows_of_a_file_lie_along_y(scene, tmp_path):
     assert found[4, 0] == pytest.approx(1.15)
     inline = scene((5, 9), SIZE, effects={"variation": {"thickness": rows}})
     np.testing.assert_array_equal(found, factors_at_nodes(inline)["thickness"])
-    assert parse_scene(dump_scene(inline), "").effects == inline.effects
+    assert Scene.parse(dump_scene(inline), "").effects == inline.effects
     finer = made.with_tables(grid={"nodes": (9, 17)})
     assert factors_at_nodes(finer)["thickness"].shape == (17, 9)
     assert (factors_at_nodes(made)["density"] == 1).all()
@@ -201,7 +201,7 @@ def test_missing_file_and_folder(scene, tmp_path):
 def test_bad_tables_are_refused_on_one_line(scene, table, why):
     variation = "\n[effects.variation]\n" + "\n".join(f"{key} = {value!r}" for key, value in table.items())
     with pytest.raises(SceneError) as caught:
-        parse_scene(dump_scene(scene()) + variation, "scene.toml")
+        Scene.parse(dump_scene(scene()) + variation, "scene.toml")
     assert why in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
 

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from warp_plate import PlateSolver, SceneError
+from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.problem.uncertainty import draw_scenarios, kept_on_plate
-from warp_plate.scene.load import checked_scene, dump_scene, parse_scene
+from warp_plate.scene.dump import dump_scene
 
 FINGER = {"area": (0.02, 0.05, 0.02, 0.05), "mass": 1e-3, "stiffness": 200.0, "damping": 0.5}
 EFFECTS = {
@@ -148,7 +148,7 @@ def test_one_time_step_stable_for_all(robust):
 def test_scenarios_run_and_read_back_as_scenes_of_their_own(robust):
     for one in draw_scenarios(robust(**TOLERANCES, without_oscillators=0.5), 3, 0):
         assert one.scene.search.robust is None
-        assert parse_scene(dump_scene(one.scene), "scenario") == one.scene
+        assert Scene.parse(dump_scene(one.scene), "scenario") == one.scene
         assert PlateSolver(one.scene, "cpu").run(np.ones((1, 3), complex)).finite.all()
 
 
@@ -200,4 +200,4 @@ def test_several_targets_are_refused(scene):
     tables = {key: value for key, value in scene().model_dump().items() if key != "target"}
     halves = [{"name": "left", "area": (0.0, 0.1, 0.0, 0.2)}, {"name": "right", "area": (0.1, 0.2, 0.0, 0.2)}]
     with pytest.raises(SceneError, match=r"^search\.robust: not with several \[\[targets\]\]"):
-        checked_scene({**tables, "targets": halves, "search": {"robust": {"gain": 0.1}}})
+        Scene.from_tables({**tables, "targets": halves, "search": {"robust": {"gain": 0.1}}})

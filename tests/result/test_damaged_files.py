@@ -16,7 +16,7 @@ from warp_plate import CheckpointFile, SceneError, load_checkpoint, load_result,
 from warp_plate.cli.main import main
 from warp_plate.result.atomic_io import SEAL_BYTES, check_seal, seal_of, write_whole
 from warp_plate.result.checkpoint import load_newest, previous_of, save_checkpoint
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 
 ROOT = Path(__file__).parents[2]
 SMALL = {"search": {"particles": 4, "iterations": 3}, "record": {"points": ((0.1, 0.1),)}}

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 
 ROOT = Path(__file__).parents[2]
 # What makes code of data, or listens and calls: none of it is in the package.

@@ -18,7 +18,8 @@ from warp_plate.plate.weights import patches, region_weights
 from warp_plate.problem.objectives import make_objectives
 from warp_plate.reference.numpy_moment_form import run_general
 from warp_plate.scene import preset_text
-from warp_plate.scene.load import MOST_BYTES, dump_scene, parse_scene
+from warp_plate.scene.dump import dump_scene
+from warp_plate.scene.load import MOST_BYTES
 
 # Every table and key of docs/scene.md and docs/drives.md but the file of a signal, which tests/plate/test_sampled.py
 # has, and a robust search, which has one target.
@@ -129,11 +130,11 @@ def changed(way, value, without=()):
 def read(tables):
     """The scene of the tables, or None where they are refused, in one line that a terminal shows as it is."""
     try:
-        scene = parse_scene(text_of(tables), "scene.toml")
+        scene = Scene.parse(text_of(tables), "scene.toml")
     except SceneError as error:
         shown(error)
         return None
-    assert parse_scene(dump_scene(scene), "") == scene
+    assert Scene.parse(dump_scene(scene), "") == scene
     return scene
 
 
@@ -283,8 +284,8 @@ PAPER = preset_text("paper")
         (PAPER.replace("density = 1000.0", "density = " + "9" * 5000), "not TOML"),
         (PAPER.replace("density = 1000.0", "density = 0x" + "f" * 8000), "plate.density = what is too large"),
         (PAPER.replace("density = 1000.0", "density = 1" + "_0" * 100_000), "not TOML"),
-        ("a = " + "[" * 100_000, "inside each other"),
-        ("a = " + "{a=" * 2000, "inside each other"),
+        ("a = " + "[" * 100_000, "nested too deeply"),
+        ("a = " + "{a=" * 2000, "nested too deeply"),
         (".".join(["a"] * 100_000) + " = 1", "ten parts"),
         ("[" + " . ".join(["a"] * 100_000) + "]", "ten parts"),
         ("a = {" + ".".join(["a"] * 100_000) + " = 1}", "ten parts"),
@@ -297,7 +298,7 @@ PAPER = preset_text("paper")
 )
 def test_bombs_are_refused(text, why):
     with pytest.raises(SceneError) as caught:
-        parse_scene(text, "bomb.toml")
+        Scene.parse(text, "bomb.toml")
     shown(caught.value)
     assert why in str(caught.value)
 
@@ -306,7 +307,7 @@ def test_texts_may_hold_what_keys_may_not():
     """Dots in a title, in comments and in numbers are no deep keys."""
     title = "a.b.c.d.e.f.g.h.i.j.k.l"
     text = f"# {title}\ntitle = '{title}'\n" + "\n".join(PAPER.partition("[plate]")[1:])
-    assert parse_scene(text, "").title == title
+    assert Scene.parse(text, "").title == title
 
 
 def test_a_scene_file_cut_or_changed_anywhere():
@@ -317,11 +318,11 @@ def test_a_scene_file_cut_or_changed_anywhere():
         texts.append(content[:place] + bytes([byte ^ 1 << place % 7]) + content[place + 1 :])
     for text in texts:
         try:
-            scene = parse_scene(text.decode(errors="replace"), "paper.toml")
+            scene = Scene.parse(text.decode(errors="replace"), "paper.toml")
         except SceneError as error:
             shown(error)
         else:
-            assert parse_scene(dump_scene(scene), "") == scene
+            assert Scene.parse(dump_scene(scene), "") == scene
 
 
 @pytest.mark.parametrize("name", ["my panel.toml", "Größe ü.toml", "[red].toml", "a;b&c.toml", "-x.toml", "a\nb.toml"])

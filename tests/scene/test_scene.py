@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.scene import preset_names
-from warp_plate.scene.load import dump_scene, parse_scene
+from warp_plate.scene.dump import dump_scene
 
 EXAMPLE = Path(__file__).parents[1] / "data" / "scene.example.toml"
 
@@ -128,15 +128,15 @@ def test_limits_that_shut_out_all_that_is_free_are_refused(limits, line):
     free = "[search.magnitude]\nrange = [1.0, 2.0]\nactuators = ['upper left', 'lower right']\n"
     assert refusal(f"{PAPER}{free}[search.limits]\n{limits}").startswith(line)
     for enough in ("magnitude = 1.0", "power = 2.0"):
-        assert parse_scene(f"{PAPER}{free}[search.limits]\n{enough}", "").search.limits
+        assert Scene.parse(f"{PAPER}{free}[search.limits]\n{enough}", "").search.limits
     tenth = free.replace("1.0", "0.1").replace("['upper left', 'lower right']", "['upper left']")
-    assert parse_scene(f"{PAPER}{tenth}[search.limits]\npower = 0.01", "").search.limits
+    assert Scene.parse(f"{PAPER}{tenth}[search.limits]\npower = 0.01", "").search.limits
 
 
 def test_a_quantile_that_is_read_or_as_the_default_has_it_is_no_fault():
     for keys in ("measure = 'quantile'\nquantile = 0.5", "quantile = 0.9"):
-        scene = parse_scene(f"{PAPER}[search.robust]\ngain = 0.1\n{keys}", "")
-        assert parse_scene(dump_scene(scene), "") == scene
+        scene = Scene.parse(f"{PAPER}[search.robust]\ngain = 0.1\n{keys}", "")
+        assert Scene.parse(dump_scene(scene), "") == scene
 
 
 LAYER = "[{ area = [0.0, 0.1, 0.0, 0.1], thickness = 0.05, young_modulus = 1e9, density = 1e3 }]"
@@ -160,10 +160,10 @@ def test_effects_that_the_paper_lacks_are_refused_by_name(line, named, right):
 def test_edits_are_what_they_seem():
     """The paper's own values, written by ``edited``, are the paper's scene: the cases above differ in one
     key."""
-    scene = parse_scene(PAPER, "")
-    assert parse_scene(edited("plate", "density", "1000.0"), "") == scene
-    assert parse_scene(edited("actuators", "phase", "0.0"), "") == scene
-    assert parse_scene(edited("effects.damping", "viscous", "88.3"), "") == scene
+    scene = Scene.parse(PAPER, "")
+    assert Scene.parse(edited("plate", "density", "1000.0"), "") == scene
+    assert Scene.parse(edited("actuators", "phase", "0.0"), "") == scene
+    assert Scene.parse(edited("effects.damping", "viscous", "88.3"), "") == scene
 
 
 def test_unknown_tables_are_refused_before_missing_ones():
@@ -227,7 +227,7 @@ def test_a_byte_order_mark_is_no_fault(tmp_path):
 @pytest.mark.parametrize("name", preset_names())
 def test_presets_load_and_run(name):
     scene = Scene.load(name)
-    assert parse_scene(dump_scene(scene), name) == scene
+    assert Scene.parse(dump_scene(scene), name) == scene
     solver = PlateSolver(scene, "cpu")
     assert solver.run([[1] * len(scene.actuators)]).finite.all()
 
@@ -298,7 +298,7 @@ def test_any_title_and_names_survive(title, names):
         for actuator, name in zip(scene.actuators, names, strict=False)
     )
     changed = scene.model_copy(update={"title": title, "actuators": actuators})
-    assert parse_scene(dump_scene(changed), "") == changed
+    assert Scene.parse(dump_scene(changed), "") == changed
 
 
 @given(
@@ -321,7 +321,7 @@ def test_any_numbers_survive(area, magnitude, thickness, time_step, stall):
             "actuators": (actuator,),
         }
     )
-    assert parse_scene(dump_scene(changed), "") == changed
+    assert Scene.parse(dump_scene(changed), "") == changed
 
 
 def test_every_table_survives(scene):
@@ -331,7 +331,7 @@ def test_every_table_survives(scene):
         record={"times": (0.001, 0.01), "points": ((0.1, 0.1), (0.0, 0.16))},
         search={"velocity_limit": 1.5, "stall": 7, "seed": 12},
     )  # fmt: skip
-    assert parse_scene(dump_scene(made), "") == made
+    assert Scene.parse(dump_scene(made), "") == made
 
 
 def test_reading_scenes_needs_no_warp():

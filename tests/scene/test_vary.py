@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from warp_plate import Scene, SceneError
-from warp_plate.scene.keys import NAMED, UNITS, numeric_keys, resolved_key, unit_of, with_numbers, words_of
+from warp_plate.scene.keys import NAMED, UNITS, label_of, numeric_keys, resolved_key, unit_of, with_numbers
 from warp_plate.scene.load import preset_names
 from warp_plate.scene.vary import MOST_POINTS, make_plan, parse_vary
 
@@ -47,7 +47,7 @@ def test_every_key_of_a_preset_can_be_found_and_changed(name):
     assert with_numbers(scene, {}) == scene
     for key in numeric_keys(scene):
         assert resolved_key(scene, key) == key
-        assert words_of(scene, key)
+        assert label_of(scene, key)
         assert unit_of(scene, key)
 
 
@@ -67,7 +67,7 @@ def test_numbers_are_put_where_they_belong():
 
 def test_names_stand_for_indices(scene):
     assert resolved_key(PAPER, "actuators.lower right.phase") == "actuators[2].phase"
-    assert words_of(PAPER, "actuators[2].area[3]") == "actuator lower right area y1"
+    assert label_of(PAPER, "actuators[2].area[3]") == "actuator lower right area y1"
     several = scene(
         target={"area": (0.0, 0.1, 0.0, 0.1)},
         targets=[{"name": "a.b", "area": (0.0, 0.1, 0.0, 0.1)}, {"name": "a", "disc": (0.1, 0.1, 0.02)}],

@@ -11,7 +11,7 @@ from warp_plate import PlateSolver
 from warp_plate.analysis.influence import switches
 from warp_plate.cli.main import main
 from warp_plate.plate.scene_overrides import scene_phasors
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.solve import peak
 from warp_plate.solve.peak import look_times, record_times, run_and_look
 from warp_plate.studies.localize import localize

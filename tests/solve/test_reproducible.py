@@ -14,7 +14,7 @@ import pytest
 
 from warp_plate import PlateSolver, localize
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.solve import solver as solver_module
 from warp_plate.solve.response import measure_response
 

@@ -9,7 +9,7 @@ import pytest
 from warp_plate import PlateSolver, SceneError, load_result
 from warp_plate.cli.main import main
 from warp_plate.plate.weights import REGIONS, localization_factor, region_weights
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.solve.response import measure_response
 from warp_plate.studies.baselines import (
     BASELINES,

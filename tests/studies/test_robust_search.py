@@ -9,7 +9,7 @@ from warp_plate.cli.main import main
 from warp_plate.problem.robust import RobustProblem, make_problem, measured
 from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.result.store import load_result, save_result
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.checkpointing import CheckpointFile
 from warp_plate.studies.compare import compare
 from warp_plate.studies.localize import localize, resume

@@ -16,7 +16,7 @@ from warp_plate.problem import problem
 from warp_plate.result import save_result
 from warp_plate.result.checkpoint import load_checkpoint, save_checkpoint
 from warp_plate.result.crosstalk import cases_of_targets, crosstalk, decibels, found_scenes, regions_of_targets
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.checkpointing import CheckpointFile
 from warp_plate.viz.plots.crosstalk import draw_crosstalk
 

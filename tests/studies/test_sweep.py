@@ -18,7 +18,7 @@ from warp_plate.cluster.pool import Answer, Here
 from warp_plate.cluster.scheduler import ATTEMPTS
 from warp_plate.plate.modes import natural_modes
 from warp_plate.result.sweep import NOT_RUN, REFUSED, RUN, save_sweep
-from warp_plate.scene.load import dump_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies import sweep as module
 from warp_plate.studies.localize import localize

@@ -53,7 +53,7 @@ def scene_plan(scene: Scene) -> Element:
             for way in outlines_of(scene, key, target)
         ]
         shape = SubElement(svg, "path", {"d": " ".join(f"M {way} Z" for way in ways), "fill-rule": "evenodd"} | looks)
-        SubElement(shape, "title").text = f"{words}: {target.words}"
+        SubElement(shape, "title").text = f"{words}: {target.description}"
 
     add((0.0, width, 0.0, height), "plate", {"fill": "white"})
     for layer in scene.effects.layers:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_plate.result.sweep import REFUSED, Sweep
-from warp_plate.scene.keys import unit_of, words_of
+from warp_plate.scene.keys import label_of, unit_of
 from warp_plate.scene.vary import counted
 from warp_plate.viz.availability import plot_beside
 from warp_plate.viz.plots.axes import number_logarithmic
@@ -101,7 +101,7 @@ def edges_of(values: np.ndarray, logarithmic: bool) -> np.ndarray:
 
 def _key(sweep: Sweep, key: str) -> tuple[str, str]:
     """In words, and its unit."""
-    return words_of(sweep.scene, key), unit_of(sweep.scene, key)
+    return label_of(sweep.scene, key), unit_of(sweep.scene, key)
 
 
 def _with_unit(words: str, unit: str) -> str:

@@ -154,7 +154,7 @@ def grow(
     to stand still; left out: equal drive, the best single actuator, the best drive, and ``more``; with the bound.
     """
     if not scene.linear:
-        raise SceneError(f"{scene.not_linear}: not linear in the drives, which the references for accuracy rest on")
+        raise SceneError(f"{scene.nonlinear_table}: not linear in the drives; accuracy needs a linear scene")
     stages = _stages(scene, kind, device, Probes(drives, more))
     started = time.perf_counter()
     last = next(stages)

@@ -63,7 +63,7 @@ def motions(
             raise SceneError(f"window.end = {scene.window.end:g}: the run is shorter than a period of {period:g} s")
         raise SceneError(f"start = {first:g}, end = {last:g}: must lie inside the run, which goes from 0 to {end:g} s")
     fastest = max(
-        one.drive.frequency if one.not_periodic is None else highest_frequency(one) for one in scenes.values()
+        one.drive.frequency if one.nonperiodic_key is None else highest_frequency(one) for one in scenes.values()
     )
     count = frames or _frames((last - first) * fastest, field)
     if count < 2 or 2 * count * field > MOST_BYTES:
@@ -126,7 +126,7 @@ def usual_span(scene: Scene, end: float, frames: int) -> tuple[float, float]:
     burst only the beginning and of a window only the end, where ``frames`` would be less than 12 a period of the
     highest frequency. ``end``: of the run [s].
     """
-    if scene.not_periodic is None:
+    if scene.nonperiodic_key is None:
         return end - 1 / scene.drive.frequency, end
     longest = frames / LEAST_A_PERIOD / highest_frequency(scene)
     burst = scene.drive.burst

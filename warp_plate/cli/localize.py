@@ -225,7 +225,7 @@ def _write_found(result: Result, path: Path) -> list[Path]:
     nothing where no scene may have its numbers, which is told."""
     from warp_plate.result.atomic_io import write_whole
     from warp_plate.result.crosstalk import found_scenes
-    from warp_plate.scene.load import dump_scene
+    from warp_plate.scene.dump import dump_scene
 
     try:
         scenes = found_scenes(result)

@@ -199,10 +199,9 @@ def with_asked_accuracy(scene: Scene, accuracy: str) -> Scene:
     Raises:
         SceneError: no accuracy.
     """
-    from warp_plate.scene.load import with_accuracy
 
     try:
-        return with_accuracy(scene, _accuracy_of(accuracy))
+        return scene.with_accuracy(_accuracy_of(accuracy))
     except SceneError:
         raise SceneError(f"--accuracy {accuracy}: must be from 0.01% to 50%, such as 1% or 0.01") from None
 

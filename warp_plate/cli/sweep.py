@@ -197,8 +197,8 @@ def _loaded(
         plan = make_plan([parse_vary(begun.scene, one) for one in vary or ()], samples, seed or 0)
         if not plan.same(begun.plan):
             raise SceneError(
-                f"--vary: the sweep in {file} began with other points ({begun.plan.words}), and goes on with nothing "
-                f"else; {'leave --vary out, or ' if resumed else ''}{anew}"
+                f"--vary: the sweep in {file} began with other points ({begun.plan.description}), and goes on with "
+                f"nothing else; {'leave --vary out, or ' if resumed else ''}{anew}"
             )
     # The files that the scene names lie beside it, not beside the result.
     return begun if scene is None else replace(begun, scene=begun.scene.in_folder(scene.folder))
@@ -308,10 +308,10 @@ def _columns(result: Sweep) -> dict[str, tuple[str, list[float]]]:
 
 def _headings(result: Sweep) -> list[str]:
     """Of the keys, with spaces at which they may be wrapped."""
-    from warp_plate.scene.keys import unit_of, words_of
+    from warp_plate.scene.keys import label_of, unit_of
 
     units = [unit_of(result.scene, key) for key in result.plan.keys]
-    words = [words_of(result.scene, key) for key in result.plan.keys]
+    words = [label_of(result.scene, key) for key in result.plan.keys]
     return [f"{word} ({unit})" if unit != "1" else word for word, unit in zip(words, units, strict=True)]
 
 
@@ -319,7 +319,7 @@ def _print(result: Sweep, console: Console) -> None:
     from warp_plate.scene.vary import counted
 
     plan = result.plan
-    console.print(f"{result.scene.title or result.source}: {result.what}, {plan.words}, on {result.ran_on}\n")
+    console.print(f"{result.scene.title or result.source}: {result.what}, {plan.description}, on {result.ran_on}\n")
     columns, keys = _columns(result), _headings(result)
     if len(plan) <= MOST_ROWS and len(keys) + len(columns) <= MOST_COLUMNS:
         headings = [f"{name} ({unit})" if unit != "1" else name for name, (unit, _) in columns.items()]

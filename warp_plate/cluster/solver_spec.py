@@ -17,7 +17,7 @@ from warp_plate.cluster.frames import encode
 from warp_plate.plate.designs import NO_PER_PLATE, PerPlate
 from warp_plate.plate.files import named_files, read_beside
 from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, region_weights
-from warp_plate.scene.load import dump_scene, parse_scene
+from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.model import Scene
 from warp_plate.solve.solver import PlateSolver
 from warp_plate.solve.specialize import Quantity
@@ -86,11 +86,11 @@ def scene_in(folder: str, text: str, files: Mapping[str, bytes]) -> Scene:
     """The scene of a TOML text, with the files that it names in a folder of its own.
 
     Raises:
-        SceneError: see ``parse_scene``.
+        SceneError: see ``Scene.parse``.
     """
     for name, content in files.items():
         (Path(folder) / Path(name).name).write_bytes(content)
-    return parse_scene(text, "on a worker").in_folder(Path(folder))
+    return Scene.parse(text, "on a worker").in_folder(Path(folder))
 
 
 def make_solver(recipe: Recipe) -> PlateSolver:

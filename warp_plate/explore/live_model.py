@@ -46,9 +46,9 @@ class LiveModel:
     def __init__(
         self, scene: Scene, device: str = "auto", path: str = "auto", progress: Progress | None = None
     ) -> None:
-        if scene.not_periodic is not None:
+        if scene.nonperiodic_key is not None:
             raise SceneError(
-                f"{scene.not_periodic}: what is explored repeats with the period of drive.frequency; leave it out"
+                f"{scene.nonperiodic_key}: what is explored repeats with the period of drive.frequency; leave it out"
             )
         self.scene = scene
         self.ranges = ranges_of(scene)
@@ -250,7 +250,7 @@ class LiveModel:
             drive = self._scale * self._random.random(actuators) * turns
         elif choice == "exact":
             if not isinstance(responses, UnitResponses):
-                raise SceneError(f"exact best: {self.scene.not_linear} is not linear in the drives, so none is known")
+                raise SceneError(f"exact best: {self.scene.nonlinear_table} is not linear in the drives")
             drive = self._scale * responses.best_drive
         else:
             references = reference_phasors(self.scene, responses.energies)

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.scene.fields import SMALLEST
 from warp_plate.scene.model import Scene
-from warp_plate.scene.table import SMALLEST
 
 
 def scene_with(

@@ -154,8 +154,8 @@ def _region(scene: Scene, name: str, region: Region) -> np.ndarray:
     if not field[moving_nodes(scene)].any():
         nx, ny = scene.grid.nodes
         raise SceneError(
-            f"{key}.{region.words}: covers no node that can move on a grid of {nx} x {ny} nodes; enlarge it, or use "
-            "more nodes"
+            f"{key}.{region.description}: covers no node that can move on a grid of {nx} x {ny} nodes; enlarge it, or "
+            "use more nodes"
         )
     return field
 

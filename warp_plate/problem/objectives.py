@@ -142,7 +142,7 @@ def make_objectives(scene: Scene) -> Objectives:
         regions = _cells_of_target(scene, node)
         if len(regions) < 2:
             raise SceneError(
-                f"target.{scene.target.words}: has fewer than {2 * CELL_NODES} nodes along x and along y, too few for "
+                f"target.{scene.target.description}: has fewer than {2 * CELL_NODES} nodes along x and y, too few for "
                 "search.objectives with kind = 'uniformity'; enlarge it, or use more nodes"
             )
     return Objectives(

@@ -264,7 +264,7 @@ def lost_plates(solvers: Iterable[PlateSolver]) -> Counter[str]:
 
 def _why_not_quadratic(variables: Parametrization) -> str:
     if not variables.scene.linear:
-        return f"{variables.scene.not_linear} is not linear in the drives"
+        return f"{variables.scene.nonlinear_table} is not linear in the drives"
     kinds = {one.kind: None for one in variables.numbers if one.kind not in ("magnitude", "phase")}
     return f"no Gram matrix holds where {', '.join(kinds)} is searched"
 

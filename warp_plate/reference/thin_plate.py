@@ -42,8 +42,8 @@ def thin_plate(scene: Scene) -> ThinPlate:
     for effect, table in scene.effects:
         if effect != "damping" and table:
             raise SceneError(f"effects.{effect}: the reference solutions know viscous damping and no other effect")
-    if scene.not_harmonic is not None:
-        raise SceneError(f"{scene.not_harmonic}: the reference solutions know one frequency from t = 0 on")
+    if scene.nonharmonic_key is not None:
+        raise SceneError(f"{scene.nonharmonic_key}: the reference solutions know one frequency from t = 0 on")
     plate, damping = scene.plate, scene.effects.damping
     return ThinPlate(
         size=plate.size,

@@ -25,8 +25,8 @@ from warp_plate.result.model import Found
 from warp_plate.result.safe_hdf5 import count, lost_of, numbers, opened, put, save_hdf5, table, text
 from warp_plate.result.search_state import put_state, read_state
 from warp_plate.result.several import put_several, read_several
+from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene
 
 FORMAT = "warp-plate checkpoint 2"
@@ -148,7 +148,7 @@ def _write(file: h5py.File, checkpoint: Checkpoint) -> None:
 
 def _read(file: h5py.File, name: str) -> Checkpoint:
     asked, scene = (
-        parse_scene(text(file, key), f"{name}: its scene").in_folder(Path(name).parent) for key in ("asked", "scene")
+        Scene.parse(text(file, key), f"{name}: its scene").in_folder(Path(name).parent) for key in ("asked", "scene")
     )
     if scene.grid.accuracy is not None:
         raise SceneError("attribute scene has no grid")

@@ -15,8 +15,8 @@ import h5py
 import numpy as np
 
 from warp_plate.result.safe_hdf5 import count, lost_of, names_in, numbers, opened, put, save_hdf5, table, text
+from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene
 
 FORMAT = "warp-plate comparison 1"
@@ -96,7 +96,7 @@ def load_comparison(path: str | Path) -> Comparison:
     """
     path = Path(path)
     with opened(path, FORMAT, "comparison") as file:
-        scene = parse_scene(text(file, "scene"), f"{path}: its scene").in_folder(path.parent)
+        scene = Scene.parse(text(file, "scene"), f"{path}: its scene").in_folder(path.parent)
         return _read(file, scene)
 
 

@@ -29,8 +29,8 @@ from warp_plate.result.model import Case, Result, bound_kind
 from warp_plate.result.robust import RobustComparison
 from warp_plate.result.safe_hdf5 import count, lost_of, names_in, numbers, opened, put, save_hdf5, table, text
 from warp_plate.result.several import put_several, read_several
+from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.load import dump_scene, parse_scene
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import OBJECTIVE_UNITS
 
@@ -151,7 +151,7 @@ def _write_case(file: h5py.File, at: str, case: Case, unit: str) -> None:
 
 
 def _read(file: h5py.File, name: str) -> Result:
-    scene = parse_scene(text(file, "scene"), f"{name}: its scene").in_folder(Path(name).parent)
+    scene = Scene.parse(text(file, "scene"), f"{name}: its scene").in_folder(Path(name).parent)
     times, steps = numbers(file, "times", (None,)), numbers(file, "trace_times", (None,))
     cases = {case: _read_case(file, f"cases/{case}", scene, times, steps) for case in names_in(file, "cases")}
     if not cases:

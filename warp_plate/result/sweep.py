@@ -23,9 +23,9 @@ import h5py
 import numpy as np
 
 from warp_plate.result.safe_hdf5 import count, numbers, opened, put, save_hdf5, table, text, texts
+from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.keys import numeric_keys, unit_of, words_of
-from warp_plate.scene.load import dump_scene, parse_scene
+from warp_plate.scene.keys import label_of, numeric_keys, unit_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import MOST_POINTS, Plan, counted
 
@@ -139,7 +139,7 @@ def load_sweep(path: str | Path) -> Sweep:
     """
     path = Path(path)
     with opened(path, FORMAT, "sweep") as file:
-        scene = parse_scene(text(file, "scene"), f"{path}: its scene").in_folder(path.parent)
+        scene = Scene.parse(text(file, "scene"), f"{path}: its scene").in_folder(path.parent)
         return _read(file, scene)
 
 
@@ -163,7 +163,7 @@ def _write(file: h5py.File, sweep: Sweep) -> None:
     if plan.sampled:
         _put_axis(file, "sample", np.arange(len(plan)), "1", "number of the sample")
     for key, values in zip(plan.keys, plan.coordinates, strict=True):
-        unit, words = _in_ascii(unit_of(scene, key)), words_of(scene, key)
+        unit, words = _in_ascii(unit_of(scene, key)), label_of(scene, key)
         if plan.sampled:
             put(file, key, values, unit, words)
             file[key].dims[0].attach_scale(file["sample"])

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from warp_plate.scene.table import Flag, Gain, Instant, Moderate, NotNegative, Positive, Table, check_file_name
+from warp_plate.scene.fields import Flag, Gain, Instant, Moderate, NotNegative, Positive, Table, check_file_name
 
 Place = Annotated[float, Field(ge=-1e6, le=1e6)]
 

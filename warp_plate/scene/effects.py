@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
 from warp_plate.scene.drive import MovingLoad
-from warp_plate.scene.table import Area, Flag, Moderate, NotNegative, Positive, Table, check_file_name
+from warp_plate.scene.fields import Area, Flag, Moderate, NotNegative, Positive, Table, check_file_name
 
 # A plate that varies by more has a mistake in it, or no number left for the time step.
 LEAST_FACTOR, MOST_FACTOR = 1e-3, 1e3

@@ -12,7 +12,6 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel
 
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.load import checked_scene
 from warp_plate.scene.model import Scene
 
 # Tables of which there may be several with names, by which their keys may be written too.
@@ -101,7 +100,7 @@ def with_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
     kinds = numeric_keys(scene)
     for key, value in numbers.items():
         given = _with(given, whole, _parts(key), kinds[key](value))
-    return checked_scene(given).in_folder(scene.folder)
+    return Scene.from_tables(given).in_folder(scene.folder)
 
 
 def unit_of(scene: Scene, key: str) -> str:
@@ -111,7 +110,7 @@ def unit_of(scene: Scene, key: str) -> str:
     return UNITS.get(next((one for one in endings if one in UNITS), ""), "1").replace("drive", scene.drive_unit)
 
 
-def words_of(scene: Scene, key: str) -> str:
+def label_of(scene: Scene, key: str) -> str:
     """The key in words, for axes: "actuator lower left phase"."""
     words: list[str] = []
     parts = _parts(key)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,8 +12,9 @@ from pydantic_core import PydanticCustomError
 
 from warp_plate.scene.drive import Drive, check_drive
 from warp_plate.scene.effects import Effects
-from warp_plate.scene.search import Search
-from warp_plate.scene.table import (
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.explain_errors import explain_error
+from warp_plate.scene.fields import (
     Area,
     Coordinate,
     Instant,
@@ -24,6 +26,8 @@ from warp_plate.scene.table import (
     Text,
     check_area,
 )
+from warp_plate.scene.load import parse_toml, read_scene_text
+from warp_plate.scene.search import Search
 from warp_plate.scene.target import NamedTarget, Target
 
 
@@ -162,14 +166,38 @@ class Scene(Table):
 
     @staticmethod
     def load(source: str | Path) -> Scene:
-        """The scene of a preset's name or of a TOML file.
+        """Return the scene of a preset's name or of a TOML file.
 
         Raises:
-            SceneError: no such preset or file, not TOML, or a key that is unknown or wrong; one line.
+            SceneError: there is no such preset or file, it is not TOML, or a key is unknown or wrong.
         """
-        from warp_plate.scene.load import load_scene
+        text, folder = read_scene_text(source)
+        return Scene.parse(text, str(source)).in_folder(folder)
 
-        return load_scene(source)
+    @staticmethod
+    def parse(text: str, name: str) -> Scene:
+        """Return the scene of a TOML text; ``name`` begins the message of an error.
+
+        Raises:
+            SceneError: the text is not TOML, or a key is unknown or wrong.
+        """
+        tables = parse_toml(text, name)
+        try:
+            return Scene.from_tables(tables)
+        except SceneError as error:
+            raise SceneError(f"{name}: {error}") from None
+
+    @staticmethod
+    def from_tables(tables: Mapping[str, Any]) -> Scene:
+        """Return the scene of tables by their names.
+
+        Raises:
+            SceneError: a key is unknown or wrong.
+        """
+        try:
+            return Scene.model_validate(tables)
+        except ValidationError as error:
+            raise SceneError(explain_error(error, Scene)) from None
 
     @model_validator(mode="before")
     @classmethod
@@ -264,27 +292,36 @@ class Scene(Table):
         return self._folder
 
     def in_folder(self, folder: Path | None) -> Scene:
-        """The scene with the files that it names, if it names some, in a folder."""
-        made = self.model_copy()
-        made._folder = folder if self.names_files else None
-        return made
+        """Return the scene with the folder of the files that it names; None if it names no files."""
+        return self.model_copy()._with_folder(folder if self.names_files else None)
+
+    def _with_folder(self, folder: Path | None) -> Scene:
+        self._folder = folder
+        return self
 
     def with_tables(self, **tables: Any) -> Scene:
-        """The scene with some of its tables replaced, and checked again.
+        """Return the scene with some of its tables replaced, checked again.
 
         Raises:
-            SceneError: they do not fit together.
+            SceneError: the tables do not fit together.
         """
-        from warp_plate.scene.load import checked_scene
+        # A grid that is chosen for an accuracy must not name anything else.
+        grid = {"grid": self.grid} if self.grid.accuracy is not None else {}
+        return Scene.from_tables({**self.model_dump(), **grid, **tables})._with_folder(self._folder)
 
-        # A grid that is chosen for an accuracy names nothing else.
-        own = {"grid": self.grid} if self.grid.accuracy is not None else {}
-        made = checked_scene({**self.model_dump(), **own, **tables})
-        made._folder = self._folder
-        return made
+    def with_accuracy(self, accuracy: float) -> Scene:
+        """Return the scene with an accuracy in place of its grid.
+
+        Raises:
+            SceneError: the accuracy is out of range.
+        """
+        try:
+            return self.model_copy(update={"grid": Grid(accuracy=accuracy)})
+        except ValidationError as error:
+            raise SceneError(f"grid.{explain_error(error, Grid)}") from None
 
     @property
-    def not_linear(self) -> str | None:
+    def nonlinear_table(self) -> str | None:
         """The table for which displacements are not linear in the drives, so that no superposition holds; or None."""
         if self.effects.stretching is not None:
             return "effects.stretching"
@@ -295,15 +332,15 @@ class Scene(Table):
     @property
     def linear(self) -> bool:
         """Whether displacements are linear in the drives."""
-        return self.not_linear is None
+        return self.nonlinear_table is None
 
     @property
-    def not_harmonic(self) -> str | None:
+    def nonharmonic_key(self) -> str | None:
         """The first key for which the drive is no tone of one frequency from t = 0 on; or None."""
-        return self.not_periodic or ("drive.electrostatic" if self.drive.electrostatic is not None else None)
+        return self.nonperiodic_key or ("drive.electrostatic" if self.drive.electrostatic is not None else None)
 
     @property
-    def not_periodic(self) -> str | None:
+    def nonperiodic_key(self) -> str | None:
         """The first key for which the load does not repeat with the drive's period from t = 0 on; or None."""
         for name in ("burst", "chirp", "signal"):
             if getattr(self.drive, name) is not None:

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from warp_plate.scene.effects import Effects
-from warp_plate.scene.table import Area, Flag, Instant, Name, NotNegative, Positive, Table
+from warp_plate.scene.fields import Area, Flag, Instant, Name, NotNegative, Positive, Table
 
 Weight = Annotated[float, Field(ge=0, le=1e6)]
 # Of actuators; a table that names none at all is left out.

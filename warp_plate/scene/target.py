@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.table import NARROWEST, Area, Coordinate, PartName, Positive, Table, check_area, check_file_name
+from warp_plate.scene.fields import NARROWEST, Area, Coordinate, PartName, Positive, Table, check_area, check_file_name
 
 Corner = tuple[Coordinate, Coordinate]
 SHAPES = ("area", "disc", "polygon", "mask")
@@ -46,7 +46,7 @@ class Target(Table):
         return next(name for name in SHAPES if getattr(self, name) is not None)
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """The key and what it says, for errors and for tables."""
         value = getattr(self, self.shape)
         if self.shape == "polygon" and len(value) > 6:
@@ -61,7 +61,7 @@ class Target(Table):
             SceneError: it is no rectangle, of which alone the references know integrals.
         """
         if self.area is None:
-            raise SceneError(f"target.{self.words}: the reference solutions know rectangles only; write target.area")
+            raise SceneError(f"target.{self.description}: the reference solutions take rectangles only")
         return self.area
 
     def corners(self, of_disc: int) -> np.ndarray | None:

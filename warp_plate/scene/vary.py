@@ -93,7 +93,7 @@ class Plan:
         return np.stack(np.meshgrid(*self.coordinates, indexing="ij"), axis=-1).reshape(len(self), -1)
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """For people: how many points, and of what."""
         ranges = (
             f"{key} from {values.min():g} to {values.max():g}"

@@ -224,6 +224,6 @@ def _check_quantity(scene: Scene, quantity: str) -> None:
         raise SceneError(f"quantity = {quantity!r}: no such quantity; there are: {', '.join(get_args(Quantity))}")
     if quantity == "displacement" and not scene.linear:
         raise SceneError(
-            f"{scene.not_linear}: displacements are not linear in the load, whose running sums would be taken; "
+            f"{scene.nonlinear_table}: displacements are not linear in the load, whose running sums would be taken; "
             "delete it, or measure velocities"
         )

@@ -97,7 +97,7 @@ def check_baselines(scene: Scene) -> None:
 def why_none(scene: Scene) -> str | None:
     """Why a scene has no such drives, for people; None where it has."""
     if not scene.linear:
-        return f"{scene.not_linear} is not linear in the drives"
+        return f"{scene.nonlinear_table} is not linear in the drives"
     for key in ("signal", "chirp", "burst"):
         if getattr(scene.drive, key) is not None:
             return f"drive.{key} is no steady drive of one frequency"

@@ -13,7 +13,7 @@ from warp_plate.plate.files import digests
 from warp_plate.plate.interrupts import interrupts_held
 from warp_plate.result.sweep import REFUSED, RUN, Sweep
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.keys import words_of
+from warp_plate.scene.keys import label_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import Plan, counted, make_plan, parse_vary
 from warp_plate.solve.devices import find_device, processor_of
@@ -185,6 +185,6 @@ def all_refused(found: Sweep) -> str:
 def _note(found: Found, begun: Sweep) -> str:
     """In a word."""
     at = ", ".join(
-        f"{words_of(begun.scene, key)} {value:.4g}" for key, value in begun.plan.numbers(found.point).items()
+        f"{label_of(begun.scene, key)} {value:.4g}" for key, value in begun.plan.numbers(found.point).items()
     )
     return f"{at}: refused" if found.values is None else at

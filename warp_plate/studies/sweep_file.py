@@ -88,7 +88,7 @@ def refuse_to_replace(path: Path, sweep: Sweep) -> None:
         ("another scene", same_scene),
         (f"--what {there.what}", there.what == sweep.what),
         (f"--count {there.count}", there.count == sweep.count),
-        (f"other points ({there.plan.words})", there.plan.same(sweep.plan)),
+        (f"other points ({there.plan.description})", there.plan.same(sweep.plan)),
     ):
         if not same:
             raise SceneError(f"{path}: holds a sweep of {what}; {way}")

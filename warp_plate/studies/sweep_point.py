@@ -19,9 +19,9 @@ from warp_plate.cluster.scheduler import spread
 from warp_plate.cluster.solver_spec import DEVICE, contents_of, scene_in
 from warp_plate.cluster.tasks import perform
 from warp_plate.result.sweep import Sweep
+from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import with_numbers
-from warp_plate.scene.load import dump_scene
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device, processor_of
 from warp_plate.studies.quantities_of_interest import QUANTITIES, Options, Values

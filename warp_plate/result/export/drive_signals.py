@@ -73,7 +73,7 @@ def make_signal(scene: Scene, case: Case, rate: int, duration: float, full_scale
         SceneError: a drive that does not repeat, is at rest or above the full scale; too few samples or less than a
             period, or no room.
     """
-    if (key := scene.not_periodic) is not None and key != "effects.moving_load":
+    if (key := scene.nonperiodic_key) is not None and key != "effects.moving_load":
         raise SceneError(f"{key}: only tones of drive.frequency are written, which this drive is not")
     frequency, largest, unit = scene.drive.frequency, float(case.magnitude.max()), scene.drive_unit
     full_scale = largest if full_scale is None else full_scale

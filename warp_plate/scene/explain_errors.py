@@ -33,7 +33,7 @@ _OF_THE_KIND = ("tuple_type", "too_short", "too_long", "model_type")
 _NOUNS: dict[Any, str] = {float: "number", int: "whole number", str: "text"}
 
 
-def explain(error: ValidationError, model: type[BaseModel]) -> str:
+def explain_error(error: ValidationError, model: type[BaseModel]) -> str:
     """The first fault of a validation of this model as one line, and how many more there are."""
     faults = _faults_by_place(error)
     # Keys that do not exist come first: they are often the cause of the others ("is missing").
