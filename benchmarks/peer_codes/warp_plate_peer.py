@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from peer_codes.problem import PeerMissing, Problem, Run, loaded_nodes
 from warp_plate import Scene
+from warp_plate.plate.discretization import discretize
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import make_engine, queue_region_sums
 from warp_plate.solve.specialize import Specialized, specialize
@@ -46,7 +47,7 @@ def specialize_as(problem: Problem, threads: int) -> Specialized:
     scene["grid"] |= {"nodes": (problem.nodes,) * 2, "precision": problem.precision, "time_step": None}
     scene["grid"]["load"] = "overlap"
     device = find_device(problem.device)
-    made = specialize(Scene.model_validate(scene), device, threads)
+    made = specialize(discretize(Scene.model_validate(scene)), device, threads)
     made.parameters.stiffness = problem.stiffness
     made.parameters.decay = problem.decay
     covered = loaded_nodes(problem.nodes) + [1, 0]

@@ -14,6 +14,7 @@ from warp_plate.bench.cases import Case, filling_plates, make_cases
 from warp_plate.bench.measure import FULL, QUICK, Pace, Row, measure_all, paper_like, prepare
 from warp_plate.cli.main import main
 from warp_plate.kernels.limits import make_multiply_adds
+from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.solve.cpu import compiler_flags
 from warp_plate.solve.devices import cpu_threads, find_device
@@ -83,7 +84,7 @@ def test_figures_agree(device, path):
         assert one.node_steps_per_second == pytest.approx(49 * one.plates * one.steps / one.seconds)
         assert one.nanoseconds_per_node_step == pytest.approx(1e9 / one.node_steps_per_second)
         assert one.swarm_seconds == pytest.approx(one.seconds * 1250 / one.steps)
-        specialized = specialize(paper_like(9, one.precision), find_device(device))
+        specialized = specialize(discretize(paper_like(9, one.precision)), find_device(device))
         assert one.bytes_per_plate == bytes_per_plate(specialized, 0)
         bound = report.limits[device]
         if path == "streaming":
@@ -119,11 +120,11 @@ def test_the_arithmetic_limit_does_what_it_counts(real):
 def test_operations_are_those_of_the_equation(scene):
     """Two Laplacians of 3 additions and a multiply-add, rate⁺ and u⁺; a load where there is one; the window's share."""
     device = find_device("cpu")
-    specialized = specialize(paper_like(27, "float32"), device)
+    specialized = specialize(discretize(paper_like(27, "float32")), device)
     loaded = 4 * 2 * 2 / 25**2  # four patches, each over parts of 2 × 2 cells
     assert limits.operations_a_node_step(specialized) == pytest.approx(11 + 2 * loaded + 1 / 2)
     everywhere = scene(nodes=(9, 9), actuators=[(0.0, 0.2, 0.0, 0.2)], window=(0.0, 0.01))
-    assert limits.operations_a_node_step(specialize(everywhere, device)) == pytest.approx(11 + 2 + 1)
+    assert limits.operations_a_node_step(specialize(discretize(everywhere), device)) == pytest.approx(11 + 2 + 1)
 
 
 @pytest.mark.parametrize("nodes", [5, 17, 27, 161, 1025, 8193])

@@ -69,7 +69,7 @@ def draw(random, phasors):
 
     def make(made, own, plates):
         count, step, end = len(made.actuators), made.grid.time_step, made.window.end
-        columns = count if own.each else 1
+        columns = count if own.per_actuator else 1
         frequency = np.tile(random.uniform(0.01, 0.1, (plates, columns)) / step, count // columns)
         delay = np.tile(random.uniform(0, 0.3, (plates, columns)) * end, count // columns)
         half = half_sides(made)

@@ -13,6 +13,7 @@ from warp_plate.kernels import moment_form_plan as general_plan
 from warp_plate.kernels import moment_form_streaming as general_passes
 from warp_plate.kernels import resident_cpu, streaming
 from warp_plate.kernels.effects import Effects
+from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.solve.cpu import compiler_flags
 from warp_plate.solve.devices import find_device
@@ -83,7 +84,7 @@ def test_nor_is_it_in_the_flat_form(effect, tmp_path):
 
 def test_a_plain_scene_takes_the_plain_kernels():
     """Nothing of the general paths: not even as the choice of a path."""
-    specialized = specialize(Scene.load("paper"), find_device("cpu"))
+    specialized = specialize(discretize(Scene.load("paper")), find_device("cpu"))
     assert specialized.effects == Effects(damping=True)
     assert specialized.effects.plain
     assert specialized.scheme.bending is None
@@ -107,7 +108,7 @@ def test_each_part_of_the_key_is_off_by_default():
     scene = Scene.load("paper").model_dump(exclude_none=True)
     scene["effects"], scene["grid"] = {}, {"nodes": (27, 27)}
     bare = Scene.model_validate(scene)
-    made = specialize(bare, find_device("cpu")).effects
+    made = specialize(discretize(bare), find_device("cpu")).effects
     assert [name for name in flags if getattr(made, name)] == ["square_cells"]
     assert make_scheme(bare).decay == 1
 

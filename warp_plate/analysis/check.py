@@ -10,9 +10,10 @@ import numpy as np
 
 from warp_plate.analysis.warnings import Finding, slowest_frequency, warnings, wavelengths
 from warp_plate.plate.bending import Bending
-from warp_plate.plate.scheme import Scheme, make_scheme
+from warp_plate.plate.discretization import discretize
+from warp_plate.plate.scheme import Scheme
 from warp_plate.plate.signals import highest_frequency
-from warp_plate.plate.stability_limit import StabilityLimit, find_limit
+from warp_plate.plate.stability_limit import StabilityLimit
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import choose_path
@@ -102,11 +103,11 @@ def check(scene: Scene, device: str = "auto", allow_unstable: bool = False) -> C
     """Look at a scene with a grid, without running it.
 
     Raises:
-        SceneError: see ``make_scheme``; no such device.
+        SceneError: see ``discretize``; no such device.
     """
-    scheme = make_scheme(scene, allow_unstable)
-    limit, bending = find_limit(scene)
-    specialized = specialize(scene, find_device(device), allow_unstable=allow_unstable)
+    specialized = specialize(discretize(scene, allow_unstable=allow_unstable), find_device(device))
+    scheme = specialized.scheme
+    limit, bending = scheme.stability, scheme.bending
     pairs = zip(wavelengths(scene), scheme.spacing, strict=True)
     over = scheme.time_step / limit.time_step
     return Check(

@@ -14,6 +14,7 @@ from warp_plate.bench.cases import Case
 from warp_plate.bench.clock import seconds_of
 from warp_plate.bench.limits import Limits, measure_limits, share_of_limit
 from warp_plate.bench.machine import Machine, describe_machine, describe_versions
+from warp_plate.plate.discretization import discretize
 from warp_plate.plate.memory import machine_memory
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -212,7 +213,7 @@ def prepare(case: Case) -> Ready:
         NotMeasured: the plates do not fit into memory.
     """
     device = find_device(case.device)
-    specialized = specialize(paper_like(case.nodes, case.precision), device)
+    specialized = specialize(discretize(paper_like(case.nodes, case.precision)), device)
     needed, room = case.plates * bytes_per_plate(specialized, 0), memory_for_plates(device)
     if needed > room:
         raise NotMeasured(f"needs {needed / 2**30:.1f} GiB of memory, and {room / 2**30:.1f} GiB may be taken")

@@ -19,7 +19,7 @@ from warp_plate.plate.bending import Bending
 from warp_plate.plate.memory import check_grid_memory, check_steps_memory
 from warp_plate.plate.operator import DIVISOR, Taps, make_taps
 from warp_plate.plate.signals import check_rate, highest_frequency
-from warp_plate.plate.stability_limit import find_limit, needs_moment_form, plain_edge, viscous_damping
+from warp_plate.plate.stability_limit import StabilityLimit, find_limit, needs_moment_form, plain_edge, viscous_damping
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -37,7 +37,7 @@ class Scheme:
     """The discretised plate, in SI units where not said otherwise.
 
     nodes: (nx, ny); spacing: (hx, hy) [m]; rigidity D [N·m]; surface_density ρH [kg/m²]; kappa [m²/s];
-    time_step [s]; limit: largest stable time step [s]; steps: of the whole run;
+    time_step [s]; stability: its limit, and what sets it; steps: of the whole run;
     window: first and last + 1 of the steps whose half-step lies inside the scene's window;
     decay, gain: of the velocity form above (dimensionless); angular_frequency: of the drive [rad/s];
     order: of the differences in space; taps_x, taps_y: these differences, the edges in them (see ``operator``).
@@ -49,7 +49,7 @@ class Scheme:
     surface_density: float
     kappa: float
     time_step: float
-    limit: float
+    stability: StabilityLimit
     steps: int
     window: tuple[int, int]
     decay: float
@@ -61,6 +61,11 @@ class Scheme:
     bending: Bending | None
     viscous: float
     backward: bool
+
+    @property
+    def limit(self) -> float:
+        """Largest stable time step [s]."""
+        return self.stability.time_step
 
     @property
     def stable(self) -> bool:
@@ -114,8 +119,8 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
     kappa = math.sqrt(rigidity / surface_density)
     viscous, backward = viscous_damping(scene)
     rate_of_loss = viscous / surface_density
-    found, bending = find_limit(scene, moment_form)
-    limit = found.time_step
+    stability, bending = find_limit(scene, moment_form)
+    limit = stability.time_step
     longest = min(SAFETY * limit, 1 / (STEPS_A_PERIOD * highest_frequency(scene)))
     time_step = grid.time_step or scene.window.end / math.ceil(scene.window.end / longest)
     if time_step > limit * (1 + 1e-12) and not allow_unstable:
@@ -144,7 +149,7 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
         surface_density=surface_density,
         kappa=kappa,
         time_step=time_step,
-        limit=limit,
+        stability=stability,
         steps=last,
         window=(first, last),
         decay=1 - loss if backward else (1 - loss / 2) / (1 + loss / 2),

@@ -115,7 +115,7 @@ def region_weights(scene: Scene, areas: Mapping[str, Region] = NO_AREAS) -> np.n
     width, height = scene.plate.size
     own: dict[str, Region] = {"plate": (0.0, width, 0.0, height), "target": scene.target}
     regions = {**{name: own[name] for name in REGIONS}, **areas}
-    return np.stack([_region(scene, name, region) for name, region in regions.items()])
+    return np.stack([weigh_region(scene, name, region) for name, region in regions.items()])
 
 
 def localization_factor(energy: np.ndarray) -> np.ndarray:
@@ -144,13 +144,14 @@ def node_positions(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return np.linspace(0, width, nx), np.linspace(0, height, ny)
 
 
-def _region(scene: Scene, name: str, region: Region) -> np.ndarray:
+def weigh_region(scene: Scene, name: str, region: Region) -> np.ndarray:
+    """Return the weights (ny, nx) of one region, in cells; its name is for errors. See :func:`region_weights`."""
     if isinstance(region, np.ndarray):
         return region
     if not isinstance(region, Target):
         return _product(moments if scene.grid.load == "moments" else overlap, *node_positions(scene), region)
     key = name if name == "target" else f"targets ({name!r})"
-    field = shape_weights(scene, key, region) if region.area is None else _region(scene, name, region.area)
+    field = shape_weights(scene, key, region) if region.area is None else weigh_region(scene, name, region.area)
     if not field[moving_nodes(scene)].any():
         nx, ny = scene.grid.nodes
         raise SceneError(

@@ -23,6 +23,7 @@ from warp_plate.plate.designs import (
     as_phasors,
     check_designs,
 )
+from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.plate.weights import NO_AREAS, Region, bilinear
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -53,7 +54,7 @@ class PlateSolver:
     """A scene compiled for a device.
 
     Args:
-        scene: what to simulate.
+        scene: what to simulate; or its discretization, whose per_plate and allow_unstable then hold.
         device: "cpu", "cuda", "cuda:1", ..., or "auto" for the first CUDA device, else the CPU.
         path: "auto", "resident" (all steps in one launch) or "streaming" (many launches).
         chunk: plates that run at once, at least 1; left out: as many as memory holds.
@@ -74,7 +75,7 @@ class PlateSolver:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: Scene | Discretization,
         device: str = "auto",
         path: str = "auto",
         chunk: int | None = None,
@@ -88,9 +89,11 @@ class PlateSolver:
         started = time.perf_counter()
         if chunk is not None and chunk < 1:
             raise SceneError(f"chunk = {chunk}: must be at least 1 plate")
-        self.scene = scene
         self.device = find_device(device)
-        specialized = specialize(scene, self.device, threads, allow_unstable, areas, per_plate, quantity)
+        if isinstance(scene, Scene):
+            scene = discretize(scene, per_plate, allow_unstable)
+        self.scene = scene.scene
+        specialized = specialize(scene, self.device, threads, areas, quantity)
         self.engine = make_engine(specialized, path)
         self.path = self.engine.path
         self._chunk = chunk
@@ -107,6 +110,11 @@ class PlateSolver:
     def specialized(self) -> Specialized:
         """Compile key, scheme and device arrays."""
         return self.engine.specialized
+
+    @property
+    def discretization(self) -> Discretization:
+        """The scene on its grid, for further solvers and whoever needs its scheme, loads or regions."""
+        return self.engine.specialized.discretization
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -187,8 +195,7 @@ class PlateSolver:
         if points and self.device.is_cuda and self.path == "resident":
             # A plate that stays in registers shows nothing between launches: traces are streamed.
             streaming = PlateSolver(
-                self.scene, self.device.alias, "streaming", self._chunk, allow_unstable=True, areas=self._areas,
-                per_plate=self.specialized.per_plate,
+                self.discretization, self.device.alias, "streaming", self._chunk, areas=self._areas
             )
             self.compile_seconds += streaming.compile_seconds
             traced = streaming.run(drives, times, points, progress, each)

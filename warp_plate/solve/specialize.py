@@ -12,12 +12,13 @@ import warp as wp
 
 from warp_plate.kernels.effects import Effects
 from warp_plate.kernels.update import make_parameters
-from warp_plate.plate.designs import NO_PER_PLATE, PerPlate, actuator_spaces, carriers_of
-from warp_plate.plate.moving_load import MovingWeights, moving_weights
-from warp_plate.plate.scheme import Scheme, make_scheme
-from warp_plate.plate.signals import Signals, make_signals, running_sums, waves_apart
+from warp_plate.plate.designs import PerPlate, actuator_spaces
+from warp_plate.plate.discretization import Discretization
+from warp_plate.plate.moving_load import MovingWeights
+from warp_plate.plate.scheme import Scheme
+from warp_plate.plate.signals import Signals, running_sums, waves_apart
 from warp_plate.plate.stability_limit import needs_moment_form
-from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, patches, reachable_nodes, region_weights
+from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, reachable_nodes, weigh_region
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import cpu_threads
@@ -42,6 +43,7 @@ class Specialized:
     running sums, divided by sizes (terms,), powers of two.
     """
 
+    discretization: Discretization
     scene: Scene
     scheme: Scheme
     effects: Effects
@@ -142,34 +144,40 @@ def moment_form_effects(scene: Scene, moment_form: bool = False) -> dict[str, bo
 
 
 def specialize(
-    scene: Scene,
+    discretization: Discretization,
     device: wp.Device,
     threads: int | None = None,
-    allow_unstable: bool = False,
     areas: Mapping[str, Region] = NO_AREAS,
-    per_plate: PerPlate = NO_PER_PLATE,
     quantity: Quantity = "velocity",
 ) -> Specialized:
-    """Make a scene ready for a device; ``threads`` of the CPU, or as many as it has; ``areas``: further regions.
+    """Make a discretized scene ready for a device.
+
+    Args:
+        discretization: The scene on its grid.
+        device: Where the kernels run.
+        threads: Threads of the CPU (default: as many as it has).
+        areas: Further regions by name.
+        quantity: See :class:`Specialized`.
 
     Raises:
-        SceneError: unstable time step, empty window, an actuator that covers no node, or a scene that cannot have what
-            ``per_plate`` or ``quantity`` ask for.
+        SceneError: displacements of a scene that is not linear, or an area that covers no node.
     """
+    scene, scheme, per_plate = discretization.scene, discretization.scheme, discretization.per_plate
+    carriers, signals = discretization.carriers, discretization.signals
     _check_quantity(scene, quantity)
-    carriers = carriers_of(scene, per_plate)
-    scheme = make_scheme(scene, allow_unstable, moment_form=carriers > 1)
     real = {"float32": wp.float32, "float64": wp.float64}[scene.grid.precision]
     dtype = np.dtype(scene.grid.precision)
     nx, ny = scheme.nodes
     line = LINE_BYTES // dtype.itemsize
     stride = -(-nx // line) * line
-    fields = patches(scene)
+    fields = discretization.patches
     reached = fields.any(axis=0)
     if per_plate.centre:
         reached |= reachable_nodes(scene, actuator_spaces(scene, per_plate))
     share = np.ones(fields.shape[1:])
-    regions = region_weights(scene, areas)
+    regions = np.stack(
+        [*discretization.region_weights, *(weigh_region(scene, name, area) for name, area in areas.items())]
+    )
     if scheme.bending is not None:
         # A pressure moves a node by its share of what the node's own part of the cell weighs.
         loss = 0.0 if scheme.backward else scheme.viscous * scheme.time_step / scheme.bending.mass
@@ -177,7 +185,6 @@ def specialize(
         heavy = scheme.bending.weight * ratio * (1 + loss / 2)
         fields, share = fields / heavy, share / heavy
         regions = regions * ratio
-    signals = make_signals(scene, scheme.time_step, scheme.steps, scene.folder, each=carriers > 1)
     wave, sizes = signals.wave, np.ones(signals.terms)
     if quantity == "displacement":
         wave, sizes = running_sums(wave)
@@ -189,6 +196,7 @@ def specialize(
     weights = np.zeros((len(regions), ny + 2, stride))
     weights[:, 1:-1, :nx] = regions
     return Specialized(
+        discretization=discretization,
         scene=scene,
         scheme=scheme,
         effects=Effects(
@@ -209,7 +217,7 @@ def specialize(
         patches=wp.array(fields[:, support[:, 0], support[:, 1]].astype(dtype), dtype=real, device=device),
         weights=wp.array(weights, dtype=wp.float64, device=device),
         signals=signals,
-        moving=moving_weights(scene, scheme.time_step, scheme.steps) if scene.effects.moving_load else None,
+        moving=discretization.moving,
         wave=wp.array(wave.astype(dtype), dtype=real, device=device),
         per_plate=per_plate,
         carriers=carriers,
