@@ -8,7 +8,7 @@ import numpy as np
 
 from hard_cases.case import PATCHES, Case, Measured, Where, both, grouped, largest_difference, scene_of
 from warp_plate import SceneError
-from warp_plate.analysis.warnings import warnings
+from warp_plate.analysis.warnings import find_warnings
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.model import Scene
@@ -83,7 +83,7 @@ def beyond_the_grid(where: Where) -> Measured:
     points = []
     for frequency in frequencies:
         made = scene.with_tables(drive={"frequency": frequency}, grid={**_grid(scene), "time_step": step})
-        (finding,) = (one for one in warnings(made, None) if one.name == "points a wavelength")
+        (finding,) = (one for one in find_warnings(made, None) if one.name == "points a wavelength")
         points.append(finding.value)
         missed += finding.exceeded != (finding.value < 10) or f"{finding.value:.3g}" not in finding.sentence
     return Measured(

@@ -30,13 +30,13 @@ MOMENTS = Configuration(4, "moments", (21, 21), None, "float32")
 @pytest.fixture(scope="module")
 def right(panel):
     """Its truth."""
-    return truth.find_truth(panel, "ritz", "cpu", 1e-5)
+    return truth.find_reference_solution(panel, "ritz", "cpu", 1e-5)
 
 
 @pytest.fixture(scope="module")
 def paper_truth():
     """Of the paper's scene, to a few parts in 10⁴."""
-    return truth.find_truth(Scene.load("paper"), "ritz", "cpu", 1e-3)
+    return truth.find_reference_solution(Scene.load("paper"), "ritz", "cpu", 1e-3)
 
 
 def test_numbers_for_people():
@@ -92,11 +92,11 @@ def test_family_of_a_scene_that_fourth_order_does_not_know(panel):
     """Free edges, and two frequencies: grids of second order alone."""
     own = [{**one.model_dump(), "frequency": 100.0 + 50 * index} for index, one in enumerate(panel.actuators)]
     for made in (panel.with_tables(edges={"left": "free"}), panel.with_tables(actuators=own)):
-        assert {one.order for one in family.make_family(made)} == {2}
+        assert {one.order for one in family.make_configurations(made)} == {2}
 
 
 def test_the_family_holds_what_is_to_be_shown(panel):
-    made = family.make_family(panel)
+    made = family.make_configurations(panel)
     assert len(set(made)) == len(made)
     kinds = {(one.order, one.load, one.precision) for one in made}
     assert {(2, "nodes", "float32"), (2, "overlap", "float32"), (2, "overlap", "float64")} <= kinds
@@ -148,7 +148,7 @@ def test_the_operator_is_symmetric(scene):
 @pytest.mark.slow
 def test_ritz_agrees_with_the_series(panel):
     """Energies of the exact modes of a supported plate, summed in another way."""
-    found = truth.find_truth(panel, "ritz", "cpu", 1e-4)
+    found = truth.find_reference_solution(panel, "ritz", "cpu", 1e-4)
     for name, drive in found.drives.items():
         plate, target = series.kinetic_energies(panel, drive, 32)
         assert found.localization_factors[name] == pytest.approx(target / plate, rel=3e-4 + found.uncertainty)
@@ -164,7 +164,7 @@ def test_ritz_agrees_with_the_series(panel):
 def test_richardson_agrees_with_ritz_within_its_error(panel, right, monkeypatch):
     monkeypatch.setattr(truth, "PATH", "streaming")
     ritz = right
-    grids = truth.find_truth(panel, "richardson", "cpu", 3e-2, 1e-3)
+    grids = truth.find_reference_solution(panel, "richardson", "cpu", 3e-2, 1e-3)
     assert grids.kind == "richardson"
     assert 0 < grids.uncertainty < 0.05
     for name, factor in grids.localization_factors.items():
@@ -178,7 +178,7 @@ def test_richardson_agrees_with_ritz_within_its_error(panel, right, monkeypatch)
 
 
 def test_uncertainty_covers_the_change_to_more_functions(panel, right):
-    rough = truth.find_truth(panel, "ritz", "cpu", 1e-2)
+    rough = truth.find_reference_solution(panel, "ritz", "cpu", 1e-2)
     assert rough.uncertainty > right.uncertainty
     assert abs(rough.bound / right.bound - 1) < rough.uncertainty
 
@@ -193,11 +193,11 @@ def test_an_undamped_resonance_has_no_ritz_reference(panel, right, monkeypatch):
             "drive": panel.drive.model_copy(update={"frequency": float(own)}),
         }
     )
-    found = truth.find_truth(tuned, "auto", "cpu", 3e-2, 1e-3)
+    found = truth.find_reference_solution(tuned, "auto", "cpu", 3e-2, 1e-3)
     assert found.kind == "richardson"
     assert 0 < found.localization_factors["single"] < found.bound <= 1
     with pytest.raises(ValueError, match=r"drive\.frequency"):
-        truth.find_truth(tuned, "ritz", "cpu", 3e-2)
+        truth.find_reference_solution(tuned, "ritz", "cpu", 3e-2)
 
 
 def test_a_row_agrees_with_a_run(paper_truth):
@@ -241,7 +241,7 @@ def test_large_grids_go_without_the_bound(paper_truth):
 
 def made_row(side, error, seconds, **changes):
     """A measured row of a square plate of one metre."""
-    usual = measure.Row(
+    usual = measure.AccuracyRow(
         4, "moments", (side, side), 1 / side**2, "float64", None, 1 / (side - 1), False, "ok",
         error=error, error_displacement=error, error_frequencies=error, seconds_per_plate=seconds,
     )  # fmt: skip
@@ -309,14 +309,14 @@ def test_an_unsure_reference_is_refused(panel, monkeypatch):
 
 
 def test_what_an_unsure_reference_allows_is_rounded_up(panel, monkeypatch):
-    monkeypatch.setattr(choosing, "find_truth", lambda *_: SimpleNamespace(uncertainty=0.0523))
+    monkeypatch.setattr(choosing, "find_reference_solution", lambda *_: SimpleNamespace(uncertainty=0.0523))
     with pytest.raises(SceneError, match=r"is known to 0\.052 only; ask for 0\.11 or more$"):
         choose(panel, 0.05, "cpu")
 
 
 def test_chance_does_not_count(panel, monkeypatch):
     """A grid that is right while finer ones are wrong is not taken."""
-    found = truth.find_truth(panel, "ritz", "cpu", 1e-2)
+    found = truth.find_reference_solution(panel, "ritz", "cpu", 1e-2)
     aim = walk.Aim(panel, found, 0.01, "cpu")
 
     def lucky_at_15(scene, configuration, drives, factors, device):

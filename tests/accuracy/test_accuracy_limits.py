@@ -34,7 +34,7 @@ def test_a_drive_asked_for_keeps_the_accuracy(panel):
     drive = np.array([[0.2, 1.0, -0.7j]])[:, : len(panel.actuators)]
     choice = choose(panel, 0.02, "cpu", drive)
     found = localization_factor(PlateSolver(choice.scene, "cpu").run(drive).energy)
-    known = truth.find_truth(panel, "auto", "cpu", 1e-4, 20.0, drive)
+    known = truth.find_reference_solution(panel, "auto", "cpu", 1e-4, 20.0, drive)
     right = localization_factors(known.matrices, drive)
     assert np.abs(found / right - 1).max() <= 0.02
 

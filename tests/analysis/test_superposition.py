@@ -13,7 +13,7 @@ from warp_plate.analysis.superposition import (
     last_period,
     live_solver,
     motions_of,
-    simulated,
+    simulated_responses,
     unit_responses,
 )
 from warp_plate.plate.weights import localization_factor
@@ -107,7 +107,7 @@ def test_a_motion_that_is_not_steady_is_superposed_exactly(scene, phasors):
 def test_one_simulation_at_a_time(scene, monkeypatch):
     """Also of two settings: the last swarm of a search that was ended, and what is shown now."""
     made = scene(nodes=(9, 9), window=(0.002, 0.004), effects={"stretching": {}})
-    both = [simulated(made, "cpu", "streaming") for _ in range(2)]
+    both = [simulated_responses(made, "cpu", "streaming") for _ in range(2)]
     real, running, most = PlateSolver.run, [], []
 
     def run(self, *given):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver, Scene
-from warp_plate.analysis.influence import switches
-from warp_plate.analysis.warnings import exceeded, slowest_frequency, warnings
+from warp_plate.analysis.influence import measure_influence
+from warp_plate.analysis.warnings import find_warnings, slowest_frequency, warning_texts
 from warp_plate.scene.dump import dump_scene
 from warp_plate.solve.specialize import effect_names
 
@@ -23,7 +23,7 @@ def quick(monkeypatch):
 
 
 def left(scene):
-    return next(number for number in warnings(scene, None) if number.name == "start-up motion left")
+    return next(number for number in find_warnings(scene, None) if number.name == "start-up motion left")
 
 
 def decayed(frequency):
@@ -75,16 +75,16 @@ def test_a_file_with_much_higher_frequencies(tmp_path, scene, frequency, named):
     made = scene(drive={"frequency": frequency, "signal": {"file": "tone.csv"}})
     (tmp_path / "panel.toml").write_text(dump_scene(made), encoding="utf-8")
     loaded = Scene.load(tmp_path / "panel.toml")
-    number = warnings(loaded, None)[-1]
+    number = find_warnings(loaded, None)[-1]
     assert number.value == pytest.approx(290 / frequency, rel=0.12)
-    assert any("write drive.frequency higher" in line for line in exceeded(loaded, 0.0)) == named
+    assert any("write drive.frequency higher" in line for line in warning_texts(loaded, 0.0)) == named
     assert "drive.signal" in left(loaded).sentence
 
 
 @pytest.mark.usefixtures("quick")
 def test_one_actuator_has_one_frequency(scene):
     made = scene(actuators=[(0.05, 0.09, 0.05, 0.09)])
-    found = {switch.name: switch for switch in switches(made, "cpu").switches}["own_frequencies"]
+    found = {switch.name: switch for switch in measure_influence(made, "cpu").switches}["own_frequencies"]
     assert found.price is None
     assert found.switched == "refused: one actuator has one frequency"
 

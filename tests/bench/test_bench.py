@@ -10,8 +10,8 @@ import pytest
 import warp as wp
 
 from warp_plate.bench import cases, limits, machine, measure
-from warp_plate.bench.cases import Case, filling_plates, make_cases
-from warp_plate.bench.measure import FULL, QUICK, Pace, Row, measure_all, paper_like, prepare
+from warp_plate.bench.cases import BenchCase, filling_plates, make_cases
+from warp_plate.bench.measure import FULL, QUICK, BenchRow, TimingBudget, measure_all, paper_like, prepare
 from warp_plate.cli.main import main
 from warp_plate.kernels.limits import make_multiply_adds
 from warp_plate.plate.discretization import discretize
@@ -22,7 +22,7 @@ from warp_plate.solve.specialize import specialize
 from warp_plate.solve.state import bytes_per_plate
 from warp_plate.viz.plots.bench import commonest_size, draw_bench, draw_bench_beside, fastest_of_each_size
 
-HASTE = {"cpu": Pace(0.002, 2), "cuda": Pace(0.002, 2)}
+HASTE = {"cpu": TimingBudget(0.002, 2), "cuda": TimingBudget(0.002, 2)}
 KEYS = ["machine", "versions", "limits", "rows", "interrupted"]
 ROW_KEYS = ["device", "precision", "nodes", "plates", "steps", "path", "seconds", "node_steps_per_second"]
 ROW_KEYS += ["nanoseconds_per_node_step", "swarm_seconds", "bytes_per_plate", "limit", "share", "status"]
@@ -56,7 +56,7 @@ def command(capsys, tmp_path, monkeypatch):
 
 def row(**changes):
     """A measured row, with changes."""
-    usual = Row(
+    usual = BenchRow(
         "cpu", "float32", 27, 20, 1250, "resident", 1e-3, 1.6e10, 0.06, 1e-3, 26464, "arithmetic", 0.5, "measured"
     )
     return replace(usual, **changes)
@@ -70,7 +70,8 @@ def record(*rows):
 
 def test_figures_agree(device, path):
     """Every figure of a row follows from its seconds and the sizes."""
-    wanted = [Case(device, precision, 9, plates, path) for precision in ("float32", "float64") for plates in (1, 3)]
+    kinds = [(precision, plates) for precision in ("float32", "float64") for plates in (1, 3)]
+    wanted = [BenchCase(device, precision, 9, plates, path) for precision, plates in kinds]
     report = measure_all(wanted, HASTE)
     assert not report.interrupted
     assert [(one.device, one.precision, one.nodes, one.plates, one.path) for one in report.rows] == [
@@ -137,7 +138,7 @@ def test_the_scene_is_the_papers_on_another_grid(nodes):
 
 def test_plates_start_from_noise_inside_the_plate(device, path):
     """No node at rest, none outside moved, and all stay numbers."""
-    ready = prepare(Case(device, "float32", 9, 3, path))
+    ready = prepare(BenchCase(device, "float32", 9, 3, path))
     for field in (ready.state.u.numpy(), ready.state.rate.numpy()):
         assert (field[:, 2:9, 1:8] != 0).all()
         field[:, 2:9, 1:8] = 0
@@ -150,7 +151,7 @@ def test_plates_start_from_noise_inside_the_plate(device, path):
 
 def test_what_is_too_slow_is_skipped(monkeypatch):
     monkeypatch.setattr(measure, "LONGEST_SECONDS", 0.0)
-    report = measure_all([Case("cpu", "float32", 9, 2)], HASTE)
+    report = measure_all([BenchCase("cpu", "float32", 9, 2)], HASTE)
     assert report.rows[0].status.startswith("skipped: 4 steps take")
     assert [getattr(report.rows[0], key) for key in ROW_KEYS[4:-1]] == [None] * 9
 
@@ -172,7 +173,7 @@ def test_an_unfit_path_is_skipped(monkeypatch):
         raise measure.SceneError("does not fit")
 
     monkeypatch.setattr(measure, "make_engine", no_engine)
-    report = measure_all([Case("cpu", "float32", 9, 2, "resident")], HASTE)
+    report = measure_all([BenchCase("cpu", "float32", 9, 2, "resident")], HASTE)
     assert [one.status for one in report.rows] == ["skipped: does not fit"]
 
 
@@ -255,7 +256,7 @@ def test_ctrl_c_keeps_what_is_measured():
         if done == 1:
             raise KeyboardInterrupt
 
-    wanted = [Case("cpu", "float32", 9, plates) for plates in (1, 2, 3)]
+    wanted = [BenchCase("cpu", "float32", 9, plates) for plates in (1, 2, 3)]
     report = measure_all(wanted, HASTE, stop)
     assert report.interrupted
     assert [one.plates for one in report.rows] == [1]
@@ -266,7 +267,7 @@ def test_ctrl_c_before_anything_is_measured():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        measure_all([Case("cpu", "float32", 9, 1)], HASTE, stop)
+        measure_all([BenchCase("cpu", "float32", 9, 1)], HASTE, stop)
 
 
 def test_a_busy_machine_is_told_of(monkeypatch):

@@ -10,8 +10,8 @@ import pytest
 from warp_plate import PlateSolver, Scene
 from warp_plate.analysis import influence
 from warp_plate.analysis.effect_toggles import DRIVES, bare_scene, is_on
-from warp_plate.analysis.influence import switches
-from warp_plate.analysis.warnings import exceeded, warnings
+from warp_plate.analysis.influence import measure_influence
+from warp_plate.analysis.warnings import find_warnings, warning_texts
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.scheme import make_scheme
@@ -49,7 +49,7 @@ def by_name(found):
 
 
 def numbers(scene, peak=0.0):
-    return {number.name: number for number in warnings(scene, peak)}
+    return {number.name: number for number in find_warnings(scene, peak)}
 
 
 def test_json(command, panel):
@@ -72,7 +72,7 @@ def test_table(command, panel):
     text = " ".join(out.split())
     assert "without stretching: left out" in text
     assert "with oscillators: a fingertip" in text
-    for number in warnings(panel, 0.0)[1:]:
+    for number in find_warnings(panel, 0.0)[1:]:
         assert number.sentence in text
 
 
@@ -80,7 +80,7 @@ def test_influence_is_that_of_a_run_without_the_effect(panel):
     """Switched off by hand: the same numbers."""
     effects = panel.effects.model_copy(update={"damping": None})
     run = PlateSolver(panel.model_copy(update={"effects": effects}), "cpu").run(scene_phasors(panel)[None])
-    switch = by_name(switches(panel, "cpu"))["damping"]
+    switch = by_name(measure_influence(panel, "cpu"))["damping"]
     assert switch.localization_factor == pytest.approx(run.energy[0, 1] / run.energy[0, 0], rel=1e-9)
 
 
@@ -89,7 +89,7 @@ def test_a_strong_drive_stretches(scene):
     moves less, and one driven weakly the same."""
     made = scene(effects={"stretching": {}}, frequency=35.0)
     weak, strong = (
-        switches(
+        measure_influence(
             made.model_copy(
                 update={"actuators": tuple(one.model_copy(update={"magnitude": pressure}) for one in made.actuators)}
             ),
@@ -104,7 +104,7 @@ def test_a_strong_drive_stretches(scene):
 
 
 def test_fourth_order_says_why_effects_are_refused(scene):
-    found = by_name(switches(scene(order=4, damping=10.0), "cpu"))
+    found = by_name(measure_influence(scene(order=4, damping=10.0), "cpu"))
     assert found["damping"].price is not None
     for name in ("edges", "tension", "layers", "stretching"):
         assert found[name].price is None
@@ -114,7 +114,7 @@ def test_fourth_order_says_why_effects_are_refused(scene):
 def test_a_step_too_long_for_the_other_state_is_replaced(scene):
     """Material damping lowers the limit below a step that is just right without it."""
     limit = PlateSolver(scene(), "cpu").specialized.scheme.limit
-    switch = by_name(switches(scene(time_step=limit), "cpu"))["material_damping"]
+    switch = by_name(measure_influence(scene(time_step=limit), "cpu"))["material_damping"]
     assert "with its own step of" in switch.switched
     assert switch.steps > 1
 
@@ -138,7 +138,7 @@ def test_displacement_against_thickness(scene):
     named = numbers(scene(effects={"stretching": {}}), 3 * thickness)["displacement / thickness"]
     assert named.value == pytest.approx(3)
     assert not named.exceeded
-    assert any("[effects.stretching]" in sentence for sentence in exceeded(scene(), thickness))
+    assert any("[effects.stretching]" in sentence for sentence in warning_texts(scene(), thickness))
 
 
 def test_wavelength_is_that_of_a_supported_plate_s_mode(scene):
@@ -228,7 +228,7 @@ def test_too_long_a_step_is_told_with_the_cause(command, panel):
 def test_too_strong_a_drive_is_told_with_the_cause_and_its_unit(scene):
     """A linear plate at a stable step: nothing but the drive can do that."""
     for made, unit in ((scene(), "N/m²"), (scene(drive={"frequency": 290.0, "electrostatic": {"gain": 1.0}}), "V")):
-        assert f"drive it otherwise (magnitudes are in {unit}," in exceeded(made, math.nan)[0]
+        assert f"drive it otherwise (magnitudes are in {unit}," in warning_texts(made, math.nan)[0]
 
 
 @pytest.mark.parametrize("name", ["simulate", "localize"])

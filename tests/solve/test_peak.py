@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver
-from warp_plate.analysis.influence import switches
+from warp_plate.analysis.influence import measure_influence
 from warp_plate.cli.main import main
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.scene.dump import dump_scene
@@ -63,7 +63,7 @@ def test_localize_and_effects_look_over_the_whole_run(struck):
     best = found.cases["best"].drive
     run = PlateSolver(made, "cpu").run(best[None], look_times(made, 3))
     assert found.peak == pytest.approx(np.abs(run.displacement).max(), rel=1e-6)
-    assert switches(struck, "cpu").peak == pytest.approx(traced_peak(struck), rel=0.02)
+    assert measure_influence(struck, "cpu").peak == pytest.approx(traced_peak(struck), rel=0.02)
 
 
 def test_few_looks_still_see_a_burst_and_a_passing_load(struck, monkeypatch):

@@ -11,8 +11,8 @@ import numpy as np
 from warp_plate.accuracy.configurations import Configuration, Order, highest_order, scene_with
 from warp_plate.accuracy.formatting import percent, seconds_text, two_digits
 from warp_plate.accuracy.grid_search import CLOSE_ENOUGH, MOST_NODE_STEPS, TRIALS, Aim, confirmed, finer
-from warp_plate.accuracy.reference_solution import Truth, find_truth
-from warp_plate.accuracy.trial_runs import PATH, Trial, cost_of_run
+from warp_plate.accuracy.reference_solution import ReferenceSolution, find_reference_solution
+from warp_plate.accuracy.trial_runs import PATH, TrialRun, cost_of_run
 from warp_plate.reference.forced import bound, localization_factors
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -31,7 +31,7 @@ CUDA_PLATES, TIMING_SECONDS = 256, 0.2
 
 
 @dataclass(frozen=True)
-class Choice:
+class GridChoice:
     """scene: with a grid of its own and no ``accuracy``; asked: relative error; error: estimated, the largest of
     the drives asked for, equal drive, best single actuator, best drive and bound; seconds: of a plate, where several
     run at once; reason: a sentence; truth: what the error was measured against.
@@ -42,10 +42,10 @@ class Choice:
     error: float
     seconds: float
     reason: str
-    truth: Truth
+    reference: ReferenceSolution
 
 
-def choose(scene: Scene, accuracy: float, device: str = "auto", drives: np.ndarray | None = None) -> Choice:
+def choose(scene: Scene, accuracy: float, device: str = "auto", drives: np.ndarray | None = None) -> GridChoice:
     """The cheapest configuration whose localization factors are right to ``accuracy`` (relative).
 
     The scene's own grid plays no part; its damping is taken centred in time. Grids of each order are tried against the
@@ -56,7 +56,7 @@ def choose(scene: Scene, accuracy: float, device: str = "auto", drives: np.ndarr
         SceneError: no configuration within reach keeps this accuracy; no such device.
     """
     find_device(device)
-    truth = find_truth(scene, "auto", device, REFERENCE_SHARE * accuracy, REFERENCE_SECONDS, drives)
+    truth = find_reference_solution(scene, "auto", device, REFERENCE_SHARE * accuracy, REFERENCE_SECONDS, drives)
     if not truth.uncertainty <= accuracy / 2:
         possible = truth.uncertainty < 0.2
         advice = f"ask for {_rounded_up(2 * truth.uncertainty):g} or more" if possible else "write a grid instead"
@@ -83,14 +83,14 @@ def choose(scene: Scene, accuracy: float, device: str = "auto", drives: np.ndarr
         f"{configuration.load}, Δt = {configuration.time_step:.2g} s, {configuration.precision}: estimated error "
         f"{percent(error)}, {seconds_text(seconds)} a plate{others}"
     )
-    return Choice(resolved, accuracy, error, seconds, text, truth)
+    return GridChoice(resolved, accuracy, error, seconds, text, truth)
 
 
-def _candidates(aim: Aim) -> dict[Order, Trial]:
+def _candidates(aim: Aim) -> dict[Order, TrialRun]:
     """The cheapest of each order; of second order, only as far as it may be the cheaper one."""
     side, ceiling = aim.first_side(), math.inf
     orders: tuple[Order, ...] = (4, 2) if highest_order(aim.scene) == 4 else (2,)
-    found: dict[Order, Trial] = {}
+    found: dict[Order, TrialRun] = {}
     for order in orders:
         trial = confirmed(aim, order, "float32", side, ceiling)
         if trial.error > aim.error and aim.error < FLOAT64_BELOW and order == orders[0]:
@@ -102,7 +102,7 @@ def _candidates(aim: Aim) -> dict[Order, Trial]:
     return found
 
 
-def _checked(aim: Aim, trial: Trial) -> tuple[Configuration, float]:
+def _checked(aim: Aim, trial: TrialRun) -> tuple[Configuration, float]:
     """The configuration, made finer where the bound asks for it, and the largest error of all four numbers."""
     truth, configuration = aim.truth, trial.configuration
     drives = aim.drives()
@@ -136,7 +136,7 @@ def _seconds_a_plate(scene: Scene, device: str) -> float:
     return min(taken) / plates
 
 
-def _others(aim: Aim, found: dict[Order, Trial], chosen: Configuration) -> str:
+def _others(aim: Aim, found: dict[Order, TrialRun], chosen: Configuration) -> str:
     """What the orders that were not chosen would take."""
     text = ""
     for order, trial in found.items():

@@ -128,7 +128,7 @@ def node_steps(scene: Scene, configuration: Configuration) -> float:
     return (nx - 2) * (ny - 2) * scene.window.end / step
 
 
-def make_family(scene: Scene) -> list[Configuration]:
+def make_configurations(scene: Scene) -> list[Configuration]:
     """All that the command tries, from cheap to dear: families of grids, time steps, both precisions.
 
     The scene as written is not among them: its damping scheme may differ too.

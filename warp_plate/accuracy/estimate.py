@@ -20,8 +20,8 @@ from warp_plate.accuracy.configurations import (
 )
 from warp_plate.accuracy.formatting import percent, two_digits
 from warp_plate.accuracy.grid_search import finer
-from warp_plate.accuracy.reference_solution import Stage, grow, ritz_field
-from warp_plate.accuracy.trial_runs import Trial, cost_of_run, try_out
+from warp_plate.accuracy.reference_solution import ReferenceStage, grow, ritz_field
+from warp_plate.accuracy.trial_runs import TrialRun, cost_of_run, try_out
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.reference.forced import localization_factors as factors_of
 from warp_plate.scene.errors import SceneError
@@ -134,7 +134,7 @@ def estimate(
     device: str = "auto",
     times: Sequence[float] | np.ndarray = (),
     displacement: np.ndarray | None = None,
-    stage: Stage | None = None,
+    stage: ReferenceStage | None = None,
 ) -> Estimate:
     """How far the localization factors of a run are from the right ones, at a tenth of its price or less.
 
@@ -189,7 +189,11 @@ def estimate(
 
 
 def _displacement_errors(
-    stage: Stage, scene: Scene, drives: np.ndarray, times: Sequence[float] | np.ndarray, displacement: np.ndarray | None
+    stage: ReferenceStage,
+    scene: Scene,
+    drives: np.ndarray,
+    times: Sequence[float] | np.ndarray,
+    displacement: np.ndarray | None,
 ) -> np.ndarray:
     """(cases,) relative L2 differences over the nodes and times, where the reference knows displacements at once."""
     errors = np.full(len(drives), math.nan)
@@ -213,7 +217,7 @@ def _price(
         return None
     written = replace(configuration_of(scene), time_step=make_scheme(scene).time_step)
     own_cost = cost_of_run(scene, written)
-    known = [Trial(written, error, own_cost)]
+    known = [TrialRun(written, error, own_cost)]
     if scene.grid.order == 2 and highest_order(scene) == 4:
         known.append(_pilot(scene, drives, references, device, budget))
     needed = [_needed(scene, trial, AIM * tolerance) for trial in known if math.isfinite(trial.error)]
@@ -221,19 +225,19 @@ def _price(
     return Price(tolerance, best, cost_of_run(scene, best) / own_cost)
 
 
-def _pilot(scene: Scene, drives: np.ndarray, references: np.ndarray, device: str, budget: float) -> Trial:
+def _pilot(scene: Scene, drives: np.ndarray, references: np.ndarray, device: str, budget: float) -> TrialRun:
     """Fourth order on a coarse grid, if its few plates take no longer than the estimate may."""
     nodes = nodes_for(scene.plate.size, PILOT_SIDE, 4)
     pilot = Configuration(4, LOAD_OF[4], nodes, longest_time_step(scene, 4, nodes), "float32")
     if len(drives) * node_steps(scene, pilot) > PILOT_NODE_STEPS * budget:
-        return Trial(pilot, math.inf, math.inf)
+        return TrialRun(pilot, math.inf, math.inf)
     try:
         return try_out(scene, pilot, drives, references, device)
     except SceneError:  # its step is too long for the window, or its cells too large for an actuator
-        return Trial(pilot, math.inf, math.inf)
+        return TrialRun(pilot, math.inf, math.inf)
 
 
-def _needed(scene: Scene, trial: Trial, aim: float) -> Configuration:
+def _needed(scene: Scene, trial: TrialRun, aim: float) -> Configuration:
     """The grid that keeps the error by the law of its order; loads on whole nodes are weighed as the order does."""
     configuration = replace(trial.configuration, load=LOAD_OF[trial.configuration.order])
     factor = max((trial.error / aim) ** (1 / configuration.order), 9 / min(configuration.nodes))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.accuracy.measure import Row
+from warp_plate.accuracy.measure import AccuracyRow
 
 TOLERANCES = (0.1, 0.03, 0.01, 0.003, 0.001)
 # The clean part of a family: errors below the first (coarser grids are not yet on the law), so many times above what
@@ -20,7 +20,7 @@ FEWEST_ROWS, MOST_ROWS = 3, 4
 
 
 @dataclass(frozen=True)
-class Law:
+class ConvergenceLaw:
     """A family's laws: error ∝ spacing^order, seconds ∝ (nodes a side)^cost_exponent; None where rows are too few.
 
     order is of the localization factors, order_displacement and order_frequencies of these.
@@ -43,12 +43,12 @@ class Recommendation:
     seconds: float | None
 
 
-def family_of(row: Row) -> str:
+def family_of(row: AccuracyRow) -> str:
     """Rows of one name differ in grid and time step only."""
     return f"order {row.order}, {row.load}, {row.precision}"
 
 
-def fit_laws(rows: Sequence[Row], uncertainty: float) -> list[Law]:
+def fit_laws(rows: Sequence[AccuracyRow], uncertainty: float) -> list[ConvergenceLaw]:
     """A law for each family, from the longest time step of every grid; the scene as written is left out."""
     laws = []
     for name in dict.fromkeys(family_of(row) for row in rows if not row.as_written):
@@ -60,7 +60,7 @@ def fit_laws(rows: Sequence[Row], uncertainty: float) -> list[Law]:
         field_floor = max(floor, math.sqrt(uncertainty))
         sides = [(1 / row.spacing, row.seconds_per_plate) for row in mine]
         laws.append(
-            Law(
+            ConvergenceLaw(
                 family=name,
                 rows=len(mine),
                 order=_order([(row.spacing, row.error) for row in mine], floor),
@@ -72,9 +72,9 @@ def fit_laws(rows: Sequence[Row], uncertainty: float) -> list[Law]:
     return laws
 
 
-def longest_steps(rows: Sequence[Row]) -> list[Row]:
+def longest_steps(rows: Sequence[AccuracyRow]) -> list[AccuracyRow]:
     """Of each grid the row with the longest step, from coarse to fine."""
-    found: dict[tuple[int, int], Row] = {}
+    found: dict[tuple[int, int], AccuracyRow] = {}
     for row in rows:
         other = found.get(row.nodes)
         if other is None or (row.time_step or 0) > (other.time_step or 0):
@@ -100,17 +100,17 @@ def slope(points: Sequence[tuple[float, float | None]]) -> float | None:
 LEAST_GAIN = 0.01
 
 
-def _keeps(row: Row, error: float) -> bool:
+def _keeps(row: AccuracyRow, error: float) -> bool:
     return row.measured and row.error is not None and row.error <= error
 
 
-def _as_fine(other: Row, row: Row) -> bool:
+def _as_fine(other: AccuracyRow, row: AccuracyRow) -> bool:
     """Whether it is measured, of the same family and no coarser: one that is right by chance is not recommended."""
     alike = (other.order, other.load, other.precision) == (row.order, row.load, row.precision)
     return other.measured and alike and other.spacing <= row.spacing * (1 + 1e-9)
 
 
-def pareto_front(rows: Sequence[Row]) -> list[int]:
+def pareto_front(rows: Sequence[AccuracyRow]) -> list[int]:
     """Indices of the measured rows that no other beats in both seconds and error, from cheap to dear."""
     order = sorted(
         (index for index, row in enumerate(rows) if row.measured),
@@ -127,7 +127,7 @@ def pareto_front(rows: Sequence[Row]) -> list[int]:
 
 
 def recommend(
-    rows: Sequence[Row], uncertainty: float, plates: int, tolerances: Sequence[float] = TOLERANCES
+    rows: Sequence[AccuracyRow], uncertainty: float, plates: int, tolerances: Sequence[float] = TOLERANCES
 ) -> list[Recommendation]:
     """For each tolerance the cheapest row whose error and the reference's own stay below it.
 

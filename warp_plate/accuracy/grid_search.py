@@ -17,8 +17,8 @@ from warp_plate.accuracy.configurations import (
     node_steps,
     nodes_for,
 )
-from warp_plate.accuracy.reference_solution import Truth
-from warp_plate.accuracy.trial_runs import Trial, cost_of_run, try_out
+from warp_plate.accuracy.reference_solution import ReferenceSolution
+from warp_plate.accuracy.trial_runs import TrialRun, cost_of_run, try_out
 from warp_plate.reference.forced import localization_factors
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -43,7 +43,7 @@ class Aim:
     the usual ones."""
 
     scene: Scene
-    truth: Truth
+    truth: ReferenceSolution
     error: float
     device: str
     asked: np.ndarray | None = None
@@ -68,7 +68,7 @@ class Aim:
         usual = np.array([self.truth.drives["single"], self.truth.drives["best"], alike])
         return usual if self.asked is None else np.concatenate([usual, self.asked])
 
-    def attempt(self, configuration: Configuration) -> Trial:
+    def attempt(self, configuration: Configuration) -> TrialRun:
         """The error of :meth:`drives`; infinite where the grid cannot be had."""
         drives = self.drives()
         try:
@@ -76,9 +76,9 @@ class Aim:
                 self.scene, configuration, drives, localization_factors(self.truth.matrices, drives), self.device
             )
         except SceneError:  # too coarse for an actuator
-            return Trial(configuration, math.inf, cost_of_run(self.scene, configuration))
+            return TrialRun(configuration, math.inf, cost_of_run(self.scene, configuration))
 
-    def needed(self, trial: Trial) -> Configuration:
+    def needed(self, trial: TrialRun) -> Configuration:
         """The grid that would keep the error by the law of the trial's order."""
         factor = max(1.0, trial.error / self.error) ** (1 / trial.configuration.order)
         return finer(self.scene, trial.configuration, factor)
@@ -91,7 +91,7 @@ def finer(scene: Scene, configuration: Configuration, factor: float) -> Configur
     return replace(configuration, nodes=(nx, ny), time_step=step)
 
 
-def confirmed(aim: Aim, order: Order, precision: Precision, first: float, ceiling: float = math.inf) -> Trial:
+def confirmed(aim: Aim, order: Order, precision: Precision, first: float, ceiling: float = math.inf) -> TrialRun:
     """As :func:`cheapest`, but a somewhat finer grid keeps the error as well.
 
     Errors of coarse grids may pass through zero; what is right by such a chance is not taken.
@@ -118,7 +118,7 @@ def cheapest(
     first: float,
     ceiling: float = math.inf,
     too_coarse: float = 0.0,
-) -> Trial:
+) -> TrialRun:
     """The coarsest grid found that keeps the error, else the last one tried.
 
     first: nodes of a side to begin with; ceiling: a cost. No search where keeping the error would cost much more.
@@ -144,10 +144,10 @@ def cheapest(
             if keeps <= CLOSE_ENOUGH * too_coarse:
                 break
             side = _coarser(_predicted(aim, last, side), too_coarse, keeps)
-    return best or last or Trial(configuration, math.inf, math.inf)
+    return best or last or TrialRun(configuration, math.inf, math.inf)
 
 
-def _predicted(aim: Aim, trial: Trial, side: float) -> float:
+def _predicted(aim: Aim, trial: TrialRun, side: float) -> float:
     """Nodes of a side at which the error would be the one aimed at, by the law of the trial's order."""
     if not math.isfinite(trial.error):
         return 1.5 * side

@@ -16,7 +16,7 @@ import numpy as np
 from warp_plate.accuracy.configurations import Configuration, configuration_of, node_steps, scene_with, spacing_of
 from warp_plate.accuracy.formatting import seconds_text
 from warp_plate.accuracy.natural_frequencies import natural_frequencies
-from warp_plate.accuracy.reference_solution import Truth
+from warp_plate.accuracy.reference_solution import ReferenceSolution
 from warp_plate.accuracy.trial_runs import PATH, RELATIVE_COST
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
@@ -41,7 +41,7 @@ FEW_ON_CUDA = 16
 
 
 @dataclass(frozen=True)
-class Row:
+class AccuracyRow:
     """One configuration's figures; None where there is none.
 
     nodes: (nx, ny); time_step [s]; damping: scheme of the damping in time, None without; spacing: root of a cell's area
@@ -84,7 +84,7 @@ class Bench:
     """What rows share: scene, truth, device and path; the speed seen so far, by (order, precision) [s a node-step]."""
 
     scene: Scene
-    truth: Truth
+    truth: ReferenceSolution
     device: str = "auto"
     path: str = PATH
     speeds: dict[tuple[int, str], float] = field(default_factory=dict)
@@ -106,7 +106,7 @@ class Bench:
         return GUESS[self.kind] * cost
 
 
-def measure(bench: Bench, configuration: Configuration | None, seconds_left: float = math.inf) -> Row:
+def measure(bench: Bench, configuration: Configuration | None, seconds_left: float = math.inf) -> AccuracyRow:
     """The row of a configuration, or of the scene as written (None).
 
     Where all of it would take longer than ``seconds_left``, the bound is left out and two plates are timed; where that
@@ -133,10 +133,10 @@ def measure(bench: Bench, configuration: Configuration | None, seconds_left: flo
     return _figures(bench, solver, empty, whole=full <= seconds_left)
 
 
-def _empty_row(written: Scene, scene: Scene, as_written: bool) -> Row:
+def _empty_row(written: Scene, scene: Scene, as_written: bool) -> AccuracyRow:
     grid, damping = scene.grid, scene.effects.damping
     one = configuration_of(scene)
-    return Row(
+    return AccuracyRow(
         order=one.order,
         load=one.load,
         nodes=one.nodes,
@@ -158,7 +158,7 @@ def _plan(bench: Bench, scene: Scene, work: float) -> tuple[float, float]:
     return bench.start_seconds + plates * once, bench.start_seconds + (2 + few) * once
 
 
-def _figures(bench: Bench, solver: PlateSolver, empty: Row, whole: bool) -> Row:
+def _figures(bench: Bench, solver: PlateSolver, empty: AccuracyRow, whole: bool) -> AccuracyRow:
     """The figures of a solver that could be made."""
     scene, truth = solver.scene, bench.truth
     drives = np.array([truth.drives["single"], truth.drives["best"]])
@@ -218,7 +218,7 @@ def _seconds_of_swarm(solver: PlateSolver, plates: int, repeated: bool) -> tuple
     return median(taken), plates
 
 
-def _displacement_error(truth: Truth, scene: Scene, times: np.ndarray, found: np.ndarray) -> float:
+def _displacement_error(truth: ReferenceSolution, scene: Scene, times: np.ndarray, found: np.ndarray) -> float:
     """‖u − u_true‖ / ‖u_true‖ over all nodes and times."""
     width, height = scene.plate.size
     nx, ny = scene.grid.nodes

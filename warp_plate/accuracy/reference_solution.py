@@ -62,7 +62,7 @@ PATH = "auto"
 
 
 @dataclass(frozen=True)
-class Truth:
+class ReferenceSolution:
     """What the plate of a scene does.
 
     kind; matrices: (2, 2M, 2M) of plate and target [J per (N/m²)²], see ``reference.forced``; drives: "single" (the
@@ -80,7 +80,7 @@ class Truth:
     uncertainty: float
     frequencies: np.ndarray
     field: Field
-    stage: Stage
+    stage: ReferenceStage
 
     def displacement(self, times: Sequence[float] | np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """(times, points of y, points of x) displacement [m] under the best drive."""
@@ -88,7 +88,7 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Stage:
+class ReferenceStage:
     """One step of a growing reference.
 
     size: functions or nodes of a side; uncertainty: largest relative change of the probes, inf while unknown; seconds:
@@ -105,14 +105,14 @@ class Stage:
     scenes: tuple[Scene, ...] = ()
 
 
-def find_truth(
+def find_reference_solution(
     scene: Scene,
     kind: Literal["auto", "ritz", "richardson"] = "auto",
     device: str = "auto",
     wanted: float = 1e-5,
     seconds: float = 60.0,
     drives: np.ndarray | None = None,
-) -> Truth:
+) -> ReferenceSolution:
     """The right answer, its uncertainty below ``wanted`` or as small as ``seconds`` of work make it.
 
     The uncertainty is that of the bound and of equal drive, best single actuator, best drive and ``drives``.
@@ -126,7 +126,7 @@ def find_truth(
     singles = np.eye(len(scene.actuators), dtype=complex)
     single = singles[int(np.argmax(localization_factors(stage.matrices, singles)))]
     factors = localization_factors(stage.matrices, np.array([single, best]))
-    return Truth(
+    return ReferenceSolution(
         kind=stage.kind,
         matrices=stage.matrices,
         drives={"single": single, "best": best},
@@ -147,7 +147,7 @@ def grow(
     seconds: float = 60.0,
     drives: np.ndarray | None = None,
     more: np.ndarray | None = None,
-) -> Stage:
+) -> ReferenceStage:
     """The last stage of the reference: uncertainty below ``wanted``, or no time left for the next.
 
     wanted: a number, or a function of the stage's matrices; drives: (drives, actuators) whose localization factors are
@@ -196,7 +196,7 @@ class Probes:
         return max(float(np.abs(values(other) / now - 1).max()) for other in others)
 
 
-def _stages(scene: Scene, kind: str, device: str, probes: Probes) -> Iterator[Stage]:
+def _stages(scene: Scene, kind: str, device: str, probes: Probes) -> Iterator[ReferenceStage]:
     if kind != "richardson":
         try:
             yield from _ritz_stages(scene, probes)
@@ -207,7 +207,7 @@ def _stages(scene: Scene, kind: str, device: str, probes: Probes) -> Iterator[St
     yield from _richardson_stages(scene, device, probes)
 
 
-def _ritz_stages(scene: Scene, probes: Probes) -> Iterator[Stage]:
+def _ritz_stages(scene: Scene, probes: Probes) -> Iterator[ReferenceStage]:
     plate = thin_plate(scene)
     scene.target.rectangle()  # before any work
     kept: list[np.ndarray] = []
@@ -221,7 +221,7 @@ def _ritz_stages(scene: Scene, probes: Probes) -> Iterator[Stage]:
         if len(kept) > 2 and not _resolves(scene, functions):
             change = max(change, 1.0)  # what is not resolved may stand still at a wrong value
         following = min((later for size, later in RITZ_SECONDS.items() if size > count), default=math.inf)
-        yield Stage("ritz", count, kept[-1], change, seconds, following, modes)
+        yield ReferenceStage("ritz", count, kept[-1], change, seconds, following, modes)
 
 
 def _functions(size: tuple[float, float], count: int) -> tuple[int, int]:
@@ -246,7 +246,7 @@ def _check_resonance(modes: Modes, scene: Scene) -> None:
         raise ValueError(f"drive.frequency = {scene.drive.frequency:g}: the undamped plate is driven at its resonance")
 
 
-def _richardson_stages(scene: Scene, device: str, probes: Probes) -> Iterator[Stage]:
+def _richardson_stages(scene: Scene, device: str, probes: Probes) -> Iterator[ReferenceStage]:
     order = highest_order(scene)
     configurations = _falling_steps(scene, order)
     matrices: list[np.ndarray] = []
@@ -267,7 +267,7 @@ def _richardson_stages(scene: Scene, device: str, probes: Probes) -> Iterator[St
         best = extrapolated[-1] if extrapolated else matrices[-1]
         took = time.perf_counter() - started
         # Each grid has twice the nodes of the one before, and twice the steps.
-        yield Stage("richardson", configuration.nodes[0], best, change, took, 4 * took, scenes=tuple(scenes))
+        yield ReferenceStage("richardson", configuration.nodes[0], best, change, took, 4 * took, scenes=tuple(scenes))
 
 
 def _falling_steps(scene: Scene, order: Order) -> list[Configuration]:
@@ -282,7 +282,7 @@ def _falling_steps(scene: Scene, order: Order) -> list[Configuration]:
     ]
 
 
-def _frequencies(stage: Stage) -> np.ndarray:
+def _frequencies(stage: ReferenceStage) -> np.ndarray:
     if stage.modes is not None:
         return stage.modes.angular_frequencies[:FREQUENCIES] / (2 * math.pi)
     coarse, fine = (natural_frequencies(scene, FREQUENCIES) for scene in stage.scenes[-2:])

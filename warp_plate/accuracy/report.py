@@ -7,10 +7,10 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
-from warp_plate.accuracy.configurations import Configuration, make_family
-from warp_plate.accuracy.fit import Law, Recommendation, fit_laws, pareto_front, recommend
-from warp_plate.accuracy.measure import Bench, Row, cost_order, measure, speeds_json
-from warp_plate.accuracy.reference_solution import Truth, find_truth
+from warp_plate.accuracy.configurations import Configuration, make_configurations
+from warp_plate.accuracy.fit import ConvergenceLaw, Recommendation, fit_laws, pareto_front, recommend
+from warp_plate.accuracy.measure import AccuracyRow, Bench, cost_order, measure, speeds_json
+from warp_plate.accuracy.reference_solution import ReferenceSolution, find_reference_solution
 from warp_plate.accuracy.trial_runs import PATH
 from warp_plate.scene.model import Grid, Scene
 
@@ -23,18 +23,18 @@ FIRST_ROWS = 6
 
 
 @dataclass(frozen=True)
-class Report:
+class AccuracyReport:
     """scene: its name; device; path; truth; rows; laws; front: indices of the rows on the Pareto front; recommended;
     speeds [ns a node-step]; seconds that all took; interrupted by Ctrl-C."""
 
     scene: str
     device: str
     path: str
-    truth: Truth
+    reference: ReferenceSolution
     particles: int
     iterations: int
-    rows: Sequence[Row]
-    laws: Sequence[Law]
+    rows: Sequence[AccuracyRow]
+    laws: Sequence[ConvergenceLaw]
     front: Sequence[int]
     recommended: Sequence[Recommendation]
     speeds: dict[str, float]
@@ -43,7 +43,7 @@ class Report:
 
     def as_json(self) -> dict[str, object]:
         """Of numbers, texts, lists and mappings only; ``localization_factor`` is the best single actuator's."""
-        truth = self.truth
+        truth = self.reference
         return {
             "scene": self.scene,
             "device": self.device,
@@ -67,19 +67,19 @@ class Report:
         }
 
 
-def measure_family(
+def measure_configurations(
     scene: Scene,
     source: str = "",
     device: str = "auto",
     path: str = PATH,
     budget: float = 120.0,
-    told: Callable[[int, int, str], object] | None = None,
-) -> Report:
+    on_progress: Callable[[int, int, str], object] | None = None,
+) -> AccuracyReport:
     """The scene as written and all of its family.
 
     Args:
         budget: seconds for all; what would take longer is a row marked so.
-        told: called before each row with the rows done, all rows, and the next one's name.
+        on_progress: called before each row with the rows done, all rows, and the next one's name.
 
     Ctrl-C ends it with what is measured.
 
@@ -88,18 +88,18 @@ def measure_family(
         KeyboardInterrupt: nothing has been measured yet.
     """
     started = time.perf_counter()
-    truth = find_truth(scene, "auto", device, REFERENCE_ERROR, REFERENCE_SHARE * budget)
+    truth = find_reference_solution(scene, "auto", device, REFERENCE_ERROR, REFERENCE_SHARE * budget)
     asked = scene.grid.accuracy is not None  # then the scene as written has no grid, and the family is all there is
     scene = scene.model_copy(update={"grid": Grid()}) if asked else scene
     bench = Bench(scene, truth, device, path)
-    family = sorted(make_family(scene), key=lambda one: cost_order(scene, one))
+    family = sorted(make_configurations(scene), key=lambda one: cost_order(scene, one))
     wanted: list[Configuration | None] = [*([] if asked else [None]), *family]
-    rows: list[Row] = []
+    rows: list[AccuracyRow] = []
     interrupted = False
     try:
         for configuration in wanted:
-            if told is not None:
-                told(len(rows), len(wanted), str(configuration or "the scene as written"))
+            if on_progress is not None:
+                on_progress(len(rows), len(wanted), str(configuration or "the scene as written"))
             left = budget - (time.perf_counter() - started)
             first = sum(row.measured for row in rows) < FIRST_ROWS
             rows.append(measure(bench, configuration, math.inf if first else SHARE_OF_REST * left))
@@ -108,11 +108,11 @@ def measure_family(
             raise
         interrupted = True
     plates = scene.search.particles * scene.search.iterations
-    return Report(
+    return AccuracyReport(
         scene=source,
         device=device,
         path=path,
-        truth=truth,
+        reference=truth,
         particles=scene.search.particles,
         iterations=scene.search.iterations,
         rows=tuple(rows),

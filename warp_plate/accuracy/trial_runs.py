@@ -22,7 +22,7 @@ PATH = "auto"
 
 
 @dataclass(frozen=True)
-class Trial:
+class TrialRun:
     """configuration; error: the largest relative error of the localization factors; cost: see :func:`cost_of_run`."""
 
     configuration: Configuration
@@ -37,7 +37,7 @@ def cost_of_run(scene: Scene, configuration: Configuration) -> float:
 
 def try_out(
     scene: Scene, configuration: Configuration, drives: np.ndarray, factors: np.ndarray, device: str = "auto"
-) -> Trial:
+) -> TrialRun:
     """Run the drives (drives, actuators), the right localization factors (drives,) of which are known.
 
     A plate whose numbers leave the finite ones has an infinite error.
@@ -49,7 +49,7 @@ def try_out(
     solver = PlateSolver(scene_with(scene, configuration), device, path_for(work, device))
     found = localization_factor(solver.run(drives).energy)
     error = float(np.abs(found / factors - 1).max())
-    return Trial(configuration, error if np.isfinite(error) else np.inf, cost_of_run(scene, configuration))
+    return TrialRun(configuration, error if np.isfinite(error) else np.inf, cost_of_run(scene, configuration))
 
 
 def path_for(work: float, device: str) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.analysis.warnings import Finding, slowest_frequency, warnings, wavelengths
+from warp_plate.analysis.warnings import Finding, find_warnings, slowest_frequency, wavelengths
 from warp_plate.plate.bending import Bending
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scheme import Scheme
@@ -129,7 +129,7 @@ def check(scene: Scene, device: str = "auto", allow_unstable: bool = False) -> C
         plates=scene.search.particles,
         device=specialized.device.alias,
         path=choose_path(specialized),
-        findings=tuple(warnings(scene, None)),
+        findings=tuple(find_warnings(scene, None)),
     )
 
 

@@ -195,7 +195,7 @@ def _electrostatic(scene: Scene) -> tuple[Scene, str]:
     return with_value(scene, "electrostatic", table), f"bias of {bias:.3g}, as large as the voltage; the tone as it is"
 
 
-TYPICAL: dict[str, Change] = {
+TYPICAL_CHANGES: dict[str, Change] = {
     "edges": _springs,
     "damping": _damping,
     "material_damping": _material_damping,

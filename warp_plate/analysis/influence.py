@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.analysis.effect_toggles import TYPICAL, bare_scene, is_on, names, with_value, without
+from warp_plate.analysis.effect_toggles import TYPICAL_CHANGES, bare_scene, is_on, names, with_value, without
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.effects import MovingLoad
@@ -30,7 +30,7 @@ Told = Callable[[int, int, str], object]
 
 
 @dataclass(frozen=True)
-class Switch:
+class EffectToggle:
     """One effect, and what switching it does.
 
     on: whether the scene names it; price: what it adds to a step of a plate, in % of a step of the bare plate
@@ -57,17 +57,17 @@ class Influence:
     localization_factor: float
     peak: float
     bare_step: float
-    switches: tuple[Switch, ...]
+    switches: tuple[EffectToggle, ...]
 
 
-def switches(scene: Scene, device: str = "auto", told: Told | None = None) -> Influence:
+def measure_influence(scene: Scene, device: str = "auto", told: Told | None = None) -> Influence:
     """Every effect on or off, its measured price, and the scene's own drive with it switched to the other state.
 
     Args:
         scene: with a grid, not an accuracy.
         told: called with (effects done, effects in all, name of the next).
 
-    An effect that is off gets a typical value, which ``Switch.switched`` states. Where a time step that the scene
+    An effect that is off gets a typical value, which ``EffectToggle.switched`` states. Where a time step that the scene
     gives is too long for the other state, that state takes its own step and says so.
 
     Raises:
@@ -89,14 +89,14 @@ def switches(scene: Scene, device: str = "auto", told: Told | None = None) -> In
         solver, text = others[name]
         on = is_on(scene, name)
         if solver is None:
-            made.append(Switch(name, on, None, None, None, None, None, text))
+            made.append(EffectToggle(name, on, None, None, None, None, None, text))
             continue
         sign = 1 if on else -1
         prices = 100 * sign * (seconds[""] - seconds[name]) / bare_step
         price = float(np.median(prices))
         spread = float(np.median(np.abs(prices - price)))
         ratio = solvers[""].specialized.scheme.steps / solver.specialized.scheme.steps
-        made.append(Switch(name, on, price, spread, ratio**sign, *found[name], text))
+        made.append(EffectToggle(name, on, price, spread, ratio**sign, *found[name], text))
     if told is not None:
         told(len(effects), len(effects), "")
     return Influence(*found[""], bare_step, tuple(made))
@@ -105,7 +105,7 @@ def switches(scene: Scene, device: str = "auto", told: Told | None = None) -> In
 def _other(scene: Scene, name: str, device: str) -> tuple[PlateSolver | None, str]:
     """The scene with one effect in the other state and what that is; or None and why it is refused."""
     on = is_on(scene, name)
-    change = without(name) if on else TYPICAL.get(name)
+    change = without(name) if on else TYPICAL_CHANGES.get(name)
     if change is None:
         return None, "no typical value is known"
     try:

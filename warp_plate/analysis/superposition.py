@@ -86,7 +86,7 @@ def unit_responses(
 
 
 @dataclass(frozen=True)
-class Simulated:
+class SimulatedResponses:
     """The same for a scene that is not linear in its drives: each is a run of its own, and no bound is claimed."""
 
     scene: Scene
@@ -106,14 +106,14 @@ class Simulated:
         return Reading(self.scene, drive, motions_of(run, self.scene, ORDERS)[0], energy, None)
 
 
-def simulated(scene: Scene, device: str, path: str) -> Simulated:
+def simulated_responses(scene: Scene, device: str, path: str) -> SimulatedResponses:
     """What simulates a scene drive by drive.
 
     Raises:
         SceneError: see :class:`PlateSolver`.
     """
     with _ONE_AT_A_TIME:
-        return Simulated(scene, live_solver(scene, device, path))
+        return SimulatedResponses(scene, live_solver(scene, device, path))
 
 
 def live_solver(scene: Scene, device: str, path: str) -> PlateSolver:

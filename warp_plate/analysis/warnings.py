@@ -49,7 +49,7 @@ class Finding:
     exceeded: bool
 
 
-def warnings(scene: Scene, peak_displacement: float | None) -> list[Finding]:
+def find_warnings(scene: Scene, peak_displacement: float | None) -> list[Finding]:
     """All numbers of a scene with a grid, whose largest displacement is ``peak_displacement`` [m], if it is known.
 
     Raises:
@@ -65,12 +65,12 @@ def warnings(scene: Scene, peak_displacement: float | None) -> list[Finding]:
     ]
 
 
-def exceeded(scene: Scene, peak_displacement: float | None) -> list[str]:
+def warning_texts(scene: Scene, peak_displacement: float | None) -> list[str]:
     """The sentences of those that are exceeded; ``peak_displacement`` [m]."""
-    return [warning.sentence for warning in warnings(scene, peak_displacement) if warning.exceeded]
+    return [warning.sentence for warning in find_warnings(scene, peak_displacement) if warning.exceeded]
 
 
-def of_search(scene: Scene) -> list[str]:
+def search_warnings(scene: Scene) -> list[str]:
     """Sentences about what a search finds that cannot be built."""
     if len(scene.targets) < 2 or scene.search.position is None:
         return []
@@ -127,7 +127,7 @@ def _never_steady(scene: Scene) -> str | None:
 def _amplitude(scene: Scene, peak: float) -> Finding:
     value = peak / scene.plate.thickness
     if not math.isfinite(value):
-        return Finding("displacement / thickness", value, MOST_AMPLITUDE, why_no_energies(scene), True)
+        return Finding("displacement / thickness", value, MOST_AMPLITUDE, explain_missing_energies(scene), True)
     named = scene.effects.stretching is not None
     high = value > MOST_AMPLITUDE
     sentence = f"The largest displacement seen over the run is {value:.2g} of the thickness (threshold "
@@ -141,7 +141,7 @@ def _amplitude(scene: Scene, peak: float) -> Finding:
     return Finding("displacement / thickness", value, MOST_AMPLITUDE, sentence, high and not named)
 
 
-def why_no_energies(scene: Scene, status: str = "its numbers grew until they were none") -> str:
+def explain_missing_energies(scene: Scene, status: str = "its numbers grew until they were none") -> str:
     """A sentence about a plate whose status is not "ok", with its likely cause.
 
     A linear plate cannot grow below the stability limit; the limit leaves out what stretching pulls with.

@@ -19,7 +19,7 @@ FILLING_A_THREAD, FILLING_A_GPU = 128, 65536
 
 
 @dataclass(frozen=True)
-class Case:
+class BenchCase:
     """One thing to measure; nodes: of each side; path: "auto" or one of the device's."""
 
     device: str
@@ -53,7 +53,7 @@ def make_cases(
     nodes: Sequence[int] | None = None,
     path: str = "auto",
     quick: bool = False,
-) -> list[Case]:
+) -> list[BenchCase]:
     """Every device with every precision, and for each of them
 
     - neither plates nor nodes given: numbers of plates at the paper's size, then sizes that fill the device;
@@ -63,12 +63,12 @@ def make_cases(
     Raises:
         SceneError: no such device.
     """
-    cases: dict[Case, None] = {}  # each once, in order
+    cases: dict[BenchCase, None] = {}  # each once, in order
     for device in devices:
         find_device(device)
         for precision in precisions:
             for size, count in _sizes(device, plates, nodes, quick):
-                cases[Case(device, precision, size, count, path)] = None
+                cases[BenchCase(device, precision, size, count, path)] = None
     return list(cases)
 
 

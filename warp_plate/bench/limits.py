@@ -44,14 +44,14 @@ RUNS = 5
 
 
 @dataclass(frozen=True)
-class Limits:
+class DeviceLimits:
     """copy_bytes_per_second: read and written together; flops: by precision, a fused multiply-add being two."""
 
     copy_bytes_per_second: float
     flops: Mapping[str, float]
 
 
-def measure_limits(device: wp.Device, precisions: Iterable[str]) -> Limits:
+def measure_limits(device: wp.Device, precisions: Iterable[str]) -> DeviceLimits:
     """Both limits of a device; on CPU with as many threads as the simulation uses.
 
     Raises:
@@ -59,10 +59,10 @@ def measure_limits(device: wp.Device, precisions: Iterable[str]) -> Limits:
     """
     threads = cpu_threads() if device.is_cpu else 1
     copied = _copy_bytes_per_second(device, threads)
-    return Limits(copied, {name: _flops(device, REALS[name], threads) for name in precisions})
+    return DeviceLimits(copied, {name: _flops(device, REALS[name], threads) for name in precisions})
 
 
-def share_of_limit(specialized: Specialized, path: str, rate: float, limits: Limits) -> tuple[str, float]:
+def share_of_limit(specialized: Specialized, path: str, rate: float, limits: DeviceLimits) -> tuple[str, float]:
     """Name of the limit that a path is held against, and the share that ``rate`` [node-steps/s] is of it."""
     if path == "streaming":
         moved = NUMBERS_MOVED * wp.types.type_size_in_bytes(specialized.real)

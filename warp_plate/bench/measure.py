@@ -10,9 +10,9 @@ from statistics import median
 import numpy as np
 import warp as wp
 
-from warp_plate.bench.cases import Case
+from warp_plate.bench.cases import BenchCase
 from warp_plate.bench.clock import seconds_of
-from warp_plate.bench.limits import Limits, measure_limits, share_of_limit
+from warp_plate.bench.limits import DeviceLimits, measure_limits, share_of_limit
 from warp_plate.bench.machine import Machine, describe_machine, describe_versions
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.memory import machine_memory
@@ -36,19 +36,19 @@ NOTHING_TRACED = np.zeros((0, 2), dtype=np.int32)
 
 
 @dataclass(frozen=True)
-class Pace:
+class TimingBudget:
     """seconds: that a run may take, fewer steps being taken where the whole would take longer; runs: at least."""
 
     seconds: float
     runs: int
 
 
-FULL = {"cpu": Pace(1.0, 5), "cuda": Pace(0.25, 7)}
-QUICK = {"cpu": Pace(0.2, 3), "cuda": Pace(0.1, 5)}
+FULL = {"cpu": TimingBudget(1.0, 5), "cuda": TimingBudget(0.25, 7)}
+QUICK = {"cpu": TimingBudget(0.2, 3), "cuda": TimingBudget(0.1, 5)}
 
 
 @dataclass(frozen=True)
-class Row:
+class BenchRow:
     """One case's figures; None where it was skipped.
 
     path: the one taken; seconds: of one run of ``steps`` steps; swarm_seconds: for the paper's 1250 steps;
@@ -77,13 +77,13 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Report:
+class BenchReport:
     """Everything that one call of the benchmark found; limits: by device."""
 
     machine: Machine
     versions: Mapping[str, str]
-    limits: Mapping[str, Limits]
-    rows: Sequence[Row]
+    limits: Mapping[str, DeviceLimits]
+    rows: Sequence[BenchRow]
     interrupted: bool
 
     def as_json(self) -> dict[str, object]:
@@ -96,7 +96,7 @@ class NotMeasured(Exception):
 
 
 @dataclass(frozen=True)
-class Ready:
+class PreparedCase:
     """A case that can be run: plates with their drives on the device."""
 
     specialized: Specialized
@@ -116,27 +116,29 @@ class Ready:
 
 
 def measure_all(
-    cases: Sequence[Case], pace: Mapping[str, Pace], tell: Callable[[int, Case], None] | None = None
-) -> Report:
+    cases: Sequence[BenchCase],
+    pace: Mapping[str, TimingBudget],
+    on_progress: Callable[[int, BenchCase], None] | None = None,
+) -> BenchReport:
     """Measure the cases, and the limits of each device before its first; Ctrl-C ends it with what is there.
 
     Args:
         cases: ordered by device.
         pace: by "cpu" and "cuda".
-        tell: called with the number of cases done and the one that comes next.
+        on_progress: called with the number of cases done and the one that comes next.
 
     Raises:
         SceneError: no such device, or WARP_PLATE_THREADS is no number of threads.
         KeyboardInterrupt: nothing has been measured yet.
     """
     machine = describe_machine(list(dict.fromkeys(case.device for case in cases)))
-    limits: dict[str, Limits] = {}
-    rows: list[Row] = []
+    limits: dict[str, DeviceLimits] = {}
+    rows: list[BenchRow] = []
     interrupted = False
     try:
         for case in cases:
-            if tell is not None:
-                tell(len(rows), case)
+            if on_progress is not None:
+                on_progress(len(rows), case)
             device = find_device(case.device)
             if case.device not in limits:
                 precisions = dict.fromkeys(other.precision for other in cases if other.device == case.device)
@@ -146,21 +148,21 @@ def measure_all(
         if not rows:
             raise
         interrupted = True
-    return Report(machine, describe_versions(), limits, tuple(rows), interrupted)
+    return BenchReport(machine, describe_versions(), limits, tuple(rows), interrupted)
 
 
-def measure_case(case: Case, limits: Limits, pace: Pace) -> Row:
+def measure_case(case: BenchCase, limits: DeviceLimits, pace: TimingBudget) -> BenchRow:
     """The figures of a case, or the reason why it was skipped."""
     try:
         ready = prepare(case)
         steps = choose_steps(ready, pace.seconds)
     except (SceneError, NotMeasured) as reason:
-        nothing = dict.fromkeys(list(Row.__dataclass_fields__)[4:-1])
-        return Row(case.device, case.precision, case.nodes, case.plates, **nothing, status=f"skipped: {reason}")
+        nothing = dict.fromkeys(list(BenchRow.__dataclass_fields__)[4:-1])
+        return BenchRow(case.device, case.precision, case.nodes, case.plates, **nothing, status=f"skipped: {reason}")
     seconds = median(time_runs(partial(ready.run, steps), ready.specialized.device, pace))
     rate = ready.node_steps * steps / seconds
     limit, share = share_of_limit(ready.specialized, ready.path, rate, limits)
-    return Row(
+    return BenchRow(
         device=case.device,
         precision=case.precision,
         nodes=case.nodes,
@@ -178,7 +180,7 @@ def measure_case(case: Case, limits: Limits, pace: Pace) -> Row:
     )
 
 
-def time_runs(run: Callable[[], None], device: wp.Device, pace: Pace) -> list[float]:
+def time_runs(run: Callable[[], None], device: wp.Device, pace: TimingBudget) -> list[float]:
     """Seconds of each run, after one to warm up; more runs than asked for where they are short."""
     run()
     taken: list[float] = []
@@ -187,7 +189,7 @@ def time_runs(run: Callable[[], None], device: wp.Device, pace: Pace) -> list[fl
     return taken
 
 
-def choose_steps(ready: Ready, seconds: float) -> int:
+def choose_steps(ready: PreparedCase, seconds: float) -> int:
     """An even number of steps that take about so many seconds, at most those of the paper's run.
 
     Raises:
@@ -202,7 +204,7 @@ def choose_steps(ready: Ready, seconds: float) -> int:
     return min(PAPER_STEPS, max(FEWEST_STEPS, int(steps * seconds / took) // 2 * 2))
 
 
-def prepare(case: Case) -> Ready:
+def prepare(case: BenchCase) -> PreparedCase:
     """Compile the case and load random drives.
 
     Plates start from noise instead of from rest: a wave front that runs into a resting plate passes through denormal
@@ -229,7 +231,7 @@ def prepare(case: Case) -> Ready:
         plate = np.zeros(field.shape[1:], dtype=case.precision)
         plate[2 : case.nodes, 1 : case.nodes - 1] = random.uniform(-1, 1, inner)
         field.assign(np.broadcast_to(plate, field.shape))
-    return Ready(specialized, engine.path, engine.advance, state)
+    return PreparedCase(specialized, engine.path, engine.advance, state)
 
 
 def paper_like(nodes: int, precision: str) -> Scene:

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from warp_plate.accuracy.measure import Row
-    from warp_plate.accuracy.report import Report
+    from warp_plate.accuracy.measure import AccuracyRow
+    from warp_plate.accuracy.report import AccuracyReport
 
 HEADINGS = ("nodes", "Δt (s)", "bits", "single", "bound", "error %", "u %", "modes %", "a plate", "")
 LEGEND = (
@@ -65,14 +65,14 @@ def accuracy(
     if not 0 < budget < float("inf"):
         raise SceneError(f"--budget {budget:g}: must be a number of seconds above zero")
     loaded = output.load_scene(scene)
-    from warp_plate.accuracy.report import measure_family
+    from warp_plate.accuracy.report import measure_configurations
     from warp_plate.bench.machine import describe_machine, describe_versions
     from warp_plate.solve.devices import find_device
 
     name = find_device(device).alias
     machine = describe_machine([name])
     with output.progress_bar("measuring", shown=not json) as show:
-        report = measure_family(loaded, scene, name, path, budget, show)
+        report = measure_configurations(loaded, scene, name, path, budget, show)
     record = {**report.as_json(), "machine": vars(machine), "versions": describe_versions()}
     files, missing = _write(record, target, pictures)
     if json:
@@ -95,8 +95,8 @@ def _write(record: Mapping[str, object], path: Path, pictures: bool) -> tuple[li
     return [path, *drawn], missing
 
 
-def _print(report: Report, device: str, console: Console) -> None:
-    truth = report.truth
+def _print(report: AccuracyReport, device: str, console: Console) -> None:
+    reference = report.reference
     console.print(f"{report.scene} on {device}\n")
     for kind in dict.fromkeys(map(_kind, report.rows)):
         made = output.table(*HEADINGS, title=kind)
@@ -108,8 +108,8 @@ def _print(report: Report, device: str, console: Console) -> None:
             console.print()
     console.print(LEGEND + "\n")
     console.print(
-        f"Reference ({truth.kind}): best single actuator {truth.localization_factors['single']:.5f}, bound "
-        f"{truth.bound:.5f}, known to {truth.uncertainty:.1g}.\n"
+        f"Reference ({reference.kind}): best single actuator {reference.localization_factors['single']:.5f}, bound "
+        f"{reference.bound:.5f}, known to {reference.uncertainty:.1g}.\n"
     )
     laws = output.table("measured laws", "error ∝ h^", "u ∝ h^", "modes ∝ h^", "s ∝ n^")
     for law in report.laws:
@@ -124,7 +124,7 @@ def _print(report: Report, device: str, console: Console) -> None:
         console.print("Interrupted by Ctrl-C: what was measured until then is shown.")
 
 
-def _recommendations(report: Report) -> object:
+def _recommendations(report: AccuracyReport) -> object:
     from warp_plate.accuracy.formatting import percent, seconds_text
 
     swarm = f"{report.particles} × {report.iterations} plates"
@@ -141,7 +141,7 @@ def _recommendations(report: Report) -> object:
     return made
 
 
-def _print_missing(report: Report, console: Console) -> None:
+def _print_missing(report: AccuracyReport, console: Console) -> None:
     """Every refusal in full; of what was skipped, grids and times."""
     skipped: dict[str, list[str]] = {}
     for row in report.rows:
@@ -154,16 +154,16 @@ def _print_missing(report: Report, console: Console) -> None:
         console.print(f"{kind}: skipped, for it would take too long: {', '.join(sizes)}")
 
 
-def _kind(row: Row) -> str:
+def _kind(row: AccuracyRow) -> str:
     kind = f"order {row.order}, {row.load}"
     return f"as written: {kind}, {row.damping or 'no'} damping" if row.as_written else kind
 
 
-def _size(row: Row) -> str:
+def _size(row: AccuracyRow) -> str:
     return f"{row.nodes[0]} × {row.nodes[1]}"
 
 
-def _cells(row: Row, on_front: bool) -> list[str]:
+def _cells(row: AccuracyRow, on_front: bool) -> list[str]:
     from warp_plate.accuracy.formatting import percent, seconds_text
 
     step = "" if row.time_step is None else f"{row.time_step:.2g}"

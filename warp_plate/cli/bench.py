@@ -15,7 +15,7 @@ from warp_plate.scene.errors import SceneError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from warp_plate.bench.measure import Report, Row
+    from warp_plate.bench.measure import BenchReport, BenchRow
 
 HEADINGS = ("path", "nodes", "plates", "steps", "ns", "10⁹/s", "swarm (s)", "KiB", "of limit")
 LEGEND = (
@@ -74,10 +74,10 @@ def bench(
         print(f"warp-plate: {warning}", file=sys.stderr)
     with output.progress_bar("measuring", shown=not json) as show:
 
-        def tell(done: int, case: object) -> None:
+        def on_progress(done: int, case: object) -> None:
             show(done, len(cases), str(case))
 
-        report = measure_all(cases, QUICK if quick else FULL, tell)
+        report = measure_all(cases, QUICK if quick else FULL, on_progress)
     files, missing = _write(report, target, pictures)
     if json:
         output.print_json({**report.as_json(), "files": [str(file) for file in files]})
@@ -100,7 +100,7 @@ def _whole_numbers(option: str, text: str | None, least: int, most: int) -> list
     return [int(part) for part in parts]
 
 
-def _write(report: Report, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
+def _write(report: BenchReport, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """The figures as JSON and their pictures; returns the files, and why a picture is missing."""
     from warp_plate.result.atomic_io import write_whole
 
@@ -113,7 +113,7 @@ def _write(report: Report, path: Path, pictures: bool) -> tuple[list[Path], str 
     return [path, *drawn], missing
 
 
-def _print(report: Report, console: Console) -> None:
+def _print(report: BenchReport, console: Console) -> None:
     groups = dict.fromkeys((row.device, row.precision) for row in report.rows if row.measured)
     for device, precision in groups:
         limits = report.limits[device]
@@ -133,7 +133,7 @@ def _print(report: Report, console: Console) -> None:
         console.print("Interrupted by Ctrl-C: what was measured until then is shown.")
 
 
-def _cells(row: Row) -> list[str]:
+def _cells(row: BenchRow) -> list[str]:
     """A measured row as the table shows it."""
     rate = (row.node_steps_per_second or 0) / 1e9
     head = [str(row.path), str(row.nodes), str(row.plates), str(row.steps)]

@@ -10,7 +10,7 @@ import cyclopts
 from warp_plate.cli import output
 
 if TYPE_CHECKING:
-    from warp_plate.analysis.influence import Influence, Switch
+    from warp_plate.analysis.influence import EffectToggle, Influence
     from warp_plate.analysis.warnings import Finding
     from warp_plate.scene.model import Scene
 
@@ -37,14 +37,14 @@ def effects(
         Print one JSON object instead of tables.
     """
     loaded = output.load_scene(scene, accuracy)
-    from warp_plate.analysis.influence import switches
-    from warp_plate.analysis.warnings import warnings
+    from warp_plate.analysis.influence import measure_influence
+    from warp_plate.analysis.warnings import find_warnings
     from warp_plate.studies.localize import resolve
 
     loaded = resolve(loaded, device)[0]
     with output.progress_bar("switching", shown=not json) as show:
-        found = switches(loaded, device, show)
-    numbers = warnings(loaded, found.peak)
+        found = measure_influence(loaded, device, show)
+    numbers = find_warnings(loaded, found.peak)
     if json:
         output.print_json(
             {
@@ -81,7 +81,7 @@ def _print(name: str, scene: Scene, found: Influence, numbers: list[Finding]) ->
         console.print(f"{'! ' if number.exceeded else '  '}{number.sentence}")
 
 
-def _row(switch: Switch) -> list[str]:
+def _row(switch: EffectToggle) -> list[str]:
     start = [_words(switch.name), "on" if switch.on else "off"]
     if switch.price is None:
         return [*start, "refused", "", "", ""]

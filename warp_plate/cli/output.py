@@ -231,17 +231,17 @@ def print_accuracy(result: Result, console: Console) -> None:
 def warnings_of(result: Result) -> list[str]:
     """What the result's scene calls for but does not name, going by the drive that was asked for or found; and what its
     search says in vain."""
-    from warp_plate.analysis.warnings import exceeded, of_search, why_no_energies
+    from warp_plate.analysis.warnings import explain_missing_energies, search_warnings, warning_texts
     from warp_plate.problem.methods import unread_keys
 
     lost = next((one.status for one in result.cases.values() if one.status != "ok"), None)
     if lost is not None:
-        return [why_no_energies(result.scene, lost)]
+        return [explain_missing_energies(result.scene, lost)]
     best = result.history.get("best")
     if best is not None and len(best) and not math.isfinite(best[-1]):
         return ["No plate that the search tried has energies: the best single actuator stands for what it should find."]
-    found = [*of_search(result.scene), *unread_keys(result.scene.search)] if result.command == "localize" else []
-    return found + exceeded(result.placed(result.judged), result.peak)
+    found = [*search_warnings(result.scene), *unread_keys(result.scene.search)] if result.command == "localize" else []
+    return found + warning_texts(result.placed(result.judged), result.peak)
 
 
 def print_warnings(result: Result, console: Console) -> None:

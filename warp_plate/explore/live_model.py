@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.analysis.superposition import Simulated, UnitResponses, simulated, unit_responses
+from warp_plate.analysis.superposition import SimulatedResponses, UnitResponses, simulated_responses, unit_responses
 from warp_plate.explore.settings import Settings, changed_scene, polar, ranges_of
 from warp_plate.explore.watched_search import WatchedSearch
 from warp_plate.plate.scene_overrides import scene_phasors
@@ -58,7 +58,7 @@ class LiveModel:
         damping = scene.effects.damping.viscous if scene.effects.damping else 0.0
         self.settings = Settings(scene.drive.frequency, damping, *polar(drive))
         self._random = np.random.default_rng()
-        self._responses: UnitResponses | Simulated = self._simulated(scene, progress)
+        self._responses: UnitResponses | SimulatedResponses = self._simulated(scene, progress)
         self._reading = self._responses.read(drive)
         self._done = self.settings
         self._choice: tuple[str, float] | None = None
@@ -228,13 +228,13 @@ class LiveModel:
         if (wanted.frequency, wanted.damping) != (done.frequency, done.damping):
             self._end_search()
             self._responses = self._simulated(changed_scene(self.scene, wanted.frequency, wanted.damping))
-        if isinstance(self._responses, Simulated):
+        if isinstance(self._responses, SimulatedResponses):
             self._reading = self._responses.read(wanted.drive)
 
-    def _simulated(self, scene: Scene, progress: Progress | None = None) -> UnitResponses | Simulated:
+    def _simulated(self, scene: Scene, progress: Progress | None = None) -> UnitResponses | SimulatedResponses:
         if scene.linear:
             return unit_responses(scene, self._device, self._path, progress)
-        return simulated(scene, self._device, self._path)
+        return simulated_responses(scene, self._device, self._path)
 
     def _take(self, choice: str, seconds: float) -> None:
         responses, actuators = self._responses, len(self.scene.actuators)

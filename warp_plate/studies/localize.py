@@ -14,7 +14,7 @@ import warp as wp
 import warp_plate
 from warp_plate.accuracy.choose import choose
 from warp_plate.accuracy.estimate import estimate as estimate_errors
-from warp_plate.accuracy.reference_solution import Stage
+from warp_plate.accuracy.reference_solution import ReferenceStage
 from warp_plate.cluster.pool import Pool
 from warp_plate.plate.files import digests
 from warp_plate.plate.weights import localization_factor
@@ -172,7 +172,7 @@ def _finish(
     on_progress: OnProgress | None,
     estimate: bool,
     checkpoints: CheckpointFile | None,
-    stage: Stage | None,
+    stage: ReferenceStage | None,
     spectrum: bool,
 ) -> Result:
     """From a checkpoint, which may be that of iteration 0, to the result: a search knows nothing else of its past."""
@@ -227,7 +227,7 @@ def _finish(
 
 def resolve(
     scene: Scene, device: str, drives: np.ndarray | None = None
-) -> tuple[Scene, dict[str, Any], dict[str, float], Stage | None]:
+) -> tuple[Scene, dict[str, Any], dict[str, float], ReferenceStage | None]:
     """The scene with a grid, what is to be kept of its choice, the seconds that it took, and its reference.
 
     Raises:
@@ -238,7 +238,7 @@ def resolve(
     started = time.perf_counter()
     choice = choose(scene, scene.grid.accuracy, device, drives)
     kept = {"asked": choice.asked, "expected": choice.error, "reason": choice.reason}
-    return choice.scene, kept, {"choose": time.perf_counter() - started}, choice.truth.stage
+    return choice.scene, kept, {"choose": time.perf_counter() - started}, choice.reference.stage
 
 
 def estimated(
@@ -247,7 +247,7 @@ def estimated(
     run: Run,
     seconds: dict[str, float],
     device: str,
-    stage: Stage | None = None,
+    stage: ReferenceStage | None = None,
 ) -> dict[str, Any]:
     """The estimate of a run's errors, with its line for people; nothing where Ctrl-C came first. Adds its seconds."""
     try:
