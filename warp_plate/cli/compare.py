@@ -101,10 +101,10 @@ def compare(
 
 def _write(result: Comparison, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """The file and its picture; returns the files, and why a picture is missing."""
-    from warp_plate.plate.interrupts import interrupts_held
+    from warp_plate.interrupts import deferred_interrupts
     from warp_plate.result.comparison import save_comparison
 
-    with interrupts_held():
+    with deferred_interrupts():
         save_comparison(result, path)
     if not pictures:
         return [path], None

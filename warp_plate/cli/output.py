@@ -260,12 +260,12 @@ def prepare_pictures(pictures: bool) -> None:
 
 def write_files(result: Result, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """Save the result and draw its pictures beside it; returns the files, and why a picture is missing."""
-    from warp_plate.plate.interrupts import interrupts_held
+    from warp_plate.interrupts import deferred_interrupts
     from warp_plate.result import save_result
 
     files = []
     try:
-        with interrupts_held():
+        with deferred_interrupts():
             files.append(save_result(result, path))
         if not pictures:
             return files, None

@@ -249,11 +249,11 @@ def _way_on(unfinished: Sweep, file: Path) -> str:
 
 def _write(result: Sweep, path: Path, pictures: bool, kept: SweepFile) -> tuple[list[Path], str | None]:
     """The file and its picture; returns the files, and why a picture is missing."""
-    from warp_plate.plate.interrupts import interrupts_held
+    from warp_plate.interrupts import deferred_interrupts
     from warp_plate.result.sweep import save_sweep
     from warp_plate.studies.sweep_file import free_name, refuse_to_replace
 
-    with interrupts_held():
+    with deferred_interrupts():
         try:
             refuse_to_replace(path, result)
         except SceneError:

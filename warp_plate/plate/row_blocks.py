@@ -13,8 +13,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from warp_plate.plate.interrupts import interrupts_held
-
 Made = TypeVar("Made")
 
 # Rows of a block; so few rows take one call and no thread, also those of the largest blocks that workers get of the
@@ -26,17 +24,15 @@ MOST_THREADS = 8
 def over_blocks(task: Callable[[slice], object], rows: int) -> None:
     """Call ``task`` with slices that together are all rows; it writes its part of what is asked for.
 
-    A task sets ``np.errstate`` itself, if it needs one: threads begin with NumPy's own. Ctrl-C is heard at the end, so
-    that no thread goes on with what nobody waits for.
+    A task sets ``np.errstate`` itself, if it needs one: threads begin with NumPy's own.
     """
     blocks = [slice(first, min(first + ROWS, rows)) for first in range(0, rows, ROWS)]
-    with interrupts_held():
-        if len(blocks) <= 1:
-            for block in blocks:
-                task(block)
-            return
-        for done in [_pool().submit(task, block) for block in blocks]:
-            done.result()
+    if len(blocks) <= 1:
+        for block in blocks:
+            task(block)
+        return
+    for done in [_pool().submit(task, block) for block in blocks]:
+        done.result()
 
 
 def in_blocks(rows: int) -> bool:

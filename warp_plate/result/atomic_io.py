@@ -20,8 +20,6 @@ from warp_plate.scene.errors import SceneError
 SEAL = re.compile(rb"\nwarp-plate sha256 ([0-9a-f]{64}) of ([0-9]{20}) bytes\n")
 SEAL_BYTES = len("\nwarp-plate sha256  of  bytes\n") + 64 + 20
 BLOCK_BYTES = 2**20
-# What this process has written, for whoever says so after Ctrl-C.
-WRITTEN: list[str] = []
 
 
 @contextmanager
@@ -48,7 +46,6 @@ def whole_file(path: Path, previous: Path | None = None) -> Iterator[Path]:
         if previous is not None and path.exists():
             os.replace(path, previous)
         os.replace(temporary, path)
-        WRITTEN.append(str(path))
     finally:
         temporary.unlink(missing_ok=True)
     _settle(path.parent)

@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 import warp as wp
 
+from warp_plate.interrupts import check_interrupt
 from warp_plate.plate.designs import (
     NO_PER_PLATE,
     Batch,
@@ -410,6 +411,7 @@ class PlateSolver:
             if stop < scheme.steps or not queued:
                 wp.synchronize_device(self.device)
                 tell(step * node_steps)
+                check_interrupt()
             if (seen >= 0).all():
                 break
         return step, seen

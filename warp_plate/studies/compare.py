@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from warp_plate.cluster.pool import Pool, WorkersGone
-from warp_plate.plate.interrupts import interrupts_held
+from warp_plate.interrupts import check_interrupt, deferred_interrupts
 from warp_plate.problem.design_variables import at_highest_frequency
 from warp_plate.problem.methods import Optimizer, make_optimizer
 from warp_plate.problem.problem import EvaluatorName, Problem
@@ -161,17 +161,17 @@ def _trial(
     started = time.perf_counter()
     searcher = begin(method, seed)
     spent = time.perf_counter() - started
-    with interrupts_held() as let_through:
+    with deferred_interrupts():
         while not searcher.stop() and evaluated < budget:
             started = time.perf_counter()
             positions = searcher.ask()
-            with let_through():
-                losses = problem.losses(positions)
+            losses = problem.losses(positions)
             searcher.tell(positions, losses)
             spent += time.perf_counter() - started
             evaluated += len(positions)
             best = min(best, float(np.min(losses, initial=np.inf, where=np.isfinite(losses))))
             rows.append((evaluated, spent, best))
             tell(evaluated)
+            check_interrupt()
     counts, seconds, found = np.array(rows, dtype=float).T
     return Trial(method, seed, counts.astype(int), seconds, found)

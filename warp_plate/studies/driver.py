@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
 from warp_plate.optimize.pso import optimize
-from warp_plate.plate.interrupts import interrupts_held
-from warp_plate.plate.row_blocks import GrowingRows
 from warp_plate.problem.methods import Optimizer, make_optimizer, optimizer_from_state
 from warp_plate.problem.problem import Problem
 from warp_plate.result.checkpoint import Checkpoint
@@ -87,23 +86,21 @@ def run_search(
         if on_progress is not None:
             total = begun.scene.search.iterations
             on_progress(searcher.iterations, total, float(problem.value_from_loss(searcher.result.fbest)))
+        check_interrupt()
 
-    with interrupts_held() as let_through:
-
-        def losses(positions: np.ndarray | GrowingRows) -> np.ndarray:
-            with let_through():
-                return problem.losses(positions)
-
-        try:
+    try:
+        with deferred_interrupts():
             if checkpoints is not None and checkpoints.due():
                 save()
-            optimize(searcher, losses, after, whole=False)
-        except KeyboardInterrupt:
-            save()
-            return searcher, True
-        except Exception:  # such as WorkersGone
-            save()
-            raise
+            optimize(searcher, problem.losses, after, whole=False)
+    except SecondInterrupt:  # the searcher may be half updated: only an earlier checkpoint is whole
+        raise
+    except KeyboardInterrupt:
+        save()
+        return searcher, True
+    except Exception:  # such as WorkersGone
+        save()
+        raise
     return searcher, False
 
 

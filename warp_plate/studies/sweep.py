@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from warp_plate.cluster.pool import Pool
+from warp_plate.interrupts import check_interrupt, deferred_interrupts
 from warp_plate.plate.files import digests
-from warp_plate.plate.interrupts import interrupts_held
 from warp_plate.result.sweep import REFUSED, RUN, Sweep
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import label_of
@@ -133,12 +133,11 @@ def run_sweep(
         return replace(begun, values=values, status=status, reasons=reasons, seconds=spent)
 
     total, left = len(begun.plan), begun.left.tolist()
-    with interrupts_held() as let_through:
+    with deferred_interrupts():
         points = run_here(begun, left) if pool is None else run_there(begun, left, pool)
         try:
             for done in range(total - len(left) + 1, total + 1):
-                with let_through():
-                    found = next(points)
+                found = next(points)
                 if found.processor:
                     _refuse_elsewhere(begun, found, elsewhere)
                     begun = begun.gone_on(found.device, found.processor)
@@ -152,6 +151,7 @@ def run_sweep(
                     on_progress(done, total, _note(found, begun))
                 if keep is not None:
                     keep(now(), False)
+                check_interrupt()
         except BaseException:
             if keep is not None:
                 keep(now(), True)
