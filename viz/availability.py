@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from warp_plate.result.atomic_io import whole_file
+from warp_plate.result.atomic_io import atomic_path
 
 WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
 X_WINDOW = "vtkXOpenGLRenderWindow"
@@ -149,7 +149,7 @@ def plot_beside(
     written = []
     try:
         for ending in (".png", ".svg"):
-            with whole_file(path.with_suffix(ending)) as temporary:
+            with atomic_path(path.with_suffix(ending)) as temporary:
                 draw(record, temporary)
             written.append(path.with_suffix(ending))
     except (ValueError, OSError) as error:

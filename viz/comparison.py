@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_plate.result.crosstalk import cases_of_targets
+from warp_plate.result.crosstalk import target_cases
 from warp_plate.result.model import Case, Result
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
@@ -122,7 +122,7 @@ def quantity_of(motions: Sequence[Motion], name: str) -> Quantity:
 
 def drive_words(name: str, scene: Scene) -> str:
     """A case of a result of this scene, for people."""
-    targets = {case: target for target, case in cases_of_targets(scene).items()}
+    targets = {case: target for target, case in target_cases(scene).items()}
     return f"best drive for {targets[name]}" if name in targets else DRIVES.get(name, name)
 
 
@@ -138,7 +138,7 @@ def heading(motion: Motion, frame: int, scene: Scene) -> str:
 def ordered(result: Result) -> dict[str, Case]:
     """Cases in the paper's order, then those of further targets in the scene's, then any others; a file gives them back
     by alphabet."""
-    names = dict.fromkeys([*DRIVES, *cases_of_targets(result.scene).values(), *result.cases])
+    names = dict.fromkeys([*DRIVES, *target_cases(result.scene).values(), *result.cases])
     return {name: result.cases[name] for name in names if name in result.cases}
 
 

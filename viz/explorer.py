@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from warp_plate.result.live import QUADRANTS, Reading, SwarmReading
+from warp_plate.result.live import QUADRANTS, DriveResponse, SwarmSnapshot
 from warp_plate.scene.model import Scene
 from warp_plate.viz.lettering import add_text, style_text
 from warp_plate.viz.quantity import Scale, scale_over
@@ -78,9 +78,9 @@ class Live(Protocol):
     def ranges(self) -> Ranges: ...
     @property
     def settings(self) -> Settings: ...
-    def read(self) -> Reading: ...
+    def read(self) -> DriveResponse: ...
 
-    def swarm(self) -> SwarmReading | None: ...
+    def swarm(self) -> SwarmSnapshot | None: ...
     def status(self) -> str: ...
     def set_frequency(self, frequency: float) -> None: ...
     def set_damping(self, damping: float) -> None: ...
@@ -160,10 +160,10 @@ class SearchCharts:
                 style_text(axis.GetTitleProperties(), round(0.8 * font_size))
                 style_text(axis.GetLabelProperties(), round(0.75 * font_size))
             plotter.add_chart(chart)
-        self._shown: SwarmReading | None = None
+        self._shown: SwarmSnapshot | None = None
         self._visible(False)
 
-    def show(self, swarm: SwarmReading | None, bound: float | None) -> bool:
+    def show(self, swarm: SwarmSnapshot | None, bound: float | None) -> bool:
         """The state of a search; None: there is none. Whether it is another one than before."""
         if swarm is self._shown:
             return False
@@ -173,7 +173,7 @@ class SearchCharts:
             self._plot(swarm, bound)
         return True
 
-    def _plot(self, swarm: SwarmReading, bound: float | None) -> None:
+    def _plot(self, swarm: SwarmSnapshot, bound: float | None) -> None:
         done = np.arange(1, swarm.best.size + 1)
         self._best.update(done, swarm.best)
         self._factors.update(np.full(swarm.factors.size, done[-1]), swarm.factors)
@@ -182,14 +182,14 @@ class SearchCharts:
         self._bound.visible = bound is not None
         self.history.x_range = [0, swarm.iterations]
         self.history.y_range = [0, min(1.0, math.ceil(10.5 * top) / 10)]
-        best = swarm.best_drive
+        best = swarm.best_phasors
         for index, (particles, mark) in enumerate(zip(self._particles, self._marks, strict=True), start=1):
-            particles.update(swarm.drives[:, index].real, swarm.drives[:, index].imag)
+            particles.update(swarm.phasors[:, index].real, swarm.phasors[:, index].imag)
             mark.visible = best is not None
             if best is not None:
                 mark.update([best[index].real], [best[index].imag])
         # Of most particles, not of the last stray one; in steps, so that the picture rests while the swarm shrinks.
-        size = float(np.quantile(np.abs(swarm.drives[:, 1:]), 0.9)) if self._particles else 0.0
+        size = float(np.quantile(np.abs(swarm.phasors[:, 1:]), 0.9)) if self._particles else 0.0
         reach = next((step for step in REACHES if 1.1 * size < step), REACHES[-1])
         # About the same scale along both axes.
         self.plane.x_range, self.plane.y_range = [-2 * reach, 2 * reach], [-reach, reach]
@@ -199,20 +199,20 @@ class SearchCharts:
         self.hint.SetVisibility(not shown)
 
 
-def factor_text(reading: Reading) -> str:
+def factor_text(reading: DriveResponse) -> str:
     """Localization factor and bound, in percent."""
     factor = reading.localization_factor
     text = f"localization factor {100 * factor:.2f} %" if math.isfinite(factor) else "localization factor not defined"
     return text + (f", bound {100 * reading.bound:.2f} %" if reading.bound is not None else "")
 
 
-def share_texts(reading: Reading) -> dict[str, str]:
+def share_texts(reading: DriveResponse) -> dict[str, str]:
     """The quadrants' shares of the kinetic energy, in percent."""
     shares = {name: reading.share(name) for name in QUADRANTS}
     return {name: f"{100 * share:.1f} %" if math.isfinite(share) else "—" for name, share in shares.items()}
 
 
-def _scale_of(reading: Reading, before: Scale | None) -> Scale:
+def _scale_of(reading: DriveResponse, before: Scale | None) -> Scale:
     """The scale for a reading: the one before while it suits."""
     peak = reading.motion.peak()
     if before is not None and (not math.isfinite(peak) or LOWEST * before.limit <= peak <= before.limit):

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-from warp_plate.result.live import QUADRANTS, Reading
+from warp_plate.result.live import QUADRANTS, DriveResponse
 from warp_plate.viz.controls import QUIET, Buttons, Slider
 from warp_plate.viz.explorer import CHOICES, ROWS, SEARCH_SECONDS, Live, Stage, factor_text, share_texts
 from warp_plate.viz.lettering import add_text
@@ -37,7 +37,7 @@ class ExplorerWindow:
         self.model = model
         self.stage = Stage(plotter, model, FONT_SIZE)
         self.first = 0  # of the actuators whose sliders are shown
-        self._shown: Reading | None = None
+        self._shown: DriveResponse | None = None
         self._last = time.perf_counter()
         plotter.subplot(0, 1)
         plotter.renderer.InteractiveOff()
@@ -170,7 +170,7 @@ def open_window(model: Live) -> None:
     plotter.show()
 
 
-def _numbers(reading: Reading) -> str:
+def _numbers(reading: DriveResponse) -> str:
     """Localization factor, bound and energy, a line each; the quadrants' shares stand below."""
     factor = factor_text(reading).replace(", ", "\n")
     return f"{factor}\nkinetic energy {reading.energy['plate']:.3g} J; by quadrant, as they lie:"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_plate.result.atomic_io import whole_file
+from warp_plate.result.atomic_io import atomic_path
 from warp_plate.result.model import Case, Result
 from warp_plate.viz.availability import missing, missing_plots, off_screen, prepare
 from warp_plate.viz.comparison import drive_words, ordered
@@ -52,7 +52,7 @@ def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
     jobs: list[tuple[Callable[[Result, Path], Path], str, Callable[[], str | None]]] = []
     if result.history:
         jobs.append((draw_history, "history", missing_plots))
-    if result.robust is not None and np.isfinite(result.robust.fresh).any():
+    if result.robust is not None and np.isfinite(result.robust.validation).any():
         jobs.append((draw_robust, "robust", missing_plots))
     if result.spectrum:
         jobs.append((draw_spectrum, "spectrum", missing_plots))
@@ -67,7 +67,7 @@ def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
         problem = lacking()
         if problem is None:
             try:
-                with whole_file(path) as temporary:
+                with atomic_path(path) as temporary:
                     draw(result, temporary)
                 written.append(path)
             except OSError as error:
@@ -134,7 +134,7 @@ def _plot_history(axes: Axes, result: Result) -> None:
         axes.plot(iteration, mean, color="#9ecae1", linewidth=1.0, marker=marker, label=words)
     axes.plot(iteration, best, color="#08519c", linewidth=1.6, marker=marker, label="best so far")
     # Of a robust search the history is of its measure, which has a bound of its own.
-    bound, kind = result.bound if localization else result.values.get("bound"), result.bound_kind
+    bound, kind = result.bound if localization else result.objective_values.get("bound"), result.bound_kind
     if result.scene.search.robust is not None:
         bound, kind = getattr(result.robust, "bound", None), "bound only"
     if bound is not None:
@@ -197,7 +197,7 @@ def _draw_row(
     for column, index in enumerate(shown):
         plotter.subplot(row, column)
         text = caption(drive, float(result.times[index]), case.localization_factor)
-        add_plate(plotter, result.placed(case), case.displacement[index], scale, text, font_size, bar=False)
+        add_plate(plotter, result.case_scene(case), case.displacement[index], scale, text, font_size, bar=False)
     plotter.subplot(row, len(shown))
     add_legend(plotter, result.scene, scale, font_size)
 

@@ -47,20 +47,20 @@ def result_html(result: Result) -> str:
     cases = ordered(result)
     rows = [(drive_words(name, result.scene), _share(case.localization_factor)) for name, case in cases.items()]
     if result.bound is not None:
-        of = f", target {result.scene.targets[0].name}" if result.several else ""
-        rows.append((result.bound_words + of, _share(result.bound)))
+        of = f", target {result.scene.targets[0].name}" if result.target_searches else ""
+        rows.append((result.bound_description + of, _share(result.bound)))
     tables = SubElement(card, "div", {"style": SIDE_BY_SIDE})
     _add_table(tables, ("drive", "localization factor"), rows)
     name, case = shown_case(result)
     drive = [
         (actuator.name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}", *(f"{one:.5g}" for one in own))
         for actuator, magnitude, phase, *own in zip(
-            result.scene.actuators, case.magnitude, case.phase, *case.own.values(), strict=True
+            result.scene.actuators, case.magnitude, case.phase, *case.per_actuator.values(), strict=True
         )
     ]
     words = drive_words(name, result.scene)
     magnitude = f"magnitude ({result.scene.drive_unit})"
-    _add_table(tables, (f"actuator, {words}", magnitude, "phase (rad)", "phase / π", *case.own), drive)
+    _add_table(tables, (f"actuator, {words}", magnitude, "phase (rad)", "phase / π", *case.per_actuator), drive)
     for line in _notes(result):
         SubElement(card, "p").text = line
     _add_picture(card, result, f"Displacement of the plate under the {words}")

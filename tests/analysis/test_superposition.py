@@ -48,7 +48,7 @@ def test_a_harmonic_motion_is_found_exactly(random, panel):
     made = type(run)(**{**vars(run), "displacement": fields[None], "times": times})
     (motion,) = motions_of(made, panel, orders)
     np.testing.assert_allclose(motion.amplitudes, amplitudes, atol=1e-10)
-    assert motion.left_over < 1e-10
+    assert motion.residual < 1e-10
     for index in (0, 7, 20):
         angle = panel.drive_angular_frequency * times[index]
         np.testing.assert_allclose(motion.at(angle), fields[index], atol=1e-9)
@@ -64,7 +64,7 @@ def test_a_drift_beside_the_motion_is_told_and_left_out(panel):
     made = type(run)(**{**vars(run), "displacement": (wave + 0.5)[None, :, None, None], "times": times})
     (motion,) = motions_of(made, panel, LINEAR_ORDERS)
     np.testing.assert_allclose(motion.amplitudes.ravel(), [1], atol=1e-10)
-    assert motion.left_over == pytest.approx(math.sqrt(12 * 0.25 / ((wave + 0.5) ** 2).sum()), rel=1e-9)
+    assert motion.residual == pytest.approx(math.sqrt(12 * 0.25 / ((wave + 0.5) ** 2).sum()), rel=1e-9)
 
 
 def test_peak_of_one_order_is_the_largest_amplitude():
@@ -101,7 +101,7 @@ def test_a_motion_that_is_not_steady_is_superposed_exactly(scene, phasors):
     (direct,) = motions_of(run, made, LINEAR_ORDERS)
     shown = responses.read(drive[0]).motion
     np.testing.assert_allclose(shown.amplitudes, direct.amplitudes, atol=1e-10 * np.abs(direct.amplitudes).max())
-    assert shown.left_over > 0.01
+    assert shown.residual > 0.01
 
 
 def test_one_simulation_at_a_time(scene, monkeypatch):

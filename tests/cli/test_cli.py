@@ -75,7 +75,7 @@ def test_localize_result_file_holds_what_was_printed(command, panel):
         "bound": result.bound
     } == (answer["localization_factor"])
     drive = [entry["magnitude"] * np.exp(-1j * entry["phase"]) for entry in answer["drive"]]
-    np.testing.assert_allclose(result.cases["best"].drive, drive, rtol=1e-12)
+    np.testing.assert_allclose(result.cases["best"].phasors, drive, rtol=1e-12)
 
 
 def test_simulate_json(command, panel):

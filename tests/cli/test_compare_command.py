@@ -46,11 +46,11 @@ def test_all_methods_share_a_budget_and_none_passes_the_bound(panel):
         assert (np.diff(trial.evaluations) > 0).all()
         assert (np.diff(trial.seconds) > 0).all()
         assert (np.diff(trial.loss) <= 0).all()
-        assert trial.found >= result.bound - 1e-12
-    assert [len(result.of(method)) for method in METHODS] == [3, 3, 3, 3, 3, 1]
-    assert {trial.seed for trial in result.of("pso")} == {5, 6, 7}
+        assert trial.best_loss >= result.bound - 1e-12
+    assert [len(result.trials_of(method)) for method in METHODS] == [3, 3, 3, 3, 3, 1]
+    assert {trial.seed for trial in result.trials_of("pso")} == {5, 6, 7}
     for method in ("gradient", "exact"):
-        assert all(trial.found <= result.bound + 1e-6 for trial in result.of(method))
+        assert all(trial.best_loss <= result.bound + 1e-6 for trial in result.trials_of(method))
 
 
 def test_a_trial_is_the_search_that_localize_makes(panel):
@@ -77,7 +77,7 @@ def test_limits_give_another_bound(panel):
     limited = type(panel).model_validate({**panel.model_dump(exclude_unset=True), "search": search})
     free, result = (compare(one, seeds=2, methods=["pso"], device="cpu") for one in (panel, limited))
     assert result.bound > free.bound + 1e-3
-    assert all(trial.found >= result.bound - 1e-9 for trial in result.trials)
+    assert all(trial.best_loss >= result.bound - 1e-9 for trial in result.trials)
     found = compare(limited, seeds=1, device="cpu")
     assert "exact" in found.skipped
     assert "exact" not in found.methods
@@ -106,7 +106,7 @@ def test_other_objectives_have_their_own_bound(panel):
     made = type(panel).model_validate({**panel.model_dump(exclude_unset=True), "search": search})
     result = compare(made, seeds=2, methods=["pso", "gradient"], device="cpu")
     assert not result.localization
-    assert all(result.bound * (1 + 1e-9) <= trial.found < 0 for trial in result.trials)
+    assert all(result.bound * (1 + 1e-9) <= trial.best_loss < 0 for trial in result.trials)
 
 
 def test_json_file_and_picture(panel, command):
@@ -126,7 +126,7 @@ def test_json_file_and_picture(panel, command):
     assert Path("c.png").read_bytes().startswith(b"\x89PNG")
     loaded = load_comparison("c.h5")
     assert loaded.bound == answer["bound"]["loss"]
-    assert [trial.found for trial in loaded.trials] == [trial["loss"] for trial in answer["trials"]]
+    assert [trial.best_loss for trial in loaded.trials] == [trial["loss"] for trial in answer["trials"]]
 
 
 def test_table_fits_80_columns(panel, command):
@@ -206,7 +206,7 @@ def test_files_are_read_without_trust(made):
     path = save_comparison(made, "c.h5")
     loaded = load_comparison(path)
     assert loaded.scene == made.scene
-    assert loaded.prepared == 0.5
+    assert loaded.seconds["prepare"] == 0.5
     np.testing.assert_array_equal(loaded.trials[0].loss, made.trials[0].loss)
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1

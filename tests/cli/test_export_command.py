@@ -73,7 +73,7 @@ def test_options_of_a_drive(command, folder):
     status, out, err = command("export", "run.h5", "--to", "drive-wav", *options.split())
     assert (status, err) == (0, "")
     answer = json.loads(out)
-    drive = load_result("run.h5").cases["single"].drive
+    drive = load_result("run.h5").cases["single"].phasors
     rate, read = wavfile.read("s.wav")
     assert (answer["case"], answer["rate"], answer["full_scale"]) == ("single", rate, 4.0)
     assert read.shape == (answer["samples"], len(answer["channels"]))
@@ -181,4 +181,4 @@ def test_the_example_in_matlab_names_what_a_result_holds(folder):
             assert attribute in file[name].attrs
         assert file["/cases/best/displacement"].shape == (2, len(file["/y"]), len(file["/x"]))
         phasors = file["/cases/best/magnitude"][:] * np.exp(-1j * file["/cases/best/phase"][:])
-    np.testing.assert_allclose(phasors, load_result("run.h5").cases["best"].drive)
+    np.testing.assert_allclose(phasors, load_result("run.h5").cases["best"].phasors)

@@ -17,7 +17,7 @@ from test_resume import assert_same, stop_after
 
 from warp_plate import Scene, SceneError, load_result, localize, resume
 from warp_plate.cli.localize import localize as localize_command
-from warp_plate.result.checkpoint import load_newest, previous_of
+from warp_plate.result.checkpoint import load_newest, previous_path
 from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.checkpointing import EVERY, CheckpointFile
 
@@ -108,7 +108,7 @@ def test_the_command_goes_on(command, panel, left):
 
 
 def test_a_damaged_checkpoint_gives_way_to_the_one_before(command, panel, left):
-    previous = previous_of(left)
+    previous = previous_path(left)
     assert previous == Path("panel-localize.checkpoint.previous.h5")
     previous.write_bytes(left.read_bytes())
     left.write_bytes(b"x" + left.read_bytes()[1:])
@@ -154,7 +154,7 @@ def test_two_searches_into_one_file(panel, tmp_path):
 
 def test_a_result_in_the_place_of_its_checkpoint(command, panel, left):
     """Is whole, so the checkpoint before the last one is not what was meant."""
-    previous_of(left).write_bytes(left.read_bytes())
+    previous_path(left).write_bytes(left.read_bytes())
     status, _, _ = command(*COMMAND, "--out", "whole.h5")
     Path("whole.h5").replace("panel-localize.h5")
     status, _, err = command("localize", "--resume", "panel-localize.h5", "--no-pictures", "--no-estimate")

@@ -193,7 +193,7 @@ def test_a_search_is_the_same_on_workers(pools, scene, small_blocks):
     for pool in pools.values():
         result = localize(made, device="cpu", estimate=False, pool=pool)
         assert_same_result(result, expected)
-        assert not result.lost
+        assert not result.lost_plates
         assert pool.words in result.device
 
 

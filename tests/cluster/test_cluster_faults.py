@@ -327,13 +327,13 @@ def test_lost_plates_are_in_the_result(tmp_path, two, scene, small_blocks, monke
     monkeypatch.setattr(blocks.Blocks, "__iter__", last_block_is_poison)
     file = CheckpointFile(tmp_path / "panel.checkpoint.h5", 0.0)
     result = localize(made, device="cpu", estimate=False, pool=two, checkpoints=file)
-    (why,) = result.lost
-    assert result.lost[why] == 2 * 64
-    assert load_checkpoint(tmp_path / "panel.checkpoint.h5").lost[why] >= 64
+    (why,) = result.lost_plates
+    assert result.lost_plates[why] == 2 * 64
+    assert load_checkpoint(tmp_path / "panel.checkpoint.h5").lost_plates[why] >= 64
     assert result.evaluations == 2 * PLATES
     assert result.cases["best"].localization_factor > 0
-    assert load_result(save_result(result, tmp_path / "panel.h5")).lost == result.lost
-    assert lost_lines(result.lost) == [f"128 plates of the search without energies, taken as worst: {why}"]
+    assert load_result(save_result(result, tmp_path / "panel.h5")).lost_plates == result.lost_plates
+    assert lost_lines(result.lost_plates) == [f"128 plates of the search without energies, taken as worst: {why}"]
     assert lost_lines({"gone": 1})[0].startswith("1 plate of the search ")
 
 

@@ -10,7 +10,7 @@ import pytest
 from warp_plate import viz
 from warp_plate.cli.main import main
 from warp_plate.explore.live_model import LiveModel
-from warp_plate.result.live import Reading, SteadyMotion, SwarmReading
+from warp_plate.result.live import DriveResponse, SteadyMotion, SwarmSnapshot
 from warp_plate.scene.dump import dump_scene
 from warp_plate.viz import explorer_page, explorer_window
 from warp_plate.viz.availability import off_screen
@@ -143,7 +143,7 @@ def test_the_swarm_is_drawn(stage, model):
     for index, (particles, mark) in enumerate(zip(charts._particles, charts._marks, strict=True), start=1):
         drives = swarm.drives[:, index]
         np.testing.assert_allclose(points(particles), np.column_stack([drives.real, drives.imag]))
-        np.testing.assert_allclose(points(mark), [[swarm.best_drive[index].real, swarm.best_drive[index].imag]])
+        np.testing.assert_allclose(points(mark), [[swarm.best_phasors[index].real, swarm.best_phasors[index].imag]])
     model.set_actuator(0, magnitude=0.5)
     stage.advance(0)
     assert not charts.history.visible
@@ -151,8 +151,8 @@ def test_the_swarm_is_drawn(stage, model):
 
 def test_a_swarm_without_a_finite_loss_and_without_a_bound(stage):
     """Nothing is marked as best."""
-    nothing = SwarmReading(
-        np.ones((4, 3), complex), np.full(4, np.nan), np.array([np.nan]), best_drive=None, iterations=5, running=True
+    nothing = SwarmSnapshot(
+        np.ones((4, 3), complex), np.full(4, np.nan), np.array([np.nan]), best_phasors=None, iterations=5, running=True
     )
     stage.search.show(nothing, None)
     assert not any(mark.visible for mark in stage.search._marks)
@@ -163,7 +163,7 @@ def test_texts_of_a_plate_at_rest(scene):
     """Not defined, rather than a number."""
     energy = dict.fromkeys(("plate", "target", "lower left", "lower right", "upper left", "upper right"), 0.0)
     motion = SteadyMotion(np.array([1]), np.zeros((1, 13, 13), complex))
-    reading = Reading(scene(), np.zeros(3, complex), motion, energy, None)
+    reading = DriveResponse(scene(), np.zeros(3, complex), motion, energy, None)
     assert factor_text(reading) == "localization factor not defined"
     assert set(share_texts(reading).values()) == {"—"}
 

@@ -44,7 +44,7 @@ def tell(self):
         "factor": reading.localization_factor, "bound": reading.bound, "frequency": reading.scene.drive.frequency,
         "magnitude": wanted.magnitude, "phase": wanted.phase, "playing": self.stage.playing,
         "knob": self.sliders["magnitude 1"]._bar.GetValue(), "heading": self.stage.plate.heading.GetInput(),
-        "numbers": self.numbers.GetInput(), "particles": None if swarm is None else len(swarm.drives),
+        "numbers": self.numbers.GetInput(), "particles": None if swarm is None else len(swarm.phasors),
         "camera": list(self.plotter.renderers[0].camera.position),
     }
     line = json.dumps(state)

@@ -62,7 +62,7 @@ def test_sliders_move_the_reading(panel, live):
     model.set_actuator(1, magnitude=2.0)
     model.set_actuator(1, phase=math.pi / 2)
     assert not model.busy()
-    np.testing.assert_allclose(model.read().drive, [1, -2j, 1], atol=1e-15)
+    np.testing.assert_allclose(model.read().phasors, [1, -2j, 1], atol=1e-15)
 
 
 @pytest.mark.parametrize(("frequency", "damping"), [(240.0, DAMPING), (290.0, 500.0), (290.0, 0.0)])
@@ -94,10 +94,10 @@ def test_reading_does_not_wait_for_a_simulation(panel, live, monkeypatch):
     assert model.status() == "simulating ..."
     model.set_actuator(0, magnitude=0.5)
     assert model.read().scene.drive.frequency == 290.0
-    assert model.read().drive[0] == 0.5
+    assert model.read().phasors[0] == 0.5
     model.wait()
     assert model.read().scene.drive.frequency == 200.0
-    assert model.read().drive[0] == 0.5
+    assert model.read().phasors[0] == 0.5
     assert not model.busy()
 
 
@@ -156,13 +156,13 @@ def test_choices(panel, live):
         assert model.read().localization_factor == pytest.approx(found.cases[case].localization_factor, rel=1e-6)
     model.choose("random")
     model.wait()
-    first = model.read().drive
+    first = model.read().phasors
     model.choose("random")
     model.wait()
-    assert np.abs(first - model.read().drive).min() > 0
+    assert np.abs(first - model.read().phasors).min() > 0
     model.choose("scene")
     model.wait()
-    np.testing.assert_allclose(model.read().drive, [1, 1, 1])
+    np.testing.assert_allclose(model.read().phasors, [1, 1, 1])
     with pytest.raises(ValueError, match="'best': there are: scene, equal"):
         model.choose("best")
 
@@ -205,8 +205,8 @@ def test_a_search_is_watched(panel, live):
     assert (last.best.size, last.iterations) == (15, 15)
     assert np.all(np.diff(last.best) >= 0)
     for swarm in seen.values():
-        assert swarm.drives.shape == (12, 3)
-        np.testing.assert_array_equal(swarm.drives[:, 0], 1)
+        assert swarm.phasors.shape == (12, 3)
+        np.testing.assert_array_equal(swarm.phasors[:, 0], 1)
     assert last.factors.max() <= last.best[-1] <= model.read().bound
     assert model.read().localization_factor == pytest.approx(last.best[-1], rel=1e-12)
     history = localize(panel, device="cpu", evaluator="response", estimate=False).history["best"]

@@ -40,7 +40,7 @@ def panel(scene):
 def test_values_follow_from_the_energies_of_the_drive_found(scene):
     panel = scene(damping=130.0, window=(0.06, 0.1), search=SEARCH)
     result = localize(panel, device="cpu", estimate=False)
-    case, values = result.cases["best"], result.values
+    case, values = result.cases["best"], result.objective_values
     plate, target = case.energy["plate"], case.energy["target"]
     mass = panel.plate.density * panel.plate.thickness * math.prod(panel.plate.size)
     assert values["velocity"] == pytest.approx(math.sqrt(2 * target / (mass / 4)), rel=1e-9)
@@ -55,7 +55,7 @@ def test_values_follow_from_the_energies_of_the_drive_found(scene):
 
 
 def test_localization_alone_has_none(scene):
-    assert localize(scene(damping=88.5), device="cpu", estimate=False).values == {}
+    assert localize(scene(damping=88.5), device="cpu", estimate=False).objective_values == {}
 
 
 def test_files_and_checkpoints_keep_them(panel, tmp_path):
@@ -63,25 +63,25 @@ def test_files_and_checkpoints_keep_them(panel, tmp_path):
     made = Scene.model_validate({**panel.model_dump(), "targets": targets, "target": {"disc": (0.06, 0.06, 0.04)}})
     kept = CheckpointFile(tmp_path / "a.checkpoint.h5", 0.0, False, lambda line: None)
     result = localize(made, device="cpu", estimate=False, checkpoints=kept)
-    first, second = (one.values for one in result.several)
-    assert result.values == first
+    first, second = (one.objective_values for one in result.target_searches)
+    assert result.objective_values == first
     assert first["sum"] != second["sum"]
     again = load_result(save_result(result, tmp_path / "a.h5"))
-    assert again.values == first
-    assert [one.values for one in again.several] == [first, second]
+    assert again.objective_values == first
+    assert [one.objective_values for one in again.target_searches] == [first, second]
     # The last checkpoint is of the search for the second target.
     checkpoint = load_checkpoint(tmp_path / "a.checkpoint.h5")
-    assert checkpoint.several[0].values == first
-    assert [one.values for one in resume(checkpoint, estimate=False).several] == [first, second]
+    assert checkpoint.finished_searches[0].objective_values == first
+    assert [one.objective_values for one in resume(checkpoint, estimate=False).target_searches] == [first, second]
 
 
 def test_of_a_robust_search_they_are_those_of_the_plate_without_scatter(scene):
     search = {**SEARCH, "robust": {"young_modulus": 0.1, "scenarios": 4, "fresh": 2}}
     result = localize(scene((9, 9), damping=88.5, search=search), device="cpu", estimate=False)
     assert result.robust is not None
-    assert result.values["sum"] == pytest.approx(result.robust.nominal_plate[0], rel=1e-9)
+    assert result.objective_values["sum"] == pytest.approx(result.robust.nominal_plate[0], rel=1e-9)
     plain = make_nominal_problem(scene((9, 9), damping=88.5, search=SEARCH), "cpu")
-    assert result.values["bound"] == pytest.approx(-plain.loss_bound.value, rel=1e-9)
+    assert result.objective_values["bound"] == pytest.approx(-plain.loss_bound.value, rel=1e-9)
 
 
 CASES = ("equal", "single", "time_reversal", "inverse_filter")
@@ -95,7 +95,7 @@ def test_the_command_shows_them_beside_those_of_other_drives(panel, tmp_path, mo
     main([*ONLY, "--baselines"])
     out = capsys.readouterr().out
     result = load_result("panel-localize.h5")
-    columns = [result.values, *(result.worth[name] for name in CASES)]
+    columns = [result.objective_values, *(result.objective_values_by_case[name] for name in CASES)]
     table = out[out.index("objective") : out.index("Found: ")]
     rows = [[float(word) for word in line.split() if "." in word] for line in table.splitlines()]
     for name in ("velocity", "velocity of the rest", "contrast", "sum", "bound"):
@@ -104,15 +104,16 @@ def test_the_command_shows_them_beside_those_of_other_drives(panel, tmp_path, mo
     assert "…" not in out
     problem = make_nominal_problem(panel, "cpu")
     for name in CASES:
-        drive = result.cases[name].drive[None]
+        drive = result.cases[name].phasors[None]
         worth = problem.objectives.values(
             problem.drive_solver.run(drive).energy, problem.displacement_solver.run(drive).energy
         )
-        assert result.worth[name] == pytest.approx({kind: float(value[0]) for kind, value in worth.items()})
+        expected = {kind: float(value[0]) for kind, value in worth.items()}
+        assert result.objective_values_by_case[name] == pytest.approx(expected)
     main([*ONLY, "--json"])
     found = json.loads(capsys.readouterr().out)
-    assert found["objectives"] == pytest.approx(result.values)
-    assert found["objectives_of"] == {name: pytest.approx(result.worth[name]) for name in CASES[:2]}
+    assert found["objectives"] == pytest.approx(result.objective_values)
+    assert found["objectives_of"] == {name: pytest.approx(result.objective_values_by_case[name]) for name in CASES[:2]}
     assert found["bound_kind"] == "bound only"
 
 
@@ -123,7 +124,7 @@ def test_a_limit_that_no_drive_keeps_is_told(scene, tmp_path, monkeypatch, capsy
     Path("panel.toml").write_text(dump_scene(scene((9, 9), damping=88.5, search=search)), encoding="utf-8")
     main(ONLY)
     assert "! velocity of the rest (m/s): no drive was found" in " ".join(capsys.readouterr().out.split())
-    values = load_result("panel-localize.h5").values
+    values = load_result("panel-localize.h5").objective_values
     assert values["velocity of the rest"] > 1e-7
     assert "bound" not in values
     assert keeps_limit(1 + 1e-6, 1.0)
@@ -136,8 +137,8 @@ def test_ctrl_c_while_other_drives_are_judged_leaves_the_result(panel, monkeypat
 
     monkeypatch.setattr("warp_plate.problem.evaluate_cases.make_objectives", interrupt)
     result = localize(panel, device="cpu", estimate=False)
-    assert result.values
-    assert result.worth == {}
+    assert result.objective_values
+    assert result.objective_values_by_case == {}
 
 
 @pytest.mark.parametrize(
@@ -165,4 +166,4 @@ def test_the_picture_of_the_search_has_the_bound(panel):
     axes = figure.Figure().add_subplot()
     _plot_history(axes, result)
     (line,) = [line for line in axes.lines if line.get_label().startswith("bound")]
-    np.testing.assert_allclose(line.get_ydata(), -result.values["bound"])
+    np.testing.assert_allclose(line.get_ydata(), -result.objective_values["bound"])

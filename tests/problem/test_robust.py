@@ -16,7 +16,7 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.robust import measured
 from warp_plate.problem.scenario_losses import ScenarioLosses, in_scenario, scenario_responses, simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
-from warp_plate.result.robust import worst_tail
+from warp_plate.result.robust import mean_of_worst
 from warp_plate.scene.search import Robust
 
 SEVERAL = [{"kind": "contrast"}, {"kind": "displacement", "weight": 1e6, "rest_limit": 1.0}]
@@ -185,8 +185,8 @@ def test_measures(losses, quantile):
 
 def test_the_worst_twentieth():
     values = np.stack([np.arange(200.0), np.zeros(200)])
-    np.testing.assert_array_equal(worst_tail(values), [4.5, 0.0])
-    assert worst_tail(np.arange(19.0)[None]) == 0
+    np.testing.assert_array_equal(mean_of_worst(values), [4.5, 0.0])
+    assert mean_of_worst(np.arange(19.0)[None]) == 0
 
 
 @pytest.mark.parametrize("measure", ["mean", "worst", "quantile"])

@@ -14,8 +14,8 @@ import pytest
 
 from warp_plate import CheckpointFile, SceneError, load_checkpoint, load_result, localize, resume, save_result
 from warp_plate.cli.main import main
-from warp_plate.result.atomic_io import SEAL_BYTES, check_seal, seal_of, write_whole
-from warp_plate.result.checkpoint import load_newest, previous_of, save_checkpoint
+from warp_plate.result.atomic_io import SEAL_BYTES, check_seal, make_seal, write_atomically
+from warp_plate.result.checkpoint import load_newest, previous_path, save_checkpoint
 from warp_plate.scene.dump import dump_scene
 
 ROOT = Path(__file__).parents[2]
@@ -122,7 +122,7 @@ def test_other_files_are_refused(kind, written, tmp_path, random):
     _, read = written[kind]
     path, noise = tmp_path / "a.h5", random.bytes(5000)
     other = written["result" if kind == "checkpoint" else "checkpoint"][0]
-    for content in (b"", b"plate", noise, noise + seal_of(noise), seal_of(b""), other):
+    for content in (b"", b"plate", noise, noise + make_seal(noise), make_seal(b""), other):
         path.write_bytes(content)
         refused(read, path)
     refused(read, tmp_path)
@@ -140,7 +140,7 @@ def forged(kind, written, tmp_path):
         with h5py.File(path, "r+") as file:
             change(file, {"checkpoint": "swarm/positions", "result": "cases/best/displacement"}[kind])
         changed = path.read_bytes()
-        path.write_bytes(changed + seal_of(changed))
+        path.write_bytes(changed + make_seal(changed))
         return refused(read, path)
 
     return forge
@@ -236,7 +236,7 @@ def test_a_swarm_that_does_not_fit_its_scene_is_refused(written, tmp_path):
     path = tmp_path / "a.checkpoint.h5"
     path.write_bytes(written["checkpoint"][0])
     checkpoint = load_checkpoint(path)
-    random = checkpoint.swarm["random"]
+    random = checkpoint.search_state["random"]
     for changes in (
         {"random": {}},
         {"random": {**random, "bit_generator": "MT19937"}},
@@ -244,7 +244,7 @@ def test_a_swarm_that_does_not_fit_its_scene_is_refused(written, tmp_path):
         {"random": {**random, "state": {"state": 2**999, "inc": 1}}},
         {"format": "swarm 0"},
     ):
-        save_checkpoint(replace(checkpoint, swarm={**checkpoint.swarm, **changes}), path)
+        save_checkpoint(replace(checkpoint, search_state={**checkpoint.search_state, **changes}), path)
         with pytest.raises(SceneError, match=r"^checkpoint: ") as caught:
             resume(load_checkpoint(path))
         assert len(str(caught.value).splitlines()) == 1
@@ -293,7 +293,7 @@ def test_a_full_disk_loses_nothing(small_disk, scene, monkeypatch, capsys):
     assert len(warned) == 1  # not one for each that fails
     assert "panel-localize.checkpoint.h5: cannot be written: No space left on device" in warned[0]
     assert load_checkpoint(path).iterations == 3
-    assert load_checkpoint(previous_of(path)).iterations == 2
+    assert load_checkpoint(previous_path(path)).iterations == 2
     with pytest.raises(SystemExit) as left:
         main(["localize", "--resume", str(path), "--no-pictures", "--no-estimate"])
     assert left.value.code == 2
@@ -303,7 +303,7 @@ def test_a_full_disk_loses_nothing(small_disk, scene, monkeypatch, capsys):
     assert len(lines) == 1
     assert "panel-localize.h5: cannot be written: No space left on device" in lines[0]
     assert sorted(entry.name for entry in small_disk.iterdir()) == [
-        "ballast", path.name, previous_of(path).name, "panel.toml"
+        "ballast", path.name, previous_path(path).name, "panel.toml"
     ]  # fmt: skip
     Path("ballast").unlink()
     checkpoint, word = load_newest(path)
@@ -320,14 +320,14 @@ LIMITED = """
 import resource, sys
 from pathlib import Path
 from warp_plate import CheckpointFile, load_checkpoint
-from warp_plate.result.atomic_io import write_whole
+from warp_plate.result.atomic_io import write_atomically
 from warp_plate.scene.errors import SceneError
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
 path = Path("file.bin")
-write_whole(b"whole", path)
+write_atomically(b"whole", path)
 try:
-    write_whole(bytes(30000), path)
+    write_atomically(bytes(30000), path)
 except SceneError as error:
     print(error)
 checkpoint = load_checkpoint(Path("a.checkpoint.h5"))
@@ -376,7 +376,7 @@ def test_an_interrupted_swap_leaves_one_that_can_be_read(written, tmp_path, monk
 
         monkeypatch.setattr(os, "replace", stopped)
         with pytest.raises(SceneError, match="Input/output error"):
-            write_whole(b"new", path, previous_of(path))
+            write_atomically(b"new", path, previous_path(path))
         monkeypatch.setattr(os, "replace", replace_file)
         checkpoint, word = load_newest(path)
         assert checkpoint.source == "panel"

@@ -13,7 +13,7 @@ import pytest
 from scipy.io import wavfile
 
 from warp_plate.result import Case, Result
-from warp_plate.result.atomic_io import written_whole
+from warp_plate.result.atomic_io import atomic_paths
 from warp_plate.result.export.drive_signals import BLOCK, make_signal, whole_periods, write_drive_csv, write_wav
 from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
 from warp_plate.result.export.traces import write_traces
@@ -36,7 +36,7 @@ def result(random, scene):
 
     def case():
         return Case(
-            drive=random.normal(size=3) + 1j * random.normal(size=3),
+            phasors=random.normal(size=3) + 1j * random.normal(size=3),
             energy={"plate": 2.0, "target": 1.0},
             displacement=random.normal(scale=1e-7, size=(3, *NODES[::-1])).astype(np.float32),
             trace=random.normal(scale=1e-7, size=(2, 150)).astype(np.float32),
@@ -157,7 +157,7 @@ def test_a_float_wav_plays_the_drive(result, tmp_path):
     (path,) = write_wav(signal, tmp_path / "drive.wav")
     rate, read = wavfile.read(path)
     assert (rate, read.dtype, read.shape) == (48000, np.float32, (96000, 3))
-    np.testing.assert_allclose(read * signal.full_scale, played(signal, case.drive), atol=1e-6 * signal.full_scale)
+    np.testing.assert_allclose(read * signal.full_scale, played(signal, case.phasors), atol=1e-6 * signal.full_scale)
     assert signal.full_scale == case.magnitude.max()
     assert np.abs(read).max() <= 1
 
@@ -169,7 +169,7 @@ def test_a_pcm_wav_plays_the_drive_to_its_last_bit(result, tmp_path):
     (path,) = write_wav(signal, tmp_path / "drive.wav", "pcm16")
     rate, read = wavfile.read(path)
     assert (rate, read.dtype) == (44100, np.int16)
-    np.testing.assert_allclose(read / 32767 * scale, played(signal, case.drive), atol=0.51 / 32767 * scale)
+    np.testing.assert_allclose(read / 32767 * scale, played(signal, case.phasors), atol=0.51 / 32767 * scale)
 
 
 def test_a_wav_says_what_its_channels_and_full_scale_are(result, tmp_path):
@@ -195,7 +195,7 @@ def test_drive_csv_plays_the_drive_and_says_its_full_scale(result, tmp_path):
     assert heading == ["time [s]", *(f"{name}{unit}" for name in signal.names)]
     read = np.array(rows, dtype=float)
     np.testing.assert_allclose(read[:, 0], np.arange(signal.samples) / 10_000, rtol=1e-14)
-    np.testing.assert_allclose(read[:, 1:] * signal.full_scale, played(signal, case.drive), atol=1e-8 * 9)
+    np.testing.assert_allclose(read[:, 1:] * signal.full_scale, played(signal, case.phasors), atol=1e-8 * 9)
 
 
 @pytest.mark.parametrize(
@@ -241,7 +241,7 @@ def test_signals_that_cannot_be_are_refused(result, options, words):
 
 def test_a_drive_at_rest_has_no_signal(result):
     with pytest.raises(SceneError, match="its drive is zero"):
-        make_signal(result.scene, replace(result.cases["best"], drive=np.zeros(3, complex)), 48000, 1.0)
+        make_signal(result.scene, replace(result.cases["best"], phasors=np.zeros(3, complex)), 48000, 1.0)
 
 
 def test_too_many_channels_for_a_wav_are_refused(result, tmp_path):
@@ -266,7 +266,7 @@ def test_what_a_result_lacks_is_named_by_the_key_of_the_scene(result, tmp_path):
 
 def write_words(words, paths, then=None):
     """Write the same words into all of them, but end in an error first."""
-    with written_whole(*paths) as temporaries:
+    with atomic_paths(*paths) as temporaries:
         for temporary in temporaries:
             temporary.write_text(words)
         if then is not None:

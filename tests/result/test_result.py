@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from warp_plate.result import Case, Result, load_result, save_result, store
-from warp_plate.result.atomic_io import seal_of
+from warp_plate.result.atomic_io import make_seal
 from warp_plate.scene import Scene, SceneError
 
 TIMES = (0.0464, 0.0696)
@@ -23,7 +23,7 @@ def result(random):
 
     def case():
         return Case(
-            drive=np.array([0, *random.normal(size=3)]) * np.exp(1j * random.uniform(-9, 9, 4)),
+            phasors=np.array([0, *random.normal(size=3)]) * np.exp(1j * random.uniform(-9, 9, 4)),
             energy={"target": float(random.uniform(1, 2)), "plate": float(random.uniform(3, 4))},
             displacement=random.normal(size=(2, 27, 27)).astype(np.float32),
             trace=random.normal(size=(3, 11)),
@@ -67,7 +67,7 @@ def assert_equal(first, second):
     assert first.cases.keys() == second.cases.keys()
     for name, case in first.cases.items():
         other = second.cases[name]
-        np.testing.assert_allclose(case.drive, other.drive, rtol=1e-14)
+        np.testing.assert_allclose(case.phasors, other.phasors, rtol=1e-14)
         assert dict(case.energy) == dict(other.energy)
         assert case.displacement.dtype == other.displacement.dtype
         np.testing.assert_array_equal(case.displacement, other.displacement)
@@ -163,7 +163,7 @@ def changed(path, mode="r+"):
     with h5py.File(path, mode) as file:
         yield file
     content = path.read_bytes()
-    path.write_bytes(content + seal_of(content))
+    path.write_bytes(content + make_seal(content))
 
 
 def load_error(path):

@@ -73,4 +73,4 @@ def test_example_finds_what_its_page_says(path):
         scene = scene.model_copy(update={"search": scene.search.model_copy(update={"robust": few})})
     evaluator = "response" if parametrization_of(with_common_step(scene)).quadratic else "direct"
     result = localize(scene, path.name, device="cpu", estimate=False, spectrum=False, evaluator=evaluator)
-    assert result.values.get("sum", result.judged.localization_factor) >= FOUND[path.stem]
+    assert result.objective_values.get("sum", result.main_case.localization_factor) >= FOUND[path.stem]

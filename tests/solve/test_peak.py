@@ -60,7 +60,7 @@ def test_looks_change_nothing_of_the_run(struck, path, effects):
 def test_localize_and_effects_look_over_the_whole_run(struck):
     made = struck.with_tables(search={"particles": 2, "iterations": 1})
     found = localize(made, device="cpu", estimate=False)
-    best = found.cases["best"].drive
+    best = found.cases["best"].phasors
     run = PlateSolver(made, "cpu").run(best[None], look_times(made, 3))
     assert found.peak == pytest.approx(np.abs(run.displacement).max(), rel=1e-6)
     assert measure_influence(struck, "cpu").peak == pytest.approx(traced_peak(struck), rel=0.02)

@@ -44,7 +44,7 @@ def digest(result):
     for name in sorted(result.cases):
         case = result.cases[name]
         found.update(repr((name, sorted(case.energy.items()))).encode())
-        for values in (case.drive, case.displacement, case.trace):
+        for values in (case.phasors, case.displacement, case.trace):
             found.update(np.ascontiguousarray(values).tobytes())
     return found.hexdigest()
 

@@ -157,7 +157,7 @@ def test_localize_shows_them_beside_the_drive_found(command):
     solver = PlateSolver(result.scene, "cpu")
     expected = baselines(solver, measure_response(solver))
     for name in ("time_reversal", "inverse_filter"):
-        np.testing.assert_allclose(result.cases[name].drive, expected[name], atol=1e-9)
+        np.testing.assert_allclose(result.cases[name].phasors, expected[name], atol=1e-9)
         assert result.cases[name].localization_factor == factors[name]
     status, out, _ = command()  # without times of its own
     shapes = {case.displacement.shape for case in load_result("panel-localize.h5").cases.values()}

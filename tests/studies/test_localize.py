@@ -21,7 +21,7 @@ def same(one, other):
         and all(
             np.array_equal(one.history[name], other.history[name]) for name in ("best", "mean", "evaluations")
         )
-        and all(np.array_equal(one.cases[name].drive, other.cases[name].drive) for name in one.cases)
+        and all(np.array_equal(one.cases[name].phasors, other.cases[name].phasors) for name in one.cases)
         and all(one.cases[name].energy == other.cases[name].energy for name in one.cases)
         and all(
             np.array_equal(one.cases[name].displacement, other.cases[name].displacement) for name in one.cases
@@ -43,9 +43,9 @@ def test_what_a_search_leaves(device, path, evaluator, scene):
     # bound.
     assert max(factors.values()) <= result.bound + 1e-6
     assert factors["best"] == pytest.approx(result.history["best"][-1], abs=2e-6)
-    np.testing.assert_array_equal(result.cases["equal"].drive, [1, 1, 1])
-    assert sorted(np.abs(result.cases["single"].drive)) == [0, 0, 1]
-    assert result.cases["best"].drive[0] == 1
+    np.testing.assert_array_equal(result.cases["equal"].phasors, [1, 1, 1])
+    assert sorted(np.abs(result.cases["single"].phasors)) == [0, 0, 1]
+    assert result.cases["best"].phasors[0] == 1
     assert set(result.history) == {"evaluations", "best", "mean"}
     np.testing.assert_array_equal(result.history["evaluations"], 8 * np.arange(1, 13))
     assert np.all(np.diff(result.history["best"]) >= 0)
@@ -89,7 +89,7 @@ def test_both_evaluators_walk_the_same_way(scene):
     made = scene(damping=88.5, **SMALL)
     direct, response = (localize(made, device="cpu", evaluator=name) for name in ("direct", "response"))
     np.testing.assert_allclose(direct.history["best"], response.history["best"], rtol=1e-9)
-    np.testing.assert_allclose(direct.cases["best"].drive, response.cases["best"].drive, rtol=1e-6)
+    np.testing.assert_allclose(direct.cases["best"].phasors, response.cases["best"].phasors, rtol=1e-6)
 
 
 @pytest.mark.parametrize("preset", ["paper", pytest.param("paper-supported", marks=pytest.mark.slow)])
@@ -175,7 +175,7 @@ def test_simulate_drives(scene):
     )
     written = simulate(made.model_copy(update={"actuators": actuators}), "mine", device="cpu")
     np.testing.assert_allclose(
-        written.cases["drive"].drive, [1, -0.5 * np.exp(-1j), 2 * np.exp(2j)], rtol=1e-14
+        written.cases["drive"].phasors, [1, -0.5 * np.exp(-1j), 2 * np.exp(2j)], rtol=1e-14
     )
     assert written.bound is None
     assert not written.history

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver, SceneError, localize, resume
-from warp_plate.result.checkpoint import load_checkpoint, previous_of, save_checkpoint
+from warp_plate.result.checkpoint import load_checkpoint, previous_path, save_checkpoint
 from warp_plate.studies.checkpointing import CheckpointFile
 
 SMALL = {"search": {"particles": 8, "iterations": 9, "seed": 3}, "record": {"points": ((0.1, 0.1),)}}
@@ -105,7 +105,7 @@ def test_a_grid_that_was_chosen_is_not_chosen_again(scene, stopped, monkeypatch)
             raise KeyboardInterrupt
 
     checkpoint = stopped(asked, "cpu", on_progress=keep)
-    assert checkpoint.asked == asked
+    assert checkpoint.scene_as_written == asked
     monkeypatch.setattr("warp_plate.studies.localize.choose", None)
     found = resume(checkpoint, estimate=False)
     whole = localize(checkpoint.scene, "mine", "cpu", estimate=False)
@@ -155,7 +155,7 @@ def test_checkpoints_come_by_the_clock(scene, tmp_path, monkeypatch):
         localize(made, "", "cpu", on_progress=told, estimate=False, checkpoints=file)
         assert written == expected
         if len(expected) > 1:
-            assert load_checkpoint(previous_of(file.path)).iterations == expected[-2]
+            assert load_checkpoint(previous_path(file.path)).iterations == expected[-2]
         file.remove()
         assert not list(tmp_path.iterdir())
         written.clear()
@@ -166,12 +166,12 @@ def test_the_one_before_is_never_that_of_another_search(scene, tmp_path, stopped
     path = tmp_path / "a.checkpoint.h5"
     other = replace(checkpoint, seed=99)
     save_checkpoint(other, path)
-    save_checkpoint(other, previous_of(path))
+    save_checkpoint(other, previous_path(path))
     file = CheckpointFile(path)
     file.save(checkpoint)
-    assert not previous_of(path).exists()
+    assert not previous_path(path).exists()
     file.save(checkpoint)
-    assert load_checkpoint(previous_of(path)).seed == checkpoint.seed
+    assert load_checkpoint(previous_path(path)).seed == checkpoint.seed
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ def test_a_search_that_goes_on_ends_bit_for_bit_the_same(robust, tmp_path):
     for name in ("fresh", "searched", "nominal_plate"):
         np.testing.assert_array_equal(getattr(again.robust, name), getattr(whole.robust, name))
     for name in ("best", "nominal"):
-        np.testing.assert_array_equal(again.cases[name].drive, whole.cases[name].drive)
+        np.testing.assert_array_equal(again.cases[name].phasors, whole.cases[name].phasors)
 
 
 def test_results_keep_the_comparison_and_draw_it(robust, tmp_path):

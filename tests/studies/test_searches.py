@@ -59,16 +59,16 @@ def test_what_is_found_is_a_scene_that_gives_the_same(name, tmp_path):
     # A plate of a batch whose plates differ and a scene of its own are stepped by other kernels.
     assert best.localization_factor == pytest.approx(result.history["best"][-1], abs=2e-5)
     assert np.all(np.diff(result.history["best"]) >= 0)
-    again = simulate(result.scene_of(best), device="cpu", estimate=False).cases["drive"]
+    again = simulate(result.driven_scene(best), device="cpu", estimate=False).cases["drive"]
     assert np.float32(again.localization_factor) == np.float32(best.localization_factor)
     np.testing.assert_array_equal(again.displacement, best.displacement)
     loaded = load_result(save_result(result, tmp_path / "one.h5"))
-    assert loaded.cases["best"].own.keys() == best.own.keys()
-    for heading, values in best.own.items():
-        np.testing.assert_array_equal(loaded.cases["best"].own[heading], values)
-    assert loaded.placed(loaded.cases["best"]) == result.placed(best)
-    assert not loaded.cases["equal"].own
-    assert {heading for kind, heading in TITLES.items() if kind in SEARCHES[name]} <= best.own.keys()
+    assert loaded.cases["best"].per_actuator.keys() == best.per_actuator.keys()
+    for heading, values in best.per_actuator.items():
+        np.testing.assert_array_equal(loaded.cases["best"].per_actuator[heading], values)
+    assert loaded.case_scene(loaded.cases["best"]) == result.case_scene(best)
+    assert not loaded.cases["equal"].per_actuator
+    assert {heading for kind, heading in TITLES.items() if kind in SEARCHES[name]} <= best.per_actuator.keys()
     assert (result.bound is not None) == (name in ("magnitude", "phase"))
 
 
@@ -79,8 +79,8 @@ def test_a_search_that_was_stopped_finds_the_same(name, stopped):  # noqa: F811
     checkpoint = stopped(made, "cpu", on_progress=stop_after(3))
     after = resume(checkpoint, estimate=False, spectrum=False)
     assert_same(after, whole)
-    for heading, values in whole.cases["best"].own.items():
-        np.testing.assert_array_equal(after.cases["best"].own[heading], values)
+    for heading, values in whole.cases["best"].per_actuator.items():
+        np.testing.assert_array_equal(after.cases["best"].per_actuator[heading], values)
 
 
 def test_a_stopped_search_of_another_scene_is_refused(stopped):  # noqa: F811
@@ -185,11 +185,11 @@ def test_motions_and_signals_have_the_cases_own_frequency_and_places(panel):
     assert found.span == equal.span
     assert found.span[1] - found.span[0] == pytest.approx(1 / min(290, best.frequency[0]))
     # A step of this motion is one of the scene that was found.
-    alone = PlateSolver(result.scene_of(best), "cpu")
+    alone = PlateSolver(result.driven_scene(best), "cpu")
     moment = float(found.times[3])
-    field = alone.run(best.drive[None], (moment,)).displacement[0, 0]
+    field = alone.run(best.phasors[None], (moment,)).displacement[0, 0]
     np.testing.assert_array_equal(found.displacement[3], field.astype(np.float32))
-    signal = make_signal(result.placed(best), best, 48000, 1.0)
+    signal = make_signal(result.case_scene(best), best, 48000, 1.0)
     assert signal.frequency == best.frequency[0]
     pytest.importorskip("pyvista")
     from warp_plate.viz.page import page_data
@@ -207,7 +207,7 @@ def test_several_frequencies_are_no_file_to_play():
     result = localize(searched("own frequencies"), device="cpu", estimate=False)
     best = result.cases["best"]
     with pytest.raises(SceneError, match=r"actuators\[\d\].frequency: only tones"):
-        make_signal(result.placed(best), best, 48000, 1.0)
+        make_signal(result.case_scene(best), best, 48000, 1.0)
 
 
 def of_all_phases(response):

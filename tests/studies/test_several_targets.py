@@ -15,7 +15,7 @@ from warp_plate.cli.output import warnings_of
 from warp_plate.problem import problem
 from warp_plate.result import save_result
 from warp_plate.result.checkpoint import load_checkpoint, save_checkpoint
-from warp_plate.result.crosstalk import cases_of_targets, crosstalk, decibels, found_scenes, regions_of_targets
+from warp_plate.result.crosstalk import best_drive_scenes, crosstalk, decibels, target_cases, target_regions
 from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.checkpointing import CheckpointFile
 from warp_plate.viz.plots.crosstalk import draw_crosstalk
@@ -55,15 +55,15 @@ def test_each_drive_is_that_of_a_search_of_its_own(found):
     made = panel()
     assert list(found.cases) == ["equal", "single", "best", "best left", "best three corners"]
     assert found.evaluations == 3 * 8 * 9
-    for index, case in enumerate(cases_of_targets(made).values()):
+    for index, case in enumerate(target_cases(made).values()):
         own = localize(alone(made, index), "mine", "cpu", estimate=False)
-        np.testing.assert_array_equal(found.cases[case].drive, own.cases["best"].drive)
+        np.testing.assert_array_equal(found.cases[case].phasors, own.cases["best"].phasors)
         np.testing.assert_array_equal(found.cases[case].displacement, own.cases["best"].displacement)
         assert found.cases[case].localization_factor == own.cases["best"].localization_factor
-        assert found.several[index].bound == own.bound
+        assert found.target_searches[index].bound == own.bound
         for name, values in own.history.items():
-            np.testing.assert_array_equal(found.several[index].history[name], values)
-    assert found.bound == found.several[0].bound
+            np.testing.assert_array_equal(found.target_searches[index].history[name], values)
+    assert found.bound == found.target_searches[0].bound
     assert found.scene.target == made.target
 
 
@@ -71,10 +71,10 @@ def test_crosstalk_is_the_share_of_each_target_under_each_drive(found):
     """By one run of all three drives in float64, with the targets as regions."""
     shares = crosstalk(found)
     made = found.scene.with_tables(grid={**found.scene.grid.model_dump(), "precision": "float64"})
-    drives = np.array([found.cases[case].drive for case in cases_of_targets(made).values()])
-    run = PlateSolver(made, "cpu", areas=regions_of_targets(made)).run(drives)
+    drives = np.array([found.cases[case].phasors for case in target_cases(made).values()])
+    run = PlateSolver(made, "cpu", areas=target_regions(made)).run(drives)
     np.testing.assert_allclose(shares, run.energy[:, 2:] / run.energy[:, :1], rtol=1e-4)
-    for row, case in enumerate(cases_of_targets(made).values()):
+    for row, case in enumerate(target_cases(made).values()):
         assert shares[row, row] == found.cases[case].localization_factor
     np.testing.assert_allclose(decibels(shares), 10 * np.log10(shares / np.diag(shares)[:, None]), atol=1e-12)
 
@@ -90,7 +90,7 @@ def test_gram_matrices_are_measured_once(kinds, measured, monkeypatch):
     found = localize(made, "mine", "cpu", evaluator="response", estimate=False)
     assert len(calls) == measured
     own = localize(alone(made, 2), "mine", "cpu", evaluator="response", estimate=False)
-    np.testing.assert_array_equal(found.cases["best three corners"].drive, own.cases["best"].drive)
+    np.testing.assert_array_equal(found.cases["best three corners"].phasors, own.cases["best"].phasors)
 
 
 def stopped_at(count):
@@ -107,7 +107,7 @@ def test_a_stopped_search_goes_on_to_the_same_bits(count, index, iterations, fou
     file = CheckpointFile(tmp_path / "one.checkpoint.h5", np.inf)
     left = localize(panel(), "mine", "cpu", on_progress=stopped_at(count), estimate=False, checkpoints=file)
     assert left.interrupted
-    assert len(left.several) == index + 1
+    assert len(left.target_searches) == index + 1
     shares = crosstalk(left)
     assert np.isfinite(shares[: index + 1]).all()
     assert np.isnan(shares[index + 1 :]).all()
@@ -117,10 +117,11 @@ def test_a_stopped_search_goes_on_to_the_same_bits(count, index, iterations, fou
     gone_on = resume(checkpoint, estimate=False)
     assert (gone_on.node_steps, gone_on.evaluations) == (found.node_steps, found.evaluations)
     for case, one in found.cases.items():
-        np.testing.assert_array_equal(gone_on.cases[case].drive, one.drive)
+        np.testing.assert_array_equal(gone_on.cases[case].phasors, one.phasors)
         assert gone_on.cases[case].energy == one.energy
-    for one, other in zip(gone_on.several, found.several, strict=True):
-        assert (one.bound, one.single, one.evaluations) == (other.bound, other.single, other.evaluations)
+    for one, other in zip(gone_on.target_searches, found.target_searches, strict=True):
+        assert (one.bound, one.evaluations) == (other.bound, other.evaluations)
+        assert one.single_actuator == other.single_actuator
         np.testing.assert_array_equal(one.position, other.position)
 
 
@@ -137,19 +138,19 @@ def test_one_actuator_leaves_no_choice_for_any_target():
     made = panel()
     made = made.with_tables(actuators=[made.actuators[0].model_dump()])
     found = localize(made, "mine", "cpu", estimate=False)
-    assert [one.position for one in found.several] == [None] * 3
+    assert [one.position for one in found.target_searches] == [None] * 3
     np.testing.assert_allclose(crosstalk(found), crosstalk(found)[[0, 0, 0]], rtol=1e-12)
 
 
 def test_files_keep_it(found, tmp_path):
     again = load_result(save_result(found, tmp_path / "result.h5"))
     np.testing.assert_array_equal(crosstalk(again), crosstalk(found))
-    assert [one.bound for one in again.several] == [one.bound for one in found.several]
-    np.testing.assert_array_equal(again.several[2].history["best"], found.several[2].history["best"])
+    assert [one.bound for one in again.target_searches] == [one.bound for one in found.target_searches]
+    np.testing.assert_array_equal(again.target_searches[2].history["best"], found.target_searches[2].history["best"])
     with h5py.File(tmp_path / "result.h5") as file:
         np.testing.assert_array_equal(file["crosstalk"][:], crosstalk(found))
         assert json.loads(file["crosstalk"].attrs["targets"]) == ["disc", "left", "three corners"]
-    scenes = found_scenes(again)
+    scenes = best_drive_scenes(again)
     assert list(scenes) == ["best", "best left", "best three corners"]
     for index, (case, scene) in enumerate(scenes.items()):
         assert scene.target == scene.targets[index].unnamed
@@ -220,4 +221,4 @@ def test_the_picture(found, tmp_path):
 def test_the_example_is_a_scene():
     made = Scene.load(Path(__file__).parents[2] / "docs" / "examples" / "three-targets.toml")
     assert [target.shape for target in made.targets] == ["disc", "polygon", "area"]
-    assert np.isfinite(PlateSolver(made, "cpu", areas=regions_of_targets(made)).run(np.ones((1, 6))).energy).all()
+    assert np.isfinite(PlateSolver(made, "cpu", areas=target_regions(made)).run(np.ones((1, 6))).energy).all()

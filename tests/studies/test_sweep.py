@@ -46,7 +46,7 @@ def test_figures_are_those_of_the_commands(plate):
         values = {name: one[point] for name, one in found["simulate"].values.items()}
         assert values["localization_factor"] == alone.cases["drive"].localization_factor
         assert values["energy_plate"] == alone.cases["drive"].energy["plate"]
-        assert values["peak_displacement"] == alone.peak
+        assert values["peak_displacement"] == alone.peak_displacement
         searched = localize(scene, device="cpu", evaluator="response", estimate=False)
         values = {name: one[point] for name, one in found["localize"].values.items()}
         assert values["bound"] == pytest.approx(searched.bound, rel=1e-9)
@@ -92,9 +92,10 @@ def test_refused_points_have_a_reason_and_others_run(plate):
 
 def test_keys_that_change_nothing_are_known(plate):
     found = sweep(plate, ["drive.frequency=200,300", "search.seed=1,2", "plate.density=1000"], device="cpu")
-    assert found.idle == ("search.seed",)
-    assert sweep(plate, ["search.seed=1:9"], samples=3, device="cpu").idle == ("search.seed",)
-    assert sweep(plate, ["search.seed=1:9", "drive.frequency=200:300"], samples=3, device="cpu").idle == ()
+    assert found.keys_without_effect == ("search.seed",)
+    assert sweep(plate, ["search.seed=1:9"], samples=3, device="cpu").keys_without_effect == ("search.seed",)
+    both = sweep(plate, ["search.seed=1:9", "drive.frequency=200:300"], samples=3, device="cpu")
+    assert both.keys_without_effect == ()
 
 
 def test_what_is_no_sweep(plate):
@@ -220,7 +221,8 @@ def test_what_workers_ran_on_is_kept_and_another_kind_is_not_mixed_in(plate, tmp
     with pytest.raises(Stop):
         run_sweep(begun, stop_after(1), SweepFile(file, math.inf), Away())
     half = load_sweep(file)
-    assert (half.device, half.processor, half.earlier, half.progress) == ("cuda:0", "A GPU", "", "1 of 4 points")
+    assert (half.device, half.processor, half.earlier_devices) == ("cuda:0", "A GPU", "")
+    assert half.progress == "1 of 4 points"
     with pytest.raises(SceneError, match=r"the sweep began on cuda:0 \(A GPU\), which is not here"):
         continued(half)
     with pytest.raises(SceneError, match=r"cuda:0 \(A GPU\) and goes on on cuda:0 \(Another\).* --device cuda$"):
@@ -236,11 +238,11 @@ def test_what_workers_ran_on_is_kept_and_another_kind_is_not_mixed_in(plate, tmp
     assert len(lines) == 1
     assert lines[0].endswith("goes on on cuda:0 (Another), which rounds in another way: the result may differ")
     whole = run_sweep(continued(load_sweep(file), begun.device))
-    assert load_sweep(save_sweep(whole, file)).ran_on == f"cuda:0 (A GPU), then cuda:0 (Another), then {here}"
+    assert load_sweep(save_sweep(whole, file)).devices_used == f"cuda:0 (A GPU), then cuda:0 (Another), then {here}"
     assert continued(whole, "cuda:99") is whole  # nothing is left to run anywhere
     # The same kind goes on without a word, and where nobody has said his kind there is nothing to differ from.
-    assert run_sweep(continued(half, there=True), pool=Away()).ran_on == "cuda:0 (A GPU)"
-    assert run_sweep(begun, pool=Killing(np.random.default_rng(0), 200.0)).ran_on == here
+    assert run_sweep(continued(half, there=True), pool=Away()).devices_used == "cuda:0 (A GPU)"
+    assert run_sweep(begun, pool=Killing(np.random.default_rng(0), 200.0)).devices_used == here
 
 
 @pytest.mark.parametrize("error", [RuntimeError("Failed to allocate 9 bytes\non device 'cuda:0'"), MemoryError("9")])

@@ -102,7 +102,7 @@ def test_crosstalk_shows_actuators_where_they_were(drawn):
     panels = [one for one in figure.get_axes() if one.get_title()]
     for axes, case in zip(panels, result.cases.values(), strict=True):
         shown = [one.get_xdata()[0] for one in axes.lines if one.get_color() == INK and one.get_zorder() == 2]
-        np.testing.assert_allclose(shown, [one.area[0] for one in result.placed(case).actuators])
+        np.testing.assert_allclose(shown, [one.area[0] for one in result.case_scene(case).actuators])
     assert not np.allclose(shown, [one.area[0] for one in result.scene.actuators])
 
 

@@ -32,7 +32,7 @@ PATIENCE = 90.0
 def result(scene):
     made = simulate(scene(damping=200.0), device="cpu", estimate=False)
     case = made.cases["drive"]
-    return replace(made, cases={"equal": case, "single": case, "best": replace(case, drive=2 * case.drive)})
+    return replace(made, cases={"equal": case, "single": case, "best": replace(case, phasors=2 * case.phasors)})
 
 
 @pytest.fixture

@@ -29,7 +29,7 @@ COLOURS = {
     "exact": "#b2182b",
 }
 BOUND_COLOUR = "#111111"
-BOUND_WORDS = {"attained": "bound: no method can pass", "bound only": "bound only: may not be reached"}
+BOUND_DESCRIPTIONS = {"attained": "bound: no method can pass", "bound only": "bound only: may not be reached"}
 # The smallest distance from the bound that is drawn: what is below is rounding.
 NEAREST = 1e-12
 
@@ -98,7 +98,7 @@ def spread(trials: Sequence[Trial], clock: str, budget: int) -> tuple[np.ndarray
 def _plot_values(axes: Axes, comparison: Comparison, clock: str) -> None:
     sign, offset = (-1, 1) if comparison.localization else (1, 0)
     for method in comparison.methods:
-        points, losses = spread(comparison.of(method), clock, comparison.budget)
+        points, losses = spread(comparison.trials_of(method), clock, comparison.budget)
         _plot_line(axes, method, points, offset + sign * losses)
     if comparison.bound is not None:
         axes.axhline(
@@ -106,7 +106,7 @@ def _plot_values(axes: Axes, comparison: Comparison, clock: str) -> None:
             color=BOUND_COLOUR,
             linewidth=1.0,
             linestyle="--",
-            label=BOUND_WORDS[comparison.bound_kind],
+            label=BOUND_DESCRIPTIONS[comparison.bound_kind],
         )
     axes.set_xscale("log")
     axes.spines[["top", "right"]].set_visible(False)
@@ -114,7 +114,7 @@ def _plot_values(axes: Axes, comparison: Comparison, clock: str) -> None:
 
 def _plot_distances(axes: Axes, comparison: Comparison, clock: str) -> None:
     for method in comparison.methods:
-        points, losses = spread(comparison.of(method), clock, comparison.budget)
+        points, losses = spread(comparison.trials_of(method), clock, comparison.budget)
         _plot_line(axes, method, points, np.maximum(losses - comparison.bound, NEAREST))
     axes.set_xscale("log")
     axes.set_yscale("log")

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_plate.result.crosstalk import cases_of_targets, crosstalk, decibels
+from warp_plate.result.crosstalk import crosstalk, decibels, target_cases
 from warp_plate.result.model import Result
-from warp_plate.result.outlines import outlines_of
+from warp_plate.result.outlines import target_outlines
 from warp_plate.viz.lettering import INK, TARGET
 from warp_plate.viz.plots.plan import frame, outline, paint
 from warp_plate.viz.quantity import scale_over
@@ -37,7 +37,7 @@ def draw_crosstalk(result: Result, path: str | Path, form: str | None = None) ->
         ValueError: the result's scene has one target only, or Matplotlib does not know the ending.
         OSError: the file cannot be written.
     """
-    names = cases_of_targets(result.scene)
+    names = target_cases(result.scene)
     if not names:
         raise ValueError("the result has no crosstalk: its scene has one target only")
     from matplotlib import rc_context
@@ -99,10 +99,10 @@ def _plates(
         fields = np.nan_to_num(result.cases[case].displacement, posinf=0, neginf=0)
         field = fields[np.abs(fields).max(axis=(1, 2)).argmax()]
         paint(axes, result.scene, field, scale_over([field], result.scene.plate.size))
-        for actuator in result.placed(result.cases[case]).actuators:
+        for actuator in result.case_scene(result.cases[case]).actuators:
             outline(axes, actuator.area, INK)
         for other, (key, target) in targets.items():
-            for way in outlines_of(result.scene, key, target):
+            for way in target_outlines(result.scene, key, target):
                 look = {"linewidth": 2.2} if other == name else {"linewidth": 0.8, "linestyle": "--"}
                 axes.plot(*way.T, color=TARGET, clip_on=False, zorder=4, **look)
         frame(axes, result.scene)

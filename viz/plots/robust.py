@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.result.model import Result
-from warp_plate.result.robust import DRIVES, TAIL, RobustComparison, worst_tail
+from warp_plate.result.robust import DRIVES, TAIL, RobustComparison, mean_of_worst
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +25,7 @@ def draw_robust(result: Result, path: str | Path, form: str | None = None) -> Pa
         OSError: the file cannot be written.
     """
     compared = result.robust
-    if compared is None or not np.isfinite(compared.fresh).any():
+    if compared is None or not np.isfinite(compared.validation).any():
         raise ValueError("the result compares no robust drive with a nominal one")
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -43,23 +43,23 @@ def draw_robust(result: Result, path: str | Path, form: str | None = None) -> Pa
 
 
 def _plot_histograms(axes: Axes, compared: RobustComparison) -> None:
-    finite = compared.fresh[np.isfinite(compared.fresh)]
+    finite = compared.validation[np.isfinite(compared.validation)]
     edges = np.histogram_bin_edges(finite, BINS)
-    for name, values in zip(DRIVES, compared.fresh, strict=True):
+    for name, values in zip(DRIVES, compared.validation, strict=True):
         shown = values[np.isfinite(values)]
         axes.hist(shown, edges, color=COLOURS[name], alpha=0.35)
         axes.hist(shown, edges, color=COLOURS[name], histtype="step", linewidth=1.2, label=f"{name} drive")
         if shown.size:
             axes.axvline(shown.mean(), color=COLOURS[name], linewidth=1.0, linestyle="--")
-    axes.set_ylabel(f"of {compared.fresh.shape[1]} fresh scenarios")
+    axes.set_ylabel(f"of {compared.validation.shape[1]} fresh scenarios")
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, title="dashed: mean", title_fontsize=8)
 
 
 def _plot_parts(axes: Axes, compared: RobustComparison) -> None:
-    count = compared.fresh.shape[1]
+    count = compared.validation.shape[1]
     part = np.arange(1, count + 1) / count
-    for name, values, tail in zip(DRIVES, compared.fresh, worst_tail(compared.fresh), strict=True):
+    for name, values, tail in zip(DRIVES, compared.validation, mean_of_worst(compared.validation), strict=True):
         # Plates that failed come first, left of everything.
         ordered = np.sort(np.where(np.isfinite(values), values, -np.inf))
         shown = np.isfinite(ordered)

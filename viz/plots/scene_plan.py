@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from xml.etree.ElementTree import Element, SubElement
 
-from warp_plate.result.outlines import outlines_of
+from warp_plate.result.outlines import target_outlines
 from warp_plate.scene.model import Area, Scene
 from warp_plate.scene.target import NamedTarget, Target
 from warp_plate.viz.edges import NAMES, SIDES, edge_kind
@@ -50,7 +50,7 @@ def scene_plan(scene: Scene) -> Element:
             return add(target.area, words, looks)
         ways = [
             " ".join(f"{MARGIN + x * scale:.6g},{MARGIN + (height - y) * scale:.6g}" for x, y in way.tolist())
-            for way in outlines_of(scene, key, target)
+            for way in target_outlines(scene, key, target)
         ]
         shape = SubElement(svg, "path", {"d": " ".join(f"M {way} Z" for way in ways), "fill-rule": "evenodd"} | looks)
         SubElement(shape, "title").text = f"{words}: {target.description}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from warp_plate.result.model import BOUND_WORDS, Result
+from warp_plate.result.model import BOUND_DESCRIPTIONS, Result
 from warp_plate.scene.search import Search
 from warp_plate.viz.plots.axes import first_of_several
 
@@ -51,7 +51,7 @@ def words_of(search: Search) -> dict[str, str]:
     if magnitude is None and phase is None:
         best = "the scene's drive"
     elif phase is None or phase.actuators is not None or not _any_size(search):
-        best = BOUND_WORDS["attained within limits"]
+        best = BOUND_DESCRIPTIONS["attained within limits"]
     else:
         best = "best drive at each frequency"
     return {
@@ -70,7 +70,7 @@ def _any_size(search: Search) -> bool:
 
 
 def _plot(axes: Axes, result: Result) -> None:
-    spectrum, case = result.spectrum, result.judged
+    spectrum, case = result.spectrum, result.main_case
     words = words_of(result.scene.search)
     for name, (colour, width) in CURVES.items():
         axes.plot(spectrum["frequency"], spectrum[name], color=colour, linewidth=width, label=words[name])

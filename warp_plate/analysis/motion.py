@@ -15,7 +15,7 @@ from warp_plate.plate.bending import make_bending
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import highest_frequency
-from warp_plate.result.model import Case, placed
+from warp_plate.result.model import Case, case_scene
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
@@ -51,7 +51,7 @@ def motions(
         SceneError: see :class:`PlateSolver`; a span outside the run; too few frames or steps, or too many bytes.
     """
     scheme = make_scheme(scene)
-    scenes = {name: placed(scene, case) for name, case in cases.items()}
+    scenes = {name: case_scene(scene, case) for name, case in cases.items()}
     end = scheme.steps * scheme.time_step
     field = 8 * math.prod(scheme.nodes) * len(cases)
     most = frames or _frames(math.inf, field)
@@ -87,7 +87,7 @@ def motions(
             velocity=((fields[name][after] - fields[name][at]) / scheme.time_step).astype(np.float32),
             surface_density=mass,
             localization_factor=case.localization_factor,
-            scene=scenes[name] if case.own else None,
+            scene=scenes[name] if case.per_actuator else None,
         )
         for name, case in cases.items()
     ]
@@ -114,7 +114,7 @@ def _fields(
             if progress is not None:
                 progress(before * each + done, len(cases) * each)
 
-        run = solver.run(np.array([cases[name].drive for name in names]), times, progress=told)
+        run = solver.run(np.array([cases[name].phasors for name in names]), times, progress=told)
         fields |= dict(zip(names, run.displacement, strict=True))
     return fields
 

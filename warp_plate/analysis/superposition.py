@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.result.live import Reading, SteadyMotion, quadrants
+from warp_plate.result.live import DriveResponse, SteadyMotion, quadrants
 from warp_plate.scene.model import Scene
 from warp_plate.solve.response import Response, measure_response, real_parts, unit_drives
 from warp_plate.solve.run import Run
@@ -32,14 +32,14 @@ class UnitResponses:
     """Responses to 2M unit drives, 1 on each actuator alone and then −i on each.
 
     scene: the one simulated; response: Gram matrices of ``regions``; amplitudes: (2M, ny, nx) complex [m per N/m²];
-    left_over: see :class:`SteadyMotion`, the largest of the units.
+    residual: see :class:`SteadyMotion`, the largest of the units.
     """
 
     scene: Scene
     response: Response
     regions: tuple[str, ...]
     amplitudes: np.ndarray
-    left_over: float
+    residual: float
     bound: float
     best_drive: np.ndarray
 
@@ -47,13 +47,13 @@ class UnitResponses:
         """(plates, regions) energies [J] of drives (plates, actuators)."""
         return self.response.energy(drives)
 
-    def read(self, drive: np.ndarray) -> Reading:
+    def read(self, drive: np.ndarray) -> DriveResponse:
         """The plate under one drive (actuators,) [N/m²]."""
         amplitude = np.tensordot(real_parts(drive[None])[0], self.amplitudes, 1)
-        return Reading(
+        return DriveResponse(
             scene=self.scene,
-            drive=drive,
-            motion=SteadyMotion(LINEAR_ORDERS, amplitude[None], self.left_over),
+            phasors=drive,
+            motion=SteadyMotion(LINEAR_ORDERS, amplitude[None], self.residual),
             energy=dict(zip(self.regions, self.energies(drive[None])[0].tolist(), strict=True)),
             bound=self.bound if math.isfinite(self.bound) else None,
         )
@@ -79,7 +79,7 @@ def unit_responses(
         response=response,
         regions=solver.specialized.regions,
         amplitudes=np.concatenate([motion.amplitudes for motion in motions]),
-        left_over=float(np.max([motion.left_over for motion in motions])),
+        residual=float(np.max([motion.residual for motion in motions])),
         bound=response.bound(),
         best_drive=response.best_drive(),
     )
@@ -97,13 +97,13 @@ class SimulatedResponses:
         with _ONE_AT_A_TIME:
             return self.solver.run(drives).energy
 
-    def read(self, drive: np.ndarray) -> Reading:
+    def read(self, drive: np.ndarray) -> DriveResponse:
         """The plate under one drive (actuators,) [N/m²]."""
         times = last_period(self.scene, self.solver.specialized.scheme.time_step, SAMPLES)
         with _ONE_AT_A_TIME:
             run = self.solver.run(drive[None], times)
         energy = dict(zip(run.regions, run.energy[0].tolist(), strict=True))
-        return Reading(self.scene, drive, motions_of(run, self.scene, ORDERS)[0], energy, None)
+        return DriveResponse(self.scene, drive, motions_of(run, self.scene, ORDERS)[0], energy, None)
 
 
 def simulated_responses(scene: Scene, device: str, path: str) -> SimulatedResponses:
@@ -142,9 +142,9 @@ def motions_of(run: Run, scene: Scene, orders: np.ndarray) -> list[SteadyMotion]
     parts = np.tensordot(np.linalg.pinv(columns), fields, (1, 1)).swapaxes(0, 1)[:, : 2 * orders.size]
     left = fields - np.tensordot(columns[:, : 2 * orders.size], parts, (1, 1)).swapaxes(0, 1)
     whole, rest = ((field**2).sum(axis=(1, 2, 3)) for field in (fields, left))
-    left_over = np.sqrt(rest / np.where(whole > 0, whole, 1))
+    residual = np.sqrt(rest / np.where(whole > 0, whole, 1))
     real, imaginary = np.split(parts, 2, axis=1)  # (plates, orders, ny, nx)
     return [
         SteadyMotion(orders, amplitudes, float(share))
-        for amplitudes, share in zip(real + 1j * imaginary, left_over, strict=True)
+        for amplitudes, share in zip(real + 1j * imaginary, residual, strict=True)
     ]

@@ -84,9 +84,9 @@ def accuracy(
 
 def _write(record: Mapping[str, object], path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """The figures as JSON and their picture; returns the files, and why a picture is missing."""
-    from warp_plate.result.atomic_io import write_whole
+    from warp_plate.result.atomic_io import write_atomically
 
-    write_whole(f"{json_format.dumps(record, indent=1)}\n".encode(), path)
+    write_atomically(f"{json_format.dumps(record, indent=1)}\n".encode(), path)
     if not pictures:
         return [path], None
     from warp_plate.viz.plots.accuracy import draw_accuracy_beside

@@ -102,9 +102,9 @@ def _whole_numbers(option: str, text: str | None, least: int, most: int) -> list
 
 def _write(report: BenchReport, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """The figures as JSON and their pictures; returns the files, and why a picture is missing."""
-    from warp_plate.result.atomic_io import write_whole
+    from warp_plate.result.atomic_io import write_atomically
 
-    write_whole(f"{json_format.dumps(report.as_json(), indent=1)}\n".encode(), path)
+    write_atomically(f"{json_format.dumps(report.as_json(), indent=1)}\n".encode(), path)
     if not pictures:
         return [path], None
     from warp_plate.viz.plots.bench import draw_bench_beside

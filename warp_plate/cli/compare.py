@@ -124,8 +124,8 @@ def rows(result: Comparison) -> list[dict[str, object]]:
     near = NEAR * tolerance_scale(result.bound or 0.0, loss_scale(result.scene.search.objectives))
     made: list[dict[str, object]] = []
     for method in result.methods:
-        trials = result.of(method)
-        found = np.array([trial.found for trial in trials])
+        trials = result.trials_of(method)
+        found = np.array([trial.best_loss for trial in trials])
         best, median, worst = float(found.min()), float(np.median(found)), float(found.max())
         made.append(
             {
@@ -152,7 +152,7 @@ def as_json(result: Comparison, files: list[Path]) -> dict[str, object]:
         "device": result.device,
         "evaluator": result.evaluator,
         "budget": result.budget,
-        "seconds": {"prepare": result.prepared},
+        "seconds": dict(result.seconds),
         "localization": result.localization,
         "bound": None if result.bound is None else bound,
         "methods": rows(result),
@@ -160,7 +160,7 @@ def as_json(result: Comparison, files: list[Path]) -> dict[str, object]:
             {
                 "method": trial.method,
                 "seed": trial.seed,
-                "loss": trial.found,
+                "loss": trial.best_loss,
                 "evaluations": int(trial.evaluations[-1]),
                 "seconds": float(trial.seconds[-1]),
             }
@@ -168,7 +168,7 @@ def as_json(result: Comparison, files: list[Path]) -> dict[str, object]:
         ],
         "skipped": dict(result.skipped),
         "interrupted": result.interrupted,
-        "lost": dict(result.lost),
+        "lost": dict(result.lost_plates),
         "versions": dict(result.versions),
         "files": [str(file) for file in files],
     }
@@ -192,11 +192,11 @@ def _print(result: Comparison, console: Console) -> None:
         words = {"attained": "bound (no method can pass)", "bound only": "bound only (may not be reached)"}
         console.print(f"\n{words[result.bound_kind]}: {value:.6g}, {result.bound_sentence}")
     console.print(LEGEND.format(of="it" if result.localization else "its size"))
-    if result.prepared > 0:
-        console.print(f"before the clock: {result.prepared:.2g} s for the plates that all methods share.")
+    if result.seconds["prepare"] > 0:
+        console.print(f"before the clock: {result.seconds['prepare']:.2g} s for the plates that all methods share.")
     for method, reason in result.skipped.items():
         console.print(f"{method}: not tried: {reason}")
-    for line in lost_lines(result.lost):
+    for line in lost_lines(result.lost_plates):
         console.print(f"! {line}")
     if result.interrupted:
         console.print("Interrupted by Ctrl-C: the trials that were done are shown.")

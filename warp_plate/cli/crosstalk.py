@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 def crosstalk_json(result: Result) -> dict[str, object] | None:
     """Shares of the plate's kinetic energy, and decibels against each drive's own target; None for one target."""
-    from warp_plate.result.crosstalk import cases_of_targets, crosstalk, decibels
+    from warp_plate.result.crosstalk import crosstalk, decibels, target_cases
 
-    cases = cases_of_targets(result.scene)
+    cases = target_cases(result.scene)
     if not cases:
         return None
     shares = crosstalk(result)
@@ -27,19 +27,19 @@ def crosstalk_json(result: Result) -> dict[str, object] | None:
         "cases": list(cases.values()),
         "share": shares.tolist(),
         "decibels": decibels(shares).tolist(),
-        "bound": [one.bound for one in result.several],
-        "bound_kind": [one.bound_kind for one in result.several],
-        "objectives": [dict(one.values) or None for one in result.several],
-        "evaluations": [one.evaluations for one in result.several],
+        "bound": [one.bound for one in result.target_searches],
+        "bound_kind": [one.bound_kind for one in result.target_searches],
+        "objectives": [dict(one.objective_values) or None for one in result.target_searches],
+        "evaluations": [one.evaluations for one in result.target_searches],
         "drives": {name: output.drive_json(case, result.scene) for name, case in found.items()},
     }
 
 
 def crosstalk_table(result: Result) -> Table:
     """A row for each drive, a column for each target."""
-    from warp_plate.result.crosstalk import cases_of_targets, crosstalk, decibels
+    from warp_plate.result.crosstalk import crosstalk, decibels, target_cases
 
-    names = list(cases_of_targets(result.scene))
+    names = list(target_cases(result.scene))
     shares = crosstalk(result)
     against = decibels(shares)
     made = output.table("drive for", *names, "bound", title="Crosstalk: share of the plate's kinetic energy in")
@@ -50,6 +50,6 @@ def crosstalk_table(result: Result) -> Table:
             else f"{share:.4f}" + (f" ({against[row, column]:+.1f} dB)" if row != column else "")
             for column, share in enumerate(shares[row].tolist())
         ]
-        bound = result.several[row].bound if row < len(result.several) else None
+        bound = result.target_searches[row].bound if row < len(result.target_searches) else None
         made.add_row(name, *cells, "none claimed" if bound is None else f"{bound:.4f}")
     return made

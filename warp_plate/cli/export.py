@@ -153,7 +153,7 @@ def _write_series(
         times, fields = motions[0].times, {f"displacement_{motion.name}": motion.displacement for motion in motions}
         fields |= {f"velocity_{motion.name}": motion.velocity for motion in motions}
     # The actuators are shown where the first case has them.
-    scene = result.placed(result.cases[choice.cases[0]])
+    scene = result.case_scene(result.cases[choice.cases[0]])
     files = (write_pvd if to == "pvd" else write_vtkhdf)(scene, times, fields, target)
     return files, {"times": len(times), "recorded": recorded, "fields": list(fields)}
 
@@ -169,7 +169,7 @@ def _signal(result: Result, case: Case, rate: int | None, duration: float | None
     from warp_plate.result.export.drive_signals import make_signal
 
     rate = RATE if rate is None else rate
-    return make_signal(result.placed(case), case, rate, DURATION if duration is None else duration, full_scale)
+    return make_signal(result.case_scene(case), case, rate, DURATION if duration is None else duration, full_scale)
 
 
 def _write_signal(signal: Signal, to: Format, target: Path, encoding: Encoding) -> list[Path]:

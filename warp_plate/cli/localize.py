@@ -223,12 +223,12 @@ def _write(result: Result, target: Path, pictures: bool, kept: CheckpointFile) -
 def _write_found(result: Result, path: Path) -> list[Path]:
     """The scene that was found, for ``simulate``, and of several targets one for each, numbered from the second on;
     nothing where no scene may have its numbers, which is told."""
-    from warp_plate.result.atomic_io import write_whole
-    from warp_plate.result.crosstalk import found_scenes
+    from warp_plate.result.atomic_io import write_atomically
+    from warp_plate.result.crosstalk import best_drive_scenes
     from warp_plate.scene.dump import dump_scene
 
     try:
-        scenes = found_scenes(result)
+        scenes = best_drive_scenes(result)
     except SceneError as error:
         output.tell(f"{path} is not written: {error}")
         return []
@@ -236,7 +236,7 @@ def _write_found(result: Result, path: Path) -> list[Path]:
     for number, scene in enumerate(scenes.values(), 1):
         file = path if number == 1 else path.with_suffix(f".{number}.toml")
         head = f"# Found by: warp-plate localize {result.source}\n# Run it by: warp-plate simulate {file.name}\n"
-        write_whole((printable(head) + dump_scene(scene)).encode(), file)
+        write_atomically((printable(head) + dump_scene(scene)).encode(), file)
         files.append(file)
     return files
 
@@ -259,8 +259,8 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
         "seconds": dict(result.seconds),
         "effects": list(result.effects),
         "history": [dict(zip(history, row, strict=True)) for row in zip(*history.values(), strict=True)],
-        "objectives": dict(result.values) or None,
-        "objectives_of": {name: dict(worth) for name, worth in result.worth.items()},
+        "objectives": dict(result.objective_values) or None,
+        "objectives_of": {name: dict(worth) for name, worth in result.objective_values_by_case.items()},
         "robust": robust_json(result.robust),
         "spectrum": {name: values.tolist() for name, values in result.spectrum.items()},
         "crosstalk": crosstalk_json(result),
@@ -268,24 +268,24 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
         "accuracy": dict(result.accuracy),
         "warnings": output.warnings_of(result),
         "interrupted": result.interrupted,
-        "lost": dict(result.lost),
+        "lost": dict(result.lost_plates),
         "checkpoint": None if checkpoint is None else str(checkpoint),
         "files": [str(file) for file in files],
     }
 
 
 def _print(result: Result, console: Console) -> None:
-    from warp_plate.result.crosstalk import cases_of_targets
+    from warp_plate.result.crosstalk import target_cases
     from warp_plate.scene.vary import counted
 
     published = PUBLISHED if result.source == "paper" else {}
     factors = {name: case.localization_factor for name, case in result.cases.items()}
-    first = f", target {result.scene.targets[0].name}" if result.several else ""
+    first = f", target {result.scene.targets[0].name}" if result.target_searches else ""
     headings = (f"localization factor{first}", "this run") + (("published",) if published else ())
     console.print(result.scene.title or result.source)
     made = output.table(*headings)
     rows = [(name, meaning, factors[name]) for name, meaning in MEANING.items() if name in factors]
-    bound = "bound" if result.bound is None else result.bound_words
+    bound = "bound" if result.bound is None else result.bound_description
     for name, meaning, value in (*rows, ("bound", bound, result.bound)):
         row = [meaning, "none claimed" if value is None else output.known(value, ".4f")]
         made.add_row(*row, *([f"{published[name]:.4f}" if name in published else ""] if published else []))
@@ -293,14 +293,14 @@ def _print(result: Result, console: Console) -> None:
     console.print()
     print_objectives(result, console)
     print_robust(result, console)
-    for target, case in (cases_of_targets(result.scene) or {"": "best"}).items():
+    for target, case in (target_cases(result.scene) or {"": "best"}).items():
         if case in result.cases:
             console.print(output.drive_table(result.cases[case], result.scene, target))
             console.print()
-    if result.several:
+    if result.target_searches:
         console.print(crosstalk_table(result))
         console.print()
-    for line in lost_lines(result.lost):
+    for line in lost_lines(result.lost_plates):
         console.print(f"! {line}")
     if result.interrupted:
         console.print("Interrupted by Ctrl-C: the best so far is shown.")

@@ -75,7 +75,7 @@ def _with_grid(scene: Scene) -> Scene:
 
 def _draw(scene: Scene, found: NaturalModes, path: Path) -> tuple[list[Path], str | None]:
     """The files written, and None or why none was."""
-    from warp_plate.result.atomic_io import whole_file
+    from warp_plate.result.atomic_io import atomic_path
     from warp_plate.viz.availability import missing_plots
     from warp_plate.viz.plots.modes import draw_modes
 
@@ -83,7 +83,7 @@ def _draw(scene: Scene, found: NaturalModes, path: Path) -> tuple[list[Path], st
     if problem is not None:
         return [], problem
     try:
-        with whole_file(path) as temporary:
+        with atomic_path(path) as temporary:
             draw_modes(scene, found.frequencies, found.shapes, temporary)
         return [path], None
     except OSError as error:

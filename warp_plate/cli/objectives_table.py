@@ -25,11 +25,12 @@ def print_objectives(result: Result, console: Console) -> None:
     from warp_plate.problem.objectives import keeps_limit
     from warp_plate.scene.search import OBJECTIVE_UNITS
 
-    if result.only_localization or not result.values:
+    if result.only_localization or not result.objective_values:
         return
-    values = [one.values for one in result.several] or [result.values]
+    values = [one.objective_values for one in result.target_searches] or [result.objective_values]
     columns = [target.name for target in result.scene.targets][: len(values)] or ["found"]
-    beside = {heading: result.worth[name] for name, heading in HEADINGS.items() if name in result.worth}
+    by_case = result.objective_values_by_case
+    beside = {heading: by_case[name] for name, heading in HEADINGS.items() if name in by_case}
     made = output.table("objective", "weight", "limit", *columns, *beside)
     beyond = []
 
@@ -47,7 +48,7 @@ def print_objectives(result: Result, console: Console) -> None:
             add(f"{one.kind} of the rest", f"{one.kind} of the rest ({unit})", limit=one.rest_limit)
     add("sum", "weighted sum")
     if any("bound" in one for one in values):
-        kinds = [one.bound_kind for one in result.several] or [result.bound_kind]
+        kinds = [one.bound_kind for one in result.target_searches] or [result.bound_kind]
         add("bound", f"{'bound only' if 'bound only' in kinds else 'bound'} of the sum")
     output.print_whole(console, made)
     if beside and not beyond:

@@ -90,11 +90,11 @@ def print_whole(console: Console, made: Table) -> None:
 
 def drive_table(case: Case, scene: Scene, target: str = "") -> Table:
     """A drive as the source paper's Table 1 gives it, and after it what else was found; target: of several."""
-    headings = ("actuator", f"magnitude ({scene.drive_unit})", "phase (rad)", "phase / π", *case.own)
+    headings = ("actuator", f"magnitude ({scene.drive_unit})", "phase (rad)", "phase / π", *case.per_actuator)
     made = table(*headings, title=f"Drive found{f' for {printable(target)}' if target else ''}")
     for index, actuator in enumerate(scene.actuators):
         magnitude, phase = case.magnitude[index], case.phase[index]
-        own = (f"{values[index]:.5g}" for values in case.own.values())
+        own = (f"{values[index]:.5g}" for values in case.per_actuator.values())
         made.add_row(actuator.name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}", *own)
     return made
 
@@ -171,7 +171,7 @@ def load_scene(
     """
     from warp_plate.plate.scheme import make_scheme
     from warp_plate.plate.weights import patches, region_weights
-    from warp_plate.result.crosstalk import regions_of_targets
+    from warp_plate.result.crosstalk import target_regions
     from warp_plate.scene import Scene
 
     scene = Scene.load(source)
@@ -182,7 +182,7 @@ def load_scene(
     try:
         make_scheme(scene, allow_unstable)
         patches(scene)
-        region_weights(scene, regions_of_targets(scene))
+        region_weights(scene, target_regions(scene))
         if searched:
             from warp_plate.problem.design_variables import with_common_step
             from warp_plate.problem.parametrization import parametrization_of
@@ -241,7 +241,7 @@ def warnings_of(result: Result) -> list[str]:
     if best is not None and len(best) and not math.isfinite(best[-1]):
         return ["No plate that the search tried has energies: the best single actuator stands for what it should find."]
     found = [*search_warnings(result.scene), *unread_keys(result.scene.search)] if result.command == "localize" else []
-    return found + warning_texts(result.placed(result.judged), result.peak)
+    return found + warning_texts(result.case_scene(result.main_case), result.peak_displacement)
 
 
 def print_warnings(result: Result, console: Console) -> None:

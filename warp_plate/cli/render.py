@@ -164,7 +164,7 @@ def _around(
     last = result.scene.window.end
     if not 0 <= time <= last:
         raise SceneError(f"--time {time:g}: must be from 0 to {last:g} s")
-    lowest = min(result.placed(case).drive.frequency for case in result.cases.values())
+    lowest = min(result.case_scene(case).drive.frequency for case in result.cases.values())
     period = min(1 / lowest, last)
     first = min(time, last - period)
     return first, first + period
@@ -192,14 +192,14 @@ def _draw(
     rate: float,
     quiet: bool,
 ) -> None:
-    from warp_plate.result.atomic_io import written_whole
+    from warp_plate.result.atomic_io import atomic_paths
     from warp_plate.viz.page import write_page
     from warp_plate.viz.pictures import draw_gif, draw_mp4, draw_picture
     from warp_plate.viz.plots.plan import draw_plan
 
     ending = target.suffix.lower()
     with (
-        written_whole(target) as (path,),
+        atomic_paths(target) as (path,),
         output.progress_bar(f"drawing {target.name}", shown=not quiet) as show,
     ):
 
@@ -224,7 +224,7 @@ def _paper_figures(result: Result, name: Path) -> list[Path]:
     Raises:
         SceneError: the result is no search's or keeps no displacement, or a library is missing.
     """
-    from warp_plate.result.atomic_io import written_whole
+    from warp_plate.result.atomic_io import atomic_paths
     from warp_plate.viz.availability import missing, missing_plots
     from warp_plate.viz.figures import draw_history, draw_surfaces
 
@@ -234,7 +234,7 @@ def _paper_figures(result: Result, name: Path) -> list[Path]:
         if (problem := lacking()) is not None:
             raise SceneError(problem)
     drawn = [Path(f"{name.stem}-figure-2.png"), *(Path(f"{name.stem}-figure-3{form}") for form in (".png", *PLOTS))]
-    with written_whole(*drawn) as (surfaces, *histories):
+    with atomic_paths(*drawn) as (surfaces, *histories):
         draw_surfaces(result, surfaces)
         for path, final in zip(histories, drawn[1:], strict=True):
             draw_history(result, path, final.suffix[1:])

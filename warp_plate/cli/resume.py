@@ -48,12 +48,14 @@ def read_checkpoint(
 
     checkpoint, word = load_newest(file)
     if scene is None and accuracy is not None:
-        scene = output.with_asked_accuracy(checkpoint.asked, accuracy)
-    refuse_changes(checkpoint, f"search in {file}", checkpoint.asked, scene, source or "--accuracy", options)
+        scene = output.with_asked_accuracy(checkpoint.scene_as_written, accuracy)
+    refuse_changes(checkpoint, f"search in {file}", checkpoint.scene_as_written, scene, source or "--accuracy", options)
     if source is not None and scene is not None:
         folder = scene.folder  # the files that it names lie beside it, not beside the checkpoint
         checkpoint = replace(
-            checkpoint, asked=checkpoint.asked.in_folder(folder), scene=checkpoint.scene.in_folder(folder)
+            checkpoint,
+            scene_as_written=checkpoint.scene_as_written.in_folder(folder),
+            scene=checkpoint.scene.in_folder(folder),
         )
     for line in [*([word] if word else []), *differences(file, checkpoint, device)]:
         output.tell(line)

@@ -40,7 +40,7 @@ def robust_json(compared: RobustComparison | None) -> dict[str, object] | None:
         "failed": dict(zip(names, compared.failed.tolist(), strict=True)),
         "fresh": {
             name: [_finite(value) for value in values]
-            for name, values in zip(names, compared.fresh.tolist(), strict=True)
+            for name, values in zip(names, compared.validation.tolist(), strict=True)
         },
     }
 
@@ -63,7 +63,7 @@ def print_robust(result: Result, console: Console) -> None:
         made.add_row("bound of the search's own", f"{compared.bound:.4f}", "")
     if compared.failed.any():
         made.add_row("plates that failed", *map(str, compared.failed.tolist()))
-    console.print(f"Over {compared.fresh.shape[1]} fresh scenarios, which neither drive was searched with:")
+    console.print(f"Over {compared.validation.shape[1]} fresh scenarios, which neither drive was searched with:")
     console.print(made)
     console.print()
 

@@ -72,7 +72,7 @@ def simulate(
                 "path": result.path,
                 "localization_factor": case.localization_factor,
                 "energy": dict(case.energy),
-                "peak_displacement": result.peak,
+                "peak_displacement": result.peak_displacement,
                 "node_steps": result.node_steps,
                 "seconds": dict(result.seconds),
                 "effects": list(result.effects),
@@ -90,7 +90,7 @@ def simulate(
     made.add_row("localization factor", output.known(case.localization_factor, ".4f"))
     for region, energy in case.energy.items():
         made.add_row(f"kinetic energy of the {region}, averaged over the window", output.known(energy, ".4g", " J"))
-    made.add_row("largest displacement seen over the run", output.known(result.peak, ".4g", " m"))
+    made.add_row("largest displacement seen over the run", output.known(result.peak_displacement, ".4g", " m"))
     console.print(made)
     console.print(
         f"{result.node_steps:.3g} node-steps on {result.device}, {result.path}: {result.seconds['solve']:.2f} s "

@@ -228,7 +228,7 @@ def _run(begun: Sweep, kept: SweepFile, pool: Pool | None, elsewhere: Elsewhere 
     total = len(begun.plan)
     try:
         with output.progress_bar("sweeping", shown) as show:
-            show(total - len(begun.left), total, begun.progress)
+            show(total - len(begun.pending), total, begun.progress)
 
             def told(done: int, of: int, note: str) -> None:
                 show(done, of, f"{done} of {of}: {note}")
@@ -282,7 +282,7 @@ def as_json(result: Sweep, files: list[Path]) -> dict[str, object]:
         "command": "sweep",
         "scene": result.source,
         "what": result.what,
-        "device": result.ran_on,
+        "device": result.devices_used,
         "sampled": plan.sampled,
         "shape": list(plan.shape),
         "varied": {key: values.tolist() for key, values in zip(plan.keys, plan.coordinates, strict=True)},
@@ -319,7 +319,8 @@ def _print(result: Sweep, console: Console) -> None:
     from warp_plate.scene.vary import counted
 
     plan = result.plan
-    console.print(f"{result.scene.title or result.source}: {result.what}, {plan.description}, on {result.ran_on}\n")
+    title = result.scene.title or result.source
+    console.print(f"{title}: {result.what}, {plan.description}, on {result.devices_used}\n")
     columns, keys = _columns(result), _headings(result)
     if len(plan) <= MOST_ROWS and len(keys) + len(columns) <= MOST_COLUMNS:
         headings = [f"{name} ({unit})" if unit != "1" else name for name, (unit, _) in columns.items()]
@@ -340,7 +341,7 @@ def _print(result: Sweep, console: Console) -> None:
             console.print(f"  {result.refusal(point)}")
         if len(result.reasons) > MOST_REASONS:
             console.print("  ... (all reasons are in the result file)")
-    for key in result.idle:
+    for key in result.keys_without_effect:
         console.print(f"! {key} changes no figure")
     console.print(f"{result.seconds:.2f} s in all.")
 

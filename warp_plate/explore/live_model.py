@@ -20,7 +20,7 @@ from warp_plate.explore.watched_search import WatchedSearch
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.parametrization import magnitude_unit
-from warp_plate.result.live import Reading, SwarmReading
+from warp_plate.result.live import DriveResponse, SwarmSnapshot
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.solver import Progress
@@ -72,12 +72,12 @@ class LiveModel:
 
     # What is shown ------------------------------------------------------------------------------------------
 
-    def read(self) -> Reading:
+    def read(self) -> DriveResponse:
         """The plate under the settings, or as near to them as it is known by now."""
         responses, wanted, reading = self._responses, self.settings, self._reading
         if isinstance(responses, UnitResponses):
             drive = wanted.drive
-            if reading.scene is not responses.scene or not np.array_equal(reading.drive, drive):
+            if reading.scene is not responses.scene or not np.array_equal(reading.phasors, drive):
                 reading = self._reading = responses.read(drive)
         return reading
 
@@ -95,14 +95,14 @@ class LiveModel:
             return "simulating ..."
         if self._search is not None and self.swarm() is None:
             return "searching: the first swarm ..."
-        left = self.read().motion.left_over
+        left = self.read().motion.residual
         if not math.isfinite(left):
             return "the numbers of this run grew beyond all bounds: drive less, or write a shorter grid.time_step"
         if left > LEFT_OVER:
             return f"not steady: {100 * left:.2g} % of the motion at the end of the run is start-up motion, not shown"
         return ""
 
-    def swarm(self) -> SwarmReading | None:
+    def swarm(self) -> SwarmSnapshot | None:
         """The search that was asked for last, while its frequency and damping hold."""
         return self._search.read() if self._search is not None else None
 

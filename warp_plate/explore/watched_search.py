@@ -13,7 +13,7 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import with_paper_search
 from warp_plate.problem.methods import swarm_settings
 from warp_plate.problem.parametrization import paper_phasors, parametrization_of
-from warp_plate.result.live import SwarmReading
+from warp_plate.result.live import SwarmSnapshot
 from warp_plate.scene.model import Scene
 
 # Told the best drive (actuators,) after each iteration that found a better one.
@@ -44,14 +44,14 @@ class WatchedSearch:
         self._factors = np.empty(0)
         self._best: list[float] = []
         self._ended = threading.Event()
-        self._reading: SwarmReading | None = None
+        self._reading: SwarmSnapshot | None = None
         # What is free in the scene's own search is for ``localize``: here it is always the drives.
         space = parametrization_of(with_paper_search(scene)).space
         swarm = Swarm(swarm_settings(scene.search, space, scene.search.seed))
         self._thread = threading.Thread(target=self._run, args=(swarm,), name="swarm", daemon=True)
         self._thread.start()
 
-    def read(self) -> SwarmReading | None:
+    def read(self) -> SwarmSnapshot | None:
         """The last iteration; None before the first one's end."""
         return self._reading
 
@@ -77,17 +77,17 @@ class WatchedSearch:
         better = not self._best or 1 - swarm.result.fbest > self._best[-1]
         self._best.append(1 - swarm.result.fbest)
         self._publish(swarm, running=True)
-        if better and self._reading is not None and self._reading.best_drive is not None and not self._ended.is_set():
-            self._found(self._scale * self._reading.best_drive)
+        if better and self._reading is not None and self._reading.best_phasors is not None and not self._ended.is_set():
+            self._found(self._scale * self._reading.best_phasors)
         return self._ended.wait(self._seconds)
 
     def _publish(self, swarm: Swarm, running: bool) -> None:
         best = swarm.result.xbest
-        self._reading = SwarmReading(
-            drives=paper_phasors(swarm.positions),
+        self._reading = SwarmSnapshot(
+            phasors=paper_phasors(swarm.positions),
             factors=self._factors,
             best=np.array([value if math.isfinite(value) else math.nan for value in self._best]),
-            best_drive=None if best is None else paper_phasors(best[None])[0],
+            best_phasors=None if best is None else paper_phasors(best[None])[0],
             iterations=swarm.settings.iterations,
             running=running,
         )

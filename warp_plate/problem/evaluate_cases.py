@@ -12,7 +12,7 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.objectives import make_objectives
 from warp_plate.problem.parametrization import magnitude_unit
 from warp_plate.problem.problem import Energies, Problem, summed_regions
-from warp_plate.result.crosstalk import regions_of_targets
+from warp_plate.result.crosstalk import target_regions
 from warp_plate.result.model import Case
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -52,7 +52,7 @@ def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -
     run, _ = run_and_look(problem.drive_solver, np.array(list(drives.values())))
     # The scene that was found, run as ``simulate`` runs it: what is written is what was judged.
     found, designs = problem.parametrization.scene_of(position), problem.parametrization.designs(position[None])
-    solver = PlateSolver(found, problem.drive_solver.device.alias, problem.path, areas=regions_of_targets(found))
+    solver = PlateSolver(found, problem.drive_solver.device.alias, problem.path, areas=target_regions(found))
     best = {"best": scene_phasors(found)}
     own, peak = run_and_look(solver, best["best"][None])
     cases = cases_from_run(drives, run)
@@ -76,7 +76,7 @@ def cases_from_run(drives: dict[str, np.ndarray], run: Run) -> dict[str, Case]:
         displacement, trace = run.displacement.astype(np.float32), run.trace.astype(np.float32)
     return {
         name: Case(
-            drive=drive,
+            phasors=drive,
             energy=dict(zip(run.regions, run.energy[index].tolist(), strict=True)),
             displacement=displacement[index],
             trace=trace[index],

@@ -22,7 +22,7 @@ from warp_plate.problem.design_variables import has_design_tables, with_common_s
 from warp_plate.problem.loss_bounds import bound_loss
 from warp_plate.problem.objectives import Objectives, make_objectives
 from warp_plate.problem.parametrization import Parametrization, Positions, parametrization_of
-from warp_plate.result.crosstalk import regions_of_targets
+from warp_plate.result.crosstalk import target_regions
 from warp_plate.result.model import BoundKind
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
@@ -282,4 +282,4 @@ def _in_float64(solver: PlateSolver, path: str) -> PlateSolver:
 
 def summed_regions(scene: Scene, judge: Objectives) -> dict[str, Region]:
     """What is summed beside the plate and the target: what the judge needs, then all of several targets."""
-    return {**judge.regions, **regions_of_targets(scene)}
+    return {**judge.regions, **target_regions(scene)}

@@ -23,7 +23,7 @@ BLOCK_BYTES = 2**20
 
 
 @contextmanager
-def whole_file(path: Path, previous: Path | None = None) -> Iterator[Path]:
+def atomic_path(path: Path, previous: Path | None = None) -> Iterator[Path]:
     """Yield a name beside ``path`` to write to; what is there at the end takes the place of ``path``.
 
     previous: where the file goes whose place it takes. The new one is on the disk before any name changes, so that
@@ -52,7 +52,7 @@ def whole_file(path: Path, previous: Path | None = None) -> Iterator[Path]:
 
 
 @contextmanager
-def written_whole(*paths: Path) -> Iterator[list[Path]]:
+def atomic_paths(*paths: Path) -> Iterator[list[Path]]:
     """Names to write to instead of ``paths``; they take the paths' places, in this order, once the block ended well.
 
     Raises:
@@ -61,27 +61,27 @@ def written_whole(*paths: Path) -> Iterator[list[Path]]:
     try:
         with ExitStack() as stack:
             # The last one entered is the first one to leave.
-            temporaries = [stack.enter_context(whole_file(path)) for path in reversed(paths)]
+            temporaries = [stack.enter_context(atomic_path(path)) for path in reversed(paths)]
             yield temporaries[::-1]
     except OSError as error:
         raise SceneError(f"{paths[-1]}: cannot be written: {error.strerror or error}") from None
 
 
-def write_whole(content: bytes, path: Path, previous: Path | None = None) -> None:
-    """Write a file whole or not at all; see :func:`whole_file`.
+def write_atomically(content: bytes, path: Path, previous: Path | None = None) -> None:
+    """Write a file whole or not at all; see :func:`atomic_path`.
 
     Raises:
         SceneError: it cannot be written; one line that says why.
     """
     try:
-        with whole_file(path, previous) as temporary:
+        with atomic_path(path, previous) as temporary:
             temporary.write_bytes(content)
     except OSError as error:
         reason = error.strerror or error
         raise SceneError(f"{path}: cannot be written: {reason}; what was there before is kept") from None
 
 
-def seal_of(content: bytes) -> bytes:
+def make_seal(content: bytes) -> bytes:
     """The line to put behind the content."""
     return b"\nwarp-plate sha256 %s of %020d bytes\n" % (hashlib.sha256(content).hexdigest().encode(), len(content))
 
@@ -115,7 +115,7 @@ def check_seal(path: Path) -> None:
         raise SceneError(f"{path}: damaged: its content does not have the checksum that stands at its end")
 
 
-def intact(path: Path) -> bool:
+def is_intact(path: Path) -> bool:
     """Whether the file is there and as it was sealed."""
     try:
         check_seal(path)

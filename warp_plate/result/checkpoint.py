@@ -20,8 +20,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from warp_plate.result.atomic_io import intact
-from warp_plate.result.model import Found
+from warp_plate.result.atomic_io import is_intact
+from warp_plate.result.model import TargetSearch
 from warp_plate.result.safe_hdf5 import count, lost_of, numbers, opened, put, save_hdf5, table, text
 from warp_plate.result.search_state import put_state, read_state
 from warp_plate.result.several import put_several, read_several
@@ -49,13 +49,13 @@ class Checkpoint:
     several: of several targets, those that were searched before; ``scene`` is aimed at the one that is searched.
     """
 
-    asked: Scene
+    scene_as_written: Scene
     scene: Scene
     source: str
     files: Mapping[str, str]
     device: str
     processor: str
-    earlier: str
+    earlier_devices: str
     path: str
     evaluator: str
     seed: int
@@ -63,16 +63,16 @@ class Checkpoint:
     seconds: Mapping[str, float]
     versions: Mapping[str, str]
     node_steps: int
-    single: int
+    single_actuator: int
     matrices: np.ndarray | None
-    swarm: Mapping[str, Any] | None
-    several: tuple[Found, ...] = ()
-    lost: Mapping[str, int] = field(default_factory=dict)
+    search_state: Mapping[str, Any] | None
+    finished_searches: tuple[TargetSearch, ...] = ()
+    lost_plates: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def iterations(self) -> int:
         """How many are done."""
-        return len(self.swarm["history"]) if self.swarm is not None else 0
+        return len(self.search_state["history"]) if self.search_state is not None else 0
 
     @property
     def progress(self) -> str:
@@ -81,22 +81,22 @@ class Checkpoint:
         targets = self.scene.targets
         if not targets:
             return done
-        index = len(self.several)
+        index = len(self.finished_searches)
         return f"{done} of target {index + 1} of {len(targets)} ({targets[index].name!r})"
 
 
-def previous_of(path: Path) -> Path:
+def previous_path(path: Path) -> Path:
     """Where the checkpoint goes that stood at ``path`` before."""
     return path.parent / (path.name.removesuffix(".h5").removesuffix(".checkpoint") + PREVIOUS_ENDING)
 
 
 def save_checkpoint(checkpoint: Checkpoint, path: Path, keep_previous: bool = False) -> None:
-    """Write the file whole or not at all; ``keep_previous``: what was there goes to ``previous_of(path)``.
+    """Write the file whole or not at all; ``keep_previous``: what was there goes to ``previous_path(path)``.
 
     Raises:
         SceneError: it cannot be written; what was there stays.
     """
-    save_hdf5(lambda file: _write(file, checkpoint), path, previous_of(path) if keep_previous else None)
+    save_hdf5(lambda file: _write(file, checkpoint), path, previous_path(path) if keep_previous else None)
 
 
 def load_checkpoint(path: str | Path) -> Checkpoint:
@@ -121,8 +121,8 @@ def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
     try:
         return load_checkpoint(path), None
     except SceneError as error:
-        previous = previous_of(path)
-        if previous == path or not previous.exists() or intact(path):
+        previous = previous_path(path)
+        if previous == path or not previous.exists() or is_intact(path):
             raise
         try:
             checkpoint = load_checkpoint(previous)
@@ -132,18 +132,20 @@ def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
 
 
 def _write(file: h5py.File, checkpoint: Checkpoint) -> None:
-    for name in ("source", "device", "processor", "earlier", "path", "evaluator", "seed", "node_steps", "single"):
+    for name in ("source", "device", "processor", "path", "evaluator", "seed", "node_steps"):
         file.attrs[name] = getattr(checkpoint, name)
-    for name in ("asked", "scene"):
-        file.attrs[name] = dump_scene(getattr(checkpoint, name))
-    for name in ("accuracy", "files", "seconds", "versions", "lost"):
+    file.attrs.update({"earlier": checkpoint.earlier_devices, "single": checkpoint.single_actuator})
+    file.attrs["asked"] = dump_scene(checkpoint.scene_as_written)
+    file.attrs["scene"] = dump_scene(checkpoint.scene)
+    file.attrs["lost"] = json.dumps(dict(checkpoint.lost_plates))
+    for name in ("accuracy", "files", "seconds", "versions"):
         file.attrs[name] = json.dumps(dict(getattr(checkpoint, name)))
     file.attrs["format"] = FORMAT
     if checkpoint.matrices is not None:
         put(file, "matrices", checkpoint.matrices, "J/(N/m^2)^2", "energy of each region by the drives' real parts")
-    if checkpoint.swarm is not None:
-        put_state(file, "swarm", checkpoint.swarm)
-    put_several(file, checkpoint.several)
+    if checkpoint.search_state is not None:
+        put_state(file, "swarm", checkpoint.search_state)
+    put_several(file, checkpoint.finished_searches)
 
 
 def _read(file: h5py.File, name: str) -> Checkpoint:
@@ -163,13 +165,13 @@ def _read(file: h5py.File, name: str) -> Checkpoint:
     ):
         raise SceneError(f"{len(several)} searches do not fit the scene's targets")
     return Checkpoint(
-        asked=asked,
+        scene_as_written=asked,
         scene=scene,
         source=text(file, "source"),
         files=table(file, "files"),
         device=text(file, "device"),
         processor=text(file, "processor"),
-        earlier=text(file, "earlier"),
+        earlier_devices=text(file, "earlier"),
         path=text(file, "path"),
         evaluator=text(file, "evaluator"),
         seed=count(file, "seed"),
@@ -177,9 +179,9 @@ def _read(file: h5py.File, name: str) -> Checkpoint:
         seconds=table(file, "seconds"),
         versions=table(file, "versions"),
         node_steps=count(file, "node_steps"),
-        single=single,
+        single_actuator=single,
         matrices=numbers(file, "matrices", (None, *2 * (2 * actuators,))) if "matrices" in file else None,
-        swarm=read_state(file, "swarm") if "swarm" in file else None,
-        several=several,
-        lost=lost_of(file),
+        search_state=read_state(file, "swarm") if "swarm" in file else None,
+        finished_searches=several,
+        lost_plates=lost_of(file),
     )

@@ -38,7 +38,7 @@ class Trial:
     loss: np.ndarray
 
     @property
-    def found(self) -> float:
+    def best_loss(self) -> float:
         """The smallest loss."""
         return float(self.loss[-1])
 
@@ -56,7 +56,7 @@ class Comparison:
     device: str
     evaluator: str
     budget: int
-    prepared: float
+    seconds: Mapping[str, float]
     localization: bool
     trials: tuple[Trial, ...]
     bound: float | None = None
@@ -65,14 +65,14 @@ class Comparison:
     skipped: Mapping[str, str] = field(default_factory=dict)
     interrupted: bool = False
     versions: Mapping[str, str] = field(default_factory=dict)
-    lost: Mapping[str, int] = field(default_factory=dict)
+    lost_plates: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def methods(self) -> tuple[str, ...]:
         """Those that were tried, in their order."""
         return tuple(dict.fromkeys(trial.method for trial in self.trials))
 
-    def of(self, method: str) -> list[Trial]:
+    def trials_of(self, method: str) -> list[Trial]:
         """The trials of a method."""
         return [trial for trial in self.trials if trial.method == method]
 
@@ -109,7 +109,7 @@ def _write(file: h5py.File, comparison: Comparison) -> None:
             "device": comparison.device,
             "evaluator": comparison.evaluator,
             "budget": comparison.budget,
-            "seconds": json.dumps({"prepare": comparison.prepared}),
+            "seconds": json.dumps(dict(comparison.seconds)),
             "localization": int(comparison.localization),
             "bound_kind": comparison.bound_kind,
             "bound_sentence": comparison.bound_sentence,
@@ -117,7 +117,7 @@ def _write(file: h5py.File, comparison: Comparison) -> None:
             "skipped": json.dumps(dict(comparison.skipped)),
             "interrupted": int(comparison.interrupted),
             "versions": json.dumps(dict(comparison.versions)),
-            "lost": json.dumps(dict(comparison.lost)),
+            "lost": json.dumps(dict(comparison.lost_plates)),
         }
     )
     if comparison.bound is not None:
@@ -145,7 +145,7 @@ def _read(file: h5py.File, scene: Scene) -> Comparison:
         device=text(file, "device"),
         evaluator=text(file, "evaluator"),
         budget=count(file, "budget"),
-        prepared=float(table(file, "seconds")["prepare"]),
+        seconds=table(file, "seconds"),
         localization=bool(count(file, "localization")),
         trials=tuple(trials),
         bound=float(numbers(file, "bound", ())) if "bound" in file else None,
@@ -154,5 +154,5 @@ def _read(file: h5py.File, scene: Scene) -> Comparison:
         skipped=table(file, "skipped"),
         interrupted=bool(count(file, "interrupted")),
         versions=table(file, "versions"),
-        lost=lost_of(file),
+        lost_plates=lost_of(file),
     )

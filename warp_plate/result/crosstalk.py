@@ -17,26 +17,26 @@ from warp_plate.scene.model import Scene
 from warp_plate.scene.target import NamedTarget
 
 
-def regions_of_targets(scene: Scene) -> dict[str, NamedTarget]:
+def target_regions(scene: Scene) -> dict[str, NamedTarget]:
     """The scene's several targets by the names of their regions; nothing where it has but one."""
     return {f"target {target.name}": target for target in scene.targets}
 
 
-def cases_of_targets(scene: Scene) -> dict[str, str]:
+def target_cases(scene: Scene) -> dict[str, str]:
     """The case of the best drive for each of the several targets, by the target's name."""
     return {target.name: f"best {target.name}" if index else "best" for index, target in enumerate(scene.targets)}
 
 
-def found_scenes(result: Result) -> dict[str, Scene]:
+def best_drive_scenes(result: Result) -> dict[str, Scene]:
     """By case, the scene that ``simulate`` runs as each best drive; aimed at its own target where there are several.
 
     Raises:
         SceneError: a magnitude beyond what a scene may have.
     """
     scene = result.scene
-    aims = {name: scene.aimed_at(index) for index, name in enumerate(cases_of_targets(scene).values())}
+    aims = {name: scene.aimed_at(index) for index, name in enumerate(target_cases(scene).values())}
     return {
-        name: replace(result, scene=aim).scene_of(result.cases[name])
+        name: replace(result, scene=aim).driven_scene(result.cases[name])
         for name, aim in (aims or {"best": scene}).items()
         if name in result.cases
     }
@@ -47,8 +47,8 @@ def crosstalk(result: Result) -> np.ndarray:
 
     NaN in the rows of targets that an interrupted search did not come to.
     """
-    regions, rows = regions_of_targets(result.scene), []
-    for name in cases_of_targets(result.scene).values():
+    regions, rows = target_regions(result.scene), []
+    for name in target_cases(result.scene).values():
         energy = result.cases[name].energy if name in result.cases else {}
         plate = energy.get("plate", 0.0)
         rows.append([energy.get(region, math.nan) / plate if plate > 0 else math.nan for region in regions])

@@ -18,13 +18,13 @@ class SteadyMotion:
     """A plate's steady motion, u(θ) = Re Σ amplitudes[k] exp(i orders[k] θ), θ = ωt being the drive's phase.
 
     orders: (orders,) whole multiples of the drive's frequency; amplitudes: (orders, ny, nx) complex [m].
-    left_over: what of the motion it was taken from does not repeat with the drive, as a share of the whole (root of
+    residual: what of the motion it was taken from does not repeat with the drive, as a share of the whole (root of
     mean squares); start-up motion that has not died out, mostly.
     """
 
     orders: np.ndarray
     amplitudes: np.ndarray
-    left_over: float = 0.0
+    residual: float = 0.0
 
     def at(self, phase: float) -> np.ndarray:
         """(ny, nx) displacement [m] at a phase of the drive [rad]."""
@@ -42,7 +42,7 @@ class SteadyMotion:
 
 
 @dataclass(frozen=True)
-class Reading:
+class DriveResponse:
     """A drive, the motion under it and its energies.
 
     scene: with the frequency and the damping that hold. drive: (actuators,) phasors [N/m²].
@@ -51,7 +51,7 @@ class Reading:
     """
 
     scene: Scene
-    drive: np.ndarray
+    phasors: np.ndarray
     motion: SteadyMotion
     energy: Mapping[str, float]
     bound: float | None
@@ -67,18 +67,18 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class SwarmReading:
+class SwarmSnapshot:
     """A search at one iteration.
 
     drives: (particles, actuators) what the particles stand for, the first actuator's being 1; factors: (particles,)
-    their localization factors; best: (iterations,) best so far after each iteration; best_drive: (actuators,), None
+    their localization factors; best: (iterations,) best so far after each iteration; best_phasors: (actuators,), None
     before any finite one; iterations: how many there will be; running: whether it goes on.
     """
 
-    drives: np.ndarray
+    phasors: np.ndarray
     factors: np.ndarray
     best: np.ndarray
-    best_drive: np.ndarray | None
+    best_phasors: np.ndarray | None
     iterations: int
     running: bool
 

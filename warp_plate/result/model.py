@@ -16,7 +16,7 @@ from warp_plate.scene.search import Objective
 
 BoundKind = Literal["", "attained", "attained within limits", "bound only"]
 # What a bound is, for people.
-BOUND_WORDS: dict[BoundKind, str] = {
+BOUND_DESCRIPTIONS: dict[BoundKind, str] = {
     "": "bound",
     "attained": "bound: no drive passes it",
     "attained within limits": "bound of the drives that may be chosen",
@@ -30,7 +30,7 @@ def bound_kind(text: str) -> BoundKind:
     Raises:
         SceneError: there is no such kind.
     """
-    for kind in BOUND_WORDS:
+    for kind in BOUND_DESCRIPTIONS:
         if kind == text:
             return kind
     raise SceneError(f"bound_kind is {text!r}")
@@ -50,7 +50,7 @@ class Case:
         middles [m]; None where they are the scene's.
     """
 
-    drive: np.ndarray
+    phasors: np.ndarray
     energy: Mapping[str, float]
     displacement: np.ndarray
     trace: np.ndarray
@@ -67,31 +67,31 @@ class Case:
     @property
     def magnitude(self) -> np.ndarray:
         """(actuators,) magnitudes w, in the unit of ``drive``."""
-        return np.abs(self.drive)
+        return np.abs(self.phasors)
 
     @property
     def phase(self) -> np.ndarray:
         """(actuators,) phase lags φ [rad], 0 ≤ φ < 2π; 0 where the magnitude is 0."""
-        return np.where(self.drive == 0, 0.0, np.mod(-np.angle(self.drive), 2 * np.pi))
+        return np.where(self.phasors == 0, 0.0, np.mod(-np.angle(self.phasors), 2 * np.pi))
 
 
     @property
-    def own(self) -> dict[str, np.ndarray]:
+    def per_actuator(self) -> dict[str, np.ndarray]:
         """(actuators,) by headings for people, what is not the scene's."""
         x, y = (None, None) if self.centre is None else self.centre.T
         found = {"frequency (Hz)": self.frequency, "x (m)": x, "y (m)": y, "burst from (s)": self.delay}
         return {heading: values for heading, values in found.items() if values is not None}
 
 
-def placed(scene: Scene, case: Case) -> Scene:
+def case_scene(scene: Scene, case: Case) -> Scene:
     """The scene of a result with a case's frequencies, places and burst starts; itself where it has none."""
-    if not case.own:
+    if not case.per_actuator:
         return scene
     return scene_with(scene, None, None, case.frequency, case.centre, case.delay)
 
 
 @dataclass(frozen=True)
-class Found:
+class TargetSearch:
     """The search for one target.
 
     position: (dimension,) the best one in the search's space; None where one actuator leaves no choice, or none had
@@ -100,12 +100,12 @@ class Found:
     """
 
     position: np.ndarray | None
-    single: int
+    single_actuator: int
     bound: float | None
     bound_kind: BoundKind
     evaluations: int
     history: Mapping[str, np.ndarray]
-    values: Mapping[str, float]
+    objective_values: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class Result:
     cases: by name; ``localize`` has "equal", "single" and "best", ``simulate`` has "drive".
     times: (times,) of the displacements [s]; trace_times: (steps,) of the traces [s].
     bound: largest localization factor that any drive can reach; None where none is claimed. bound_kind: how near a
-        drive comes to it, or to that of the values' sum: a key of BOUND_WORDS.
+        drive comes to it, or to that of the values' sum: a key of BOUND_DESCRIPTIONS.
     history: for each iteration of the search, arrays "evaluations", "best", "mean": localization factors, or weighted
         sums of what else is sought.
     values: where more than the localization factor is sought, what the best drive is worth: by the objectives' kinds,
@@ -151,35 +151,35 @@ class Result:
     bound: float | None = None
     bound_kind: BoundKind = ""
     history: Mapping[str, np.ndarray] = field(default_factory=dict)
-    values: Mapping[str, float] = field(default_factory=dict)
-    worth: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    objective_values: Mapping[str, float] = field(default_factory=dict)
+    objective_values_by_case: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     evaluator: str = "direct"
     path: str = ""
     interrupted: bool = False
     versions: Mapping[str, str] = field(default_factory=dict)
     accuracy: Mapping[str, Any] = field(default_factory=dict)
-    peak: float | None = None
+    peak_displacement: float | None = None
     spectrum: Mapping[str, np.ndarray] = field(default_factory=dict)
-    several: tuple[Found, ...] = ()
+    target_searches: tuple[TargetSearch, ...] = ()
     robust: RobustComparison | None = None
-    lost: Mapping[str, int] = field(default_factory=dict)
+    lost_plates: Mapping[str, int] = field(default_factory=dict)
 
-    def placed(self, case: Case) -> Scene:
+    def case_scene(self, case: Case) -> Scene:
         """The scene with a case's frequencies, places and burst starts."""
-        return placed(self.scene, case)
+        return case_scene(self.scene, case)
 
-    def scene_of(self, case: Case) -> Scene:
+    def driven_scene(self, case: Case) -> Scene:
         """The scene that ``simulate`` runs as this case: ``placed``, and with its drive.
 
         Raises:
             SceneError: a magnitude beyond what a scene may have.
         """
-        return scene_with(self.placed(case), case.magnitude, case.phase)
+        return scene_with(self.case_scene(case), case.magnitude, case.phase)
 
     @property
-    def bound_words(self) -> str:
+    def bound_description(self) -> str:
         """What the bound is, for people."""
-        return BOUND_WORDS[self.bound_kind]
+        return BOUND_DESCRIPTIONS[self.bound_kind]
 
     @property
     def only_localization(self) -> bool:
@@ -187,7 +187,7 @@ class Result:
         return self.scene.search.objectives == (Objective(),)
 
     @property
-    def judged(self) -> Case:
+    def main_case(self) -> Case:
         """The case that the result is about: the best drive found, or the one that was asked for."""
         return self.cases.get("best") or next(iter(self.cases.values()))
 

@@ -19,10 +19,10 @@ LEVEL = 0.5
 
 def outlines(scene: Scene) -> list[np.ndarray]:
     """Ways (points, 2) [m], each closed, around all targets of a scene."""
-    return [way for key, target in scene.targets_by_key.items() for way in outlines_of(scene, key, target)]
+    return [way for key, target in scene.targets_by_key.items() for way in target_outlines(scene, key, target)]
 
 
-def outlines_of(scene: Scene, key: str, target: Target) -> list[np.ndarray]:
+def target_outlines(scene: Scene, key: str, target: Target) -> list[np.ndarray]:
     """The ways around one target.
 
     A mask's are where it passes LEVEL; there are none where its file is no longer there, as beside a moved result.

@@ -28,27 +28,27 @@ class RobustComparison:
     bound: float | None
     searched: np.ndarray
     nominal_plate: np.ndarray
-    fresh: np.ndarray
+    validation: np.ndarray
 
     @property
     def failed(self) -> np.ndarray:
         """(2,) on how many of the fresh panels the plate had no energies."""
-        found: np.ndarray = np.count_nonzero(~np.isfinite(self.fresh), axis=1)
+        found: np.ndarray = np.count_nonzero(~np.isfinite(self.validation), axis=1)
         return found
 
     def rows(self) -> Mapping[str, np.ndarray]:
         """(2,) by what they are, for tables; a plate that failed counts as worse than any, −∞."""
-        values = np.where(np.isfinite(self.fresh), self.fresh, -np.inf)
+        values = np.where(np.isfinite(self.validation), self.validation, -np.inf)
         return {
             "mean": values.mean(axis=1),
-            "worst_5_percent": worst_tail(values),
+            "worst_5_percent": mean_of_worst(values),
             "worst": values.min(axis=1),
             "nominal_plate": self.nominal_plate,
             "searched": self.searched,
         }
 
 
-def worst_tail(values: np.ndarray) -> np.ndarray:
+def mean_of_worst(values: np.ndarray) -> np.ndarray:
     """(rows,) mean of the smallest twentieth of each row's values, at least one of them."""
     smallest = max(1, int(np.ceil(TAIL * values.shape[1] - 1e-9)))
     tail: np.ndarray = np.sort(values, axis=1)[:, :smallest].mean(axis=1)

@@ -16,7 +16,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from warp_plate.result.atomic_io import check_seal, seal_of, write_whole
+from warp_plate.result.atomic_io import check_seal, make_seal, write_atomically
 from warp_plate.scene.errors import SceneError
 
 
@@ -32,7 +32,7 @@ def save_hdf5(write: Callable[[h5py.File], None], path: Path, previous: Path | N
         write(file)
         file.flush()
         content: bytes = file.id.get_file_image()
-    write_whole(content + seal_of(content), path, previous)
+    write_atomically(content + make_seal(content), path, previous)
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from typing import Any
 
 import h5py
 
-from warp_plate.result.model import Found, bound_kind
+from warp_plate.result.model import TargetSearch, bound_kind
 from warp_plate.result.safe_hdf5 import names_in
 from warp_plate.result.search_state import put_state, read_state
 from warp_plate.scene.errors import SceneError
@@ -15,17 +15,17 @@ from warp_plate.scene.errors import SceneError
 GROUP = "searches"
 
 
-def put_several(file: h5py.File, several: Sequence[Found]) -> None:
+def put_several(file: h5py.File, several: Sequence[TargetSearch]) -> None:
     """Write the searches, in the order of the scene's targets, as the groups /searches/0, /searches/1, ..."""
     for index, one in enumerate(several):
         state: dict[str, Any] = {f"history {name}": values for name, values in one.history.items()}
-        state |= {f"value {name}": value for name, value in one.values.items()}
-        state |= {"single": one.single, "evaluations": one.evaluations}
+        state |= {f"value {name}": value for name, value in one.objective_values.items()}
+        state |= {"single": one.single_actuator, "evaluations": one.evaluations}
         state |= {"bound": one.bound, "bound_kind": one.bound_kind}
         put_state(file, f"{GROUP}/{index}", state | ({} if one.position is None else {"position": one.position}))
 
 
-def read_several(file: h5py.File) -> tuple[Found, ...]:
+def read_several(file: h5py.File) -> tuple[TargetSearch, ...]:
     """What :func:`put_several` wrote; nothing where nothing was.
 
     Raises:
@@ -37,14 +37,14 @@ def read_several(file: h5py.File) -> tuple[Found, ...]:
             raise SceneError(f"{GROUP}/{index} is missing")
         state = read_state(file, f"{GROUP}/{index}")
         several.append(
-            Found(
+            TargetSearch(
                 position=state.get("position"),
-                single=int(state["single"]),
+                single_actuator=int(state["single"]),
                 bound=None if state["bound"] is None else float(state["bound"]),
                 bound_kind=bound_kind(str(state.get("bound_kind", ""))),
                 evaluations=int(state["evaluations"]),
                 history=_under("history ", state),
-                values={name: float(value) for name, value in _under("value ", state).items()},
+                objective_values={name: float(value) for name, value in _under("value ", state).items()},
             )
         )
     return tuple(several)

@@ -92,7 +92,7 @@ def _write(file: h5py.File, result: Result) -> None:
         "versions": json.dumps(dict(result.versions)),
         "seconds": json.dumps(dict(result.seconds)),
         "accuracy": json.dumps(dict(result.accuracy)),
-        "lost": json.dumps(dict(result.lost)),
+        "lost": json.dumps(dict(result.lost_plates)),
     }
     file.attrs.update(plain)
     file.attrs["seed"] = result.seed
@@ -107,23 +107,23 @@ def _write(file: h5py.File, result: Result) -> None:
     for name, case in result.cases.items():
         put(file, f"localization_factor/{name}", case.localization_factor, "1", factor)
         _write_case(file, f"cases/{name}", case, result.scene.drive_unit.replace("²", "^2"))
-    if result.peak is not None:
-        put(file, "peak_displacement", result.peak, "m", "largest displacement seen over the run")
+    if result.peak_displacement is not None:
+        put(file, "peak_displacement", result.peak_displacement, "m", "largest displacement seen over the run")
     if result.bound is not None:
         put(file, "localization_factor/bound", result.bound, "1", "largest that any drive can reach")
-        file["localization_factor/bound"].attrs["about"] = result.bound_words
+        file["localization_factor/bound"].attrs["about"] = result.bound_description
     file.attrs["bound_kind"] = result.bound_kind
     for name, values in result.history.items():
         put(file, f"history/{name}", values, "1", f"{HISTORY.get(name, name)}, after each iteration")
-    for name, value in result.values.items():
+    for name, value in result.objective_values.items():
         _put_value(file, f"objectives/{name}", value)
-    for drive, worth in result.worth.items():
+    for drive, worth in result.objective_values_by_case.items():
         for name, value in worth.items():
             _put_value(file, f"objectives_of/{drive}/{name}", value, f", of the drive {drive}")
     for name, values in result.spectrum.items():
         put(file, f"spectrum/{name}", values, *SPECTRUM[name])
-    if result.several:
-        put_several(file, result.several)
+    if result.target_searches:
+        put_several(file, result.target_searches)
         put(file, "crosstalk", crosstalk(result), "1", "share of the plate's energy in each target, by each's drive")
         file["crosstalk"].attrs["targets"] = json.dumps([target.name for target in result.scene.targets])
     if result.robust is not None:
@@ -174,8 +174,8 @@ def _read(file: h5py.File, name: str) -> Result:
         bound=float(numbers(file, "localization_factor/bound", ())) if "bound" in factors else None,
         bound_kind=bound_kind(text(file, "bound_kind")),
         history={key: numbers(file, f"history/{key}", (None,)) for key in names_in(file, "history")},
-        values={key: float(numbers(file, f"objectives/{key}", ())) for key in names_in(file, "objectives")},
-        worth={
+        objective_values={key: float(numbers(file, f"objectives/{key}", ())) for key in names_in(file, "objectives")},
+        objective_values_by_case={
             case: {key: float(numbers(file, f"{at}/{key}", ())) for key in names_in(file, at)}
             for case, at in ((case, f"objectives_of/{case}") for case in names_in(file, "objectives_of"))
         },
@@ -183,11 +183,11 @@ def _read(file: h5py.File, name: str) -> Result:
         interrupted=bool(count(file, "interrupted")),
         versions=table(file, "versions"),
         accuracy=table(file, "accuracy"),
-        peak=float(numbers(file, "peak_displacement", ())) if "peak_displacement" in file else None,
+        peak_displacement=float(numbers(file, "peak_displacement", ())) if "peak_displacement" in file else None,
         spectrum=_read_spectrum(file),
-        several=read_several(file),
+        target_searches=read_several(file),
         robust=_read_comparison(file),
-        lost=lost_of(file),
+        lost_plates=lost_of(file),
     )
 
 
@@ -210,7 +210,7 @@ def _read_case(file: h5py.File, at: str, scene: Scene, times: np.ndarray, steps:
     if trace.size and trace.shape[1] != len(steps):
         raise SceneError(f"{at}/trace has {trace.shape[1]} steps, trace_times {len(steps)}")
     return Case(
-        drive=magnitude * np.exp(-1j * phase),
+        phasors=magnitude * np.exp(-1j * phase),
         energy=dict(zip(map(str, regions), energy.tolist(), strict=True)),
         displacement=numbers(file, f"{at}/displacement", (len(times), ny, nx)),
         trace=trace,
@@ -226,7 +226,7 @@ def _read_case(file: h5py.File, at: str, scene: Scene, times: np.ndarray, steps:
 def _write_comparison(file: h5py.File, compared: RobustComparison) -> None:
     rows = "of the robust and of the nominal drive"
     unit = "1" if compared.localization else "weighted"
-    put(file, "robust/fresh", compared.fresh, unit, f"value {rows} in each fresh scenario")
+    put(file, "robust/fresh", compared.validation, unit, f"value {rows} in each fresh scenario")
     put(file, "robust/searched", compared.searched, unit, f"measure {rows} over the scenarios of the search")
     put(file, "robust/nominal_plate", compared.nominal_plate, unit, f"value {rows} without scatter")
     if compared.bound is not None:
@@ -247,5 +247,5 @@ def _read_comparison(file: h5py.File) -> RobustComparison | None:
         bound=float(numbers(file, "robust/bound", ())) if "bound" in group else None,
         searched=numbers(file, "robust/searched", (2,)),
         nominal_plate=numbers(file, "robust/nominal_plate", (2,)),
-        fresh=numbers(file, "robust/fresh", (2, None)),
+        validation=numbers(file, "robust/fresh", (2, None)),
     )

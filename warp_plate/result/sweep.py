@@ -34,7 +34,7 @@ NOT_RUN, RUN, REFUSED = 0, 1, 2
 
 
 @dataclass(frozen=True)
-class Output:
+class SweepOutput:
     """A figure of every point: its unit, its meaning, and the axis that it has of its own, None: it is one number."""
 
     unit: str
@@ -61,9 +61,9 @@ class Sweep:
     count: int
     device: str
     processor: str
-    earlier: str
+    earlier_devices: str
     path: str
-    outputs: Mapping[str, Output]
+    outputs: Mapping[str, SweepOutput]
     values: Mapping[str, np.ndarray]
     status: np.ndarray
     reasons: Mapping[int, str]
@@ -71,33 +71,33 @@ class Sweep:
     versions: Mapping[str, str]
 
     @property
-    def left(self) -> np.ndarray:
+    def pending(self) -> np.ndarray:
         """Points that are not run yet."""
         return np.flatnonzero(self.status == NOT_RUN)
 
     @property
     def finished(self) -> bool:
         """Whether no point is left."""
-        return not len(self.left)
+        return not len(self.pending)
 
     @property
     def progress(self) -> str:
         """For people."""
-        return f"{len(self.plan) - len(self.left)} of {counted(len(self.plan), 'point')}"
+        return f"{len(self.plan) - len(self.pending)} of {counted(len(self.plan), 'point')}"
 
     @property
-    def ran_on(self) -> str:
+    def devices_used(self) -> str:
         """For people: each device that points were run on, with its processor."""
-        return f"{self.earlier}{self.device} ({self.processor})"
+        return f"{self.earlier_devices}{self.device} ({self.processor})"
 
-    def gone_on(self, device: str, processor: str) -> Sweep:
+    def moved_to(self, device: str, processor: str) -> Sweep:
         """The sweep whose next points run there; another processor than before is kept with those before it."""
         moved = self.processor not in ("", processor)
-        earlier = f"{self.ran_on}, then " if moved else self.earlier
-        return replace(self, device=device, processor=processor, earlier=earlier)
+        earlier = f"{self.devices_used}, then " if moved else self.earlier_devices
+        return replace(self, device=device, processor=processor, earlier_devices=earlier)
 
     @property
-    def idle(self) -> tuple[str, ...]:
+    def keys_without_effect(self) -> tuple[str, ...]:
         """Keys whose values change no figure, to the last bit; of samples, where all change at once, all or none."""
         figures, plan = [self.shaped(name) for name in self.outputs], self.plan
         if plan.sampled:
@@ -145,8 +145,9 @@ def load_sweep(path: str | Path) -> Sweep:
 
 def _write(file: h5py.File, sweep: Sweep) -> None:
     plan, scene = sweep.plan, sweep.scene
-    for name in ("source", "what", "count", "device", "processor", "earlier", "path", "seconds"):
+    for name in ("source", "what", "count", "device", "processor", "path", "seconds"):
         file.attrs[name] = getattr(sweep, name)
+    file.attrs["earlier"] = sweep.earlier_devices
     file.attrs.update(
         {
             "format": FORMAT,
@@ -240,7 +241,7 @@ def _read(file: h5py.File, scene: Scene) -> Sweep:
         count=length,
         device=text(file, "device"),
         processor=text(file, "processor"),
-        earlier=text(file, "earlier"),
+        earlier_devices=text(file, "earlier"),
         path=text(file, "path"),
         outputs=outputs,
         values=values,
@@ -251,8 +252,8 @@ def _read(file: h5py.File, scene: Scene) -> Sweep:
     )
 
 
-def _output(said: Any) -> Output:
+def _output(said: Any) -> SweepOutput:
     unit, meaning, axis = (said[name] for name in ("unit", "meaning", "axis"))
     if not isinstance(unit, str) or not isinstance(meaning, str) or not isinstance(axis, str | None):
         raise SceneError("attribute outputs has no unit, meaning or axis")
-    return Output(unit, meaning, axis)
+    return SweepOutput(unit, meaning, axis)

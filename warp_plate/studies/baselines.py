@@ -78,7 +78,7 @@ def with_baselines(result: Result, device: str = "auto", path: str = "auto") -> 
     return replace(
         result,
         cases={**result.cases, **cases},
-        worth={**result.worth, **worth},
+        objective_values_by_case={**result.objective_values_by_case, **worth},
         node_steps=result.node_steps + solver.node_steps + more,
     )
 

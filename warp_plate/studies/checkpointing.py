@@ -8,8 +8,8 @@ from collections.abc import Callable
 from glob import escape
 from pathlib import Path
 
-from warp_plate.result.atomic_io import intact
-from warp_plate.result.checkpoint import Checkpoint, previous_of, save_checkpoint
+from warp_plate.result.atomic_io import is_intact
+from warp_plate.result.checkpoint import Checkpoint, previous_path, save_checkpoint
 from warp_plate.scene.errors import SceneError
 
 # Seconds between two checkpoints.
@@ -20,7 +20,7 @@ class CheckpointFile:
     """The file that a search can go on from.
 
     Args:
-        path: of the file; the one before it is kept as ``previous_of(path)``.
+        path: of the file; the one before it is kept as ``previous_path(path)``.
         every: seconds between two, at least; 0: one after each iteration; infinite: only when Ctrl-C ends the search.
         resumes: whether the search goes on from what is there. If not, that is replaced, not kept as the previous one.
         warn: called with one line when a file cannot be written. The search then goes on, and the last one stays.
@@ -42,7 +42,7 @@ class CheckpointFile:
         self.every = every
         self.saved: Checkpoint | None = None  # the last one that was written
         self._goes_on = resumes
-        self._keep = resumes and intact(path)
+        self._keep = resumes and is_intact(path)
         self._seen = _mark(path)
         self._lost = False
         self._warn = warn
@@ -64,7 +64,7 @@ class CheckpointFile:
         try:
             save_checkpoint(checkpoint, self.path, self._keep)
             if self.saved is None and not self._goes_on:
-                previous_of(self.path).unlink(missing_ok=True)  # of another search
+                previous_path(self.path).unlink(missing_ok=True)  # of another search
         except (SceneError, OSError) as error:
             if not self._warned:
                 self._warn(f"{error}; the search goes on")
@@ -78,7 +78,7 @@ class CheckpointFile:
         if self._another_writes():
             return
         left = self.path.parent.glob(f".{escape(self.path.name)}.*.part.h5")
-        for path in (self.path, previous_of(self.path), *left):
+        for path in (self.path, previous_path(self.path), *left):
             path.unlink(missing_ok=True)
 
     def _another_writes(self) -> bool:

@@ -111,7 +111,7 @@ def compare(
         device=device_name(problem.drive_solver.device) + of_pool(problem),
         evaluator=problem.evaluator_name,
         budget=budget,
-        prepared=prepared,
+        seconds={"prepare": prepared},
         localization=problem.only_localization,
         trials=tuple(sorted(trials, key=lambda trial: (fitting.index(trial.method), trial.seed))),
         bound=None if bound is None else bound.value,
@@ -120,7 +120,7 @@ def compare(
         skipped=skipped,
         interrupted=interrupted,
         versions=versions(),
-        lost=dict(problem.lost) | gone,
+        lost_plates=dict(problem.lost) | gone,
     )
 
 

@@ -56,9 +56,9 @@ def run_search(
         SceneError: the checkpoint does not fit its scene. WorkersGone: see there.
         KeyboardInterrupt: Ctrl-C came once more while the checkpoint was written.
     """
-    if begun.swarm is None:
+    if begun.search_state is None:
         return None, False
-    searcher = searcher_of(problem, begun.seed, begun.swarm)
+    searcher = searcher_of(problem, begun.seed, begun.search_state)
     if searcher is None:
         raise SceneError("checkpoint: has the state of a search, and its scene leaves nothing to search")
     started, first_steps = time.perf_counter(), problem.node_steps
@@ -71,10 +71,10 @@ def run_search(
         checkpoints.save(
             replace(
                 begun,
-                swarm=searcher.state(False),
+                search_state=searcher.state(False),
                 seconds={**begun.seconds, "solve": spent},
                 node_steps=begun.node_steps + counted - first_steps,
-                lost=dict(Counter(begun.lost) + lost),
+                lost_plates=dict(Counter(begun.lost_plates) + lost),
             )
         )
 

@@ -83,13 +83,13 @@ def localize(
     searcher = searcher_of(problem, seed)
     compiling = problem.compile_seconds
     begun = Checkpoint(
-        asked=asked,
+        scene_as_written=asked,
         scene=problem.scene,
         source=source,
         files=files,
         device=problem.drive_solver.device.alias,
         processor=processor_of(problem.drive_solver.device),
-        earlier="",
+        earlier_devices="",
         path=path,
         evaluator=problem.evaluator_name,
         seed=seed,
@@ -97,9 +97,9 @@ def localize(
         seconds=seconds | {"compile": compiling, "solve": time.perf_counter() - started - compiling},
         versions=versions(),
         node_steps=problem.node_steps,
-        single=int(np.argmax(np.abs(drives["single"]))),
+        single_actuator=int(np.argmax(np.abs(drives["single"]))),
         matrices=problem.matrices,
-        swarm=None if searcher is None else searcher.state(False),
+        search_state=None if searcher is None else searcher.state(False),
     )
     return _finish(begun, problem, on_progress, estimate, checkpoints, stage, spectrum)
 
@@ -136,14 +136,14 @@ def resume(
         raise SceneError("checkpoint: the matrices of its scene's response are missing")
     solver, spent = problem.drive_solver, dict(checkpoint.seconds)
     spent["compile"] = spent.get("compile", 0.0) + time.perf_counter() - started
-    processor, earlier = processor_of(solver.device), checkpoint.earlier
+    processor, earlier = processor_of(solver.device), checkpoint.earlier_devices
     if processor != checkpoint.processor:
         earlier += f"{checkpoint.device} ({checkpoint.processor}), then "
     begun = replace(
         checkpoint,
         device=solver.device.alias,
         processor=processor,
-        earlier=earlier,
+        earlier_devices=earlier,
         seconds=spent,
         versions=with_earlier(checkpoint.versions),
     )
@@ -198,7 +198,7 @@ def _finish(
         command="localize",
         source=begun.source,
         scene=scene,
-        device=begun.earlier + device_name(problem.drive_solver.device) + of_pool(problem),
+        device=begun.earlier_devices + device_name(problem.drive_solver.device) + of_pool(problem),
         seed=begun.seed,
         effects=problem.design_solver.effects,
         path=problem.design_solver.path_words(bool(scene.record.points)),
@@ -209,19 +209,19 @@ def _finish(
         bound=first.bound,
         bound_kind=first.bound_kind,
         history=first.history,
-        values=first.values,
-        worth=worth,
+        objective_values=first.objective_values,
+        objective_values_by_case=worth,
         evaluator=begun.evaluator,
         interrupted=searched.interrupted,
         versions=begun.versions,
         node_steps=searched.node_steps + problem.node_steps + beside + more - stepped,
         evaluations=sum(one.evaluations for one in searched.found),
         accuracy=accuracy,
-        peak=found.peak,
+        peak_displacement=found.peak,
         spectrum=made,
-        several=searched.found if scene.targets else (),
+        target_searches=searched.found if scene.targets else (),
         robust=compared,
-        lost=searched.lost,
+        lost_plates=searched.lost,
     )
 
 

@@ -16,7 +16,7 @@ from warp_plate.problem.design_variables import at_highest_frequency
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.problem import Problem
 from warp_plate.problem.robust import make_problem
-from warp_plate.result.sweep import Output
+from warp_plate.result.sweep import SweepOutput
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.studies.driver import searcher_of
@@ -41,7 +41,7 @@ class Figures:
     """outputs: by name, the one that matters most first; of: their values in a scene, which raises SceneError where the
     scene is refused."""
 
-    outputs: Mapping[str, Output]
+    outputs: Mapping[str, SweepOutput]
     of: Callable[[Scene, Options], Values]
 
 
@@ -77,7 +77,7 @@ def simulate_figures(scene: Scene, options: Options) -> Values:
         "localization_factor": case.localization_factor,
         "energy_plate": case.energy["plate"],
         "energy_target": case.energy["target"],
-        "peak_displacement": np.nan if result.peak is None else result.peak,
+        "peak_displacement": np.nan if result.peak_displacement is None else result.peak_displacement,
     }
 
 
@@ -103,29 +103,29 @@ def check_figures(scene: Scene, options: Options) -> Values:
 QUANTITIES: Mapping[str, Figures] = {
     "localize": Figures(
         {
-            "best": Output("1", "localization factor, best drive"),
-            "bound": Output("1", "localization factor, bound"),
-            "single": Output("1", "localization factor, best single actuator"),
-            "equal": Output("1", "localization factor, equal drive"),
+            "best": SweepOutput("1", "localization factor, best drive"),
+            "bound": SweepOutput("1", "localization factor, bound"),
+            "single": SweepOutput("1", "localization factor, best single actuator"),
+            "equal": SweepOutput("1", "localization factor, equal drive"),
         },
         localize_figures,
     ),
     "simulate": Figures(
         {
-            "localization_factor": Output("1", "localization factor"),
-            "energy_plate": Output("J", "kinetic energy of the plate"),
-            "energy_target": Output("J", "kinetic energy of the target"),
-            "peak_displacement": Output("m", "largest displacement"),
+            "localization_factor": SweepOutput("1", "localization factor"),
+            "energy_plate": SweepOutput("J", "kinetic energy of the plate"),
+            "energy_target": SweepOutput("J", "kinetic energy of the target"),
+            "peak_displacement": SweepOutput("m", "largest displacement"),
         },
         simulate_figures,
     ),
-    "modes": Figures({"frequency": Output("Hz", "natural frequency", "mode")}, modes_figures),
+    "modes": Figures({"frequency": SweepOutput("Hz", "natural frequency", "mode")}, modes_figures),
     "check": Figures(
         {
-            "limit": Output("s", "time step, largest stable"),
-            "time_step": Output("s", "time step, taken"),
-            "steps_a_period": Output("1", "resolution, steps in a period of the drive"),
-            "points_a_wavelength": Output("1", "resolution, nodes in a bending wavelength"),
+            "limit": SweepOutput("s", "time step, largest stable"),
+            "time_step": SweepOutput("s", "time step, taken"),
+            "steps_a_period": SweepOutput("1", "resolution, steps in a period of the drive"),
+            "points_a_wavelength": SweepOutput("1", "resolution, nodes in a bending wavelength"),
         },
         check_figures,
     ),

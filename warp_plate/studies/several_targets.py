@@ -17,9 +17,8 @@ from warp_plate.plate.weights import REGIONS
 from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, reference_phasors
 from warp_plate.problem.problem import Problem, make_nominal_problem
 from warp_plate.result.checkpoint import Checkpoint
-from warp_plate.result.crosstalk import cases_of_targets, regions_of_targets
-from warp_plate.result.model import Case
-from warp_plate.result.several import Found
+from warp_plate.result.crosstalk import target_cases, target_regions
+from warp_plate.result.model import Case, TargetSearch
 from warp_plate.solve.solver import PlateSolver
 from warp_plate.studies.checkpointing import CheckpointFile
 from warp_plate.studies.driver import OnProgress, history_of, run_search, searcher_of
@@ -30,7 +29,7 @@ class Searched:
     """found: of each target that was come to; problem: aimed at the first target; interrupted: whether Ctrl-C ended the
     last; node_steps, seconds, lost: of all, with those of the checkpoint that it began from."""
 
-    found: tuple[Found, ...]
+    found: tuple[TargetSearch, ...]
     problem: Problem
     interrupted: bool
     node_steps: int
@@ -49,21 +48,21 @@ def run_searches(
     while True:
         started, first_steps = time.perf_counter(), problem.node_steps
         searcher, interrupted = run_search(
-            begun, problem, _of_all(on_progress, len(begun.several), count), checkpoints
+            begun, problem, _of_all(on_progress, len(begun.finished_searches), count), checkpoints
         )
         position = None if searcher is None else searcher.result.xbest
-        one = Found(
+        one = TargetSearch(
             position=position,
-            single=begun.single,
+            single_actuator=begun.single_actuator,
             bound=problem.bound,
             bound_kind=problem.bound_kind,
             evaluations=0 if searcher is None else searcher.result.evaluations,
             history=history_of(searcher, problem),
-            values={} if position is None else problem.objective_values(position),
+            objective_values={} if position is None else problem.objective_values(position),
         )
-        found = (*begun.several, one)
+        found = (*begun.finished_searches, one)
         node_steps = begun.node_steps + problem.node_steps - first_steps
-        lost = dict(Counter(begun.lost) + problem.lost)
+        lost = dict(Counter(begun.lost_plates) + problem.lost)
         last = interrupted or len(found) == count
         if not last:
             problem = _next(problem, len(found), begun)
@@ -77,25 +76,25 @@ def run_searches(
         begun = replace(
             begun,
             scene=problem.scene,
-            single=int(np.argmax(np.abs(drives["single"]))),
+            single_actuator=int(np.argmax(np.abs(drives["single"]))),
             matrices=problem.matrices,
-            swarm=None if searcher is None else searcher.state(False),
-            several=found,
+            search_state=None if searcher is None else searcher.state(False),
+            finished_searches=found,
             seconds=seconds,
             node_steps=node_steps + problem.node_steps,
-            lost=lost,
+            lost_plates=lost,
         )
 
 
 def runs_of_all(searched: Searched) -> EvaluatedCases:
     """The last runs of the first target, with the cases of the best drives for the others."""
     problem, (first, *others) = searched.problem, searched.found
-    runs, node_steps = evaluate_cases(problem, first.single, first.position), 0
+    runs, node_steps = evaluate_cases(problem, first.single_actuator, first.position), 0
     cases: dict[str, Case] = {}
-    for index, (one, name) in enumerate(zip(others, list(cases_of_targets(problem.scene).values())[1:], strict=False)):
+    for index, (one, name) in enumerate(zip(others, list(target_cases(problem.scene).values())[1:], strict=False)):
         aimed = _aimed(problem, index + 1)
         before = aimed.drive_solver.node_steps
-        more = evaluate_cases(aimed, one.single, one.position)
+        more = evaluate_cases(aimed, one.single_actuator, one.position)
         cases[name] = more.cases["best"]
         node_steps += aimed.drive_solver.node_steps - before + more.node_steps
     return replace(runs, cases={**runs.cases, **cases}, node_steps=runs.node_steps + node_steps)
@@ -107,7 +106,7 @@ def _next(problem: Problem, index: int, begun: Checkpoint) -> Problem:
     if problem.matrices is not None and not problem.objectives.regions:
         regions = problem.drive_solver.specialized.regions
         matrices = problem.matrices.reshape(-1, len(regions), *problem.matrices.shape[1:]).copy()
-        matrices[:, REGIONS.index("target")] = matrices[:, regions.index(list(regions_of_targets(scene))[index])]
+        matrices[:, REGIONS.index("target")] = matrices[:, regions.index(list(target_regions(scene))[index])]
         matrices = matrices.reshape(problem.matrices.shape)
     return make_nominal_problem(
         scene, problem.drive_solver.device.alias, begun.path, begun.evaluator, matrices, problem.pool
@@ -117,7 +116,7 @@ def _next(problem: Problem, index: int, begun: Checkpoint) -> Problem:
 def _aimed(problem: Problem, index: int) -> Problem:
     """For last runs: what is searched and its plates, with another target."""
     scene = problem.scene.aimed_at(index)
-    plain = PlateSolver(scene, problem.drive_solver.device.alias, problem.path, areas=regions_of_targets(scene))
+    plain = PlateSolver(scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(scene))
     return replace(problem, parametrization=replace(problem.parametrization, scene=scene), drive_solver=plain)
 
 

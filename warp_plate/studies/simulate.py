@@ -10,7 +10,7 @@ import numpy as np
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.problem.evaluate_cases import cases_from_run, reference_phasors
 from warp_plate.problem.parametrization import magnitude_unit
-from warp_plate.result.crosstalk import regions_of_targets
+from warp_plate.result.crosstalk import target_regions
 from warp_plate.result.model import Result
 from warp_plate.result.store import load_result
 from warp_plate.scene.errors import SceneError
@@ -47,7 +47,7 @@ def simulate(
     file_drive = None if drive in ("scene", "equal", "single") else drive_of_file(drive, scene)
     named = scene_phasors(scene) if drive == "scene" else file_drive
     scene, accuracy, seconds, stage = resolve(scene, device, None if named is None else named[None])
-    areas = regions_of_targets(scene)
+    areas = target_regions(scene)
     solver = PlateSolver(scene, device, path, allow_unstable=allow_unstable, areas=areas)
     started = time.perf_counter()
     if file_drive is not None:
@@ -78,7 +78,7 @@ def simulate(
         node_steps=solver.node_steps,
         versions=versions(),
         accuracy=accuracy,
-        peak=peak,
+        peak_displacement=peak,
     )
 
 
@@ -91,7 +91,7 @@ def drive_of_file(name: str, scene: Scene) -> np.ndarray:
     if not name.endswith(".h5"):
         raise SceneError(f"--drive {name}: is none of scene, equal, single and no result file (.h5)")
     result, actuators = load_result(Path(name)), len(scene.actuators)
-    drive = result.judged.drive
+    drive = result.main_case.phasors
     if drive.shape != (actuators,):
         raise SceneError(f"--drive {name}: holds {drive.size} actuators, the scene has {actuators}")
     if result.scene.drive_unit != scene.drive_unit:

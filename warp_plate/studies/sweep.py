@@ -90,7 +90,7 @@ def begin_sweep(
         count=count,
         device=found.alias,
         processor=processor_of(found),
-        earlier="",
+        earlier_devices="",
         path=path,
         outputs=outputs,
         values={name: np.full((len(plan), *((count,) if one.axis else ())), np.nan) for name, one in outputs.items()},
@@ -125,14 +125,14 @@ def run_sweep(
     """
     values = {name: one.copy() for name, one in begun.values.items()}
     status, reasons, started = begun.status.copy(), dict(begun.reasons), time.perf_counter()
-    if pool is not None and len(begun.left) == len(begun.plan):
+    if pool is not None and len(begun.pending) == len(begun.plan):
         begun = replace(begun, device="", processor="")  # which the workers say
 
     def now() -> Sweep:
         spent = begun.seconds + time.perf_counter() - started
         return replace(begun, values=values, status=status, reasons=reasons, seconds=spent)
 
-    total, left = len(begun.plan), begun.left.tolist()
+    total, left = len(begun.plan), begun.pending.tolist()
     with deferred_interrupts():
         points = run_here(begun, left) if pool is None else run_there(begun, left, pool)
         try:
@@ -140,7 +140,7 @@ def run_sweep(
                 found = next(points)
                 if found.processor:
                     _refuse_elsewhere(begun, found, elsewhere)
-                    begun = begun.gone_on(found.device, found.processor)
+                    begun = begun.moved_to(found.device, found.processor)
                 if found.values is None:
                     reasons[found.point] = found.reason
                 else:

@@ -48,7 +48,7 @@ class SweepFile:
 
     def __call__(self, sweep: Sweep, last: bool) -> None:
         """Write it where it is time, or ``last``; nothing while no point is run."""
-        if len(sweep.left) == len(sweep.plan) or not (last or time.monotonic() - self._last >= self.every):
+        if len(sweep.pending) == len(sweep.plan) or not (last or time.monotonic() - self._last >= self.every):
             return
         self._last = time.monotonic()
         if not self._own and self.path.exists():
@@ -123,4 +123,4 @@ def continued(begun: Sweep, device: str | None = None, there: bool = False) -> S
     if device is None:
         device = same_device(begun.device, begun.processor, "sweep") if begun.processor else "auto"
     found = find_device(device)
-    return begun.gone_on(found.alias, processor_of(found))
+    return begun.moved_to(found.alias, processor_of(found))

@@ -34,11 +34,11 @@ def against_nominal(
     searcher = searcher_of(nominal, begun.seed)
     if searcher is None or position is None:
         return None, {}, 0
-    found, interrupted = run_search(replace(begun, swarm=searcher.state(False)), nominal, None, None)
+    found, interrupted = run_search(replace(begun, search_state=searcher.state(False)), nominal, None, None)
     if interrupted or found is None or found.result.xbest is None:
         return None, {}, 0
     try:
-        last = evaluate_cases(nominal, begun.single, found.result.xbest)
+        last = evaluate_cases(nominal, begun.single_actuator, found.result.xbest)
         compared, node_steps = compare_over_fresh(problem, position, found.result.xbest)
     except (KeyboardInterrupt, SceneError):  # a result is not lost for want of a comparison
         return None, {}, 0
@@ -75,6 +75,6 @@ def compare_over_fresh(problem: RobustProblem, robust: np.ndarray, nominal: np.n
         bound=None if bound is None else float(problem.value_from_loss(bound.value)),
         searched=values(problem.losses_of(designs)),
         nominal_plate=values(problem.nominal.losses_of(designs)),
-        fresh=values(np.stack(losses, axis=1)),
+        validation=values(np.stack(losses, axis=1)),
     )
     return compared, node_steps

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from warp_plate.result.atomic_io import written_whole
+from warp_plate.result.atomic_io import atomic_paths
 from warp_plate.result.export.traces import write_table
 from warp_plate.result.model import Case
 from warp_plate.scene.errors import SceneError
@@ -94,7 +94,7 @@ def make_signal(scene: Scene, case: Case, rate: int, duration: float, full_scale
         raise SceneError(f"--duration {duration:g}: {len(scene.actuators)} channels take more than 4 GiB; write less")
     periods, samples, seam = whole_periods(frequency, rate, duration)
     names = tuple(actuator.name for actuator in scene.actuators)
-    return Signal(names, case.drive / full_scale, full_scale, unit, frequency, rate, samples, periods, seam)
+    return Signal(names, case.phasors / full_scale, full_scale, unit, frequency, rate, samples, periods, seam)
 
 
 def whole_periods(frequency: float, rate: int, duration: float) -> tuple[int, int, float]:
@@ -140,7 +140,7 @@ def write_wav(signal: Signal, path: str | Path, encoding: Encoding = "float32") 
         raise SceneError(f"holds {channels} actuators; a WAV file has room for {(2**16 - 1) // size} channels")
     if signal.rate * channels * size >= 2**32:
         raise SceneError(f"--rate {signal.rate}: too many for a WAV file of {channels} channels")
-    with written_whole(path) as (temporary,), temporary.open("wb") as file:
+    with atomic_paths(path) as (temporary,), temporary.open("wb") as file:
         head = _wav_head(signal, form, size)
         length = signal.samples * channels * size
         file.write(struct.pack("<4sI4s", b"RIFF", 4 + len(head) + 8 + length, b"WAVE"))

@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 
 from warp_plate.plate.weights import REGIONS, region_weights
-from warp_plate.result.atomic_io import written_whole
+from warp_plate.result.atomic_io import atomic_paths
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -37,7 +37,7 @@ def write_pvd(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray],
     moving, still = _fields(times, fields), _still_fields(scene)
     digits = max(4, len(str(len(times) - 1)))
     parts = [path.with_name(f"{path.stem}-{index:0{digits}}.vti") for index in range(len(times))]
-    with written_whole(*parts, path) as (*temporaries, index_file):
+    with atomic_paths(*parts, path) as (*temporaries, index_file):
         for index, (time, temporary) in enumerate(zip(times.tolist(), temporaries, strict=True)):
             now = {name: field[index] for name, field in moving.items()}
             temporary.write_text("\n".join(_vti_lines(scene, time, now | still)), encoding="utf-8")
@@ -52,7 +52,7 @@ def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarra
     """
     path = Path(path)
     moving, still = _fields(times, fields), _still_fields(scene)
-    with written_whole(path) as (temporary,), h5py.File(temporary, "w") as file:
+    with atomic_paths(path) as (temporary,), h5py.File(temporary, "w") as file:
         root = file.create_group("VTKHDF")
         nx, ny = scene.grid.nodes
         root.attrs["Version"] = np.array([2, 0])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_plate.result.atomic_io import written_whole
+from warp_plate.result.atomic_io import atomic_paths
 from warp_plate.result.model import Case, Result
 from warp_plate.scene.errors import SceneError
 
@@ -43,7 +43,7 @@ def write_table(path: Path, heading: list[str], blocks: Iterable[np.ndarray]) ->
     Raises:
         SceneError: the file cannot be written.
     """
-    with written_whole(path) as (temporary,), temporary.open("w", encoding="utf-8", newline="") as file:
+    with atomic_paths(path) as (temporary,), temporary.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerow(heading)
         for block in blocks:
             np.savetxt(file, block, fmt=["%.15g", *["%.9g"] * (block.shape[1] - 1)], delimiter=",")
