@@ -182,7 +182,7 @@ def searched(scene, **search):
 def assert_same_result(result, expected):
     for name, values in expected.history.items():
         assert result.history[name].tobytes() == values.tobytes(), name
-    assert result.cases["best"].drive.tobytes() == expected.cases["best"].drive.tobytes()
+    assert result.cases["best"].phasors.tobytes() == expected.cases["best"].phasors.tobytes()
     assert (result.node_steps, result.evaluations) == (expected.node_steps, expected.evaluations)
 
 

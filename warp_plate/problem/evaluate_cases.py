@@ -101,7 +101,7 @@ def evaluate_objectives(scene: Scene, cases: Mapping[str, Case], device: str, pa
         moved, node_steps = None, 0
         if judge.needs_displacement:
             solver = PlateSolver(scene, device, path, areas=summed_regions(scene, judge), quantity="displacement")
-            run = solver.run(np.array([case.drive for case in cases.values()]))
+            run = solver.run(np.array([case.phasors for case in cases.values()]))
             moved, node_steps = run.energy, run.node_steps
     except (KeyboardInterrupt, SceneError):  # a result is not lost for want of what it is compared with
         return {}, 0
