@@ -1,23 +1,25 @@
-"""What the tests share: small scenes, the devices and paths of this machine, fresh random numbers, the
-operator."""
+"""Fixtures for all tests: small scenes, the devices and paths of this machine, seeded random numbers, the discrete
+operator.
+
+``pytest --seed N`` draws other random inputs than the default seed 0, here and in Hypothesis."""
 
 import itertools
 import math
 import os
-import secrets
 import shutil
 import subprocess
+import zlib
 from functools import lru_cache
 from pathlib import Path
 
-# As many workers run as there are cores; algebra on several threads each would only make them wait for each other.
+# One pytest worker runs on each core, so threaded linear algebra would only make the workers wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import hypothesis
 import numpy as np
 import pytest
 import warp as wp
-from hypothesis import settings
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.cli.main import main
@@ -27,18 +29,22 @@ from warp_plate.scene import preset_text
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import paths_of
 
-# Shared machines are slow at times: an example may take as long as it takes.
-settings.register_profile("no deadline", deadline=None)
-settings.load_profile("no deadline")
+# Shared machines are slow at times, so examples have no deadline.
+hypothesis.settings.register_profile("fixed", deadline=None, derandomize=True)
+hypothesis.settings.register_profile("seeded", deadline=None)
 
-# The panel of the source paper.
+# The plate of the source paper.
 MATERIAL = {"thickness": 5e-4, "young_modulus": 1e9, "poisson_ratio": 0.33, "density": 1000.0}
 PAPER = preset_text("paper")
 SIDES = ("left", "bottom", "right", "top")
-# Actuators as shares of the plate's sides, x0, x1, y0, y1, alike in nothing.
+# Three actuators without any symmetry; x0, x1, y0, y1 as fractions of the sides of the plate.
 THREE_PATCHES = ((0.15, 0.3, 0.2, 0.35), (0.6, 0.85, 0.15, 0.4), (0.25, 0.65, 0.55, 0.8))
-# A quarter turn a step: the load is cos(0) = 1 at the first step and cos(π/2) = 6e-17 at the second.
+# With four steps a period, the load is cos(0) = 1 at the first step and cos(π/2) = 6e-17 at the second.
 STEPS_A_PERIOD = 4
+# A covering array: every pair of sides (left, bottom, right, top) has every pair of kinds in one of the five.
+EDGE_MIXES = [("clamped",) * 4] + [
+    tuple("clamped" if side == only else "supported" for side in range(4)) for only in range(4)
+]
 BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "chrome")
 
 
@@ -57,7 +63,7 @@ def scene_of(
     order=2,
     **tables,
 ):
-    """A small scene of the paper's material; edges: left, bottom, right, top; actuators: areas on it."""
+    """Return a small scene of the paper's material; edges: left, bottom, right, top; actuators: their areas [m]."""
     if actuators is None:
         actuators = [tuple(np.array(shares) * np.repeat(size, 2)) for shares in THREE_PATCHES]
     grid = {"nodes": nodes, "order": order, "load": load, "precision": precision, "time_step": time_step}
@@ -77,7 +83,7 @@ def scene_of(
 
 
 def refusal(text):
-    """The one line that a text is refused with, without the file's name."""
+    """Return the one-line error message of a scene text, without the name of the file."""
     with pytest.raises(SceneError) as caught:
         Scene.parse(text, "panel.toml")
     line = str(caught.value)
@@ -86,43 +92,51 @@ def refusal(text):
     return line.removeprefix("panel.toml: ")
 
 
-def all_edges():
-    """The 16 ways to hold the four sides."""
-    return list(itertools.product(("clamped", "supported"), repeat=4))
-
-
 def edges_id(edges):
-    """CSCC for clamped, supported, clamped, clamped."""
+    """Return CSCC for clamped, supported, clamped, clamped."""
     return "".join(edge[0].upper() for edge in edges)
 
 
 @lru_cache(maxsize=1)
 def device_paths():
-    """All (device, path) pairs of this machine; CUDA ones only where there is a CUDA device."""
+    """Return all (device, path) pairs of this machine, with those of its first CUDA device if there is one."""
     find_device("cpu")
     devices = ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
     return [(device, path) for device in devices for path in paths_of(wp.get_device(device))]
 
 
+def pytest_addoption(parser):
+    parser.addoption("--seed", type=int, help="seed of the tests' random inputs (default: 0)")
+
+
+def pytest_configure(config):
+    hypothesis.settings.load_profile("fixed" if config.getoption("seed") is None else "seeded")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Pass ``--seed`` to Hypothesis."""
+    seed = config.getoption("seed")
+    for item in items:
+        if seed is not None and getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
+            hypothesis.seed(seed)(item.obj)
+
+
 def pytest_generate_tests(metafunc):
-    """A test that takes ``device`` and ``path`` runs for every pair; one that takes ``edges`` for all 16
-    ways."""
+    """Run tests that take ``device`` and ``path`` on every pair, and tests that take ``edges`` on ``EDGE_MIXES``."""
     if {"device", "path"} <= set(metafunc.fixturenames):
-        metafunc.parametrize(
-            ("device", "path"), device_paths(), ids=["-".join(pair) for pair in device_paths()]
-        )
+        metafunc.parametrize(("device", "path"), device_paths(), ids=["-".join(pair) for pair in device_paths()])
     if "edges" in metafunc.fixturenames:
-        metafunc.parametrize("edges", all_edges(), ids=edges_id)
+        metafunc.parametrize("edges", EDGE_MIXES, ids=edges_id)
 
 
 @pytest.fixture(scope="session")
 def display():
-    """The name of an X display of its own, for tests that press keys and drag the mouse by xdotool."""
+    """The name of a virtual X display, for tests that press keys and drag the mouse by xdotool."""
     lacking = [program for program in ("Xvfb", "xdotool") if shutil.which(program) is None]
     if lacking:
         pytest.skip(f"{' and '.join(lacking)} not installed: apt-get install xvfb xdotool")
     reading, writing = os.pipe()
-    # Without -noreset it starts anew whenever its last window closes, and then refuses the next for a moment.
+    # Without -noreset the server restarts when its last window closes, and refuses connections meanwhile.
     server = subprocess.Popen(
         ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1600x1000x24", "-noreset", "-nolisten", "tcp"],
         pass_fds=[writing],
@@ -141,13 +155,13 @@ def display():
 
 @pytest.fixture
 def pairs():
-    """All (device, path) pairs of this machine."""
+    """All (device, path) pairs, see :func:`device_paths`."""
     return device_paths()
 
 
 @pytest.fixture(scope="session")
 def panel():
-    """A small panel with few modes below the drive, and so with a cheap reference."""
+    """A supported panel with few modes below the drive frequency, for which a reference solution is cheap."""
     patches = [(0.03, 0.06, 0.04, 0.07), (0.12, 0.17, 0.03, 0.08), (0.05, 0.13, 0.11, 0.16)]
     return Scene.model_validate(
         {
@@ -171,16 +185,14 @@ def scene():
 
 
 @pytest.fixture
-def random():
-    """Other numbers every time; a failing test prints the seed, and WARP_PLATE_TEST_SEED repeats them."""
-    seed = int(os.environ.get("WARP_PLATE_TEST_SEED", secrets.randbits(32)))
-    print(f"WARP_PLATE_TEST_SEED={seed}")
-    return np.random.default_rng(seed)
+def random(request):
+    """A random generator, seeded by ``--seed`` and by the name of the test."""
+    return np.random.default_rng([request.config.getoption("seed") or 0, zlib.crc32(request.node.name.encode())])
 
 
 @pytest.fixture
 def phasors(random):
-    """Random complex drives (plates, actuators)."""
+    """A factory of random complex phasors of shape (plates, actuators)."""
 
     def draw(plates, actuators):
         return random.normal(size=(plates, actuators)) + 1j * random.normal(size=(plates, actuators))
@@ -190,8 +202,7 @@ def phasors(random):
 
 @pytest.fixture
 def fitting_solver():
-    """PlateSolver(scene, device, path), skipping the test where this path has no room for so large a
-    plate."""
+    """PlateSolver(scene, device, path), which skips the test if the plate is too large for the path."""
 
     def make(scene, device, path, **options):
         try:
@@ -206,13 +217,13 @@ def fitting_solver():
 
 @pytest.fixture(scope="module")
 def browser():
-    """Headless Chromium: one of the system's, else Playwright's own; skips where there is none."""
+    """Headless Chromium of the system, else of Playwright; skips the test if there is none."""
     playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is missing: pip install playwright")
     found = next(filter(None, map(shutil.which, BROWSERS)), None)
     with playwright.sync_playwright() as started:
         if found is None and not Path(started.chromium.executable_path).exists():
             pytest.skip("there is no Chromium: apt-get install chromium-headless-shell, or playwright install chromium")
-        # Containers often forbid Chromium its sandbox; it only meets pages from here.
+        # Containers often forbid Chromium its sandbox. It only opens pages of these tests.
         made = started.chromium.launch(executable_path=found, args=["--no-sandbox"])
         yield made
         made.close()
@@ -220,12 +231,12 @@ def browser():
 
 @pytest.fixture
 def point_scene():
-    """A scene with an actuator on every inner node, row by row, so that any field can be a load."""
+    """A factory of scenes with an actuator on every inner node, so that any field can be the load."""
     return point_scene_of
 
 
 def point_scene_of(nodes, size=(0.2, 0.2), edges=("clamped",) * 4, precision="float64", order=2, **changes):
-    """Undamped unless ``changes`` say so, and two steps long unless they give a window and a frequency."""
+    """Return a scene with an actuator on every inner node, row by row; undamped and two steps long by default."""
     x, y = (np.linspace(0, length, count)[1:-1] for length, count in zip(size, nodes, strict=True))
     half_x, half_y = (length / (count - 1) / 4 for length, count in zip(size, nodes, strict=True))
     areas = [(i - half_x, i + half_x, j - half_y, j + half_y) for j in y for i in x]
@@ -243,15 +254,15 @@ def point_scene_of(nodes, size=(0.2, 0.2), edges=("clamped",) * 4, precision="fl
 
 @pytest.fixture
 def apply_biharmonic():
-    """∇⁴u as a path computes it, through nothing but ``run``."""
+    """∇⁴u as a path computes it, obtained from ``run`` alone."""
     return biharmonic_by_running
 
 
 def biharmonic_by_running(solver, fields):
-    """u and ∇⁴u, both (plates, ny, nx) and (plates, ny − 2, nx − 2) [u/m⁴], of loads shaped like ``fields``.
+    """Return u (plates, ny, nx) and ∇⁴u (plates, ny − 2, nx − 2) [u/m⁴] for loads in the shape of ``fields``.
 
-    For a two-step ``point_scene``. The plate rests at t = 0, so u(Δt) has the shape of the load, and no load
-    acts at the second step: u(2Δt) − u(Δt) = u(Δt) − (κΔt)²∇⁴u(Δt), which is solved for ∇⁴u.
+    The solver has a two-step ``point_scene``. The plate is at rest at t = 0, so u(Δt) has the shape of the load, and
+    no load acts at the second step: u(2Δt) − u(Δt) = u(Δt) − (κΔt)²∇⁴u(Δt), which gives ∇⁴u.
     """
     scheme = make_scheme(solver.scene)
     drives = fields[:, 1:-1, 1:-1].reshape(len(fields), -1)
@@ -262,15 +273,15 @@ def biharmonic_by_running(solver, fields):
 
 @pytest.fixture
 def discrete_operator():
-    """The matrix of ∇⁴ on the inner nodes, row by row, as the default path of ``device`` computes it."""
+    """The matrix of ∇⁴ on the inner nodes, row by row, on the default path of a device."""
     return operator_by_running
 
 
 def operator_by_running(scene, device="cpu"):
-    """(inner nodes, inner nodes) sparse matrix [1/m⁴] of a two-step ``point_scene``.
+    """Return the (inner nodes, inner nodes) sparse matrix of ∇⁴ [1/m⁴] of a two-step ``point_scene``.
 
-    The stencil reaches as many nodes far as its order, two or four, so unit loads five or nine nodes apart do not
-    meet: 25 or 81 plates hold all columns.
+    The stencil reaches two or four nodes (its order), so unit loads five or nine nodes apart do not interact: 25 or 81
+    plates give all columns.
     """
     from scipy.sparse import coo_array
 
@@ -284,7 +295,7 @@ def operator_by_running(scene, device="cpu"):
     number = np.where(inside, np.cumsum(inside).reshape(ny, nx) - 1, -1)
     entries = []
     for (j, i), field, answer in zip(offsets, unit, response, strict=True):
-        # The node of this colour within reach of each node, if it is an inner one.
+        # The node of this colour within reach of each node, if it is an inner node.
         source_row = row + (j - row + reach) % apart - reach
         source_column = column + (i - column + reach) % apart - reach
         known = (
@@ -299,7 +310,7 @@ def operator_by_running(scene, device="cpu"):
 
 @pytest.fixture
 def command(capsys):
-    """Run a command in this process: (status, standard output, standard error)."""
+    """Run a command in this process and return (exit status, standard output, standard error)."""
 
     def run(*words):
         try:
