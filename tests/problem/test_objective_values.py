@@ -106,7 +106,7 @@ def test_the_command_shows_them_beside_those_of_other_drives(panel, tmp_path, mo
     for name in CASES:
         drive = result.cases[name].phasors[None]
         worth = problem.objectives.values(
-            problem.drive_solver.run(drive).energy, problem.displacement_solver.run(drive).energy
+            problem.drive_evaluator.run(drive).energy, problem.displacement_evaluator.run(drive).energy
         )
         expected = {kind: float(value[0]) for kind, value in worth.items()}
         assert result.objective_values_by_case[name] == pytest.approx(expected)

@@ -38,7 +38,8 @@ def robust(scene):
 
 def energies(panels, designs):
     """(scenarios, plates, regions)."""
-    return np.array([panel.solvers[0].run(in_scenario(designs, panel.scenario)).energy for panel in panels.scenarios])
+    runs = [panel.evaluators[0].run(in_scenario(designs, panel.scenario)) for panel in panels.scenarios]
+    return np.array([run.energy for run in runs])
 
 
 @pytest.mark.parametrize("finger", [False, True])
@@ -64,8 +65,8 @@ def test_gram_matrices_give_the_losses_of_plates(device, path, robust, phasors, 
     designs = Designs(phasors(7, 3))
     gram, direct = scenario_responses(scenarios, device, path), simulate_scenarios(scenarios, device, path)
     np.testing.assert_allclose(gram.losses(designs), direct.losses(designs), rtol=1e-9)
-    runs = 21 * len(direct.scenarios[0].solvers)
-    assert len(direct.scenarios[0].solvers) == len(objectives)
+    runs = 21 * len(direct.scenarios[0].evaluators)
+    assert len(direct.scenarios[0].evaluators) == len(objectives)
     assert gram.node_steps == sum(runs * PlateSolver(one.scene, device, path).node_steps_per_plate for one in scenarios)
 
 
@@ -84,7 +85,7 @@ def test_bits_do_not_depend_on_how_a_batch_is_cut(robust, phasors, monkeypatch):
         only = ScenarioLosses(panels.scenarios[1:2], None if panels.matrices is None else panels.matrices[2:4])
         np.testing.assert_array_equal(only.losses(designs)[:, 0], whole[:, 1])
     cut = [
-        replace(panel, solvers=(PlateSolver(panel.scenario.scene, "cpu", chunk=2, per_plate=panel.scenario.per_plate),))
+        replace(panel, evaluators=(PlateSolver(panel.scenario.scene, "cpu", chunk=2, per_plate=panel.scenario.per_plate),))
         for panel in direct.scenarios
     ]
     np.testing.assert_array_equal(ScenarioLosses(tuple(cut)).losses(designs), direct.losses(designs))
@@ -100,7 +101,7 @@ def test_kernels_do_not_grow_with_scenarios(robust):
     first = {there: with_finger.index(there) for there in (True, False)}
     simulate_scenarios([scenarios[at] for at in first.values()], "cpu")
     compiled = kernels_made()
-    solvers = [panel.solvers[0] for panel in simulate_scenarios(scenarios, "cpu").each]
+    solvers = [panel.evaluators[0].solver for panel in simulate_scenarios(scenarios, "cpu").scenarios]
     assert kernels_made() == compiled > 0
     assert {tuple(solver.specialized.loaded_rows) for solver in solvers} == {tuple(solvers[0].specialized.loaded_rows)}
     covered = {tuple(PlateSolver(one.scene, "cpu").specialized.loaded_rows) for one in scenarios}

@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
+from warp_plate.cluster.evaluator import Evaluator, make_evaluator
 from warp_plate.cluster.pool import Pool
-from warp_plate.cluster.solver import SpreadSolver, solver_on
 from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.optimize.space import Space
 from warp_plate.plate.designs import Batch, Designs, per_plate_of
@@ -49,15 +49,25 @@ class Problem:
 
     parametrization: Parametrization
     objectives: Objectives
-    drive_solver: PlateSolver
-    design_solver: PlateSolver
-    displacement_solver: PlateSolver | None
+    drive_evaluator: Evaluator
+    design_evaluator: Evaluator
+    displacement_evaluator: Evaluator | None
     response: Response | None
     displacement_response: Response | None
     evaluator_name: str
     path: str
     spent: tuple[float, int]
     pool: Pool | None
+
+    @property
+    def drive_solver(self) -> PlateSolver:
+        """The solver of ``drive_evaluator``."""
+        return self.drive_evaluator.solver
+
+    @property
+    def design_solver(self) -> PlateSolver:
+        """The solver of ``design_evaluator``."""
+        return self.design_evaluator.solver
 
     @property
     def scene(self) -> Scene:
@@ -77,17 +87,17 @@ class Problem:
     @property
     def node_steps(self) -> int:
         """Of all plates so far."""
-        return self.spent[1] + sum(one.node_steps for one in self._solvers)
+        return self.spent[1] + sum(one.node_steps for one in self._evaluators)
 
     @property
     def compile_seconds(self) -> float:
         """Of all solvers."""
-        return self.spent[0] + sum(one.compile_seconds for one in self._solvers)
+        return self.spent[0] + sum(one.compile_seconds for one in self._evaluators)
 
     @property
     def lost(self) -> Counter[str]:
         """Plates without energies because workers failed, by what went wrong."""
-        return lost_plates(self._solvers)
+        return lost_plates(self._evaluators)
 
     @property
     def matrices(self) -> np.ndarray | None:
@@ -100,13 +110,13 @@ class Problem:
         """(plates, regions) energies [J]."""
         if self._of_response(designs):
             return self.energies_of_phasors(designs[:].drives)
-        return self._solver_of(designs).run(designs).energy
+        return self._evaluator_of(designs).run(designs).energy
 
     def energies_of_phasors(self, drives: np.ndarray) -> np.ndarray:
         """(plates, regions) energies [J] of drives (plates, actuators) where the scene has its frequency and places."""
         if self.evaluator_name == "response" and self.response is not None:
             return self.response.energy(drives)
-        return self.drive_solver.run(drives).energy
+        return self.drive_evaluator.run(drives).energy
 
     def losses_of(self, designs: Batch) -> np.ndarray:
         """(plates,) what is to be made small; NaN where a plate has no energies."""
@@ -117,7 +127,7 @@ class Problem:
         def judge(some: slice, energy: np.ndarray) -> None:
             losses[some] = self.objectives.losses(energy)
 
-        self._solver_of(designs).run(designs, each=judge)  # some are judged while others are simulated
+        self._evaluator_of(designs).run(designs, on_block=judge)  # some are judged while others are simulated
         return losses
 
     def losses(self, positions: np.ndarray | GrowingRows) -> np.ndarray:
@@ -186,8 +196,8 @@ class Problem:
         """Whether some drives may not be chosen."""
         return has_design_tables(self.scene) or self.scene.search.limits != Limits()
 
-    def _solver_of(self, designs: Batch) -> PlateSolver:
-        return self.drive_solver if designs.only_drives else self.design_solver
+    def _evaluator_of(self, designs: Batch) -> Evaluator:
+        return self.drive_evaluator if designs.only_drives else self.design_evaluator
 
     def _of_response(self, designs: Batch) -> bool:
         """Whether Gram matrices give their energies."""
@@ -197,11 +207,12 @@ class Problem:
         """(plates, regions) energies of displacements, where these are judged."""
         if self.evaluator_name == "response" and self.displacement_response is not None:
             return self.displacement_response.energy(designs[:].drives)
-        return None if self.displacement_solver is None else self.displacement_solver.run(designs).energy
+        return None if self.displacement_evaluator is None else self.displacement_evaluator.run(designs).energy
 
     @property
-    def _solvers(self) -> set[PlateSolver]:
-        return {one for one in (self.drive_solver, self.design_solver, self.displacement_solver) if one is not None}
+    def _evaluators(self) -> set[Evaluator]:
+        evaluators = (self.drive_evaluator, self.design_evaluator, self.displacement_evaluator)
+        return {evaluator for evaluator in evaluators if evaluator is not None}
 
 
 def make_nominal_problem(
@@ -230,25 +241,26 @@ def make_nominal_problem(
         raise SceneError(f"evaluator = 'response': {_why_not_quadratic(variables)}; write 'direct'")
     judge = make_objectives(scene)
     areas = summed_regions(scene, judge)
-    plain = solver_on(pool, scene, device, path, areas=areas)
+    plain = make_evaluator(scene, device, path, pool, areas=areas)
     solver, moved = plain, None
     if not variables.only_drives:
-        solver = solver_on(pool, scene, device, path, areas=areas, per_plate=per_plate)
+        solver = make_evaluator(scene, device, path, pool, areas=areas, per_plate=per_plate)
     if judge.needs_displacement:
-        moved = solver_on(pool, scene, device, path, areas=areas, per_plate=per_plate, quantity="displacement")
+        moved = make_evaluator(scene, device, path, pool, areas=areas, per_plate=per_plate, quantity="displacement")
     seconds, node_steps = 0.0, 0
     if matrices is None and variables.quadratic:
         parts = []
         for one in (plain, moved):
             if one is not None:
-                exact = one if scene.grid.precision == "float64" else _in_float64(one, path)
+                exact = one.solver if scene.grid.precision == "float64" else _in_float64(one.solver, path)
                 parts.append(measure_response(exact).matrices)
-                if exact is not one:
+                if exact is not one.solver:
                     seconds, node_steps = seconds + exact.compile_seconds, node_steps + exact.node_steps
         matrices = np.concatenate(parts)
     sets = 1 if moved is None else 2
-    if matrices is not None and len(matrices) != sets * len(plain.specialized.regions):
-        raise SceneError(f"matrices: of {len(matrices)} regions; must be {sets * len(plain.specialized.regions)}")
+    regions = sets * len(plain.solver.specialized.regions)
+    if matrices is not None and len(matrices) != regions:
+        raise SceneError(f"matrices: of {len(matrices)} regions; must be {regions}")
     known = [] if matrices is None else np.split(matrices, sets)
     responses = [Response(one) for one in known] + [None, None]
     return Problem(
@@ -256,10 +268,9 @@ def make_nominal_problem(
     )
 
 
-def lost_plates(solvers: Iterable[PlateSolver]) -> Counter[str]:
-    """Plates that these solvers have lost, by what went wrong."""
-    spread = [one for one in solvers if isinstance(one, SpreadSolver)]
-    return sum((one.lost for one in spread), Counter())
+def lost_plates(evaluators: Iterable[Evaluator]) -> Counter[str]:
+    """Plates that these evaluators have lost, by what went wrong."""
+    return sum((evaluator.lost for evaluator in evaluators), Counter())
 
 
 def _why_not_quadratic(variables: Parametrization) -> str:

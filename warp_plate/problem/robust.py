@@ -60,7 +60,7 @@ class RobustProblem(Problem):
     def lost(self) -> Counter[str]:
         """Plates without energies because workers failed, by what went wrong."""
         return super().lost + lost_plates(
-            solver for panel in self.scenario_losses.scenarios for solver in panel.solvers
+            solver for panel in self.scenario_losses.scenarios for solver in panel.evaluators
         )
 
     def losses_of(self, designs: Batch) -> np.ndarray:

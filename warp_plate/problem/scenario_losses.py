@@ -13,14 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.cluster.evaluator import Evaluator, make_evaluator
 from warp_plate.cluster.pool import Pool
-from warp_plate.cluster.solver import solver_on
 from warp_plate.plate.designs import Designs
 from warp_plate.problem.objectives import Objectives, make_objectives
 from warp_plate.problem.problem import in_float64
 from warp_plate.problem.uncertainty import Scenario, kept_on_plate
 from warp_plate.solve.response import Response, measure_response
-from warp_plate.solve.solver import PlateSolver
 
 # Plates × matrices whose energies are worked out at once from Gram matrices.
 BLOCK = 2**22
@@ -28,12 +27,12 @@ BLOCK = 2**22
 
 @dataclass(frozen=True)
 class ScenarioPlates:
-    """A scenario with the judge of its energies; solvers: of velocities and, where these are judged, of displacements;
-    none where Gram matrices stand for them."""
+    """A scenario with the judge of its energies; evaluators: of velocities and, where these are judged, of
+    displacements; none where Gram matrices stand for them."""
 
     scenario: Scenario
     objectives: Objectives
-    solvers: tuple[PlateSolver, ...] = ()
+    evaluators: tuple[Evaluator, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -52,12 +51,12 @@ class ScenarioLosses:
     @property
     def node_steps(self) -> int:
         """Of all plates so far."""
-        return self.spent[1] + sum(solver.node_steps for panel in self.scenarios for solver in panel.solvers)
+        return self.spent[1] + sum(evaluator.node_steps for panel in self.scenarios for evaluator in panel.evaluators)
 
     @property
     def compile_seconds(self) -> float:
         """Of all solvers."""
-        return self.spent[0] + sum(solver.compile_seconds for panel in self.scenarios for solver in panel.solvers)
+        return self.spent[0] + sum(one.compile_seconds for panel in self.scenarios for one in panel.evaluators)
 
     def losses(self, designs: Designs) -> np.ndarray:
         """(plates, scenarios); not finite where a plate has no energies."""
@@ -106,7 +105,7 @@ def simulate_scenarios(
     for one in scenarios:
         judge = make_objectives(one.scene)
         share = 1 / (len(scenarios) * (2 if judge.needs_displacement else 1))
-        panels.append(ScenarioPlates(one, judge, _solvers(one, judge, device, path, pool, share=share)))
+        panels.append(ScenarioPlates(one, judge, _evaluators(one, judge, device, path, pool, share=share)))
     return ScenarioLosses(tuple(panels))
 
 
@@ -120,7 +119,8 @@ def scenario_responses(scenarios: Sequence[Scenario], device: str = "auto", path
     for one in scenarios:
         exact, gain = replace(one, scene=in_float64(one.scene)), np.tile(one.gain, 2)
         judge = make_objectives(exact.scene)
-        for solver in _solvers(exact, judge, device, path):
+        for evaluator in _evaluators(exact, judge, device, path):
+            solver = evaluator.solver
             matrices.append(measure_response(solver).matrices * np.outer(gain, gain))
             seconds, node_steps = seconds + solver.compile_seconds, node_steps + solver.node_steps
         panels.append(ScenarioPlates(one, judge))
@@ -129,14 +129,14 @@ def scenario_responses(scenarios: Sequence[Scenario], device: str = "auto", path
 
 def _losses_of_plates(panel: ScenarioPlates, designs: Designs) -> np.ndarray:
     own = in_scenario(designs, panel.scenario)
-    return panel.objectives.losses(*(solver.run(own).energy for solver in panel.solvers))
+    return panel.objectives.losses(*(evaluator.run(own).energy for evaluator in panel.evaluators))
 
 
-def _solvers(
+def _evaluators(
     one: Scenario, judge: Objectives, device: str, path: str, pool: Pool | None = None, **options: Any
-) -> tuple[PlateSolver, ...]:
+) -> tuple[Evaluator, ...]:
     common: dict[str, Any] = {"areas": judge.regions, "per_plate": one.per_plate, **options}
-    made = solver_on(pool, one.scene, device, path, **common)
+    made = make_evaluator(one.scene, device, path, pool, **common)
     if not judge.needs_displacement:
         return (made,)
-    return made, solver_on(pool, one.scene, device, path, quantity="displacement", **common)
+    return made, make_evaluator(one.scene, device, path, pool, quantity="displacement", **common)

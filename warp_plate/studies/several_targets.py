@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.plate.weights import REGIONS
 from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, reference_phasors
 from warp_plate.problem.problem import Problem, make_nominal_problem
@@ -116,8 +117,9 @@ def _next(problem: Problem, index: int, begun: Checkpoint) -> Problem:
 def _aimed(problem: Problem, index: int) -> Problem:
     """For last runs: what is searched and its plates, with another target."""
     scene = problem.scene.aimed_at(index)
-    plain = PlateSolver(scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(scene))
-    return replace(problem, parametrization=replace(problem.parametrization, scene=scene), drive_solver=plain)
+    solver = PlateSolver(scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(scene))
+    aimed = replace(problem.parametrization, scene=scene)
+    return replace(problem, parametrization=aimed, drive_evaluator=Evaluator(solver))
 
 
 def _of_all(on_progress: OnProgress | None, before: int, count: int) -> OnProgress | None:
