@@ -85,7 +85,9 @@ def test_bits_do_not_depend_on_how_a_batch_is_cut(robust, phasors, monkeypatch):
         only = ScenarioLosses(panels.scenarios[1:2], None if panels.matrices is None else panels.matrices[2:4])
         np.testing.assert_array_equal(only.losses(designs)[:, 0], whole[:, 1])
     cut = [
-        replace(panel, evaluators=(PlateSolver(panel.scenario.scene, "cpu", chunk=2, per_plate=panel.scenario.per_plate),))
+        replace(
+            panel, evaluators=(PlateSolver(panel.scenario.scene, "cpu", chunk=2, per_plate=panel.scenario.per_plate),)
+        )
         for panel in direct.scenarios
     ]
     np.testing.assert_array_equal(ScenarioLosses(tuple(cut)).losses(designs), direct.losses(designs))
