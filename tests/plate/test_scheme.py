@@ -124,12 +124,12 @@ def test_above_the_limit_grows(device, path, scene, phasors):
     early, late = np.abs(run.displacement[[0, 2], :2]).max(axis=(2, 3)).T
     assert np.all(late > 1e3 * early)
     assert list(run.status) == ["grew without bound", "ok", "grew without bound"]
-    assert np.all(run.caught[[0, 2]] < 300 * step)
+    assert np.all(run.growth_time[[0, 2]] < 300 * step)
     assert list(run.finite) == [False, True, False]
     # A plate that grows does not touch its neighbours, and all stop when none is left.
     assert not run.displacement[1].any()
     alone = solver.run(drives[[0, 2]], (2000 * step,))
-    np.testing.assert_array_equal(alone.caught, run.caught[[0, 2]])
+    np.testing.assert_array_equal(alone.growth_time, run.growth_time[[0, 2]])
     assert np.isnan(alone.displacement).all()
 
 

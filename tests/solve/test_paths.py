@@ -196,5 +196,5 @@ def test_streaming_says_why(pairs, scene, nodes, order):
         solver = PlateSolver(scene(nodes, order=order, window=(0.0, step), precision="float32"), device)
         large = device.startswith("cuda") and max(nodes) > 27
         assert solver.path == ("streaming" if large else "resident")
-        assert ("do not fit on one multiprocessor" in solver.path_words()) == large
-        assert ("streaming (" in solver.path_words(traced=True)) == device.startswith("cuda")
+        assert ("do not fit on one multiprocessor" in solver.describe_path()) == large
+        assert ("streaming (" in solver.describe_path(traced=True)) == device.startswith("cuda")

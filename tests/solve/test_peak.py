@@ -13,7 +13,7 @@ from warp_plate.cli.main import main
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.scene.dump import dump_scene
 from warp_plate.solve import peak
-from warp_plate.solve.peak import look_times, record_times, run_and_look
+from warp_plate.solve.peak import record_times, run_with_peak, sample_times
 from warp_plate.studies.localize import localize
 from warp_plate.studies.simulate import simulate
 
@@ -51,7 +51,7 @@ def test_looks_change_nothing_of_the_run(struck, path, effects):
     made = struck.with_tables(effects=effects, grid={"nodes": (17, 15), "precision": "float32"})
     solver, drives = PlateSolver(made, "cpu", path), np.stack([scene_phasors(made), 2j * scene_phasors(made)])
     plain = solver.run(drives, record_times(made))
-    looked, _ = run_and_look(solver, drives)
+    looked, _ = run_with_peak(solver, drives)
     np.testing.assert_array_equal(looked.energy, plain.energy)
     np.testing.assert_array_equal(looked.displacement, plain.displacement)
     np.testing.assert_array_equal(looked.times, plain.times)
@@ -61,18 +61,18 @@ def test_localize_and_effects_look_over_the_whole_run(struck):
     made = struck.with_tables(search={"particles": 2, "iterations": 1})
     found = localize(made, device="cpu", estimate=False)
     best = found.cases["best"].phasors
-    run = PlateSolver(made, "cpu").run(best[None], look_times(made, 3))
+    run = PlateSolver(made, "cpu").run(best[None], sample_times(made, 3))
     assert found.peak == pytest.approx(np.abs(run.displacement).max(), rel=1e-6)
     assert measure_influence(struck, "cpu").peak == pytest.approx(traced_peak(struck), rel=0.02)
 
 
 def test_few_looks_still_see_a_burst_and_a_passing_load(struck, monkeypatch):
-    monkeypatch.setattr(peak, "MOST_LOOKS", 32)
+    monkeypatch.setattr(peak, "MOST_SAMPLES", 32)
     late = struck.with_tables(
         drive={"frequency": 290.0, "burst": {"start": 0.011, "duration": 0.002}},
         effects={"moving_load": {"force": 1.0, "start": (0.1, 0.1), "from_time": 0.045, "to_time": 0.046}},
     )
-    times = np.array(look_times(late))
+    times = np.array(sample_times(late))
     assert times.size <= 32
     assert ((times >= 0.011) & (times <= 0.013)).sum() >= 10
     assert ((times >= 0.045) & (times <= 0.046)).sum() >= 10
@@ -83,8 +83,8 @@ def test_few_looks_still_see_a_burst_and_a_passing_load(struck, monkeypatch):
 def test_looks_never_keep_in_step_with_the_drive(scene, monkeypatch):
     """Evenly spaced, 320 looks at 320 periods would all fall on the same phase."""
     made = scene(frequency=1000.0, window=(0.0, 0.32))
-    phase = 2 * math.pi * 1000.0 * np.array(look_times(made))
-    assert phase.size == peak.MOST_LOOKS
+    phase = 2 * math.pi * 1000.0 * np.array(sample_times(made))
+    assert phase.size == peak.MOST_SAMPLES
     assert np.cos(phase).max() > 0.99
     assert np.sin(phase).max() > 0.99
     assert abs(np.exp(1j * phase).mean()) < 0.1
@@ -92,8 +92,8 @@ def test_looks_never_keep_in_step_with_the_drive(scene, monkeypatch):
 
 def test_looks_take_no_more_memory_than_said(scene):
     large = scene((1025, 1025))
-    assert len(look_times(large, 3)) * 3 * 8 * 1025**2 <= peak.LOOKS_BYTES
-    assert len(look_times(scene((8193, 8193)))) == peak.FEWEST_LOOKS
+    assert len(sample_times(large, 3)) * 3 * 8 * 1025**2 <= peak.SAMPLES_BYTES
+    assert len(sample_times(scene((8193, 8193)))) == peak.FEWEST_SAMPLES
 
 
 @pytest.mark.parametrize("name", ["simulate", "effects"])

@@ -15,7 +15,7 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.effects import MovingLoad
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.peak import largest, look_times
+from warp_plate.solve.peak import peak_of, sample_times
 from warp_plate.solve.solver import PlateSolver
 
 # The name of the bare plate among the timed ones.
@@ -128,8 +128,8 @@ def _other(scene: Scene, name: str, device: str) -> tuple[PlateSolver | None, st
 def _run(solver: PlateSolver) -> tuple[float, float]:
     """Localization factor under the scene's own drive, and the peak displacement [m]."""
     scene = solver.scene
-    run = solver.run(scene_phasors(scene)[None], look_times(scene))
-    return float(localization_factor(run.energy)[0]), largest(run.displacement)
+    run = solver.run(scene_phasors(scene)[None], sample_times(scene))
+    return float(localization_factor(run.energy)[0]), peak_of(run.displacement)
 
 
 def seconds_a_step(solvers: Mapping[str, PlateSolver], device: str, rounds: int = ROUNDS) -> dict[str, np.ndarray]:

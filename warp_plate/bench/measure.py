@@ -223,7 +223,7 @@ def prepare(case: BenchCase) -> PreparedCase:
     state = make_state(specialized, case.plates, wp.array(NOTHING_TRACED, dtype=int, device=device))
     random = np.random.default_rng(0)
     parts = random.uniform(-1, 1, (2, case.plates, specialized.patches.shape[0]))
-    coefficients = specialized.signals.coefficients(parts[0] + 1j * parts[1])
+    coefficients = specialized.discretization.signals.coefficients(parts[0] + 1j * parts[1])
     state.host.coefficients.numpy()[:] = coefficients
     load_drives(engine, state, case.plates)
     inner = (case.nodes - 2, case.nodes - 2)

@@ -86,7 +86,9 @@ class Evaluator:
             WorkersGone: No worker is left.
         """
         if self.pool is None:
-            run = self.solver.run(designs, each=on_block)
+            run = self.solver.run(designs)
+            if on_block is not None:
+                on_block(slice(0, len(run.energy)), run.energy)
             return Evaluation(run.energy, run.node_steps, run.faults)
         return self._run_blocks(self.pool, designs, on_block)
 
@@ -156,7 +158,7 @@ class Evaluator:
 def make_evaluator(
     scene: Scene, device: str = "auto", path: str = "auto", pool: Pool | None = None, **options: Any
 ) -> Evaluator:
-    """Return the evaluator of a scene; for the options see :class:`PlateSolver` (areas, per_plate, quantity, share).
+    """Return the evaluator of a scene; the options are those of :class:`PlateSolver` (areas, memory_share, ...).
 
     Args:
         scene: A scene with a grid.

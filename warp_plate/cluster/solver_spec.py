@@ -65,12 +65,12 @@ def recipe_of(
     areas: Mapping[str, Region] = NO_AREAS,
     per_plate: PerPlate = NO_PER_PLATE,
     quantity: Quantity = "velocity",
-    share: float = 1.0,
+    memory_share: float = 1.0,
 ) -> Recipe:
     """The recipe of ``PlateSolver(scene, ...)``; for the arguments and errors see there."""
     weights = region_weights(scene, areas)[len(REGIONS) :]
     named = dict(zip(areas, weights, strict=True))
-    return Recipe(dump_scene(scene), contents_of(scene), device, path, named, per_plate, quantity, share)
+    return Recipe(dump_scene(scene), contents_of(scene), device, path, named, per_plate, quantity, memory_share)
 
 
 def contents_of(scene: Scene) -> dict[str, bytes]:
@@ -108,5 +108,5 @@ def make_solver(recipe: Recipe) -> PlateSolver:
             areas=recipe.areas,
             per_plate=recipe.per_plate,
             quantity=recipe.quantity,
-            share=recipe.share,
+            memory_share=recipe.share,
         )

@@ -12,7 +12,6 @@ from queue import SimpleQueue
 from typing import IO, Any
 
 from warp_plate.cluster.frames import receive, send
-from warp_plate.solve.batching import TURNS
 
 # A task that came, or the ticket of one with which the GPU is done.
 Event = dict[str, Any] | int
@@ -53,7 +52,7 @@ def main() -> None:
             waiting.append(event)
         else:
             answer(event)
-        while waiting and len(begun) < TURNS:
+        while waiting and not begun:
             task = waiting.popleft()
             begun.append((task["ticket"], begin(task["name"], task["payload"], caught=True)))
             if (wait := gpu_end()) is None:

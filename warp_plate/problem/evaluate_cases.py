@@ -16,7 +16,7 @@ from warp_plate.result.crosstalk import target_regions
 from warp_plate.result.model import Case
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.peak import run_and_look
+from warp_plate.solve.peak import run_with_peak
 from warp_plate.solve.run import Run
 from warp_plate.solve.solver import PlateSolver
 
@@ -47,14 +47,14 @@ def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -
     if problem.parametrization.only_drives or position is None:
         best = drives["single"] if position is None else problem.parametrization.designs(position[None]).drives[0]
         drives["best"] = best
-        run, peak = run_and_look(problem.drive_solver, np.array(list(drives.values())))
+        run, peak = run_with_peak(problem.drive_solver, np.array(list(drives.values())))
         return EvaluatedCases(cases_from_run(drives, run), scene, drives, run, peak, 0)
-    run, _ = run_and_look(problem.drive_solver, np.array(list(drives.values())))
+    run, _ = run_with_peak(problem.drive_solver, np.array(list(drives.values())))
     # The scene that was found, run as ``simulate`` runs it: what is written is what was judged.
     found, designs = problem.parametrization.scene_of(position), problem.parametrization.designs(position[None])
     solver = PlateSolver(found, problem.drive_solver.device.alias, problem.path, areas=target_regions(found))
     best = {"best": scene_phasors(found)}
-    own, peak = run_and_look(solver, best["best"][None])
+    own, peak = run_with_peak(solver, best["best"][None])
     cases = cases_from_run(drives, run)
     frequency, centre, delay = (
         None if values is None else values[0] for values in (designs.frequency, designs.centre, designs.delay)

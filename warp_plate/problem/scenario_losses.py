@@ -105,7 +105,7 @@ def simulate_scenarios(
     for one in scenarios:
         judge = make_objectives(one.scene)
         share = 1 / (len(scenarios) * (2 if judge.needs_displacement else 1))
-        panels.append(ScenarioPlates(one, judge, _evaluators(one, judge, device, path, pool, share=share)))
+        panels.append(ScenarioPlates(one, judge, _evaluators(one, judge, device, path, pool, memory_share=share)))
     return ScenarioLosses(tuple(panels))
 
 

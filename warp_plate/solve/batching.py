@@ -1,26 +1,166 @@
-"""How a large batch on a CUDA device is cut: while it steps a part, the host makes the next ones ready."""
+"""A batch of plates under way on a device, and how a large batch is cut into parts."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
-# So many states take turns: the device steps one, the next one is ready, and the host is at the third.
-TURNS = 3
-# The first part, for which the device waits, is small, but has so much work as keeps it busy; the others grow to so
-# many times as many plates. (An H200 runs 2112 plates of the paper's scene side by side, which are just that part.)
-FIRST_NODE_STEPS, LARGEST_PART = 1.65e9, 16
+import numpy as np
+import warp as wp
+
+from warp_plate.plate.designs import PerPlateValues
+from warp_plate.scene.errors import SceneError
+from warp_plate.solve.engine import Engine, load_drives, queue_region_sums
+from warp_plate.solve.scaling import energy_unit, scaled_coefficients, speed_unit
+from warp_plate.solve.specialize import Specialized
+from warp_plate.solve.state import State, bytes_per_plate
+from warp_plate.solve.status import exceeds, find_faults, steps_between_checks
+
+# A launch does at most about this much work, so that progress is shown and Ctrl-C is heard.
+SEGMENT_NODE_STEPS = {"cpu": 1e9, "cuda": 5e10}
+# A part of a large batch on CUDA: eight times the 2112 plates of the paper's scene that an H200 runs side by side.
+# While it is stepped, the host prepares the next one.
+PART_NODE_STEPS = 1.32e10
+# The largest share of a CUDA device's free memory that plates take. On CPU they take this many bytes, and are no more
+# than one launch takes to the end of the run, but FEWEST_PLATES at least.
+CUDA_MEMORY_SHARE = 0.6
+CPU_BYTES = 256 * 2**20
+FEWEST_PLATES = 64
 
 
-def first_part(node_steps_per_plate: int) -> int:
-    """How many plates the first part has."""
-    return math.ceil(FIRST_NODE_STEPS / node_steps_per_plate)
+class PlateBatch:
+    """Plates in one state, from rest at t = 0; results are in SI units.
+
+    Attributes:
+        engine: The compiled kernels.
+        state: The plates' arrays, of which this batch uses the first ``len(phasors)`` plates.
+        phasors: (plates, actuators) drives.
+        scale: (plates,) pressure that each plate is scaled by [N/m²]; not finite if its drive is not.
+        largest_rate: Rate that no bounded plate exceeds per step since the start, see ``solve.status``.
+        grown: (plates,) step at which a plate was seen to grow without bound, or −1.
+        step: Number of steps taken.
+    """
+
+    def __init__(
+        self, engine: Engine, state: State, phasors: np.ndarray, values: PerPlateValues, largest_rate: float
+    ) -> None:
+        self.engine, self.state, self.phasors, self.largest_rate = engine, state, phasors, largest_rate
+        self.grown = np.full(len(phasors), -1)
+        self.step = 0
+        specialized = engine.specialized
+        moving = specialized.discretization.moving
+        least = moving.largest if moving else 0.0
+        sizes = engine.per_plate.put_waves(state, values)
+        coefficients = state.host.coefficients.numpy()
+        self.scale = scaled_coefficients(specialized.discretization.signals, phasors, sizes, least, coefficients)
+        load_drives(engine, state, len(phasors), values.edges)
+        if not specialized.effects.plain:
+            with np.errstate(over="ignore", invalid="ignore"):  # of plates whose drive is not finite
+                state.host.units.numpy()[: len(phasors)] = self.scale * specialized.scheme.load_scale
+            wp.copy(state.units, state.host.units, count=len(phasors))
+        if moving:
+            strength = np.zeros(state.capacity)
+            strength[: len(phasors)] = least / np.where(self.scale == 0, 1, self.scale)
+            state.moving.assign(strength.astype(specialized.scene.grid.precision))
+        state.clear(len(phasors))
+
+    def advance(self, stop: int) -> None:
+        """Take the plates to step ``stop``; on CUDA the work is queued."""
+        if stop > self.step:
+            self.engine.advance(self.state, len(self.phasors), self.step, stop)
+            self.step = stop
+
+    def check_growth(self) -> bool:
+        """Look for plates that grow without bound; return whether all do."""
+        rate = self.state.rate.numpy()[: len(self.phasors)]
+        self.grown[(self.grown < 0) & exceeds(rate, self.step * self.largest_rate)] = self.step
+        return bool((self.grown >= 0).all())
+
+    @property
+    def displacement(self) -> np.ndarray:
+        """(plates, ny, nx) displacement [m]."""
+        return self._field(self.state.u, self.engine.specialized.scheme.load_scale)
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """(plates, ny, nx) velocity half a step before the displacement [m/s]."""
+        return self._field(self.state.rate, speed_unit(self.engine.specialized))
+
+    def _field(self, field: wp.array, unit: float) -> np.ndarray:
+        nx, ny = self.engine.specialized.scheme.nodes
+        values = field[: len(self.phasors)].numpy()[:, 1 : ny + 1, :nx].astype(float)
+        with np.errstate(over="ignore", invalid="ignore"):
+            values *= (self.scale * unit)[:, None, None]
+        return values
+
+    def trace(self, shares: np.ndarray) -> np.ndarray:
+        """Return (plates, points, steps) displacements of points [m], NaN from ``step`` on.
+
+        Args:
+            shares: (points, 4) weights of the four nodes around each point, see ``weights.bilinear``.
+        """
+        corners = self.state.trace.numpy()[: len(self.phasors)]
+        corners = corners.reshape(len(self.phasors), len(shares), 4, -1).astype(float)
+        with np.errstate(over="ignore", invalid="ignore"):
+            unit = (self.scale * self.engine.specialized.scheme.load_scale)[:, None, None]
+            trace: np.ndarray = np.einsum("mpcn,pc->mpn", corners, shares) * unit
+        trace[:, :, self.step :] = np.nan
+        return trace
+
+    def queue_energies(self) -> Callable[[np.ndarray], dict[int, tuple[str, float]]]:
+        """Queue the sums of the energies.
+
+        Returns:
+            Function that waits for the sums, writes the energies (plates, regions) [J] into an array, and returns the
+            faulty plates with fault and time, see ``Run.faults``.
+        """
+        specialized = self.engine.specialized
+        scheme, sums = specialized.scheme, queue_region_sums(self.engine, self.state, len(self.phasors))
+
+        def finish(energy: np.ndarray) -> dict[int, tuple[str, float]]:
+            largest_sum = (scheme.window[1] - scheme.window[0]) * (scheme.steps * self.largest_rate) ** 2
+            unit = energy_unit(specialized)
+            faults = find_faults(self.phasors, self.scale, self.grown, sums(), unit, largest_sum, energy)
+            times = np.where(self.grown >= 0, self.grown * scheme.time_step, math.nan)
+            return {plate: (fault, float(times[plate])) for plate, fault in faults.items()}
+
+        return finish
 
 
-def part_sizes(plates: int, first: int) -> list[int]:
-    """How many plates each part has: twice as many as the one before, and few in the last, whose end is waited for."""
-    last = 2 * first
-    sizes, rest, size = [], plates - last, first
-    while rest > 0:
-        sizes.append(min(size, rest))
-        rest, size = rest - sizes[-1], min(2 * size, LARGEST_PART * first)
-    return [*sizes, last]
+def segment_steps(specialized: Specialized, plates: int) -> tuple[int, bool]:
+    """Return the largest number of steps to take at once, and whether to check for growth after them."""
+    node_steps = plates * specialized.interior_nodes
+    segment = max(1, int(SEGMENT_NODE_STEPS["cuda" if specialized.device.is_cuda else "cpu"] / node_steps))
+    between = steps_between_checks(specialized, plates)
+    return min(segment, between or segment), between is not None
+
+
+def part_plates(node_steps_per_plate: int) -> int:
+    """Return the number of plates in each part of a large batch on CUDA."""
+    return math.ceil(PART_NODE_STEPS / node_steps_per_plate)
+
+
+def plates_that_fit(specialized: Specialized, traced_nodes: int, held: float, memory_share: float) -> int:
+    """Return how many plates the device has memory for, at least 1.
+
+    Args:
+        specialized: The scene on its device.
+        traced_nodes: Number of nodes whose displacement is kept.
+        held: Bytes that this solver's states hold now and would give back.
+        memory_share: Share of the memory for plates that this solver may take.
+
+    Raises:
+        SceneError: A CUDA device has no memory for one plate.
+    """
+    device, needed = specialized.device, bytes_per_plate(specialized, traced_nodes)
+    if device.is_cuda:
+        room = memory_share * CUDA_MEMORY_SHARE * device.free_memory + held
+        if needed > room:
+            raise SceneError(
+                f"grid.nodes = {list(specialized.scene.grid.nodes)}: a plate takes {needed / 2**30:.3g} GiB, and "
+                f"{room / 2**30:.3g} GiB of {device.alias} may be taken; use fewer nodes or record.points"
+            )
+        return int(room / needed)
+    work = specialized.interior_nodes * specialized.scheme.steps
+    most = max(FEWEST_PLATES, int(SEGMENT_NODE_STEPS["cpu"] / work))
+    return max(1, min(most, int(memory_share * CPU_BYTES / needed)))

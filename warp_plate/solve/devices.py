@@ -1,4 +1,4 @@
-"""Which device to run on, and how many cores of the CPU."""
+"""Choice of the device, and the number of cores of the CPU."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from warp_plate.scene.errors import SceneError
 
 
 def find_device(name: str) -> wp.Device:
-    """The Warp device of a name; "auto" is the first CUDA device, else the CPU.
+    """Return the Warp device of a name; "auto" is the first CUDA device if there is one, else the CPU.
 
     Raises:
         SceneError: Warp knows no such device here.
@@ -31,13 +31,13 @@ def find_device(name: str) -> wp.Device:
 
 
 def device_aliases() -> list[str]:
-    """Warp's names for the devices of this machine."""
+    """Return Warp's names for the devices of this machine."""
     find_device("cpu")
     return [device.alias for device in wp.get_devices()]
 
 
 def processor_of(device: wp.Device) -> str:
-    """The model of a device; what Python knows of the processor where the system has no /proc/cpuinfo."""
+    """Return the model of a device."""
     if device.is_cuda:
         return str(device.name)
     listing = Path("/proc/cpuinfo")
@@ -49,24 +49,22 @@ def processor_of(device: wp.Device) -> str:
 
 
 def cpu_threads() -> int:
-    """Cores that this process may use; the environment variable WARP_PLATE_THREADS sets another number.
+    """Return the number of threads to use on CPU: WARP_PLATE_THREADS, else the cores that this process may use.
 
     Raises:
-        SceneError: the variable is no whole number from 1 on.
+        SceneError: The environment variable is not a whole number from 1 on.
     """
-    told = os.environ.get("WARP_PLATE_THREADS", "")
-    if told:
-        if not told.isdecimal() or int(told) < 1:
-            raise SceneError(f"WARP_PLATE_THREADS = {told!r}: must be a whole number, at least 1")
-        return int(told)
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    setting = os.environ.get("WARP_PLATE_THREADS", "")
+    if setting:
+        if not setting.isdecimal() or int(setting) < 1:
+            raise SceneError(f"WARP_PLATE_THREADS = {setting!r}: must be a whole number, at least 1")
+        return int(setting)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextlib.contextmanager
 def _quiet_standard_error() -> Iterator[None]:
-    """Drop what Warp's C++ side says where there is no CUDA driver: on most machines that is no fault."""
+    """Drop what Warp's C++ side writes where there is no CUDA driver, which is no fault on most machines."""
     sys.stderr.flush()
     kept = os.dup(2)
     try:

@@ -70,7 +70,7 @@ def material_of(specialized: Specialized) -> Any:
 
 def _travel(specialized: Specialized) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Strength (steps,) as a part of its largest, and shares along x and y, of a load that moves."""
-    moving = specialized.moving
+    moving = specialized.discretization.moving
     if moving is None:
         return np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1))
     return moving.wave / moving.largest, moving.along_x, moving.along_y

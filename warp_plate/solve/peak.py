@@ -1,4 +1,4 @@
-"""The largest displacement of a plate over its whole run, beside what is recorded of it."""
+"""The largest displacement of a plate over its whole run, sampled beside the times that are recorded."""
 
 from __future__ import annotations
 
@@ -12,36 +12,41 @@ from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Run
 from warp_plate.solve.solver import PlateSolver, Progress
 
-# Looks at a plate: so many in a period of the highest frequency (between two, a sine rises by 2 % at most), but no more
-# than so many in a run, whose copies take so many bytes at most; and never fewer than so many.
-LOOKS_A_PERIOD, MOST_LOOKS, LOOKS_BYTES, FEWEST_LOOKS = 16, 320, 2**28, 2
-# Looks that are too few for every period are shifted by multiples of the golden ratio, so that they never keep in step
-# with the motion.
+# Samples in a period of the highest frequency (between two, a sine rises by 2 % at most), in a run at most and at
+# least, and the bytes that they take at most.
+SAMPLES_A_PERIOD, MOST_SAMPLES, FEWEST_SAMPLES, SAMPLES_BYTES = 16, 320, 2, 2**28
+# Samples too few for every period are shifted by multiples of the golden ratio, so as never to keep in step with the
+# motion.
 GOLDEN = (math.sqrt(5) - 1) / 2
 
 
-def run_and_look(solver: PlateSolver, drives: np.ndarray, progress: Progress | None = None) -> tuple[Run, float]:
-    """Run drives (plates, actuators) with what the scene records, and the largest displacement [m] of the last one."""
+def run_with_peak(solver: PlateSolver, phasors: np.ndarray, progress: Progress | None = None) -> tuple[Run, float]:
+    """Run phasors (plates, actuators) with the scene's records.
+
+    Returns:
+        The run, and the largest displacement [m] of its last plate.
+    """
     scene = solver.scene
     recorded = record_times(scene)
-    run = solver.run(drives, (*recorded, *look_times(scene, len(drives))), scene.record.points, progress)
-    kept, peak = len(recorded), largest(run.displacement[-1])
+    run = solver.run(phasors, (*recorded, *sample_times(scene, len(phasors))), scene.record.points, progress)
+    kept, peak = len(recorded), peak_of(run.displacement[-1])
     return replace(run, displacement=run.displacement[:, :kept], times=run.times[:kept]), peak
 
 
 def record_times(scene: Scene) -> tuple[float, ...]:
-    """The times [s] that the scene names, else the middle of the run and its end."""
+    """Return the times [s] that the scene records (default: the middle of the run and its end)."""
     return scene.record.times or (scene.window.end / 2, scene.window.end)
 
 
-def look_times(scene: Scene, plates: int = 1) -> tuple[float, ...]:
-    """The times [s] at which a run of so many plates is looked at for its largest displacement.
+def sample_times(scene: Scene, plates: int = 1) -> tuple[float, ...]:
+    """Return the times [s] at which to sample the displacement of ``plates`` plates for their peak.
 
-    Where looks are too few for the whole run, the first burst and a moving load's time on its way get as many as it.
+    If all periods of the run take too many samples, the first burst and a moving load's passage get as many samples as
+    the whole run.
     """
     end, (nx, ny) = scene.window.end, scene.grid.nodes
-    wanted = math.ceil(LOOKS_A_PERIOD * highest_frequency(scene) * end)
-    most = min(MOST_LOOKS, max(FEWEST_LOOKS, LOOKS_BYTES // (8 * nx * ny * plates)))
+    wanted = math.ceil(SAMPLES_A_PERIOD * highest_frequency(scene) * end)
+    most = min(MOST_SAMPLES, max(FEWEST_SAMPLES, SAMPLES_BYTES // (8 * nx * ny * plates)))
     if wanted <= most:
         return tuple((end * np.arange(1, wanted + 1) / wanted).tolist())
     spans = [(0.0, end)]
@@ -56,6 +61,6 @@ def look_times(scene: Scene, plates: int = 1) -> tuple[float, ...]:
     return tuple(start + (stop - start) * part for start, stop in spans for part in share.tolist())
 
 
-def largest(displacement: np.ndarray) -> float:
-    """Of any sign; NaN where some of it is no number."""
+def peak_of(displacement: np.ndarray) -> float:
+    """Return the largest magnitude; NaN if some displacement is."""
     return float(np.maximum(displacement.max(), -displacement.min()))

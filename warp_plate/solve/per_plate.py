@@ -36,9 +36,9 @@ class PerPlateKernels:
 
 
 def make_per_plate_kernels(specialized: Specialized) -> PerPlateKernels:
-    """Compile what ``specialized.per_plate`` asks for, or read it from Warp's cache."""
+    """Compile what ``specialized.discretization.per_plate`` asks for, or read it from Warp's cache."""
     spread = make_spread_moved_drives(specialized.real)
-    if specialized.per_plate.centre:
+    if specialized.discretization.per_plate.centre:
         wp.load_module(module=spread.module, device=specialized.device)
     share: wp.array = wp.array(specialized.share, dtype=wp.float64, device=specialized.device)
     return PerPlateKernels(_waves(specialized), _places(specialized), spread, [specialized.support, share])
@@ -50,7 +50,7 @@ def _waves(specialized: Specialized) -> PutWaves:
     drive, burst = scene.drive, scene.drive.burst
     tones = make_tones(specialized.real, burst is not None)
     add_up = make_running_sums(specialized.real)
-    if specialized.carriers:
+    if specialized.discretization.carriers:
         for kernel in (tones, add_up):
             wp.load_module(module=kernel.module, device=device)
     envelope = Envelope()
@@ -69,13 +69,13 @@ def _waves(specialized: Specialized) -> PutWaves:
             inputs: list[Any] = [wp.array(one, dtype=wp.float64, device=device) for one in (frequency, late)]
             wp.launch(
                 tones,
-                dim=(plates, scheme.steps, specialized.carriers),
+                dim=(plates, scheme.steps, specialized.discretization.carriers),
                 inputs=[*inputs, scheme.time_step, envelope],
                 outputs=[state.plate_waves],
                 device=device,
             )
         else:
-            block = max(1, HOST_NUMBERS // (scheme.steps * specialized.signals.terms))
+            block = max(1, HOST_NUMBERS // (scheme.steps * specialized.discretization.signals.terms))
             for first in range(0, plates, block):
                 some = slice(first, min(first + block, plates))
                 made = waves_per_plate(
@@ -83,8 +83,8 @@ def _waves(specialized: Specialized) -> PutWaves:
                 )
                 state.plate_waves[some].assign(made.astype(scene.grid.precision))
         if specialized.quantity == "velocity":
-            return np.ones((1, specialized.signals.terms))
-        sizes = wp.zeros((plates, specialized.signals.terms), dtype=wp.float64, device=device)
+            return np.ones((1, specialized.discretization.signals.terms))
+        sizes = wp.zeros((plates, specialized.discretization.signals.terms), dtype=wp.float64, device=device)
         wp.launch(add_up, dim=sizes.shape, inputs=[state.plate_waves], outputs=[sizes], device=device)
         return np.asarray(sizes.numpy())
 
@@ -94,7 +94,7 @@ def _waves(specialized: Specialized) -> PutWaves:
 def _places(specialized: Specialized) -> PutPlaces:
     scene, device = specialized.scene, specialized.device
     weigh_along = make_weigh_along(scene.grid.load == "moments")
-    if specialized.per_plate.centre:
+    if specialized.discretization.per_plate.centre:
         wp.load_module(module=weigh_along.module, device=device)
     positions: list[wp.array] = [wp.array(axis, dtype=wp.float64, device=device) for axis in node_positions(scene)]
     to_weights = wp.mat44d(*np.linalg.inv(CUBICS).ravel().tolist())

@@ -1,9 +1,9 @@
 """Gram matrices of the unit responses, and the exact bound on the localization factor that they give.
 
 A scene that is linear in its drives has, with z = (Re Z₁ ... Re Z_M, −Im Z₁ ... −Im Z_M) in R^{2M}, the energies
-zᵀA z in the target and zᵀB z in the plate. So LF = zᵀA z / zᵀB z, and no drive passes the largest eigenvalue of
+zᵀA z in the target and zᵀB z in the plate. So LF = zᵀA z / zᵀB z, and no drive exceeds the largest eigenvalue of
 A z = λ B z. The matrices come from plates like any others, by polarisation: with E the energy under a drive,
-E(a + b) − E(a) − E(b) = 2 aᵀA b. That takes M(2M + 1) plates, and no kernel of its own.
+E(a + b) − E(a) − E(b) = 2 aᵀA b. That takes M(2M + 1) plates.
 """
 
 from __future__ import annotations
@@ -16,36 +16,40 @@ from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.weights import REGIONS
 from warp_plate.solve.solver import PlateSolver, Progress
 
-# Drives whose plate energy is below this part of the largest are combinations that cancel out: two actuators in one
-# place, for example. What is left of their energy is rounding, and no ratio of it means anything.
+# Drives whose plate energy is below this part of the largest cancel out, such as those of two actuators in one place.
+# Their energy is rounding, and its ratio means nothing.
 RANK_TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True)
 class Response:
-    """Symmetric matrices (regions, 2M, 2M) with energy = zᵀ matrix z [J per (N/m²)²]; float64; REGIONS come first."""
+    """Energies as quadratic forms of the drives.
+
+    Attributes:
+        matrices: (regions, 2M, 2M) symmetric float64 matrices with energy = zᵀ matrix z [J per (N/m²)²]; the first
+            regions are REGIONS.
+    """
 
     matrices: np.ndarray
 
-    def energy(self, drives: np.ndarray) -> np.ndarray:
-        """(plates, regions) energies [J] of drives (plates, actuators), as ``PlateSolver.run`` would give them."""
-        z = real_parts(drives)
+    def energy(self, phasors: np.ndarray) -> np.ndarray:
+        """Return (plates, regions) energies [J] of phasors (plates, actuators), as ``PlateSolver.run`` would."""
+        z = real_parts(phasors)
         return np.einsum("pa,rab,pb->pr", z, self.matrices, z)
 
     def bound(self) -> float:
-        """The largest localization factor that any drive can reach."""
+        """Return the largest localization factor that any drive can reach."""
         return largest_ratio(self.matrices)[0]
 
     def best_drive(self) -> np.ndarray:
-        """(actuators,) a drive [N/m²] that reaches the bound; its first actuator with magnitude at most one."""
-        z = largest_ratio(self.matrices)[1]
-        cosine, sine = np.split(z, 2)
-        drive: np.ndarray = cosine - 1j * sine
-        return drive / np.abs(drive).max()
+        """Return (actuators,) phasors [N/m²] that reach the bound, the largest of magnitude one."""
+        cosine, sine = np.split(largest_ratio(self.matrices)[1], 2)
+        phasors: np.ndarray = cosine - 1j * sine
+        return phasors / np.abs(phasors).max()
 
 
 def unit_drives(actuators: int) -> np.ndarray:
-    """(M(2M + 1), actuators) drives for the polarisation: the 2M units, then their sums two by two."""
+    """Return (M(2M + 1), actuators) phasors for the polarisation: the 2M units, then their sums two by two."""
     units = np.concatenate([np.eye(actuators), -1j * np.eye(actuators)])
     first, second = np.triu_indices(2 * actuators, k=1)
     return np.concatenate([units, units[first] + units[second]])
@@ -55,7 +59,7 @@ def measure_response(solver: PlateSolver, progress: Progress | None = None) -> R
     """Simulate the unit drives; ``solver`` should be float64, for the differences of energies lose digits.
 
     Raises:
-        SceneError: so many actuators that their drives do not fit into memory.
+        SceneError: The unit drives of so many actuators do not fit into memory.
     """
     actuators = len(solver.scene.actuators)
     refuse_beyond_memory(100.0 * actuators**3, f"actuators: {actuators}, which makes {2 * actuators**2} unit drives;")
@@ -63,27 +67,26 @@ def measure_response(solver: PlateSolver, progress: Progress | None = None) -> R
 
 
 def response_of(energy: np.ndarray, actuators: int) -> Response:
-    """The response whose plates had these energies (M(2M + 1), regions) [J] under ``unit_drives``."""
+    """Return the response whose plates had the energies (M(2M + 1), regions) [J] under ``unit_drives``."""
     count = 2 * actuators
     first, second = np.triu_indices(count, k=1)
     matrices = np.zeros((energy.shape[1], count, count))
-    diagonal, mixed = energy[:count], energy[count:]
-    for matrix, own, pair in zip(matrices, diagonal.T, mixed.T, strict=True):
-        matrix[np.diag_indices(count)] = own
-        matrix[first, second] = matrix[second, first] = (pair - own[first] - own[second]) / 2
+    for matrix, single, pair in zip(matrices, energy[:count].T, energy[count:].T, strict=True):
+        matrix[np.diag_indices(count)] = single
+        matrix[first, second] = matrix[second, first] = (pair - single[first] - single[second]) / 2
     return Response(matrices)
 
 
-def real_parts(drives: np.ndarray) -> np.ndarray:
-    """(plates, 2M) z = (Re Z, −Im Z) of drives (plates, actuators)."""
-    drives = np.asarray(drives, dtype=complex)
-    return np.concatenate([drives.real, -drives.imag], axis=1)
+def real_parts(phasors: np.ndarray) -> np.ndarray:
+    """Return (plates, 2M) z = (Re Z, −Im Z) of phasors (plates, actuators)."""
+    phasors = np.asarray(phasors, dtype=complex)
+    return np.concatenate([phasors.real, -phasors.imag], axis=1)
 
 
 def largest_ratio(matrices: np.ndarray) -> tuple[float, np.ndarray]:
-    """Largest λ of A z = λ B z and its z, within the drives that move the plate; (NaN, 0) if none does."""
+    """Return the largest λ of A z = λ B z and its z, among drives that move the plate; (NaN, 0) if none does."""
     target, plate = matrices[REGIONS.index("target")], matrices[REGIONS.index("plate")]
-    # Actuators of very different size must not make each other look like rounding: units of equal energy first.
+    # Scaled to units of equal energy, so that no small actuator looks like rounding.
     size = np.sqrt(np.where(np.diag(plate) > 0, np.diag(plate), 1))
     values, vectors = np.linalg.eigh(plate / np.outer(size, size))
     kept = values > RANK_TOLERANCE * values[-1]

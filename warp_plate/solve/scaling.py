@@ -1,4 +1,4 @@
-"""From phasors to the factors of the waves, each plate scaled by its own largest pressure; and back to joules."""
+"""Scaling of each plate by its own largest pressure, and from the kernels' sums back to joules."""
 
 from __future__ import annotations
 
@@ -8,22 +8,29 @@ from warp_plate.plate.row_blocks import over_blocks
 from warp_plate.plate.signals import Signals
 from warp_plate.solve.specialize import Specialized
 
-# Sizes of drives [N/m²] whose energies, which go with the square, are numbers of full precision.
+# Sizes of drives [N/m²] whose energies, which go with the square, keep full precision.
 SMALLEST_DRIVE, LARGEST_DRIVE = 1e-130, 1e130
 
 
 def scaled_coefficients(
-    signals: Signals, phasors: np.ndarray, sizes: np.ndarray, least: float, into: np.ndarray
+    signals: Signals, phasors: np.ndarray, sizes: np.ndarray, least: float, coefficients: np.ndarray
 ) -> np.ndarray:
-    """(plates,) the pressure [N/m²] that each plate is scaled by; NaN where its energies would be no full numbers.
+    """Write the coefficients of plates, each in units of the plate's largest pressure, and return the pressures.
 
-    phasors: (plates, actuators); sizes: (1 or plates, terms) by which the waves were divided; least: pressure of a
-    load that moves, which all plates have; into: (room for plates, terms, actuators), takes the coefficients.
+    Args:
+        signals: Waves of the scene.
+        phasors: (plates, actuators) drives.
+        sizes: (1 or plates, terms) factors that the waves were divided by.
+        least: Pressure of the moving load, which all plates have [N/m²].
+        coefficients: (capacity, terms, actuators), written.
+
+    Returns:
+        (plates,) pressure [N/m²] of each plate; NaN where its energies would not keep full precision.
     """
     scale = np.empty(len(phasors))
 
     def fill(rows: slice) -> None:
-        with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite harms its own plate alone
+        with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite spoils its own plate alone
             # Plates innermost: NumPy is slow along short rows.
             columns = signals.coefficients(phasors[rows]).transpose(1, 2, 0)
             columns *= (sizes if len(sizes) == 1 else sizes[rows]).T[:, None]
@@ -31,16 +38,20 @@ def scaled_coefficients(
             pressure[(pressure != 0) & ~((pressure >= SMALLEST_DRIVE) & (pressure <= LARGEST_DRIVE))] = np.nan
             scale[rows] = pressure
             columns /= np.where(pressure == 0, 1, pressure)
-            into[rows] = columns.transpose(2, 0, 1)
+            coefficients[rows] = columns.transpose(2, 0, 1)
 
     over_blocks(fill, len(phasors))
     return scale
 
 
+def speed_unit(specialized: Specialized) -> float:
+    """Return the velocity [m/s] of a rate of one under a pressure of 1 N/m²; the displacement [m] for displacements."""
+    scheme = specialized.scheme
+    return scheme.load_scale / (scheme.time_step if specialized.quantity == "velocity" else 1.0)
+
+
 def energy_unit(specialized: Specialized) -> float:
-    """½ρH·hx·hy·(load_scale/Δt)²/steps [J], of displacements without Δt [kg·m²]: turns weighted sums of rate² into
-    energy averaged over the window."""
+    """Return the energy, averaged over the window, of a sum of rate² of one: ½ρH·hx·hy·speed²/steps [J]."""
     scheme = specialized.scheme
     (hx, hy), (first, last) = scheme.spacing, scheme.window
-    speed = scheme.load_scale / (scheme.time_step if specialized.quantity == "velocity" else 1.0)
-    return 0.5 * scheme.surface_density * hx * hy * speed**2 / (last - first)
+    return 0.5 * scheme.surface_density * hx * hy * speed_unit(specialized) ** 2 / (last - first)

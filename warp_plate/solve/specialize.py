@@ -1,4 +1,4 @@
-"""Scene → compile key, scheme and the arrays that every path needs, on one device."""
+"""A discretized scene on one device: the compile key and the arrays that every path needs."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ import warp as wp
 
 from warp_plate.kernels.effects import Effects
 from warp_plate.kernels.update import make_parameters
-from warp_plate.plate.designs import PerPlate, actuator_spaces
+from warp_plate.plate.designs import actuator_spaces
 from warp_plate.plate.discretization import Discretization
-from warp_plate.plate.moving_load import MovingWeights
 from warp_plate.plate.scheme import Scheme
-from warp_plate.plate.signals import Signals, running_sums, waves_apart
+from warp_plate.plate.signals import running_sums, waves_apart
 from warp_plate.plate.stability_limit import needs_moment_form
 from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, reachable_nodes, weigh_region
 from warp_plate.scene.errors import SceneError
@@ -25,22 +24,32 @@ from warp_plate.solve.devices import cpu_threads
 
 # Rows are padded to whole cache lines, which are also whole vector registers.
 LINE_BYTES = 64
-# What a run's energies are of.
 Quantity = Literal["velocity", "displacement"]
 
 
 @dataclass(frozen=True)
 class Specialized:
-    """A scene made ready for the kernels of one device; arrays in the layout of ``warp_plate.kernels``.
+    """A scene made ready for the kernels of one device; arrays have the layout of ``warp_plate.kernels``.
 
-    real: wp.float32 or wp.float64; rows = ny + 2; stride: columns with padding; threads: of the CPU to use; regions:
-    names of those whose energy is summed.
-    support: (covered nodes, 2), patches: (actuators, covered nodes), weights: (regions, rows, stride),
-    wave: (steps, terms), all on the device; signals, moving: what drives and a moving load do in time; parameters:
-    the kernels' struct.
-    per_plate: what may differ between plates; carriers: of each plate's own, or 0; share: (covered nodes,) what
-    a pressure of one on a node's whole cell is worth there. quantity: of energies; for "displacement" the wave holds
-    running sums, divided by sizes (terms,), powers of two.
+    Attributes:
+        discretization: The scene on its grid, on the host.
+        scene: The scene.
+        scheme: Its steps and coefficients.
+        effects: Compile key of the kernels.
+        real: ``wp.float32`` or ``wp.float64``.
+        rows: Rows of a field, ny + 2.
+        stride: Columns of a field, nx and padding.
+        device: Device of all arrays.
+        threads: Threads of the CPU to use.
+        regions: Names of the regions whose energy is summed.
+        parameters: Struct of the kernels' scalar coefficients.
+        support: (covered nodes, 2) row of the field and column of the nodes that are loaded.
+        patches: (actuators, covered nodes) load of each actuator per unit of its coefficient.
+        weights: (regions, rows, stride) float64 weights of the regions.
+        wave: (steps, terms) waves that all plates share; running sums of them if energies are of displacements.
+        share: (covered nodes,) load on a node whose whole cell is under a pressure of one.
+        quantity: "velocity" for kinetic energies; "displacement" for the same sums of displacements.
+        sizes: (terms,) powers of two that the wave was divided by.
     """
 
     discretization: Discretization
@@ -57,24 +66,20 @@ class Specialized:
     support: wp.array
     patches: wp.array
     weights: wp.array
-    signals: Signals
-    moving: MovingWeights | None
     wave: wp.array
-    per_plate: PerPlate
-    carriers: int
     share: np.ndarray
     quantity: Quantity
     sizes: np.ndarray
 
     @property
     def interior_nodes(self) -> int:
-        """Nodes that move."""
+        """Number of nodes inside the edges."""
         nx, ny = self.scheme.nodes
         return (nx - 2) * (ny - 2)
 
     @cached_property
     def masses(self) -> np.ndarray:
-        """(regions,) mass of each region [kg]; kept, for asking a device waits until it is idle."""
+        """(regions,) mass of each region [kg]; cached because reading from a device waits until it is idle."""
         hx, hy = self.scheme.spacing
         masses: np.ndarray = self.weights.numpy().sum(axis=(1, 2)) * self.scheme.surface_density * hx * hy
         masses.flags.writeable = False
@@ -82,23 +87,23 @@ class Specialized:
 
     @property
     def loaded_rows(self) -> np.ndarray:
-        """(rows,) one for the rows of the tensor in which some node is loaded, else zero."""
+        """(rows,) one for the rows of a field that hold a loaded node, else zero."""
         loaded = np.zeros(self.rows, dtype=np.int32)
         loaded[np.unique(self.support.numpy()[:, 0])] = 1
         return loaded
 
     @property
     def taps(self) -> tuple[wp.array, wp.array, wp.array, wp.array]:
-        """bend_x, bend_y, move_x, move_y on the device, those of y times ``aspect``; see ``plate.operator``."""
+        """bend_x, bend_y, move_x, move_y of ``plate.operator`` on the device, those of y times ``aspect``."""
         x, y, aspect = self.scheme.taps_x, self.scheme.taps_y, self.scheme.aspect
         bend_x, bend_y, move_x, move_y = map(self.to_device, (x.bend, aspect * y.bend, x.move, aspect * y.move))
         return bend_x, bend_y, move_x, move_y
 
     def to_device(self, values: np.ndarray) -> wp.array:
-        """A copy on the device in the scene's precision.
+        """Return a copy on the device in the scene's precision.
 
         Raises:
-            SceneError: a number is too large for it.
+            SceneError: A value exceeds the range of that precision.
         """
         precision = self.scene.grid.precision
         if not (np.abs(values) <= np.finfo(precision).max).all():
@@ -110,8 +115,12 @@ class Specialized:
 
 
 def effect_names(scene: Scene, several_waves: bool = False) -> tuple[str, ...]:
-    """The effects in the compiled kernel, for people and for results; ``several_waves``: also where the scene's drive
-    does not ask for them."""
+    """Return the names of the effects in the compiled kernel.
+
+    Args:
+        scene: The scene.
+        several_waves: Plates have more waves than the scene's drive alone asks for.
+    """
     several_waves = several_waves or scene.drive.electrostatic is not None or waves_apart(scene) > 1
     damping = scene.effects.damping
     named = {
@@ -129,10 +138,11 @@ def effect_names(scene: Scene, several_waves: bool = False) -> tuple[str, ...]:
 
 
 def moment_form_effects(scene: Scene, moment_form: bool = False) -> dict[str, bool]:
-    """The part of the compile key that is off for a plain plate; ``moment_form``: taken by moments all the same."""
+    """Return the part of the compile key that is off for a plain plate; ``moment_form`` asks for the form itself."""
     effects = scene.effects
     elastic = any(not isinstance(edge, str) for _, edge in scene.edges)
-    found = {
+    return {
+        "moments": moment_form or needs_moment_form(scene),
         "material_damping": effects.material_damping is not None,
         "tension": effects.tension is not None,
         "foundation": effects.foundation is not None or elastic,
@@ -140,7 +150,6 @@ def moment_form_effects(scene: Scene, moment_form: bool = False) -> dict[str, bo
         "oscillators": bool(effects.oscillators),
         "moving_load": effects.moving_load is not None,
     }
-    return {"moments": moment_form or needs_moment_form(scene), **found}
 
 
 def specialize(
@@ -154,45 +163,30 @@ def specialize(
 
     Args:
         discretization: The scene on its grid.
-        device: Where the kernels run.
+        device: Device of the kernels.
         threads: Threads of the CPU (default: as many as it has).
         areas: Further regions by name.
         quantity: See :class:`Specialized`.
 
     Raises:
-        SceneError: displacements of a scene that is not linear, or an area that covers no node.
+        SceneError: Displacements are asked of a scene that is not linear, or an area covers no node.
     """
-    scene, scheme, per_plate = discretization.scene, discretization.scheme, discretization.per_plate
-    carriers, signals = discretization.carriers, discretization.signals
+    scene, scheme = discretization.scene, discretization.scheme
     _check_quantity(scene, quantity)
     real = {"float32": wp.float32, "float64": wp.float64}[scene.grid.precision]
     dtype = np.dtype(scene.grid.precision)
     nx, ny = scheme.nodes
     line = LINE_BYTES // dtype.itemsize
     stride = -(-nx // line) * line
-    fields = discretization.patches
-    reached = fields.any(axis=0)
-    if per_plate.centre:
-        reached |= reachable_nodes(scene, actuator_spaces(scene, per_plate))
-    share = np.ones(fields.shape[1:])
-    regions = np.stack(
-        [*discretization.region_weights, *(weigh_region(scene, name, area) for name, area in areas.items())]
-    )
-    if scheme.bending is not None:
-        # A pressure moves a node by its share of what the node's own part of the cell weighs.
-        loss = 0.0 if scheme.backward else scheme.viscous * scheme.time_step / scheme.bending.mass
-        ratio = scheme.bending.mass / scheme.surface_density
-        heavy = scheme.bending.weight * ratio * (1 + loss / 2)
-        fields, share = fields / heavy, share / heavy
-        regions = regions * ratio
+    further = [weigh_region(scene, name, area) for name, area in areas.items()]
+    fields, share, regions = _in_units_of_mass(discretization, np.stack([*discretization.region_weights, *further]))
+    support = np.argwhere(_loaded_nodes(discretization))
+    signals = discretization.signals
     wave, sizes = signals.wave, np.ones(signals.terms)
     if quantity == "displacement":
         wave, sizes = running_sums(wave)
-    support = np.argwhere(reached)
     parameters = make_parameters(real)()
-    parameters.stiffness = scheme.stiffness
-    parameters.aspect = scheme.aspect
-    parameters.decay = scheme.decay
+    parameters.stiffness, parameters.aspect, parameters.decay = scheme.stiffness, scheme.aspect, scheme.decay
     weights = np.zeros((len(regions), ny + 2, stride))
     weights[:, 1:-1, :nx] = regions
     return Specialized(
@@ -204,7 +198,7 @@ def specialize(
             square_cells=scheme.square_cells or scheme.order == 4,
             order=scheme.order,
             terms=signals.terms,
-            **moment_form_effects(scene, moment_form=carriers > 1),
+            **moment_form_effects(scene, moment_form=discretization.carriers > 1),
         ),
         real=real,
         rows=ny + 2,
@@ -216,11 +210,7 @@ def specialize(
         support=wp.array((support + [1, 0]).astype(np.int32), dtype=int, device=device),
         patches=wp.array(fields[:, support[:, 0], support[:, 1]].astype(dtype), dtype=real, device=device),
         weights=wp.array(weights, dtype=wp.float64, device=device),
-        signals=signals,
-        moving=discretization.moving,
         wave=wp.array(wave.astype(dtype), dtype=real, device=device),
-        per_plate=per_plate,
-        carriers=carriers,
         share=share[support[:, 0], support[:, 1]],
         quantity=quantity,
         sizes=sizes,
@@ -232,6 +222,32 @@ def _check_quantity(scene: Scene, quantity: str) -> None:
         raise SceneError(f"quantity = {quantity!r}: no such quantity; there are: {', '.join(get_args(Quantity))}")
     if quantity == "displacement" and not scene.linear:
         raise SceneError(
-            f"{scene.nonlinear_table}: displacements are not linear in the load, whose running sums would be taken; "
-            "delete it, or measure velocities"
+            f"{scene.not_linear}: displacements are computed as the response to the load's running sums, which holds "
+            "for linear plates alone; delete it, or measure velocities"
         )
+
+
+def _loaded_nodes(discretization: Discretization) -> np.ndarray:
+    """Return (ny, nx), true at nodes that an actuator loads, or can load if actuators move from plate to plate."""
+    scene, per_plate = discretization.scene, discretization.per_plate
+    loaded: np.ndarray = discretization.patches.any(axis=0)
+    if per_plate.centre:
+        loaded |= reachable_nodes(scene, actuator_spaces(scene, per_plate))
+    return loaded
+
+
+def _in_units_of_mass(
+    discretization: Discretization, regions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return loads (actuators, ny, nx), share (ny, nx) and weights (regions, ny, nx) relative to the nodes' masses.
+
+    In moment form a pressure accelerates a node by its share of the mass of the node's own part of the cell.
+    """
+    scheme, patches = discretization.scheme, discretization.patches
+    share = np.ones(patches.shape[1:])
+    if scheme.bending is None:
+        return patches, share, regions
+    loss = 0.0 if scheme.backward else scheme.viscous * scheme.time_step / scheme.bending.mass
+    ratio = scheme.bending.mass / scheme.surface_density
+    heavy = scheme.bending.weight * ratio * (1 + loss / 2)
+    return patches / heavy, share / heavy, regions * ratio

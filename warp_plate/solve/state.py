@@ -1,4 +1,4 @@
-"""The batched grid tensors of one chunk of plates."""
+"""The device arrays of a batch of plates."""
 
 from __future__ import annotations
 
@@ -12,20 +12,17 @@ import warp as wp
 
 from warp_plate.solve.specialize import Specialized
 
-# u, rate, squares, u_next, rate_next; and a load for each term
+# u, rate, squares, u_next, rate_next; the loads come on top.
 FIELDS = 5
-# And of the general paths at most: u, mx, my, mxy, ∇²u and what strains
-GENERAL_FIELDS = 6
-# All plates are cleared at once where the first are no fewer than one of so many: a call for each field takes longer.
-WHOLE = 4
+# What the moment form needs at most besides: u, mx, my, mxy, the membrane curvature and a strain.
+MOMENT_FORM_FIELDS = 6
+# Clear the whole batch at once if at least 1/CLEAR_SHARE of it is used: a call for each field takes longer.
+CLEAR_SHARE = 4
 
 
 @dataclass(frozen=True)
-class HostSide:
-    """Numbers of a state in the host's memory, pinned where the device is another: they are copied while both work.
-
-    coefficients, units, energy: as in :class:`State`.
-    """
+class HostBuffers:
+    """Host copies of three arrays of a :class:`State`; pinned for CUDA, so that copying does not stop the host."""
 
     coefficients: wp.array
     units: wp.array
@@ -34,19 +31,34 @@ class HostSide:
 
 @dataclass
 class State:
-    """Room for ``capacity`` plates; fields are (capacity, rows, stride) and hold zeros outside the plate.
+    """Arrays for up to ``capacity`` plates; fields are (capacity, rows, stride), zero outside the plate.
 
-    moves: the five fields u, rate, squares, u_next and rate_next in one piece.
-    u_next, rate_next: the buffers that take turns with u and rate on the streaming paths; the resident path on CPU
-    and the plain streaming path keep the curvature in u_next. coefficients: (capacity, terms, actuators), and loads:
-    (terms, capacity, rows, stride), see ``kernels.load``; in_phase and quadrature are the first two loads. units:
-    (capacity,) displacement that one stands for [m]; moving: (capacity,) the moving load's size in units of pressure;
-    nodes: (traced nodes, 2), row of the tensor and column; inner_nodes: the same with the row of the plate; trace:
-    (capacity, traced nodes, steps).
-    wave: (capacity, steps, terms) that a run takes, which is shared_wave, or plate_waves; of
-    places of their own, along_x (capacity, actuators, nx) and along_y; see ``per_plate``. host: numbers waiting for the
-    device, and those of the device for the host. beside: what kernels need beside all this, and launches put together,
-    made by who launches them.
+    Attributes:
+        capacity: Largest number of plates.
+        coefficients: (capacity, terms, actuators) factors of the waves.
+        loads: (terms, capacity, rows, stride) load fields, see ``kernels.load``.
+        in_phase: First load field.
+        quadrature: Second load field.
+        moves: (5, capacity, rows, stride) the five fields below in one piece.
+        u: Displacement.
+        rate: Displacement gained in a step.
+        squares: Sum of rate² over the window.
+        u_next: Buffer that takes turns with u on streaming paths; curvature on the others.
+        rate_next: Buffer that takes turns with rate on streaming paths.
+        units: (capacity,) displacement [m] of a unit of u.
+        moving: (capacity,) strength of the moving load, in units of each plate's pressure.
+        nodes: (traced nodes, 2) row of the field and column.
+        inner_nodes: (traced nodes, 2) row of the plate and column.
+        trace: (capacity, traced nodes, steps) displacement of the traced nodes.
+        column_sums: (capacity, regions, stride) float64 scratch of the energies.
+        energy: (capacity, regions) float64 weighted sums of squares.
+        wave: (capacity, steps, terms) waves of the current run, which are one of the next two.
+        shared_wave: The scene's wave as that of all plates.
+        plate_waves: A wave for each plate.
+        along_x: (capacity, actuators, nx) weights of patches that move from plate to plate.
+        along_y: (capacity, actuators, ny) the same along y.
+        host: Buffers for what is copied to the device and back.
+        beside: Further arrays and recorded launches, kept by whoever makes them.
     """
 
     capacity: int
@@ -72,62 +84,69 @@ class State:
     plate_waves: wp.array
     along_x: wp.array
     along_y: wp.array
-    host: HostSide
+    host: HostBuffers
     beside: dict[Hashable, Any] = dataclasses.field(default_factory=dict)
 
     @property
     def has_plate_waves(self) -> bool:
-        """Whether the plates of the run at hand have waves of their own."""
+        """True if each plate of the current run has a wave of its own."""
         return self.wave is self.plate_waves
 
     def clear(self, plates: int) -> None:
-        """The first plates, and the number beyond them, back to rest at t = 0; the load fields stay."""
-        if WHOLE * plates >= self.capacity:
+        """Put the first plates, and the number beyond them, at rest; the load fields stay."""
+        if CLEAR_SHARE * plates >= self.capacity:
             self.moves.zero_()
             return
         for field in (self.u, self.rate, self.squares, self.u_next, self.rate_next):
             field[: plates + 1].zero_()
 
 
-# A path, called as advance(state, plates, start, stop): takes the first ``plates`` plates of a state from step
-# ``start`` to ``stop``. It has finished on CPU, or is queued on the device's stream on CUDA, when it returns.
+# advance(state, plates, start, stop) takes the first ``plates`` plates from step ``start`` to ``stop``. When it returns
+# the work is done on CPU, and queued on the device's stream on CUDA.
 Advance = Callable[[State, int, int, int], None]
 
 
 def bytes_per_plate(specialized: Specialized, traced_nodes: int) -> int:
-    """Device memory that one plate takes."""
+    """Return the device memory that one plate takes."""
     itemsize = wp.types.type_size_in_bytes(specialized.real)
     regions, rows, stride = specialized.weights.shape
-    count = FIELDS + specialized.effects.terms + (0 if specialized.effects.plain else GENERAL_FIELDS)
-    fields = count * rows * stride + traced_nodes * specialized.scheme.steps
-    plate_waves = specialized.scheme.steps * specialized.effects.terms if specialized.carriers else 0
-    places = specialized.patches.shape[0] * (sum(specialized.scheme.nodes) + 4) if specialized.per_plate.centre else 0
-    return (fields + plate_waves) * itemsize + 8 * (regions * (stride + 1) + places)
+    effects, steps, discretization = specialized.effects, specialized.scheme.steps, specialized.discretization
+    fields = FIELDS + effects.terms + (0 if effects.plain else MOMENT_FORM_FIELDS)
+    waves = effects.terms if discretization.carriers else 0
+    numbers = fields * rows * stride + (traced_nodes + waves) * steps
+    places = specialized.patches.shape[0] * (sum(specialized.scheme.nodes) + 4)
+    return numbers * itemsize + 8 * (regions * (stride + 1) + (places if discretization.per_plate.centre else 0))
 
 
-def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> State:
-    """Zeroed room for ``capacity`` plates on the device."""
-    device, real = specialized.device, specialized.real
-    regions = specialized.weights.shape[0]
+def make_state(specialized: Specialized, capacity: int, nodes: wp.array | None = None) -> State:
+    """Allocate zeroed arrays for ``capacity`` plates.
+
+    Args:
+        specialized: The scene on its device.
+        capacity: Largest number of plates.
+        nodes: (traced nodes, 2) row of the field and column of nodes whose displacement is kept (default: none).
+    """
+    device, real, discretization = specialized.device, specialized.real, specialized.discretization
+    regions, steps, (nx, ny) = specialized.weights.shape[0], specialized.scheme.steps, specialized.scheme.nodes
     terms, actuators = specialized.effects.terms, specialized.patches.shape[0]
+    nodes = wp.empty((0, 2), dtype=int, device=device) if nodes is None else nodes
+    # The moment form's passes on CPU read a number beyond the last plate; it must be zero.
+    plates = capacity + (0 if specialized.effects.plain else 1)
+    waved = capacity if discretization.carriers else 0
+    moved = capacity if discretization.per_plate.centre else 0
 
-    # The general passes on CPU read a number beyond the last plate; it must be zero.
-    spare = 0 if specialized.effects.plain else 1
+    def zeros(*shape: int, dtype: type = real) -> wp.array:
+        return wp.zeros(shape, dtype=dtype, device=device)
 
-    def field(*more: int) -> wp.array:
-        return wp.zeros((*more, capacity + spare, specialized.rows, specialized.stride), dtype=real, device=device)
-
-    moves, loads, steps, (nx, ny) = field(FIELDS), field(terms), specialized.scheme.steps, specialized.scheme.nodes
-    wave = shared_wave(specialized.wave, capacity)
-    own = capacity if specialized.carriers else 0
-    moved = capacity if specialized.per_plate.centre else 0
-
-    def beside(shape: tuple[int, ...], dtype: type) -> wp.array:
+    def buffer(*shape: int, dtype: type = real) -> wp.array:
         return wp.zeros(shape, dtype=dtype, device="cpu", pinned=device.is_cuda)
 
+    loads = zeros(terms, plates, specialized.rows, specialized.stride)
+    moves = zeros(FIELDS, plates, specialized.rows, specialized.stride)
+    wave = _repeated(specialized.wave, capacity)
     return State(
         capacity=capacity,
-        coefficients=wp.zeros((capacity, terms, actuators), dtype=real, device=device),
+        coefficients=zeros(capacity, terms, actuators),
         loads=loads,
         in_phase=loads[0],
         quadrature=loads[1],
@@ -137,30 +156,30 @@ def make_state(specialized: Specialized, capacity: int, nodes: wp.array) -> Stat
         squares=moves[2],
         u_next=moves[3],
         rate_next=moves[4],
-        units=wp.zeros(capacity, dtype=real, device=device),
-        moving=wp.zeros(capacity, dtype=real, device=device),
+        units=zeros(capacity),
+        moving=zeros(capacity),
         nodes=nodes,
         inner_nodes=wp.array(nodes.numpy() - np.array([1, 0], np.int32), dtype=int, device=device),
-        trace=wp.zeros((capacity, nodes.shape[0], specialized.scheme.steps), dtype=real, device=device),
-        column_sums=wp.zeros((capacity, regions, specialized.stride), dtype=wp.float64, device=device),
-        energy=wp.zeros((capacity, regions), dtype=wp.float64, device=device),
+        trace=zeros(capacity, nodes.shape[0], steps),
+        column_sums=zeros(capacity, regions, specialized.stride, dtype=wp.float64),
+        energy=zeros(capacity, regions, dtype=wp.float64),
         wave=wave,
         shared_wave=wave,
-        plate_waves=wp.zeros((own, steps, terms), dtype=real, device=device),
-        along_x=wp.zeros((moved, actuators, nx), dtype=wp.float64, device=device),
-        along_y=wp.zeros((moved, actuators, ny), dtype=wp.float64, device=device),
-        host=HostSide(
-            coefficients=beside((capacity, terms, actuators), real),
-            units=beside((capacity,), real),
-            energy=beside((capacity, regions), wp.float64),
+        plate_waves=zeros(waved, steps, terms),
+        along_x=zeros(moved, actuators, nx, dtype=wp.float64),
+        along_y=zeros(moved, actuators, ny, dtype=wp.float64),
+        host=HostBuffers(
+            coefficients=buffer(capacity, terms, actuators),
+            units=buffer(capacity),
+            energy=buffer(capacity, regions, dtype=wp.float64),
         ),
     )
 
 
-def shared_wave(wave: wp.array, plates: int) -> wp.array:
-    """One wave (steps, terms) as that of so many plates, without a copy: the stride from plate to plate is zero."""
-    made: wp.array = wp.array(
+def _repeated(wave: wp.array, plates: int) -> wp.array:
+    """Return one wave (steps, terms) as that of all plates, without a copy: the stride between plates is zero."""
+    repeated: wp.array = wp.array(
         ptr=wave.ptr, dtype=wave.dtype, shape=(plates, *wave.shape), strides=(0, *wave.strides), device=wave.device
     )
-    made._ref = wave  # type: ignore[assignment]  # which owns the numbers
-    return made
+    repeated._ref = wave  # type: ignore[assignment]  # keeps the memory alive
+    return repeated

@@ -1,8 +1,8 @@
-"""Whether plates moved as bounded ones do: a word for each.
+"""Detection of plates that did not move as bounded ones do.
 
-At a stable step the energy of the scheme grows by the load's work alone, so that after n steps no rate is above n times
-the norm of a step's load, but for factors that the nearness of the limit and unequal masses bring. What is above that
-by SLACK and more grew by itself.
+At a stable step the scheme's energy grows by the work of the load alone. So after n steps no rate exceeds n times the
+norm of a step's load, apart from factors that a step next to the limit and unequal masses bring. A rate beyond that by
+SLACK has grown by itself.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ GREW = "grew without bound"
 OUT_OF_RANGE = "energy is out of the range of numbers"
 FAULTS = (OK, OUT_OF_RANGE, GREW, NO_DRIVE)
 
-# Room for a step next to the limit, where rates are some ten times what the load's work gives, and for unequal masses.
+# At a step next to the limit, rates are some ten times what the load's work gives; unequal masses take the rest.
 SLACK = 1e3
-# Where growth is possible, plates are looked at after so many steps, or so many node-steps for large batches.
-WATCHED_STEPS, WATCHED_NODE_STEPS = 16, {"cpu": 2e7, "cuda": 2e9}
+# Steps, or node-steps of large batches, between two checks of plates that may grow.
+CHECK_STEPS, CHECK_NODE_STEPS = 16, {"cpu": 2e7, "cuda": 2e9}
 
 
-def fastest_per_step(specialized: Specialized) -> float:
-    """The rate, in the kernels' numbers, that no bounded plate reaches per step since the start."""
+def largest_rate_per_step(specialized: Specialized) -> float:
+    """Return the rate, in the kernels' units, that no bounded plate exceeds per step since the start."""
     patches = specialized.patches.numpy().astype(float)
     # Waves are below two in size and coefficients at most one.
-    sizes = np.linalg.norm(patches, axis=1)
-    if specialized.per_plate.centre:
-        sizes = np.maximum(sizes, largest_patches(specialized))
-    load = 2 * specialized.signals.terms * sizes.sum()
-    if specialized.moving is not None:
+    norms = np.linalg.norm(patches, axis=1)
+    if specialized.discretization.per_plate.centre:
+        norms = np.maximum(norms, _largest_patch_norms(specialized))
+    load = 2 * specialized.effects.terms * norms.sum()
+    if specialized.discretization.moving is not None:
         load += np.sqrt(specialized.interior_nodes)
     return SLACK * float(load)
 
 
-def largest_patches(specialized: Specialized) -> np.ndarray:
-    """(actuators,) what the norm of an actuator's load field is at most, wherever it is."""
+def _largest_patch_norms(specialized: Specialized) -> np.ndarray:
+    """Return (actuators,) upper bounds of the norms of the actuators' load fields, wherever the actuators are."""
     areas = np.array([actuator.area for actuator in specialized.scene.actuators])
     sides = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1)
     covered = (sides / specialized.scheme.spacing + 2).prod(axis=1)
@@ -48,58 +48,65 @@ def largest_patches(specialized: Specialized) -> np.ndarray:
     return largest
 
 
-def watched_steps(specialized: Specialized, plates: int) -> int | None:
-    """After how many steps to look at plates that may grow: above the limit, or where they stretch; None: never."""
+def steps_between_checks(specialized: Specialized, plates: int) -> int | None:
+    """Return after how many steps to check for growth; None for plates that cannot grow.
+
+    Plates may grow above the stability limit, and where they stretch.
+    """
     if not specialized.scheme.stable:
-        return WATCHED_STEPS
+        return CHECK_STEPS
     if not specialized.effects.stretching:
         return None
-    work = WATCHED_NODE_STEPS["cuda" if specialized.device.is_cuda else "cpu"]
-    return max(WATCHED_STEPS, int(work / (plates * specialized.interior_nodes)))
+    work = CHECK_NODE_STEPS["cuda" if specialized.device.is_cuda else "cpu"]
+    return max(CHECK_STEPS, int(work / (plates * specialized.interior_nodes)))
 
 
-def outgrown(rate: np.ndarray, fastest: float) -> np.ndarray:
-    """(plates,) whether some rate (plates, rows, columns) is above ``fastest`` or no number."""
-    largest = np.maximum(rate.max(axis=(1, 2)), -rate.min(axis=(1, 2)))
-    grown: np.ndarray = ~(largest <= fastest)
-    return grown
+def exceeds(rate: np.ndarray, largest: float) -> np.ndarray:
+    """Return (plates,), true where some rate (plates, rows, columns) is above ``largest`` or not a number."""
+    found: np.ndarray = ~(np.maximum(rate.max(axis=(1, 2)), -rate.min(axis=(1, 2))) <= largest)
+    return found
 
 
-def judge_plates(
-    drives: np.ndarray,
+def find_faults(
+    phasors: np.ndarray,
     scale: np.ndarray,
-    caught: np.ndarray,
+    grown: np.ndarray,
     sums: np.ndarray,
     unit: float,
-    most: float,
+    largest_sum: float,
     energy: np.ndarray,
 ) -> dict[int, str]:
-    """Write energies [J], NaN where a plate went wrong; returns of those plates what it was.
+    """Write the energies of plates, NaN for faulty ones, and return the faults by plate.
 
-    drives: (plates, actuators); scale: (plates,) pressures that plates are scaled by, not finite where a drive is not;
-    caught: (plates,) step at which growth was seen, or −1; sums: (plates, regions) of rate² over the window; unit: [J]
-    of a sum at a scale of one; most: the largest sum of a bounded plate. energy: (plates, regions), written.
+    Args:
+        phasors: (plates, actuators) drives.
+        scale: (plates,) pressures that plates are scaled by, not finite if a drive is not.
+        grown: (plates,) step at which growth was seen, or −1.
+        sums: (plates, regions) weighted sums of rate² over the window.
+        unit: Energy of a sum of one at a scale of one [J].
+        largest_sum: Largest sum of a bounded plate.
+        energy: (plates, regions) takes the energies [J].
     """
-    faults = np.zeros(len(drives), dtype=np.int8)  # places in FAULTS
+    faults = np.zeros(len(phasors), dtype=np.int8)  # indices into FAULTS
 
-    def judge(rows: slice) -> None:
+    def check(rows: slice) -> None:
         total, size = sums[rows], scale[rows]
-        with np.errstate(invalid="ignore", over="ignore"):  # of plates that left the finite numbers
+        with np.errstate(invalid="ignore", over="ignore"):
             joules = total * unit * size[:, None] ** 2
-            grew = (caught[rows] >= 0) | ~_every(total <= most)
+            grew = (grown[rows] >= 0) | ~_all_in_row(total <= largest_sum)
         energy[rows] = joules
-        sound = _every(np.isfinite(joules) & ~((total > 0) & (joules == 0)))
+        sound = _all_in_row(np.isfinite(joules) & ~((total > 0) & (joules == 0)))
         faults[rows] = np.where(grew & np.isfinite(size), FAULTS.index(GREW), ~sound)
 
-    over_blocks(judge, len(drives))
+    over_blocks(check, len(phasors))
     unscaled = np.flatnonzero(~np.isfinite(scale))
-    faults[unscaled[~np.isfinite(drives[unscaled]).all(axis=1)]] = FAULTS.index(NO_DRIVE)
-    wrong = np.flatnonzero(faults)
-    energy[wrong] = np.nan
-    return {int(plate): FAULTS[faults[plate]] for plate in wrong}
+    faults[unscaled[~np.isfinite(phasors[unscaled]).all(axis=1)]] = FAULTS.index(NO_DRIVE)
+    faulty = np.flatnonzero(faults)
+    energy[faulty] = np.nan
+    return {int(plate): FAULTS[faults[plate]] for plate in faulty}
 
 
-def _every(good: np.ndarray) -> np.ndarray:
-    """(rows,) whether all of a row (rows, columns); column by column, for NumPy is slow along short rows."""
-    every: np.ndarray = reduce(np.logical_and, good.T)
+def _all_in_row(values: np.ndarray) -> np.ndarray:
+    """Return (rows,) ``values.all(axis=1)``, column by column because NumPy is slow along short rows."""
+    every: np.ndarray = reduce(np.logical_and, values.T)
     return every

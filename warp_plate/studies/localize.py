@@ -201,7 +201,7 @@ def _finish(
         device=begun.earlier_devices + device_name(problem.drive_solver.device) + of_pool(problem),
         seed=begun.seed,
         effects=problem.design_solver.effects,
-        path=problem.design_solver.path_words(bool(scene.record.points)),
+        path=problem.design_solver.describe_path(bool(scene.record.points)),
         cases=cases,
         times=found.run.times,
         trace_times=found.run.trace_times,

@@ -15,7 +15,7 @@ from warp_plate.result.model import Result
 from warp_plate.result.store import load_result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.peak import run_and_look
+from warp_plate.solve.peak import run_with_peak
 from warp_plate.solve.solver import PlateSolver, Progress
 from warp_plate.studies.localize import device_name, estimated, resolve, versions
 
@@ -58,7 +58,7 @@ def simulate(
         phasors = np.full(len(scene.actuators), magnitude_unit(scene), dtype=complex)
     else:
         phasors = reference_phasors(scene, lambda drives: solver.run(drives).energy)[drive]
-    run, peak = run_and_look(solver, phasors[None], progress)
+    run, peak = run_with_peak(solver, phasors[None], progress)
     seconds |= {"compile": solver.compile_seconds, "solve": time.perf_counter() - started}
     drives = {"drive": phasors}
     if estimate and run.finite.all():
@@ -70,7 +70,7 @@ def simulate(
         device=device_name(solver.device),
         seed=scene.search.seed,
         effects=solver.effects,
-        path=solver.path_words(bool(scene.record.points)),
+        path=solver.describe_path(bool(scene.record.points)),
         cases=cases_from_run(drives, run),
         times=run.times,
         trace_times=run.trace_times,
