@@ -2,10 +2,10 @@
 
     python tests/mutations/run.py [--tree DIR] [--python EXE] [--full] [NAME ...]
 
-Each fault of faults.toml replaces one piece of text, found by its content in ``kernels``, ``viz`` or ``warp_plate``. The
-test files named beside it run first, until one test fails; with ``--full`` the whole default suite follows where they
-pass. ``--tree`` names another checkout to test with the same faults, such as that of an earlier commit. The exit status
-is 1 if a fault survives.
+Each fault of faults.toml replaces one piece of text, found by its content in ``kernels``, ``viz`` or ``warp_plate``.
+The test files named beside it run first, until one test fails; with ``--full`` the whole default suite follows where
+they pass. ``--tree`` names another checkout to test with the same faults, such as that of an earlier commit. The exit
+status is 1 if a fault survives.
 """
 
 import argparse
