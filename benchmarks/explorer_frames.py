@@ -1,10 +1,8 @@
 """Pictures a second of the explorer: python benchmarks/explorer_frames.py [--json FILE].
 
-The window's pictures are drawn off screen one after the other, panel and all, as fast as they come. The page's are
-counted in headless Chromium: those that the browser has taken, of which there are at most 30 a second. Both cases
-with the plate alone and while the swarm is shown. Pictures a second are the median over a few seconds for the window,
-and the mean for the page; beside them the processor's time for one of the window's pictures, all threads together,
-which other work on the machine disturbs less.
+Pictures are drawn off screen as fast as possible, and counted as headless Chromium takes them from the page, at most 30
+a second; with the plate alone and with the swarm. Rates are the median over a few seconds off screen, and the mean in
+the browser. The processor time of one picture, over all threads, depends less on other work on the machine.
 """
 
 from __future__ import annotations
@@ -27,7 +25,9 @@ from warp_plate import Scene
 from warp_plate.explore.live_model import LiveModel
 from warp_plate.scene.dump import dump_scene
 from warp_plate.viz.availability import off_screen
-from warp_plate.viz.explorer_window import ExplorerWindow, make_plotter
+from warp_plate.viz.explorer_page import FONT_SIZE, SIZE
+from warp_plate.viz.explorer_view import ROW_WEIGHTS, ExplorerView
+from warp_plate.viz.pictures import make_plotter
 
 NODES = (27, 105)
 SECONDS = 5.0
@@ -46,7 +46,7 @@ def main() -> None:
         scene = paper(nodes)
         model = LiveModel(scene, "cpu")
         for showing in ("plate", "swarm"):
-            row(record, nodes, "window", showing, *window(model, showing))
+            row(record, nodes, "drawn", showing, *drawn(model, showing))
         model.close()
         for showing, rate in page(scene).items():
             row(record, nodes, "browser", showing, rate)
@@ -69,21 +69,20 @@ def paper(nodes: int) -> Scene:
     return scene.model_copy(update={"grid": scene.grid.model_copy(update={"nodes": (nodes, nodes), "time_step": None})})
 
 
-def window(model: LiveModel, showing: str) -> tuple[float, float]:
-    """Pictures a second of the window, drawn off screen, and the processor's time for one [s]."""
+def drawn(model: LiveModel, showing: str) -> tuple[float, float]:
+    """Return the pictures a second drawn off screen, and the processor time of one [s]."""
     with off_screen():
-        plotter = make_plotter(off_screen=True)
-        shown = ExplorerWindow(plotter, model)
+        plotter = make_plotter(SIZE, off_screen=True, shape=(2, 1), row_weights=list(ROW_WEIGHTS))
+        view = ExplorerView(plotter, model, FONT_SIZE)
         plotter.show(auto_close=False, interactive=False)
         if showing == "swarm":
             model.choose("found")
             model.wait()
-        for _ in range(5):
-            shown.tick()
         times, used = [], time.process_time()
         until = time.perf_counter() + SECONDS
         while (started := time.perf_counter()) < until:
-            shown.tick()
+            view.advance(0.02)
+            plotter.render()
             times.append(time.perf_counter() - started)
         used = time.process_time() - used
         plotter.close()

@@ -1,6 +1,6 @@
-"""Pictures from results. PyVista, VTK and Matplotlib are imported when something is drawn, not before."""
+"""Pictures of results. PyVista, VTK and Matplotlib are imported when something is drawn, not before."""
 
-from warp_plate.viz.availability import DrawingUnavailable, missing, prepare
+from warp_plate.viz.availability import DrawingUnavailable, missing_renderer, prepare
 from warp_plate.viz.figures import draw_all, draw_history, draw_surfaces
 
-__all__ = ["DrawingUnavailable", "draw_all", "draw_history", "draw_surfaces", "missing", "prepare"]
+__all__ = ["DrawingUnavailable", "draw_all", "draw_history", "draw_surfaces", "missing_renderer", "prepare"]

@@ -1,11 +1,11 @@
 "use strict";
-// Draws what viz/page.py wrote into the page: plates whose nodes, outlines and colours follow a texture of frames.
+// Draws the data that viz/page.py wrote into the page: nodes, outlines and colours of plates follow a texture of frames.
 const data = JSON.parse(document.getElementById("data").textContent);
 const byId = (id) => document.getElementById(id);
 const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer;
-const STILL = -32768; // what is no number
+const STILL = -32768; // stands for NaN
 
-// Height of a node: between two frames, in units of the largest displacement.
+// Height of a node, interpolated between two frames, in units of the largest displacement.
 const HEIGHT = `#version 300 es
 precision highp float; precision highp int; precision highp isampler2DArray;
 uniform isampler2DArray heights, colours;
@@ -38,7 +38,7 @@ void main() {
   vec3 shown = cyclic ? mixed : texture(table, vec2(value, 0.5)).rgb;
   colour = vec4(missing > 0.001 ? mix(shown, none, min(1.0, missing)) : shown, 1.0);
 }`;
-// A piece of a line, as wide as it is to be in pixels; each end hangs on the three nodes of its triangle.
+// A segment of a line, with its width in pixels; each end follows the three nodes of its triangle.
 const LINE = HEIGHT + `
 in vec2 from, to; in ivec3 fromNodes, toNodes; in vec3 fromShares, toShares;
 uniform vec2 pixels; uniform float width, nearer;
@@ -119,7 +119,7 @@ function lineArrays(gl, shader, outline) {
   return { vertices, pieces: pieces.length / 2 };
 }
 
-// Orthographic, turned about the middle of the plate; metres to the clip cube.
+// Orthographic view about the middle of the plate, from metres to the clip cube.
 const camera = { azimuth: data.azimuth, elevation: data.elevation, zoom: 1 };
 function view(canvas) {
   const [a, e] = [camera.azimuth, camera.elevation].map((degrees) => degrees * Math.PI / 180);
@@ -223,7 +223,7 @@ class Plate {
     common(this.line);
     gl.uniform2f(this.line.uniform("pixels"), wide, high);
     gl.enable(gl.BLEND);
-    // Lines hide each other in the order in which they are drawn; only the surface hides them by depth.
+    // Lines cover each other in drawing order; only the surface hides them by depth.
     gl.depthMask(false);
     for (const outline of this.outlines) {
       gl.bindVertexArray(outline.vertices);

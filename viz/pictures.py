@@ -17,37 +17,40 @@ import numpy as np
 
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
+from warp_plate.viz.annotations import TARGET, lookup_table
 from warp_plate.viz.availability import EXTRA, off_screen
-from warp_plate.viz.comparison import Comparison, layout, quantity_of
-from warp_plate.viz.edges import SIDES
-from warp_plate.viz.lettering import TARGET, lookup_table
-from warp_plate.viz.quantity import Scale
+from warp_plate.viz.edge_styles import EDGE_STYLES
+from warp_plate.viz.fields import DrawingScale, field_of
+from warp_plate.viz.side_by_side import SideBySide, plate_subplots
 
 if TYPE_CHECKING:
     import pyvista
     from PIL import Image
 
-# Drawn so many times larger and shrunk, for VTK's own smoothing (SSAA) garbles subplots in VTK 9.4. Twice looks hardly
-# better and takes a second longer where a processor draws.
-SMOOTHING = 1.25
+# Pictures are drawn larger by this factor and shrunk, as VTK's own anti-aliasing garbles subplots (VTK 9.4).
+SUPERSAMPLING = 1.25
 # Height of a plate's picture over its width.
-SHAPE = 0.78
-# A movie of one period is played again until it has lasted this long [s].
-LASTING = 6.0
-# GIF counts hundredths of a second, and most viewers slow down what is faster than this.
-FASTEST_GIF = 2
+ASPECT = 0.78
+# Least duration of a movie, which repeats its frames [s].
+LEAST_DURATION = 6.0
+# GIF counts hundredths of a second, and most viewers slow down frames shorter than this.
+SHORTEST_GIF_FRAME = 2
 # Colours from here on are white in a GIF.
 LIGHT = 247
-# Told after each frame: frames done, frames in all.
-Told = Callable[[int, int], object]
+
+# Called after each frame with the numbers of frames done and in all.
+OnFrame = Callable[[int, int], object]
+TakePicture = Callable[[], "Image.Image"]
 
 
 @dataclass(frozen=True)
-class Look:
-    """What pictures of motions have in common.
+class PictureStyle:
+    """Style of pictures and movies of motions.
 
-    quantity: in colour, a key of QUANTITIES; width: of one plate's picture, without the legend [pixels]; heights: how
-    many times they are exaggerated; left out: so that the largest suits the picture.
+    Attributes:
+        quantity: field in colour, a key of FIELDS.
+        width: width of one plate's picture, without the legend [pixels].
+        heights: factor by which heights are exaggerated (default: to suit the picture).
     """
 
     quantity: str = "displacement"
@@ -56,178 +59,198 @@ class Look:
 
     @property
     def font_size(self) -> int:
-        """In pixels, for a picture of this width."""
+        """Height of the text [pixels]."""
         return max(8, round(self.width / 29))
 
 
 def missing_movies() -> str | None:
-    """None where MP4 can be written; otherwise one sentence that says what to install."""
+    """Return a sentence on what is missing for MP4 files, or None."""
     if importlib.util.find_spec("imageio_ffmpeg") is None:
-        return f"MP4 cannot be written without imageio-ffmpeg: {EXTRA}"
+        return f"MP4 files need imageio-ffmpeg: {EXTRA}"
     return None
 
 
-def draw_picture(scene: Scene, motions: Sequence[Motion], path: Path, look: Look, frame: int | None = None) -> None:
-    """One frame of all motions as a PNG; left out: see :func:`largest_frame`.
+def draw_picture(
+    scene: Scene, motions: Sequence[Motion], path: Path, style: PictureStyle, frame: int | None = None
+) -> None:
+    """Write one frame of all motions as a PNG (default: :func:`largest_frame`).
 
     Raises:
-        DrawingUnavailable: VTK cannot draw here; says what to install.
+        DrawingUnavailable: VTK cannot draw here.
         OSError: the file cannot be written.
     """
-    frame = largest_frame(motions, look.quantity) if frame is None else frame
-    with stage(scene, motions, look) as (comparison, picture):
-        comparison.show(frame)
-        picture().save(path, format="PNG", compress_level=9)
+    frame = largest_frame(motions, style.quantity) if frame is None else frame
+    with off_screen_plates(scene, motions, style) as (plates, take_picture):
+        plates.show(frame)
+        take_picture().save(path, format="PNG", compress_level=9)
 
 
 def draw_gif(
-    scene: Scene, motions: Sequence[Motion], path: Path, look: Look, rate: float, told: Told | None = None
+    scene: Scene,
+    motions: Sequence[Motion],
+    path: Path,
+    style: PictureStyle,
+    rate: float,
+    on_frame: OnFrame | None = None,
 ) -> None:
-    """All frames as a GIF that repeats for ever; rate: frames a second, 50 at most.
+    """Write all frames as a GIF that repeats forever, at ``rate`` frames a second (50 at most).
 
     Raises: see :func:`draw_picture`.
     """
     from PIL import Image
 
-    indexed = []
-    with stage(scene, motions, look) as (comparison, picture):
-        # One palette for all frames: with their own, colours would flicker.
-        some = []
-        for frame in range(0, comparison.frames, max(1, comparison.frames // 4)):
-            comparison.show(frame)
-            some.append(picture())
-        palette = _palette(some, comparison.scale)
-        for frame in range(comparison.frames):
-            comparison.show(frame)
-            indexed.append(picture().quantize(palette=palette, dither=Image.Dither.NONE))
-            if told is not None:
-                told(frame + 1, comparison.frames)
-    pause = 10 * max(FASTEST_GIF, round(100 / rate))
-    first, *rest = indexed
-    first.save(path, format="GIF", save_all=True, append_images=rest, duration=pause, loop=0, optimize=False)
+    images = []
+    with off_screen_plates(scene, motions, style) as (plates, take_picture):
+        samples = []
+        for frame in range(0, plates.frames, max(1, plates.frames // 4)):
+            plates.show(frame)
+            samples.append(take_picture())
+        # One palette for all frames: with palettes of their own, colours would flicker.
+        palette = _palette(samples, plates.scale)
+        for frame in range(plates.frames):
+            plates.show(frame)
+            images.append(take_picture().quantize(palette=palette, dither=Image.Dither.NONE))
+            if on_frame is not None:
+                on_frame(frame + 1, plates.frames)
+    duration = 10 * max(SHORTEST_GIF_FRAME, round(100 / rate))
+    first, *rest = images
+    first.save(path, format="GIF", save_all=True, append_images=rest, duration=duration, loop=0, optimize=False)
 
 
 def draw_mp4(
-    scene: Scene, motions: Sequence[Motion], path: Path, look: Look, rate: float, told: Told | None = None
+    scene: Scene,
+    motions: Sequence[Motion],
+    path: Path,
+    style: PictureStyle,
+    rate: float,
+    on_frame: OnFrame | None = None,
 ) -> None:
-    """All frames as an MP4 (H.264) that every browser plays; short ones are repeated to last six seconds.
+    """Write all frames as an MP4 (H.264) that every browser plays; short ones repeat for at least six seconds.
 
     Raises:
-        DrawingUnavailable: VTK cannot draw here; says what to install.
+        DrawingUnavailable: VTK cannot draw here.
         OSError: the file cannot be written.
         ImportError: see :func:`missing_movies`.
     """
     import imageio_ffmpeg
 
-    with stage(scene, motions, look) as (comparison, picture), TemporaryFile() as complaints:
-        width, height = (side // 2 * 2 for side in picture().size)  # H.264 takes even sides only
+    with off_screen_plates(scene, motions, style) as (plates, take_picture), TemporaryFile() as errors:
+        width, height = (side // 2 * 2 for side in take_picture().size)  # H.264 requires even sides
         raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{rate:g}", "-i", "-"]
-        coded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart", "-f", "mp4"]
-        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *raw, *coded, str(path)]
-        coder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=complaints)
-        with contextlib.suppress(BrokenPipeError), coder:
-            assert coder.stdin is not None
-            _play(comparison, picture, (width, height), rate, coder.stdin, told)
-        if coder.returncode != 0:
-            complaints.seek(0)
-            raise OSError(complaints.read().decode(errors="replace").strip())
+        encoded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart", "-f", "mp4"]
+        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *raw, *encoded, str(path)]
+        encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=errors)
+        with contextlib.suppress(BrokenPipeError), encoder:
+            assert encoder.stdin is not None
+            repeats = math.ceil(LEAST_DURATION * rate / plates.frames)
+            _write_frames(plates, take_picture, (width, height), repeats, encoder.stdin, on_frame)
+        if encoder.returncode != 0:
+            errors.seek(0)
+            raise OSError(errors.read().decode(errors="replace").strip())
 
 
 def largest_frame(motions: Sequence[Motion], quantity: str = "displacement") -> int:
-    """The frame where the quantity is largest in any plate; the displacement, where it is the same at all times."""
-    shown = quantity_of(motions, quantity)
-    fields = [shown.values(motion) for motion in motions]
-    if len(fields[0]) == 1:
-        fields = [motion.displacement for motion in motions]
-    peaks = [np.abs(np.nan_to_num(field, posinf=0, neginf=0)).max(axis=(1, 2)) for field in fields]
+    """Return the frame where the field is largest in any plate, or the displacement if the field is constant."""
+    field = field_of(motions, quantity)
+    values = [field.values(motion) for motion in motions]
+    if len(values[0]) == 1:
+        values = [motion.displacement for motion in motions]
+    peaks = [np.abs(np.nan_to_num(array, posinf=0, neginf=0)).max(axis=(1, 2)) for array in values]
     return int(np.max(peaks, axis=0).argmax())
 
 
 @contextmanager
-def stage(
-    scene: Scene, motions: Sequence[Motion], look: Look
-) -> Iterator[tuple[Comparison, Callable[[], Image.Image]]]:
-    """The plates in a plotter off screen, and what takes a picture of them as they stand.
+def off_screen_plates(
+    scene: Scene, motions: Sequence[Motion], style: PictureStyle
+) -> Iterator[tuple[SideBySide, TakePicture]]:
+    """Yield the plates in an off-screen plotter, and a function that takes a picture of them.
 
     Raises:
-        DrawingUnavailable: VTK cannot draw here; says what to install.
+        DrawingUnavailable: VTK cannot draw here.
+    """
+    subplots = plate_subplots(len(motions), style.width, style.font_size)
+    size = (sum(subplots["col_weights"]), round(subplots["shape"][0] * ASPECT * style.width))
+    with off_screen_plotter(size, **subplots) as (plotter, take_picture):
+        plates = SideBySide(plotter, scene, motions, style.quantity, round(SUPERSAMPLING * style.font_size))
+        if style.heights is not None:
+            plates.exaggerate(style.heights)
+        yield plates, take_picture
+
+
+@contextmanager
+def off_screen_plotter(size: tuple[int, int], **options: Any) -> Iterator[tuple[pyvista.Plotter, TakePicture]]:
+    """Yield a supersampled plotter, and a function that takes a picture of it with this size [pixels].
+
+    Raises:
+        DrawingUnavailable: VTK cannot draw here.
     """
     from PIL import Image
 
-    subplots = layout(len(motions), look.width, look.font_size)
-    size = (sum(subplots["col_weights"]), round(subplots["shape"][0] * SHAPE * look.width))
     with off_screen():
-        plotter = make_plotter((round(SMOOTHING * size[0]), round(SMOOTHING * size[1])), off_screen=True, **subplots)
+        large = (round(SUPERSAMPLING * size[0]), round(SUPERSAMPLING * size[1]))
+        plotter = make_plotter(large, off_screen=True, **options)
+
+        def take_picture() -> Image.Image:
+            plotter.render()
+            pixels = np.asarray(plotter.screenshot(return_img=True))
+            return Image.fromarray(pixels).resize(size, Image.Resampling.LANCZOS)
+
         try:
-            comparison = Comparison(plotter, scene, motions, look.quantity, round(SMOOTHING * look.font_size))
-            if look.heights is not None:
-                comparison.exaggerate(look.heights)
-
-            def picture() -> Image.Image:
-                plotter.render()
-                large = plotter.screenshot(return_img=True)
-                return Image.fromarray(np.asarray(large)).resize(size, Image.Resampling.LANCZOS)
-
-            yield comparison, picture
+            yield plotter, take_picture
         finally:
             plotter.close()
 
 
 def make_plotter(size: tuple[int, int], **options: Any) -> pyvista.Plotter:
-    """An empty plotter, white and without lights; size in pixels; options: PyVista's."""
+    """Return an empty white plotter without lights; size in pixels, options as of ``pyvista.Plotter``."""
     import pyvista
 
-    plotter = pyvista.Plotter(
-        border=False,
-        window_size=list(size),
-        theme=pyvista.themes.DocumentTheme(),
-        lighting="none",
-        **options,
-    )
-    # With VTK's smoothing, wide lines are broken here and there.
+    theme = pyvista.themes.DocumentTheme()
+    plotter = pyvista.Plotter(border=False, window_size=list(size), theme=theme, lighting="none", **options)
+    # VTK's anti-aliasing breaks wide lines here and there.
     plotter.disable_anti_aliasing()
     return plotter
 
 
-def _palette(some: Sequence[Image.Image], scale: Scale) -> Image.Image:
-    """A picture with 256 colours that suit all of these: half of them the scale's own, which would show steps else."""
+def _palette(samples: Sequence[Image.Image], scale: DrawingScale) -> Image.Image:
+    """Return an image with 256 colours for all samples, half of them the colour map's, to avoid bands."""
     from PIL import Image
 
-    sheet = Image.new("RGB", (some[0].width, some[0].height * len(some)))
-    for index, one in enumerate(some):
-        sheet.paste(one, (0, index * one.height))
-    own = [*lookup_table(scale).values[::2, :3]]
-    for colour in (TARGET, *(look.colour for look in SIDES.values())):
-        # Smoothed lines and letters are mixed with paper.
+    sheet = Image.new("RGB", (samples[0].width, samples[0].height * len(samples)))
+    for index, sample in enumerate(samples):
+        sheet.paste(sample, (0, index * sample.height))
+    reserved = [*lookup_table(scale).values[::2, :3]]
+    for colour in (TARGET, *(style.colour for style in EDGE_STYLES.values())):
+        # Smoothed lines and letters blend into the white background.
         line = np.array([int(colour[at : at + 2], 16) for at in (1, 3, 5)])
-        own += [line + (255 - line) * part / 4 for part in range(4)]
-    others = np.reshape(sheet.quantize(256 - len(own), method=Image.Quantize.MEDIANCUT).getpalette(), (-1, 3))
-    colours = np.concatenate([own, others[: 256 - len(own)]])
-    # Paper is to stay white, which a mean of many light colours is not.
+        reserved += [line + (255 - line) * part / 4 for part in range(4)]
+    free = 256 - len(reserved)
+    others = np.reshape(sheet.quantize(free, method=Image.Quantize.MEDIANCUT).getpalette(), (-1, 3))
+    colours = np.concatenate([reserved, others[:free]])
+    # Keep the background white, not the mean of many light colours.
     colours[colours.min(axis=1) >= LIGHT] = 255
     palette = Image.new("P", (1, 1))
     palette.putpalette(colours.astype(np.uint8).tobytes())
     return palette
 
 
-def _play(
-    comparison: Comparison,
-    picture: Callable[[], Image.Image],
+def _write_frames(
+    plates: SideBySide,
+    take_picture: TakePicture,
     size: tuple[int, int],
-    rate: float,
+    repeats: int,
     out: IO[bytes],
-    told: Told | None,
+    on_frame: OnFrame | None,
 ) -> None:
-    """Write all frames as raw pixels of this size, and again until they last long enough."""
-    again = math.ceil(LASTING * rate / comparison.frames)
+    """Write all frames as raw pixels of this size, several times over."""
     kept = []
-    for frame in range(comparison.frames):
-        comparison.show(frame)
-        pixels = picture().crop((0, 0, *size)).tobytes()
+    for frame in range(plates.frames):
+        plates.show(frame)
+        pixels = take_picture().crop((0, 0, *size)).tobytes()
         out.write(pixels)
-        if again > 1:
+        if repeats > 1:
             kept.append(pixels)
-        if told is not None:
-            told(frame + 1, comparison.frames)
-    for _ in range(again - 1):
+        if on_frame is not None:
+            on_frame(frame + 1, plates.frames)
+    for _ in range(repeats - 1):
         out.writelines(kept)

@@ -1,7 +1,4 @@
-"""The one builder of 3-D scenes: it puts a plate into a PyVista plotter, or a part of one, and moves it.
-
-What the picture shows is made in `surface`; here is only how it looks.
-"""
+"""A plate in a PyVista plotter: its actors, and their updates from frame to frame."""
 
 from __future__ import annotations
 
@@ -11,20 +8,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.scene.model import Scene
-from warp_plate.viz.camera import look_at_plate
-from warp_plate.viz.edges import SIDES
-from warp_plate.viz.lettering import (
+from warp_plate.viz.annotations import (
     INK,
     TARGET,
+    add_axis_labels,
     add_legend,
-    add_side_names,
     add_text,
-    beside_legend,
+    free_width,
     lookup_table,
-    set_bar,
+    set_colour_bar,
 )
-from warp_plate.viz.quantity import Scale
-from warp_plate.viz.surface import FIELD, OnSurface, PlateMeshes, plate_meshes
+from warp_plate.viz.camera import look_at_plate
+from warp_plate.viz.edge_styles import EDGE_STYLES
+from warp_plate.viz.fields import DrawingScale
+from warp_plate.viz.meshes import SCALARS, PlateMeshes, SurfacePolylines, plate_meshes
 
 if TYPE_CHECKING:
     import pyvista
@@ -35,130 +32,136 @@ GRID = "#8a8a8a"
 
 
 @dataclass(frozen=True)
-class Line:
-    """How lines of a plate look.
+class LineLayer:
+    """Lines on the surface and their style.
 
-    width: in font sizes; nearer: steps of the depth buffer by which they are shifted towards the reader: not shifted,
-    half of a wide line on a slope would be hidden by the surface.
+    Attributes:
+        lines: the lines.
+        colour: #rrggbb.
+        width: line width [font sizes].
+        depth_offset: steps of the depth buffer towards the viewer; without it the surface would hide half of a wide
+            line on a slope.
+        opacity: 0 … 1.
     """
 
-    outline: OnSurface
+    lines: SurfacePolylines
     colour: str
     width: float
-    nearer: int
+    depth_offset: int
     opacity: float = 1.0
 
 
 @dataclass
-class DrawnPlate:
-    """A plate in a plotter, which moves and changes its colours in place; the plotter is not rendered by it.
+class PlateActors:
+    """A plate in a plotter, updated in place without rendering.
 
-    meshes: what is drawn; actor: of the surface; heading: the text above; bar: None where another subplot has it.
+    Attributes:
+        meshes: the drawn meshes.
+        scale: colours and heights.
+        surface: actor of the surface.
+        caption: text above the plate.
+        bar: colour bar; None if another subplot has it.
+        text: caption without the height factor.
     """
 
     meshes: PlateMeshes
-    scale: Scale
-    actor: pyvista.Actor
-    heading: vtkTextActor
+    scale: DrawingScale
+    surface: pyvista.Actor
+    caption: vtkTextActor
     bar: vtkScalarBarActor | None
     text: str
 
-    def update(self, displacement: np.ndarray, colours: np.ndarray | None = None, text: str | None = None) -> None:
+    def update(self, displacement: np.ndarray, values: np.ndarray | None = None, text: str | None = None) -> None:
         """Move to another field.
 
         Args:
-            displacement: (ny, nx) [m], on the grid that the plate was added with.
-            colours: (ny, nx) of the scale's quantity in its SI unit; left out: the displacement.
-            text: above the plate; left out: as it is.
+            displacement: (ny, nx) [m], on the grid of the first field.
+            values: (ny, nx) of the scale's field in its SI unit (default: the displacement).
+            text: caption (default: unchanged).
         """
-        self.meshes.show(displacement, self.scale, colours)
+        self.meshes.update(displacement, self.scale, values)
         if text is not None and text != self.text:
             self.text = text
-            self._write()
+            self.caption.SetInput(_with_heights(text, self.scale))
 
-    def rescale(self, scale: Scale) -> None:
-        """Take another quantity, other limits or another height factor; :meth:`update` must follow."""
-        if (scale.quantity, scale.limits, scale.unit) != (self.scale.quantity, self.scale.limits, self.scale.unit):
-            _colour(self.actor, scale)
+    def rescale(self, scale: DrawingScale) -> None:
+        """Take another scale; a call of :meth:`update` must follow."""
+        if (scale.field, scale.clim, scale.unit) != (self.scale.field, self.scale.clim, self.scale.unit):
+            _set_colours(self.surface, scale)
             if self.bar is not None:
-                set_bar(self.bar, scale)
+                set_colour_bar(self.bar, scale)
         self.scale = scale
-        self._write()
-
-    def _write(self) -> None:
-        self.heading.SetInput(heading(self.text, self.scale))
+        self.caption.SetInput(_with_heights(self.text, scale))
 
 
 def add_plate(
     plotter: pyvista.Plotter,
     scene: Scene,
     displacement: np.ndarray,
-    scale: Scale,
+    scale: DrawingScale,
     text: str = "",
     font_size: int = 20,
     bar: bool = True,
-    colours: np.ndarray | None = None,
-) -> DrawnPlate:
+    values: np.ndarray | None = None,
+) -> PlateActors:
     """Draw one field into the active subplot and point its camera at the plate.
 
     Args:
         displacement: (ny, nx) [m], edges included.
-        scale: colour limits and height factor; share one between pictures that are to be compared.
-        text: stands above the plate; the height factor is added to its last line.
-        font_size: height of the text in pixels; lines are as thick as suits it.
-        bar: draw the colour bar and the key of the outlines in this subplot.
-        colours: (ny, nx) of the scale's quantity in its SI unit; left out: the displacement.
+        scale: colours and heights; pictures that are to be compared share one.
+        text: caption; the height factor is added to its last line.
+        font_size: height of the text [pixels]; line widths are relative to it.
+        bar: draw colour bar and legend in this subplot.
+        values: (ny, nx) of the scale's field in its SI unit (default: the displacement).
     """
-    # Lines are blended in the order in which they are added; to find the order by itself takes VTK half of a picture.
+    # Lines are blended in the order in which they are added; order-independent transparency takes twice the time.
     plotter.renderer.SetUseOIT(False)
-    meshes = plate_meshes(scene, displacement, scale, colours)
-    actor = plotter.add_mesh(meshes.surface, scalars=FIELD, clim=scale.limits, lighting=False, show_scalar_bar=False)
-    _colour(actor, scale)
-    for line in lines_of(meshes):
-        _add_lines(plotter, line, font_size)
-    add_side_names(plotter, scene.plate.size, font_size)
+    meshes = plate_meshes(scene, displacement, scale, values)
+    surface = plotter.add_mesh(meshes.surface, scalars=SCALARS, clim=scale.clim, lighting=False, show_scalar_bar=False)
+    _set_colours(surface, scale)
+    for layer in line_layers(meshes):
+        _add_lines(plotter, layer, font_size)
+    add_axis_labels(plotter, scene.plate.size, font_size)
     drawn_bar = add_legend(plotter, scene, scale, font_size) if bar else None
-    above = add_text(plotter, heading(text, scale), (0.03, 0.97), font_size)
-    look_at_plate(plotter, scene.plate.size, font_size, share=beside_legend(plotter, font_size) if bar else 1.0)
-    return DrawnPlate(meshes, scale, actor, above, drawn_bar, text)
+    above = add_text(plotter, _with_heights(text, scale), (0.03, 0.97), font_size)
+    look_at_plate(plotter, scene.plate.size, font_size, share=free_width(plotter, font_size) if bar else 1.0)
+    return PlateActors(meshes, scale, surface, above, drawn_bar, text)
 
 
-def heading(text: str, scale: Scale) -> str:
-    """The text above a plate, with the height factor at its end."""
+def line_layers(meshes: PlateMeshes) -> list[LineLayer]:
+    """Return all lines of a plate in drawing order, with a target's line beside that of an edge."""
+    layers = [LineLayer(meshes.grid_lines, GRID, 0.033, 300)]
+    for kind, lines in meshes.edges.items():
+        style = EDGE_STYLES[kind]
+        layers.append(LineLayer(lines, style.colour, style.width / 18, 400 if kind == "clamped" else 560))
+    for lines, colour, width, offset in ((meshes.target, TARGET, 0.125, 500), (meshes.actuators, INK, 0.1, 600)):
+        if lines.mesh.n_points:
+            # A light rim sets the line off against dark colours.
+            layers.append(LineLayer(lines, "#ffffff", width + 0.1, offset - 20, 0.5))
+            layers.append(LineLayer(lines, colour, width, offset))
+    return layers
+
+
+def _with_heights(text: str, scale: DrawingScale) -> str:
     return ", ".join(part for part in (text, scale.heights) if part)
 
 
-def _colour(actor: pyvista.Actor, scale: Scale) -> None:
-    actor.mapper.lookup_table = lookup_table(scale)
-    actor.mapper.scalar_range = scale.limits
-    # Between 179° and −179° lies 180°, not 0°: there colours are mixed, not angles.
-    actor.mapper.interpolate_before_map = scale.quantity.kind != "cyclic"
+def _set_colours(surface: pyvista.Actor, scale: DrawingScale) -> None:
+    surface.mapper.lookup_table = lookup_table(scale)
+    surface.mapper.scalar_range = scale.clim
+    # Between 179° and −179° lies 180°, not 0°: interpolate colours of angles, not angles.
+    surface.mapper.interpolate_before_map = scale.field.kind != "cyclic"
 
 
-def lines_of(meshes: PlateMeshes) -> list[Line]:
-    """All lines of a plate, in the order in which they are drawn.
-
-    Where lines meet, the nearer one lies on top: of a target's line along a side, both can be seen.
-    """
-    lines = [Line(meshes.lines, GRID, 0.033, 300)]
-    for kind, side in meshes.sides.items():
-        lines.append(Line(side, SIDES[kind].colour, SIDES[kind].width / 18, 400 if kind == "clamped" else 560))
-    drawn = [(meshes.target, TARGET, 0.125, 500), (meshes.actuators, INK, 0.1, 600)]
-    for outline, colour, width, nearer in drawn if meshes.target.mesh.n_points else drawn[1:]:
-        # A light rim, for dark colours.
-        lines += [Line(outline, "#ffffff", width + 0.1, nearer - 20, 0.5), Line(outline, colour, width, nearer)]
-    return lines
-
-
-def _add_lines(plotter: pyvista.Plotter, line: Line, font_size: int) -> None:
+def _add_lines(plotter: pyvista.Plotter, layer: LineLayer, font_size: int) -> None:
     actor = plotter.add_mesh(
-        line.outline.mesh,
-        color=line.colour,
-        line_width=line.width * font_size,
-        opacity=line.opacity,
+        layer.lines.mesh,
+        color=layer.colour,
+        line_width=layer.width * font_size,
+        opacity=layer.opacity,
         lighting=False,
         show_scalar_bar=False,
     )
-    # A switch of the whole process in VTK; without it the next line does nothing.
+    # A global switch of VTK that the next line depends on.
     actor.mapper.resolve = "polygon_offset"
-    actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -line.nearer)
+    actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -layer.depth_offset)

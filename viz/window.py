@@ -1,283 +1,309 @@
-"""The viewer's window: plates in motion, with sliders, buttons and keys."""
+"""The window of ``warp-plate view``: plates in motion, with PyVista's sliders, buttons and keys."""
 
 from __future__ import annotations
 
 import signal
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
+from warp_plate.viz.annotations import INK, LEGEND_WIDTH, add_text, style_text
 from warp_plate.viz.camera import look_at_plate
-from warp_plate.viz.comparison import Comparison, drive_words, layout, rows_and_columns
-from warp_plate.viz.controls import Buttons, Slider
-from warp_plate.viz.lettering import LEGEND_WIDTH, add_text, style_text
+from warp_plate.viz.captions import case_label
+from warp_plate.viz.fields import FIELDS
 from warp_plate.viz.pictures import make_plotter
-from warp_plate.viz.quantity import QUANTITIES
+from warp_plate.viz.side_by_side import SideBySide, plate_subplots, rows_and_columns
 
 if TYPE_CHECKING:
     import pyvista
+    from vtkmodules.vtkInteractionWidgets import vtkButtonWidget, vtkSliderWidget
 
+# All lengths in pixels: largest window, width of a plate, height of the strip of controls, button and its column.
+MOST_WIDE, MOST_HIGH, PLATE, STRIP, BUTTON, COLUMN = 1500, 900, 620, 150, 18, 172
 FONT_SIZE = 15
-# In pixels: of a window at most, of one plate, and of the strip with sliders and buttons.
-WIDEST, HIGHEST, PLATE, STRIP = 1500, 900, 620, 150
-# Height of a plate's subplot over its width; the least height of a single row.
-SHAPE, LOWEST = 0.8, 560
-# Of the timer that asks for the next frame; frames a second at most.
-MILLISECONDS, FASTEST = 10, 60.0
-HIGHER = 1.25
+# Height of a plate's subplot over its width; least height of a single row [pixels].
+ASPECT, LEAST_HIGH = 0.8, 560
+# Interval of the timer [ms]; most frames a second.
+TIMER, FASTEST = 10, 60.0
+# Factor of a key press for rate and heights.
+STEP = 1.25
 ALL = "all"
 KEYS = """space          play, pause
-left, right    a frame back, on
+left, right    previous, next frame
 , and .        slower, faster
 up, down       heights
 c              next field in colour
 d              next drive, or all
 Shift+S        screenshot
-Home           view as at first
+Home           initial view
 h              these keys
 q              close
 drag, wheel    turn, zoom
 r, w, s        fit, wireframe, surface"""
 
 
-class Window:
+class ViewerWindow:
     """Motions in a plotter of :func:`window_plotter`; :meth:`tick` shows the next frame.
 
-    comparison: what is shown; playing; rate: frames a second.
+    Args:
+        quantity: field in colour, a key of FIELDS.
+        stem: path of screenshots without number and ending.
+        rate: frames a second.
+
+    Attributes:
+        plates: the plates, side by side.
+        playing: True while frames follow the clock.
+        shown: name of the motion that is shown alone, or ALL.
     """
 
     def __init__(
         self, plotter: pyvista.Plotter, scene: Scene, motions: Sequence[Motion], quantity: str, stem: Path, rate: float
     ) -> None:
-        """stem: of the files of screenshots, without a number and ending."""
         self.plotter = plotter
         self.scene = scene
-        self.motions = {motion.name: motion for motion in motions}
-        self.quantity = quantity
         self.stem = stem
         self.rate = rate
-        self.playing = True
-        self.shown = ALL
-        rows, columns = rows_and_columns(len(self.motions))
-        self._columns = columns
-        at = plotter.renderers.loc_to_index
-        self._plates = [int(at((row, column))) for row in range(rows) for column in range(columns)]
-        self._legend = int(at((0, columns)))
-        self._viewports = [plotter.renderers[index].GetViewport() for index in self._plates]
-        self.comparison = Comparison(plotter, scene, motions, quantity, FONT_SIZE)
-        self._factor = self.comparison.scale.factor
-        # Natural shapes have a period each.
-        self._natural = motions[0].localization_factor is None
-        count = self.comparison.frames
-        self._moments = np.arange(count) / count if self._natural else motions[0].times
-        self._position, self._last = 0.0, time.perf_counter()
-        self._build_strip(rows)
-        self._bind_keys()
-
-    def tick(self) -> None:
-        """Show the frame of this moment, if it is another."""
-        now = time.perf_counter()
-        if self.playing:
-            self._position += self.rate * (now - self._last)
-            if int(self._position) % self.comparison.frames != self.comparison.frame:
-                self.go(self._position)
-        self._last = now
-
-    def go(self, frame: float) -> None:
-        """Show a frame; after the last come the first ones again."""
-        self._position = frame % self.comparison.frames
-        self.comparison.show(int(self._position))
-        self.sliders["time"].show(float(self._moments[self.comparison.frame]))
-        self.plotter.render()
-
-    def pause(self) -> None:
-        """Stop, or go on."""
-        self.playing = not self.playing
-        self.actions.say("pause", "pause" if self.playing else "play")
-        self.plotter.render()
-
-    def step(self, frames: int) -> None:
-        """Stop, so many frames on."""
-        if self.playing:
-            self.pause()
-        self.go(self.comparison.frame + frames)
-
-    def set_rate(self, rate: float) -> None:
-        """Frames a second."""
-        self.rate = min(max(rate, 1.0), FASTEST)
-        self.sliders["rate"].show(self.rate)
-        self.plotter.render()
-
-    def exaggerate(self, factor: float) -> None:
-        """Heights, times their true size."""
-        self.comparison.exaggerate(max(factor, 1e-3 * self._factor))
-        self.sliders["heights"].show(self.comparison.scale.factor / self._factor)
-        self.plotter.render()
-
-    def colour_by(self, quantity: str) -> None:
-        """Another quantity in colour."""
         self.quantity = quantity
-        self.comparison.colour_by(quantity)
-        self.fields.mark(quantity)
-        self.plotter.render()
-
-    def show_only(self, name: str) -> None:
-        """One drive alone, as large as the window and with the same colours; or ALL, side by side."""
-        self.shown = name
-        motions = list(self.motions.values()) if name == ALL else [self.motions[name]]
-        factor, frame = self.comparison.scale.factor, self.comparison.frame
-        for index in (*self._plates, self._legend):
-            self.plotter.renderers[index].clear()
-        whole = np.array(self._viewports)
-        alone = (whole[:, 0].min(), whole[:, 1].min(), whole[:, 2].max(), whole[:, 3].max())
-        for place, index in enumerate(self._plates):
-            renderer = self.plotter.renderers[index]
-            used = place < len(motions)
-            renderer.SetViewport(*(alone if name != ALL and used else self._viewports[place]))
-            renderer.SetDraw(used)
-            renderer.SetInteractive(used)
-        legend, alike = (0, self._columns), list(self.motions.values())
-        self.comparison = Comparison(self.plotter, self.scene, motions, self.quantity, FONT_SIZE, legend, alike)
-        self.plotter.renderers[self._plates[0]].AddViewProp(self.keys)
-        self.comparison.exaggerate(factor)
-        self.comparison.show(frame)
-        self.drives.mark(name)
-        self.plotter.render()
-
-    def look_again(self) -> None:
-        """The view as at first."""
-        for place in range(len(self.comparison.plates)):
-            self.plotter.subplot(*divmod(place, self._columns))
-            look_at_plate(self.plotter, self.scene.plate.size, FONT_SIZE)
-        self.plotter.render()
-
-    def screenshot(self) -> Path:
-        """Write the window to the next free file."""
-        number = 1
-        while (path := Path(f"{self.stem}-{number}.png")).exists():
-            number += 1
-        try:
-            self.plotter.screenshot(path)
-            self._say(f"wrote {path}")
-        except OSError as error:
-            self._say(f"{path}: cannot be written: {error.strerror}")
-        return path
-
-    def toggle_keys(self) -> None:
-        """Show or hide what the keys do."""
-        self.keys.SetVisibility(not self.keys.GetVisibility())
-        self.plotter.render()
-
-    def _say(self, words: str) -> None:
-        self.status.SetInput(words)
-        self.plotter.render()
-
-    def _build_strip(self, row: int) -> None:
-        plotter = self.plotter
-        plotter.subplot(row, 0)
-        plotter.renderer.InteractiveOff()
-        line = FONT_SIZE / plotter.renderer.GetSize()[1]
-        moments, name = self._moments, "time, in periods" if self._natural else "time [s]"
-        self.sliders = {
-            key: Slider(plotter, name, ends, value, (left, right, 1 - 0.5 * line), FONT_SIZE, changed)
-            for key, name, ends, value, (left, right), changed in (
-                ("time", name, (moments[0], moments[-1]), moments[0], (0.02, 0.42), self._to_time),
-                ("rate", "frames a second", (1.0, FASTEST), self.rate, (0.48, 0.70), self.set_rate),
-                ("heights", "heights, 1 as at first", (0.0, 4.0), 1.0, (0.76, 0.98), self._to_heights),
-            )
-        }
-
-        def buttons(words: dict[str, str], row: int, pressed: Callable[[str], object], columns: int = 6) -> Buttons:
-            top = 1 - (4.0 + 2.2 * row) * line
-            return Buttons(plotter, words, (0.02, top), columns, FONT_SIZE, pressed)
-
-        actions = {"pause": "pause", "screenshot": "screenshot", "keys": "keys (h)"}
-        does = {"pause": self.pause, "screenshot": self.screenshot, "keys": self.toggle_keys}
-        self.actions = buttons(actions, 0, lambda key: does[key]())
-        self._field_names = [] if self._natural else list(QUANTITIES)
-        fields = {name: name.replace("-", " ") for name in self._field_names}
-        self.fields = buttons(fields, 1, self.colour_by)
-        self._drive_names = [*self.motions, ALL] if len(self.motions) > 1 else []
-        words = {name: drive_words(name, self.comparison.scene) for name in self.motions} | {ALL: "side by side"}
-        row, columns = (1, 7) if self._natural else (2, 6)
-        self.drives = buttons({name: words[name] for name in self._drive_names}, row, self.show_only, columns)
-        self.fields.mark(self.quantity)
-        self.drives.mark(ALL)
-        self.status = add_text(plotter, "", (0.53, 1 - 4.0 * line), FONT_SIZE, "#08519c")
+        self.shown = ALL
+        self.plates = SideBySide(plotter, scene, motions, quantity, FONT_SIZE)
+        self._warp_factor = self.plates.scale.warp_factor
+        self._modes = motions[0].localization_factor is None
+        count = self.plates.frames
+        self._moments = np.arange(count) / count if self._modes else motions[0].times  # modes: in periods
+        self._position, self._clock = 0.0, time.perf_counter()
+        rows, columns = rows_and_columns(len(motions))
+        places = [divmod(place, columns) for place in range(rows * columns)]
+        self._renderers = [plotter.renderers[int(plotter.renderers.loc_to_index(place))] for place in places]
+        self._viewports = [renderer.GetViewport() for renderer in self._renderers]
+        self._add_controls(rows)
+        self._bind_keys()
         plotter.subplot(0, 0)
         self.keys = add_text(plotter, KEYS, (0.03, 0.8), FONT_SIZE)
         style_text(self.keys.GetTextProperty(), FONT_SIZE - 2, font="DejaVuSansMono")
         self.keys.GetTextProperty().SetBackgroundColor(1, 1, 1)
         self.keys.GetTextProperty().SetBackgroundOpacity(0.9)
         self.keys.VisibilityOff()
+        self.playing = True
 
-    def _to_heights(self, times: float) -> None:
-        self.exaggerate(times * self._factor)
-
-    def _to_time(self, moment: float) -> None:
+    def tick(self) -> None:
+        """Show the frame of this moment."""
+        now = time.perf_counter()
         if self.playing:
-            self.pause()
-        self.go(int(np.abs(self._moments - moment).argmin()))
+            self._position += self.rate * (now - self._clock)
+            if int(self._position) % self.plates.frames != self.plates.frame:
+                self.go(self._position)
+        self._clock = now
+
+    def go(self, frame: float) -> None:
+        """Show a frame, counted modulo the number of frames."""
+        self._position = frame % self.plates.frames
+        self.plates.show(int(self._position))
+        self.sliders["time"].GetRepresentation().SetValue(self._moments[self.plates.frame])
+        self.plotter.render()
+
+    def play(self, playing: bool) -> None:
+        """Start or stop."""
+        self.playing = playing
+        self.play_button.GetRepresentation().SetState(playing)
+        self.plotter.render()
+
+    def step(self, frames: int) -> None:
+        """Stop, and move by a number of frames."""
+        self.play(False)
+        self.go(self.plates.frame + frames)
+
+    def set_rate(self, rate: float) -> None:
+        """Set the frames a second."""
+        self.rate = min(max(rate, 1.0), FASTEST)
+        self.sliders["rate"].GetRepresentation().SetValue(self.rate)
+        self.plotter.render()
+
+    def exaggerate(self, warp_factor: float) -> None:
+        """Exaggerate heights by this factor."""
+        self.plates.exaggerate(max(warp_factor, 1e-3 * self._warp_factor))
+        self.sliders["heights"].GetRepresentation().SetValue(self.plates.scale.warp_factor / self._warp_factor)
+        self.plotter.render()
+
+    def colour_by(self, quantity: str) -> None:
+        """Show another field in colour."""
+        self.quantity = quantity
+        self.plates.colour_by(quantity)
+        _check(self.field_buttons, quantity)
+        self.plotter.render()
+
+    def show_only(self, name: str) -> None:
+        """Enlarge one motion to the whole window, or show ALL side by side; colours stay the same."""
+        self.shown = name
+        left, bottom, right, top = np.transpose(self._viewports)
+        whole = (left.min(), bottom.min(), right.max(), top.max())
+        names = [motion.name for motion in self.plates.motions]
+        for index, (renderer, viewport) in enumerate(zip(self._renderers, self._viewports, strict=True)):
+            alone = names[index : index + 1] == [name]
+            renderer.SetViewport(*(whole if alone else viewport))
+            renderer.SetDraw(alone or name == ALL)
+            renderer.SetInteractive(alone or name == ALL)
+            renderer.RemoveViewProp(self.keys)
+        self._renderers[names.index(name) if name != ALL else 0].AddViewProp(self.keys)
+        _check(self.case_buttons, name)
+        self.reset_view()
+
+    def reset_view(self) -> None:
+        """Point all cameras as at first."""
+        columns = rows_and_columns(len(self.plates.plates))[1]
+        for index in range(len(self.plates.plates)):
+            self.plotter.subplot(*divmod(index, columns))
+            look_at_plate(self.plotter, self.scene.plate.size, FONT_SIZE)
+        self.plotter.render()
+
+    def screenshot(self) -> Path:
+        """Write the window to the next free file name."""
+        number = 1
+        while (path := Path(f"{self.stem}-{number}.png")).exists():
+            number += 1
+        try:
+            self.plotter.screenshot(path)
+            self.status.SetInput(f"wrote {path}")
+        except OSError as error:
+            self.status.SetInput(f"{path}: cannot be written: {error.strerror}")
+        self.plotter.render()
+        return path
+
+    def toggle_keys(self) -> None:
+        """Show or hide the list of keys."""
+        self.keys.SetVisibility(not self.keys.GetVisibility())
+        self.plotter.render()
+
+    def _add_controls(self, row: int) -> None:
+        """Fill the strip below the plates; PyVista calls each slider's callback once."""
+        plotter, moments = self.plotter, self._moments
+        plotter.subplot(row, 0)
+        plotter.renderer.InteractiveOff()
+        self.sliders: dict[str, vtkSliderWidget] = {}
+        self.status = add_text(plotter, "h: list of keys", (0.013, 0.14), FONT_SIZE, "#08519c")
+        self.play_button = plotter.add_checkbox_button_widget(
+            self.play, value=True, position=(20, 64), size=BUTTON, border_size=2, color_on="#08519c", color_off="white"
+        )
+        self._add_label("play", 20, 64)
+        fields = {} if self._modes else {name: name.replace("-", " ") for name in FIELDS}
+        self.field_buttons = self._add_buttons(fields, 64, COLUMN, self.colour_by, self.quantity)
+        names = [motion.name for motion in self.plates.motions]
+        cases = {name: case_label(name, self.scene) for name in names} | {ALL: "side by side"} if len(names) > 1 else {}
+        self.case_buttons = self._add_buttons(cases, 34, 0, self.show_only, ALL)
+        self.playing, label = False, "time [periods]" if self._modes else "time [s]"
+        self._add_slider("time", label, (moments[0], moments[-1]), moments[0], (0.02, 0.42), self._on_time)
+        self._add_slider("rate", "frames per second", (1.0, FASTEST), self.rate, (0.48, 0.70), self._on_rate)
+        self._add_slider("heights", "heights, 1 at first", (0.0, 4.0), 1.0, (0.76, 0.98), self._on_heights)
+
+    def _add_slider(
+        self,
+        key: str,
+        title: str,
+        ends: tuple[float, float],
+        value: float,
+        position: tuple[float, float],
+        callback: Callable[[float], None],
+    ) -> None:
+        left, right = position
+        slider = self.plotter.add_slider_widget(
+            callback, ends, value=value, pointa=(left, 0.70), pointb=(right, 0.70), style="modern", fmt="%.4g",
+            interaction_event="always", slider_width=0.12, tube_width=0.03, color=INK,
+        )  # fmt: skip
+        bar = slider.GetRepresentation()
+        bar.SetLabelHeight(0.11)
+        bar.SetSliderLength(0.006)
+        bar.SetEndCapLength(0.0)
+        style_text(bar.GetLabelProperty(), FONT_SIZE)
+        add_text(self.plotter, title, (left, 1.0), FONT_SIZE)
+        self.sliders[key] = slider
+
+    def _add_buttons(
+        self, labels: dict[str, str], y: int, left: int, callback: Callable[[str], None], chosen: str
+    ) -> dict[str, vtkButtonWidget]:
+        """Add a row of radio buttons."""
+        column = min(COLUMN, (self.plotter.window_size[0] - left) // max(1, len(labels)))
+        buttons = {}
+        for index, (name, label) in enumerate(labels.items()):
+            x = left + index * column + 20
+            buttons[name] = self.plotter.add_radio_button_widget(
+                partial(callback, name), f"row {y}", value=name == chosen, position=(x, y),
+                size=BUTTON, border_size=4, color_on="#08519c", color_off="#c4c4c4",
+            )  # fmt: skip
+            self._add_label(label, x, y)
+        return buttons
+
+    def _add_label(self, label: str, x: int, y: int) -> None:
+        text = self.plotter.add_text(label, position=(x + 1.5 * BUTTON, y))
+        style_text(text.prop, FONT_SIZE)
+
+    def _on_time(self, moment: float) -> None:
+        if "time" in self.sliders:  # not PyVista's first call
+            self.play(False)
+            self.go(int(np.abs(self._moments - moment).argmin()))
+
+    def _on_rate(self, rate: float) -> None:
+        self.rate = rate
+
+    def _on_heights(self, ratio: float) -> None:
+        if "heights" in self.sliders:
+            self.exaggerate(ratio * self._warp_factor)
 
     def _bind_keys(self) -> None:
-        def colour_on() -> None:
-            if self._field_names:
-                self.colour_by(_after(self._field_names, self.quantity))
-
-        def drive_on() -> None:
-            if self._drive_names:
-                self.show_only(_after(self._drive_names, self.shown))
+        def next_of(buttons: dict[str, Any], name: str, callback: Callable[[str], None]) -> None:
+            names = list(buttons)
+            if names:
+                callback(names[(names.index(name) + 1) % len(names)])
 
         keys: dict[str, Callable[[], object]] = {
-            "space": self.pause,
+            "space": lambda: self.play(not self.playing),
             "Left": lambda: self.step(-1),
             "Right": lambda: self.step(1),
-            "comma": lambda: self.set_rate(self.rate / HIGHER),
-            "period": lambda: self.set_rate(self.rate * HIGHER),
-            "Up": lambda: self.exaggerate(self.comparison.scale.factor * HIGHER),
-            "Down": lambda: self.exaggerate(self.comparison.scale.factor / HIGHER),
-            "c": colour_on,
-            "d": drive_on,
+            "comma": lambda: self.set_rate(self.rate / STEP),
+            "period": lambda: self.set_rate(self.rate * STEP),
+            "Up": lambda: self.exaggerate(self.plates.scale.warp_factor * STEP),
+            "Down": lambda: self.exaggerate(self.plates.scale.warp_factor / STEP),
+            "c": lambda: next_of(self.field_buttons, self.quantity, self.colour_by),
+            "d": lambda: next_of(self.case_buttons, self.shown, self.show_only),
             "S": self.screenshot,
-            "Home": self.look_again,
+            "Home": self.reset_view,
             "h": self.toggle_keys,
         }
-        for key, does in keys.items():
-            self.plotter.add_key_event(key, does)
+        for key, callback in keys.items():
+            self.plotter.add_key_event(key, callback)
 
 
 def window_plotter(plates: int, **options: object) -> pyvista.Plotter:
-    """With the subplots of so many plates, their legend and the strip below them."""
+    """Return a plotter with subplots for the plates, their legend, and the strip of controls below them."""
     rows, columns = rows_and_columns(plates)
-    room = (WIDEST - LEGEND_WIDTH * FONT_SIZE) / columns, (HIGHEST - STRIP) / rows / SHAPE
-    each = round(min(PLATE * (1.6 if plates == 1 else 1), *room))
-    subplots = layout(plates, each, FONT_SIZE)
-    # A drive alone takes the whole row.
-    high = max(round(each * SHAPE), LOWEST if rows == 1 else 0)
+    most_wide = (MOST_WIDE - LEGEND_WIDTH * FONT_SIZE) / columns
+    width = round(min(PLATE * (1.6 if plates == 1 else 1), most_wide, (MOST_HIGH - STRIP) / rows / ASPECT))
+    subplots = plate_subplots(plates, width, FONT_SIZE)
+    # A drive shown alone takes the whole row.
+    height = max(round(width * ASPECT), LEAST_HIGH if rows == 1 else 0)
     subplots |= {
         "shape": (rows + 1, columns + 1),
-        "row_weights": [high] * rows + [STRIP],
+        "row_weights": [height] * rows + [STRIP],
         "groups": [(rows, np.s_[:])],
     }
-    size = (sum(subplots["col_weights"]), rows * high + STRIP)
+    size = (sum(subplots["col_weights"]), rows * height + STRIP)
     return make_plotter(size, title="warp-plate view", **subplots, **options)
 
 
 def open_window(
     scene: Scene, motions: Sequence[Motion], quantity: str, stem: Path, rate: float, heights: float | None
 ) -> None:
-    """Show motions until the window is closed; ``viz.availability.missing_window`` says whether it can be."""
+    """Show motions until the window is closed; see ``viz.availability.missing_window``."""
     plotter = window_plotter(len(motions))
-    window = Window(plotter, scene, motions, quantity, stem, rate)
+    window = ViewerWindow(plotter, scene, motions, quantity, stem, rate)
     if heights is not None:
         window.exaggerate(heights)
-    plotter.add_timer_event(max_steps=2**31 - 1, duration=MILLISECONDS, callback=lambda _: window.tick())
-    # Ctrl-C closes the window as q does; VTK would end the process in its own way.
+    plotter.add_timer_event(max_steps=2**31 - 1, duration=TIMER, callback=lambda _: window.tick())
+    # Ctrl-C closes the window as q does; VTK would end the process.
     before = signal.signal(signal.SIGINT, lambda *_: plotter.iren.terminate_app())
     try:
         plotter.show()
@@ -285,6 +311,6 @@ def open_window(
         signal.signal(signal.SIGINT, before)
 
 
-def _after(names: Sequence[str], name: str) -> str:
-    """The next of them; the first after the last."""
-    return names[(names.index(name) + 1) % len(names)]
+def _check(buttons: dict[str, vtkButtonWidget], chosen: str) -> None:
+    for name, button in buttons.items():
+        button.GetRepresentation().SetState(name == chosen)

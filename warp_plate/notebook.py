@@ -89,12 +89,12 @@ def view(
     from warp_plate.analysis.motion import motions
     from warp_plate.scene.errors import SceneError
     from warp_plate.viz.availability import DrawingUnavailable, missing_meshes
+    from warp_plate.viz.fields import FIELDS
     from warp_plate.viz.notebook import shown_case
     from warp_plate.viz.page import write_page
-    from warp_plate.viz.quantity import QUANTITIES
 
     names = cases or (shown_case(result)[0],)
-    for key, value, known in [("quantity", quantity, QUANTITIES), *(("case", name, result.cases) for name in names)]:
+    for key, value, known in [("quantity", quantity, FIELDS), *(("case", name, result.cases) for name in names)]:
         if value not in known:
             raise SceneError(f"{key} = {value!r}: must be one of {', '.join(known)}")
     if (problem := missing_meshes()) is not None:

@@ -20,7 +20,8 @@ from warp_plate.solve.cpu import compiler_flags
 from warp_plate.solve.devices import cpu_threads, find_device
 from warp_plate.solve.specialize import specialize
 from warp_plate.solve.state import bytes_per_plate
-from warp_plate.viz.plots.bench import commonest_size, draw_bench, draw_bench_beside, fastest_of_each_size
+from warp_plate.viz.plots.bench import commonest_size, draw_bench, fastest_of_each_size
+from warp_plate.viz.plots.frame import save_plots
 
 HASTE = {"cpu": TimingBudget(0.002, 2), "cuda": TimingBudget(0.002, 2)}
 KEYS = ["machine", "versions", "limits", "rows", "interrupted"]
@@ -310,8 +311,8 @@ def test_a_plot_that_cannot_be_is_told_of(tmp_path):
     """The figures are kept; nothing is raised."""
     pytest.importorskip("matplotlib", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
     nothing = record(row(status="skipped: too large"))
-    assert draw_bench_beside(nothing, tmp_path / "bench.json") == ([], "no plot: nothing was measured")
-    files, missing = draw_bench_beside(record(row()), tmp_path / "absent" / "bench.json")
+    assert save_plots(draw_bench, nothing, tmp_path / "bench.json") == ([], "no plot: nothing was measured")
+    files, missing = save_plots(draw_bench, record(row()), tmp_path / "absent" / "bench.json")
     assert files == []
     assert "absent" in missing
 

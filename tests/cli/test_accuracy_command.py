@@ -9,7 +9,8 @@ import pytest
 
 from warp_plate.accuracy import configurations as family
 from warp_plate.accuracy import report
-from warp_plate.viz.plots.accuracy import draw_accuracy, draw_accuracy_beside, families, longest_steps, refused_points
+from warp_plate.viz.plots.accuracy import draw_accuracy, families, longest_steps, refused_points
+from warp_plate.viz.plots.frame import save_plots
 
 ROW_KEYS = {
     "order", "load", "nodes", "time_step", "precision", "localization_factor", "bound", "error", "seconds_per_plate",
@@ -138,9 +139,9 @@ def test_a_plot_that_cannot_be_is_told_of(tmp_path):
     pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
     reference = {"uncertainty": 1e-3}
     nothing = {"rows": [row(status="skipped: so", error=None)], "front": [], "reference": reference}
-    assert draw_accuracy_beside(nothing, tmp_path / "a.json") == ([], "no plot: nothing was measured")
+    assert save_plots(draw_accuracy, nothing, tmp_path / "a.json") == ([], "no plot: nothing was measured")
     record = {"rows": [row()], "front": [0], "reference": reference}
-    files, missing = draw_accuracy_beside(record, tmp_path / "absent" / "a.json")
+    files, missing = save_plots(draw_accuracy, record, tmp_path / "absent" / "a.json")
     assert files == []
     assert "absent" in missing
     assert draw_accuracy(record, tmp_path / "a.svg").exists()

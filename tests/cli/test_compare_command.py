@@ -13,7 +13,7 @@ from warp_plate.result.comparison import Comparison, Trial, load_comparison, sav
 from warp_plate.scene.dump import dump_scene
 from warp_plate.studies import compare as module
 from warp_plate.studies.compare import METHODS, compare
-from warp_plate.viz.plots.compare import draw_comparison, spread
+from warp_plate.viz.plots.compare import draw_comparison, loss_statistics
 
 NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
 BUDGET = 8 * 30
@@ -185,12 +185,12 @@ def made(panel):
 
 
 def test_spread_holds_what_ended_trials_found(made):
-    clocks, losses = spread(made.trials, "evaluations", 40)
+    clocks, losses = loss_statistics(made.trials, "evaluations", 40)
     np.testing.assert_array_equal(clocks, [8, 12, 16, 40])
     np.testing.assert_allclose(losses[0], [0.7, 0.5, 0.4, 0.4])
     np.testing.assert_allclose(losses[1], [0.8, 0.6, 0.55, 0.55])
     np.testing.assert_allclose(losses[2], [0.9, 0.7, 0.7, 0.7])
-    seconds, _ = spread(made.trials, "seconds", 40)
+    seconds, _ = loss_statistics(made.trials, "seconds", 40)
     np.testing.assert_allclose(seconds, [0.2, 0.25, 0.35])
 
 

@@ -52,7 +52,7 @@ def render(searched, tmp_path, monkeypatch, capsys):
 @pytest.fixture
 def drawing():
     """Skips the test where nothing can be drawn off screen."""
-    if (problem := viz.missing()) is not None:
+    if (problem := viz.missing_renderer()) is not None:
         pytest.skip(problem)
 
 
@@ -99,7 +99,7 @@ def test_movies_play_all_frames(render, drawing, tmp_path):
 
 def test_pages_and_plans_need_no_window(render, monkeypatch, tmp_path):
     """A browser or Matplotlib draws them: nothing of VTK's windows is asked for."""
-    monkeypatch.setattr(availability, "PROBE", "raise SystemExit(1)")
+    monkeypatch.setattr(availability, "TRIAL", "raise SystemExit(1)")
     availability._probe.cache_clear()
     try:
         render("--out", "a.html", "--out", "a.svg", "--out", "a.pdf", "--field", "phase")

@@ -216,7 +216,7 @@ def test_the_last_line_after_ctrl_c_is_true(panel, command, monkeypatch):
 
     from warp_plate.viz.plots import sweep as sweep_plot
 
-    monkeypatch.setattr(sweep_plot, "draw_sweep_beside", impatient)
+    monkeypatch.setattr(sweep_plot, "draw_sweep", impatient)
     status, _, err = command("panel.toml", *TWO, "--what", "check", "--device", "cpu")
     assert (status, err) == (130, "warp-plate: interrupted\n")
     assert Path("panel-sweep.h5").exists()

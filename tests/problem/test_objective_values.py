@@ -160,10 +160,10 @@ def test_the_command_says_what_its_bound_is(tables, kind, words, scene, tmp_path
 
 def test_the_picture_of_the_search_has_the_bound(panel):
     figure = pytest.importorskip("matplotlib.figure")
-    from warp_plate.viz.figures import _plot_history
+    from warp_plate.viz.plots.history import plot_history
 
     result = localize(panel, device="cpu", estimate=False)
     axes = figure.Figure().add_subplot()
-    _plot_history(axes, result)
+    plot_history(axes, result)
     (line,) = [line for line in axes.lines if line.get_label().startswith("bound")]
     np.testing.assert_allclose(line.get_ydata(), -result.objective_values["bound"])

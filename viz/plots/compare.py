@@ -1,4 +1,4 @@
-"""Plot of a comparison: what each method had found against evaluations and against seconds."""
+"""Plot of a comparison of search methods: best loss against evaluations and against seconds."""
 
 from __future__ import annotations
 
@@ -9,13 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.scene.vary import counted
-from warp_plate.viz.availability import plot_beside
-from warp_plate.viz.plots.axes import number_logarithmic
+from warp_plate.viz.plots.frame import figure, number_log_axis
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from typing import Any
-
     from matplotlib.axes import Axes
 
     from warp_plate.result.comparison import Comparison, Trial
@@ -29,100 +25,73 @@ COLOURS = {
     "exact": "#b2182b",
 }
 BOUND_COLOUR = "#111111"
-BOUND_DESCRIPTIONS = {"attained": "bound: no method can pass", "bound only": "bound only: may not be reached"}
-# The smallest distance from the bound that is drawn: what is below is rounding.
-NEAREST = 1e-12
-
-
-def draw_comparison_beside(comparison: Comparison, path: Path) -> tuple[list[Path], str | None]:
-    """See :func:`plot_beside`."""
-
-    def draw(_: Mapping[str, Any], file: Path) -> Path:
-        return draw_comparison(comparison, file)
-
-    return plot_beside(draw, {}, path)
+BOUND_LABELS = {"attained": "bound: no method can pass", "bound only": "bound only: may not be reached"}
+# Smallest distance from the bound that is drawn; smaller ones are rounding errors.
+SMALLEST_DISTANCE = 1e-12
 
 
 def draw_comparison(comparison: Comparison, path: str | Path) -> Path:
-    """PNG, SVG or PDF by ending. Lines are medians over the seeds, bands go from the worst to the best seed.
+    """Plot the median over the seeds as lines, and worst to best seed as bands.
 
-    Where a bound is known, the lower row shows the distance from it.
-
-    Raises:
-        ValueError: Matplotlib does not know the ending.
-        OSError: the file cannot be written.
+    A second row shows the distance from the bound if one is known.
     """
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     rows = 1 if comparison.bound is None else 2
-    with rc_context({"font.size": 9, "axes.linewidth": 0.8, "svg.hashsalt": "warp-plate"}):
-        figure = Figure(figsize=(9.0, 0.9 + 2.7 * rows), layout="constrained")
-        FigureCanvasAgg(figure)
-        grid = figure.subplots(rows, 2, sharex="col", sharey="row", squeeze=False)
-        for column, clock in enumerate(("evaluations", "seconds")):
-            _plot_values(grid[0, column], comparison, clock)
-            if comparison.bound is not None:
-                _plot_distances(grid[1, column], comparison, clock)
-            grid[-1, column].set_xlabel(clock)
-            number_logarithmic(grid[-1, column].xaxis)
+    with figure(path, (9.0, 0.9 + 2.7 * rows)) as made:
+        grid = made.subplots(rows, 2, sharex="col", sharey="row", squeeze=False)
+        for column, clock in zip(grid.T, ("evaluations", "seconds"), strict=True):
+            _plot(column, comparison, clock)
+            column[-1].set_xlabel(clock)
+            number_log_axis(column[-1].xaxis)
         grid[0, 0].set_ylabel("largest localization factor" if comparison.localization else "smallest loss")
         if comparison.bound is not None:
-            grid[1, 0].set_ylabel(f"distance from the bound (≥ {NEAREST:g})")
-            number_logarithmic(grid[1, 0].yaxis)
-        handles, labels = grid[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+            grid[1, 0].set_ylabel(f"distance from the bound (≥ {SMALLEST_DISTANCE:g})")
+            number_log_axis(grid[1, 0].yaxis)
+        made.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
         seeds = len({trial.seed for trial in comparison.trials})
         title = f"{comparison.scene.title or comparison.source}: median, best and worst of {counted(seeds, 'seed')}"
-        figure.suptitle(title, fontsize=9)
-        figure.savefig(path, dpi=200)
+        made.suptitle(title, fontsize=9)
     return Path(path)
 
 
-def spread(trials: Sequence[Trial], clock: str, budget: int) -> tuple[np.ndarray, np.ndarray]:
-    """(iterations,) medians of a clock, "evaluations" or "seconds", and (3, iterations) smallest, median and largest
-    loss so far. A trial that has ended keeps what it found; evaluations go on to the budget."""
+def loss_statistics(trials: Sequence[Trial], clock: str, budget: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return statistics over the trials of a method.
+
+    A trial that has ended keeps its last loss; evaluations extend to the budget.
+
+    Returns:
+        (iterations,) median of the clock, "evaluations" or "seconds"; (3, iterations) smallest, median and largest loss
+        so far.
+    """
     count = max(len(trial.loss) for trial in trials)
     times, losses = (
         np.array([np.pad(getattr(trial, name), (0, count - len(trial.loss)), mode="edge") for trial in trials], float)
         for name in (clock, "loss")
     )
     clocks = np.median(times, axis=0)
-    found = np.stack([losses.min(axis=0), np.median(losses, axis=0), losses.max(axis=0)])
+    statistics = np.stack([losses.min(axis=0), np.median(losses, axis=0), losses.max(axis=0)])
     if clock == "evaluations" and clocks[-1] < budget:
-        clocks, found = np.append(clocks, budget), np.pad(found, ((0, 0), (0, 1)), mode="edge")
-    return clocks, found
+        clocks, statistics = np.append(clocks, budget), np.pad(statistics, ((0, 0), (0, 1)), mode="edge")
+    return clocks, statistics
 
 
-def _plot_values(axes: Axes, comparison: Comparison, clock: str) -> None:
+def _plot(column: Sequence[Axes], comparison: Comparison, clock: str) -> None:
+    """Plot values, and distances from the bound if there is a second axes."""
     sign, offset = (-1, 1) if comparison.localization else (1, 0)
     for method in comparison.methods:
-        points, losses = spread(comparison.trials_of(method), clock, comparison.budget)
-        _plot_line(axes, method, points, offset + sign * losses)
+        clocks, losses = loss_statistics(comparison.trials_of(method), clock, comparison.budget)
+        _plot_method(column[0], method, clocks, offset + sign * losses)
+        if comparison.bound is not None:
+            _plot_method(column[1], method, clocks, np.maximum(losses - comparison.bound, SMALLEST_DISTANCE))
     if comparison.bound is not None:
-        axes.axhline(
-            offset + sign * comparison.bound,
-            color=BOUND_COLOUR,
-            linewidth=1.0,
-            linestyle="--",
-            label=BOUND_DESCRIPTIONS[comparison.bound_kind],
-        )
-    axes.set_xscale("log")
-    axes.spines[["top", "right"]].set_visible(False)
+        bound, label = offset + sign * comparison.bound, BOUND_LABELS[comparison.bound_kind]
+        column[0].axhline(bound, color=BOUND_COLOUR, linewidth=1.0, linestyle="--", label=label)
+        column[1].set_yscale("log")
+    for axes in column:
+        axes.set_xscale("log")
 
 
-def _plot_distances(axes: Axes, comparison: Comparison, clock: str) -> None:
-    for method in comparison.methods:
-        points, losses = spread(comparison.trials_of(method), clock, comparison.budget)
-        _plot_line(axes, method, points, np.maximum(losses - comparison.bound, NEAREST))
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.spines[["top", "right"]].set_visible(False)
-
-
-def _plot_line(axes: Axes, method: str, points: np.ndarray, values: np.ndarray) -> None:
+def _plot_method(axes: Axes, method: str, clocks: np.ndarray, values: np.ndarray) -> None:
     colour = COLOURS.get(method, "#666666")
-    axes.fill_between(points, values[0], values[2], step="post", color=colour, alpha=0.13, linewidth=0)
+    axes.fill_between(clocks, values[0], values[2], step="post", color=colour, alpha=0.13, linewidth=0)
     marker = {"marker": "D", "markevery": [0], "markersize": 4} if method == "exact" else {}
-    axes.plot(points, values[1], drawstyle="steps-post", color=colour, linewidth=1.4, label=method, **marker)
+    axes.plot(clocks, values[1], drawstyle="steps-post", color=colour, linewidth=1.4, label=method, **marker)

@@ -1,10 +1,10 @@
-"""Picture of a sweep: lines over one key, maps over two, small maps over more, points of samples."""
+"""Pictures of a sweep: lines over one key, maps over two, small maps over more, points of samples."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +13,7 @@ import numpy as np
 from warp_plate.result.sweep import REFUSED, Sweep
 from warp_plate.scene.keys import label_of, unit_of
 from warp_plate.scene.vary import counted
-from warp_plate.viz.availability import plot_beside
-from warp_plate.viz.plots.axes import number_logarithmic
+from warp_plate.viz.plots.frame import figure, number_log_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,192 +22,123 @@ if TYPE_CHECKING:
 
 COLOURS = ("#08519c", "#b2182b", "#6baed6", "#8a8a8a", "#1b7837", "#762a83", "#d95f02", "#4d4d4d")
 REFUSED_COLOUR = "#d9d9d9"
-MAP_COLOURS = "viridis"
-# Modes that have a line or a map of their own; small maps, of more some that lie evenly.
+CMAP = "viridis"
+# Most modes with a line or map of their own; most small maps, of which some are left out evenly.
 MOST_MODES, MOST_MAPS = 8, 20
-LEVELS = 8
-# Of samples, by rank, and their sizes: the first is filled, and neighbours that lie on each other are both seen.
+CONTOURS = 8
+# Marker and size of samples by rank: the first is filled, and coinciding neighbours can both be seen.
 MARKERS = (("o", 3), ("o", 6), ("x", 4), ("+", 6), ("s", 5), ("D", 7), ("^", 5), ("v", 6))
-# Powers of ten that numbers on an axis have; of others the power stands once, with the unit.
+# Powers of ten that tick labels may have; any other power is written once, with the unit.
 PLAIN_POWERS = range(-1, 4)
-# Of a map, and of a panel of points, in inches.
+# Width and height of a map, a small map and a panel of points [inch].
 MAP_SIZE, SMALL_SIZE, POINTS_SIZE = (3.9, 3.0), (2.5, 2.2), (2.6, 2.4)
 
 
-def draw_sweep_beside(sweep: Sweep, path: Path) -> tuple[list[Path], str | None]:
-    """See :func:`plot_beside`."""
-
-    def draw(_: Mapping[str, Any], file: Path) -> Path:
-        return draw_sweep(sweep, file)
-
-    return plot_beside(draw, {}, path)
-
-
 def draw_sweep(sweep: Sweep, path: str | Path) -> Path:
-    """PNG, SVG or PDF by ending. Refused points are grey.
+    """Draw the outputs of a sweep, with refused points in grey.
 
-    Over one key all outputs are lines; over two each is a map; over three or more the first output is a map over the
-    two keys with most values, one for each combination of the others; of samples all outputs are points over each key.
-
-    Raises:
-        ValueError: Matplotlib does not know the ending.
-        OSError: the file cannot be written.
+    Over one key all outputs are lines; over two each output is a map; over more the first output is a map over the two
+    longest keys for each combination of the others; for samples all outputs are points over each key.
     """
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with rc_context({"font.size": 9, "axes.linewidth": 0.8, "svg.hashsalt": "warp-plate"}):
-        figure = Figure(layout="constrained")
-        FigureCanvasAgg(figure)
-        keys = len(sweep.plan.keys)
-        if sweep.plan.sampled:
-            note = _draw_points(figure, sweep)
+    keys, sampled = len(sweep.plan.keys), sweep.plan.sampled
+    with figure(path, box=keys > 1 and not sampled) as made:
+        if sampled:
+            note = _draw_points(made, sweep)
         elif keys == 1:
-            note = _draw_lines(figure, sweep)
+            note = _draw_lines(made, sweep)
         elif keys == 2:
-            note = _draw_maps(figure, sweep)
+            note = _draw_maps(made, sweep)
         else:
-            note = _draw_small_maps(figure, sweep)
-        title = f"{sweep.scene.title or sweep.source}: {note}" if note else sweep.scene.title or sweep.source
-        figure.suptitle(title, fontsize=9)
-        figure.savefig(path, dpi=200)
+            note = _draw_small_maps(made, sweep)
+        title = sweep.scene.title or sweep.source
+        made.suptitle(f"{title}: {note}" if note else title, fontsize=9)
     return Path(path)
 
 
 def curves(sweep: Sweep) -> dict[str, tuple[str, np.ndarray]]:
-    """By its words, the unit and (points,) values of every number that the outputs have; not finite ones as NaN."""
-    made = {}
-    for name, one in sweep.outputs.items():
+    """Return the unit and the (points,) values of every scalar output by its label; NaN where not finite."""
+    found = {}
+    for name, output in sweep.outputs.items():
         values = sweep.values[name].reshape(len(sweep.plan), -1)
-        shown = np.where(np.isfinite(values), values, np.nan).T
-        for index, row in enumerate(shown[:MOST_MODES], 1):
-            made[f"{one.meaning} {index}" if one.axis else one.meaning] = (one.unit, row)
-    return made
-
-
-def edges_of(values: np.ndarray, logarithmic: bool) -> np.ndarray:
-    """(n + 1,) ends of the cells around (n,) rising or falling values, half-way between them."""
-    at = np.log(values) if logarithmic else values
-    if len(at) == 1:
-        half = 0.5 if logarithmic else 0.5 * abs(float(at[0])) or 0.5
-        ends = np.array([at[0] - half, at[0] + half])
-    else:
-        middle = (at[1:] + at[:-1]) / 2
-        ends = np.concatenate([[2 * at[0] - middle[0]], middle, [2 * at[-1] - middle[-1]]])
-    return np.exp(ends) if logarithmic else ends
-
-
-def _key(sweep: Sweep, key: str) -> tuple[str, str]:
-    """In words, and its unit."""
-    return label_of(sweep.scene, key), unit_of(sweep.scene, key)
-
-
-def _with_unit(words: str, unit: str) -> str:
-    return f"{words} [{unit}]".strip() if unit != "1" else words
-
-
-def _by_unit(sweep: Sweep) -> dict[str, dict[str, np.ndarray]]:
-    found: dict[str, dict[str, np.ndarray]] = {}
-    for words, (unit, values) in curves(sweep).items():
-        found.setdefault(unit, {})[words] = values
+        finite = np.where(np.isfinite(values), values, np.nan).T
+        for index, row in enumerate(finite[:MOST_MODES], 1):
+            found[f"{output.meaning} {index}" if output.axis else output.meaning] = (output.unit, row)
     return found
 
 
-def _shared(words: Sequence[str]) -> tuple[str, list[str]]:
-    """The first words that outputs of a unit share, for an axis, and what is left of each, for a legend."""
-    if len(words) == 1:
-        return words[0], list(words)
-    split = [one.split() for one in words]
-    columns = zip(*([word.strip(",") for word in one] for one in split), strict=False)
-    count = len(list(itertools.takewhile(lambda column: len(set(column)) == 1, columns)))
-    head = [word.strip(",") for word in split[0][:count]]
-    while head and head[-1] in ("of", "the", "a"):
-        head.pop()
-    return " ".join(head), [" ".join(one[count:]) for one in split]
+def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
+    """Return the (n + 1,) edges of the cells around (n,) monotonic values, halfway between them."""
+    at = np.log(values) if logarithmic else values
+    if len(at) == 1:
+        half = 0.5 if logarithmic else 0.5 * abs(float(at[0])) or 0.5
+        edges = np.array([at[0] - half, at[0] + half])
+    else:
+        middle = (at[1:] + at[:-1]) / 2
+        edges = np.concatenate([[2 * at[0] - middle[0]], middle, [2 * at[-1] - middle[-1]]])
+    return np.exp(edges) if logarithmic else edges
 
 
 def _draw_lines(figure: Figure, sweep: Sweep) -> str:
-    groups, (key,) = _by_unit(sweep), sweep.plan.keys
+    groups, logarithmic = _by_unit(sweep), sweep.plan.logarithmic[0]
     figure.set_size_inches(6.4, 0.8 + 2.6 * len(groups))
     rows = figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0]
     order = np.argsort(sweep.plan.coordinates[0])
-    at, refused = sweep.plan.coordinates[0][order], (sweep.status == REFUSED)[order]
+    x, refused = sweep.plan.coordinates[0][order], (sweep.status == REFUSED)[order]
+    edges = cell_edges(x, logarithmic)
     for axes, (unit, lines) in zip(rows, groups.items(), strict=True):
-        marker = "." if len(at) <= 30 else None
-        label, names = _shared(list(lines))
-        for rank, (colour, name, values) in enumerate(zip(COLOURS, names, lines.values(), strict=False)):
-            # Every other line is dashed and lies on top, so that of two neighbours that are alike both are seen.
-            drawn = {"color": colour, "linewidth": 2.2 if rank else 1.2, "marker": marker, "zorder": 3 - 0.1 * rank}
+        label, names = _common_words(list(lines))
+        for rank, (name, values) in enumerate(zip(names, lines.values(), strict=True)):
+            # Every other line is dashed and on top, so that both of two coinciding neighbours can be seen.
+            style = {"linewidth": 2.2 if rank else 1.2, "zorder": 3 - 0.1 * rank}
             if rank % 2:
-                drawn |= {"linestyle": (0, (3, 2)), "linewidth": 1.6, "zorder": 3.5 - 0.1 * rank}
-            axes.plot(at, values[order], label=name, **drawn)
-        edges = edges_of(at, sweep.plan.logarithmic[0])
+                style = {"linewidth": 1.6, "zorder": 3.5 - 0.1 * rank, "linestyle": (0, (3, 2))}
+            colour, marker = COLOURS[rank % len(COLOURS)], "." if len(x) <= 30 else None
+            axes.plot(x, values[order], label=name, color=colour, marker=marker, **style)
         for index in np.flatnonzero(refused):
             axes.axvspan(edges[index], edges[index + 1], color=REFUSED_COLOUR, linewidth=0, zorder=0)
         _set_axis(axes.yaxis, label, unit)
-        axes.spines[["top", "right"]].set_visible(False)
-        if sweep.plan.logarithmic[0]:
+        if logarithmic:
             axes.set_xscale("log")
         if len(lines) > 1:
-            axes.legend(
-                frameon=False, fontsize=8, ncols=min(len(lines), 6), loc="lower center", bbox_to_anchor=(0.5, 1)
-            )
-    _set_axis(rows[-1].xaxis, *_key(sweep, key), 6)
+            axes.legend(fontsize=8, ncols=min(len(lines), 6), loc="lower center", bbox_to_anchor=(0.5, 1))
+    _set_axis(rows[-1].xaxis, *_label_and_unit(sweep, 0), 6)
     return f"{counted(np.count_nonzero(refused), 'point')} refused (grey)" if refused.any() else ""
 
 
 def _draw_maps(figure: Figure, sweep: Sweep) -> str:
-    found = curves(sweep)
-    columns = min(2, len(found))
-    rows = math.ceil(len(found) / columns)
-    figure.set_size_inches(MAP_SIZE[0] * columns, 0.3 + MAP_SIZE[1] * rows)
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for axes, (words, (unit, values)) in zip(grid, found.items(), strict=False):
+    maps = curves(sweep)
+    columns = min(2, len(maps))
+    figure.set_size_inches(MAP_SIZE[0] * columns, 0.3 + MAP_SIZE[1] * math.ceil(len(maps) / columns))
+    panels = _map_panels(figure, len(maps), columns)
+    for axes, (label, (unit, values)) in zip(panels, maps.items(), strict=True):
         field = values.reshape(sweep.plan.shape)
-        drawn = _draw_map(axes, sweep, field, (0, 1), _limits(field))
-        bar = figure.colorbar(drawn, ax=axes)
-        bar.set_label(_with_unit("", unit))
-        axes.set_title(words, fontsize=9)
-    for axes in grid[len(found) :]:
-        axes.set_visible(False)
-    for index, axes in enumerate(grid[: len(found)]):
-        if index + columns >= len(found):
-            _set_axis(axes.xaxis, *_key(sweep, sweep.plan.keys[0]), 5)
-            axes.tick_params(labelbottom=True)
-        if index % columns == 0:
-            _set_axis(axes.yaxis, *_key(sweep, sweep.plan.keys[1]))
+        figure.colorbar(_draw_map(axes, sweep, field, (0, 1), _limits(field)), ax=axes).set_label(_with_unit("", unit))
+        axes.set_title(label, fontsize=9)
+    _label_maps(panels, sweep, columns, (0, 1), 5)
     return "refused points are grey" if (sweep.status == REFUSED).any() else ""
 
 
 def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
-    plan, (words, (unit, values)) = sweep.plan, next(iter(curves(sweep).items()))
+    plan, (label, (unit, values)) = sweep.plan, next(iter(curves(sweep).items()))
     first, second = sorted(np.argsort([-length for length in plan.shape], kind="stable")[:2].tolist())
     others = [index for index in range(len(plan.keys)) if index not in (first, second)]
     field = np.moveaxis(values.reshape(plan.shape), (first, second), (-2, -1))
     places = list(np.ndindex(*field.shape[:-2]))
     shown = [places[index] for index in np.unique(np.linspace(0, len(places) - 1, MOST_MAPS).astype(int))]
     columns = field.shape[-3] if field.shape[-3] <= 5 and len(shown) == len(places) else min(5, len(shown))
-    rows = math.ceil(len(shown) / columns)
-    figure.set_size_inches(0.9 + SMALL_SIZE[0] * columns, 0.6 + SMALL_SIZE[1] * rows)
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for index, (axes, place) in enumerate(zip(grid, shown, strict=False)):
-        drawn = _draw_map(axes, sweep, field[place], (first, second), _limits(values))
+    figure.set_size_inches(0.9 + SMALL_SIZE[0] * columns, 0.6 + SMALL_SIZE[1] * math.ceil(len(shown) / columns))
+    panels = _map_panels(figure, len(shown), columns)
+    for axes, place in zip(panels, shown, strict=True):
+        mesh = _draw_map(axes, sweep, field[place], (first, second), _limits(values))
         held = (
-            f"{_with_unit(*_key(sweep, plan.keys[one]))}: {plan.coordinates[one][step]:.4g}"
-            for one, step in zip(others, place, strict=True)
+            f"{_with_unit(*_label_and_unit(sweep, key))}: {plan.coordinates[key][step]:.4g}"
+            for key, step in zip(others, place, strict=True)
         )
         axes.set_title("\n".join(held), fontsize=7)
-        if index % columns == 0:
-            _set_axis(axes.yaxis, *_key(sweep, plan.keys[second]), size=8)
-        if index + columns >= len(shown):
-            _set_axis(axes.xaxis, *_key(sweep, plan.keys[first]), 4, size=8)
-            axes.tick_params(labelbottom=True)
-    for axes in grid[len(shown) :]:
-        axes.set_visible(False)
-    figure.colorbar(drawn, ax=list(grid[: len(shown)]), shrink=0.8).set_label(_with_unit(words, unit))
+    _label_maps(panels, sweep, columns, (first, second), 4, size=8)
+    figure.colorbar(mesh, ax=panels, shrink=0.8).set_label(_with_unit(label, unit))
     some = f"{len(shown)} of {len(places)} maps; " if len(shown) < len(places) else ""
-    return some + ("refused points are grey" if (sweep.status == REFUSED).any() else "") or words
+    return some + ("refused points are grey" if (sweep.status == REFUSED).any() else "") or label
 
 
 def _draw_points(figure: Figure, sweep: Sweep) -> str:
@@ -217,66 +147,113 @@ def _draw_points(figure: Figure, sweep: Sweep) -> str:
     figure.set_size_inches(0.8 + POINTS_SIZE[0] * columns, 0.9 + POINTS_SIZE[1] * rows)
     grid = figure.subplots(rows, columns, sharex="col", sharey="row", squeeze=False)
     refused = sweep.status == REFUSED
-    scale = 1.0 if len(plan) <= 200 else 0.6
+    shrink = 1.0 if len(plan) <= 200 else 0.6
     for row, (unit, lines) in zip(grid, groups.items(), strict=True):
-        label, names = _shared(list(lines))
-        for axes, at, logarithmic in zip(row, plan.coordinates, plan.logarithmic, strict=True):
+        label, names = _common_words(list(lines))
+        for axes, x, logarithmic in zip(row, plan.coordinates, plan.logarithmic, strict=True):
             for rank, (name, values) in enumerate(zip(names, lines.values(), strict=True)):
                 marker, size = MARKERS[rank]
-                drawn = {"marker": marker, "markersize": size * scale, "color": COLOURS[rank], "linestyle": ""}
-                axes.plot(at, values, label=name, fillstyle="none" if rank else "full", markeredgewidth=0.8, **drawn)
-            # Refused points have no height: ticks at the lower edge.
-            axes.plot(at[refused], np.zeros(refused.sum()), "|", color="#8a8a8a", transform=axes.get_xaxis_transform())
+                style = {"marker": marker, "markersize": size * shrink, "color": COLOURS[rank], "linestyle": ""}
+                axes.plot(x, values, label=name, fillstyle="none" if rank else "full", markeredgewidth=0.8, **style)
+            # Refused points have no value: ticks at the lower edge.
+            axes.plot(x[refused], np.zeros(refused.sum()), "|", color="#8a8a8a", transform=axes.get_xaxis_transform())
             if logarithmic:
                 axes.set_xscale("log")
-            axes.spines[["top", "right"]].set_visible(False)
         _set_axis(row[0].yaxis, label, unit)
         if len(lines) > 1:
-            row[-1].legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    for axes, key in zip(grid[-1], plan.keys, strict=True):
-        _set_axis(axes.xaxis, *_key(sweep, key), 4)
+            row[-1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    for key, axes in enumerate(grid[-1]):
+        _set_axis(axes.xaxis, *_label_and_unit(sweep, key), 4)
     return counted(len(plan), "sample") + (f", {refused.sum()} of them refused (ticks)" if refused.any() else "")
 
 
-def _limits(values: np.ndarray) -> tuple[float, float]:
-    """Smallest and largest, apart from each other also where all are alike."""
-    if not np.isfinite(values).any():
-        return 0.0, 1.0
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    spare = 0.02 * max(abs(low), abs(high)) or 1.0
-    return (low, high) if high - low > 1e-9 * max(abs(low), abs(high)) else (low - spare, high + spare)
+def _map_panels(figure: Figure, count: int, columns: int) -> list[Axes]:
+    grid = figure.subplots(math.ceil(count / columns), columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for axes in grid[count:]:
+        axes.set_visible(False)
+    return list(grid[:count])
+
+
+def _label_maps(
+    panels: Sequence[Axes], sweep: Sweep, columns: int, keys: tuple[int, int], most: int, size: float | None = None
+) -> None:
+    """Label drawn maps along their left and lower side, with at most ``most`` numbers along x."""
+    for index, axes in enumerate(panels):
+        if index + columns >= len(panels):
+            _set_axis(axes.xaxis, *_label_and_unit(sweep, keys[0]), most, size)
+            axes.tick_params(labelbottom=True)
+        if index % columns == 0:
+            _set_axis(axes.yaxis, *_label_and_unit(sweep, keys[1]), size=size)
 
 
 def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int], limits: tuple[float, float]) -> Any:
-    """(values of the first key, of the second) as colours with contour lines; returns what a colour bar belongs to."""
+    """Draw (first key, second key) values as colours with contour lines; return the mesh for a colour bar."""
     from matplotlib.ticker import MaxNLocator
 
-    x, y = (sweep.plan.coordinates[index] for index in keys)
-    logarithmic = [sweep.plan.logarithmic[index] for index in keys]
+    x, y = (sweep.plan.coordinates[key] for key in keys)
+    logarithmic = [sweep.plan.logarithmic[key] for key in keys]
     axes.set_facecolor(REFUSED_COLOUR)
-    corners = (edges_of(one, log) for one, log in zip((x, y), logarithmic, strict=True))
-    drawn = axes.pcolormesh(*corners, field.T, cmap=MAP_COLOURS, vmin=limits[0], vmax=limits[1], rasterized=True)
-    inside = field[np.isfinite(field)]
-    if min(field.shape) > 1 and inside.size and np.ptp(inside) > 1e-6 * np.abs(inside).max():
-        levels = MaxNLocator(LEVELS).tick_values(*limits)
-        levels = levels[(levels > inside.min()) & (levels < inside.max())]
-    else:
-        levels = np.empty(0)
-        if inside.size > 1 and np.ptp(inside) <= 1e-6 * np.abs(inside).max():
-            axes.text(0.5, 0.5, f"{inside[0]:.4g} everywhere", transform=axes.transAxes, ha="center", color="white")
-    if levels.size:
-        lines = axes.contour(x, y, field.T, levels=levels, colors="white", linewidths=0.7)
-        axes.clabel(lines, fontsize=6, fmt="%.3g")
-    for log, scale in zip(logarithmic, (axes.set_xscale, axes.set_yscale), strict=True):
+    edges = (cell_edges(values, log) for values, log in zip((x, y), logarithmic, strict=True))
+    mesh = axes.pcolormesh(*edges, field.T, cmap=CMAP, vmin=limits[0], vmax=limits[1], rasterized=True)
+    finite = field[np.isfinite(field)]
+    constant = not finite.size or np.ptp(finite) <= 1e-6 * np.abs(finite).max()
+    if constant and finite.size > 1:
+        axes.text(0.5, 0.5, f"{finite[0]:.4g} everywhere", transform=axes.transAxes, ha="center", color="white")
+    if not constant and min(field.shape) > 1:
+        levels = MaxNLocator(CONTOURS).tick_values(*limits)
+        levels = levels[(levels > finite.min()) & (levels < finite.max())]
+        if levels.size:
+            lines = axes.contour(x, y, field.T, levels=levels, colors="white", linewidths=0.7)
+            axes.clabel(lines, fontsize=6, fmt="%.3g")
+    for log, set_scale in zip(logarithmic, (axes.set_xscale, axes.set_yscale), strict=True):
         if log:
-            scale("log")
-    return drawn
+            set_scale("log")
+    return mesh
 
 
-def _set_axis(axis: Axis, words: str, unit: str, most: int | None = None, size: float | None = None) -> None:
-    """Its label and numbers, ``most`` of them; of small and large ones the power of ten stands with the unit."""
+def _limits(values: np.ndarray) -> tuple[float, float]:
+    """Return the smallest and largest finite value, or two limits around a constant."""
+    if not np.isfinite(values).any():
+        return 0.0, 1.0
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    largest = max(abs(low), abs(high))
+    margin = 0.02 * largest or 1.0
+    return (low, high) if high - low > 1e-9 * largest else (low - margin, high + margin)
+
+
+def _label_and_unit(sweep: Sweep, key: int) -> tuple[str, str]:
+    name = sweep.plan.keys[key]
+    return label_of(sweep.scene, name), unit_of(sweep.scene, name)
+
+
+def _with_unit(label: str, unit: str) -> str:
+    return f"{label} [{unit}]".strip() if unit != "1" else label
+
+
+def _by_unit(sweep: Sweep) -> dict[str, dict[str, np.ndarray]]:
+    groups: dict[str, dict[str, np.ndarray]] = {}
+    for label, (unit, values) in curves(sweep).items():
+        groups.setdefault(unit, {})[label] = values
+    return groups
+
+
+def _common_words(labels: Sequence[str]) -> tuple[str, list[str]]:
+    """Split labels into their common first words, for an axis, and the remainders, for a legend."""
+    if len(labels) == 1:
+        return labels[0], list(labels)
+    split = [label.split() for label in labels]
+    columns = zip(*([word.strip(",") for word in words] for words in split), strict=False)
+    count = len(list(itertools.takewhile(lambda column: len(set(column)) == 1, columns)))
+    common = [word.strip(",") for word in split[0][:count]]
+    while common and common[-1] in ("of", "the", "a"):
+        common.pop()
+    return " ".join(common), [" ".join(words[count:]) for words in split]
+
+
+def _set_axis(axis: Axis, label: str, unit: str, most: int | None = None, size: float | None = None) -> None:
+    """Set label and at most ``most`` tick labels; the power of ten of small and large numbers goes to the unit."""
     if axis.get_scale() == "log":
-        number_logarithmic(axis, 5 if most is None else most - 1)
+        number_log_axis(axis, 5 if most is None else most - 1)
     else:
         if most is not None:
             axis.axes.locator_params(axis.axis_name, nbins=most)
@@ -284,5 +261,4 @@ def _set_axis(axis: Axis, words: str, unit: str, most: int | None = None, size: 
         if power not in PLAIN_POWERS:
             axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.6g}")
             unit = f"$10^{{{power}}}$" + (f" {unit}" if unit != "1" else "")
-    axis.set_label_text(_with_unit(words, unit), fontsize=size)
-
+    axis.set_label_text(_with_unit(label, unit), fontsize=size)

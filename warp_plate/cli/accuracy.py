@@ -89,9 +89,10 @@ def _write(record: Mapping[str, object], path: Path, pictures: bool) -> tuple[li
     write_atomically(f"{json_format.dumps(record, indent=1)}\n".encode(), path)
     if not pictures:
         return [path], None
-    from warp_plate.viz.plots.accuracy import draw_accuracy_beside
+    from warp_plate.viz.plots.accuracy import draw_accuracy
+    from warp_plate.viz.plots.frame import save_plots
 
-    drawn, missing = draw_accuracy_beside(record, path)
+    drawn, missing = save_plots(draw_accuracy, record, path)
     return [path, *drawn], missing
 
 

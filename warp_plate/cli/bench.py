@@ -107,9 +107,10 @@ def _write(report: BenchReport, path: Path, pictures: bool) -> tuple[list[Path],
     write_atomically(f"{json_format.dumps(report.as_json(), indent=1)}\n".encode(), path)
     if not pictures:
         return [path], None
-    from warp_plate.viz.plots.bench import draw_bench_beside
+    from warp_plate.viz.plots.bench import draw_bench
+    from warp_plate.viz.plots.frame import save_plots
 
-    drawn, missing = draw_bench_beside(report.as_json(), path)
+    drawn, missing = save_plots(draw_bench, report.as_json(), path)
     return [path, *drawn], missing
 
 

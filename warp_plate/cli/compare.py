@@ -108,9 +108,10 @@ def _write(result: Comparison, path: Path, pictures: bool) -> tuple[list[Path], 
         save_comparison(result, path)
     if not pictures:
         return [path], None
-    from warp_plate.viz.plots.compare import draw_comparison_beside
+    from warp_plate.viz.plots.compare import draw_comparison
+    from warp_plate.viz.plots.frame import save_plots
 
-    drawn, missing = draw_comparison_beside(result, path)
+    drawn, missing = save_plots(draw_comparison, result, path)
     return [path, *drawn], missing
 
 

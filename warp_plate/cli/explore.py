@@ -1,8 +1,11 @@
-"""``warp-plate explore SCENE``: the plate as it moves, live, in a window or in the browser."""
+"""``warp-plate explore SCENE``: the moving plate with sliders, as a page in the browser."""
 
 from __future__ import annotations
 
+import os
 import sys
+import threading
+import webbrowser
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import cyclopts
@@ -11,8 +14,6 @@ from warp_plate.cli import output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from warp_plate.explore.live_model import LiveModel
     from warp_plate.scene.model import Scene
 
@@ -28,43 +29,57 @@ def explore(
     path: Literal["auto", "resident", "streaming"] = "auto",
     accuracy: str | None = None,
 ) -> None:
-    """Play with a scene: sliders for every actuator, frequency and damping; the plate moves as it would.
+    """Explore a scene in the browser: sliders for every actuator, frequency and damping (needs the extra web).
 
-    Localization factor, bound and the quadrants' shares of the energy follow at once. Buttons take the scene's own
-    drive, the equal one, the best single actuator, the best that the swarm finds (watched as it searches), the exact
-    best, or a random one. The swarm searches all magnitudes and phases here, for the localization factor, whatever the
-    scene's [search] frees or seeks.
+    The moving plate, its localization factor, the bound and the energy shares of the quadrants follow at once. Buttons
+    take the scene's own drive, the equal one, the best single actuator, the best of the swarm (shown as it searches),
+    the exact best, or a random one. The swarm optimizes all magnitudes and phases for the localization factor, whatever
+    the scene's [search] says.
 
     Parameters
     ----------
     scene
-        A preset's name (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file.
+        Name of a preset (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file.
     web
-        In the browser instead of a window (needs the extra web); also the way on a machine without a display.
+        Serve the page without opening a browser here, as on a remote machine.
     host
-        Address that the page is served at; only this machine reaches 127.0.0.1.
+        Address of the page; 127.0.0.1 can be reached from this machine only.
     port
-        Of the page; 0 takes any free one.
+        Port of the page; 0 takes any free one.
     device
-        cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
+        cpu, cuda, cuda:1, ...; auto takes a CUDA device if there is one.
     path
-        How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch).
+        Stepping of the plates: resident (all steps in one launch) or streaming (one or a few steps a launch).
     accuracy
-        Such as 1% or 0.01: the relative error that localization factors may have, instead of the scene's grid.
+        Accepted relative error of localization factors, such as 1% or 0.01, in place of the scene's grid.
     """
     if not 0 <= port <= 65535:
         raise SceneError(f"--port {port}: must be from 1 to 65535, or 0 for any free one")
     loaded = output.load_scene(scene, accuracy)
-    show = _page(host, port) if web else _window(scene)
+    from warp_plate.viz.availability import missing_renderer
+    from warp_plate.viz.explorer_page import missing_page, serve_page
+
+    if (problem := missing_page() or missing_renderer()) is not None:
+        raise SceneError(problem)
+
+    def on_ready(address: str) -> None:
+        print(f"open {address} in a browser; Ctrl-C ends it", flush=True)
+        if not web and _has_desktop():
+            # In a thread, as some browsers return only when they are closed.
+            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+
     model = _model(loaded, device, path)
     try:
-        show(model)
+        serve_page(model, host, port, on_ready)
+    except OSError as error:
+        raise SceneError(f"--host {host} --port {port}: cannot be listened on: {error.strerror or error}") from None
     finally:
         model.close()
+    print("ended", file=sys.stderr)
 
 
 def _model(scene: Scene, device: str, path: str) -> LiveModel:
-    """The scene with a grid, its unit responses simulated."""
+    """Return the live model of a scene with a grid, its unit responses simulated."""
     from warp_plate.explore.live_model import LiveModel
     from warp_plate.studies.localize import resolve
 
@@ -74,44 +89,6 @@ def _model(scene: Scene, device: str, path: str) -> LiveModel:
         return LiveModel(scene, device, path, lambda done, total: bar(done, total, f"{done:.2g} node-steps"))
 
 
-def _window(scene: str) -> Callable[[LiveModel], None]:
-    """Shows a model in a window.
-
-    Raises:
-        SceneError: no window can be opened here; says what to do instead.
-    """
-    from warp_plate.viz.availability import missing_window
-
-    problem = missing_window()
-    if problem is not None:
-        instead = f"'warp-plate explore {scene} --web' shows the same in a browser"
-        raise SceneError(f"no window can be opened: {problem}; {instead}")
-    from warp_plate.viz.explorer_window import open_window
-
-    return open_window
-
-
-def _page(host: str, port: int) -> Callable[[LiveModel], None]:
-    """Serves a model to browsers until Ctrl-C.
-
-    Raises:
-        SceneError: a library is missing; says what to install.
-    """
-    from warp_plate.viz.availability import missing
-    from warp_plate.viz.explorer_page import missing_page, serve_page
-
-    problem = missing_page() or missing()
-    if problem is not None:
-        raise SceneError(problem)
-
-    def ready(address: str) -> None:
-        print(f"open {address} in a browser; Ctrl-C ends it", flush=True)
-
-    def show(model: LiveModel) -> None:
-        try:
-            serve_page(model, host, port, ready)
-        except OSError as error:
-            raise SceneError(f"--host {host} --port {port}: cannot be listened on: {error.strerror or error}") from None
-        print("ended", file=sys.stderr)
-
-    return show
+def _has_desktop() -> bool:
+    """Return whether a browser would open a window rather than take over this terminal."""
+    return not sys.platform.startswith("linux") or bool({"DISPLAY", "WAYLAND_DISPLAY", "BROWSER"} & os.environ.keys())

@@ -96,9 +96,9 @@ def chosen_cases(result: Result, name: Path, cases: Sequence[str]) -> dict[str, 
     Raises:
         SceneError: the result has no such case.
     """
-    from warp_plate.viz.comparison import ordered
+    from warp_plate.viz.captions import ordered_cases
 
-    known = ordered(result)
+    known = ordered_cases(result)
     for case in cases:
         if case not in known:
             raise SceneError(f"--case {case}: {name} holds {', '.join(known)}")

@@ -16,7 +16,7 @@ from warp_plate.scene.errors import SceneError
 if TYPE_CHECKING:
     from warp_plate.result.model import Result
     from warp_plate.result.motion import Motion
-    from warp_plate.viz.pictures import Look
+    from warp_plate.viz.pictures import PictureStyle
 
 PLOTS, MOVIES = (".svg", ".pdf"), (".gif", ".mp4")
 ENDINGS = (".png", *PLOTS, *MOVIES, ".html")
@@ -92,7 +92,7 @@ def render(
     check_looks(rate, heights)
     from warp_plate.result import load_result
     from warp_plate.viz.availability import DrawingUnavailable
-    from warp_plate.viz.pictures import Look
+    from warp_plate.viz.pictures import PictureStyle
 
     loaded = load_result(result)
     files: list[Path] = []
@@ -105,9 +105,9 @@ def render(
             choice = Choice(case or [], modes, start, end, frames, device)
             motions = chosen_motions(loaded, result, choice, field, json)
             shown = _frame(motions, time, field)
-            look = Look(field, width, heights)
+            style = PictureStyle(field, width, heights)
             for target in targets:
-                _draw(loaded, motions, target, look, shown, plan, playing_rate(rate, motions), json)
+                _draw(loaded, motions, target, style, shown, plan, playing_rate(rate, motions), json)
                 files.append(target)
     except DrawingUnavailable as problem:
         raise SceneError(str(problem)) from None
@@ -138,7 +138,7 @@ def _refuse_undrawable(targets: list[Path], plan: bool) -> None:
     Raises:
         SceneError: a library that one of the files needs.
     """
-    from warp_plate.viz.availability import missing, missing_meshes, missing_plots
+    from warp_plate.viz.availability import missing_meshes, missing_plots, missing_renderer
     from warp_plate.viz.pictures import missing_movies
 
     needed: list[Callable[[], str | None]] = []
@@ -149,7 +149,7 @@ def _refuse_undrawable(targets: list[Path], plan: bool) -> None:
         elif ending == ".html":
             needed.append(missing_meshes)
         else:
-            needed += [missing, missing_movies] if ending == ".mp4" else [missing]
+            needed += [missing_renderer, missing_movies] if ending == ".mp4" else [missing_renderer]
     for lacking in needed:
         if (problem := lacking()) is not None:
             raise SceneError(problem)
@@ -186,7 +186,7 @@ def _draw(
     result: Result,
     motions: list[Motion],
     target: Path,
-    look: Look,
+    style: PictureStyle,
     shown: int,
     plan: bool,
     rate: float,
@@ -207,15 +207,15 @@ def _draw(
             show(done, total, "")
 
         if ending in PLOTS or (plan and ending == ".png"):
-            draw_plan(result.scene, motions, path, look.quantity, shown, ending[1:])
+            draw_plan(result.scene, motions, path, style.quantity, shown)
         elif ending == ".png":
-            draw_picture(result.scene, motions, path, look, shown)
+            draw_picture(result.scene, motions, path, style, shown)
         elif ending == ".html":
-            write_page(result.scene, motions, path, look.quantity, rate, look.heights)
+            write_page(result.scene, motions, path, style.quantity, rate, style.heights)
         elif ending == ".gif":
-            draw_gif(result.scene, motions, path, look, rate, told)
+            draw_gif(result.scene, motions, path, style, rate, told)
         else:
-            draw_mp4(result.scene, motions, path, look, rate, told)
+            draw_mp4(result.scene, motions, path, style, rate, told)
 
 
 def _paper_figures(result: Result, name: Path) -> list[Path]:
@@ -225,17 +225,17 @@ def _paper_figures(result: Result, name: Path) -> list[Path]:
         SceneError: the result is no search's or keeps no displacement, or a library is missing.
     """
     from warp_plate.result.atomic_io import atomic_paths
-    from warp_plate.viz.availability import missing, missing_plots
+    from warp_plate.viz.availability import missing_plots, missing_renderer
     from warp_plate.viz.figures import draw_history, draw_surfaces
 
     if not result.history or not result.times.size:
         raise SceneError(f"--figures paper: {name} holds no search; make it with localize")
-    for lacking in (missing_plots, missing):
+    for lacking in (missing_plots, missing_renderer):
         if (problem := lacking()) is not None:
             raise SceneError(problem)
     drawn = [Path(f"{name.stem}-figure-2.png"), *(Path(f"{name.stem}-figure-3{form}") for form in (".png", *PLOTS))]
     with atomic_paths(*drawn) as (surfaces, *histories):
         draw_surfaces(result, surfaces)
-        for path, final in zip(histories, drawn[1:], strict=True):
-            draw_history(result, path, final.suffix[1:])
+        for path in histories:
+            draw_history(result, path)
     return drawn

@@ -269,9 +269,10 @@ def _write(result: Sweep, path: Path, pictures: bool, kept: SweepFile) -> tuple[
         kept.remove()
     if not pictures:
         return [path], None
-    from warp_plate.viz.plots.sweep import draw_sweep_beside
+    from warp_plate.viz.plots.frame import save_plots
+    from warp_plate.viz.plots.sweep import draw_sweep
 
-    drawn, missing = draw_sweep_beside(result, path)
+    drawn, missing = save_plots(draw_sweep, result, path)
     return [path, *drawn], missing
 
 

@@ -62,7 +62,7 @@ def view(
     if (problem := missing_window()) is not None:
         raise SceneError(
             f"no window can be opened: {problem}; write pictures, movies or a page with 'warp-plate render {result}'"
-            ", or look in a browser with 'warp-plate explore SCENE --web'"
+            ", or look in a browser with 'warp-plate explore SCENE'"
         )
     motions = chosen_motions(loaded, result, Choice(case or [], modes, start, end, frames, device), field, quiet=False)
     from warp_plate.viz.window import open_window

@@ -1,0 +1,56 @@
+"""Names of cases and captions of plates."""
+
+from __future__ import annotations
+
+import math
+
+from warp_plate.result.crosstalk import target_cases
+from warp_plate.result.model import Case, Result
+from warp_plate.result.motion import Motion
+from warp_plate.scene.model import Scene
+
+CASE_LABELS = {
+    "equal": "equal drive",
+    "single": "single actuator",
+    "time_reversal": "time reversal",
+    "inverse_filter": "inverse filter",
+    "nominal": "optimised without scatter",
+    "best": "best drive found",
+    "drive": "given drive",
+}
+
+
+def case_label(name: str, scene: Scene) -> str:
+    """Return the label of a case of a result of this scene."""
+    targets = {case: target for target, case in target_cases(scene).items()}
+    return f"best drive for {targets[name]}" if name in targets else CASE_LABELS.get(name, name)
+
+
+def ordered_cases(result: Result) -> dict[str, Case]:
+    """Return the cases in the order of the source paper, then those of further targets, then any others."""
+    names = dict.fromkeys([*CASE_LABELS, *target_cases(result.scene).values(), *result.cases])
+    return {name: result.cases[name] for name in names if name in result.cases}
+
+
+def caption(label: str, time: float, localization_factor: float, decimals: int | None = None) -> str:
+    """Return two lines: the drive and the time [s]; the localization factor in percent.
+
+    Args:
+        decimals: decimals of the time, so that captions of an animation keep their length (default: four digits).
+    """
+    moment = f"{time:.4g}" if decimals is None else f"{time:.{decimals}f}"
+    return f"{label}, t = {moment} s\nlocalization factor {percent(localization_factor)}"
+
+
+def frame_caption(motion: Motion, frame: int, scene: Scene) -> str:
+    """Return the caption of a plate at a frame: drive, time and localization factor, or the mode."""
+    if motion.localization_factor is None:
+        return motion.name
+    # Enough decimals to tell one frame from the next.
+    decimals = max(0, math.ceil(-math.log10((motion.span[1] - motion.span[0]) / len(motion.times))))
+    return caption(case_label(motion.name, scene), float(motion.times[frame]), motion.localization_factor, decimals)
+
+
+def percent(share: float, decimals: int = 2) -> str:
+    """Return a share in percent, or "not defined" for a plate at rest."""
+    return f"{100 * share:.{decimals}f} %" if math.isfinite(share) else "not defined"

@@ -1,0 +1,170 @@
+"""The picture of the explorer: a plate in steady motion, and the search that is under way."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_plate.result.live import QUADRANTS, DriveResponse, SwarmSnapshot
+from warp_plate.viz.annotations import add_text, style_text
+from warp_plate.viz.captions import percent
+from warp_plate.viz.fields import DrawingScale, drawing_scale
+from warp_plate.viz.scene3d import add_plate
+
+if TYPE_CHECKING:
+    import pyvista
+
+    from warp_plate.explore.live_model import LiveModel
+
+# Time in which a period of the drive is shown [s].
+PERIOD = 1.5
+# The scale is kept while the largest displacement is between this share of its limit and the limit, so that a plate
+# that is driven harder is seen to move more.
+LEAST_SHARE = 0.3
+# Relative heights of the plate and of the charts below it.
+ROW_WEIGHTS = (0.7, 0.3)
+HINT = (
+    "“best found” starts the swarm and shows here\n"
+    "its best so far, and the drives Z = w exp(−iφ) of the particles\n"
+    "relative to the first actuator's, Z₁. The plate is that of the best."
+)
+# Colours of the particles' drives, by actuator.
+COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#e377c2")
+# Half-widths of the complex plane; steps, so that the picture rests while the swarm shrinks.
+REACHES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+
+
+class ExplorerView:
+    """The plate of a live model in subplot (0, 0) of a plotter, and its search in (1, 0).
+
+    Attributes:
+        angle: phase of the drive that is shown [rad].
+        playing: True while the plate moves.
+    """
+
+    def __init__(self, plotter: pyvista.Plotter, model: LiveModel, font_size: int) -> None:
+        self.model = model
+        self.playing = True
+        self.angle = 0.0
+        self._drawn_angle = math.nan
+        self._reading = model.read()
+        self._scale = _fitting_scale(self._reading, None)
+        plotter.subplot(0, 0)
+        field = self._reading.motion.at(0.0)
+        self.plate = add_plate(plotter, model.scene, field, self._scale, self._caption(), font_size)
+        plotter.subplot(1, 0)
+        self.search = SearchCharts(plotter, [actuator.name for actuator in model.scene.actuators], font_size)
+        plotter.subplot(0, 0)
+
+    def advance(self, seconds: float) -> bool:
+        """Show the model after this time; return whether the picture has changed."""
+        if self.playing:
+            self.angle = (self.angle + 2 * math.pi * seconds / PERIOD) % (2 * math.pi)
+        reading = self.model.read()
+        searched = self.search.show(self.model.swarm(), reading.bound)
+        if reading is self._reading and self.angle == self._drawn_angle:
+            return searched
+        self._drawn_angle = self.angle
+        if reading is not self._reading:
+            self._reading = reading
+            scale = _fitting_scale(reading, self._scale)
+            if scale is not self._scale:
+                self._scale = scale
+                self.plate.rescale(scale)
+        self.plate.update(reading.motion.at(self.angle), text=self._caption())
+        return True
+
+    def _caption(self) -> str:
+        """Return a text without the time, as changing texts take longer to draw than the plate."""
+        frequency = self._reading.scene.drive.frequency
+        return f"{frequency:.4g} Hz, shown {frequency * PERIOD:.3g} times slower\n{factor_text(self._reading)}"
+
+
+class SearchCharts:
+    """Two charts of a search in the active subplot: localization factor against iteration, and particles."""
+
+    def __init__(self, plotter: pyvista.Plotter, actuators: list[str], font_size: int) -> None:
+        import pyvista
+        from vtkmodules.vtkChartsCore import vtkChartLegend
+
+        self.hint = add_text(plotter, HINT, (0.03, 0.6), font_size, "#6a6a6a")
+        self.history = pyvista.Chart2D(size=(0.5, 1), loc=(0, 0), x_label="iteration", y_label="localization factor")
+        self.plane = pyvista.Chart2D(size=(0.5, 1), loc=(0.5, 0), x_label="Re Z / Z₁", y_label="Im Z / Z₁")
+        self._bound = self.history.line([0, 1], [0, 0], color="#b2182b", width=1.5, style="--", label="bound")
+        self._best = self.history.line([0], [0], color="#08519c", width=2.5, label="best so far")
+        self._factors = self.history.scatter([0], [0], color="#6baed6", size=5, style="o", label="particles now")
+        others = list(zip(actuators[1:], COLOURS * len(actuators), strict=False))
+        self._particles = [
+            self.plane.scatter([0], [0], color=colour, size=5, style="o", label=name) for name, colour in others
+        ]
+        self._marks = [self.plane.scatter([0], [0], color=colour, size=14, style="x") for _, colour in others]
+        for mark, (_, colour) in zip(self._marks, others, strict=True):
+            mark.pen.color = colour  # PyVista leaves outlines black, and a cross is all outline
+        for chart, vertical in ((self.history, vtkChartLegend.BOTTOM), (self.plane, vtkChartLegend.TOP)):
+            chart.border_style = None
+            chart.legend_visible = True
+            chart.GetLegend().SetVerticalAlignment(vertical)
+            style_text(chart.GetLegend().GetLabelProperties(), round(0.75 * font_size))
+            for axis in (chart.x_axis, chart.y_axis):
+                style_text(axis.GetTitleProperties(), round(0.8 * font_size))
+                style_text(axis.GetLabelProperties(), round(0.75 * font_size))
+            plotter.add_chart(chart)
+        self._shown: SwarmSnapshot | None = None
+        self._set_visible(False)
+
+    def show(self, swarm: SwarmSnapshot | None, bound: float | None) -> bool:
+        """Show the state of a search, or the hint if there is none; return whether it has changed."""
+        if swarm is self._shown:
+            return False
+        self._shown = swarm
+        self._set_visible(swarm is not None)
+        if swarm is not None:
+            self._plot(swarm, bound)
+        return True
+
+    def _plot(self, swarm: SwarmSnapshot, bound: float | None) -> None:
+        iterations = np.arange(1, swarm.best.size + 1)
+        self._best.update(iterations, swarm.best)
+        self._factors.update(np.full(swarm.factors.size, iterations[-1]), swarm.factors)
+        top = float(np.nanmax([swarm.best[-1], 0.1])) if bound is None else bound
+        self._bound.update([1, swarm.iterations], [top, top])
+        self._bound.visible = bound is not None
+        self.history.x_range = [0, swarm.iterations]
+        self.history.y_range = [0, min(1.0, math.ceil(10.5 * top) / 10)]
+        best = swarm.best_phasors
+        for index, (particles, mark) in enumerate(zip(self._particles, self._marks, strict=True), start=1):
+            particles.update(swarm.phasors[:, index].real, swarm.phasors[:, index].imag)
+            mark.visible = best is not None
+            if best is not None:
+                mark.update([best[index].real], [best[index].imag])
+        # Fit most particles, not the last stray one.
+        size = float(np.quantile(np.abs(swarm.phasors[:, 1:]), 0.9)) if self._particles else 0.0
+        reach = next((step for step in REACHES if 1.1 * size < step), REACHES[-1])
+        # About the same scale along both axes.
+        self.plane.x_range, self.plane.y_range = [-2 * reach, 2 * reach], [-reach, reach]
+
+    def _set_visible(self, visible: bool) -> None:
+        self.history.visible = self.plane.visible = visible
+        self.hint.SetVisibility(not visible)
+
+
+def factor_text(reading: DriveResponse) -> str:
+    """Return localization factor and bound in percent."""
+    text = f"localization factor {percent(reading.localization_factor)}"
+    return text + (f", bound {percent(reading.bound)}" if reading.bound is not None else "")
+
+
+def share_texts(reading: DriveResponse) -> dict[str, str]:
+    """Return the quadrants' shares of the kinetic energy in percent."""
+    shares = {name: reading.share(name) for name in QUADRANTS}
+    return {name: percent(share, 1) if math.isfinite(share) else "—" for name, share in shares.items()}
+
+
+def _fitting_scale(reading: DriveResponse, before: DrawingScale | None) -> DrawingScale:
+    """Return the previous scale if it still suits the reading, else a new one."""
+    peak = reading.motion.peak()
+    if before is not None and (not math.isfinite(peak) or LEAST_SHARE * before.limit <= peak <= before.limit):
+        return before
+    return drawing_scale([np.array([peak])], reading.scene.plate.size)

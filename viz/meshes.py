@@ -1,0 +1,231 @@
+"""PyVista meshes of a plate that follow a displacement field, as data without a window.
+
+Heights are exaggerated: a node at (x, y) with displacement u is drawn at (x, y, warp factor × u), all in metres.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_plate.result.outlines import outlines
+from warp_plate.scene.model import Area, Scene
+from warp_plate.viz.edge_styles import EDGE_STYLES, edges_by_kind
+from warp_plate.viz.fields import DrawingScale
+
+if TYPE_CHECKING:
+    import pyvista
+
+SCALARS = "colour"
+# About as many grid lines as the paper's 27 x 27 nodes have; of finer grids every second, third, … line is drawn.
+GRID_LINES = 26
+# Line width of a dashed edge, as a share of the mean length of the edges.
+DASH = 0.008
+
+
+@dataclass(frozen=True)
+class SurfacePolylines:
+    """Polylines that lie on the triangles of the surface.
+
+    Attributes:
+        mesh: the polylines.
+        nodes: (points, 3) corners of the triangle that holds each point.
+        weights: (points, 3) barycentric coordinates of the points in their triangles.
+    """
+
+    mesh: pyvista.PolyData
+    nodes: np.ndarray
+    weights: np.ndarray
+
+    def follow(self, heights: np.ndarray) -> None:
+        """Lift every point onto the surface with these (nodes,) heights [m], x fastest."""
+        self.mesh.points[:, 2] = np.einsum("pc,pc->p", heights[self.nodes], self.weights)
+
+
+@dataclass(frozen=True)
+class PlateMeshes:
+    """Meshes of one plate.
+
+    Attributes:
+        surface: a point per node, x fastest, with point data SCALARS in the unit of the colour bar.
+        grid_lines: grid lines inside the plate.
+        edges: edges of the plate by their support, a key of EDGE_STYLES.
+        target: outlines of the targets.
+        actuators: outlines of the actuators.
+    """
+
+    surface: pyvista.PolyData
+    grid_lines: SurfacePolylines
+    edges: Mapping[str, SurfacePolylines]
+    target: SurfacePolylines
+    actuators: SurfacePolylines
+
+    @property
+    def polylines(self) -> tuple[SurfacePolylines, ...]:
+        """All lines on the surface."""
+        return self.grid_lines, *self.edges.values(), self.target, self.actuators
+
+    def update(self, displacement: np.ndarray, scale: DrawingScale, values: np.ndarray | None = None) -> None:
+        """Move to another field in place.
+
+        Args:
+            displacement: (ny, nx) [m]; nodes without a finite one are drawn at rest.
+            values: (ny, nx) of the scale's field in its SI unit (default: the displacement).
+        """
+        heights = (np.where(np.isfinite(displacement), displacement, 0) * scale.warp_factor).ravel()
+        self.surface.points[:, 2] = heights
+        scalars = displacement if values is None else values
+        self.surface.point_data[SCALARS][:] = np.asarray(scalars, dtype=float).ravel() * scale.unit_factor
+        for lines in self.polylines:
+            lines.follow(heights)
+
+
+def plate_meshes(
+    scene: Scene, displacement: np.ndarray, scale: DrawingScale, values: np.ndarray | None = None
+) -> PlateMeshes:
+    """Return the meshes of one field; for the arguments see :meth:`PlateMeshes.update`."""
+    import pyvista
+
+    grid = _FlatGrid(scene.plate.size, (displacement.shape[1], displacement.shape[0]))
+    surface = pyvista.PolyData.from_regular_faces(grid.points, grid.triangles)
+    surface.point_data[SCALARS] = np.zeros(displacement.size)
+    meshes = PlateMeshes(
+        surface=surface,
+        grid_lines=grid.polylines(grid.inner_lines()),
+        edges={kind: grid.polylines(grid.edges(kind, names)) for kind, names in edges_by_kind(scene).items()},
+        target=grid.polylines([grid.path(outline) for outline in outlines(scene)]),
+        actuators=grid.polylines([grid.rectangle(actuator.area) for actuator in scene.actuators]),
+    )
+    meshes.update(displacement, scale, values)
+    return meshes
+
+
+@dataclass(frozen=True)
+class _FlatGrid:
+    """The undeformed grid.
+
+    Each cell is two triangles, split from its lower left to its upper right node, which fixes the course of every line
+    on the surface.
+
+    Attributes:
+        size: lengths of the plate along x and y [m].
+        nodes: numbers of nodes along x and y.
+    """
+
+    size: tuple[float, float]
+    nodes: tuple[int, int]
+
+    @property
+    def x(self) -> np.ndarray:
+        return np.linspace(0, self.size[0], self.nodes[0])
+
+    @property
+    def y(self) -> np.ndarray:
+        return np.linspace(0, self.size[1], self.nodes[1])
+
+    @property
+    def points(self) -> np.ndarray:
+        """(nodes, 3) positions of the nodes at rest, x fastest."""
+        x, y = np.meshgrid(self.x, self.y)
+        return np.stack([x, y, np.zeros_like(x)], -1).reshape(-1, 3)
+
+    @property
+    def triangles(self) -> np.ndarray:
+        """(triangles, 3) node indices, cell by cell, so that a renderer finds most nodes in its cache."""
+        index = np.arange(math.prod(self.nodes)).reshape(self.nodes[::-1])
+        corner, right, up, across = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+        lower, upper = np.stack([corner, right, across], -1), np.stack([corner, across, up], -1)
+        return np.stack([lower, upper], axis=2).reshape(-1, 3)
+
+    def line(self, start: Sequence[float], end: Sequence[float]) -> np.ndarray:
+        """Return the (points, 2) of a straight line, with a point at each crossing of a triangle's side."""
+        ends = np.array([start, end], dtype=float)
+        x, y = (ends / self.size * (np.array(self.nodes) - 1)).T
+        shares = [np.array([0.0, 1.0])]
+        # On grid lines along y, along x, and on the diagonals, one of these coordinates is a whole number.
+        for low, high in (x, y, x - y):
+            crossings = np.arange(math.ceil(min(low, high)), math.floor(max(low, high)) + 1)
+            shares.append((crossings - low) / (high - low) if low != high else np.empty(0))
+        share = np.unique(np.concatenate(shares))[:, None]
+        return (1 - share) * ends[0] + share * ends[1]
+
+    def path(self, corners: np.ndarray) -> np.ndarray:
+        """Return the (points, 2) of a path through the given (corners, 2)."""
+        return np.concatenate([self.line(*ends) for ends in pairwise(corners)])
+
+    def rectangle(self, area: Area) -> np.ndarray:
+        """Return the (points, 2) of a closed path around a rectangle."""
+        x0, x1, y0, y1 = area
+        return self.path(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]))
+
+    def edges(self, kind: str, names: Sequence[str]) -> list[np.ndarray]:
+        """Return the edges of one kind as lines or dashes."""
+        width, height = self.size
+        ends = {
+            "left": ((0, 0), (0, height)),
+            "bottom": ((0, 0), (width, 0)),
+            "right": ((width, 0), (width, height)),
+            "top": ((0, height), (width, height)),
+        }
+        unit, lines = DASH * math.sqrt(width * height), []
+        for name in names:
+            start, end = (np.array(corner, dtype=float) for corner in ends[name])
+            for low, high in _dashes(EDGE_STYLES[kind].dashes, float(np.abs(end - start).max()), unit):
+                lines.append(self.line(start + low * (end - start), start + high * (end - start)))
+        return lines
+
+    def inner_lines(self) -> list[np.ndarray]:
+        """Return grid lines inside the plate, about GRID_LINES each way."""
+        step_x, step_y = (max(1, round((n - 1) / GRID_LINES)) for n in self.nodes)
+        x, y = self.x, self.y
+        return [
+            *(np.column_stack([x, np.full_like(x, at)]) for at in y[step_y:-1:step_y]),
+            *(np.column_stack([np.full_like(y, at), y]) for at in x[step_x:-1:step_x]),
+        ]
+
+    def polylines(self, paths: Sequence[np.ndarray]) -> SurfacePolylines:
+        """Join (points, 2) paths into one mesh that can follow the surface."""
+        import pyvista
+
+        points = np.concatenate([np.empty((0, 2)), *paths])
+        starts = np.cumsum([0, *(len(path) for path in paths)])
+        cells = [
+            np.concatenate([[len(path)], np.arange(start, start + len(path))])
+            for path, start in zip(paths, starts[:-1], strict=True)
+        ]
+        flat = np.column_stack([points, np.zeros(len(points))])
+        mesh = pyvista.PolyData(flat, lines=np.concatenate(cells)) if cells else pyvista.PolyData()
+        return SurfacePolylines(mesh, *self._barycentric(points))
+
+    def _barycentric(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (points, 3) nodes of the triangles that hold the points, and (points, 3) weights."""
+        j, right = _cell(points[:, 0], self.x)
+        i, up = _cell(points[:, 1], self.y)
+        lower, row = right >= up, self.nodes[0]
+        corner, across = i * row + j, (i + 1) * row + j + 1
+        middle = np.where(lower, i * row + j + 1, (i + 1) * row + j)
+        larger, smaller = np.maximum(right, up), np.minimum(right, up)
+        return np.stack([corner, middle, across], -1), np.stack([1 - larger, larger - smaller, smaller], -1)
+
+
+def _dashes(dashes: tuple[float, float] | None, length: float, unit: float) -> list[tuple[float, float]]:
+    """Return beginnings and ends of dashes along a line, as shares of its length; a solid line is one dash."""
+    if dashes is None:
+        return [(0.0, 1.0)]
+    dash, gap = (part * unit for part in dashes)
+    count = max(1, round((length + gap) / (dash + gap)))
+    pitch = 1 / (count - gap / (dash + gap))
+    share = pitch * dash / (dash + gap)
+    return [(index * pitch, min(index * pitch + share, 1.0)) for index in range(count)]
+
+
+def _cell(at: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the cells that hold positions along one axis, and the positions within the cells, 0 … 1."""
+    position = np.clip(at / nodes[-1], 0, 1) * (nodes.size - 1)
+    cell = np.minimum(position.astype(int), nodes.size - 2)
+    return cell, position - cell

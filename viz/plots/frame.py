@@ -1,0 +1,97 @@
+"""What all Matplotlib plots share: style, canvas, file, axis numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warp_plate.result.atomic_io import atomic_path
+from warp_plate.scene.model import Scene
+from warp_plate.viz.availability import missing_plots
+
+if TYPE_CHECKING:
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+
+STYLE = {"axes.linewidth": 0.8, "legend.frameon": False, "svg.hashsalt": "warp-plate"}
+# Tick labels in this range are written without powers of ten.
+PLAIN_RANGE = (1e-4, 1e6)
+# Below the first number of decades, powers of ten alone are too few ticks; below the second, so are 1, 2 and 5.
+FEW_DECADES, FEWEST_DECADES = 2.0, 1.0
+
+
+@contextmanager
+def figure(
+    path: str | Path,
+    size: tuple[float, float] | None = None,
+    font_size: float = 9,
+    dpi: float = 200,
+    box: bool = False,
+) -> Iterator[Figure]:
+    """Yield an empty figure and save it as PNG, SVG or PDF on leaving.
+
+    Args:
+        path: file to write; its ending chooses the format.
+        size: width and height [inch].
+        box: draw all four sides of every axes instead of the left and lower one.
+
+    Raises:
+        ValueError: Matplotlib does not know the ending.
+        OSError: the file cannot be written.
+    """
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with rc_context({**STYLE, "font.size": font_size, "axes.spines.top": box, "axes.spines.right": box}):
+        made = Figure(figsize=size, layout="constrained")
+        FigureCanvasAgg(made)
+        yield made
+        made.savefig(path, dpi=dpi)
+
+
+def save_plots(draw: Callable[[Any, Path], object], data: object, path: Path) -> tuple[list[Path], str | None]:
+    """Draw ``data`` as PNG and SVG beside ``path``.
+
+    Returns:
+        The files written, and a sentence on why some are missing, or None.
+    """
+    problem = missing_plots()
+    if problem is not None:
+        return [], problem
+    written = []
+    try:
+        for ending in (".png", ".svg"):
+            with atomic_path(path.with_suffix(ending)) as temporary:
+                draw(data, temporary)
+            written.append(path.with_suffix(ending))
+    except (ValueError, OSError) as error:
+        return written, f"no plot: {error}"
+    return written, None
+
+
+def number_log_axis(axis: Axis, intervals: int = 5) -> None:
+    """Label a logarithmic axis with numbers that do not overlap; its limits must be set.
+
+    Args:
+        intervals: largest number of intervals between labels if the axis spans less than one decade.
+    """
+    from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullFormatter
+
+    low, high = axis.get_view_interval()
+    decades = np.log10(high / low)
+    powers = LogLocator(subs=(1, 2, 5) if decades < FEW_DECADES else (1,))
+    axis.set_major_locator(MaxNLocator(intervals, steps=[1, 2, 5, 10]) if decades < FEWEST_DECADES else powers)
+    plain = decades < FEW_DECADES and PLAIN_RANGE[0] <= low and high <= PLAIN_RANGE[1]
+    axis.set_major_formatter("{x:g}" if plain else LogFormatterSciNotation(minor_thresholds=(np.inf, np.inf)))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def first_target_note(scene: Scene) -> str:
+    """Return a note for plots that show the search for the first of several targets only, else ""."""
+    targets = scene.targets
+    return f"search for target {targets[0].name}, the first of {len(targets)}" if len(targets) > 1 else ""
