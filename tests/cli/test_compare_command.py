@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from warp_plate import SceneError
-from warp_plate.result.comparison import Comparison, Trial, load_comparison, save_comparison
+from warp_plate.result.comparison import MethodComparison, Trial, load_comparison, save_comparison
 from warp_plate.scene.dump import dump_scene
 from warp_plate.studies import compare as module
 from warp_plate.studies.compare import METHODS, compare
@@ -181,7 +181,7 @@ def made(panel):
     """A comparison with trials of different length."""
     first = Trial("pso", 5, np.array([8, 16, 24]), np.array([0.1, 0.2, 0.4]), np.array([0.9, 0.5, 0.4]))
     second = Trial("pso", 6, np.array([8]), np.array([0.3]), np.array([0.7]))
-    return Comparison("panel", panel, "cpu", "direct", 40, 0.5, True, (first, second))
+    return MethodComparison("panel", panel, "cpu", "direct", 40, {"prepare": 0.5}, True, (first, second))
 
 
 def test_spread_holds_what_ended_trials_found(made):

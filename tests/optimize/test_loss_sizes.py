@@ -11,7 +11,7 @@ from warp_plate.optimize.record import tolerance_scale
 from warp_plate.problem.methods import make_optimizer, optimizer_from_state
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.problem import make_nominal_problem
-from warp_plate.result.comparison import Comparison, Trial
+from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.scene.search import Objective
 
 DISPLACEMENT = {"kind": "displacement"}
@@ -99,7 +99,10 @@ def test_near_a_bound_is_a_part_of_it(weight, monkeypatch, capsys):
         Trial("constriction", seed, np.array([1600]), np.array([12.3456]), np.array([loss]))
         for seed, loss in enumerate(losses)
     ]
-    result = Comparison("s", scene, "cpu", "response", 1600, 0.0, False, tuple(trials), bound, "attained", "known")
+    prepared = {"prepare": 0.0}
+    result = MethodComparison(
+        "s", scene, "cpu", "response", 1600, prepared, False, tuple(trials), bound, "attained", "known"
+    )
     assert [(row["at_bound"], row["seeds"]) for row in rows(result)] == [(2, 4)]
     for columns in ("80", "30"):
         monkeypatch.setenv("COLUMNS", columns)

@@ -18,7 +18,7 @@ from warp_plate.optimize.space import Space
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.methods import READ_BY, make_optimizer, optimizer_from_state, unread_keys
 from warp_plate.problem.parametrization import paper_phasors
-from warp_plate.result.search_state import put_state, read_state
+from warp_plate.result.hdf5 import SearchState
 from warp_plate.scene.search import Search
 
 TURN = 2 * math.pi
@@ -241,9 +241,9 @@ def test_stopped_anywhere_goes_on_to_the_same_bits(method, tmp_path):
         if turn % 2:
             return optimizer_from_state(search, space, 6, json.loads(text(searcher)), problem)
         with h5py.File(tmp_path / f"{turn}.h5", "w") as file:
-            put_state(file, "search", searcher.state(False))
+            SearchState().write(file, "search", searcher.state(False), {})
         with h5py.File(tmp_path / f"{turn}.h5") as file:
-            return optimizer_from_state(search, space, 6, read_state(file, "search"), problem)
+            return optimizer_from_state(search, space, 6, SearchState().read(file, "search", {}), problem)
 
     whole, broken, turn = make_optimizer(search, space, 6, problem), make_optimizer(search, space, 6, problem), 0
     while not whole.stop():

@@ -25,7 +25,7 @@ def assert_same(one, other):
     assert one.cases.keys() == other.cases.keys()
     for name, case in one.cases.items():
         assert case.energy == other.cases[name].energy
-        for part in ("drive", "displacement", "trace"):
+        for part in ("phasors", "displacement", "trace"):
             np.testing.assert_array_equal(getattr(case, part), getattr(other.cases[name], part))
 
 

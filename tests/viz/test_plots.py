@@ -9,7 +9,7 @@ from conftest import scene_of
 
 from warp_plate import Scene
 from warp_plate.result import Case, Result
-from warp_plate.result.comparison import Comparison, Trial
+from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.viz.figures import draw_history
 from warp_plate.viz.lettering import INK
 from warp_plate.viz.plots.axes import number_logarithmic
@@ -171,5 +171,6 @@ def test_a_comparison_of_few_evaluations_can_be_read(drawn):
     rising = np.linspace(0.6, 0.2, 20)
     trial = Trial("ring", 5, np.arange(40, 840, 40), np.geomspace(0.01, 0.2, 20), rising)
     scene = scene_of(nodes=(11, 11))
-    _, words = drawn(draw_comparison, Comparison("panel", scene, "cpu", "direct", 800, 0.5, True, (trial,)))
+    comparison = MethodComparison("panel", scene, "cpu", "direct", 800, {"prepare": 0.5}, True, (trial,))
+    _, words = drawn(draw_comparison, comparison)
     assert "panel: median, best and worst of 1 seed" in words

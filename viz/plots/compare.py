@@ -14,7 +14,7 @@ from warp_plate.viz.plots.frame import figure, number_log_axis
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from warp_plate.result.comparison import Comparison, Trial
+    from warp_plate.result.comparison import MethodComparison, Trial
 
 COLOURS = {
     "pso": "#4d4d4d",
@@ -30,7 +30,7 @@ BOUND_LABELS = {"attained": "bound: no method can pass", "bound only": "bound on
 SMALLEST_DISTANCE = 1e-12
 
 
-def draw_comparison(comparison: Comparison, path: str | Path) -> Path:
+def draw_comparison(comparison: MethodComparison, path: str | Path) -> Path:
     """Plot the median over the seeds as lines, and worst to best seed as bands.
 
     A second row shows the distance from the bound if one is known.
@@ -74,7 +74,7 @@ def loss_statistics(trials: Sequence[Trial], clock: str, budget: int) -> tuple[n
     return clocks, statistics
 
 
-def _plot(column: Sequence[Axes], comparison: Comparison, clock: str) -> None:
+def _plot(column: Sequence[Axes], comparison: MethodComparison, clock: str) -> None:
     """Plot values, and distances from the bound if there is a second axes."""
     sign, offset = (-1, 1) if comparison.localization else (1, 0)
     for method in comparison.methods:

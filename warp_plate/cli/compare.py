@@ -15,7 +15,7 @@ from warp_plate.scene.errors import SceneError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from warp_plate.result.comparison import Comparison
+    from warp_plate.result.comparison import MethodComparison
 
 # A trial has found the bound when its loss is this near, as a part of the bound's size.
 NEAR = 1e-6
@@ -99,7 +99,7 @@ def compare(
     output.print_files(files, missing)
 
 
-def _write(result: Comparison, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
+def _write(result: MethodComparison, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
     """The file and its picture; returns the files, and why a picture is missing."""
     from warp_plate.interrupts import deferred_interrupts
     from warp_plate.result.comparison import save_comparison
@@ -115,7 +115,7 @@ def _write(result: Comparison, path: Path, pictures: bool) -> tuple[list[Path], 
     return [path, *drawn], missing
 
 
-def rows(result: Comparison) -> list[dict[str, object]]:
+def rows(result: MethodComparison) -> list[dict[str, object]]:
     """For each method what the table shows: losses, the gap, how many seeds came near the bound, and the cost."""
     import numpy as np
 
@@ -144,7 +144,7 @@ def rows(result: Comparison) -> list[dict[str, object]]:
     return made
 
 
-def as_json(result: Comparison, files: list[Path]) -> dict[str, object]:
+def as_json(result: MethodComparison, files: list[Path]) -> dict[str, object]:
     """Losses throughout; 1 − loss is the localization factor where ``localization`` says so."""
     bound = {"loss": result.bound, "kind": result.bound_kind, "sentence": result.bound_sentence}
     return {
@@ -175,7 +175,7 @@ def as_json(result: Comparison, files: list[Path]) -> dict[str, object]:
     }
 
 
-def _print(result: Comparison, console: Console) -> None:
+def _print(result: MethodComparison, console: Console) -> None:
     title = "localization factor" if result.localization else "loss"
     console.print(f"{result.scene.title or result.source} on {result.device}, evaluator {result.evaluator}\n")
     made = output.table("method", "best", "median", "worst", "gap", "near", "tried", "s", title=title)

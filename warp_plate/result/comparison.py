@@ -1,41 +1,46 @@
-"""What several methods found in one scene, in one HDF5 file.
+"""Comparison files: HDF5 files of trials of several methods on one scene.
 
-    /trials/METHOD/SEED/evaluations, seconds, loss     after each iteration
-    attributes of /: source, scene (TOML), device, evaluator, budget, bound, skipped, versions, ...
+Trials are the groups ``trials/METHOD/SEED`` with a dataset for each column.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import h5py
 import numpy as np
 
-from warp_plate.result.safe_hdf5 import count, lost_of, names_in, numbers, opened, put, save_hdf5, table, text
-from warp_plate.scene.dump import dump_scene
+from warp_plate.result.hdf5 import ELSEWHERE, Attribute, Dataset, read_fields, write_fields
+from warp_plate.result.safe_hdf5 import member_names, open_hdf5, save_hdf5, subgroup
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 FORMAT = "warp-plate comparison 1"
-COLUMNS = {
-    "evaluations": ("1", "positions tried so far"),
-    "seconds": ("s", "time of the method and of its evaluations so far"),
-    "loss": ("1", "smallest loss so far"),
-}
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One method from one seed; arrays have an entry for each iteration, see COLUMNS."""
+    """A run of one method from one seed.
 
-    method: str
-    seed: int
-    evaluations: np.ndarray
-    seconds: np.ndarray
-    loss: np.ndarray
+    Attributes:
+        method: Name of the method.
+        seed: Random seed.
+        evaluations: (iterations,) positions tried so far.
+        seconds: (iterations,) time of the method and of its evaluations so far [s].
+        loss: (iterations,) smallest loss so far.
+    """
+
+    method: Annotated[str, ELSEWHERE]
+    seed: Annotated[int, ELSEWHERE]
+    evaluations: Annotated[np.ndarray, Dataset("1", "positions tried so far, after each iteration", ("iterations",))]
+    seconds: Annotated[
+        np.ndarray,
+        Dataset("s", "time of the method and of its evaluations so far, after each iteration", ("iterations",)),
+    ]
+    loss: Annotated[np.ndarray, Dataset("1", "smallest loss so far, after each iteration", ("iterations",))]
 
     @property
     def best_loss(self) -> float:
@@ -44,11 +49,25 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """evaluator: "response" or "direct"; budget: evaluations that each trial may make; prepared: seconds that the Gram
-    matrices took, before any trial; localization: whether a loss is 1 − LF; bound: loss that no drive can have less of,
-    None where none is claimed, with its kind ("attained" or "bound only") and sentence; skipped: by method, why it was
-    not tried; lost: plates whose workers failed for good, by what went wrong.
+class MethodComparison:
+    """Trials of several methods on one scene.
+
+    Attributes:
+        source: Name of the scene, as given by the user.
+        scene: The scene, with the grid that was used.
+        device: Name of the device and its processor.
+        evaluator: "direct" or "response"; see :class:`Result`.
+        budget: Number of evaluations that each trial may make.
+        seconds: Wall time before any trial [s]: "prepare", which the Gram matrices took.
+        localization: True if the loss is 1 − localization factor.
+        trials: The trials, in the order of the methods and their seeds.
+        bound: Lower bound of the loss over all drives; None if unknown.
+        bound_kind: "attained" or "bound only"; "" if there is no bound.
+        bound_sentence: Description of the bound, for people.
+        skipped: Reasons why methods were not tried, by method.
+        interrupted: True if Ctrl-C or the loss of all workers ended the comparison.
+        versions: Versions of the libraries that the numbers depend on, by name.
+        lost_plates: Number of plates that counted as worst because their workers failed, by reason.
     """
 
     source: str
@@ -58,101 +77,67 @@ class Comparison:
     budget: int
     seconds: Mapping[str, float]
     localization: bool
-    trials: tuple[Trial, ...]
-    bound: float | None = None
+    trials: Annotated[tuple[Trial, ...], ELSEWHERE]
+    bound: Annotated[float | None, Dataset("1", "loss that no drive can have less of")] = None
     bound_kind: str = ""
     bound_sentence: str = ""
     skipped: Mapping[str, str] = field(default_factory=dict)
     interrupted: bool = False
     versions: Mapping[str, str] = field(default_factory=dict)
-    lost_plates: Mapping[str, int] = field(default_factory=dict)
+    lost_plates: Annotated[Mapping[str, int], "lost"] = field(default_factory=dict)
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """Those that were tried, in their order."""
+        """The methods that were tried, in their order."""
         return tuple(dict.fromkeys(trial.method for trial in self.trials))
 
     def trials_of(self, method: str) -> list[Trial]:
-        """The trials of a method."""
+        """Return the trials of a method."""
         return [trial for trial in self.trials if trial.method == method]
 
 
-def save_comparison(comparison: Comparison, path: str | Path) -> Path:
-    """Write the file whole or not at all.
+_METHODS = Attribute(tuple[str, ...])
+
+
+def save_comparison(comparison: MethodComparison, path: str | Path) -> Path:
+    """Write a comparison file atomically.
 
     Raises:
         SceneError: the folder is missing or cannot be written to, or the disk is full.
     """
+
+    def write(file: h5py.File) -> None:
+        write_fields(file, comparison)
+        _METHODS.write(file, "methods", comparison.methods, {})
+        for trial in comparison.trials:
+            write_fields(file.create_group(f"trials/{trial.method}/{trial.seed}"), trial)
+
     path = Path(path)
-    save_hdf5(lambda file: _write(file, comparison), path)
+    save_hdf5(path, FORMAT, write)
     return path
 
 
-def load_comparison(path: str | Path) -> Comparison:
-    """Read what :func:`save_comparison` wrote.
+def load_comparison(path: str | Path) -> MethodComparison:
+    """Read a file that :func:`save_comparison` wrote.
 
     Raises:
-        SceneError: no such file, not a comparison of this program, or damaged.
+        SceneError: the file is missing, damaged or not a comparison.
     """
     path = Path(path)
-    with opened(path, FORMAT, "comparison") as file:
-        scene = Scene.parse(text(file, "scene"), f"{path}: its scene").in_folder(path.parent)
-        return _read(file, scene)
+    with open_hdf5(path, FORMAT, "comparison") as file:
+        trials = [trial for method in _METHODS.read(file, "methods", {}) for trial in _read_trials(file, method)]
+        return read_fields(MethodComparison, file, trials=tuple(trials))
 
 
-def _write(file: h5py.File, comparison: Comparison) -> None:
-    file.attrs.update(
-        {
-            "format": FORMAT,
-            "source": comparison.source,
-            "scene": dump_scene(comparison.scene),
-            "device": comparison.device,
-            "evaluator": comparison.evaluator,
-            "budget": comparison.budget,
-            "seconds": json.dumps(dict(comparison.seconds)),
-            "localization": int(comparison.localization),
-            "bound_kind": comparison.bound_kind,
-            "bound_sentence": comparison.bound_sentence,
-            "methods": json.dumps(list(comparison.methods)),
-            "skipped": json.dumps(dict(comparison.skipped)),
-            "interrupted": int(comparison.interrupted),
-            "versions": json.dumps(dict(comparison.versions)),
-            "lost": json.dumps(dict(comparison.lost_plates)),
-        }
-    )
-    if comparison.bound is not None:
-        put(file, "bound", comparison.bound, "1", "loss that no drive can have less of")
-    for trial in comparison.trials:
-        for name, (unit, long_name) in COLUMNS.items():
-            at = f"trials/{trial.method}/{trial.seed}/{name}"
-            put(file, at, getattr(trial, name), unit, f"{long_name}, after each iteration")
-
-
-def _read(file: h5py.File, scene: Scene) -> Comparison:
+def _read_trials(file: h5py.File, method: str) -> list[Trial]:
+    """Return the trials of a method by increasing seed."""
+    seeds = member_names(file, f"trials/{method}")
+    if not seeds or not all(seed.isdecimal() for seed in seeds):
+        raise SceneError(f"trials/{method} is missing, empty, or its members are no seeds")
     trials = []
-    for method in map(str, table(file, "methods", list)):
-        seeds = names_in(file, f"trials/{method}")
-        if not seeds or not all(seed.isdecimal() for seed in seeds):
-            raise SceneError(f"trials/{method} is missing, empty, or its members are no seeds")
-        for seed in sorted(map(int, seeds)):
-            columns = [numbers(file, f"trials/{method}/{seed}/{name}", (None,)) for name in COLUMNS]
-            if len({len(values) for values in columns}) > 1 or not len(columns[0]):
-                raise SceneError(f"trials/{method}/{seed} has columns of different length, or empty ones")
-            trials.append(Trial(method, seed, *columns))
-    return Comparison(
-        source=text(file, "source"),
-        scene=scene,
-        device=text(file, "device"),
-        evaluator=text(file, "evaluator"),
-        budget=count(file, "budget"),
-        seconds=table(file, "seconds"),
-        localization=bool(count(file, "localization")),
-        trials=tuple(trials),
-        bound=float(numbers(file, "bound", ())) if "bound" in file else None,
-        bound_kind=text(file, "bound_kind"),
-        bound_sentence=text(file, "bound_sentence"),
-        skipped=table(file, "skipped"),
-        interrupted=bool(count(file, "interrupted")),
-        versions=table(file, "versions"),
-        lost_plates=lost_of(file),
-    )
+    for seed in sorted(map(int, seeds)):
+        trial = read_fields(Trial, subgroup(file, f"trials/{method}/{seed}"), method=method, seed=seed)
+        if not len(trial.loss):
+            raise SceneError(f"trials/{method}/{seed} has no iterations")
+        trials.append(trial)
+    return trials

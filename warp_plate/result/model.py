@@ -1,90 +1,144 @@
-"""The plain data of a result, free of any file format."""
+"""Data classes of a result. Their fields also say how a result file stores them; see ``warp_plate.result.hdf5``."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
+import h5py
 import numpy as np
 
 from warp_plate.plate.scene_overrides import scene_with
+from warp_plate.result.hdf5 import Attribute, Dataset, Datasets, Layout, Sizes, Units
 from warp_plate.result.robust import RobustComparison
+from warp_plate.result.safe_hdf5 import member, read_numbers
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.scene.search import Objective
+from warp_plate.scene.search import OBJECTIVE_UNITS, Objective
 
 BoundKind = Literal["", "attained", "attained within limits", "bound only"]
-# What a bound is, for people.
 BOUND_DESCRIPTIONS: dict[BoundKind, str] = {
     "": "bound",
     "attained": "bound: no drive passes it",
     "attained within limits": "bound of the drives that may be chosen",
     "bound only": "bound only: the drives that may be chosen need not reach it",
 }
+HISTORY = Datasets(
+    {
+        "evaluations": Dataset("1", "drives tried so far, after each iteration", ("iterations",)),
+        "best": Dataset("1", "largest localization factor so far, after each iteration", ("iterations",)),
+        "mean": Dataset("1", "mean localization factor of the iteration, after each iteration", ("iterations",)),
+    }
+)
+SPECTRUM = Datasets(
+    {
+        "frequency": Dataset("Hz", "where the localization factors were taken", ("frequencies",)),
+        "equal": Dataset("1", "localization factor of all actuators alike", ("frequencies",)),
+        "single": Dataset("1", "localization factor of the best single actuator", ("frequencies",)),
+        "best": Dataset(
+            "1", "largest localization factor, which no drive that may be chosen passes", ("frequencies",)
+        ),
+        "resonances": Dataset("Hz", "natural frequencies of the plate", (None,)),
+    }
+)
 
 
-def bound_kind(text: str) -> BoundKind:
-    """The kind that a file names.
+class _Phasors(Layout):
+    """Complex amplitudes as the datasets ``magnitude`` and ``phase``."""
 
-    Raises:
-        SceneError: there is no such kind.
-    """
-    for kind in BOUND_DESCRIPTIONS:
-        if kind == text:
-            return kind
-    raise SceneError(f"bound_kind is {text!r}")
+    magnitude = Dataset("drive", "drive magnitude of each actuator", ("actuators",))
+    phase = Dataset("rad", "drive phase lag of each actuator", ("actuators",))
+
+    def write(self, group: h5py.Group, name: str, value: np.ndarray, units: Units) -> None:
+        self.magnitude.write(group, "magnitude", np.abs(value), units)
+        self.phase.write(group, "phase", _phase_lag(value), units)
+
+    def read(self, group: h5py.Group, name: str, sizes: Sizes) -> np.ndarray:
+        magnitude = self.magnitude.read(group, "magnitude", sizes)
+        phasors: np.ndarray = magnitude * np.exp(-1j * self.phase.read(group, "phase", sizes))
+        return phasors
+
+
+class _Energies(Layout):
+    """Energies by region as one dataset, with the names of the regions as JSON in its attribute ``regions``."""
+
+    values = Dataset("J", "kinetic energy averaged over the window, for each region")
+
+    def write(self, group: h5py.Group, name: str, value: Mapping[str, float], units: Units) -> None:
+        self.values.write(group, name, np.array(list(value.values())), units)
+        group[name].attrs["regions"] = json.dumps(list(value))
+
+    def read(self, group: h5py.Group, name: str, sizes: Sizes) -> dict[str, float]:
+        regions = Attribute(tuple[str, ...]).read(member(group, name), "regions", sizes)
+        if not {"plate", "target"} <= set(regions):
+            raise SceneError(f"{group.name}/{name} has regions {regions}, without plate or target")
+        return dict(zip(regions, read_numbers(group, name, (len(regions),)).tolist(), strict=True))
+
+
+def _objective(path: str) -> Dataset:
+    """Return the layout of an objective's value, by KIND, or by CASE/KIND of other cases."""
+    case, _, name = path.rpartition("/")
+    meaning = {"sum": "sum of the objectives with their weights", "bound": "of that sum: no drive comes above it"}
+    of_case = f", of the drive {case}" if case else ""
+    return Dataset(OBJECTIVE_UNITS.get(name.split()[0], "1"), meaning.get(name, name) + of_case)
 
 
 @dataclass(frozen=True)
 class Case:
-    """One drive and what the plate did under it.
+    """A drive and the motion of the plate under it.
 
-    drive: (actuators,) complex phasors Z [N/m², or V: ``Scene.drive_unit``]; the load is Re(Z exp(iωt)) or what the
-        scene makes of Z, so magnitude |Z| and phase lag −arg Z.
-    energy: kinetic energy averaged over the window [J], for each region by name.
-    displacement: (times, ny, nx) [m].
-    trace: (points, steps) displacement [m].
-    status: "ok", or why the plate has no energies (NaN): what was wrong with its drive, or when it grew without bound.
-    frequency, delay: (actuators,) frequencies [Hz] and burst starts [s]; centre: (actuators, 2) x, y of the actuators'
-        middles [m]; None where they are the scene's.
+    Attributes:
+        phasors: (actuators,) complex amplitudes Z [N/m², or V: ``Scene.drive_unit``]. The load is Re(Z exp(iωt)), or
+            what the scene makes of Z, so that |Z| is the magnitude and −arg Z the phase lag.
+        energy: Kinetic energy averaged over the window [J], by region: "plate", "target" and further ones.
+        displacement: (times, ny, nx) displacement [m].
+        trace: (points, steps) displacement at the recorded points [m].
+        status: "ok", or the reason why the energies are NaN.
+        frequency: (actuators,) frequencies [Hz]; None if they are the scene's.
+        centre: (actuators, 2) positions x, y of the actuators' centres [m]; None if they are the scene's.
+        delay: (actuators,) burst starts [s]; None if they are the scene's.
     """
 
-    phasors: np.ndarray
-    energy: Mapping[str, float]
-    displacement: np.ndarray
-    trace: np.ndarray
-    status: str = "ok"
-    frequency: np.ndarray | None = None
-    centre: np.ndarray | None = None
-    delay: np.ndarray | None = None
+    phasors: Annotated[np.ndarray, _Phasors()]
+    energy: Annotated[Mapping[str, float], _Energies()]
+    displacement: Annotated[np.ndarray, Dataset("m", "displacement (times, y, x)", ("times", "ny", "nx"))]
+    trace: Annotated[np.ndarray, Dataset("m", "displacement at the recorded points (points, steps)", (None, None))]
+    status: Annotated[str, Attribute(str, of="energy")] = "ok"
+    frequency: Annotated[np.ndarray | None, Dataset("Hz", "frequency of each actuator", ("actuators",))] = None
+    centre: Annotated[np.ndarray | None, Dataset("m", "x, y of the middle of each actuator", ("actuators", 2))] = None
+    delay: Annotated[np.ndarray | None, Dataset("s", "start of each actuator's burst", ("actuators",))] = None
 
     @property
     def localization_factor(self) -> float:
-        """Share of the plate's kinetic energy in the target; equation (5) of the source paper."""
+        """Fraction of the plate's kinetic energy in the target, equation (5) of the source paper; NaN at rest."""
         return self.energy["target"] / self.energy["plate"] if self.energy["plate"] > 0 else float("nan")
 
     @property
     def magnitude(self) -> np.ndarray:
-        """(actuators,) magnitudes w, in the unit of ``drive``."""
+        """(actuators,) magnitudes w, in the unit of ``phasors``."""
         return np.abs(self.phasors)
 
     @property
     def phase(self) -> np.ndarray:
         """(actuators,) phase lags φ [rad], 0 ≤ φ < 2π; 0 where the magnitude is 0."""
-        return np.where(self.phasors == 0, 0.0, np.mod(-np.angle(self.phasors), 2 * np.pi))
-
+        return _phase_lag(self.phasors)
 
     @property
     def per_actuator(self) -> dict[str, np.ndarray]:
-        """(actuators,) by headings for people, what is not the scene's."""
+        """(actuators,) values that differ from the scene's, by table heading."""
         x, y = (None, None) if self.centre is None else self.centre.T
-        found = {"frequency (Hz)": self.frequency, "x (m)": x, "y (m)": y, "burst from (s)": self.delay}
-        return {heading: values for heading, values in found.items() if values is not None}
+        columns = {"frequency (Hz)": self.frequency, "x (m)": x, "y (m)": y, "burst from (s)": self.delay}
+        return {heading: values for heading, values in columns.items() if values is not None}
+
+
+def _phase_lag(phasors: np.ndarray) -> np.ndarray:
+    return np.where(phasors == 0, 0.0, np.mod(-np.angle(phasors), 2 * np.pi))
 
 
 def case_scene(scene: Scene, case: Case) -> Scene:
-    """The scene of a result with a case's frequencies, places and burst starts; itself where it has none."""
+    """Return the scene with a case's frequencies, positions and burst starts."""
     if not case.per_actuator:
         return scene
     return scene_with(scene, None, None, case.frequency, case.centre, case.delay)
@@ -92,48 +146,64 @@ def case_scene(scene: Scene, case: Case) -> Scene:
 
 @dataclass(frozen=True)
 class TargetSearch:
-    """The search for one target.
+    """A finished search for one target.
 
-    position: (dimension,) the best one in the search's space; None where one actuator leaves no choice, or none had
-    energies. single: index of the best single actuator; bound, bound_kind, history, values: as in
-    :class:`Result`; evaluations: plates.
+    Attributes:
+        position: (dimension,) best position in the search space; None if there is a single actuator or if no position
+            has finite energies.
+        single_actuator: Index of the best single actuator.
+        bound: See :class:`Result`.
+        bound_kind: See :class:`Result`.
+        evaluations: Number of plates evaluated.
+        history: See :class:`Result`.
+        objective_values: See :class:`Result`.
     """
 
-    position: np.ndarray | None
-    single_actuator: int
+    position: Annotated[np.ndarray | None, Dataset("1", "best position in the search space", (None,))]
+    single_actuator: Annotated[int, "single"]
     bound: float | None
     bound_kind: BoundKind
     evaluations: int
-    history: Mapping[str, np.ndarray]
-    objective_values: Mapping[str, float]
+    history: Annotated[Mapping[str, np.ndarray], HISTORY]
+    objective_values: Annotated[Mapping[str, float], Datasets(_objective), "objectives"]
 
 
 @dataclass(frozen=True)
 class Result:
-    """Everything that ``localize`` or ``simulate`` found, with all that is needed to run it again.
+    """Outcome of ``localize`` or ``simulate``, with all that is needed to run it again.
 
-    cases: by name; ``localize`` has "equal", "single" and "best", ``simulate`` has "drive".
-    times: (times,) of the displacements [s]; trace_times: (steps,) of the traces [s].
-    bound: largest localization factor that any drive can reach; None where none is claimed. bound_kind: how near a
-        drive comes to it, or to that of the values' sum: a key of BOUND_DESCRIPTIONS.
-    history: for each iteration of the search, arrays "evaluations", "best", "mean": localization factors, or weighted
-        sums of what else is sought.
-    values: where more than the localization factor is sought, what the best drive is worth: by the objectives' kinds,
-        of velocity and displacement also that "of the rest"; their weighted "sum", and its "bound" where one is known
-        and the limits on the rest are kept.
-    worth: the same, without a bound, of other cases at the scene's own frequency and places, by their names.
-    seconds: "compile" and "solve", and "choose" and "estimate" where these were done.
-    accuracy: what is known of the result's errors, of numbers and texts only: "asked" and "reason" where the scene
-        asked for an accuracy instead of a grid, "estimate" of the localization factors.
-    node_steps: nodes updated × steps × plates. path: how plates were stepped.
-    peak: largest displacement [m] seen over the run under the drive of ``judged``; None where nothing was looked at.
-    spectrum: of a search for a frequency, over the "frequency" [Hz] of its range, the localization factors "equal",
-        "single" and "best" (which no drive that may be chosen passes), and the "resonances" [Hz] in it; empty where
-        none was made.
-    several: of a scene with several targets, the search for each that was come to; ``bound`` and ``history`` are the
-        first's. Cases: see ``result.crosstalk``.
-    robust: of a robust search, its drive and the "nominal" one, a case too, over fresh scenarios.
-    lost: plates of the search that counted as worst because their workers failed for good, by what went wrong.
+    Attributes:
+        command: "localize" or "simulate".
+        source: Name of the scene, as given by the user.
+        scene: The scene, with the grid that was used.
+        device: Name of the device and its processor.
+        seed: Random seed of the search.
+        effects: Names of the effects in the compiled kernels.
+        times: (times,) times of the displacements [s].
+        trace_times: (steps,) times of the traces [s].
+        cases: Cases by name: "equal", "single", "best" and others of ``localize``, "drive" of ``simulate``.
+        seconds: Wall time by stage [s]: "compile", "solve" and others.
+        node_steps: Number of node updates: nodes × steps × plates.
+        evaluations: Number of plates that the search evaluated.
+        bound: Upper bound of the localization factor over all drives; None if unknown.
+        bound_kind: Kind of the bound, a key of ``BOUND_DESCRIPTIONS``.
+        history: (iterations,) values after each iteration: "evaluations", and "best" and "mean" localization factor or
+            weighted sum of the objectives.
+        objective_values: Objectives of the best drive by kind, their weighted "sum" and its "bound"; empty if only the
+            localization factor was sought.
+        objective_values_by_case: The same of other cases at the scene's frequency and positions, without bounds.
+        evaluator: "direct" (a simulated plate for each drive) or "response" (Gram matrices).
+        path: Description of the kernels that stepped the plates.
+        interrupted: True if Ctrl-C ended the search.
+        versions: Versions of the libraries that the numbers depend on, by name.
+        accuracy: Estimated errors ("estimate"), and the choice of the grid ("asked", "expected", "reason").
+        peak_displacement: Largest displacement over the run of the main case [m]; None if unknown.
+        spectrum: Localization factors "equal", "single" and "best" over the "frequency" [Hz], and the "resonances"
+            [Hz]; empty unless one frequency of all actuators was searched.
+        target_searches: Searches for the targets that were reached, if the scene has several; ``bound`` and ``history``
+            are those of the first.
+        robust: Comparison of a robust drive with the nominal one; None for other searches.
+        lost_plates: Number of plates that counted as worst because their workers failed, by reason.
     """
 
     command: str
@@ -142,61 +212,63 @@ class Result:
     device: str
     seed: int
     effects: tuple[str, ...]
+    times: Annotated[np.ndarray, Dataset("s", "times of the displacements", ("times",))]
+    trace_times: Annotated[np.ndarray, Dataset("s", "times of the traces", (None,))]
     cases: Mapping[str, Case]
-    times: np.ndarray
-    trace_times: np.ndarray
     seconds: Mapping[str, float]
     node_steps: int
     evaluations: int = 0
-    bound: float | None = None
+    bound: Annotated[float | None, Dataset("1", "largest that any drive can reach"), "localization_factor/bound"] = None
     bound_kind: BoundKind = ""
-    history: Mapping[str, np.ndarray] = field(default_factory=dict)
-    objective_values: Mapping[str, float] = field(default_factory=dict)
-    objective_values_by_case: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    history: Annotated[Mapping[str, np.ndarray], HISTORY] = field(default_factory=dict)
+    objective_values: Annotated[Mapping[str, float], Datasets(_objective), "objectives"] = field(default_factory=dict)
+    objective_values_by_case: Annotated[
+        Mapping[str, Mapping[str, float]], Datasets(_objective), "objectives_of"
+    ] = field(default_factory=dict)
     evaluator: str = "direct"
     path: str = ""
     interrupted: bool = False
     versions: Mapping[str, str] = field(default_factory=dict)
     accuracy: Mapping[str, Any] = field(default_factory=dict)
-    peak_displacement: float | None = None
-    spectrum: Mapping[str, np.ndarray] = field(default_factory=dict)
-    target_searches: tuple[TargetSearch, ...] = ()
+    peak_displacement: Annotated[float | None, Dataset("m", "largest displacement seen over the run")] = None
+    spectrum: Annotated[Mapping[str, np.ndarray], SPECTRUM] = field(default_factory=dict)
+    target_searches: Annotated[tuple[TargetSearch, ...], "searches"] = ()
     robust: RobustComparison | None = None
-    lost_plates: Mapping[str, int] = field(default_factory=dict)
+    lost_plates: Annotated[Mapping[str, int], "lost"] = field(default_factory=dict)
 
     def case_scene(self, case: Case) -> Scene:
-        """The scene with a case's frequencies, places and burst starts."""
+        """Return the scene with a case's frequencies, positions and burst starts."""
         return case_scene(self.scene, case)
 
     def driven_scene(self, case: Case) -> Scene:
-        """The scene that ``simulate`` runs as this case: ``placed``, and with its drive.
+        """Return the scene that ``simulate`` runs as a case: :meth:`case_scene` with the case's drive.
 
         Raises:
-            SceneError: a magnitude beyond what a scene may have.
+            SceneError: a magnitude is larger than a scene may have.
         """
         return scene_with(self.case_scene(case), case.magnitude, case.phase)
 
     @property
     def bound_description(self) -> str:
-        """What the bound is, for people."""
+        """Description of the bound, for people."""
         return BOUND_DESCRIPTIONS[self.bound_kind]
 
     @property
     def only_localization(self) -> bool:
-        """Whether the localization factor is all that was sought."""
+        """True if the localization factor is the only objective."""
         return self.scene.search.objectives == (Objective(),)
 
     @property
     def main_case(self) -> Case:
-        """The case that the result is about: the best drive found, or the one that was asked for."""
+        """The best drive found, or the drive that was simulated."""
         return self.cases.get("best") or next(iter(self.cases.values()))
 
     @property
     def x(self) -> np.ndarray:
-        """(nx,) positions of the nodes [m]."""
+        """(nx,) positions of the nodes along x [m]."""
         return np.linspace(0, self.scene.plate.size[0], self.scene.grid.nodes[0])
 
     @property
     def y(self) -> np.ndarray:
-        """(ny,) positions of the nodes [m]."""
+        """(ny,) positions of the nodes along y [m]."""
         return np.linspace(0, self.scene.plate.size[1], self.scene.grid.nodes[1])

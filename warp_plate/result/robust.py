@@ -1,43 +1,54 @@
-"""A robust drive beside the nominal one, over scenarios that neither was searched with."""
+"""Comparison of a robust drive with the nominal one over scenarios that neither was optimized for."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-# The worst part of all scenarios, whose mean stands in the report.
+from warp_plate.result.hdf5 import Dataset
+
+# Fraction of all scenarios that counts as the worst ones.
 TAIL = 0.05
 DRIVES = ("robust", "nominal")
+_ROWS = "of the robust and of the nominal drive"
 
 
 @dataclass(frozen=True)
 class RobustComparison:
-    """Values are what people want large: localization factors, or the weighted sum of the objectives; not finite where
-    a plate failed. The first row is the robust drive's, the second the nominal one's: DRIVES.
+    """Values of the robust drive and of the nominal drive, in this order (``DRIVES``).
 
-    measure: that was searched, over so many ``scenarios``; localization: whether values are localization factors;
-    bound: of the measure, above which no drive comes, None where none is claimed. searched: (2,) the measure;
-    nominal_plate: (2,) on the plate without scatter; fresh: (2, fresh scenarios).
+    Larger values are better. They are localization factors or, if other objectives were given, weighted sums of the
+    objectives; not finite where a plate failed.
+
+    Attributes:
+        measure: Measure over the scenarios that the robust search maximized.
+        scenarios: Number of scenarios of the search.
+        localization: True if the values are localization factors.
+        bound: Upper bound of the measure over all drives; None if unknown.
+        searched: (2,) measure over the scenarios of the search.
+        nominal_plate: (2,) values for the plate without scatter.
+        validation: (2, validation scenarios) values in scenarios that the search did not use.
     """
 
     measure: str
     scenarios: int
     localization: bool
-    bound: float | None
-    searched: np.ndarray
-    nominal_plate: np.ndarray
-    validation: np.ndarray
+    bound: Annotated[float | None, Dataset("value", "of the measure: no drive comes above it")]
+    searched: Annotated[np.ndarray, Dataset("value", f"measure {_ROWS} over the scenarios of the search", (2,))]
+    nominal_plate: Annotated[np.ndarray, Dataset("value", f"value {_ROWS} without scatter", (2,))]
+    validation: Annotated[np.ndarray, Dataset("value", f"value {_ROWS} in each fresh scenario", (2, None)), "fresh"]
 
     @property
     def failed(self) -> np.ndarray:
-        """(2,) on how many of the fresh panels the plate had no energies."""
-        found: np.ndarray = np.count_nonzero(~np.isfinite(self.validation), axis=1)
-        return found
+        """(2,) numbers of validation scenarios in which the plate failed."""
+        failures: np.ndarray = np.count_nonzero(~np.isfinite(self.validation), axis=1)
+        return failures
 
     def rows(self) -> Mapping[str, np.ndarray]:
-        """(2,) by what they are, for tables; a plate that failed counts as worse than any, −∞."""
+        """Return the (2,) statistics to tabulate, by name; a plate that failed counts as −∞."""
         values = np.where(np.isfinite(self.validation), self.validation, -np.inf)
         return {
             "mean": values.mean(axis=1),
@@ -49,7 +60,7 @@ class RobustComparison:
 
 
 def mean_of_worst(values: np.ndarray) -> np.ndarray:
-    """(rows,) mean of the smallest twentieth of each row's values, at least one of them."""
-    smallest = max(1, int(np.ceil(TAIL * values.shape[1] - 1e-9)))
-    tail: np.ndarray = np.sort(values, axis=1)[:, :smallest].mean(axis=1)
-    return tail
+    """Return the (rows,) means of the smallest 5 % of each row's values, at least of one value."""
+    count = max(1, int(np.ceil(TAIL * values.shape[1] - 1e-9)))
+    means: np.ndarray = np.sort(values, axis=1)[:, :count].mean(axis=1)
+    return means

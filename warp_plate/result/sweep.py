@@ -1,29 +1,26 @@
-"""A sweep's figures in one HDF5 file, laid out as netCDF-4 lays out its own, so that xarray opens it by name:
+"""Sweep files: HDF5 files laid out as netCDF-4 lays out its own, which xarray opens with named dimensions and units.
 
     /KEY                   of a grid: a dimension with the values of each varied key, such as /drive.frequency
-    /sample, /KEY          of samples: their numbers, and the value of each key in every one
-    /OUTPUT                a figure at every point (grid or sample, and the output's own axis); NaN where there is none
+    /sample, /KEY          of samples: a dimension with their numbers, and the value of each key in every sample
+    /OUTPUT                an output at every point (grid or sample, and the output's axis if it has one)
     /status                0 not run yet, 1 run, 2 refused
     /reason                why a point was refused
-    attributes of /: source, scene (TOML), what, count, keys, outputs, seconds, versions, ...
 
-Behind the HDF5 content stands a seal, see ``warp_plate.result.atomic_io``. An unfinished sweep is the same file with
-points that are not run yet; it goes on from there.
+An unfinished sweep is the same file with points that are not run yet.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import h5py
 import numpy as np
 
-from warp_plate.result.safe_hdf5 import count, numbers, opened, put, save_hdf5, table, text, texts
-from warp_plate.scene.dump import dump_scene
+from warp_plate.result.hdf5 import ELSEWHERE, Attribute, Dataset, SceneText, read_fields, write_fields
+from warp_plate.result.safe_hdf5 import dataset, open_hdf5, read_numbers, save_hdf5
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import label_of, numeric_keys, unit_of
 from warp_plate.scene.model import Scene
@@ -35,7 +32,13 @@ NOT_RUN, RUN, REFUSED = 0, 1, 2
 
 @dataclass(frozen=True)
 class SweepOutput:
-    """A figure of every point: its unit, its meaning, and the axis that it has of its own, None: it is one number."""
+    """A quantity that a sweep computes at every point.
+
+    Attributes:
+        unit: Unit.
+        meaning: Description, for people.
+        axis: Name of the output's own axis, such as "mode"; None if it is one number a point.
+    """
 
     unit: str
     meaning: str
@@ -44,216 +47,220 @@ class SweepOutput:
 
 @dataclass(frozen=True)
 class Sweep:
-    """What was found at the points of a plan.
+    """Outputs of a command at the points of a plan.
 
-    scene: as written, before anything is varied; source: its name; files: SHA-256 of the files that it names, by key.
-    what: of ``QUANTITIES``; count: length of the outputs' own axis. device, processor: what points were
-    run on last, as who ran them says, "" while no worker has said it; earlier, path: as in :class:`Checkpoint`.
-    values: of each output (points,), or (points, count) where it has an axis. status: (points,); reasons: why points
-    were refused, by point. seconds: spent on points so far.
+    Attributes:
+        source: Name of the scene, as given by the user.
+        scene: The scene as written, before anything is varied.
+        files: SHA-256 digests of the files that the scene names, by their keys.
+        plan: Keys that are varied, and their values.
+        what: Name of the set of outputs, such as "localize".
+        count: Length of the outputs' own axis.
+        device: Device that points were run on last; "" until the first worker reports one.
+        processor: Model of its processor; "" until the first worker reports one.
+        earlier_devices: Other devices that points were run on before, for people.
+        path: Kernels that were asked for.
+        outputs: Outputs by name.
+        values: (points,) or (points, count) values of each output; NaN where a point is not run or refused.
+        status: (points,) ``NOT_RUN``, ``RUN`` or ``REFUSED``.
+        reasons: Reasons why points were refused, by point.
+        seconds: Wall time spent on points so far [s].
+        versions: Versions of the libraries that the numbers depend on, by name.
     """
 
     source: str
     scene: Scene
     files: Mapping[str, str]
-    plan: Plan
+    plan: Annotated[Plan, ELSEWHERE]
     what: str
     count: int
     device: str
     processor: str
-    earlier_devices: str
+    earlier_devices: Annotated[str, "earlier"]
     path: str
-    outputs: Mapping[str, SweepOutput]
-    values: Mapping[str, np.ndarray]
-    status: np.ndarray
-    reasons: Mapping[int, str]
+    outputs: Annotated[Mapping[str, SweepOutput], ELSEWHERE]
+    values: Annotated[Mapping[str, np.ndarray], ELSEWHERE]
+    status: Annotated[np.ndarray, ELSEWHERE]
+    reasons: Annotated[Mapping[int, str], ELSEWHERE]
     seconds: float
     versions: Mapping[str, str]
 
     @property
     def pending(self) -> np.ndarray:
-        """Points that are not run yet."""
+        """Indices of the points that are not run yet."""
         return np.flatnonzero(self.status == NOT_RUN)
 
     @property
     def finished(self) -> bool:
-        """Whether no point is left."""
+        """True if no point is pending."""
         return not len(self.pending)
 
     @property
     def progress(self) -> str:
-        """For people."""
+        """Description of the progress, for people."""
         return f"{len(self.plan) - len(self.pending)} of {counted(len(self.plan), 'point')}"
 
     @property
     def devices_used(self) -> str:
-        """For people: each device that points were run on, with its processor."""
+        """Devices that points were run on, with their processors, for people."""
         return f"{self.earlier_devices}{self.device} ({self.processor})"
 
     def moved_to(self, device: str, processor: str) -> Sweep:
-        """The sweep whose next points run there; another processor than before is kept with those before it."""
+        """Return the sweep with its next points on a device; a change of processor is recorded."""
         moved = self.processor not in ("", processor)
         earlier = f"{self.devices_used}, then " if moved else self.earlier_devices
         return replace(self, device=device, processor=processor, earlier_devices=earlier)
 
     @property
     def keys_without_effect(self) -> tuple[str, ...]:
-        """Keys whose values change no figure, to the last bit; of samples, where all change at once, all or none."""
-        figures, plan = [self.shaped(name) for name in self.outputs], self.plan
+        """Keys that change no output to the last bit; of samples, where all keys change at once, all or none."""
+        outputs, plan = [self.shaped(name) for name in self.outputs], self.plan
         if plan.sampled:
-            return plan.keys if len(plan) > 1 and all(_alike(one, 0) for one in figures) else ()
+            return plan.keys if len(plan) > 1 and all(_is_constant(values, 0) for values in outputs) else ()
         return tuple(
             key
             for axis, key in enumerate(plan.keys)
-            if plan.shape[axis] > 1 and all(_alike(one, axis) for one in figures)
+            if plan.shape[axis] > 1 and all(_is_constant(values, axis) for values in outputs)
         )
 
     def refusal(self, point: int) -> str:
-        """For people: the numbers of a refused point and its reason, which may begin with them."""
-        at = ", ".join(f"{key} = {value:.6g}" for key, value in self.plan.numbers(point).items())
+        """Return the varied numbers of a refused point and the reason, for people."""
+        place = ", ".join(f"{key} = {value:.6g}" for key, value in self.plan.numbers(point).items())
         reason = self.reasons[point]
-        return reason if reason.startswith(f"{at}: ") else f"at {at}: {reason}"
+        return reason if reason.startswith(f"{place}: ") else f"at {place}: {reason}"
 
     def shaped(self, output: str) -> np.ndarray:
-        """The values of an output in the shape of the plan, and after it the output's own axis."""
+        """Return the values of an output in the shape of the plan, followed by the output's own axis."""
         values = self.values[output]
         return values.reshape(*self.plan.shape, *values.shape[1:])
 
 
 def save_sweep(sweep: Sweep, path: str | Path) -> Path:
-    """Write the file whole or not at all.
+    """Write a sweep file atomically.
 
     Raises:
         SceneError: the folder is missing or cannot be written to, or the disk is full.
     """
     path = Path(path)
-    save_hdf5(lambda file: _write(file, sweep), path)
+    save_hdf5(path, FORMAT, lambda file: _write(file, sweep))
     return path
 
 
 def load_sweep(path: str | Path) -> Sweep:
-    """Read what :func:`save_sweep` wrote.
+    """Read a file that :func:`save_sweep` wrote.
 
     Raises:
-        SceneError: no such file, not a sweep of this program, or damaged.
+        SceneError: the file is missing, damaged or not a sweep.
     """
     path = Path(path)
-    with opened(path, FORMAT, "sweep") as file:
-        scene = Scene.parse(text(file, "scene"), f"{path}: its scene").in_folder(path.parent)
-        return _read(file, scene)
+    with open_hdf5(path, FORMAT, "sweep") as file:
+        scene = SceneText().read(file, "scene", {})
+        plan, outputs = _read_plan(file, scene), _read_outputs(file)
+        count = Attribute(int).read(file, "count", {})
+        values = {}
+        for name, output in outputs.items():
+            own = (count,) if output.axis else ()
+            values[name] = read_numbers(file, name, (*plan.shape, *own)).reshape(len(plan), *own)
+        status = read_numbers(file, "status", plan.shape).ravel()
+        if not np.isin(status, (NOT_RUN, RUN, REFUSED)).all():
+            raise SceneError("status holds other numbers than 0, 1 and 2")
+        reasons = _read_reasons(file, plan, status)
+        return read_fields(
+            Sweep, file, scene=scene, plan=plan, outputs=outputs, values=values, status=status, reasons=reasons
+        )
+
+
+_KEYS = Attribute(tuple[str, ...])
+_LOGARITHMIC = Attribute(tuple[bool, ...])
+_OUTPUTS = Attribute(Mapping[str, Any])
 
 
 def _write(file: h5py.File, sweep: Sweep) -> None:
     plan, scene = sweep.plan, sweep.scene
-    for name in ("source", "what", "count", "device", "processor", "path", "seconds"):
-        file.attrs[name] = getattr(sweep, name)
-    file.attrs["earlier"] = sweep.earlier_devices
-    file.attrs.update(
-        {
-            "format": FORMAT,
-            "title": scene.title,
-            "scene": dump_scene(scene),
-            "files": json.dumps(dict(sweep.files)),
-            "versions": json.dumps(dict(sweep.versions)),
-            "keys": json.dumps(plan.keys),
-            "logarithmic": json.dumps(plan.logarithmic),
-            "outputs": json.dumps({name: vars(one) for name, one in sweep.outputs.items()}),
-            "finished": int(sweep.finished),
-        }
-    )
-    if plan.sampled:
-        _put_axis(file, "sample", np.arange(len(plan)), "1", "number of the sample")
-    for key, values in zip(plan.keys, plan.coordinates, strict=True):
-        unit, words = _in_ascii(unit_of(scene, key)), label_of(scene, key)
-        if plan.sampled:
-            put(file, key, values, unit, words)
-            file[key].dims[0].attach_scale(file["sample"])
-        else:
-            _put_axis(file, key, values, unit, words)
-    axes = ("sample",) if plan.sampled else plan.keys
-    for axis in dict.fromkeys(one.axis for one in sweep.outputs.values() if one.axis):
-        _put_axis(file, axis, np.arange(1, sweep.count + 1), "1", f"number of the {axis}")
+    write_fields(file, sweep)
+    file.attrs["title"] = scene.title
+    _KEYS.write(file, "keys", plan.keys, {})
+    _LOGARITHMIC.write(file, "logarithmic", plan.logarithmic, {})
+    _OUTPUTS.write(file, "outputs", {name: asdict(output) for name, output in sweep.outputs.items()}, {})
+    Attribute(bool).write(file, "finished", sweep.finished, {})
+    axes = _write_plan(file, plan, scene)
+    for axis in dict.fromkeys(output.axis for output in sweep.outputs.values() if output.axis):
+        _write_axis(file, axis, np.arange(1, sweep.count + 1), "1", f"number of the {axis}")
     for name, output in sweep.outputs.items():
         own = [output.axis] if output.axis else []
-        _put_on(file, name, sweep.shaped(name), output.unit, output.meaning, [*axes, *own])
-    _put_on(file, "status", sweep.status.astype("i1").reshape(plan.shape), "1", "what became of the point", axes)
+        _write_along(file, name, sweep.shaped(name), output.unit, output.meaning, [*axes, *own])
+    status = sweep.status.astype("i1").reshape(plan.shape)
+    _write_along(file, "status", status, "1", "what became of the point", axes)
     file["status"].attrs["flag_values"] = np.array([NOT_RUN, RUN, REFUSED], dtype="i1")
     file["status"].attrs["flag_meanings"] = "not_run run refused"
     reasons = np.array([sweep.reasons.get(point, "") for point in range(len(plan))], dtype=h5py.string_dtype())
-    _put_on(file, "reason", reasons.reshape(plan.shape), "1", "why the point was refused", axes)
+    _write_along(file, "reason", reasons.reshape(plan.shape), "1", "why the point was refused", axes)
     if plan.sampled:
         for name in (*sweep.outputs, "status", "reason"):
             file[name].attrs["coordinates"] = " ".join(plan.keys)
 
 
-def _put_axis(file: h5py.File, name: str, values: np.ndarray, unit: str, words: str) -> None:
-    put(file, name, values, unit, words)
+def _write_plan(file: h5py.File, plan: Plan, scene: Scene) -> Sequence[str]:
+    """Write the values of the varied keys; return the names of the dimensions of all outputs."""
+    if plan.sampled:
+        _write_axis(file, "sample", np.arange(len(plan)), "1", "number of the sample")
+    for key, values in zip(plan.keys, plan.coordinates, strict=True):
+        unit, meaning = _in_ascii(unit_of(scene, key)), label_of(scene, key)
+        if plan.sampled:
+            _write_along(file, key, values, unit, meaning, ["sample"])
+        else:
+            _write_axis(file, key, values, unit, meaning)
+    return ["sample"] if plan.sampled else plan.keys
+
+
+def _write_axis(file: h5py.File, name: str, values: np.ndarray, unit: str, meaning: str) -> None:
+    Dataset(unit, meaning).write(file, name, values, {})
     file[name].make_scale(name)
 
 
-def _put_on(
-    file: h5py.File, name: str, values: np.ndarray, unit: str, words: str, axes: list[str] | tuple[str, ...]
+def _write_along(
+    file: h5py.File, name: str, values: np.ndarray, unit: str, meaning: str, axes: Iterable[str]
 ) -> None:
-    put(file, name, values, unit, words)
+    Dataset(unit, meaning).write(file, name, values, {})
     for index, axis in enumerate(axes):
         file[name].dims[index].attach_scale(file[axis])
 
 
-def _alike(values: np.ndarray, axis: int) -> bool:
-    """Whether values are the same all along an axis."""
+def _is_constant(values: np.ndarray, axis: int) -> bool:
+    """Return whether values are the same all along an axis."""
     return np.array_equal(values, np.broadcast_to(values.take([0], axis), values.shape), equal_nan=True)
 
 
 def _in_ascii(unit: str) -> str:
-    """As other programs read units."""
     return unit.replace("²", "^2").replace("³", "^3").replace("·", "*")
 
 
-def _read(file: h5py.File, scene: Scene) -> Sweep:
-    keys, logarithmic = tuple(map(str, table(file, "keys", list))), table(file, "logarithmic", list)
-    unknown = [key for key in keys if key not in numeric_keys(scene)]
-    if not keys or unknown or len(logarithmic) != len(keys):
+def _read_plan(file: h5py.File, scene: Scene) -> Plan:
+    keys, logarithmic = _KEYS.read(file, "keys", {}), _LOGARITHMIC.read(file, "logarithmic", {})
+    if not keys or not set(keys) <= set(numeric_keys(scene)) or len(logarithmic) != len(keys):
         raise SceneError(f"keys {list(keys)} do not fit the scene")
     sampled = "sample" in file
-    samples = len(numbers(file, "sample", (None,))) if sampled else None
-    coordinates = tuple(numbers(file, key, (samples,)) for key in keys)
-    plan = Plan(keys, coordinates, tuple(map(bool, logarithmic)), sampled)
+    samples = len(read_numbers(file, "sample", (None,))) if sampled else None
+    plan = Plan(keys, tuple(read_numbers(file, key, (samples,)) for key in keys), logarithmic, sampled)
     if not 1 <= len(plan) <= MOST_POINTS:
-        raise SceneError(f"{len(plan)} points")
-    length = count(file, "count")
-    outputs = {str(name): _output(one) for name, one in table(file, "outputs").items()}
-    values = {}
-    for name, one in outputs.items():
-        own = (length,) if one.axis else ()
-        values[name] = numbers(file, name, (*plan.shape, *own)).reshape(len(plan), *own)
-    status = numbers(file, "status", plan.shape).ravel()
-    if not np.isin(status, (NOT_RUN, RUN, REFUSED)).all():
-        raise SceneError("status holds other numbers than 0, 1 and 2")
-    refused = np.flatnonzero(status == REFUSED)
-    places = zip(*(axis.tolist() for axis in np.unravel_index(refused, plan.shape)), strict=True)
-    reasons = texts(file, "reason", plan.shape, places)
-    return Sweep(
-        source=text(file, "source"),
-        scene=scene,
-        files=table(file, "files"),
-        plan=plan,
-        what=text(file, "what"),
-        count=length,
-        device=text(file, "device"),
-        processor=text(file, "processor"),
-        earlier_devices=text(file, "earlier"),
-        path=text(file, "path"),
-        outputs=outputs,
-        values=values,
-        status=status,
-        reasons=dict(zip(refused.tolist(), reasons, strict=True)),
-        seconds=float(file.attrs["seconds"]),
-        versions=table(file, "versions"),
-    )
+        raise SceneError(f"the sweep has {len(plan)} points")
+    return plan
 
 
-def _output(said: Any) -> SweepOutput:
-    unit, meaning, axis = (said[name] for name in ("unit", "meaning", "axis"))
-    if not isinstance(unit, str) or not isinstance(meaning, str) or not isinstance(axis, str | None):
-        raise SceneError("attribute outputs has no unit, meaning or axis")
-    return SweepOutput(unit, meaning, axis)
+def _read_outputs(file: h5py.File) -> dict[str, SweepOutput]:
+    outputs = {}
+    for name, entry in _OUTPUTS.read(file, "outputs", {}).items():
+        outputs[name] = output = SweepOutput(**entry)
+        if not (isinstance(output.unit, str) and isinstance(output.meaning, str)):
+            raise SceneError(f"attribute outputs has no unit or meaning of {name}")
+        if not isinstance(output.axis, str | None):
+            raise SceneError(f"attribute outputs has no axis of {name}")
+    return outputs
+
+
+def _read_reasons(file: h5py.File, plan: Plan, status: np.ndarray) -> dict[int, str]:
+    texts = dataset(file, "reason", plan.shape)
+    if h5py.check_string_dtype(texts.dtype) is None:
+        raise SceneError("reason is not a dataset of text")
+    flat = texts.asstr()[()].ravel()
+    return {point: str(flat[point]) for point in np.flatnonzero(status == REFUSED).tolist()}

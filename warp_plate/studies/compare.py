@@ -14,7 +14,7 @@ from warp_plate.problem.design_variables import at_highest_frequency
 from warp_plate.problem.methods import Optimizer, make_optimizer
 from warp_plate.problem.problem import EvaluatorName, Problem
 from warp_plate.problem.robust import make_problem
-from warp_plate.result.comparison import Comparison, Trial
+from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.studies.localize import device_name, of_pool, resolve, versions
@@ -37,7 +37,7 @@ def compare(
     evaluations: int | None = None,
     on_progress: OnProgress | None = None,
     pool: Pool | None = None,
-) -> Comparison:
+) -> MethodComparison:
     """Run every method from every seed, in turn, so that a disturbance of the machine meets all alike.
 
     Args:
@@ -105,7 +105,7 @@ def compare(
         interrupted = True
         gone = {str(reason): search.particles} if isinstance(reason, WorkersGone) else {}
     bound = problem.loss_bound
-    return Comparison(
+    return MethodComparison(
         source=source,
         scene=problem.scene,
         device=device_name(problem.drive_solver.device) + of_pool(problem),
