@@ -95,7 +95,7 @@ def test_a_search_that_goes_on_ends_bit_for_bit_the_same(robust, tmp_path):
     again = resume(load_checkpoint(file), estimate=False)
     assert again.evaluator == whole.evaluator == "response"
     np.testing.assert_array_equal(again.history["best"], whole.history["best"])
-    for name in ("fresh", "searched", "nominal_plate"):
+    for name in ("validation", "searched", "nominal_plate"):
         np.testing.assert_array_equal(getattr(again.robust, name), getattr(whole.robust, name))
     for name in ("best", "nominal"):
         np.testing.assert_array_equal(again.cases[name].phasors, whole.cases[name].phasors)
