@@ -136,13 +136,16 @@ def _missing_module(module: str, need: str, extra: str = EXTRA) -> str | None:
 
 
 def _trial() -> tuple[str | None, str | None]:
-    """Return the VTK class of a window that works (None: VTK's own choice), and None or why none does."""
     with _LOCK:
-        return _find_window()
+        return working_window()
 
 
 @functools.cache
-def _find_window() -> tuple[str | None, str | None]:
+def working_window() -> tuple[str | None, str | None]:
+    """Return the VTK class of a window that draws off screen (None: VTK's own choice), and None or why none does.
+
+    The result is cached, and tried only once at a time by :func:`missing_renderer` and :func:`off_screen`.
+    """
     problem = missing_meshes()
     if problem is not None:
         return None, problem

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -99,7 +99,6 @@ def draw_gif(
     """
     from PIL import Image
 
-    images = []
     with off_screen_plates(scene, motions, style) as (plates, take_picture):
         samples = []
         for frame in range(0, plates.frames, max(1, plates.frames // 4)):
@@ -107,13 +106,9 @@ def draw_gif(
             samples.append(take_picture())
         # One palette for all frames: with palettes of their own, colours would flicker.
         palette = _palette(samples, plates.scale)
-        for frame in range(plates.frames):
-            plates.show(frame)
-            images.append(take_picture().quantize(palette=palette, dither=Image.Dither.NONE))
-            if on_frame is not None:
-                on_frame(frame + 1, plates.frames)
+        pictures = _all_frames(plates, take_picture, on_frame)
+        first, *rest = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     duration = 10 * max(SHORTEST_GIF_FRAME, round(100 / rate))
-    first, *rest = images
     first.save(path, format="GIF", save_all=True, append_images=rest, duration=duration, loop=0, optimize=False)
 
 
@@ -139,11 +134,17 @@ def draw_mp4(
         raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{rate:g}", "-i", "-"]
         encoded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart", "-f", "mp4"]
         command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *raw, *encoded, str(path)]
+        repeats = math.ceil(LEAST_DURATION * rate / plates.frames)
+        kept: list[bytes] = []
         encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=errors)
         with contextlib.suppress(BrokenPipeError), encoder:
             assert encoder.stdin is not None
-            repeats = math.ceil(LEAST_DURATION * rate / plates.frames)
-            _write_frames(plates, take_picture, (width, height), repeats, encoder.stdin, on_frame)
+            for picture in _all_frames(plates, take_picture, on_frame):
+                pixels = picture.crop((0, 0, width, height)).tobytes()
+                encoder.stdin.write(pixels)
+                kept += [pixels] * (repeats > 1)
+            for _ in range(repeats - 1):
+                encoder.stdin.writelines(kept)
         if encoder.returncode != 0:
             errors.seek(0)
             raise OSError(errors.read().decode(errors="replace").strip())
@@ -234,23 +235,9 @@ def _palette(samples: Sequence[Image.Image], scale: DrawingScale) -> Image.Image
     return palette
 
 
-def _write_frames(
-    plates: SideBySide,
-    take_picture: TakePicture,
-    size: tuple[int, int],
-    repeats: int,
-    out: IO[bytes],
-    on_frame: OnFrame | None,
-) -> None:
-    """Write all frames as raw pixels of this size, several times over."""
-    kept = []
+def _all_frames(plates: SideBySide, take_picture: TakePicture, on_frame: OnFrame | None) -> Iterator[Image.Image]:
     for frame in range(plates.frames):
         plates.show(frame)
-        pixels = take_picture().crop((0, 0, *size)).tobytes()
-        out.write(pixels)
-        if repeats > 1:
-            kept.append(pixels)
+        yield take_picture()
         if on_frame is not None:
             on_frame(frame + 1, plates.frames)
-    for _ in range(repeats - 1):
-        out.writelines(kept)

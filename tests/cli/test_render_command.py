@@ -100,13 +100,13 @@ def test_movies_play_all_frames(render, drawing, tmp_path):
 def test_pages_and_plans_need_no_window(render, monkeypatch, tmp_path):
     """A browser or Matplotlib draws them: nothing of VTK's windows is asked for."""
     monkeypatch.setattr(availability, "TRIAL", "raise SystemExit(1)")
-    availability._probe.cache_clear()
+    availability.working_window.cache_clear()
     try:
         render("--out", "a.html", "--out", "a.svg", "--out", "a.pdf", "--field", "phase")
         render("--out", "b.png", "--plan", "--time", "0.0095")
         assert "the plate cannot be drawn" in render("--out", "c.png")
     finally:
-        availability._probe.cache_clear()
+        availability.working_window.cache_clear()
     assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
     assert "phase lag" in (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "<svg" in (tmp_path / "a.svg").read_text(encoding="utf-8")

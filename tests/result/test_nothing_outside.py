@@ -24,8 +24,8 @@ FORBIDDEN_ATTRIBUTES = {"popen", "execv", "spawnv", "fromstring"}
 STARTS_PROCESSES = {
     "viz/availability.py", "viz/pictures.py", "warp_plate/bench/machine.py", "warp_plate/cluster/processes.py",
 }  # fmt: skip
-# Serves a page, on 127.0.0.1.
-SERVES = {"viz/explorer_page.py": {"asyncio", "socket"}}
+# Serves a page on 127.0.0.1, and opens it.
+SERVES = {"viz/explorer_page.py": {"asyncio", "socket"}, "warp_plate/cli/explore.py": {"webbrowser"}}
 
 
 def sources():
