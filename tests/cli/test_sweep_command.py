@@ -295,7 +295,7 @@ def test_what_is_given_beside_an_unfinished_file_must_be_the_same(panel, command
     [
         ((), "sweep needs a SCENE"),
         (("panel.toml",), "--vary: nothing is varied; write --vary KEY=RANGE, RANGE being START:STOP:COUNT"),
-        (("panel.toml", "--vary", "drive.freqency=1:2:3"), "near it: drive.frequency"),
+        (("panel.toml", "--vary", "drive.freqency=1:2:3"), "similar keys: drive.frequency"),
         (("panel.toml", "--vary", "drive.frequency=1:2"), "COUNT is missing"),
         (("panel.toml", *TWO, "--samples", 0), "--samples 0: must be from 1"),
         (("panel.toml", *TWO, "--samples", 4, "--seed", -1), "--seed -1: must be a whole number from 0"),

@@ -1,4 +1,4 @@
-"""The tables under ``[effects]``: each turns one effect on, and nothing else does."""
+"""The tables under ``[effects]``. An effect is compiled into the kernels only if the scene names its table."""
 
 from __future__ import annotations
 
@@ -11,48 +11,45 @@ from pydantic_core import PydanticCustomError
 from warp_plate.scene.drive import MovingLoad
 from warp_plate.scene.fields import Area, Flag, Moderate, NotNegative, Positive, Table, check_file_name
 
-# A plate that varies by more has a mistake in it, or no number left for the time step.
+# Larger variations are mistakes, or make the time step vanish.
 LEAST_FACTOR, MOST_FACTOR = 1e-3, 1e3
 
 
 class Damping(Table):
-    """Viscous damping, c u̇ on the left of the equation of motion.
+    """Viscous damping, c u̇ on the left of the equation of motion."""
 
-    ``viscous`` is c [N·s/m³]. ``scheme`` says at which time the rate u̇ is taken: "centred" between the two
-    half-steps (second order; leaves the stability limit alone) or "backward", at the last half-step, as the
-    source paper prints it in equation (6) (first order; lowers the limit).
-    """
-
-    viscous: NotNegative
+    viscous: NotNegative  # damping c [N·s/m³]
+    # Time of u̇: "centred" between the half-steps (second order, no effect on the stability limit), or "backward" at
+    # the last half-step, as in equation (6) of the source paper (first order, lowers the limit)
     scheme: Literal["centred", "backward"] = "centred"
 
 
 class MaterialDamping(Table):
-    """Kelvin-Voigt damping of the plate's material: bending moments follow u + time·u̇ instead of u.
+    """Kelvin-Voigt damping of the plate's material: bending moments follow u + time·u̇ instead of u."""
 
-    ``time`` is the retardation time [s]; a mode of angular frequency ω has the loss factor time·ω.
-    """
-
-    time: NotNegative
+    time: NotNegative  # retardation time [s]; a mode of angular frequency ω has the loss factor time·ω
 
 
 class Tension(Table):
-    """In-plane forces per length [N/m] along x and y, positive where they pull: −(Tx u_xx + Ty u_yy) on the left."""
+    """In-plane tension, −(Tx u_xx + Ty u_yy) on the left of the equation of motion."""
 
-    x: Moderate = 0.0
-    y: Moderate = 0.0
+    x: Moderate = 0.0  # force per length along x, positive in tension [N/m]
+    y: Moderate = 0.0  # force per length along y [N/m]
 
 
 class Foundation(Table):
-    """An elastic bed under the whole plate, k u + c u̇ on the left: k [N/m³], c [N·s/m³]."""
+    """An elastic foundation under the whole plate, k u + c u̇ on the left of the equation of motion."""
 
-    stiffness: NotNegative
-    damping: NotNegative = 0.0
+    stiffness: NotNegative  # stiffness k [N/m³]
+    damping: NotNegative = 0.0  # damping c [N·s/m³]
 
 
 class Orthotropic(Table):
-    """Rigidities of an orthotropic plate [N·m], in place of EH³/12(1 − ν²): Mx = Dx u_xx + D1 u_yy, My = D1 u_xx +
-    Dy u_yy, Mxy = 2 Dxy u_xy. An isotropic plate has Dx = Dy = D, D1 = νD, Dxy = (1 − ν)D/2."""
+    """An orthotropic plate: Mx = Dx u_xx + D1 u_yy, My = D1 u_xx + Dy u_yy, Mxy = 2 Dxy u_xy.
+
+    The rigidities [N·m] replace D = EH³/12(1 − ν²) of an isotropic plate, for which Dx = Dy = D, D1 = νD and
+    Dxy = (1 − ν)D/2.
+    """
 
     Dx: Positive
     Dy: Positive
@@ -60,10 +57,10 @@ class Orthotropic(Table):
     Dxy: Positive
 
     @model_validator(mode="after")
-    def _definite(self) -> Orthotropic:
+    def _positive_definite(self) -> Orthotropic:
         if self.Dx * self.Dy * (1 - 1e-9) <= self.D1**2:
             raise ValueError(
-                f"D1: {self.D1:g} N·m gives negative energies; its size must be below √(Dx Dy) = "
+                f"D1: {self.D1:g} N·m gives negative energies; its magnitude must be below √(Dx Dy) = "
                 f"{(self.Dx * self.Dy) ** 0.5:g}"
             )
         return self
@@ -71,7 +68,7 @@ class Orthotropic(Table):
 
 def _rows(value: object) -> object:
     if not isinstance(value, list | tuple) or not value or not all(isinstance(row, list | tuple) for row in value):
-        raise PydanticCustomError("rows", "must be a list of rows such as [[1.0, 1.0]], or a file's name")
+        raise PydanticCustomError("rows", "must be a list of rows such as [[1.0, 1.0]], or the name of a file")
     return value
 
 
@@ -85,11 +82,11 @@ Factors = Annotated[
 
 
 class Variation(Table):
-    """Thickness, Young's modulus and density that vary over the plate, as factors of what ``[plate]`` says.
+    """Thickness, Young's modulus and density that vary over the plate, as factors on those of ``[plate]``.
 
-    Each an array, or the name of a CSV file beside the scene file that holds one: rows from y = 0 to the plate's other
-    side, columns from x = 0, evenly spaced from edge to edge; in between bilinear. A single row holds for all y, a
-    single column for all x. Bending stiffness goes with E H³, mass with ρH.
+    Each is an array, or the name of a CSV file beside the scene file that holds one: rows from y = 0 to the opposite
+    side, columns from x = 0, evenly spaced from edge to edge, with bilinear interpolation. A single row holds for all
+    y, a single column for all x. Bending stiffness is proportional to E H³, mass to ρH.
     """
 
     thickness: Factors | None = None
@@ -97,7 +94,7 @@ class Variation(Table):
     density: Factors | None = None
 
     @model_validator(mode="after")
-    def _something(self) -> Variation:
+    def _consistent(self) -> Variation:
         named = [(key, value) for key, value in self if value is not None]
         if not named:
             raise ValueError("thickness: no array is given; write one, or one of young_modulus and density")
@@ -105,54 +102,49 @@ class Variation(Table):
             if isinstance(value, str):
                 check_file_name(key, value, (".csv",))
             elif any(len(row) != len(value[0]) for row in value):
-                raise ValueError(f"{key}: its rows differ in length; write as many factors in each")
+                raise ValueError(f"{key}: its rows differ in length; write the same number of factors in each")
         return self
 
     @property
     def files(self) -> Iterator[str]:
-        """Names of the files that hold its arrays."""
+        """Names of the files that hold arrays."""
         return (value for _, value in self if isinstance(value, str))
 
 
 class Layer(Table):
-    """Material bonded to the plate over a rectangle: a stiffener, a foil, an actuator's body.
+    """Material bonded to the plate over a rectangle: a stiffener, a foil, the body of an actuator."""
 
-    ``both``: on both faces, each of this thickness; else on one, where it moves the neutral plane. Poisson's ratio is
-    the plate's.
-    """
-
-    area: Area
-    thickness: Positive
-    young_modulus: Annotated[NotNegative, Field(le=1e13)]
-    density: Annotated[NotNegative, Field(le=1e5)]
-    both: Flag = False
+    area: Area  # rectangle x0, x1, y0, y1 [m]
+    thickness: Positive  # thickness on each face that has the layer [m]
+    young_modulus: Annotated[NotNegative, Field(le=1e13)]  # Young's modulus [Pa]; Poisson's ratio is that of the plate
+    density: Annotated[NotNegative, Field(le=1e5)]  # density [kg/m³]
+    both: Flag = False  # true for a layer on both faces; a layer on one face shifts the neutral plane
 
 
 class Oscillator(Table):
-    """A mass that hangs on a patch by a spring and a damper: a fingertip, a foam pad.
+    """A mass on a patch of the plate, held by a spring and a damper: a fingertip, a foam pad."""
 
-    mass [kg]; stiffness [N/m]; damping [N·s/m]. Without a mass the spring stands on the ground.
-    """
-
-    area: Area
-    mass: NotNegative = 0.0
-    stiffness: NotNegative = 0.0
-    damping: NotNegative = 0.0
+    area: Area  # rectangle x0, x1, y0, y1 of the patch [m]
+    mass: NotNegative = 0.0  # mass [kg]; without mass the spring and damper are fixed to the ground
+    stiffness: NotNegative = 0.0  # stiffness of the spring [N/m]
+    damping: NotNegative = 0.0  # damping [N·s/m]
 
     @model_validator(mode="after")
-    def _something(self) -> Oscillator:
+    def _attached(self) -> Oscillator:
         if self.stiffness == 0 and self.damping == 0:
-            raise ValueError("stiffness: an oscillator needs a stiffness or a damping to hold on to the plate")
+            raise ValueError("stiffness: an oscillator needs a stiffness or a damping")
         return self
 
 
 class Stretching(Table):
-    """Stretching at large amplitude after Berger: the mean slope pulls an isotropic plate with
-    N = 6D/(H² area) ∫ |∇u|² dA, −N∇²u on the left. Its edges do not move in the plane."""
+    """Stretching at large amplitude, after Berger, for an isotropic plate with in-plane fixed edges.
+
+    The mean squared slope causes the tension N = 6D/(H² area) ∫ |∇u|² dA, −N∇²u on the left of the equation of motion.
+    """
 
 
 class Effects(Table):
-    """The effects that a scene names; ``None`` or nothing means that the effect is not in the compiled kernel."""
+    """The effects that a scene names; those that are None or empty are not compiled into the kernels."""
 
     damping: Damping | None = None
     material_damping: MaterialDamping | None = None

@@ -1,4 +1,4 @@
-"""The one kind of error that bad input raises, and how texts from files are shown."""
+"""The exception for invalid input, and the escaping of text from files."""
 
 from __future__ import annotations
 
@@ -6,18 +6,15 @@ import unicodedata
 
 
 class SceneError(ValueError):
-    """Bad input: one line that names the key or file at fault, its value and what would be right."""
+    """Invalid input: one line that names the key or file at fault, its value and what would be valid."""
 
     def __init__(self, message: str) -> None:
         super().__init__(printable(" ".join(line.strip() for line in message.splitlines())))
 
 
 def printable(text: str) -> str:
-    """The text with whatever would move the cursor, colour the terminal or turn the reading direction written out.
-
-    Escape sequences and the like become what a Python literal has for them, ``\\x1b``; line ends stay.
-    """
-    return "".join(one if _harmless(one) else ascii(one)[1:-1] for one in text)
+    """Return the text with control characters escaped as in a Python literal (``\\x1b``); line ends stay."""
+    return "".join(letter if _harmless(letter) else ascii(letter)[1:-1] for letter in text)
 
 
 def _harmless(letter: str) -> bool:

@@ -1,4 +1,4 @@
-"""pydantic's faults as one line in the words of the file: key, value, what would be right."""
+"""Validation errors of pydantic as one line in terms of the scene file: key, value, and what would be valid."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, Tag, ValidationError
 
-Place = tuple[int | str, ...]
+Location = tuple[int | str, ...]
 _LONGEST_LINE, _LONGEST_VALUE = 500, 60
-# By pydantic's types of faults, what a value must be; with the numbers that pydantic gives.
-_RIGHT = {
+# The requirement by pydantic's error type; braces hold fields of the error's context.
+_REQUIREMENTS = {
     **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
     **dict.fromkeys(("float_type", "float_parsing"), "a number"),
     **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "a whole number"),
@@ -28,108 +28,107 @@ _RIGHT = {
     "string_type": "a text in quotes",
     "string_too_short": "a text of {min_length} or more characters",
 }
-# Of which the annotation says what it must be.
-_OF_THE_KIND = ("tuple_type", "too_short", "too_long", "model_type")
+# Error types for which the requirement follows from the annotation of the field.
+_SHAPE_ERRORS = ("tuple_type", "too_short", "too_long", "model_type")
 _NOUNS: dict[Any, str] = {float: "number", int: "whole number", str: "text"}
 
 
 def explain_error(error: ValidationError, model: type[BaseModel]) -> str:
-    """The first fault of a validation of this model as one line, and how many more there are."""
-    faults = _faults_by_place(error)
-    # Keys that do not exist come first: they are often the cause of the others ("is missing").
-    place, fault = min(faults.items(), key=lambda one: one[1]["type"] != "extra_forbidden")
-    line = _line(place, fault, model)
+    """Return the first error of a validation of ``model`` as one line, with the number of further errors."""
+    errors = _errors_by_location(error)
+    # Unknown keys come first, because they are often the cause of others ("is missing").
+    location, first = min(errors.items(), key=lambda item: item[1]["type"] != "extra_forbidden")
+    line = _line(location, first, model)
     line = line if len(line) <= _LONGEST_LINE else line[: _LONGEST_LINE - 3] + "..."
-    return line + (f" (and {len(faults) - 1} more)" if len(faults) > 1 else "")
+    return line + (f" (and {len(errors) - 1} more)" if len(errors) > 1 else "")
 
 
-def _faults_by_place(error: ValidationError) -> dict[Place, Mapping[str, Any]]:
-    """One for each place. A number that a list lacks is the list's fault, and what is wrong inside of something makes
-    pydantic find fault with the whole too (a list of nothing that is right is empty), which says nothing more."""
-    faults: dict[Place, Mapping[str, Any]] = {}
-    for fault in error.errors():
-        place = fault["loc"]
-        if fault["type"] == "missing" and isinstance(place[-1], int):
-            place, fault = place[:-1], {**fault, "type": "too_short"}
-        faults.setdefault(place, fault)
-    around = {place[:length] for place in faults for length in range(len(place))}
-    return {place: fault for place, fault in faults.items() if place not in around}
+def _errors_by_location(error: ValidationError) -> dict[Location, Mapping[str, Any]]:
+    """Return one error for each location, without those that only follow from errors further inside."""
+    errors: dict[Location, Mapping[str, Any]] = {}
+    for details in error.errors():
+        location = details["loc"]
+        if details["type"] == "missing" and isinstance(location[-1], int):  # the list is too short
+            location, details = location[:-1], {**details, "type": "too_short"}
+        errors.setdefault(location, details)
+    enclosing = {location[:length] for location in errors for length in range(len(location))}
+    return {location: details for location, details in errors.items() if location not in enclosing}
 
 
-def _line(place: Place, fault: Mapping[str, Any], model: type[BaseModel]) -> str:
-    key, kind = _key_and_kind(place, model)
-    if fault["type"] == "extra_forbidden":
-        return f"{key}: unknown key{_suggestion(str(place[-1]), _key_and_kind(place[:-1], model)[1])}"
-    if fault["type"] == "missing":
+def _line(location: Location, error: Mapping[str, Any], model: type[BaseModel]) -> str:
+    key, annotation = _key_and_annotation(location, model)
+    if error["type"] == "extra_forbidden":
+        return f"{key}: unknown key{_suggestion(str(location[-1]), _key_and_annotation(location[:-1], model)[1])}"
+    if error["type"] == "missing":
         return f"{key}: is missing; it has no default"
-    if fault["type"] == "value_error":
-        message = str(fault["ctx"]["error"])
+    if error["type"] == "value_error":
+        message = str(error["ctx"]["error"])
         return f"{key}.{message}" if key else message
-    context = {name: _number(value) for name, value in fault.get("ctx", {}).items()}
-    if fault["type"] in _OF_THE_KIND:
-        right = f"must be {_words(kind, key, context)}"
-    elif fault["type"] in _RIGHT:
-        right = f"must be {_RIGHT[fault['type']].format(**context)}"
-    else:  # our own, see PydanticCustomError
-        right = fault["msg"]
-    return f"{key} = {_short(fault['input'])}: {right}"
+    context = {
+        name: f"{value:g}" if isinstance(value, float) else str(value) for name, value in error.get("ctx", {}).items()
+    }
+    if error["type"] in _SHAPE_ERRORS:
+        requirement = f"must be {_required_shape(annotation, key, context)}"
+    elif error["type"] in _REQUIREMENTS:
+        requirement = f"must be {_REQUIREMENTS[error['type']].format(**context)}"
+    else:  # a PydanticCustomError of the tables
+        requirement = error["msg"]
+    return f"{key} = {_shown(error['input'])}: {requirement}"
 
 
-def _key_and_kind(place: Place, model: type[BaseModel]) -> tuple[str, Any]:
-    """The key of a fault's place as the file has it, and what it is annotated as (None: there is no such key)."""
-    key, kind = "", _bare(model)
-    for part in place:
-        tagged = [one for one in get_args(kind) if Tag(str(part)) in getattr(one, "__metadata__", ())]
-        if tagged:  # a kind of an edge or an array, which is no key
-            kind = _bare(tagged[0])
-            continue
-        if isinstance(part, int):
+def _key_and_annotation(location: Location, model: type[BaseModel]) -> tuple[str, Any]:
+    """Return the dotted key of a location and the annotation of its field (None if there is no such field)."""
+    key, annotation = "", _bare(model)
+    for part in location:
+        tagged = [option for option in get_args(annotation) if Tag(str(part)) in getattr(option, "__metadata__", ())]
+        if tagged:  # the tag of a discriminated union is not a key
+            annotation = _bare(tagged[0])
+        elif isinstance(part, int):
             key += f"[{part}]"
-            inside = get_args(kind)
-            kind = _bare(inside[min(part, len(inside) - 1) if inside[-1] is not Ellipsis else 0]) if inside else None
+            items = get_args(annotation)
+            annotation = _bare(items[min(part, len(items) - 1) if items[-1] is not Ellipsis else 0]) if items else None
         else:
             name = part if re.fullmatch(r"[\w-]+", part) else repr(part)
             key += f".{name}" if key else name
-            field = kind.model_fields.get(part) if _is_table(kind) else None
-            kind = _bare(field.annotation) if field else None
-    return key, kind
+            field = annotation.model_fields.get(part) if _is_table(annotation) else None
+            annotation = _bare(field.annotation) if field else None
+    return key, annotation
 
 
-def _bare(kind: Any) -> Any:
-    """An annotation without what is said about it, and without None."""
-    if get_origin(kind) is Annotated:
-        return _bare(get_args(kind)[0])
-    if get_origin(kind) in (Union, types.UnionType):
-        some = [one for one in get_args(kind) if one is not types.NoneType]
-        return _bare(some[0]) if len(some) == 1 else kind
-    return kind
+def _bare(annotation: Any) -> Any:
+    """Return an annotation without its metadata and without None."""
+    if get_origin(annotation) is Annotated:
+        return _bare(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, types.UnionType):
+        options = [option for option in get_args(annotation) if option is not types.NoneType]
+        return _bare(options[0]) if len(options) == 1 else annotation
+    return annotation
 
 
-def _is_table(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, BaseModel)
+def _is_table(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
-def _words(kind: Any, key: str, context: Mapping[str, str]) -> str:
-    """What a key that holds a table or a list must be."""
-    if _is_table(kind):
+def _required_shape(annotation: Any, key: str, context: Mapping[str, str]) -> str:
+    """Describe the table or list that a key must hold."""
+    if _is_table(annotation):
         return f"a table, [[{key.rpartition('[')[0]}]]" if key.endswith("]") else f"a table, [{key}]"
-    inside = get_args(kind)
-    amount = "" if inside[-1] is Ellipsis else str(len(inside))
-    if not amount and context.get("field_type"):
-        amount = f"at least {context['min_length']}" if "min_length" in context else f"at most {context['max_length']}"
-    item, ending = _bare(inside[0]), ""
+    items = get_args(annotation)
+    count = "" if items[-1] is Ellipsis else str(len(items))
+    if not count and context.get("field_type"):
+        count = f"at least {context['min_length']}" if "min_length" in context else f"at most {context['max_length']}"
+    item = _bare(items[0])
+    plural = "" if count.split(" ")[-1] == "1" else "s"
     if _is_table(item):
-        noun, ending = "table", f", [[{key}]]"
+        noun = f"table{plural}, [[{key}]]"
     elif get_origin(item) is tuple:
-        noun, ending = "point", " [x, y]"
+        noun = f"point{plural} [x, y]"
     else:
-        noun = _NOUNS.get(item, "value")
-    several = "" if amount.split(" ")[-1] == "1" else "s"
-    return f"a list of {amount}{' ' if amount else ''}{noun}{several}{ending}"
+        noun = _NOUNS.get(item, "value") + plural
+    return f"a list of {count}{' ' if count else ''}{noun}"
 
 
 def _suggestion(name: str, table: Any) -> str:
-    """'; did you mean ...' or the keys that the table knows."""
     known = list(table.model_fields) if _is_table(table) else []
     close = difflib.get_close_matches(name, known, n=1)
     if close:
@@ -137,26 +136,22 @@ def _suggestion(name: str, table: Any) -> str:
     return f"; known here: {', '.join(known)}" if known else ""
 
 
-def _short(value: object) -> str:
+def _shown(value: object) -> str:
+    """Return a value as TOML text, shortened to fit a line."""
     try:
-        text = _shown(value)
-    except (ValueError, RecursionError):  # a whole number of thousands of digits, or as many tables in each other
-        return "what is too large to be shown"
+        text = _as_toml(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits, or as many nested tables
+        return "a value too large to show"
     return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
 
 
-def _shown(value: object) -> str:
-    """A value as TOML has it, or nearly so."""
+def _as_toml(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key} = {_shown(item)}" for key, item in value.items()) + "}"
+        return "{" + ", ".join(f"{key} = {_as_toml(item)}" for key, item in value.items()) + "}"
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
-        return "[" + ", ".join(_shown(item) for item in value) + "]"
+        return "[" + ", ".join(_as_toml(item) for item in value) + "]"
     if isinstance(value, datetime.date | datetime.time):
         return value.isoformat()
     return repr(value)
-
-
-def _number(value: object) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)

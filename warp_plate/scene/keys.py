@@ -1,5 +1,5 @@
-"""The numbers of a scene by their dotted keys, such as ``plate.thickness`` or ``actuators[0].phase``: found, changed,
-with unit and words."""
+"""The numbers of a scene by dotted keys such as ``plate.thickness`` or ``actuators[0].phase``: lookup, units, labels
+and replacement."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from pydantic import BaseModel
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# Tables of which there may be several with names, by which their keys may be written too.
+# Lists of named tables; a key may have the name in place of the index.
 NAMED = ("actuators", "targets")
-# By the last words of a key without indices; the longest that fits holds. What is not here has no unit, "1"; a
-# magnitude has the drive's.
+# Units by the end of a key without indices; the longest end that fits holds, and keys without one have the unit "1".
+# "drive" stands for the unit of the actuators' magnitudes.
 UNITS = {
     **dict.fromkeys(("size", "thickness", "area", "disc", "polygon", "points", "start", "place"), "m"),
     **dict.fromkeys(("time", "end", "duration", "ramp", "period", "delay", "delay.range"), "s"),
@@ -48,8 +48,8 @@ UNITS = {
     "power": "(drive)²",
     "objectives.rest_limit": "m/s or m",
 }
-# What stands for an index, by the name that it follows.
-PLACES = {
+# Names of the indices that follow a name.
+INDEX_NAMES = {
     **dict.fromkeys(("size", "nodes", "velocity", "start"), ("x", "y")),
     "area": ("x0", "x1", "y0", "y1"),
     "disc": ("x", "y", "radius"),
@@ -59,59 +59,65 @@ _PART = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
 
 
 def numeric_keys(scene: Scene) -> dict[str, type]:
-    """Every key of a scene's tables that holds one number, or may and is left out, with int or float.
+    """Return the type, int or float, of every key that holds one number or is optional and would hold one.
 
-    Of several targets, ``target`` is one: its keys are those of ``targets``.
+    If the scene has several targets, ``target`` is one of them and its keys are left out.
     """
-    return {key: kind for key, kind in _numbers(scene, "") if not (scene.targets and key.startswith("target."))}
+    keys = _numeric_keys_of(scene, "")
+    return {key: kind for key, kind in keys if not (scene.targets and key.startswith("target."))}
 
 
 def resolved_key(scene: Scene, key: str) -> str:
-    """The key with indices in the place of names: ``actuators[0].phase`` for ``actuators.lower left.phase``.
+    """Return the key with names replaced by indices: ``actuators[0].phase`` for ``actuators.lower left.phase``.
 
     Raises:
-        SceneError: the scene has no such key, or it holds no number; names those near it.
+        SceneError: the scene has no such key, or it does not hold a number; the message suggests similar keys.
     """
-    known, asked = numeric_keys(scene), key.strip()
+    known, resolved = numeric_keys(scene), key.strip()
     for table in NAMED:
-        rows = [(row.name, index) for index, row in enumerate(getattr(scene, table))]
-        for name, index in sorted(rows, key=lambda row: -len(row[0])):
-            if asked.startswith(f"{table}.{name}."):
-                asked = f"{table}[{index}].{asked[len(table) + len(name) + 2 :]}"
+        names = [(row.name, index) for index, row in enumerate(getattr(scene, table))]
+        for name, index in sorted(names, key=lambda item: -len(item[0])):  # a name may begin with another
+            if resolved.startswith(f"{table}.{name}."):
+                resolved = f"{table}[{index}].{resolved[len(table) + len(name) + 2 :]}"
                 break
-    if asked in known:
-        return asked
-    raise SceneError(f"{key}: {_what_is_near(scene, asked, list(known))}")
+    if resolved in known:
+        return resolved
+    raise SceneError(f"{key}: {_why_unknown(scene, resolved, list(known))}")
 
 
 def with_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
-    """The scene with other numbers at some of ``numeric_keys``, checked again; whole ones where such are kept.
+    """Return the scene, checked again, with other numbers at some of ``numeric_keys``; integers where these are kept.
 
-    ``grid.accuracy`` takes the place of the grid's other keys.
+    ``grid.accuracy`` replaces the other keys of the grid.
 
     Raises:
-        SceneError: the numbers make no scene; one line that names the key at fault.
+        SceneError: the numbers are not valid; the message names the key at fault.
     """
-    given, whole = scene.model_dump(exclude_unset=True), scene.model_dump()
+    tables: dict[str, Any] = scene.model_dump(mode="json")
     if scene.targets:
-        given.pop("target", None)
-    if "grid.accuracy" in numbers:
-        given["grid"] = {}
+        del tables["target"]
+    if scene.grid.accuracy is not None or "grid.accuracy" in numbers:
+        changed = {"accuracy", *(_parts(key)[1] for key in numbers if key.startswith("grid."))}
+        tables["grid"] = {key: value for key, value in tables["grid"].items() if key in changed}
     kinds = numeric_keys(scene)
     for key, value in numbers.items():
-        given = _with(given, whole, _parts(key), kinds[key](value))
-    return Scene.from_tables(given).in_folder(scene.folder)
+        *path, last = _parts(key)
+        table: Any = tables
+        for part in path:
+            table = table[part]
+        table[last] = kinds[key](value)
+    return Scene.from_tables(tables).in_folder(scene.folder)
 
 
 def unit_of(scene: Scene, key: str) -> str:
-    """Of the number at one of ``numeric_keys``; "1" where it has none."""
+    """Return the unit of the number at one of ``numeric_keys``; "1" if it has none."""
     names = [part for part in _parts(key) if isinstance(part, str)]
-    endings = (".".join(names[index:]) for index in range(len(names)))
-    return UNITS.get(next((one for one in endings if one in UNITS), ""), "1").replace("drive", scene.drive_unit)
+    ends = (".".join(names[index:]) for index in range(len(names)))
+    return UNITS.get(next((end for end in ends if end in UNITS), ""), "1").replace("drive", scene.drive_unit)
 
 
 def label_of(scene: Scene, key: str) -> str:
-    """The key in words, for axes: "actuator lower left phase"."""
+    """Return the key as an axis label: "actuator lower left phase"."""
     words: list[str] = []
     parts = _parts(key)
     for before, part in zip([None, *parts], parts, strict=False):
@@ -120,34 +126,34 @@ def label_of(scene: Scene, key: str) -> str:
         elif before in NAMED:
             words[-1] = f"{words[-1].removesuffix('s')} {getattr(scene, str(before))[part].name}"
         else:
-            words.append(PLACES[before][part] if isinstance(before, str) and before in PLACES else str(part))
+            words.append(INDEX_NAMES[before][part] if isinstance(before, str) and before in INDEX_NAMES else str(part))
     return " ".join(words[1:] if words[0] == "effects" else words)
 
 
-def _numbers(value: object, at: str) -> Iterator[tuple[str, type]]:
+def _numeric_keys_of(value: object, key: str) -> Iterator[tuple[str, type]]:
     if isinstance(value, BaseModel):
         for name, field in type(value).model_fields.items():
-            inner, key = getattr(value, name), f"{at}.{name}" if at else name
-            kind = _number_kind(field.annotation) if inner is None else None
+            inner, inner_key = getattr(value, name), f"{key}.{name}" if key else name
+            kind = _number_type(field.annotation) if inner is None else None
             if kind is not None:
-                yield key, kind
+                yield inner_key, kind
             else:
-                yield from _numbers(inner, key)
+                yield from _numeric_keys_of(inner, inner_key)
     elif isinstance(value, tuple):
         for index, inner in enumerate(value):
-            yield from _numbers(inner, f"{at}[{index}]")
+            yield from _numeric_keys_of(inner, f"{key}[{index}]")
     elif isinstance(value, int | float) and not isinstance(value, bool):
-        yield at, type(value)
+        yield key, type(value)
 
 
-def _number_kind(annotation: Any) -> type | None:
-    """int or float, where that is what a key that may be left out holds."""
+def _number_type(annotation: Any) -> type | None:
+    """Return int or float if an optional field holds such a number."""
     if annotation in (int, float):
         return annotation
     if get_origin(annotation) is Annotated:
-        return _number_kind(get_args(annotation)[0])
+        return _number_type(get_args(annotation)[0])
     if get_origin(annotation) in (Union, types.UnionType):
-        return next((kind for kind in map(_number_kind, get_args(annotation)) if kind), None)
+        return next((kind for kind in map(_number_type, get_args(annotation)) if kind), None)
     return None
 
 
@@ -155,48 +161,37 @@ def _parts(key: str) -> list[str | int]:
     return [name or int(index) for name, index in _PART.findall(key)]
 
 
-def _with(given: Any, whole: Any, parts: list[str | int], value: float) -> Any:
-    """A copy of tables with one number changed; ``whole``: the same tables with what they leave out."""
-    first, *rest = parts
-    made: Any = dict(given) if isinstance(whole, dict) else list(given)
-    if rest:
-        inside = whole[first]
-        held = made.get(first, inside) if isinstance(made, dict) else made[first]
-        value = _with(held, inside, rest, value)
-    made[first] = value
-    return made
-
-
-def _what_is_near(scene: Scene, key: str, known: list[str]) -> str:
-    """For people: why there is no such key, and those that may be meant."""
-    below = [one for one in known if one.startswith((f"{key}.", f"{key}["))]
-    if below:
-        return f"is no single number; write {_listed(below)}"
-    absent = _absent(scene, key)
-    if absent:
-        return f"the scene has no {absent} into the scene file to vary what is in it"
+def _why_unknown(scene: Scene, key: str, known: list[str]) -> str:
+    inside = [other for other in known if other.startswith((f"{key}.", f"{key}["))]
+    if inside:
+        return f"is not a single number; write {_listed(inside)}"
+    missing = _missing_table(scene, key)
+    if missing:
+        return f"the scene has no {missing} in the scene file to vary what is in it"
     close = set(difflib.get_close_matches(key, known, n=4, cutoff=0.6))
-    near = [one for one in known if one in close]
     head, tail = re.split(r"[.\[]", key)[0], re.split(r"[.\]]", key)[-1]
-    beside = [one for one in known if one.startswith((f"{head}.", f"{head}["))]
-    same = [one for one in known if tail and one.endswith(f".{tail}")]
-    return f"is no key of this scene that holds a number; near it: {_listed(near or same or beside or known)}"
+    similar = (
+        [other for other in known if other in close]
+        or [other for other in known if tail and other.endswith(f".{tail}")]
+        or [other for other in known if other.startswith((f"{head}.", f"{head}["))]
+        or known
+    )
+    return f"is not a key of this scene that holds a number; similar keys: {_listed(similar)}"
 
 
-def _absent(scene: Scene, key: str) -> str | None:
-    """The table or list that the key names and the scene leaves out, and what to write; None where that is not why it
-    is unknown."""
+def _missing_table(scene: Scene, key: str) -> str | None:
+    """Return the optional table or list that a key lies in and the scene lacks, with the advice to write it."""
     value: Any = scene
     parts = _parts(key)
     for index, part in enumerate(parts[:-1]):
         if not isinstance(part, str) or not isinstance(value, BaseModel) or part not in type(value).model_fields:
             return None
-        value, name = getattr(value, part), ".".join(str(one) for one in parts[: index + 1])
+        value, name = getattr(value, part), ".".join(str(outer) for outer in parts[: index + 1])
         if value is None:
             return f"[{name}]; write that table"
         if value == ():
-            tables = any(isinstance(one, str) for one in parts[index + 1 :])
-            return f"[[{name}]]; write such tables" if tables else f"{name}, which is a list; write it"
+            of_tables = any(isinstance(inner, str) for inner in parts[index + 1 :])
+            return f"[[{name}]]; write such tables" if of_tables else f"list {name}; write it"
     return None
 
 

@@ -1,9 +1,9 @@
-"""The scene: one pydantic model a table of the scene file, with the checks that need no grid."""
+"""The scene: a pydantic model for each table of the scene file, with the checks that need no grid."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -32,10 +32,10 @@ from warp_plate.scene.target import NamedTarget, Target
 
 
 class ElasticEdge(Table):
-    """An edge on springs: translation [N/m²] against displacement, rotation [N·m/(rad·m)] against slope, per length."""
+    """An edge on springs."""
 
-    translation: NotNegative = 0.0
-    rotation: NotNegative = 0.0
+    translation: NotNegative = 0.0  # stiffness against displacement, per length [N/m²]
+    rotation: NotNegative = 0.0  # stiffness against slope, per length [N·m/(rad·m)]
 
 
 def _edge_word(value: object) -> object:
@@ -55,13 +55,13 @@ Edge = Annotated[
 
 
 class Plate(Table):
-    """Geometry and material: sides [m], thickness [m], Young's modulus [Pa], density [kg/m³]."""
+    """Geometry and material of the plate."""
 
-    size: tuple[Positive, Positive]
-    thickness: Positive
-    young_modulus: Annotated[float, Field(ge=1e3, le=1e13)]
-    poisson_ratio: Annotated[float, Field(ge=-0.99, lt=0.5)]
-    density: Annotated[float, Field(ge=1, le=1e5)]
+    size: tuple[Positive, Positive]  # sides along x and y [m]
+    thickness: Positive  # thickness [m]
+    young_modulus: Annotated[float, Field(ge=1e3, le=1e13)]  # Young's modulus [Pa]
+    poisson_ratio: Annotated[float, Field(ge=-0.99, lt=0.5)]  # Poisson's ratio
+    density: Annotated[float, Field(ge=1, le=1e5)]  # density [kg/m³]
 
     @model_validator(mode="after")
     def _thin(self) -> Plate:
@@ -69,7 +69,7 @@ class Plate(Table):
         return self
 
     def check_thin(self, thickness: float, head: str = "") -> None:
-        """Raise ValueError, beginning with ``head``, where the plate is not thin at a place of this thickness [m]."""
+        """Raise ValueError, beginning with ``head``, unless a thickness [m] is small against the sides."""
         if thickness > min(self.size) / 5:
             raise ValueError(
                 f"{head}{thickness:g} m is not thin for a side of {min(self.size):g} m; "
@@ -78,8 +78,8 @@ class Plate(Table):
 
 
 class Edges(Table):
-    """What holds each side: "clamped" (u = 0, no slope), "supported" (u = 0, no bending moment), "free" (no moment, no
-    shear force) or springs."""
+    """The four edges, each "clamped" (no displacement, no slope), "supported" (no displacement, no bending moment),
+    "free" (no moment, no shear force) or on springs."""
 
     left: Edge = "clamped"
     bottom: Edge = "clamped"
@@ -88,23 +88,23 @@ class Edges(Table):
 
 
 class Grid(Table):
-    """Nodes along x and y with the edges included, spatial order, how loads are weighed, step, precision.
+    """The discretisation in space and time."""
 
-    Or ``accuracy``, the relative error that the localization factors may have, which chooses all of these.
-    """
-
+    # Nodes along x and y, edges included
     nodes: tuple[Annotated[int, Field(ge=5, le=8193)], Annotated[int, Field(ge=5, le=8193)]] = (27, 27)
-    order: Literal[2, 4] = 2
+    order: Literal[2, 4] = 2  # spatial order of accuracy
+    # Weights of loads and regions: "overlap" of their area with cells, "nodes" inside, or by "moments"
     load: Literal["overlap", "nodes", "moments"] = "overlap"
-    time_step: Positive | None = None
-    precision: Literal["float32", "float64"] = "float32"
+    time_step: Positive | None = None  # time step [s] (default: chosen below the stability limit)
+    precision: Literal["float32", "float64"] = "float32"  # precision of the time steps
+    # Relative error allowed in localization factors, from which all of the above are chosen
     accuracy: Annotated[float, Field(ge=1e-4, le=0.5)] | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Grid:
         if self.order == 4 and min(self.nodes) < 9:
             raise ValueError(f"nodes: {list(self.nodes)} are too few for order = 4, which takes 9 or more a side")
-        chosen = self.model_fields_set & {"nodes", "order", "load", "time_step", "precision"}
+        chosen = self.model_fields_set - {"accuracy"}
         if self.accuracy is not None and chosen:
             raise ValueError(
                 f"accuracy: {self.accuracy:g} chooses nodes, order, load, time_step and precision; delete it, or "
@@ -114,10 +114,10 @@ class Grid(Table):
 
 
 class Window(Table):
-    """The span of time [s] over which kinetic energy is averaged; the run ends with it."""
+    """The interval of time over which kinetic energy is averaged."""
 
-    start: Instant = 0.05
-    end: Positive = 0.1
+    start: Instant = 0.05  # start [s]
+    end: Positive = 0.1  # end of the interval and of the run [s]
 
     @model_validator(mode="after")
     def _ordered(self) -> Window:
@@ -127,26 +127,29 @@ class Window(Table):
 
 
 class Record(Table):
-    """What is kept beside energies: displacement at ``times`` [s], its trace at ``points`` (x, y) [m]."""
+    """The output of a run besides energies."""
 
-    times: tuple[Instant, ...] = ()
+    times: tuple[Instant, ...] = ()  # times at which displacement fields are stored [s]
+    # Points (x, y) at which the displacement of every step is stored [m]
     points: tuple[tuple[Coordinate, Coordinate], ...] = ()
 
 
 class Actuator(Table):
-    """A patch that presses on the plate: area x0, x1, y0, y1 [m], magnitude [N/m²; V under ``[drive.electrostatic]``],
-    phase lag [rad], frequency [Hz] (None: the drive's), delay [s] (None: its burst begins at ``drive.burst.start``)."""
+    """A patch that presses on the plate."""
 
-    name: Name
-    area: Area
-    magnitude: Moderate = 1.0
-    phase: Moderate = 0.0
-    frequency: Positive | None = None
-    delay: Instant | None = None
+    name: Name  # name, different for each actuator
+    area: Area  # rectangle x0, x1, y0, y1 [m]
+    magnitude: Moderate = 1.0  # amplitude of the pressure [N/m²], or of the voltage [V] under ``[drive.electrostatic]``
+    phase: Moderate = 0.0  # phase lag [rad]
+    frequency: Positive | None = None  # frequency [Hz] (default: that of the drive)
+    delay: Instant | None = None  # start of the burst [s] (default: that of the drive)
 
 
 class Scene(Table):
-    """Everything that a run needs, in SI units, checked; read one with :meth:`load`."""
+    """The complete input of a run, in SI units; read one with :meth:`load`.
+
+    ``target`` is one of ``targets`` if the scene has several, by default the first.
+    """
 
     title: Text = ""
     plate: Plate
@@ -155,13 +158,11 @@ class Scene(Table):
     window: Window = Window()
     drive: Drive
     targets: tuple[NamedTarget, ...] = ()
-    # One of ``targets``, where there are such: the first, unless it is said.
     target: Target
     record: Record = Record()
     effects: Effects = Effects()
     search: Search = Search()
     actuators: Annotated[tuple[Actuator, ...], Field(min_length=1)]
-    # No key of the file: where the files that it names lie.
     _folder: Path | None = PrivateAttr(default=None)
 
     @staticmethod
@@ -201,94 +202,81 @@ class Scene(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _first_of_targets(cls, tables: Any) -> Any:
+    def _default_target(cls, tables: Any) -> Any:
         if not isinstance(tables, dict) or "target" in tables or not tables.get("targets"):
             return tables
         try:
             first = NamedTarget.model_validate(tables["targets"][0]).unnamed
-        except (ValidationError, LookupError, TypeError):  # which the check of ``targets`` will tell
+        except (ValidationError, LookupError, TypeError):  # reported by the validation of ``targets``
             first = Target(area=(0.0, 1.0, 0.0, 1.0))
         return {**tables, "target": first}
 
     @model_validator(mode="after")
-    def _fits(self) -> Scene:
-        size = self.plate.size
-        for index, actuator in enumerate(self.actuators):
-            check_area(f"actuators[{index}].area ({actuator.name!r})", actuator.area, size)
-        names: set[str] = set()
-        for index, actuator in enumerate(self.actuators):
-            if actuator.name in names:
-                raise ValueError(f"actuators[{index}].name: {actuator.name!r} is taken; give each actuator its own")
-            names.add(actuator.name)
-        self._check_targets()
-        delays = [actuator.delay for actuator in self.actuators]
-        check_drive(self.drive, [actuator.frequency for actuator in self.actuators], delays, self.window.end)
+    def _tables_fit_together(self) -> Scene:
+        actuators, size = self.actuators, self.plate.size
+        areas = {f"actuators[{index}].area ({one.name!r})": one.area for index, one in enumerate(actuators)}
         if self.search.position is not None and self.search.position.area is not None:
-            check_area("search.position.area", self.search.position.area, size)
+            areas["search.position.area"] = self.search.position.area
+        areas |= {f"effects.layers[{index}].area": one.area for index, one in enumerate(self.effects.layers)}
+        areas |= {f"effects.oscillators[{index}].area": one.area for index, one in enumerate(self.effects.oscillators)}
+        for key, area in areas.items():
+            check_area(key, area, size)
+        _check_names("actuators", [actuator.name for actuator in actuators])
+        for key, target in self.targets_by_key.items():
+            target.check(key, size)
+        _check_names("targets", [target.name for target in self.targets])
+        if self.targets and self.target not in [target.unnamed for target in self.targets]:
+            raise ValueError("target: there are [[targets]] too, and it is none of them; write one of the two")
         for index, layer in enumerate(self.effects.layers):
-            check_area(f"effects.layers[{index}].area", layer.area, size)
-            if layer.thickness > min(size) / 5:
-                raise ValueError(
-                    f"effects.layers[{index}].thickness: {layer.thickness:g} m is not thin; at most a fifth of the "
-                    f"plate's shorter side, {min(size) / 5:g} m"
-                )
-        for index, oscillator in enumerate(self.effects.oscillators):
-            check_area(f"effects.oscillators[{index}].area", oscillator.area, size)
-        self.search.check_limits([actuator.name for actuator in self.actuators])
+            self.plate.check_thin(layer.thickness, f"effects.layers[{index}].thickness: ")
+        frequencies, delays = ([getattr(one, name) for one in actuators] for name in ("frequency", "delay"))
+        check_drive(self.drive, frequencies, delays, self.window.end)
+        self.search.check_limits([actuator.name for actuator in actuators])
         if self.search.robust is not None:
             self.search.robust.check(self.effects, self.grid.load)
             if len(self.targets) > 1:
                 raise ValueError("search.robust: not with several [[targets]]; write a scene for each target")
-        for index, time in enumerate(self.record.times):
-            if time > self.window.end * (1 + 1e-9):
-                raise ValueError(
-                    f"record.times[{index}]: {time:g} s is after the run, which ends at window.end = "
-                    f"{self.window.end:g} s"
-                )
-        for index, (x, y) in enumerate(self.record.points):
-            if not (0 <= x <= size[0] and 0 <= y <= size[1]):
-                raise ValueError(
-                    f"record.points[{index}]: {[x, y]} is off the plate of {list(size)} m; "
-                    "write x, y inside it"
-                )
+        self._check_record()
         return self
 
-    def _check_targets(self) -> None:
-        for key, one in self.targets_by_key.items():
-            one.check(key, self.plate.size)
-        for index, target in enumerate(self.targets):
-            if target.name in [other.name for other in self.targets[:index]]:
-                raise ValueError(f"targets[{index}].name: {target.name!r} is taken; give each target its own")
-        if self.targets and self.target not in [target.unnamed for target in self.targets]:
-            raise ValueError("target: there are [[targets]] too, and it is none of them; write one of the two")
+    def _check_record(self) -> None:
+        (width, height), end = self.plate.size, self.window.end
+        for index, time in enumerate(self.record.times):
+            if time > end * (1 + 1e-9):
+                raise ValueError(
+                    f"record.times[{index}]: {time:g} s is after the run, which ends at window.end = {end:g} s"
+                )
+        for index, (x, y) in enumerate(self.record.points):
+            if not (0 <= x <= width and 0 <= y <= height):
+                raise ValueError(f"record.points[{index}]: {[x, y]} is off the plate of {[width, height]} m")
 
     @property
     def uniform(self) -> bool:
-        """Whether the plate is isotropic, the same everywhere, and clamped or supported all around."""
-        words = all(edge in ("clamped", "supported") for _, edge in self.edges)
-        varied = self.effects.orthotropic or self.effects.variation or self.effects.layers
-        return words and not varied
+        """True if the plate is isotropic, homogeneous, and clamped or supported along all edges."""
+        effects = self.effects
+        plain_edges = all(edge in ("clamped", "supported") for _, edge in self.edges)
+        return plain_edges and not (effects.orthotropic or effects.variation or effects.layers)
 
     @property
     def names_files(self) -> bool:
-        """Whether some of the scene lies in other files."""
+        """True if parts of the scene lie in other files."""
         variation = self.effects.variation
         masks = any(target.mask is not None for target in self.targets_by_key.values())
         return masks or self.drive.signal is not None or (variation is not None and any(variation.files))
 
     @property
     def targets_by_key(self) -> dict[str, Target]:
-        """All targets by their keys: ``target``, or ``targets[0]``, ..."""
+        """All targets by key: ``target``, or ``targets[0]``, ``targets[1]``, ..."""
         several: dict[str, Target] = {f"targets[{index}]": target for index, target in enumerate(self.targets)}
         return several or {"target": self.target}
 
     def aimed_at(self, index: int) -> Scene:
-        """The scene with another one of its several targets as its ``target``."""
+        """Return the scene with another one of its ``targets`` as ``target``."""
         return self.model_copy(update={"target": self.targets[index].unnamed})
 
     @property
     def folder(self) -> Path | None:
-        """Where the files lie that the scene names; None: it names none, or was not read from a file."""
+        """Folder of the files that the scene names; None without files, or if it was not read from a file."""
         return self._folder
 
     def in_folder(self, folder: Path | None) -> Scene:
@@ -322,7 +310,7 @@ class Scene(Table):
 
     @property
     def nonlinear_table(self) -> str | None:
-        """The table for which displacements are not linear in the drives, so that no superposition holds; or None."""
+        """First table that makes displacements nonlinear in the drives, so that superposition fails; None if none."""
         if self.effects.stretching is not None:
             return "effects.stretching"
         if self.drive.electrostatic is not None:
@@ -331,17 +319,17 @@ class Scene(Table):
 
     @property
     def linear(self) -> bool:
-        """Whether displacements are linear in the drives."""
+        """True if displacements are linear in the drives."""
         return self.nonlinear_table is None
 
     @property
     def nonharmonic_key(self) -> str | None:
-        """The first key for which the drive is no tone of one frequency from t = 0 on; or None."""
+        """First key that makes the drive other than a tone of one frequency from t = 0 on; None if none."""
         return self.nonperiodic_key or ("drive.electrostatic" if self.drive.electrostatic is not None else None)
 
     @property
     def nonperiodic_key(self) -> str | None:
-        """The first key for which the load does not repeat with the drive's period from t = 0 on; or None."""
+        """First key that keeps the load from repeating with the drive's period from t = 0 on; None if none."""
         for name in ("burst", "chirp", "signal"):
             if getattr(self.drive, name) is not None:
                 return f"drive.{name}"
@@ -352,10 +340,18 @@ class Scene(Table):
 
     @property
     def drive_unit(self) -> str:
-        """Of the actuators' magnitudes and of every drive: N/m², or V where the voltage is squared."""
+        """Unit of all magnitudes: N/m², or V for electrostatic actuators."""
         return "N/m²" if self.drive.electrostatic is None else "V"
 
     @property
     def drive_angular_frequency(self) -> float:
-        """2πf [rad/s]."""
+        """Angular frequency of the drive, 2πf [rad/s]."""
         return 2 * math.pi * self.drive.frequency
+
+
+def _check_names(table: str, names: Sequence[str]) -> None:
+    seen: set[str] = set()
+    for index, name in enumerate(names):
+        if name in seen:
+            raise ValueError(f"{table}[{index}].name: {name!r} is taken; give each {table.removesuffix('s')} its own")
+        seen.add(name)

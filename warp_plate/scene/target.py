@@ -1,4 +1,4 @@
-"""The tables ``[target]`` and ``[[targets]]``: a part of the plate as a rectangle, a disc, a polygon or a mask."""
+"""The tables ``[target]`` and ``[[targets]]``: a region of the plate as a rectangle, disc, polygon or mask."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ SHAPES = ("area", "disc", "polygon", "mask")
 
 
 class Target(Table):
-    """A part of the plate, by exactly one of its shapes.
+    """A region of the plate, given by exactly one of its shapes.
 
-    area: x0, x1, y0, y1 [m]. disc: x, y of its middle, and its radius [m]. polygon: x, y [m] of its corners, in either
-    sense, whose sides meet only there. mask: name of a CSV file beside the scene file with numbers from 0 to 1, the
-    part of the plate that belongs to the target around each of its points: rows from y = 0 to the plate's other side,
-    columns from x = 0, evenly spaced from edge to edge, and bilinear in between.
+    A mask is a CSV file beside the scene file with values from 0 to 1, the fraction of the plate that belongs to the
+    target around each of its points: rows from y = 0 to the opposite side, columns from x = 0, evenly spaced from edge
+    to edge, with bilinear interpolation.
     """
 
-    area: Area | None = None
-    disc: tuple[Coordinate, Coordinate, Positive] | None = None
+    area: Area | None = None  # rectangle x0, x1, y0, y1 [m]
+    disc: tuple[Coordinate, Coordinate, Positive] | None = None  # centre x, y and radius [m]
+    # Corners x, y [m] in either direction; sides meet only there
     polygon: Annotated[tuple[Corner, ...], Field(min_length=3, max_length=1000)] | None = None
-    mask: str | None = None
+    mask: str | None = None  # file name
 
     @model_validator(mode="after")
     def _one_shape(self) -> Target:
@@ -42,12 +42,12 @@ class Target(Table):
 
     @property
     def shape(self) -> str:
-        """One of SHAPES."""
+        """Name of the shape that is given, one of ``SHAPES``."""
         return next(name for name in SHAPES if getattr(self, name) is not None)
 
     @property
     def description(self) -> str:
-        """The key and what it says, for errors and for tables."""
+        """Key and value of the shape, for messages and tables."""
         value = getattr(self, self.shape)
         if self.shape == "polygon" and len(value) > 6:
             return f"polygon of {len(value)} corners"
@@ -55,19 +55,19 @@ class Target(Table):
         return f"{self.shape} = {numbers!r}"
 
     def rectangle(self) -> Area:
-        """Its area [m].
+        """Return the rectangle x0, x1, y0, y1 [m].
 
         Raises:
-            SceneError: it is no rectangle, of which alone the references know integrals.
+            SceneError: the target has another shape, for which reference solutions have no integrals.
         """
         if self.area is None:
             raise SceneError(f"target.{self.description}: the reference solutions take rectangles only")
         return self.area
 
     def corners(self, of_disc: int) -> np.ndarray | None:
-        """(corners, 2) x, y [m], without the first one again at the end; a disc's are so many; None for a mask.
+        """Return the (corners, 2) x, y [m] of the outline, a disc as a polygon of ``of_disc`` corners; None for a mask.
 
-        A disc's polygon has the disc's area; with n corners its outline is nowhere farther off than (π/n)²/3 radii.
+        The polygon of a disc has the disc's area; with n corners its outline deviates by at most (π/n)²/3 radii.
         """
         if self.area is not None:
             x0, x1, y0, y1 = self.area
@@ -80,7 +80,7 @@ class Target(Table):
         return None if self.polygon is None else np.array(self.polygon)
 
     def check(self, key: str, size: tuple[float, float]) -> None:
-        """Raise ValueError, naming ``key``, unless it has an inside and lies on the plate of these sides [m]."""
+        """Raise ValueError, naming ``key``, unless the target has an inside and lies on a plate of this size [m]."""
         if self.area is not None:
             check_area(f"{key}.area", self.area, size)
         if self.disc is not None:
@@ -99,18 +99,18 @@ class Target(Table):
 
 
 class NamedTarget(Target):
-    """One of several targets; its name stands in the names of a result's cases, which have no slash."""
+    """One of several targets. Its name is part of the names of datasets, so it has no slash."""
 
     name: PartName
 
     @property
     def unnamed(self) -> Target:
-        """Its shape alone."""
+        """The target without its name."""
         return Target(area=self.area, disc=self.disc, polygon=self.polygon, mask=self.mask)
 
 
 def area_within(corners: np.ndarray) -> float:
-    """The area [m²] of a polygon (corners, 2), negative where they go round clockwise."""
+    """Return the area [m²] of a polygon (corners, 2), negative for clockwise corners."""
     x, y = (corners - corners.mean(axis=0)).T
     return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
 
@@ -128,38 +128,37 @@ def _check_polygon(key: str, corners: np.ndarray, size: tuple[float, float]) -> 
     if crossed is not None:
         first, second = crossed
         raise ValueError(
-            f"{key}: the sides that begin at corners {first} and {second} meet or cross; write the corners in the "
-            "order in which they follow each other around it, and none twice"
+            f"{key}: the sides that begin at corners {first} and {second} meet or cross; write the corners in "
+            "their order along the outline, and none twice"
         )
     if abs(area_within(corners)) < (NARROWEST**2) * size[0] * size[1]:
-        raise ValueError(f"{key}: its corners lie on one line, so that it has no inside")
+        raise ValueError(f"{key}: its corners lie on one line, so it has no inside")
 
 
 def _crossed_sides(corners: np.ndarray) -> tuple[int, int] | None:
-    """Two sides of a polygon (corners, 2) that meet where they should not, by their first corners; or None."""
+    """Return the first corners of two sides of a polygon (corners, 2) that touch or cross, None if none do."""
     ahead = np.roll(corners, -1, axis=0)
     along = ahead - corners
 
-    def turn(points: np.ndarray) -> np.ndarray:
-        """(sides, points) on which hand of each side a point lies, −1, 0 or 1; 0 also within rounding of its line."""
-        way = points[None] - corners[:, None]
-        value = along[:, None, 0] * way[..., 1] - along[:, None, 1] * way[..., 0]
-        return np.where(np.abs(value) < 1e-15, 0, np.sign(value))
+    def orientation(points: np.ndarray) -> np.ndarray:
+        """Return on which side of each line a point lies, −1, 0 or 1 (sides, points); 0 also within rounding."""
+        offset = points[None] - corners[:, None]
+        cross = along[:, None, 0] * offset[..., 1] - along[:, None, 1] * offset[..., 0]
+        return np.where(np.abs(cross) < 1e-15, 0, np.sign(cross))
 
-    def between(points: np.ndarray) -> np.ndarray:
-        """(sides, points) whether a point lies in the box around each side."""
+    def in_box(points: np.ndarray) -> np.ndarray:
+        """Return whether a point lies in the bounding box of each side (sides, points)."""
         low, high = np.minimum(corners, ahead)[:, None], np.maximum(corners, ahead)[:, None]
         return ((points[None] >= low - 1e-15) & (points[None] <= high + 1e-15)).all(axis=2)
 
-    start, end = turn(corners), turn(ahead)
-    touched = ((start == 0) & between(corners)) | ((end == 0) & between(ahead))
-    met = ((start * end < 0) & (start * end < 0).T) | touched
-    count = len(corners)
-    index = np.arange(count)
-    following = (index + 1) % count
-    # Neighbours share a corner; they meet elsewhere too where the next side's end lies on this one, or the other way.
-    back = ((end == 0) & between(ahead))[index, following] | ((start == 0) & between(corners))[following, index]
-    met[index, index] = met[index, following] = met[following, index] = False
-    met[index, following] |= back | (along == 0).all(axis=1)
-    found = np.argwhere(met)
-    return None if not len(found) else (int(found[0].min()), int(found[0].max()))
+    start, end = orientation(corners), orientation(ahead)
+    start_touches, end_touches = (start == 0) & in_box(corners), (end == 0) & in_box(ahead)
+    meet = ((start * end < 0) & (start * end < 0).T) | start_touches | end_touches
+    index = np.arange(len(corners))
+    following = (index + 1) % len(corners)
+    # Neighbours share a corner; they also overlap if the end of one side lies on the other.
+    overlap = end_touches[index, following] | start_touches[following, index] | (along == 0).all(axis=1)
+    meet[index, index] = meet[index, following] = meet[following, index] = False
+    meet[index, following] |= overlap
+    pairs = np.argwhere(meet)
+    return (int(pairs[0].min()), int(pairs[0].max())) if len(pairs) else None

@@ -1,4 +1,4 @@
-"""What a sweep varies: ranges written as START:STOP:COUNT, log:START:STOP:COUNT or a,b,c, and the points they make."""
+"""The points of a sweep: ranges written as START:STOP:COUNT, log:START:STOP:COUNT or a,b,c, and their combination."""
 
 from __future__ import annotations
 
@@ -14,18 +14,26 @@ from warp_plate.scene.keys import numeric_keys, resolved_key, with_numbers
 from warp_plate.scene.model import Scene
 
 MOST_POINTS = 1_000_000
-FORMS = "START:STOP:COUNT, log:START:STOP:COUNT or a list a,b,c"
-FORM = f"write {FORMS}"
-# A sweep's numbers are float64: the largest whole one that is told from its neighbours.
-LARGEST_WHOLE = 2**53 - 1
-# What is so near to a whole number, as a share of it and at most, is meant to be it: equal factors miss it by 1e-15.
-NEAR_WHOLE, MOST_NEAR = 1e-9, 1e-3
+RANGE_FORMS = "START:STOP:COUNT, log:START:STOP:COUNT or a list a,b,c"
+# Sweeps hold float64 numbers, which represent every integer up to this one.
+LARGEST_INTEGER = 2**53 - 1
+# Relative and absolute distance within which a value counts as an integer: geometric ranges miss them by 1e-15.
+INTEGER_TOLERANCE = (1e-9, 1e-3)
 
 
 @dataclass(frozen=True)
-class Varied:
-    """One key and its range, from ``start`` to ``stop`` in ``count`` values (None: not said), logarithmic or linear; or
-    ``listed`` values. whole: whether the key holds a whole number."""
+class VariedKey:
+    """A key of the scene and the range of its values.
+
+    Attributes:
+        key: One of ``numeric_keys``.
+        start: First value.
+        stop: Last value.
+        count: Number of values; None if the range has none.
+        logarithmic: True if values are spaced by a constant factor.
+        listed: Values of a list; empty for a range.
+        integer: True if the key holds an integer.
+    """
 
     key: str
     start: float
@@ -33,44 +41,52 @@ class Varied:
     count: int | None = None
     logarithmic: bool = False
     listed: tuple[float, ...] = ()
-    whole: bool = False
+    integer: bool = False
 
     def values(self) -> np.ndarray:
-        """(count,) those of a grid.
+        """Return the (count,) values of a grid.
 
         Raises:
-            SceneError: no COUNT; or a value that is not whole where the key holds whole numbers.
+            SceneError: the range has no COUNT, or a value is not an integer where the key holds one.
         """
         if self.listed:
             values = np.array(self.listed)
         elif self.count is None:
-            raise SceneError(f"--vary {self.key}: COUNT is missing; {FORM}, or draw points with --samples")
+            raise SceneError(
+                f"--vary {self.key}: COUNT is missing; write {RANGE_FORMS}, or draw points with --samples"
+            )
         else:
-            space = np.geomspace if self.logarithmic else np.linspace
-            values = space(self.start, self.stop, self.count)
-        if not self.whole:
+            values = (np.geomspace if self.logarithmic else np.linspace)(self.start, self.stop, self.count)
+        if not self.integer:
             return values
-        whole = _nearest_whole(values)
-        if np.isnan(whole).any():
-            value = values[np.isnan(whole)][0]
-            raise SceneError(f"--vary {self.key}: {value:g} is no whole number; write a list, or another COUNT")
-        return whole
+        integers = _nearest_integers(values)
+        if np.isnan(integers).any():
+            value = values[np.isnan(integers)][0]
+            raise SceneError(f"--vary {self.key}: {value:g} is not a whole number; write a list, or another COUNT")
+        return integers
 
-    def drawn(self, shares: np.ndarray) -> np.ndarray:
-        """(n,) values at (n,) shares 0 ... 1 of the range; of a list as many of each as may be."""
+    def sample(self, fractions: np.ndarray) -> np.ndarray:
+        """Return the (n,) values at fractions 0 ... 1 of the range; listed values have equal parts of it."""
         if self.listed:
-            return np.array(self.listed)[np.minimum((shares * len(self.listed)).astype(int), len(self.listed) - 1)]
+            index = (fractions * len(self.listed)).astype(int)
+            return np.array(self.listed)[np.minimum(index, len(self.listed) - 1)]
         low, high = min(self.start, self.stop), max(self.start, self.stop)
-        if self.whole and not self.logarithmic:
-            return np.minimum(np.floor(low + shares * (high - low + 1)), high)
-        values = low * (high / low) ** shares if self.logarithmic else low + shares * (high - low)
-        return np.rint(values) if self.whole else values
+        if self.integer and not self.logarithmic:
+            return np.minimum(np.floor(low + fractions * (high - low + 1)), high)
+        values = low * (high / low) ** fractions if self.logarithmic else low + fractions * (high - low)
+        return np.rint(values) if self.integer else values
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The points of a sweep. keys: see ``numeric_keys``; coordinates: an array for each key, of a grid its values
-    along this axis, of samples its value in each. logarithmic: whether a key's range is."""
+    """The points of a sweep.
+
+    Attributes:
+        keys: Varied keys.
+        coordinates: Array for each key: its values along one axis of a grid, or its value in each sample.
+        logarithmic: True for each key with a logarithmic range.
+        sampled: True for samples, False for a full grid.
+    """
 
     keys: tuple[str, ...]
     coordinates: tuple[np.ndarray, ...]
@@ -82,19 +98,19 @@ class Plan:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """(values of the first key, ...) of a grid, (samples,) else."""
-        return self.coordinates[0].shape if self.sampled else tuple(len(one) for one in self.coordinates)
+        """Number of values of each key of a grid, or (samples,)."""
+        return self.coordinates[0].shape if self.sampled else tuple(len(values) for values in self.coordinates)
 
     @cached_property
     def points(self) -> np.ndarray:
-        """(points, keys) values; the last key of a grid changes fastest."""
+        """Values (points, keys); the last key of a grid changes fastest."""
         if self.sampled:
             return np.stack(self.coordinates, axis=1)
         return np.stack(np.meshgrid(*self.coordinates, indexing="ij"), axis=-1).reshape(len(self), -1)
 
     @property
     def description(self) -> str:
-        """For people: how many points, and of what."""
+        """Number of points and range of each key, for messages."""
         ranges = (
             f"{key} from {values.min():g} to {values.max():g}"
             for key, values in zip(self.keys, self.coordinates, strict=True)
@@ -102,11 +118,11 @@ class Plan:
         return ", ".join([counted(len(self), "sample" if self.sampled else "point"), *ranges])
 
     def numbers(self, point: int) -> dict[str, float]:
-        """The varied numbers of a point, by key."""
+        """Return the varied numbers of a point by key."""
         return dict(zip(self.keys, self.points[point].tolist(), strict=True))
 
     def scene(self, scene: Scene, point: int) -> Scene:
-        """The scene of a point.
+        """Return the scene of a point.
 
         Raises:
             SceneError: see ``with_numbers``.
@@ -114,62 +130,65 @@ class Plan:
         return with_numbers(scene, self.numbers(point))
 
     def same(self, other: Plan) -> bool:
-        """Whether both have the same points in the same order, to the last bit."""
+        """Return whether both have bit-identical points in the same order."""
         alike = (self.keys, self.sampled, self.shape) == (other.keys, other.sampled, other.shape)
         return alike and np.array_equal(self.points, other.points)
 
 
-def parse_vary(scene: Scene, text: str) -> Varied:
-    """One ``--vary KEY=RANGE`` for a scene.
+def parse_vary(scene: Scene, text: str) -> VariedKey:
+    """Parse one ``--vary KEY=RANGE`` for a scene.
 
     Raises:
-        SceneError: no such key, or no range; one line with both.
+        SceneError: there is no such key, or the range is not valid.
     """
     shown = f"--vary {printable(text if len(text) <= 100 else text[:97] + '...')}"
-    named, equals, said = text.rpartition("=")
-    if not equals or not named.strip():
-        raise SceneError(f"{shown}: must be KEY=RANGE; {FORM}")
+    name, equals, range_text = text.rpartition("=")
+    if not equals or not name.strip():
+        raise SceneError(f"{shown}: must be KEY=RANGE; write {RANGE_FORMS}")
     try:
-        key = resolved_key(scene, named)
+        key = resolved_key(scene, name)
     except SceneError as error:
         raise SceneError(f"--vary {error}") from None
-    whole = numeric_keys(scene)[key] is int
-    said, logarithmic = said.strip(), said.strip().startswith("log:")
-    pieces = said.removeprefix("log:").split(":")
     try:
-        if len(pieces) == 1 and not logarithmic:
-            listed = tuple(_number(piece, key, whole) for piece in said.split(","))
-            if len(set(listed)) < len(listed):
-                raise ValueError("a value is there twice")
-            return Varied(key, min(listed), max(listed), len(listed), listed=listed, whole=whole)
-        if len(pieces) not in (2, 3):
-            raise ValueError(FORM)
-        start, stop = (_number(piece, key, whole) for piece in pieces[:2])
-        count = _count(pieces[2]) if len(pieces) == 3 else None
+        return _parse_range(key, range_text.strip(), numeric_keys(scene)[key] is int)
     except ValueError as error:
         raise SceneError(f"{shown}: {error}") from None
+
+
+def _parse_range(key: str, text: str, integer: bool) -> VariedKey:
+    logarithmic = text.startswith("log:")
+    pieces = text.removeprefix("log:").split(":")
+    if len(pieces) == 1 and not logarithmic:
+        listed = tuple(_parse_number(piece, key, integer) for piece in text.split(","))
+        if len(set(listed)) < len(listed):
+            raise ValueError("a value is listed twice")
+        return VariedKey(key, min(listed), max(listed), len(listed), listed=listed, integer=integer)
+    if len(pieces) not in (2, 3):
+        raise ValueError(f"write {RANGE_FORMS}")
+    start, stop = (_parse_number(piece, key, integer) for piece in pieces[:2])
+    count = _parse_count(pieces[2]) if len(pieces) == 3 else None
     if logarithmic and not (start > 0 and stop > 0):
-        raise SceneError(f"{shown}: a logarithmic range has both ends above 0")
+        raise ValueError("both ends of a logarithmic range must be greater than 0")
     if start == stop and count != 1:
-        raise SceneError(f"{shown}: the range has no inside; write different START and STOP")
+        raise ValueError("START and STOP must differ")
     if not math.isfinite(stop - start):
-        raise SceneError(f"{shown}: the range is too wide for a number")
-    return Varied(key, start, stop, count, logarithmic, whole=whole)
+        raise ValueError("STOP - START must be a finite number")
+    return VariedKey(key, start, stop, count, logarithmic, integer=integer)
 
 
-def make_plan(varied: Sequence[Varied], samples: int | None = None, seed: int = 0) -> Plan:
-    """The full grid of what is varied, or so many points drawn from a Latin hypercube.
+def make_plan(varied: Sequence[VariedKey], samples: int | None = None, seed: int = 0) -> Plan:
+    """Return the full grid of the varied keys, or a number of samples drawn from a Latin hypercube.
 
     Raises:
-        SceneError: nothing is varied, a key twice, too many points, or see ``Varied.values``.
+        SceneError: no key is varied, or one twice; there are too many points; see ``VariedKey.values``.
     """
-    keys = tuple(one.key for one in varied)
+    keys = tuple(item.key for item in varied)
     if not keys:
-        raise SceneError(f"--vary: nothing is varied; write --vary KEY=RANGE, RANGE being {FORMS}")
+        raise SceneError(f"--vary: nothing is varied; write --vary KEY=RANGE, RANGE being {RANGE_FORMS}")
     for index, key in enumerate(keys):
         if key in keys[:index]:
             raise SceneError(f"--vary {key}: is varied twice")
-    logarithmic = tuple(one.logarithmic for one in varied)
+    logarithmic = tuple(item.logarithmic for item in varied)
     if samples is not None:
         if not 1 <= samples <= MOST_POINTS:
             raise SceneError(f"--samples {samples}: must be from 1 to {MOST_POINTS}")
@@ -177,47 +196,48 @@ def make_plan(varied: Sequence[Varied], samples: int | None = None, seed: int = 
             raise SceneError(f"--seed {seed}: must be a whole number from 0 to 2^63 - 1")
         from scipy.stats import qmc  # takes a second to import
 
-        shares = qmc.LatinHypercube(len(keys), seed=np.random.default_rng(seed)).random(samples)
-        return Plan(keys, tuple(one.drawn(row) for one, row in zip(varied, shares.T, strict=True)), logarithmic, True)
-    points = math.prod(one.count or 1 for one in varied)
+        fractions = qmc.LatinHypercube(len(keys), seed=np.random.default_rng(seed)).random(samples)
+        drawn = tuple(item.sample(column) for item, column in zip(varied, fractions.T, strict=True))
+        return Plan(keys, drawn, logarithmic, sampled=True)
+    points = math.prod(item.count or 1 for item in varied)
     if points > MOST_POINTS:
-        raise SceneError(f"--vary: {points} points; at most {MOST_POINTS} (draw some of them with --samples)")
-    return Plan(keys, tuple(one.values() for one in varied), logarithmic)
+        raise SceneError(f"--vary: {points} points; at most {MOST_POINTS} are allowed (or draw some with --samples)")
+    return Plan(keys, tuple(item.values() for item in varied), logarithmic)
 
 
-def counted(number: int, thing: str) -> str:
-    """For people: "1 point", "2 points"."""
-    return f"{number} {thing}{'' if number == 1 else 's'}"
+def counted(number: int, noun: str) -> str:
+    """Return "1 point", "2 points"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def _nearest_whole(values: np.ndarray) -> np.ndarray:
-    """The whole numbers that values are but for rounding; NaN where one is none."""
+def _nearest_integers(values: np.ndarray) -> np.ndarray:
+    """Return the integers that values equal up to rounding, NaN elsewhere."""
     nearest = np.rint(values)
-    near = np.minimum(NEAR_WHOLE * np.abs(nearest), MOST_NEAR)
-    return np.where(np.abs(values - nearest) <= near, nearest, np.nan)
+    relative, absolute = INTEGER_TOLERANCE
+    return np.where(np.abs(values - nearest) <= np.minimum(relative * np.abs(nearest), absolute), nearest, np.nan)
 
 
-def _number(text: str, key: str, whole: bool) -> float:
+def _parse_number(text: str, key: str, integer: bool) -> float:
     try:
         value = math.nan if "_" in text else float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ValueError(f"{text[:40]!r} is no number; {FORM}")
-    if not whole:
+        raise ValueError(f"{text[:40]!r} is not a number; write {RANGE_FORMS}")
+    if not integer:
         return value
-    if abs(value) > LARGEST_WHOLE:
+    if abs(value) > LARGEST_INTEGER:
         raise ValueError(
-            f"{text[:40].strip()} is beyond ±{LARGEST_WHOLE} (2^53 - 1), where a sweep's numbers, which are float64, "
-            f"cannot hold every whole number of {key}"
+            f"{text[:40].strip()} is beyond ±{LARGEST_INTEGER} (2^53 - 1), the largest whole numbers of {key} that a "
+            "sweep can hold in float64"
         )
-    nearest = float(_nearest_whole(np.array(value)))
+    nearest = float(_nearest_integers(np.array(value)))
     if math.isnan(nearest):
-        raise ValueError(f"{key} holds whole numbers; write such")
+        raise ValueError(f"{key} holds whole numbers only")
     return nearest
 
 
-def _count(text: str) -> int:
+def _parse_count(text: str) -> int:
     if not (text.strip().isdecimal() and 1 <= int(text[:20]) <= MOST_POINTS):
         raise ValueError(f"COUNT = {text[:40]!r}: must be a whole number from 1 to {MOST_POINTS}")
     return int(text)
