@@ -23,7 +23,7 @@ from warp_plate import (
     save_result,
 )
 from warp_plate.cli.main import main
-from warp_plate.cli.workers import lost_lines
+from warp_plate.cli.options import failure_lines
 from warp_plate.cluster import blocks, processes
 from warp_plate.cluster import tasks as work
 from warp_plate.cluster.opening import open_pool
@@ -333,8 +333,8 @@ def test_lost_plates_are_in_the_result(tmp_path, two, scene, small_blocks, monke
     assert result.evaluations == 2 * PLATES
     assert result.cases["best"].localization_factor > 0
     assert load_result(save_result(result, tmp_path / "panel.h5")).lost_plates == result.lost_plates
-    assert lost_lines(result.lost_plates) == [f"128 plates of the search without energies, taken as worst: {why}"]
-    assert lost_lines({"gone": 1})[0].startswith("1 plate of the search ")
+    assert failure_lines(result.lost_plates) == [f"128 plates of the search without energies, taken as worst: {why}"]
+    assert failure_lines({"gone": 1})[0].startswith("1 plate of the search ")
 
 
 class Ends(Here):

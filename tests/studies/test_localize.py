@@ -121,7 +121,7 @@ def test_workers_that_have_nothing_to_do_are_named_so(evaluator, scene):
     made = scene(nodes=(9, 9), window=(0.002, 0.004), search={"particles": 3, "iterations": 2})
     result = localize(made, device="cpu", evaluator=evaluator, estimate=False, pool=Here())
     assert ("plates of the search on this process" in result.device) == (evaluator == "direct")
-    assert ("nothing to do" in result.device) == (evaluator == "response")
+    assert ("unused" in result.device) == (evaluator == "response")
 
 
 def test_ctrl_c_keeps_the_best_so_far(device, path, scene):

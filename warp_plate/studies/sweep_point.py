@@ -24,15 +24,21 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import with_numbers
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device, processor_of
-from warp_plate.studies.quantities_of_interest import QUANTITIES, Options, Values
+from warp_plate.studies.quantities_of_interest import QUANTITIES, QuantityOptions, Values
 
 # That a worker keeps, with the files that they name.
 MOST_SCENES = 4
 _SCENES: OrderedDict[str, tuple[Scene, TemporaryDirectory[str]]] = OrderedDict()
 
 
-class Found(NamedTuple):
-    """What became of a point: its figures, or why it was refused; and on what, "" where it was given up."""
+class PointResult(NamedTuple):
+    """The result at a point.
+
+    Attributes:
+        point: index of the point.
+        values: quantities by name, or None if the point was refused; ``reason`` says why.
+        device, processor: where it was run; empty if it was given up.
+    """
 
     point: int
     values: Values | None
@@ -53,17 +59,17 @@ def run_point(payload: Mapping[str, Any]) -> dict[str, Any]:
     """
     device = find_device(payload["device"] or "auto")
     made = {"warp_plate": warp_plate.__version__, "warp": wp.config.version, "processor": processor_of(device)}
-    options = Options(device.alias, payload["path"], payload["count"])
+    options = QuantityOptions(device.alias, payload["path"], payload["count"])
     values: Values | None = None
     reason = ""
     try:
-        values = QUANTITIES[payload["what"]].of(with_numbers(payload["scene"], payload["numbers"]), options)
+        values = QUANTITIES[payload["what"]].compute(with_numbers(payload["scene"], payload["numbers"]), options)
     except SceneError as error:
         reason = str(error)
     return {"values": values, "reason": reason, "device": device.alias, "made": made}
 
 
-def run_here(begun: Sweep, points: Sequence[int]) -> Iterator[Found]:
+def run_here(begun: Sweep, points: Sequence[int]) -> Iterator[PointResult]:
     """One point after the other in this process, as a worker does them: one that runs out of memory is given up. Points
     whose kernels have the same compile key share them."""
     common = {**_common(begun), "scene": begun.scene, "device": begun.device}
@@ -72,7 +78,7 @@ def run_here(begun: Sweep, points: Sequence[int]) -> Iterator[Found]:
         yield _found(point, Answer(**perform(f"{__name__}:run_point", payload)))
 
 
-def run_there(begun: Sweep, points: Sequence[int], pool: Pool) -> Iterator[Found]:
+def run_on_pool(begun: Sweep, points: Sequence[int], pool: Pool) -> Iterator[PointResult]:
     """Points on a pool's workers, in the order in which they are done; the figures are those of one process to the last
     bit, where workers are of its kind. A point whose workers end or have too little memory is refused after all
     attempts.
@@ -133,7 +139,7 @@ def _common(begun: Sweep) -> dict[str, Any]:
     return {"what": begun.what, "path": begun.path, "count": begun.count}
 
 
-def _found(point: int, answer: Answer) -> Found:
+def _found(point: int, answer: Answer) -> PointResult:
     """Of an answer; a point that no attempt came to an end with is given up.
 
     Raises:
@@ -142,6 +148,6 @@ def _found(point: int, answer: Answer) -> Found:
     if answer.fault == "wrong":
         raise SceneError(answer.text)
     if answer.fault:
-        return Found(point, None, f"given up: {answer.text}")
+        return PointResult(point, None, f"given up: {answer.text}")
     value = answer.value
-    return Found(point, value["values"], value["reason"], value.get("device", ""), value["made"]["processor"])
+    return PointResult(point, value["values"], value["reason"], value.get("device", ""), value["made"]["processor"])
