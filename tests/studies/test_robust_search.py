@@ -106,7 +106,7 @@ def test_results_keep_the_comparison_and_draw_it(robust, tmp_path):
     read = load_result(save_result(result, tmp_path / "result.h5")).robust
     for name in ("measure", "scenarios", "localization", "bound"):
         assert getattr(read, name) == getattr(result.robust, name)
-    for name in ("fresh", "searched", "nominal_plate"):
+    for name in ("validation", "searched", "nominal_plate"):
         np.testing.assert_array_equal(getattr(read, name), getattr(result.robust, name))
     drawn = draw_robust(result, tmp_path / "robust.svg").read_text(encoding="utf-8")
     assert drawn.startswith("<?xml")
