@@ -1,20 +1,22 @@
 """Sweeps: figures as the commands give them, refused points, files, workers, and going on after a stop."""
 
 import math
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from inline_pool import InlinePool
 
 from warp_plate import SceneError, load_sweep, sweep
-from warp_plate.cluster.opening import open_pool
-from warp_plate.cluster.pool import Answer, Here
+from warp_plate.cluster.pool import open_pool
 from warp_plate.cluster.scheduler import ATTEMPTS
 from warp_plate.plate.modes import natural_modes
 from warp_plate.result.sweep import NOT_RUN, REFUSED, RUN, save_sweep
@@ -157,24 +159,20 @@ def test_points_in_any_order_give_the_same(plate, random, monkeypatch):
         np.testing.assert_array_equal(shuffled.values[name], values)
 
 
-class Killing(Here):
-    """A pool whose workers end under some tasks, and under those of one point always."""
+class Killing(InlinePool):
+    """A pool whose worker ends under some tasks, and under those of one point always."""
 
     def __init__(self, random, number):
         super().__init__()
-        self.random, self.number, self.killed = random, number, 0
+        self.random, self.number, self.killed, self.met = random, number, 0, set()
 
-    def wait(self, seconds):
-        if not self._tasks:
-            return []
-        ticket, task = self._tasks[0]
-        if task.payload["numbers"]["drive.frequency"] == self.number or (
-            not task.attempts and self.random.random() < 0.5
-        ):
-            self._tasks.popleft()
+    def run(self, function, argument):
+        first = id(argument) not in self.met
+        self.met.add(id(argument))
+        if argument.numbers["drive.frequency"] == self.number or (first and self.random.random() < 0.5):
             self.killed += 1
-            return [(ticket, Answer(fault="lost", text="its worker ended"))]
-        return super().wait(seconds)
+            raise BrokenProcessPool
+        return super().run(function, argument)
 
 
 def test_a_pool_gives_the_same_and_names_what_it_lost(plate, random, tmp_path):
@@ -189,22 +187,20 @@ def test_a_pool_gives_the_same_and_names_what_it_lost(plate, random, tmp_path):
     np.testing.assert_array_equal(there.values["frequency"][~lost], here.values["frequency"][~lost])
     np.testing.assert_array_equal(there.status[~lost], here.status[~lost])
     for point, reason in there.reasons.items():
-        assert reason == ("given up: its worker ended" if lost[point] else here.reasons[point])
+        given_up = f"given up after {ATTEMPTS} attempts: its worker ended"
+        assert reason == (given_up if lost[point] else here.reasons[point])
 
 
-class Away(Here):
-    """Workers on another kind of processor than this process has."""
+class Away(InlinePool):
+    """A worker on another kind of processor than this process has."""
 
     def __init__(self, processor="A GPU"):
         super().__init__()
         self.processor = processor
 
-    def wait(self, seconds):
-        answers = super().wait(seconds)
-        for _, answer in answers:
-            if "made" in answer.value:
-                answer.value["device"], answer.value["made"]["processor"] = "cuda:0", self.processor
-        return answers
+    def run(self, function, argument):
+        result = super().run(function, argument)
+        return result._replace(device="cuda:0", worker={**result.worker, "processor": self.processor})
 
 
 def test_what_workers_ran_on_is_kept_and_another_kind_is_not_mixed_in(plate, tmp_path):
@@ -228,7 +224,7 @@ def test_what_workers_ran_on_is_kept_and_another_kind_is_not_mixed_in(plate, tmp
         resume_sweep(half)
     with pytest.raises(SceneError, match=r"cuda:0 \(A GPU\) and continues on cuda:0 \(Another\).* --device cuda$"):
         run_sweep(resume_sweep(half, ""), pool=Away("Another"))
-    without = Here()
+    without = InlinePool()
     without.device = "cuda:99"
     with pytest.raises(SceneError, match="a worker: device = 'cuda:99': not on this machine"):
         run_sweep(begun, pool=without)
@@ -256,10 +252,10 @@ def test_a_point_without_memory_is_given_up_and_others_run(plate, monkeypatch, e
         return real.compute(scene, options)
 
     monkeypatch.setitem(QUANTITIES, "check", replace(real, compute=figures))
-    for pool in (None, Here()):
+    for pool, attempts in ((None, ""), (InlinePool(), f" after {ATTEMPTS} attempts")):
         found = sweep(plate, ["drive.frequency=200:300:3"], "check", device="cpu", pool=pool)
         assert found.status.tolist() == [RUN, REFUSED, RUN]
-        assert found.reasons == {1: f"given up: out of memory ({' '.join(str(error).split())})"}
+        assert found.reasons == {1: f"given up{attempts}: out of memory ({' '.join(str(error).split())})"}
     error = RuntimeError("a fault of the program")
     with pytest.raises(RuntimeError, match="a fault of the program"):
         sweep(plate, ["drive.frequency=200:300:3"], "check", device="cpu")
@@ -274,7 +270,7 @@ def test_processes_give_the_same(plate):
         def kill_one(done, total, note):
             told.append((done, total))
             if done == 1:
-                os.kill(pool.processes[0], signal.SIGKILL)
+                os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
 
         there = sweep(plate, plan, "simulate", device="cpu", on_progress=kill_one, pool=pool)
     here = sweep(plate, plan, "simulate", device="cpu")

@@ -137,7 +137,7 @@ def localize(
             show(*progress)
 
         if pool is not None:
-            pool.told = lambda done, total: show(*progress[:2], f"{progress[2]} block {done}/{total}")
+            pool.on_progress = lambda done, total: show(*progress[:2], f"{progress[2]} block {done}/{total}")
         common = (on_progress, estimate, file, spectrum, pool, baselines)
         if checkpoint is not None:
             result = run_resume(checkpoint, local, *common)

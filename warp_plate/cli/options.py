@@ -15,7 +15,7 @@ from warp_plate.cli import output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
-    from warp_plate.cluster.pool import Pool
+    from warp_plate.cluster.pool import WorkerPool
 
 
 def _integer(kind: object, tokens: Sequence[cyclopts.Token]) -> int:
@@ -116,13 +116,13 @@ Field = Annotated[
 ShapeCount = Annotated[int, Parameter(help="Show this many natural mode shapes, 6 at most, instead of the cases.")]
 
 
-def workers(devices: str | None, cluster: str | None, device: str | None) -> AbstractContextManager[Pool | None]:
-    """Open the pool of workers that the options ask for; see :func:`warp_plate.cluster.opening.open_pool`.
+def workers(devices: str | None, cluster: str | None, device: str | None) -> AbstractContextManager[WorkerPool | None]:
+    """Open the pool of workers that the options ask for; see :func:`warp_plate.cluster.pool.open_pool`.
 
     Raises:
         SceneError: ``device`` and ``devices`` are both given, or see ``open_pool``.
     """
-    from warp_plate.cluster.opening import open_pool
+    from warp_plate.cluster.pool import open_pool
 
     if devices is not None and device not in (None, "auto"):
         raise SceneError(f"--device {device}: --devices {devices} already says where plates run; give only one of them")

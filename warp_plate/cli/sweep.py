@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from warp_plate.cluster.pool import Pool
+    from warp_plate.cluster.pool import WorkerPool
     from warp_plate.result.sweep import Sweep
     from warp_plate.studies.checkpointing import SweepFile
 
@@ -113,7 +113,7 @@ def sweep(
 
 
 def _run(
-    start: Sweep, file: SweepFile, pool: Pool | None, on_device_change: Callable[[str], None] | None, shown: bool
+    start: Sweep, file: SweepFile, pool: WorkerPool | None, on_device_change: Callable[[str], None] | None, shown: bool
 ) -> Sweep:
     """Run the sweep with a progress bar."""
     from warp_plate.studies.sweep import run_sweep

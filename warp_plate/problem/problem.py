@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from warp_plate.cluster.evaluator import Evaluator, make_evaluator
-from warp_plate.cluster.pool import Pool
+from warp_plate.cluster.pool import WorkerPool
 from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.optimize.space import Space
 from warp_plate.plate.designs import Batch, Designs, per_plate_of
@@ -57,7 +57,7 @@ class Problem:
     evaluator_name: str
     path: str
     spent: tuple[float, int]
-    pool: Pool | None
+    pool: WorkerPool | None
 
     @property
     def drive_solver(self) -> PlateSolver:
@@ -221,7 +221,7 @@ def make_nominal_problem(
     path: str = "auto",
     evaluator: str = "direct",
     matrices: np.ndarray | None = None,
-    pool: Pool | None = None,
+    pool: WorkerPool | None = None,
 ) -> Problem:
     """The problem of a scene with a grid.
 

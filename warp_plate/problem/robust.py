@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from warp_plate.cluster.pool import Pool
+from warp_plate.cluster.pool import WorkerPool
 from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.plate.designs import Batch, Designs
 from warp_plate.plate.memory import refuse_beyond_memory
@@ -120,7 +120,7 @@ def make_problem(
     path: str = "auto",
     evaluator: str | None = None,
     matrices: np.ndarray | None = None,
-    pool: Pool | None = None,
+    pool: WorkerPool | None = None,
 ) -> Problem:
     """The problem of a scene with a grid, robust where it has ``[search.robust]``; for the arguments see
     ``make_nominal_problem``.

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from warp_plate.cluster.evaluator import Evaluator, make_evaluator
-from warp_plate.cluster.pool import Pool
+from warp_plate.cluster.pool import WorkerPool
 from warp_plate.plate.designs import Designs
 from warp_plate.problem.objectives import Objectives, make_objectives
 from warp_plate.problem.problem import in_float64
@@ -94,7 +94,7 @@ def in_scenario(designs: Designs, scenario: Scenario) -> Designs:
 
 
 def simulate_scenarios(
-    scenarios: Sequence[Scenario], device: str = "auto", path: str = "auto", pool: Pool | None = None
+    scenarios: Sequence[Scenario], device: str = "auto", path: str = "auto", pool: WorkerPool | None = None
 ) -> ScenarioLosses:
     """ScenarioLosses whose plates are simulated, a launch a scenario; together they take the memory of one solver.
 
@@ -133,7 +133,7 @@ def _losses_of_plates(panel: ScenarioPlates, designs: Designs) -> np.ndarray:
 
 
 def _evaluators(
-    one: Scenario, judge: Objectives, device: str, path: str, pool: Pool | None = None, **options: Any
+    one: Scenario, judge: Objectives, device: str, path: str, pool: WorkerPool | None = None, **options: Any
 ) -> tuple[Evaluator, ...]:
     common: dict[str, Any] = {"areas": judge.regions, "per_plate": one.per_plate, **options}
     made = make_evaluator(one.scene, device, path, pool, **common)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from warp_plate.cluster.pool import Pool, WorkersGone
+from warp_plate.cluster.pool import WorkerPool, WorkersGone
 from warp_plate.interrupts import check_interrupt, deferred_interrupts
 from warp_plate.problem.design_variables import at_highest_frequency
 from warp_plate.problem.methods import Optimizer, make_optimizer
@@ -37,7 +37,7 @@ def compare(
     evaluator: EvaluatorName | None = None,
     evaluations: int | None = None,
     on_progress: OnTrialProgress | None = None,
-    pool: Pool | None = None,
+    pool: WorkerPool | None = None,
 ) -> MethodComparison:
     """Run every method from every seed, methods in turn so that disturbances of the machine affect all alike.
 

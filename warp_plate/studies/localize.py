@@ -13,7 +13,7 @@ import numpy as np
 
 from warp_plate.accuracy.reference_solution import ReferenceStage
 from warp_plate.cluster.evaluator import Evaluator
-from warp_plate.cluster.pool import Pool
+from warp_plate.cluster.pool import WorkerPool
 from warp_plate.plate.files import digests
 from warp_plate.plate.weights import REGIONS
 from warp_plate.problem.design_variables import at_highest_frequency
@@ -62,7 +62,7 @@ def localize(
     estimate: bool = True,
     checkpoints: CheckpointFile | None = None,
     spectrum: bool = True,
-    pool: Pool | None = None,
+    pool: WorkerPool | None = None,
     baselines: bool = False,
 ) -> Result:
     """Search the drive with the largest share of the plate's kinetic energy in the target.
@@ -81,7 +81,7 @@ def localize(
         estimate: whether to estimate the errors of the localization factors.
         checkpoints: file that :func:`resume` can continue from.
         spectrum: whether to compute the localization factors over the range of a searched common frequency.
-        pool: workers that run the plates of the search, see ``cluster.opening.open_pool`` (default: this process).
+        pool: workers that run the plates of the search, see ``cluster.pool.open_pool`` (default: this process).
         baselines: whether to compare with drives that need no search; see :mod:`warp_plate.studies.baselines`.
 
     Raises:
@@ -126,7 +126,7 @@ def resume(
     estimate: bool = True,
     checkpoints: CheckpointFile | None = None,
     spectrum: bool = True,
-    pool: Pool | None = None,
+    pool: WorkerPool | None = None,
     baselines: bool = False,
 ) -> Result:
     """Continue a search to the result that it would have had without the interruption.

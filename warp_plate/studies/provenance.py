@@ -47,8 +47,8 @@ def devices_text(problem: Problem) -> str:
     if problem.pool is None:
         return text
     if problem.evaluator_name == "response":
-        return f"{text}; {problem.pool.words}: unused, since Gram matrices need no plates for the search"
-    return f"{text}, plates of the search on {problem.pool.words}"
+        return f"{text}; {problem.pool.description}: unused, since Gram matrices need no plates for the search"
+    return f"{text}, plates of the search on {problem.pool.description}"
 
 
 def versions() -> dict[str, str]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from warp_plate.cluster.pool import Pool
+from warp_plate.cluster.pool import WorkerPool
 from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
 from warp_plate.plate.files import digests
 from warp_plate.result.sweep import REFUSED, RUN, Sweep
@@ -38,7 +38,7 @@ def sweep(
     source: str = "",
     count: int = 6,
     on_progress: OnPointProgress | None = None,
-    pool: Pool | None = None,
+    pool: WorkerPool | None = None,
 ) -> Sweep:
     """Compute the quantities of a command at every point of a plan.
 
@@ -102,7 +102,7 @@ def run_sweep(
     start: Sweep,
     on_progress: OnPointProgress | None = None,
     file: SweepFile | None = None,
-    pool: Pool | None = None,
+    pool: WorkerPool | None = None,
     on_device_change: Callable[[str], object] | None = None,
 ) -> Sweep:
     """Run the points that are pending.
