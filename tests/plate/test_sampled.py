@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from warp_plate import SceneError
-from warp_plate.plate import sampled
+from warp_plate.plate import sampled_signal as sampled
 from warp_plate.plate.sampled_signal import Samples, read_samples, resample
 from warp_plate.scene.drive import SampledSignal
 
@@ -202,7 +202,7 @@ def test_nothing_outside_the_folder_is_read(tmp_path):
     for name, why in (("a", "out of the scene's folder"), ("b", "no such"), ("folder", "no such"), ("loop", "")):
         with pytest.raises(SceneError, match=f"{name}.csv': .*{why}"):
             read_samples(SampledSignal(file=f"{name}.csv"), folder)
-    with pytest.raises(SceneError, match="no folder is known"):
+    with pytest.raises(SceneError, match="its folder is unknown"):
         read_samples(SampledSignal(file="a.csv"), None)
 
 

@@ -179,7 +179,7 @@ def test_missing_file_and_folder(scene, tmp_path):
     (tmp_path / "a.csv").unlink()
     with pytest.raises(SceneError, match=r"effects\.variation\.density = 'a\.csv': no such file"):
         make_scheme(made)
-    with pytest.raises(SceneError, match="no folder is known"):
+    with pytest.raises(SceneError, match="its folder is unknown"):
         make_scheme(scene(effects={"variation": {"density": "a.csv"}}))
 
 

@@ -261,7 +261,7 @@ def test_waves_are_those_of_the_scene(name, each, scene, draw, phasors, pairs):
     columns = slice(None) if each else slice(1)
     frequency = designs.frequency[:, columns]
     delay = None if designs.delay is None else designs.delay[:, columns]
-    shared = make_signals(made, 8e-5, steps, each=each)
+    shared = make_signals(made, 8e-5, steps, per_actuator=each)
     waves = waves_per_plate(made, 8e-5, steps, frequency, delay)
     assert waves.shape == (4, steps, shared.terms)
     for plate in range(4):

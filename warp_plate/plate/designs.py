@@ -11,17 +11,19 @@ from warp_plate.plate.signals import actuator_delays, actuator_frequencies, wave
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Area, Scene
 
-# An actuator may reach over the border of its area by so much of the plate's side: rounding.
+# Part of the plate's side by which rounding may take an actuator over the border of its area.
 SLACK = 1e-9
 
 
 @dataclass(frozen=True)
 class Designs:
-    """Drives and, where they are not the scene's, what else each plate has of its own; None: as the scene has it.
+    """Drives of plates and whatever else differs between them; None: as the scene has it.
 
-    drives: (plates, actuators) complex phasors Z [N/m², or V: ``Scene.drive_unit``]; frequency: (plates, actuators)
-    [Hz]; centre: (plates, actuators, 2) x, y of the actuators' middles [m]; delay: (plates, actuators) start of the
-    burst [s].
+    Attributes:
+        drives: (plates, actuators) complex phasors Z [N/m², or V: ``Scene.drive_unit``].
+        frequency: (plates, actuators) [Hz].
+        centre: (plates, actuators, 2) x, y of the actuators' centres [m].
+        delay: (plates, actuators) start of the burst [s].
     """
 
     drives: np.ndarray
@@ -32,13 +34,13 @@ class Designs:
     def __len__(self) -> int:
         return len(self.drives)
 
-    def __getitem__(self, some: slice) -> Designs:
-        own = (None if values is None else values[some] for values in (self.frequency, self.centre, self.delay))
-        return Designs(self.drives[some], *own)
+    def __getitem__(self, rows: slice) -> Designs:
+        others = (None if values is None else values[rows] for values in (self.frequency, self.centre, self.delay))
+        return Designs(self.drives[rows], *others)
 
     @property
     def only_drives(self) -> bool:
-        """Whether plates differ in nothing but their drives, so that superposition holds between them."""
+        """True if plates differ in nothing but their drives, so that superposition holds between them."""
         return self.frequency is None and self.centre is None and self.delay is None
 
 
@@ -77,11 +79,15 @@ class Shorthand(Batch, Protocol):
 
 @dataclass(frozen=True)
 class PerPlate:
-    """What the plates of a solver may have of their own beside their drives: it is compiled for that.
+    """What may differ between the plates of a solver beside their drives; the solver is compiled for it.
 
-    frequency, delay, centre: whether ``Designs`` may bring it. each: frequency and delay differ from actuator to
-    actuator, which takes two waves for each of them and the general way; else one value serves all actuators of a
-    plate. areas: (x0, x1, y0, y1) [m] for every actuator, in which it stays whole; None: the plate.
+    Attributes:
+        frequency: Plates may differ in frequency.
+        delay: Plates may differ in the start of the burst.
+        centre: Plates may differ in the places of their actuators.
+        per_actuator: Frequency and delay differ from actuator to actuator, which takes two waves for each of them and
+            the moment form; else all actuators of a plate share them.
+        areas: (x0, x1, y0, y1) [m] of each actuator, within which it stays whole (default: the plate).
     """
 
     frequency: bool = False
@@ -95,28 +101,27 @@ NO_PER_PLATE = PerPlate()
 
 
 def per_plate_of(scene: Scene) -> PerPlate:
-    """What plates need of their own for the free variables of ``[search]``."""
-    search = scene.search
-    free, areas = search.position, None
-    if free is not None:
-        kept = {one.name for one in scene.actuators} - set(free.actuators or [one.name for one in scene.actuators])
-        whole = free.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
-        areas = tuple(one.area if one.name in kept else whole for one in scene.actuators)
-    apart = [one for one in (search.frequency, search.delay) if one is not None]
+    """Return what differs between plates of the scene's ``[search]``."""
+    search, position, areas = scene.search, scene.search.position, None
+    if position is not None:
+        moved = set(position.actuators or [actuator.name for actuator in scene.actuators])
+        area = position.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
+        areas = tuple(area if actuator.name in moved else actuator.area for actuator in scene.actuators)
+    searched = [table for table in (search.frequency, search.delay) if table is not None]
     return PerPlate(
         frequency=search.frequency is not None,
         delay=search.delay is not None,
-        centre=free is not None,
-        per_actuator=any(one.own or one.actuators is not None for one in apart),
+        centre=position is not None,
+        per_actuator=any(table.own or table.actuators is not None for table in searched),
         areas=areas,
     )
 
 
 def carriers_of(scene: Scene, per_plate: PerPlate) -> int:
-    """How many carriers each plate has of its own: none, one, or one for each actuator.
+    """Return the number of carriers that each plate has of its own: none, one, or one for each actuator.
 
     Raises:
-        SceneError: the scene has no carrier or no burst that could differ, or a load that cannot be moved.
+        SceneError: The scene has no carrier or burst that could differ, or a load that cannot be moved.
     """
     if per_plate.centre and scene.grid.load == "nodes":
         raise SceneError(
@@ -125,7 +130,7 @@ def carriers_of(scene: Scene, per_plate: PerPlate) -> int:
     if per_plate.areas is not None and len(per_plate.areas) != len(scene.actuators):
         raise SceneError(f"per_plate.areas: {len(per_plate.areas)} instead of {len(scene.actuators)}, one an actuator")
     if per_plate.delay and scene.drive.burst is None:
-        raise SceneError("drive.burst: missing; a delay of its own needs a burst that is delayed")
+        raise SceneError("drive.burst: missing; only a burst can be delayed")
     if not (per_plate.frequency or per_plate.delay):
         return 0
     if scene.drive.signal is not None:
@@ -135,24 +140,30 @@ def carriers_of(scene: Scene, per_plate: PerPlate) -> int:
 
 @dataclass(frozen=True)
 class PerPlateValues:
-    """Designs made ready: frequency and delay (plates, carriers), edges (plates, actuators, 4) x0, x1, y0, y1 [m];
-    None where the plates share the scene's."""
+    """Checked designs as the kernels take them; None for what all plates share.
+
+    Attributes:
+        frequency: (plates, carriers) [Hz].
+        delay: (plates, carriers) start of the burst [s].
+        edges: (plates, actuators, 4) x0, x1, y0, y1 of the actuators [m].
+    """
 
     frequency: np.ndarray | None
     delay: np.ndarray | None
     edges: np.ndarray | None
 
-    def __getitem__(self, some: slice) -> PerPlateValues:
-        return PerPlateValues(*(None if one is None else one[some] for one in (self.frequency, self.delay, self.edges)))
+    def __getitem__(self, rows: slice) -> PerPlateValues:
+        arrays = (self.frequency, self.delay, self.edges)
+        return PerPlateValues(*(None if values is None else values[rows] for values in arrays))
 
 
 def check_designs(designs: Designs, scene: Scene, per_plate: PerPlate, time_step: float) -> PerPlateValues:
-    """What a solver made for ``own`` needs of designs.
+    """Check designs for a solver that was made for ``per_plate``.
 
     Raises:
-        SceneError: they bring what the solver was not made for, arrays of another shape, values that differ between
-            actuators that share them, a frequency that the steps cannot carry, a delay outside the run, or a place
-            outside an actuator's area; one line with plate and actuator.
+        SceneError: The solver was not made for them, an array has another shape, values differ between actuators that
+            share them, the steps cannot carry a frequency, a delay is outside the run, or an actuator is outside its
+            area; the message names plate and actuator.
     """
     shape = (len(designs), len(scene.actuators))
     given: dict[str, np.ndarray] = {}
@@ -171,41 +182,47 @@ def check_designs(designs: Designs, scene: Scene, per_plate: PerPlate, time_step
             frequency = np.broadcast_to(actuator_frequencies(scene), shape)
         if delay is None and scene.drive.burst is not None:
             delay = np.broadcast_to(actuator_delays(scene), shape)
-        square = 1 if scene.drive.electrostatic is None else 2
-        most = 0.5 / time_step / square
-        _refuse(scene, "frequency", frequency, np.asarray((frequency > 0) & (frequency < most)), f"0 ... {most:.6g} Hz")
-        if delay is not None:
-            end = scene.window.end
-            _refuse(scene, "delay", delay, np.asarray((delay >= 0) & (delay < end)), f"0 ... {end:g} s")
+        _check_carriers(scene, frequency, delay, time_step)
         if carriers_of(scene, per_plate) == 1:
-            for name, values in (("frequency", frequency), ("delay", delay)):
-                if values is not None:
-                    right = "one value for all actuators, or a solver with PerPlate(per_actuator=True)"
-                    _refuse(scene, name, values, values == values[:, :1], right)
-            frequency, delay = frequency[:, :1], None if delay is None else delay[:, :1]
+            right = "one value for all actuators, or a solver with PerPlate(per_actuator=True)"
+            _refuse_unless(scene, "frequency", frequency, frequency == frequency[:, :1], right)
+            frequency = frequency[:, :1]
+            if delay is not None:
+                _refuse_unless(scene, "delay", delay, delay == delay[:, :1], right)
+                delay = delay[:, :1]
     return PerPlateValues(frequency, delay, _edges(scene, per_plate, given["centre"]) if "centre" in given else None)
 
 
 def actuator_spaces(scene: Scene, per_plate: PerPlate) -> np.ndarray:
-    """(actuators, 4) x0, x1, y0, y1 [m] within which, and on the plate, each actuator stays whole."""
+    """Return (actuators, 4) x0, x1, y0, y1 [m] of the part of the plate within which each actuator stays whole."""
     plate = (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
     spaces = np.array(per_plate.areas if per_plate.areas is not None else [plate] * len(scene.actuators))
     return np.clip(spaces, 0, np.repeat(scene.plate.size, 2))
 
 
+def _check_carriers(scene: Scene, frequency: np.ndarray, delay: np.ndarray | None, time_step: float) -> None:
+    """Refuse frequencies [Hz] that the steps cannot carry, and delays [s] outside the run."""
+    most = 0.5 / time_step / (1 if scene.drive.electrostatic is None else 2)
+    _refuse_unless(scene, "frequency", frequency, (frequency > 0) & (frequency < most), f"0 ... {most:.6g} Hz")
+    if delay is not None:
+        end = scene.window.end
+        _refuse_unless(scene, "delay", delay, (delay >= 0) & (delay < end), f"0 ... {end:g} s")
+
+
 def _edges(scene: Scene, per_plate: PerPlate, centre: np.ndarray) -> np.ndarray:
-    """(plates, actuators, 4) the rectangles of actuators in other places."""
+    """Return (plates, actuators, 4) rectangles of actuators around other centres."""
     areas = np.array([actuator.area for actuator in scene.actuators])
     half = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1) / 2
     low, high = centre - half, centre + half
     spaces, slack = actuator_spaces(scene, per_plate), SLACK * np.array(scene.plate.size)
     inside: Any = ((low >= spaces[:, [0, 2]] - slack) & (high <= spaces[:, [1, 3]] + slack)).all(axis=-1)
-    _refuse(scene, "centre", centre, inside, "a place where the actuator stays whole within its area")
+    _refuse_unless(scene, "centre", centre, inside, "a place where the actuator stays whole within its area")
     return np.stack([low[..., 0], high[..., 0], low[..., 1], high[..., 1]], axis=-1)
 
 
-def _refuse(scene: Scene, name: str, values: np.ndarray, good: np.ndarray | np.bool_, right: str) -> None:
-    if not good.all():
+def _refuse_unless(scene: Scene, name: str, values: np.ndarray, good: Any, right: str) -> None:
+    """Refuse values (plates, actuators, ...), naming the first that is not good (plates, actuators)."""
+    if not np.all(good):
         plate, actuator = np.argwhere(~good)[0]
         raise SceneError(
             f"designs.{name}: {np.round(values[plate, actuator], 9).tolist()} of actuator "
@@ -214,15 +231,15 @@ def _refuse(scene: Scene, name: str, values: np.ndarray, good: np.ndarray | np.b
 
 
 def as_phasors(drives: object, actuators: int) -> np.ndarray:
-    """(plates, actuators) complex phasors from phasors or (magnitude, phase).
+    """Return (plates, actuators) complex phasors of phasors or (magnitude, phase).
 
     Raises:
-        SceneError: another shape, or not numbers.
+        SceneError: They have another shape or are not numbers.
     """
     try:
         if isinstance(drives, tuple) and len(drives) == 2:
             magnitude, phase = (as_numbers(part, "biuf") for part in drives)
-            with np.errstate(invalid="ignore"):  # a drive that is not finite harms its own plate alone
+            with np.errstate(invalid="ignore"):  # a drive that is not finite spoils its own plate alone
                 phasors = magnitude * np.exp(-1j * phase)
         else:
             phasors = as_numbers(drives, "biufc").astype(complex, copy=False)
@@ -234,7 +251,11 @@ def as_phasors(drives: object, actuators: int) -> np.ndarray:
 
 
 def as_numbers(values: object, kinds: str) -> np.ndarray:
-    """As an array, of one of NumPy's kinds: nothing is read out of texts or dates, and nothing masked is taken."""
+    """Return an array of one of NumPy's kinds; no text or date is converted, and no masked value taken.
+
+    Raises:
+        TypeError: The values have another kind, or some are masked.
+    """
     array = np.asarray(values)
     if array.size and (array.dtype.kind not in kinds or np.ma.is_masked(values)):
         raise TypeError(f"{array.dtype}{', masked' if np.ma.is_masked(values) else ''}")

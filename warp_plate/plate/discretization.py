@@ -77,6 +77,6 @@ def discretize(scene: Scene, per_plate: PerPlate = NO_PER_PLATE, allow_unstable:
         scheme=scheme,
         patches=patches(scene),
         region_weights=region_weights(scene),
-        signals=make_signals(scene, scheme.time_step, scheme.steps, scene.folder, each=carriers > 1),
+        signals=make_signals(scene, scheme.time_step, scheme.steps, scene.folder, per_actuator=carriers > 1),
         moving=moving_weights(scene, scheme.time_step, scheme.steps) if scene.effects.moving_load else None,
     )

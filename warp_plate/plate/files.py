@@ -1,4 +1,4 @@
-"""Files that a scene names: found beside the scene file, bounded, and read as bytes or as a table of numbers."""
+"""Files that a scene names: found in the scene's folder, limited in size, and read as bytes or as tables of numbers."""
 
 from __future__ import annotations
 
@@ -10,19 +10,24 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 MOST_BYTES = 2**27
-# Of a table, each of which takes some 150 bytes on the way.
+# Rows of a table, each of which takes some 150 bytes while it is read.
 MOST_ROWS = 2**22
 
 
 def read_beside(key: str, name: str, folder: Path | None) -> bytes:
-    """The content of the file ``name`` in the scene's folder, which ``key`` of the scene names.
+    """Return the content of a file in the scene's folder.
+
+    Args:
+        key: Key of the scene that names the file.
+        name: Name of the file.
+        folder: The scene's folder; None if it was not read from a file.
 
     Raises:
-        SceneError: no folder, no such file in it, or a large one; one line with key and file.
+        SceneError: There is no folder, the file is not in it, or it is too large.
     """
     head = f"{key} = {name!r}"
     if folder is None:
-        raise SceneError(f"{head}: this scene was not read from a file, so no folder is known; say which")
+        raise SceneError(f"{head}: this scene was not read from a file, so its folder is unknown; give one")
     try:
         path = (folder / name).resolve()
         if path.parent != folder.resolve():
@@ -37,37 +42,34 @@ def read_beside(key: str, name: str, folder: Path | None) -> bytes:
 
 
 def named_files(scene: Scene) -> dict[str, str]:
-    """The files that a scene names, by the keys that name them."""
-    named = {} if scene.drive.signal is None else {"drive.signal.file": scene.drive.signal.file}
-    named |= {
-        f"effects.variation.{key}": value for key, value in scene.effects.variation or () if isinstance(value, str)
-    }
-    return named | {
-        f"{key}.mask": target.mask for key, target in scene.targets_by_key.items() if target.mask is not None
-    }
+    """Return the names of the files that a scene refers to, by key."""
+    files = {} if scene.drive.signal is None else {"drive.signal.file": scene.drive.signal.file}
+    for key, value in scene.effects.variation or ():
+        if isinstance(value, str):
+            files[f"effects.variation.{key}"] = value
+    masks = {f"{key}.mask": target.mask for key, target in scene.targets_by_key.items()}
+    return files | {key: name for key, name in masks.items() if name is not None}
 
 
 def digests(scene: Scene) -> dict[str, str]:
-    """SHA-256 of each file that a scene names, by the key that names it.
+    """Return the SHA-256 of each file that a scene names, by key.
 
     Raises:
-        SceneError: see :func:`read_beside`.
+        SceneError: See :func:`read_beside`.
     """
-    return {
-        key: hashlib.sha256(read_beside(key, name, scene.folder)).hexdigest()
-        for key, name in named_files(scene).items()
-    }
+    files = named_files(scene)
+    return {key: hashlib.sha256(read_beside(key, name, scene.folder)).hexdigest() for key, name in files.items()}
 
 
 def number_rows(data: bytes) -> list[tuple[int, list[float]]]:
-    """The lines of a text table with their numbers in the file, counted from 1.
+    """Return the rows of a text table with their line numbers, counted from 1.
 
-    Columns are parted by semicolons or tabs where the first line of numbers has one, else by commas; a first line
-    without a number in it, empty lines and # lines are passed over.
+    Columns are separated by semicolons or tabs if the first line of numbers has one, else by commas. A first line
+    without numbers, empty lines and lines that begin with # are skipped.
 
     Raises:
-        ValueError: not UTF-8, a cell is no number or has a decimal comma, lines differ in length, or there are more
-            than MOST_ROWS.
+        ValueError: The text is not UTF-8, a cell is no number or has a decimal comma, lines differ in length, or there
+            are more than MOST_ROWS.
     """
     try:
         text = data.decode("utf-8-sig")
@@ -85,8 +87,8 @@ def number_rows(data: bytes) -> list[tuple[int, list[float]]]:
         if separator != "," and any("," in cell and _number(cell.replace(",", ".")) is not None for cell in cells):
             raise ValueError(f"line {number} has a comma in a number; write a decimal point, such as 1.05")
         row = [value for cell in cells if (value := _number(cell)) is not None]
-        names, first = first and not row, False
-        if names:
+        heading, first = first and not row, False
+        if heading:
             separator = ""
             continue
         if len(row) < len(cells):
@@ -98,7 +100,7 @@ def number_rows(data: bytes) -> list[tuple[int, list[float]]]:
 
 
 def _number(cell: str) -> float | None:
-    """What a cell says, or None where it is no number; Python's 1_000 is none."""
+    """Return the number in a cell, or None; Python's 1_000 is none."""
     try:
         return None if "_" in cell else float(cell)
     except ValueError:

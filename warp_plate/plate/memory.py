@@ -1,4 +1,4 @@
-"""How much memory this machine has, and what a scene takes of it: said before it is taken, not found out by a crash."""
+"""Memory of this machine, and estimates of what a scene takes, so that too large ones are refused and do not crash."""
 
 from __future__ import annotations
 
@@ -9,37 +9,36 @@ from pathlib import Path
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# The rest is for the system and for what estimates forget.
+# Share of the memory that a scene may take; the rest is for the system and what estimates leave out.
 SHARE = 0.8
-# Bytes a node: regions, fields and copies of them; what the general way has beside; sparse matrices for the limit of
-# plates that are not everywhere alike; and the factorised one that compression asks for. Measured in all, with three
-# actuators: 110, 590, 840 and 5400.
-PLAIN, GENERAL, MATRICES, FACTORISED = 160, 450, 400, 5500
-# Of one step: a term of the drive's wave, and a recorded point, each in float64 with what makes it.
+# Bytes per node: of regions, fields and copies; more in moment form; of sparse matrices for the limit of inhomogeneous
+# plates; and of the factorised one for compression. Measured in all, with three actuators: 110, 590, 840 and 5400.
+PLAIN, MOMENT_FORM, MATRICES, FACTORISED = 160, 450, 400, 5500
+# Bytes per step: of a term of the drive's wave, and of a recorded point.
 TERM, POINT = 64, 96
-# Cases of a search that are kept.
+# Cases of a search whose records are kept.
 CASES = 3
 _LIMITS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
 
 
 def machine_memory() -> float:
-    """Bytes that this process may take at most: the machine's, or what a container is allowed; infinite if unknown."""
-    known = [math.inf]
+    """Return the bytes that this process may take, the machine's or a container's; infinite if unknown."""
+    limits = [math.inf]
     if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
-        known.append(float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE"))
+        limits.append(float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE"))
     for path in _LIMITS:
         try:
-            known.append(float(path.read_text()))
+            limits.append(float(path.read_text()))
         except (OSError, ValueError):  # no such limit here, or "max"
             continue
-    return min(known)
+    return min(limits)
 
 
 def refuse_beyond_memory(needed: float, what: str) -> None:
-    """Nothing, where so many bytes may be taken.
+    """Refuse to take more than SHARE of the memory.
 
     Raises:
-        SceneError: more than SHARE of the machine's; the line begins with ``what``, the keys at fault.
+        SceneError: ``needed`` bytes are more; the message begins with ``what``, the keys at fault.
     """
     room = SHARE * machine_memory()
     if needed > room:
@@ -49,15 +48,15 @@ def refuse_beyond_memory(needed: float, what: str) -> None:
 
 
 def check_grid_memory(scene: Scene, moment_form: bool) -> None:
-    """Refuse a grid whose fields do not fit; ``moment_form``: whether the scene is more than a plain plate.
+    """Refuse a grid whose fields do not fit.
 
     Raises:
-        SceneError: see :func:`refuse_beyond_memory`.
+        SceneError: See :func:`refuse_beyond_memory`.
     """
     effects, nodes = scene.effects, math.prod(scene.grid.nodes)
     each = PLAIN + 16.0 * (len(scene.actuators) + CASES * len(scene.record.times))
     if moment_form:
-        each += GENERAL + 32 * len(effects.oscillators)
+        each += MOMENT_FORM + 32 * len(effects.oscillators)
         each += MATRICES * bool(effects.layers or effects.oscillators)
         each += FACTORISED * (effects.tension is not None and min(effects.tension.x, effects.tension.y) < 0)
     what = f"grid.nodes = {list(scene.grid.nodes)} with {len(scene.actuators)} actuators"
@@ -69,10 +68,10 @@ def check_steps_memory(scene: Scene, steps: int) -> None:
     """Refuse a run whose drives and traces do not fit.
 
     Raises:
-        SceneError: see :func:`refuse_beyond_memory`.
+        SceneError: See :func:`refuse_beyond_memory`.
     """
-    own = {actuator.frequency for actuator in scene.actuators}
-    terms = (4 * len(own) + 2) if scene.drive.electrostatic is not None else 2 * len(own)
+    frequencies = len({actuator.frequency for actuator in scene.actuators})
+    terms = 2 * frequencies if scene.drive.electrostatic is None else 4 * frequencies + 2
     each = TERM * terms + POINT * CASES * len(scene.record.points)
     moving = scene.effects.moving_load is not None
     each += 24 * sum(scene.grid.nodes) * moving

@@ -1,11 +1,10 @@
-"""Natural frequencies and shapes of the plate as the differences in space have it.
+"""Natural frequencies and mode shapes of the discretized plate.
 
     K φ = ω² M φ
 
-K and M are the matrices that the kernels step with: edges, layers, tension, bed, springs and hung masses are in them.
-What dissipates (damping of the plate, its material, its bed, its oscillators) and stretching, which the plate does not
-feel while its motion is small, are not. Time is continuous: a run with steps of Δt rings at
-asin(ωΔt/2)/(πΔt) instead, see :attr:`NaturalModes.stepped`.
+K and M are the matrices that the kernels step with, with edges, layers, tension, bed, springs and attached masses.
+Damping is left out, and so is stretching, which small motion does not feel. Time is continuous: a run with steps of Δt
+rings at asin(ωΔt/2)/(πΔt) instead, see :attr:`NaturalModes.stepped`.
 """
 
 from __future__ import annotations
@@ -14,9 +13,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
-import scipy.sparse
-import scipy.sparse.linalg
+import scipy
 
 from warp_plate.plate.bending import make_bending, system
 from warp_plate.plate.operator import biharmonic
@@ -24,18 +21,18 @@ from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# Up to so many unknowns all modes are found at once; beyond, the lowest by Lanczos' method.
+# Up to this many unknowns all modes are computed at once; beyond, the lowest by Lanczos' method.
 DENSE = 300
-# The factorised matrix takes some 4 kB a node; 174 000 nodes take some 15 s.
+# The factorised matrix takes some 4 kB per node; 174 000 nodes take some 15 s.
 MOST_NODES = 400_000
-# Lanczos' method may miss one of several modes of the same frequency at the end of what it was asked for.
+# Further modes asked of Lanczos' method, which may miss the last of several modes of the same frequency.
 SPARE = 4
-# Squares ω² are zero below this part of κ²(π/longer side)⁴, the order of the lowest of a plate, or this part of the
-# largest, which is what rounding leaves of a rigid motion.
+# ω² is zero below this part of κ²(π/longer side)⁴, the order of the lowest of a plate, or this part of the largest,
+# which rounding leaves of a rigid motion.
 STILL, ROUNDING = 1e-8, 1e-14
-# Frequencies that differ by less, relatively, are one.
+# Frequencies of a relative difference below this are equal.
 SAME = 1e-7
-# Nodal lines are counted in a shape that is to this part a product X(x)·Y(y), where it is above this part of its peak.
+# Half-waves are counted in shapes whose share PRODUCT is a product X(x)·Y(y), where they exceed ABOVE of their peak.
 PRODUCT, ABOVE = 0.8, 0.03
 
 
@@ -43,9 +40,11 @@ PRODUCT, ABOVE = 0.8, 0.03
 class NaturalModes:
     """The lowest modes of a scene's grid, by rising frequency.
 
-    frequencies: (count,) [Hz], 0 for rigid motions; shapes: (count, ny, nx), edges included, the largest displacement
-    being 1; oscillators: (count, oscillators) motion of the masses that hang on the plate, in the same unit, NaN for
-    oscillators that have none; time_step: of the scene [s].
+    Attributes:
+        frequencies: (count,) [Hz], 0 for rigid motions.
+        shapes: (count, ny, nx) displacements, edges included, the largest being 1.
+        oscillators: (count, oscillators) motion of the oscillators' masses in the same unit; NaN without a mass.
+        time_step: Time step of the scene [s].
     """
 
     frequencies: np.ndarray
@@ -55,20 +54,20 @@ class NaturalModes:
 
     @property
     def stepped(self) -> np.ndarray:
-        """(count,) frequencies [Hz] at which a run of this time step rings."""
+        """(count,) frequencies at which a run with this time step rings [Hz]."""
         stepped: np.ndarray = np.arcsin(math.pi * self.frequencies * self.time_step) / (math.pi * self.time_step)
         return stepped
 
     def half_waves(self) -> list[tuple[int, int] | None]:
-        """Of each shape, how many stretches of one sign lie along x and along y; None where lines run askew."""
+        """Return the numbers of half-waves of each shape along x and y; None if its nodal lines run askew."""
         return [_half_waves(shape) for shape in self.shapes]
 
 
 def refuse_many_nodes(scene: Scene) -> None:
-    """Nothing, where the scene's grid is small enough for its modes to be found.
+    """Refuse a grid that is too large for its modes to be computed.
 
     Raises:
-        SceneError: it has more than MOST_NODES.
+        SceneError: It has more than MOST_NODES.
     """
     nodes = math.prod(scene.grid.nodes)
     if nodes > MOST_NODES:
@@ -79,13 +78,13 @@ def refuse_many_nodes(scene: Scene) -> None:
 
 
 def natural_modes(scene: Scene, count: int) -> NaturalModes:
-    """The first modes of the scene's grid; all there are where the grid has fewer than ``count``.
+    """Return the first ``count`` modes of the scene's grid, or all if the grid has fewer.
 
-    Modes of one frequency are those that a weight of x² + y²/2 about the middle keeps apart, so that sides stay
-    recognisable and every machine gives the same; the peak of a shape is positive.
+    Modes of one frequency are turned so that a weight of x² + y²/2 about the middle does not couple them: sides stay
+    recognizable and every machine gives the same. The peak of a shape is positive.
 
     Raises:
-        SceneError: see ``make_scheme``; or count below 1.
+        SceneError: ``make_scheme`` refuses the scene, or count is below 1.
     """
     if count < 1:
         raise SceneError(f"count = {count}: must be at least 1")
@@ -99,20 +98,20 @@ def natural_modes(scene: Scene, count: int) -> NaturalModes:
     weight = np.zeros(len(masses))
     weight[: np.count_nonzero(moving)] = _lopsided(scene)[moving]
     vectors = root @ _separated(squares, vectors, weight)
-    shapes, hung = _shapes(scene, vectors[:, :count], moving)
-    return NaturalModes(np.sqrt(squares[:count]) / (2 * math.pi), shapes, hung, scheme.time_step)
+    shapes, motions = _shapes(scene, vectors[:, :count], moving)
+    return NaturalModes(np.sqrt(squares[:count]) / (2 * math.pi), shapes, motions, scheme.time_step)
 
 
 def _matrices(scene: Scene, scheme: Scheme) -> tuple[scipy.sparse.csc_array, np.ndarray, np.ndarray]:
-    """Stiffness [N/m] and masses [kg] of the moving nodes, then of the masses on springs; (ny, nx) which nodes move."""
+    """Return stiffness [N/m] and masses [kg] of the moving nodes, then of masses on springs; (ny, nx) which move."""
     if scheme.order == 2:
         bending = make_bending(scene)
         stiffness, masses = system(scene, bending)
         nodes = np.count_nonzero(bending.moves)
-        hung = [one for one in scene.effects.oscillators if one.mass > 0]
+        attached = [oscillator for oscillator in scene.effects.oscillators if oscillator.mass > 0]
         # A mass that only a damper holds is at rest in every mode.
-        kept = np.concatenate([np.arange(nodes), nodes + np.flatnonzero([one.stiffness > 0 for one in hung])])
-        kept = kept.astype(int)
+        swinging = np.flatnonzero([oscillator.stiffness > 0 for oscillator in attached])
+        kept = np.concatenate([np.arange(nodes), nodes + swinging]).astype(int)
         return scipy.sparse.csc_array(stiffness[kept][:, kept]), masses[kept], bending.moves
     moves = np.zeros(scheme.nodes[::-1], dtype=bool)
     moves[1:-1, 1:-1] = True
@@ -122,18 +121,18 @@ def _matrices(scene: Scene, scheme: Scheme) -> tuple[scipy.sparse.csc_array, np.
 
 
 def _lowest(operator: scipy.sparse.csc_array, count: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """(modes,) lowest eigenvalues and (unknowns, modes) vectors of a symmetric matrix: ``count`` or a few more."""
+    """Return (modes,) lowest eigenvalues and (unknowns, modes) vectors of a symmetric matrix, ``count`` or more."""
     unknowns = operator.shape[0]
     if unknowns <= max(DENSE, 3 * (count + SPARE)):
         values, vectors = scipy.linalg.eigh(operator.toarray())
         return values[: count + SPARE], vectors[:, : count + SPARE]
-    # The shift is negative so that a free plate, whose matrix is singular, can be solved for.
+    # A negative shift makes the singular matrix of a free plate solvable.
     shifted = scipy.sparse.csc_array(operator + scale * scipy.sparse.eye_array(unknowns))
     solve = scipy.sparse.linalg.splu(
         shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     ).solve
     inverse = scipy.sparse.linalg.LinearOperator(operator.shape, matvec=solve, dtype=float)
-    # Started from a vector without any symmetry, which finds modes of every symmetry.
+    # Started from a vector without symmetry, which finds modes of every symmetry.
     start = np.random.default_rng(0).normal(size=unknowns)
     values, vectors = scipy.sparse.linalg.eigsh(operator, count + SPARE, sigma=-scale, OPinv=inverse, v0=start)
     order = np.argsort(values, kind="stable")
@@ -141,13 +140,13 @@ def _lowest(operator: scipy.sparse.csc_array, count: int, scale: float) -> tuple
 
 
 def _lopsided(scene: Scene) -> np.ndarray:
-    """(ny, nx) x² + y²/2 from the middle of the plate, in half sides."""
+    """Return (ny, nx) x² + y²/2 from the middle of the plate, in half sides."""
     x, y = (np.linspace(-1, 1, nodes) for nodes in scene.grid.nodes)
     return x**2 + (y**2)[:, None] / 2
 
 
 def _separated(squares: np.ndarray, vectors: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """The same vectors, those of one frequency turned among each other so that the weight does not couple them."""
+    """Return the vectors, those of one frequency turned among each other so that the weight does not couple them."""
     separated = vectors.copy()
     first = 0
     for last in range(1, len(squares) + 1):
@@ -161,27 +160,27 @@ def _separated(squares: np.ndarray, vectors: np.ndarray, weight: np.ndarray) -> 
 
 
 def _shapes(scene: Scene, vectors: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Shapes over all nodes, and motions of oscillators, of (unknowns, modes) vectors."""
+    """Return the shapes over all nodes and the motions of oscillators of vectors (unknowns, modes)."""
     nodes, count = np.count_nonzero(moving), vectors.shape[1]
     shapes = np.zeros((count, *moving.shape))
     shapes[:, moving] = vectors[:nodes].T
     oscillators = scene.effects.oscillators
-    hung = np.full((count, len(oscillators)), math.nan)
+    motions = np.full((count, len(oscillators)), math.nan)
+    motions[:, [index for index, oscillator in enumerate(oscillators) if oscillator.mass > 0]] = 0
     swinging = [index for index, one in enumerate(oscillators) if one.mass > 0 and one.stiffness > 0]
-    hung[:, swinging] = vectors[nodes:].T
-    hung[:, [index for index, one in enumerate(oscillators) if one.mass > 0 and one.stiffness == 0]] = 0
-    for shape, motion in zip(shapes, hung, strict=True):
+    motions[:, swinging] = vectors[nodes:].T
+    for shape, motion in zip(shapes, motions, strict=True):
         peak = _peak(shape)
-        # A mass on a patch that rests swings alone.
+        # A mass on a patch at rest swings alone.
         if abs(peak) < 1e-9 * np.nanmax(np.abs(motion), initial=0):
             peak = _peak(motion[swinging])
         shape /= peak
         motion /= peak
-    return shapes, hung
+    return shapes, motions
 
 
 def _peak(values: np.ndarray) -> float:
-    """The value of the largest size; of several such up to rounding, the first."""
+    """Return the value of the largest magnitude; of several equal up to rounding, the first."""
     flat = values.ravel()
     sizes = np.abs(flat)
     return float(flat[np.argmax(sizes >= (1 - 1e-6) * sizes.max())])
@@ -195,6 +194,6 @@ def _half_waves(shape: np.ndarray) -> tuple[int, int] | None:
 
 
 def _stretches(line: np.ndarray) -> int:
-    """How many stretches of one sign there are."""
+    """Return the number of stretches of one sign."""
     signs = np.sign(line[np.abs(line) > ABOVE * np.abs(line).max()])
     return 1 + int(np.count_nonzero(signs[1:] != signs[:-1]))

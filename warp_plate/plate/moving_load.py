@@ -1,10 +1,9 @@
-"""A load that travels over the plate, as three factors for each step: its strength, and its shares along x and y.
+"""A load that travels over the plate, as three factors for each step: its pressure, and its shares along x and y.
 
     pressure at node (j, i) and step n = wave[n] · along_y[n, j] · along_x[n, i]
 
-A patch of a cell or more is weighed as the actuators are. A smaller one that is weighed by overlap would jump from node
-to node, so each node takes the mean over the patch of the function that is one there and falls to zero at the next
-nodes; that keeps the force and its moment.
+A patch of a cell or more has the weights of an actuator. A smaller one would jump from node to node by overlap, so each
+node takes the mean over the patch of its hat function, which keeps the force and its moment.
 """
 
 from __future__ import annotations
@@ -14,18 +13,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from warp_plate.plate.signals import step_means
+from warp_plate.plate.waveforms import step_means
 from warp_plate.scene.drive import MovingLoad
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# A side of less than this part of a cell is a point: the difference is a millionth of the error of the weighing.
+# A side below this part of a cell is a point: the difference is a millionth of the error of the weights.
 POINT = 1e-3
 
 
 class MovingWeights(NamedTuple):
-    """The factors above: wave (steps,) [N/m²], the first one halved as in ``signals``; along_x (steps, nx), along_y
-    (steps, ny)."""
+    """Factors of a moving load.
+
+    Attributes:
+        wave: (steps,) [N/m²], the first one halved as in ``signals``.
+        along_x: (steps, nx) shares.
+        along_y: (steps, ny) shares.
+    """
 
     wave: np.ndarray
     along_x: np.ndarray
@@ -33,19 +37,19 @@ class MovingWeights(NamedTuple):
 
     @property
     def largest(self) -> float:
-        """Size of the strongest wave [N/m²]."""
+        """Largest magnitude of the wave [N/m²]."""
         return float(np.abs(self.wave).max())
 
 
 def moving_weights(scene: Scene, time_step: float, steps: int) -> MovingWeights:
-    """The factors of a scene's moving load.
+    """Return the factors of a scene's moving load.
 
-    While the patch is on the plate, Σ pressure·hx·hy is the force, the edges' own nodes included: what falls on a
-    node that is held goes into its support. Of a patch that is partly off, the part on the plate counts.
+    While the patch is on the plate, Σ pressure·hx·hy over all nodes, edges included, is the force. Of a patch partly
+    off the plate, the part on it counts.
 
     Raises:
-        SceneError: the scene has no such load, it never touches the plate during the run, or its frequency is more
-            than the steps carry.
+        SceneError: The scene has no such load, it never touches the plate during the run, or the steps cannot carry its
+            frequency.
     """
     load = scene.effects.moving_load
     if load is None:
@@ -57,7 +61,7 @@ def moving_weights(scene: Scene, time_step: float, steps: int) -> MovingWeights:
         )
     times = time_step * np.arange(steps)
     wave = _strength(load, times, time_step, _presence(load, scene, 2 * time_step * steps))
-    # Where it is when it sets in and when it ends, for the steps that reach over these moments.
+    # Steps that reach beyond its beginning or end have it where it is at that moment.
     since = np.clip(times, load.from_time, load.to_time) - load.from_time
     along = [
         _shares(load.start[axis] + load.velocity[axis] * since, load.size, side, nodes, scene.grid.load == "moments")
@@ -75,10 +79,9 @@ def moving_weights(scene: Scene, time_step: float, steps: int) -> MovingWeights:
 
 
 def _presence(load: MovingLoad, scene: Scene, latest: float) -> tuple[float, float]:
-    """Begin and end [s] of the force: as the scene says and, of a point, while it is on the plate; the same if never.
-    What comes after the run counts as ``latest`` [s].
+    """Return begin and end [s] of the force, at most ``latest``; equal if it never acts.
 
-    A point that drives on or off is then right to second order, as one that sets in is.
+    A point acts while it is on the plate. Its driving on and off is then right to second order.
     """
     begin, end = load.from_time, math.inf if load.to_time is None else load.to_time
     for start, speed, side, nodes in zip(load.start, load.velocity, scene.plate.size, scene.grid.nodes, strict=True):
@@ -90,22 +93,22 @@ def _presence(load: MovingLoad, scene: Scene, latest: float) -> tuple[float, flo
 
 
 def _strength(load: MovingLoad, times: np.ndarray, time_step: float, presence: tuple[float, float]) -> np.ndarray:
-    """(steps,) force [N]."""
+    """Return (steps,) forces [N]."""
     present = step_means(lambda time: np.clip(time, *presence), time_step, times.size)
     force: np.ndarray = load.force * present * np.cos(2 * math.pi * (load.frequency or 0.0) * times)
     return force
 
 
 def _shares(middle: np.ndarray, size: float, side: float, nodes: int, cubic: bool) -> np.ndarray:
-    """(steps, nodes) each node's share of a patch that lies around ``middle`` [m] on one axis of the plate."""
+    """Return (steps, nodes) shares of the nodes along one axis in a patch around ``middle`` [m]."""
     spacing = side / (nodes - 1)
-    # A path along an edge stays on the plate whatever the rounding.
+    # Rounding must not take a path along an edge off the plate.
     centre = middle / spacing
     inside = np.clip(centre, 0, nodes - 1)
     centre = np.where(np.abs(centre - inside) < 1e-12 * nodes, inside, centre)
     width = size / spacing
     if width < POINT:
-        # Half a step before it drives on, and after it drives off, its force stands at the edge.
+        # Within a step of driving on or off, the force acts at the edge.
         near = np.abs(centre - inside) <= np.abs(np.diff(centre)).max(initial=0.0)
         return near[:, None] * _basis(inside, nodes, 4 if cubic else 2)
     low, high = (np.clip(centre + sign * width / 2, 0, nodes - 1) for sign in (-1, 1))
@@ -119,14 +122,13 @@ def _shares(middle: np.ndarray, size: float, side: float, nodes: int, cubic: boo
 
 
 def _basis(place: np.ndarray, nodes: int, points: int) -> np.ndarray:
-    """(places, nodes) at a place [cells], what is one at a node and zero at the others: the polynomial through the
-    ``points`` nodes around the place."""
+    """Return (places, nodes) Lagrange polynomials through the ``points`` nodes around each place [cells]."""
     first, local, polynomials = _around(place, nodes, points)
     return _scatter(first, local[:, None] ** np.arange(points) @ polynomials, nodes)
 
 
 def _basis_integral(place: np.ndarray, nodes: int, points: int) -> np.ndarray:
-    """(places, nodes) integral of the above from 0 to the place [cells]."""
+    """Return (places, nodes) integrals of the same polynomials from 0 to each place [cells]."""
     powers = np.arange(1, points + 1)
 
     def within(place: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -143,8 +145,12 @@ def _basis_integral(place: np.ndarray, nodes: int, points: int) -> np.ndarray:
 def _around(
     place: np.ndarray, nodes: int, points: int, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """First of the nodes around the interval that begins at ``start`` (or holds the place), the place counted from the
-    middle of these nodes, and (points, points) the polynomials' coefficients, row k those of x^k."""
+    """Return the nodes around places and their polynomials.
+
+    Returns:
+        First of the nodes around the interval that begins at ``start`` (default: that holds the place), the place
+        counted from their middle, and (points, points) coefficients, row k those of x^k.
+    """
     interval = np.floor(place) if start is None else start
     first = np.clip(interval.astype(int) - (points // 2 - 1), 0, nodes - points)
     middle = (points - 1) / 2
@@ -152,7 +158,7 @@ def _around(
 
 
 def _scatter(first: np.ndarray, values: np.ndarray, nodes: int) -> np.ndarray:
-    """(places, nodes) zeros, with the values (places, points) from node ``first`` on."""
-    spread = np.zeros((first.size, nodes))
-    spread[np.arange(first.size)[:, None], first[:, None] + np.arange(values.shape[1])] = values
-    return spread
+    """Return (places, nodes) zeros with the values (places, points) from node ``first`` on."""
+    scattered = np.zeros((first.size, nodes))
+    scattered[np.arange(first.size)[:, None], first[:, None] + np.arange(values.shape[1])] = values
+    return scattered

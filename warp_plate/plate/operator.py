@@ -27,10 +27,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
+import scipy
 
-# By order: the taps inside, from order/2 nodes to one side to as many to the other, what they are divided by, and the
-# fewest nodes on which the closures of two edges keep apart.
+# By order: the taps inside, from order/2 nodes to one side to as many to the other; their divisor; and the fewest nodes
+# on which the closures of two edges keep apart.
 INSIDE = {2: (1.0, -2.0, 1.0), 4: (-1.0, 16.0, -30.0, 16.0, -1.0)}
 DIVISOR = {2: 1.0, 4: 12.0}
 FEWEST_NODES = {2: 5, 4: 9}
@@ -39,7 +39,7 @@ LARGEST = {2: 4.0, 4: 16.0 / 3.0}
 
 
 def clamped_rows() -> tuple[tuple[float, float], tuple[float, float, float]]:
-    """(p, q) and (r, s, −1/12): the fourth-order rows of nodes 0 and 1 of a clamped edge, from the equations above."""
+    """Return (p, q) and (r, s, −1/12), the fourth-order rows of nodes 0 and 1 of a clamped edge."""
     third = (13 * math.sqrt(2) - 2 * math.sqrt(47)) / 6  # β₃; β₂ = √2
     q = (third - math.sqrt(2)) / 4
     p = math.sqrt(2) - 4 * q
@@ -50,11 +50,13 @@ def clamped_rows() -> tuple[tuple[float, float], tuple[float, float, float]]:
 
 @dataclass(frozen=True)
 class Taps:
-    """Both passes along one axis, in units of spacing² / DIVISOR.
+    """Weights of each node's neighbours in both passes along one axis, in units of spacing² / DIVISOR.
 
-    bend, move: (nodes, 2·reach + 1), the weights with which each node takes its neighbours from −reach to
-    reach = order/2; zero for neighbours beyond the edges. bend reads displacements and has a row for every node; move
-    reads curvatures, and its rows for the two edge nodes are zero, because these do not move.
+    Neighbours go from −reach to reach = order/2; those beyond the edges have weight zero.
+
+    Attributes:
+        bend: (nodes, 2·reach + 1) weights of displacements in the curvature.
+        move: (nodes, 2·reach + 1) weights of curvatures in the force; zero for the edge nodes, which do not move.
     """
 
     bend: np.ndarray
@@ -62,14 +64,14 @@ class Taps:
 
     @property
     def factors(self) -> np.ndarray:
-        """(nodes,) second order only: the taps inside, with zeros beyond the edges, times this are ``bend``."""
+        """(nodes,) factors that make ``bend`` of the taps inside, with zeros beyond the edges; second order only."""
         factors = np.ones(len(self.bend))
         factors[0], factors[-1] = self.bend[0, -1], self.bend[-1, 0]
         return factors
 
 
 def make_taps(nodes: int, low: str, high: str, order: int) -> Taps:
-    """The taps along an axis of so many nodes, edges included, held by ``low`` and ``high`` at its ends."""
+    """Return the taps along an axis of ``nodes`` nodes, edges included, with the edges ``low`` and ``high``."""
     reach = order // 2
     bend = np.tile(INSIDE[order], (nodes, 1))
     _close(bend, low, order)
@@ -80,14 +82,14 @@ def make_taps(nodes: int, low: str, high: str, order: int) -> Taps:
         move[taker, reach + offset] = bend[taker + offset, reach - offset]
     move[[0, -1]] = 0
     if order == 2:
-        # Edge nodes count half; their weight is moved whole into the first pass, which leaves the second plain.
+        # Edge nodes count half; that factor goes into the first pass, which leaves the second plain.
         bend[[0, -1]] *= 2
         move[1, 0] = move[-2, -1] = 1
     return Taps(bend, move)
 
 
 def _close(bend: np.ndarray, edge: str, order: int) -> None:
-    """Write the first rows of the taps of the first pass, for the edge at their low end."""
+    """Write the rows of the first pass next to the edge at its low end."""
     reach = order // 2
     bend[0] = 0
     if order == 2:
@@ -104,24 +106,24 @@ def _close(bend: np.ndarray, edge: str, order: int) -> None:
 
 
 def biharmonic(taps_x: Taps, taps_y: Taps, spacing: tuple[float, float], order: int) -> scipy.sparse.csc_array:
-    """Square matrix of ∇⁴ [1/m⁴] as the plain plate's taps have it, on inner nodes row by row; symmetric."""
+    """Return the symmetric matrix of ∇⁴ [1/m⁴] of a plain plate on its inner nodes, row by row."""
     nx, ny = len(taps_x.bend), len(taps_y.bend)
     aspect = (spacing[0] / spacing[1]) ** 2
-    one_x, one_y = scipy.sparse.eye_array(nx), scipy.sparse.eye_array(ny)
+    identity_x, identity_y = scipy.sparse.eye_array(nx), scipy.sparse.eye_array(ny)
 
-    def twice(along_x: np.ndarray, along_y: np.ndarray) -> scipy.sparse.csr_array:
-        first = scipy.sparse.kron(one_y, _banded(along_x))
-        return scipy.sparse.csr_array(first + aspect * scipy.sparse.kron(_banded(along_y), one_x))
+    def laplacian(along_x: np.ndarray, along_y: np.ndarray) -> scipy.sparse.csr_array:
+        second_x = scipy.sparse.kron(identity_y, _banded(along_x))
+        return scipy.sparse.csr_array(second_x + aspect * scipy.sparse.kron(_banded(along_y), identity_x))
 
     inner = np.zeros((ny, nx), dtype=bool)
     inner[1:-1, 1:-1] = True
     kept = np.flatnonzero(inner)
-    whole = twice(taps_x.move, taps_y.move) @ twice(taps_x.bend, taps_y.bend)
-    return scipy.sparse.csc_array(whole[kept][:, kept] / (DIVISOR[order] * spacing[0] ** 2) ** 2)
+    matrix = laplacian(taps_x.move, taps_y.move) @ laplacian(taps_x.bend, taps_y.bend)
+    return scipy.sparse.csc_array(matrix[kept][:, kept] / (DIVISOR[order] * spacing[0] ** 2) ** 2)
 
 
 def _banded(bands: np.ndarray) -> scipy.sparse.dia_array:
-    """Square matrix of (nodes, 2·reach + 1) bands, a row a node."""
+    """Return the square matrix of bands (nodes, 2·reach + 1), a row for each node."""
     nodes, width = bands.shape
     reach = width // 2
     diagonals = [bands[max(0, -k) : nodes - max(0, k), k + reach] for k in range(-reach, reach + 1)]

@@ -1,4 +1,4 @@
-"""Signals from files: read them, give them a phase, and bring them to the solver's steps without aliasing.
+"""Signals from files: reading, phase shifts, and resampling to the solver's steps without aliasing.
 
 A sampled signal s(t) has no phase to shift, but its analytic signal a = s + i·H(s) has, H being the Hilbert transform:
 Re(Z·a) lags behind s by the phase lag of Z at every frequency at once (Gabor, J. IEE 93(III), 1946, pp. 429-457).
@@ -12,35 +12,41 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.fft import next_fast_len
-from scipy.signal import hilbert
+import scipy
 
 from warp_plate.plate.files import number_rows, read_beside
 from warp_plate.scene.drive import SampledSignal
 from warp_plate.scene.errors import SceneError
 
-# Each sample takes some 100 bytes on the way: six minutes at 44.1 kHz.
+# Each sample takes some 100 bytes while it is read: six minutes at 44.1 kHz.
 MOST_SAMPLES = 2**24
-# Samples for each step of the run; more are a slip, and a filter of as many products a step.
+# Samples per step of the run; more are a mistake, and a filter of as many products.
 MOST_A_STEP = 1000
 LOUDEST = 1e30
-FASTEST, SLOWEST = 1e7, 1e-3  # samples a second
-# The interpolating filter: its half-width in samples of the slower of the two rates, and Kaiser's β for 80 dB. With
-# these it passes nine tenths of the slower rate's band, and from the end of that band on it stops.
+FASTEST, SLOWEST = 1e7, 1e-3  # samples per second
+# Interpolation filter: half-width in samples of the slower rate, and Kaiser's β for 80 dB. It passes nine tenths of the
+# slower rate's band and stops from the end of that band on.
 HALF_WIDTH = 50
 BETA = 7.857
-PASSED = 0.95  # the middle between the two, where the filter is at one half
-TABLE_STEPS = 1024  # of the tabulated filter, a sample
-# Products at once, to bound memory.
+PASSED = 0.95  # where the filter is at one half
+TABLE_STEPS = 1024  # entries of the tabulated filter per sample
+# Products computed at once, to limit memory.
 BLOCK = 2**21
-# Times in a CSV are rounded: by so much of a step they may be off an even spacing.
+# Part of a step by which times in a CSV, which are rounded, may be off an even spacing.
 UNEVEN = 0.05
 _WIDTHS = {(1, 8): "u1", (1, 16): "<i2", (1, 24): "u1", (1, 32): "<i4", (3, 32): "<f4", (3, 64): "<f8"}
 
 
 @dataclass(frozen=True)
 class Samples:
-    """values: (samples,) with the gain, real; rate [1/s]; start [s], the time of the first; repeat: from the end on."""
+    """A sampled signal.
+
+    Attributes:
+        values: (samples,) real, with the gain.
+        rate: Samples per second.
+        start: Time of the first sample [s].
+        repeat: Repeat the signal instead of silence after its end.
+    """
 
     values: np.ndarray
     rate: float
@@ -48,23 +54,23 @@ class Samples:
     repeat: bool
 
     def analytic(self) -> np.ndarray:
-        """(samples,) complex analytic signal; silence before and after the file, or the file again where it repeats."""
+        """Return (samples,) complex analytic signal, padded with silence unless it repeats."""
         count = self.values.size
-        whole = count if self.repeat else next_fast_len(2 * count)
-        analytic: np.ndarray = hilbert(self.values, whole)[:count]
+        padded = count if self.repeat else scipy.fft.next_fast_len(2 * count)
+        analytic: np.ndarray = scipy.signal.hilbert(self.values, padded)[:count]
         return analytic
 
     def highest_frequency(self) -> float:
-        """[Hz] below which 99 % of the signal's energy lies; the rest may be what the file's ends cut off."""
+        """Return the frequency [Hz] below which 99 % of the energy lies; the rest may stem from the file's ends."""
         energy = np.cumsum(np.abs(np.fft.rfft(self.values)) ** 2)
         return float(np.searchsorted(energy, 0.99 * energy[-1]) * self.rate / self.values.size)
 
 
 def read_samples(table: SampledSignal, folder: Path | None) -> Samples:
-    """The signal of the file that ``[drive.signal]`` names, looked for in the scene's folder.
+    """Return the signal of the file that ``[drive.signal]`` names in the scene's folder.
 
     Raises:
-        SceneError: no folder, no such file in it, too large, or not what its ending says; one line with key and file.
+        SceneError: There is no such file, it is too large, or it is not what its ending says.
     """
     data = read_beside("drive.signal.file", table.file, folder)
     try:
@@ -76,14 +82,13 @@ def read_samples(table: SampledSignal, folder: Path | None) -> Samples:
 
 
 def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) -> np.ndarray:
-    """(steps,) the analytic signal at t = n·time_step [s], low-passed to ``band`` times the steps' Nyquist frequency.
+    """Return (steps,) analytic signal at t = n·time_step, low-passed to ``band`` times the steps' Nyquist frequency.
 
-    Band-limited interpolation: each value is the sum of the samples around it under a sinc with a Kaiser window, as
-    wide as the slower rate asks. Frequencies up to 0.9 of the lower band limit pass within 1e-3; those above the limit
-    are 80 dB down.
+    Each value is the sum of the samples around it under a sinc with a Kaiser window, as wide as the slower rate asks.
+    Frequencies up to 0.9 of the lower band limit pass within 1e-3; those above the limit are 80 dB down.
 
     Raises:
-        SceneError: more than MOST_A_STEP samples a step.
+        SceneError: There are more than MOST_A_STEP samples per step.
     """
     if samples.rate * time_step > MOST_A_STEP:
         raise SceneError(
@@ -126,7 +131,7 @@ def _check(values: np.ndarray, rate: float) -> None:
 
 
 def _wav(data: bytes) -> tuple[np.ndarray, float, float]:
-    """Values, rate and start of a RIFF WAVE file, whole numbers of 8 to 32 bits or floating point."""
+    """Return values, rate and start of a RIFF WAVE file of integers of 8 to 32 bits or floating point."""
     if data[:4] != b"RIFF" or data[8:12] != b"WAVE":
         raise ValueError("not a WAV file")
     chunks: dict[bytes, bytes] = {}
@@ -134,7 +139,7 @@ def _wav(data: bytes) -> tuple[np.ndarray, float, float]:
     while place + 8 <= len(data):
         name, size = struct.unpack_from("<4sI", data, place)
         body = data[place + 8 : place + 8 + size]
-        if len(body) < size and size != 0xFFFFFFFF:  # which recorders write who do not know the end yet
+        if len(body) < size and size != 0xFFFFFFFF:  # of recorders that do not know the end yet
             raise ValueError("the WAV file ends too early")
         chunks.setdefault(name, body)
         place += 8 + size + size % 2
@@ -142,7 +147,7 @@ def _wav(data: bytes) -> tuple[np.ndarray, float, float]:
     if len(form) < 16:
         raise ValueError("a WAV file without its format")
     code, channels, rate, _, _, bits = struct.unpack_from("<HHIIHH", form)
-    if code == 0xFFFE and len(form) >= 26:  # the extensible format has the code further down
+    if code == 0xFFFE and len(form) >= 26:  # extensible format
         (code,) = struct.unpack_from("<H", form, 24)
     if (code, bits) not in _WIDTHS:
         raise ValueError(f"a WAV file of format {code} with {bits} bits; write PCM or floating point")
@@ -160,7 +165,7 @@ def _wav(data: bytes) -> tuple[np.ndarray, float, float]:
 
 
 def _csv(data: bytes, rate: float | None) -> tuple[np.ndarray, float, float]:
-    """Values, rate and start of a text table."""
+    """Return values, rate and start of a text table."""
     rows = number_rows(data)
     if rows and len(rows[0][1]) > 2:
         number, row = rows[0]
@@ -178,7 +183,7 @@ def _csv(data: bytes, rate: float | None) -> tuple[np.ndarray, float, float]:
 
 
 def _spacing(times: np.ndarray) -> tuple[float, float]:
-    """Rate [1/s] and start [s] of evenly spaced times."""
+    """Return rate [1/s] and start [s] of evenly spaced times."""
     if not np.isfinite(times).all() or np.abs(times).max() > LOUDEST:
         raise ValueError("a time is no number")
     step = (times[-1] - times[0]) / (times.size - 1)

@@ -1,4 +1,4 @@
-"""From what a plate of a batch had of its own to a scene that is that plate, and back."""
+"""Scenes with other drives and other places of their actuators."""
 
 from __future__ import annotations
 
@@ -18,23 +18,31 @@ def scene_with(
     centre: np.ndarray | None = None,
     delay: np.ndarray | None = None,
 ) -> Scene:
-    """The scene with other magnitudes, phases [rad], frequencies [Hz] and burst starts [s], (actuators,), and other
-    middles of its actuators, (actuators, 2) [m]; None: as the scene has them.
+    """Return a scene with other values of its actuators (default: the scene's).
 
-    A frequency or start that all actuators share becomes the drive's own.
+    A frequency or delay that all actuators share becomes the drive's own.
+
+    Args:
+        scene: The scene.
+        magnitude: (actuators,) magnitudes [N/m², or V].
+        phase: (actuators,) phase lags [rad].
+        frequency: (actuators,) frequencies [Hz].
+        centre: (actuators, 2) x, y of the actuators' centres [m].
+        delay: (actuators,) starts of the bursts [s].
 
     Raises:
-        SceneError: numbers that no scene may have, such as a magnitude beyond 1e30.
+        SceneError: No scene may have such numbers, for example a magnitude beyond 1e30.
     """
-    actuators: list[dict[str, Any]] = [one.model_dump() for one in scene.actuators]
+    actuators: list[dict[str, Any]] = [actuator.model_dump() for actuator in scene.actuators]
     drive = scene.drive.model_dump()
     for name, values in (("magnitude", magnitude), ("phase", phase)):
         if values is not None:
             for actuator, value in zip(actuators, values.tolist(), strict=True):
-                # What is too small to be told from zero is zero.
                 actuator[name] = value if abs(value) >= SMALLEST else 0.0
-    common = (("frequency", frequency, drive, "frequency"), ("delay", delay, drive["burst"], "start"))
-    for name, values, table, key in common:
+    for name, values, table, key in (
+        ("frequency", frequency, drive, "frequency"),
+        ("delay", delay, drive["burst"], "start"),
+    ):
         if values is None:
             continue
         shared = table is not None and bool((values == values[0]).all())
@@ -45,26 +53,26 @@ def scene_with(
     if centre is not None:
         for actuator, (x, y) in zip(actuators, centre.tolist(), strict=True):
             x0, x1, y0, y1 = actuator["area"]
-            actuator["area"] = (*_span(x0, x1, x), *_span(y0, y1, y))
+            actuator["area"] = (*_span_around(x, x0, x1), *_span_around(y, y0, y1))
     return scene.with_tables(drive=drive, actuators=actuators)
 
 
 def scene_phasors(scene: Scene) -> np.ndarray:
-    """(actuators,) the phasors of the magnitudes and phases that the scene gives its actuators."""
+    """Return (actuators,) phasors of the actuators' magnitudes and phases."""
     magnitude = np.array([actuator.magnitude for actuator in scene.actuators])
     phase = np.array([actuator.phase for actuator in scene.actuators])
-    drive: np.ndarray = magnitude * np.exp(-1j * phase)
-    return drive
+    phasors: np.ndarray = magnitude * np.exp(-1j * phase)
+    return phasors
 
 
 def actuator_centres(scene: Scene) -> np.ndarray:
-    """(actuators, 2) x, y of the actuators' middles [m]."""
-    areas = np.array([one.area for one in scene.actuators])
+    """Return (actuators, 2) x, y of the actuators' centres [m]."""
+    areas = np.array([actuator.area for actuator in scene.actuators])
     return np.stack([(areas[:, 0] + areas[:, 1]) / 2, (areas[:, 2] + areas[:, 3]) / 2], axis=1)
 
 
-def _span(low: float, high: float, middle: float) -> tuple[float, float]:
-    """As long as before, around another middle; the same to the last bit where it is the same."""
+def _span_around(middle: float, low: float, high: float) -> tuple[float, float]:
+    """Return low and high moved to another middle; unchanged to the last bit if the middle is the same."""
     if middle == (low + high) / 2:
         return low, high
     return middle - (high - low) / 2, middle + (high - low) / 2

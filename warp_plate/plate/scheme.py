@@ -1,4 +1,4 @@
-"""From a scene to the numbers of the difference scheme: rigidity, steps, coefficients and the stability limit.
+"""The difference scheme of a scene: rigidity, steps, coefficients and the stability limit.
 
     ρH ü + c u̇ + D∇⁴u = f,   D = EH³ / 12(1 − ν²),   κ = √(D/ρH)
 
@@ -7,7 +7,7 @@ in velocity form, with v at the half-steps and u at t_n = nΔt:
     v⁺ = decay·v − gain·Δt·(D∇⁴u − f)/ρH,   u⁺ = u + Δt v⁺
 
 Centred damping: decay = (1 − a/2)/(1 + a/2), gain = 1/(1 + a/2), a = cΔt/ρH. Backward damping, equation (6) of the
-source paper with its signs mended: decay = 1 − a, gain = 1.
+source paper with its signs corrected: decay = 1 − a, gain = 1.
 """
 
 from __future__ import annotations
@@ -19,28 +19,48 @@ from warp_plate.plate.bending import Bending
 from warp_plate.plate.memory import check_grid_memory, check_steps_memory
 from warp_plate.plate.operator import DIVISOR, Taps, make_taps
 from warp_plate.plate.signals import check_rate, highest_frequency
-from warp_plate.plate.stability_limit import StabilityLimit, find_limit, needs_moment_form, plain_edge, viscous_damping
+from warp_plate.plate.stability_limit import (
+    StabilityLimit,
+    find_limit,
+    needs_moment_form,
+    plain_edge,
+    viscous_damping,
+)
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# A time step that the scene leaves out is this part of the stability limit, and carries the drive with so many steps.
+# A time step that the scene leaves out is this part of the stability limit, or this part of the drive's period.
 SAFETY = 0.9
 STEPS_A_PERIOD = 20
 # Longer runs are mistakes in a unit: this is hours on any device.
 MOST_STEPS = 10**8
-# Of a step: cΔt/ρH. Motion is then so small a part of what the load would do in a step that float32 loses its square.
+# Largest cΔt/ρH. Beyond it float32 loses the square of what is left of a step's motion.
 MOST_LOSS = 1e9
 
 
 @dataclass(frozen=True)
 class Scheme:
-    """The discretised plate, in SI units where not said otherwise.
+    """The discretized plate.
 
-    nodes: (nx, ny); spacing: (hx, hy) [m]; rigidity D [N·m]; surface_density ρH [kg/m²]; kappa [m²/s];
-    time_step [s]; stability: its limit, and what sets it; steps: of the whole run;
-    window: first and last + 1 of the steps whose half-step lies inside the scene's window;
-    decay, gain: of the velocity form above (dimensionless); angular_frequency: of the drive [rad/s];
-    order: of the differences in space; taps_x, taps_y: these differences, the edges in them (see ``operator``).
+    Attributes:
+        nodes: (nx, ny), edges included.
+        spacing: (hx, hy) [m].
+        rigidity: D [N·m].
+        surface_density: ρH [kg/m²].
+        kappa: κ [m²/s].
+        time_step: Δt [s].
+        stability: Its limit, and what sets it.
+        steps: Number of steps of the whole run.
+        window: First and last + 1 of the steps whose half-step lies inside the scene's window.
+        decay: Factor of the velocity in a step.
+        gain: Factor of the force in a step.
+        angular_frequency: ω of the drive [rad/s].
+        order: Order of the differences in space.
+        taps_x: Differences along x with their edges, see ``operator``.
+        taps_y: Differences along y.
+        bending: Fields of the plate in moment form; None for a plain plate.
+        viscous: All viscous damping [N·s/m³].
+        backward: True if it is taken backward in time.
     """
 
     nodes: tuple[int, int]
@@ -69,7 +89,7 @@ class Scheme:
 
     @property
     def stable(self) -> bool:
-        """Whether the time step is at most the limit, up to rounding."""
+        """True if the time step is at most the limit, up to rounding."""
         return self.time_step <= self.limit * (1 + 1e-12)
 
     @property
@@ -84,7 +104,7 @@ class Scheme:
 
     @property
     def square_cells(self) -> bool:
-        """Whether hx = hy up to rounding."""
+        """True if hx = hy up to rounding."""
         return math.isclose(self.spacing[0], self.spacing[1], rel_tol=1e-12)
 
     @property
@@ -93,17 +113,21 @@ class Scheme:
         return self.gain * self.time_step**2 / self.surface_density
 
     def step_of(self, time: float) -> int:
-        """The step n whose t_n = nΔt lies nearest to ``time`` [s], within the run."""
+        """Return the step n of the run whose t_n = nΔt lies nearest to ``time`` [s]."""
         return min(max(round(time / self.time_step), 0), self.steps)
 
 
 def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = False) -> Scheme:
-    """The scheme of a scene; ``allow_unstable``: with a time step above the stability limit too; ``moment_form``: by
-    moments, also where a plain plate would do.
+    """Return the scheme of a scene with a grid.
+
+    Args:
+        scene: The scene.
+        allow_unstable: Accept a time step above the stability limit.
+        moment_form: Use the moment form also where a plain plate would do.
 
     Raises:
-        SceneError: the scene asks for an accuracy instead of a grid; its time step is above the stability limit or too
-            long for the drive's frequency, its window holds no half-step, its run is longer than MOST_STEPS, or grid or
+        SceneError: The scene asks for an accuracy instead of a grid; its time step is above the stability limit or too
+            long for the drive's frequency; its window holds no half-step; its run is longer than MOST_STEPS; or grid or
             run take more memory than there is.
     """
     plate, grid = scene.plate, scene.grid
@@ -113,29 +137,12 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
             f"{grid.accuracy:g}).scene has one"
         )
     check_grid_memory(scene, moment_form or needs_moment_form(scene))
-    spacing = (plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1))
     rigidity = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
     surface_density = plate.density * plate.thickness
-    kappa = math.sqrt(rigidity / surface_density)
-    viscous, backward = viscous_damping(scene)
-    rate_of_loss = viscous / surface_density
     stability, bending = find_limit(scene, moment_form)
-    limit = stability.time_step
-    longest = min(SAFETY * limit, 1 / (STEPS_A_PERIOD * highest_frequency(scene)))
-    time_step = grid.time_step or scene.window.end / math.ceil(scene.window.end / longest)
-    if time_step > limit * (1 + 1e-12) and not allow_unstable:
-        raise SceneError(
-            f"grid.time_step = {time_step:g}: above the stability limit of {limit:.6g} s for {grid.nodes[0]} x "
-            f"{grid.nodes[1]} nodes; write a smaller one, or leave it out for {SAFETY:g} of the limit"
-        )
-    check_rate(scene, time_step)
-    if scene.window.end / time_step > MOST_STEPS:
-        raise SceneError(
-            f"window.end = {scene.window.end:g}: takes {scene.window.end / time_step:.3g} steps of {time_step:g} s; "
-            f"at most {MOST_STEPS:.3g} are possible: end earlier or use fewer nodes"
-        )
-    check_steps_memory(scene, round(scene.window.end / time_step))
-    loss = rate_of_loss * time_step
+    time_step = _time_step(scene, stability.time_step, allow_unstable)
+    viscous, backward = viscous_damping(scene)
+    loss = viscous / surface_density * time_step
     if loss > MOST_LOSS:
         raise SceneError(
             f"effects: {viscous:g} N·s/m³ of viscous damping is more than {MOST_LOSS:g} times what stops the plate "
@@ -144,10 +151,10 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
     first, last = _window(scene, time_step)
     return Scheme(
         nodes=grid.nodes,
-        spacing=spacing,
+        spacing=(plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1)),
         rigidity=rigidity,
         surface_density=surface_density,
-        kappa=kappa,
+        kappa=math.sqrt(rigidity / surface_density),
         time_step=time_step,
         stability=stability,
         steps=last,
@@ -164,10 +171,30 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
     )
 
 
+def _time_step(scene: Scene, limit: float, allow_unstable: bool) -> float:
+    """Return the scene's time step [s], or the longest that suits limit, drive and window; see ``make_scheme``."""
+    end, nodes = scene.window.end, scene.grid.nodes
+    longest = min(SAFETY * limit, 1 / (STEPS_A_PERIOD * highest_frequency(scene)))
+    time_step = scene.grid.time_step or end / math.ceil(end / longest)
+    if time_step > limit * (1 + 1e-12) and not allow_unstable:
+        raise SceneError(
+            f"grid.time_step = {time_step:g}: above the stability limit of {limit:.6g} s for {nodes[0]} x {nodes[1]} "
+            f"nodes; write a smaller one, or leave it out for {SAFETY:g} of the limit"
+        )
+    check_rate(scene, time_step)
+    if end / time_step > MOST_STEPS:
+        raise SceneError(
+            f"window.end = {end:g}: takes {end / time_step:.3g} steps of {time_step:g} s; "
+            f"at most {MOST_STEPS:.3g} are possible: end earlier or use fewer nodes"
+        )
+    check_steps_memory(scene, round(end / time_step))
+    return time_step
+
+
 def _window(scene: Scene, time_step: float) -> tuple[int, int]:
-    """First and last + 1 of the steps n with start < (n + ½)Δt < end."""
+    """Return first and last + 1 of the steps n with start < (n + ½)Δt < end."""
     window = scene.window
-    slack = 1e-9  # steps: a half-step that falls on an end of the window up to rounding is outside
+    slack = 1e-9  # steps: a half-step on an end of the window up to rounding is outside
     first = math.floor(window.start / time_step - 0.5 + slack) + 1
     last = math.ceil(window.end / time_step - 0.5 - slack)
     if last <= first:

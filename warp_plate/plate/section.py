@@ -1,4 +1,4 @@
-"""The plate's section at every node: what bends, stretches and weighs there, with layers and variation in it.
+"""The section of the plate at every node: its rigidities, mass and stretching stiffness, with layers and variation.
 
 A laminate bends about its own neutral plane: with A, S and J the sums of E, Ez and Ez² over its height, z from the
 plate's middle, D = (J − S²/A)/(1 − ν²). Edges of layers cut the nodes' cells into rectangles, each of one laminate.
@@ -34,9 +34,16 @@ Rigidities = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Section:
-    """Fields over the nodes, (ny, nx): bend_xx, bend_xy, bend_yy: Mx = bend_xx u_xx + bend_xy u_yy and so on [N·m];
-    twist: Dxy, Mxy = 2 Dxy u_xy [N·m]; mass: per area [kg/m²]. stretch: along x and y, harmonic means of what resists
-    stretching over the plate [N/m]."""
+    """Fields over the nodes.
+
+    Attributes:
+        bend_xx: (ny, nx) Dxx [N·m]: Mx = Dxx u_xx + Dxy u_yy.
+        bend_xy: (ny, nx) Dxy = D1 [N·m].
+        bend_yy: (ny, nx) Dyy [N·m].
+        twist: (ny, nx) torsional rigidity Dxy of Mxy = 2 Dxy u_xy [N·m].
+        mass: (ny, nx) mass per area [kg/m²].
+        stretch: Harmonic means over the plate of the stretching stiffness along x and y [N/m].
+    """
 
     bend_xx: np.ndarray
     bend_xy: np.ndarray
@@ -48,8 +55,7 @@ class Section:
 
 @dataclass(frozen=True)
 class _Laminates:
-    """Of every part of every cell: rigidities and twist [N·m], mass per area [kg/m²]; stretch_x, stretch_y: what
-    resists stretching [N/m]."""
+    """Rigidities and twist [N·m], mass [kg/m²] and stretching stiffness [N/m] of every part of every cell."""
 
     rigidities: Rigidities
     twist: np.ndarray
@@ -62,7 +68,12 @@ class _Laminates:
 class _Parts:
     """The cells of the nodes along one axis, cut at the edges of layers.
 
-    middle and length [m] of each part, and its share of its node's cell; node: whose cell; first: of each node's parts.
+    Attributes:
+        middle: Middle of each part [m].
+        length: Length of each part [m].
+        share: Share of each part in its node's cell.
+        node: Node of each part.
+        first: First part of each node.
     """
 
     middle: np.ndarray
@@ -72,30 +83,30 @@ class _Parts:
     first: np.ndarray
 
     def mean(self, values: np.ndarray, axis: int) -> np.ndarray:
-        """Over each node's cell along the axis."""
+        """Return the means over the nodes' cells along an axis."""
         weights = self.share if axis == 1 else self.share[:, None]
         mean: np.ndarray = np.add.reduceat(values * weights, self.first, axis=axis)
         return mean
 
 
 def make_section(scene: Scene) -> Section:
-    """The section of a scene's plate at the nodes of its grid.
+    """Return the section of a scene's plate at the nodes of its grid.
 
     Raises:
-        SceneError: see ``variation.factors_at_nodes``.
+        SceneError: See ``variation.factors_at_nodes``.
     """
     plate, (nx, ny), layers = scene.plate, scene.grid.nodes, scene.effects.layers
     along_x = _parts(plate.size[0], nx, [place for layer in layers for place in layer.area[:2]])
     along_y = _parts(plate.size[1], ny, [place for layer in layers for place in layer.area[2:]])
-    made = _laminates(scene, along_x, along_y)
-    rigidities = made.rigidities
+    laminates = _laminates(scene, along_x, along_y)
+    rigidities = laminates.rigidities
     if layers:
         x_first = _across_y(_across_x(rigidities, along_x), along_y)
         y_first = _across_x(_across_y(rigidities, along_y), along_x)
         xx, xy, yy = ((one + other) / 2 for one, other in zip(x_first, y_first, strict=True))
         rigidities = xx, xy, yy
-    twist, mass = (along_y.mean(along_x.mean(values, 1), 0) for values in (made.twist, made.mass))
-    soft = [along_y.length @ (1 / stretch) @ along_x.length for stretch in (made.stretch_x, made.stretch_y)]
+    twist, mass = (along_y.mean(along_x.mean(values, 1), 0) for values in (laminates.twist, laminates.mass))
+    soft = [along_y.length @ (1 / stretch) @ along_x.length for stretch in (laminates.stretch_x, laminates.stretch_y)]
     area = plate.size[0] * plate.size[1]
     return Section(*rigidities, twist, mass, (float(area / soft[0]), float(area / soft[1])))
 
@@ -111,7 +122,7 @@ def _parts(length: float, nodes: int, cuts: list[float]) -> _Parts:
 
 
 def _laminates(scene: Scene, along_x: _Parts, along_y: _Parts) -> _Laminates:
-    plate, own, ratio = scene.plate, scene.effects.orthotropic, scene.plate.poisson_ratio
+    plate, orthotropic, ratio = scene.plate, scene.effects.orthotropic, scene.plate.poisson_ratio
     at_parts = np.ix_(along_y.node, along_x.node)
     factors = {key: values[at_parts] for key, values in factors_at_nodes(scene).items()}
     thickness = plate.thickness * factors["thickness"]
@@ -126,34 +137,38 @@ def _laminates(scene: Scene, along_x: _Parts, along_y: _Parts) -> _Laminates:
         covered = np.outer((along_y.middle > y0) & (along_y.middle < y1), (along_x.middle > x0) & (along_x.middle < x1))
         height = covered * layer.thickness
         for face in (1, -1) if layer.both else (1,):
-            middle, pull = top[face] + height / 2, layer.young_modulus * height
-            stretch = stretch + pull
-            first = first + face * pull * middle
-            second = second + pull * (height**2 / 12 + middle**2)
+            middle, stiffness = top[face] + height / 2, layer.young_modulus * height
+            stretch = stretch + stiffness
+            first = first + face * stiffness * middle
+            second = second + stiffness * (height**2 / 12 + middle**2)
             mass = mass + layer.density * height
             top[face] = top[face] + height
     added = (second - first**2 / stretch) / (1 - ratio**2) - bare
-    # What the plate's own rigidities are multiplied by.
+    # Factor of the plate's own rigidities.
     stiffer = factors["young_modulus"] * factors["thickness"] ** 3
-    if own is None:
+    if orthotropic is None:
         rigidity = plate.young_modulus * plate.thickness**3 / 12 / (1 - ratio**2)
-        own = Orthotropic.model_construct(
+        orthotropic = Orthotropic.model_construct(
             Dx=rigidity, Dy=rigidity, D1=ratio * rigidity, Dxy=(1 - ratio) / 2 * rigidity
         )
     # A sheet of rigidity D and thickness H resists stretching with 12 D/H².
     membrane = 12 * factors["young_modulus"] * factors["thickness"] / plate.thickness**2
     layers = (stretch - plate_alone) / (1 - ratio**2)
     return _Laminates(
-        rigidities=(own.Dx * stiffer + added, own.D1 * stiffer + ratio * added, own.Dy * stiffer + added),
-        twist=own.Dxy * stiffer + (1 - ratio) / 2 * added,
+        rigidities=(
+            orthotropic.Dx * stiffer + added,
+            orthotropic.D1 * stiffer + ratio * added,
+            orthotropic.Dy * stiffer + added,
+        ),
+        twist=orthotropic.Dxy * stiffer + (1 - ratio) / 2 * added,
         mass=mass,
-        stretch_x=own.Dx * membrane + layers,
-        stretch_y=own.Dy * membrane + layers,
+        stretch_x=orthotropic.Dx * membrane + layers,
+        stretch_y=orthotropic.Dy * membrane + layers,
     )
 
 
 def _across_x(rigidities: Rigidities, parts: _Parts, axis: int = 1) -> Rigidities:
-    """Means of the module's docstring over each node's cell along x."""
+    """Return the means of the module's docstring over each node's cell along x."""
     xx, xy, yy = rigidities
     soft = 1 / parts.mean(1 / xx, axis)
     coupled = soft * parts.mean(xy / xx, axis)
@@ -161,6 +176,6 @@ def _across_x(rigidities: Rigidities, parts: _Parts, axis: int = 1) -> Rigiditie
 
 
 def _across_y(rigidities: Rigidities, parts: _Parts) -> Rigidities:
-    """The same along y."""
+    """Return the same means along y."""
     yy, xy, xx = _across_x(rigidities[::-1], parts, axis=0)
     return xx, xy, yy

@@ -1,13 +1,13 @@
-"""Weights of discs, polygons and masks: integrals over a shape of what each node counts.
+"""Weights of discs, polygons and masks: integrals of the nodes' basis functions over a shape.
 
-A node counts φ_i(x) φ_j(y), φ being one in the node's cell and zero elsewhere (overlap) or the Lagrange polynomial
-through four nodes (moments), see ``plate.weights``. Over a polygon, by Green's theorem,
+The basis function of a node is φ_i(x) φ_j(y), φ being one in the node's cell and zero elsewhere (overlap) or the
+Lagrange polynomial through four nodes (moments), see ``plate.weights``. Over a polygon, by Green's theorem,
 
     ∫∫ φ_i(x) φ_j(y) dx dy = ∮ Φ_i(x) φ_j(y) dy,   Φ_i(x) = ∫ φ_i from the plate's left side to x,
 
-counterclockwise: each side of the polygon is cut where φ changes its formula, along x and along y, and Gauss's rule is
+counterclockwise. Each side of the polygon is cut where φ changes its formula, along x and along y, and Gauss's rule is
 exact on every part of it. Left of a part, Φ_i is the whole integral of φ_i over each interval, so that these are added
-by one sum along x. That is exact to rounding for any simple polygon, and its work goes with the nodes near the outline.
+by one sum along x. This is exact to rounding for simple polygons, and the work grows with the nodes near the outline.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
+import scipy
 from numpy.polynomial import legendre
 
 from warp_plate.plate.files import number_rows, read_beside
@@ -23,18 +23,22 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Area, Scene, Target
 from warp_plate.scene.target import area_within
 
-# A disc is a polygon of its area, whose outline is off by at most 2e-7 of the radius.
+# Corners of the polygon for a disc, which has its area and an outline off by at most 2e-7 of the radius.
 DISC_CORNERS = 4096
-# What is left of a sum that is zero, as a part of the polygon's height.
+# Rounding of a sum that is zero, relative to the polygon's height.
 ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
 class Axis:
-    """What the nodes along one axis count, as polynomials on intervals; lengths in spacings from the first node.
+    """Basis functions φ of the nodes along one axis, as polynomials on intervals; lengths in spacings.
 
-    breaks: (intervals + 1,); first: (intervals,) the first node that counts on each; middle: (intervals,) from where
-    polynomials are written; powers: (nodes of an interval, degree + 1) their coefficients.
+    Attributes:
+        nodes: Number of nodes.
+        breaks: (intervals + 1,) ends of the intervals.
+        first: (intervals,) first node whose φ is not zero on the interval.
+        middle: (intervals,) origin of the polynomials.
+        powers: (nodes of an interval, degree + 1) their coefficients.
     """
 
     nodes: int
@@ -44,15 +48,15 @@ class Axis:
     powers: np.ndarray
 
     def interval(self, at: np.ndarray) -> np.ndarray:
-        """The interval that holds each point."""
+        """Return the interval that holds each point."""
         return np.clip(np.searchsorted(self.breaks, at, side="right") - 1, 0, self.first.size - 1)
 
     def values(self, interval: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """(..., nodes of an interval) φ."""
+        """Return (..., nodes of an interval) φ at points."""
         return _polynomials(self.powers, at - self.middle[interval])
 
     def integrals(self, interval: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """(..., nodes of an interval) ∫ φ from the beginning of the interval."""
+        """Return (..., nodes of an interval) ∫ φ from the beginning of the interval to points."""
         raised = np.zeros((len(self.powers), self.powers.shape[1] + 1))
         raised[:, 1:] = self.powers / np.arange(1, self.powers.shape[1] + 1)
         start, middle = self.breaks[interval], self.middle[interval]
@@ -60,30 +64,30 @@ class Axis:
 
 
 def cells(nodes: int) -> Axis:
-    """One in the node's cell, half a spacing to each side and on the plate, and zero elsewhere."""
+    """Return functions that are one in the node's cell, half a spacing to each side, and zero elsewhere."""
     breaks = np.concatenate([[0.0], np.arange(nodes - 1) + 0.5, [nodes - 1.0]])
     index = np.arange(nodes)
     return Axis(nodes, breaks, index, index.astype(float), np.ones((1, 1)))
 
 
 def cubics(nodes: int) -> Axis:
-    """Lagrange's polynomials: between two nodes through these and the next on each side, at the ends the outermost."""
+    """Return Lagrange polynomials through the two nodes around a place and the next on each side."""
     first = np.clip(np.arange(nodes - 1) - 1, 0, nodes - 4)
     vandermonde = np.vander([-1.5, -0.5, 0.5, 1.5], 4, increasing=True).T
     return Axis(nodes, np.arange(nodes, dtype=float), first, first + 1.5, np.linalg.inv(vandermonde))
 
 
 def shape_weights(scene: Scene, key: str, target: Target, within: Area | None = None) -> np.ndarray:
-    """(ny, nx) weights of a target, or of its part in a rectangle ``within`` [m], in cells.
-
-    By moments where loads are weighed so, else by overlap; exact for what the shape is: a disc is a polygon of
-    DISC_CORNERS and of its area, a mask what is bilinear between its numbers.
+    """Return (ny, nx) weights of a target in cells, by moments where loads are, else by overlap.
 
     Args:
-        key: of the scene that has the target, for errors.
+        scene: The scene.
+        key: Key of the target in the scene, for errors.
+        target: The target; a mask is bilinear between its numbers.
+        within: Rectangle x0, x1, y0, y1 [m] outside which the target does not count (default: none).
 
     Raises:
-        SceneError: a mask's file that cannot be read or holds no such array; one line.
+        SceneError: The file of a mask cannot be read or holds no such array.
     """
     axis = cubics if scene.grid.load == "moments" else cells
     across, up = (axis(count) for count in scene.grid.nodes)
@@ -102,10 +106,10 @@ def shape_weights(scene: Scene, key: str, target: Target, within: Area | None = 
 
 
 def bounds(scene: Scene, key: str, target: Target) -> Area:
-    """x0, x1, y0, y1 [m] of the smallest rectangle that holds a target.
+    """Return x0, x1, y0, y1 [m] of the smallest rectangle that holds a target.
 
     Raises:
-        SceneError: see :func:`shape_weights`.
+        SceneError: See :func:`shape_weights`.
     """
     corners = target.corners(DISC_CORNERS)
     if corners is None:
@@ -120,7 +124,7 @@ def bounds(scene: Scene, key: str, target: Target) -> Area:
 
 
 def polygon_weights(corners: np.ndarray, across: Axis, up: Axis) -> np.ndarray:
-    """(nodes of up, nodes of across) weights of a polygon (corners, 2), in spacings, on the plate."""
+    """Return (nodes of up, nodes of across) weights of the part on the plate of a polygon (corners, 2), in spacings."""
     weights = np.zeros((up.nodes, across.nodes))
     if len(corners) < 3:
         return weights
@@ -132,25 +136,28 @@ def polygon_weights(corners: np.ndarray, across: Axis, up: Axis) -> np.ndarray:
     at = start[:, None] + (nodes[:, None] + 1) / 2 * (end - start)[:, None]
     rise = shares / 2 * (end - start)[:, 1:]
     behind = rise[:, :, None] * up.values(row[:, None], at[:, :, 1])
-    own = np.einsum("pgj,pgi->pji", behind, across.integrals(column[:, None], at[:, :, 0]))
-    lines = up.first[row][:, None] + np.arange(own.shape[1])
-    np.add.at(weights, (lines[:, :, None], across.first[column][:, None, None] + np.arange(own.shape[2])), own)
-    # Of each interval, what the parts to the right of it make of its whole integral.
+    partial = np.einsum("pgj,pgi->pji", behind, across.integrals(column[:, None], at[:, :, 0]))
+    lines = up.first[row][:, None] + np.arange(partial.shape[1])
+    columns = across.first[column][:, None, None] + np.arange(partial.shape[2])
+    np.add.at(weights, (lines[:, :, None], columns), partial)
+    # For each interval, the factor of its whole integral from the parts to the right of it.
     passed = np.zeros((up.nodes, across.first.size))
     np.add.at(passed, (lines, column[:, None]), behind.sum(axis=1))
     passed = passed[:, ::-1].cumsum(axis=1)[:, ::-1] - passed
     every = np.arange(across.first.size)
     whole = across.integrals(every, across.breaks[1:])
     for node in range(whole.shape[1]):
-        spread = scipy.sparse.csr_array((whole[:, node], (across.first + node, every)), (across.nodes, every.size))
-        weights += (spread @ passed.T).T
+        integrals = scipy.sparse.csr_array((whole[:, node], (across.first + node, every)), (across.nodes, every.size))
+        weights += (integrals @ passed.T).T
     weights[np.abs(weights) < ROUNDING * np.ptp(corners[:, 1])] = 0
     return weights if area_within(corners) > 0 else -weights
 
 
 def clipped(corners: np.ndarray, area: Area) -> np.ndarray:
-    """(corners, 2) the part of a polygon in a rectangle x0, x1, y0, y1; parts that do not touch are joined by sides
-    there and back, which hold no area (Sutherland and Hodgman 1974)."""
+    """Return (corners, 2) the part of a polygon in a rectangle x0, x1, y0, y1 (Sutherland and Hodgman 1974).
+
+    Parts that do not touch are joined by sides there and back, which hold no area.
+    """
     for axis, limit, sign in ((0, area[0], 1), (0, area[1], -1), (1, area[2], 1), (1, area[3], -1)):
         if not len(corners):
             break
@@ -166,10 +173,10 @@ def clipped(corners: np.ndarray, area: Area) -> np.ndarray:
 
 
 def read_mask(scene: Scene, key: str, target: Target) -> np.ndarray:
-    """(rows, columns) numbers of a target's mask.
+    """Return (rows, columns) numbers of a target's mask.
 
     Raises:
-        SceneError: see :func:`shape_weights`.
+        SceneError: See :func:`shape_weights`.
     """
     name = target.mask or ""
     try:
@@ -189,24 +196,24 @@ def read_mask(scene: Scene, key: str, target: Target) -> np.ndarray:
 
 
 def _polynomials(powers: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """(..., polynomials) of coefficients (polynomials, degree + 1)."""
-    made = np.zeros((*at.shape, len(powers)))
+    """Return (..., polynomials) values of polynomials with coefficients (polynomials, degree + 1)."""
+    values = np.zeros((*at.shape, len(powers)))
     for column in powers.T[::-1]:
-        made = made * at[..., None] + column
-    return made
+        values = values * at[..., None] + column
+    return values
 
 
 def _parts(start: np.ndarray, end: np.ndarray, across: Axis, up: Axis) -> tuple[np.ndarray, np.ndarray]:
-    """Ends (parts, 2) of the sides' parts, each in one interval along x and in one along y."""
+    """Return the ends (parts, 2) of the sides' parts, each in one interval along x and in one along y."""
     sides, shares = [np.repeat(np.arange(len(start)), 2)], [np.tile([0.0, 1.0], len(start))]
     for axis, breaks in enumerate((across.breaks, up.breaks)):
         low, high = np.minimum(start[:, axis], end[:, axis]), np.maximum(start[:, axis], end[:, axis])
         first, after = np.searchsorted(breaks, low, side="right"), np.searchsorted(breaks, high, side="left")
         counts = np.maximum(after - first, 0)
         side = np.repeat(np.arange(len(start)), counts)
-        which = np.arange(side.size) - np.repeat(np.cumsum(counts) - counts, counts) + first[side]
+        index = np.arange(side.size) - np.repeat(np.cumsum(counts) - counts, counts) + first[side]
         sides.append(side)
-        shares.append((breaks[which] - start[side, axis]) / (end - start)[side, axis])
+        shares.append((breaks[index] - start[side, axis]) / (end - start)[side, axis])
     side, share = np.concatenate(sides), np.concatenate(shares)
     order = np.lexsort((share, side))
     side, share = side[order], share[order]
@@ -218,7 +225,7 @@ def _parts(start: np.ndarray, end: np.ndarray, across: Axis, up: Axis) -> tuple[
 
 
 def _mask_matrix(axis: Axis, count: int, low: float, high: float) -> scipy.sparse.csr_array:
-    """(nodes, count) ∫ φ_i(s) · hat_k(s) ds from ``low`` to ``high`` [spacings], of ``count`` samples edge to edge."""
+    """Return (nodes, count) ∫ φ_i(s) · hat_k(s) ds from ``low`` to ``high`` [spacings] for samples edge to edge."""
     samples = np.linspace(0, axis.breaks[-1], count) if count > 1 else np.zeros(1)
     low, high = (float(np.clip(end, 0, axis.breaks[-1])) for end in (low, high))
     cuts = np.unique(np.concatenate([axis.breaks, samples, [low, high]]))
@@ -229,7 +236,7 @@ def _mask_matrix(axis: Axis, count: int, low: float, high: float) -> scipy.spars
     length, middle = np.diff(cuts)[:, None], (cuts[:-1] + cuts[1:])[:, None] / 2
     at = middle + nodes / 2 * length
     interval = axis.interval(middle)
-    values = shares / 2 * length * axis.values(interval, at).transpose(2, 0, 1)  # (nodes of an interval, parts, points)
+    values = shares / 2 * length * axis.values(interval, at).transpose(2, 0, 1)
     lower = np.clip(np.searchsorted(samples, middle, side="right") - 1, 0, max(count - 2, 0))
     upper = np.minimum(lower + 1, count - 1)
     part = (at - samples[lower]) / np.where(upper > lower, samples[upper] - samples[lower], 1)

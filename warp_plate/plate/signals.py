@@ -1,4 +1,4 @@
-"""What the actuators do in time, as a sum of terms that is as short as possible.
+"""Drive signals in time, as a sum of as few terms as possible.
 
     pressure of actuator k at step n = Σ_t wave[n, t] · coefficient[plate, t, k]
 
@@ -11,7 +11,6 @@ all steps, so a step costs the same for any number of actuators. With V = envelo
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -21,48 +20,57 @@ from typing import TypeAlias
 import numpy as np
 
 from warp_plate.plate.sampled_signal import Samples, read_samples, resample
-from warp_plate.scene.drive import Burst, Chirp
+from warp_plate.plate.waveforms import burst_means, tone
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# What a coefficient is made of; the first two are all that a linear drive needs.
+# Functions of the phasor that coefficients are made of; a linear drive needs the first two alone.
 FEATURES = ("Re Z", "-Im Z", "1", "|Z|²", "Re Z²", "-Im Z²")
 LINEAR_FEATURES = 2
 _ONE, _SQUARE = FEATURES.index("1"), FEATURES.index("|Z|²")
 _PHASOR, _PHASOR_SQUARED = FEATURES.index("Re Z"), FEATURES.index("Re Z²")
 
-# What tells waves apart → wave (..., steps), mixing. Power of the envelope; its start [s]; frequency [Hz], 0 where none
-# is; for what is no tone the power of the carrier, −1 for its size squared; and the carrier's number where each is kept
-# apart.
+# Terms of equal keys share a wave: power of the envelope; its start [s]; frequency [Hz], or 0; power of a carrier that
+# is no tone, −1 for its size squared; number of a carrier that shares with no other.
 _Key: TypeAlias = tuple[int, float, float, int, int]
+# Wave (..., steps) and mixing (features, actuators) by key.
 _Terms: TypeAlias = dict[_Key, tuple[np.ndarray, np.ndarray]]
-# envelope or its square (..., steps), by its power
-_Envelope: TypeAlias = Callable[[int], np.ndarray]
 
 
 @dataclass(frozen=True)
 class _Carrier:
-    """wave: (..., steps) complex; frequency at t = 0 [Hz], 0 of a file's; steady: whether its size is one throughout;
-    actuators: (actuators,) one for those that it drives; start: of its burst [s], 0 without one and where plates
-    differ in it; number: from 1 on where it shares no wave with others."""
+    """A carrier and the actuators that it drives.
+
+    Attributes:
+        wave: (..., steps) complex.
+        actuators: (actuators,) one for those driven, else zero.
+        envelope: Envelope (..., steps) to a power, 1 or 2.
+        frequency: Frequency at t = 0 [Hz]; 0 for a file.
+        steady: True if its magnitude is one throughout.
+        start: Start of its burst [s]; 0 without one, or if plates differ in it.
+        number: From 1 on if it shares no wave with others.
+    """
 
     wave: np.ndarray
-    frequency: float
-    steady: bool
     actuators: np.ndarray
-    envelope: _Envelope
+    envelope: Callable[[int], np.ndarray]
+    frequency: float = 1.0
+    steady: bool = True
     start: float = 0.0
     number: int = 0
 
 
 @dataclass(frozen=True)
 class Signals:
-    """The time functions of a scene and how phasors mix them.
+    """Waves of a scene and how phasors mix them.
 
-    wave: (steps, terms), below two in size. The first step is halved: the plate is at rest at t = 0, when the load
-    sets in, and half a step later its velocity is half of Δt·f/ρH; a whole first load would be an error of first order.
-    mixing: (terms, features, actuators); linear: whether coefficients are linear in the phasors' real and imaginary
-    parts, without which no bound holds.
+    The first step of the waves is halved: the plate is at rest at t = 0, when the load sets in, and half a step later
+    its velocity is half of Δt·f/ρH. A whole first load would be an error of first order.
+
+    Attributes:
+        wave: (steps, terms), below two in size.
+        mixing: (terms, features, actuators) factors of the FEATURES in the coefficients.
+        linear: True if coefficients are linear in the phasors' real and imaginary parts.
     """
 
     wave: np.ndarray
@@ -71,23 +79,23 @@ class Signals:
 
     @property
     def terms(self) -> int:
-        """How many waves there are."""
+        """Number of waves."""
         return self.wave.shape[1]
 
     @cached_property
-    def _mixed(self) -> list[list[int]]:
-        """Where ``mixing`` is not zero."""
-        places: list[list[int]] = np.argwhere(self.mixing).tolist()
-        return places
+    def _nonzero(self) -> list[list[int]]:
+        """Indices at which ``mixing`` is not zero."""
+        indices: list[list[int]] = np.argwhere(self.mixing).tolist()
+        return indices
 
     def coefficients(self, phasors: np.ndarray) -> np.ndarray:
-        """(plates, terms, actuators) real factors of the waves for phasors Z (plates, actuators)."""
+        """Return (plates, terms, actuators) real factors of the waves for phasors Z (plates, actuators)."""
         features = [phasors.real, -phasors.imag]
-        with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite harms its own plate alone
+        with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite spoils its own plate alone
             if self.linear:
                 # Powers of two and zeros: exact in any order. Plates innermost: NumPy is slow along short rows.
                 columns = np.zeros((self.terms, phasors.shape[1], len(phasors)))
-                for term, feature, actuator in self._mixed:
+                for term, feature, actuator in self._nonzero:
                     part = features[feature][:, actuator]
                     columns[term, actuator] += self.mixing[term, feature, actuator] * part
                 return columns.transpose(2, 0, 1)
@@ -97,53 +105,52 @@ class Signals:
 
 
 def highest_frequency(scene: Scene) -> float:
-    """[Hz] that the time step must carry: of tones and sweeps, twice that where the voltage is squared; and of a
-    moving load.
+    """Return the highest frequency that the time step must carry [Hz].
 
-    Where a file is the carrier, it is what ``drive.frequency`` says instead; no file is opened.
+    Of tones and sweeps it is twice theirs if the voltage is squared; a moving load counts too. For a file it is
+    ``drive.frequency``; the file is not opened.
     """
     return max(times * frequency for _, frequency, times in _named_frequencies(scene))
 
 
 def carrier_frequencies(scene: Scene) -> tuple[float, ...]:
-    """The different frequencies [Hz] of the actuators' carriers at t = 0, in the order of the actuators; of a file one
-    in all."""
+    """Return the different frequencies [Hz] of the carriers at t = 0, in the order of the actuators; one for a file."""
     if scene.drive.signal is not None:
         return (scene.drive.frequency,)
     return tuple(dict.fromkeys(actuator_frequencies(scene).tolist()))
 
 
 def waves_apart(scene: Scene) -> int:
-    """How many different carriers there are, each with its burst."""
-    frequencies = carrier_frequencies(scene)[:1] * len(scene.actuators)
+    """Return the number of different carriers, each with its burst."""
+    frequencies = [scene.drive.frequency] * len(scene.actuators)
     if scene.drive.signal is None:
-        frequencies = tuple(actuator_frequencies(scene).tolist())
+        frequencies = actuator_frequencies(scene).tolist()
     return len(set(zip(frequencies, actuator_delays(scene).tolist(), strict=True)))
 
 
 def actuator_frequencies(scene: Scene) -> np.ndarray:
-    """(actuators,) frequency at t = 0 [Hz] of each actuator's tone."""
+    """Return (actuators,) frequencies of the actuators' tones at t = 0 [Hz]."""
     return np.array([actuator.frequency or scene.drive.frequency for actuator in scene.actuators])
 
 
 def actuator_delays(scene: Scene) -> np.ndarray:
-    """(actuators,) start [s] of each actuator's burst; 0 without one."""
+    """Return (actuators,) starts of the actuators' bursts [s]; 0 without one."""
     burst = scene.drive.burst
     common = 0.0 if burst is None else burst.start
     return np.array([common if actuator.delay is None else actuator.delay for actuator in scene.actuators])
 
 
 def check_rate(scene: Scene, time_step: float) -> None:
-    """Refuse what the steps cannot carry.
+    """Refuse signals that the steps cannot carry.
 
     Raises:
-        SceneError: a frequency of half the steps' rate or more, or a burst shorter than a step.
+        SceneError: A frequency is half the steps' rate or more, or a burst is shorter than a step.
     """
-    for key, frequency, square in _named_frequencies(scene):
-        if square * frequency >= 0.5 / time_step:
-            why = "" if square == 1 else " under drive.electrostatic, which doubles it"
+    for key, frequency, times in _named_frequencies(scene):
+        if times * frequency >= 0.5 / time_step:
+            why = "" if times == 1 else " under drive.electrostatic, which doubles it"
             raise SceneError(
-                f"{key} = {frequency:g}: a step of {time_step:g} s carries less than {0.5 / time_step / square:.6g} "
+                f"{key} = {frequency:g}: a step of {time_step:g} s carries less than {0.5 / time_step / times:.6g} "
                 f"Hz{why}; lower it, or write a smaller grid.time_step"
             )
     burst = scene.drive.burst
@@ -155,119 +162,115 @@ def check_rate(scene: Scene, time_step: float) -> None:
 
 
 def make_signals(
-    scene: Scene, time_step: float, steps: int, folder: Path | None = None, each: bool = False
+    scene: Scene, time_step: float, steps: int, folder: Path | None = None, per_actuator: bool = False
 ) -> Signals:
-    """The signals of a scene at t = n·time_step [s]; ``folder`` is where the file of ``[drive.signal]`` lies.
+    """Return the signals of a scene at t = n·time_step.
 
-    ``each``: every actuator gets waves of its own, also where it might share them.
+    Args:
+        scene: The scene.
+        time_step: Δt [s].
+        steps: Number of steps.
+        folder: Folder of the file of ``[drive.signal]``.
+        per_actuator: Give every actuator waves of its own, also where it might share them.
 
     Raises:
-        SceneError: a frequency that the steps cannot carry, a burst shorter than a step, a file that is missing or
-            not what it should be.
+        SceneError: The steps cannot carry a frequency or burst, or a file is missing or malformed.
     """
     check_rate(scene, time_step)
     samples = None if scene.drive.signal is None else read_samples(scene.drive.signal, folder)
-    burst = scene.drive.burst
-
-    def envelope(start: float, power: int) -> np.ndarray:
-        return np.ones(1) if burst is None else _burst(burst, start, time_step, steps, power)
-
-    terms = _terms(scene, steps, _carriers(scene, time_step, steps, samples, envelope, each))
-    features = LINEAR_FEATURES if scene.drive.electrostatic is None else len(FEATURES)
-    wave, mixing = _columns(terms, steps, features, len(scene.actuators))
+    carriers = _carriers(scene, time_step, steps, samples, per_actuator)
+    wave, mixing = _columns(_terms(scene, steps, carriers), steps, scene)
     return Signals(wave, mixing, scene.drive.electrostatic is None)
 
 
 def waves_per_plate(
     scene: Scene, time_step: float, steps: int, frequency: np.ndarray, delay: np.ndarray | None
 ) -> np.ndarray:
-    """(plates, steps, terms) waves of plates with frequencies [Hz] and starts of the burst [s] of their own.
+    """Return (plates, steps, terms) waves of plates that differ in frequency or start of the burst.
 
-    frequency: (plates, carriers), one carrier for all actuators or one for each; delay: the same, None without bursts.
-    The terms are those of ``make_signals``, with ``each`` where there is more than one carrier; no file is a carrier.
+    The terms are those of ``make_signals``, with ``per_actuator`` if there are several carriers; no file is a carrier.
+
+    Args:
+        scene: The scene.
+        time_step: Δt [s].
+        steps: Number of steps.
+        frequency: (plates, carriers) [Hz], one carrier for all actuators or one for each.
+        delay: (plates, carriers) starts of the burst [s]; None without bursts.
     """
-    carriers, actuators = frequency.shape[1], len(scene.actuators)
-    drives = np.ones((1, actuators)) if carriers == 1 else np.eye(actuators)
-    burst = scene.drive.burst
+    count, actuators = frequency.shape[1], len(scene.actuators)
+    burst, chirp = scene.drive.burst, scene.drive.chirp
 
     def envelope(power: int, index: int) -> np.ndarray:
         if burst is None or delay is None:
             return np.ones(1)
-        return _burst(burst, delay[:, index, None], time_step, steps, power)
+        return burst_means(burst, delay[:, index, None], time_step, steps, power)
 
-    made = [
+    carriers = [
         _Carrier(
-            _tone(scene, frequency[:, index, None], time_step, steps), 1.0, True, who,
-            partial(envelope, index=index), number=index + 1,
+            tone(chirp, frequency[:, index, None], time_step, steps), driven, partial(envelope, index=index),
+            number=index + 1,
         )
-        for index, who in enumerate(drives)
-    ]
-    terms = _terms(scene, steps, made)
-    features = LINEAR_FEATURES if scene.drive.electrostatic is None else len(FEATURES)
-    wave, _ = _columns(terms, steps, features, actuators)
-    return wave
+        for index, driven in enumerate(np.ones((1, actuators)) if count == 1 else np.eye(actuators))
+    ]  # fmt: skip
+    return _columns(_terms(scene, steps, carriers), steps, scene)[0]
 
 
 def running_sums(wave: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Σ over the steps up to each one, of waves (..., steps, terms), below two in size; and the powers of two (...,
-    terms) by which they were divided.
+    """Return the running sums over the steps of waves (..., steps, terms), scaled below two in size.
 
-    A plate that is linear, does not change and begins at rest answers them with the running sums of its rates, which
-    are its displacements.
+    A linear plate that begins at rest answers them with the running sums of its rates, which are its displacements.
+
+    Returns:
+        The sums, and the powers of two (..., terms) that they were divided by.
     """
     sums = np.cumsum(wave, axis=-2)
-    size = _size(np.abs(sums).max(axis=-2))
+    size = _power_of_two(np.abs(sums).max(axis=-2))
     return sums / size[..., None, :], size
 
 
 def _terms(scene: Scene, steps: int, carriers: Iterable[_Carrier]) -> _Terms:
-    drive, square = scene.drive, scene.drive.electrostatic
-    shaped = drive.burst is not None
-    flat = np.ones(steps)
+    """Return the terms of all carriers; a complex wave is two terms and takes two features."""
+    square, shaped, flat = scene.drive.electrostatic, scene.drive.burst is not None, np.ones(steps)
     terms: _Terms = {}
-    for one in carriers:
-        carrier, frequency, who, start, number = one.wave, one.frequency, one.actuators, one.start, one.number
-        # Actuators share a wave that has the same key: a tone squared is the tone of twice the frequency, a sweep not.
-        other = 0 if frequency and drive.chirp is None else 1
-        shape = one.envelope(1) * carrier
+
+    def add(key: _Key, wave: np.ndarray, feature: int, factor: np.ndarray) -> None:
+        if key not in terms:
+            terms[key] = (wave, np.zeros((len(FEATURES), factor.size)))
+        terms[key][1][feature] += factor
+
+    for carrier in carriers:
+        wave, frequency, driven = carrier.wave, carrier.frequency, carrier.actuators
+        start, number = carrier.start, carrier.number
+        # A tone squared is the tone of twice the frequency, a sweep squared is no sweep.
+        power = 0 if frequency and scene.drive.chirp is None else 1
+        key, shape = (int(shaped), start, frequency, power, number), carrier.envelope(1) * wave
         if square is None:
-            _add(terms, (shaped, start, frequency, other, number), shape, _PHASOR, who)
+            add(key, shape, _PHASOR, driven)
             continue
-        squared = one.envelope(2)
+        squared = carrier.envelope(2)
         if square.bias:
-            _add(terms, (0, 0.0, 0.0, 0, 0), flat, _ONE, square.gain * square.bias**2 * who)
-            _add(terms, (shaped, start, frequency, other, number), shape, _PHASOR, 2 * square.gain * square.bias * who)
-        size = flat if one.steady and not shaped else flat * squared * np.abs(carrier) ** 2
-        of_size = (2 * shaped, start, 0.0, 0 if one.steady else -1, number if shaped else 0)
-        _add(terms, of_size, size, _SQUARE, square.gain / 2 * who)
-        twice = squared * carrier**2
-        of_twice = (2 * shaped, start, 2 * frequency, 2 * other, number)
-        _add(terms, of_twice, twice, _PHASOR_SQUARED, square.gain / 2 * who)
+            add((0, 0.0, 0.0, 0, 0), flat, _ONE, square.gain * square.bias**2 * driven)
+            add(key, shape, _PHASOR, 2 * square.gain * square.bias * driven)
+        size = flat if carrier.steady and not shaped else flat * squared * np.abs(wave) ** 2
+        key = (2 * shaped, start, 0.0, 0 if carrier.steady else -1, number if shaped else 0)
+        add(key, size, _SQUARE, square.gain / 2 * driven)
+        key = (2 * shaped, start, 2 * frequency, 2 * power, number)
+        add(key, squared * wave**2, _PHASOR_SQUARED, square.gain / 2 * driven)
     return terms
 
 
-def step_means(integral: Callable[[np.ndarray], np.ndarray], time_step: float, steps: int) -> np.ndarray:
-    """(steps,) mean of a function over the step around each t_n, from its integral; n = 0 has only the later half.
-
-    What jumps between two steps is then right to second order, as the scheme is, wherever between them it jumps.
-    """
-    edges = time_step * np.concatenate([[0.0], np.arange(steps) + 0.5])
-    means: np.ndarray = np.diff(integral(edges)) / np.diff(edges)
-    return means
-
-
 def _square(scene: Scene) -> int:
-    """By how much the drive multiplies the frequencies of a voltage."""
+    """Return the factor by which the drive multiplies the frequencies of a voltage."""
     return 1 if scene.drive.electrostatic is None else 2
 
 
 def _named_frequencies(scene: Scene) -> Iterator[tuple[str, float, int]]:
-    """Every frequency [Hz] that some actuator or the moving load has at some time, with its key, and by how much the
-    drive multiplies it."""
-    own, load, square = [actuator.frequency for actuator in scene.actuators], scene.effects.moving_load, _square(scene)
-    if scene.drive.signal is not None or None in own:
+    """Yield key, frequency [Hz] and the drive's factor of every tone, end of a sweep and moving load."""
+    frequencies = [actuator.frequency for actuator in scene.actuators]
+    load, square = scene.effects.moving_load, _square(scene)
+    if scene.drive.signal is not None or None in frequencies:
         yield "drive.frequency", scene.drive.frequency, square
-    for index, frequency in enumerate(own):
+    for index, frequency in enumerate(frequencies):
         if frequency is not None:
             yield f"actuators[{index}].frequency", frequency, square
     if scene.drive.chirp is not None:
@@ -277,104 +280,39 @@ def _named_frequencies(scene: Scene) -> Iterator[tuple[str, float, int]]:
 
 
 def _carriers(
-    scene: Scene,
-    time_step: float,
-    steps: int,
-    samples: Samples | None,
-    envelope: Callable[[float, int], np.ndarray],
-    each: bool,
+    scene: Scene, time_step: float, steps: int, samples: Samples | None, per_actuator: bool
 ) -> Iterator[_Carrier]:
-    """Each different carrier with each different start of its burst, or each actuator's.
+    """Yield each different carrier with each different start of its burst, or each actuator's."""
+    frequencies, starts = actuator_frequencies(scene), actuator_delays(scene)
+    burst, chirp = scene.drive.burst, scene.drive.chirp
 
-    ``envelope``: of its start [s] and its power, 1 or 2.
-    """
-    actuators = len(scene.actuators)
-    own, starts = actuator_frequencies(scene), actuator_delays(scene)
-    if each and samples is None:
-        for index, who in enumerate(np.eye(actuators)):
-            start = float(starts[index])
-            tone = _tone(scene, own[index], time_step, steps)
-            yield _Carrier(tone, 1.0, True, who, partial(envelope, start), start, index + 1)
+    def envelope(start: float, power: int) -> np.ndarray:
+        return np.ones(1) if burst is None else burst_means(burst, start, time_step, steps, power)
+
+    if per_actuator and samples is None:
+        for index, driven in enumerate(np.eye(len(scene.actuators))):
+            start, wave = float(starts[index]), tone(chirp, frequencies[index], time_step, steps)
+            yield _Carrier(wave, driven, partial(envelope, start), start=start, number=index + 1)
         return
     # Squaring doubles the band of a file, so only half of it may be filled.
     file = None if samples is None else resample(samples, time_step, steps, 1 / _square(scene))
     for start in dict.fromkeys(starts.tolist()):
-        shape = partial(envelope, start)
+        shape, together = partial(envelope, start), starts == start
         if file is not None:
-            yield _Carrier(file, 0.0, False, (starts == start).astype(float), shape, start)
+            yield _Carrier(file, together.astype(float), shape, 0.0, False, start)
             continue
-        for frequency in dict.fromkeys(own[starts == start].tolist()):
-            who = ((own == frequency) & (starts == start)).astype(float)
-            yield _Carrier(
-                _tone(scene, np.float64(frequency), time_step, steps), frequency, True, who, shape, start
-            )
+        for frequency in dict.fromkeys(frequencies[together].tolist()):
+            driven = ((frequencies == frequency) & together).astype(float)
+            wave = tone(chirp, np.float64(frequency), time_step, steps)
+            yield _Carrier(wave, driven, shape, frequency, True, start)
 
 
-def _tone(scene: Scene, frequency: np.ndarray | np.float64, time_step: float, steps: int) -> np.ndarray:
-    """(..., steps) complex tone, or sweep, from frequencies (..., 1) or () [Hz] at t = 0."""
-    if scene.drive.chirp is None:
-        angle = 2 * math.pi * frequency * time_step * np.arange(steps)
-    else:
-        angle = _sweep(scene.drive.chirp, np.asarray(frequency), time_step * np.arange(steps))
-    return np.cos(angle) + 1j * np.sin(angle)
-
-
-def _sweep(chirp: Chirp, start: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """(..., steps) phase [rad] of a sweep from ``start`` (..., 1) or () [Hz], the integral of 2πf over time."""
-    span, end = chirp.duration, chirp.end_frequency
-    inside = np.minimum(times, span)
-    cycles = inside * (start + (end - start) / 2 * (inside / span))
-    if chirp.law == "logarithmic":
-        growth = np.array([math.log(end / one) for one in start.flat]).reshape(start.shape)
-        grown = start * span / np.where(growth == 0, 1, growth) * np.expm1(growth * (inside / span))
-        cycles = np.where(growth == 0, cycles, grown)
-    angle: np.ndarray = 2 * math.pi * (cycles + end * (times - inside))
-    return angle
-
-
-def _burst(burst: Burst, start: np.ndarray | float, time_step: float, steps: int, power: int) -> np.ndarray:
-    """(..., steps) means over a step of the envelope, or of its square (power 1 or 2), its ramps ½(1 − cos πt/ramp).
-
-    start: (..., 1) or a number [s], instead of the burst's own.
-    """
-    duration, ramp = burst.duration, burst.ramp
-    whole_ramp = ramp / 2 if power == 1 else 3 * ramp / 8
-
-    def risen(time: np.ndarray) -> np.ndarray:
-        """Integral of the rise up to ``time`` within 0 ... ramp."""
-        if not ramp:
-            return 0 * time
-        turn = math.pi / ramp
-        if power == 1:
-            return (time - np.sin(turn * time) / turn) / 2
-        return 3 * time / 8 - np.sin(turn * time) / (2 * turn) + np.sin(2 * turn * time) / (16 * turn)
-
-    def once(time: np.ndarray) -> np.ndarray:
-        top = np.clip(time - ramp, 0, max(duration - 2 * ramp, 0))
-        falling = np.clip(time - (duration - ramp), 0, ramp)
-        return risen(np.clip(time, 0, ramp)) + top + (whole_ramp - risen(ramp - falling))
-
-    def integral(time: np.ndarray) -> np.ndarray:
-        since = time - start
-        past = np.zeros(since.shape) if burst.period is None else np.maximum(np.floor(since / burst.period), 0)
-        each = max(duration - 2 * ramp, 0) + 2 * whole_ramp
-        return past * each + once(since - past * (burst.period or 0.0))
-
-    return step_means(integral, time_step, steps)
-
-
-def _add(terms: _Terms, key: _Key, wave: np.ndarray, feature: int, factor: np.ndarray) -> None:
-    """Put a term in, or onto one with the same wave; a complex wave is two terms, and takes two features."""
-    if key not in terms:
-        terms[key] = (wave, np.zeros((len(FEATURES), factor.size)))
-    terms[key][1][feature] += factor
-
-
-def _columns(terms: _Terms, steps: int, features: int, actuators: int) -> tuple[np.ndarray, np.ndarray]:
-    """Real waves (..., steps, terms) below two in size, and mixing (terms, features, actuators)."""
+def _columns(terms: _Terms, steps: int, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return real waves (..., steps, terms) below two in size, and mixing (terms, features, actuators)."""
+    features = LINEAR_FEATURES if scene.drive.electrostatic is None else len(FEATURES)
     count = sum(2 if np.iscomplexobj(wave) else 1 for wave, _ in terms.values())
     plates = np.broadcast_shapes(*(wave.shape[:-1] for wave, _ in terms.values()))
-    waves, mixing = np.empty((*plates, steps, count)), np.zeros((count, features, actuators))
+    waves, mixing = np.empty((*plates, steps, count)), np.zeros((count, features, len(scene.actuators)))
     column = 0
     for wave, mix in terms.values():
         waves[..., column] = wave.real
@@ -385,13 +323,13 @@ def _columns(terms: _Terms, steps: int, features: int, actuators: int) -> tuple[
             waves[..., column] = wave.imag
             mixing[column] = np.roll(mix, 1, axis=0)[:features]
             column += 1
-    size = _size(np.abs(waves).max(axis=tuple(range(waves.ndim - 1))))
+    size = _power_of_two(np.abs(waves).max(axis=tuple(range(waves.ndim - 1))))
     waves /= size
     waves[..., 0, :] /= 2
     return waves, mixing * size[:, None, None]
 
 
-def _size(largest: np.ndarray) -> np.ndarray:
-    """Powers of two, which round nothing: a gain of a million belongs to the coefficients."""
-    size: np.ndarray = 2.0 ** np.floor(np.log2(np.maximum(largest, 1.0)))
-    return size
+def _power_of_two(largest: np.ndarray) -> np.ndarray:
+    """Return powers of two, at least one and at most ``largest``, to divide by without rounding."""
+    power: np.ndarray = 2.0 ** np.floor(np.log2(np.maximum(largest, 1.0)))
+    return power

@@ -19,17 +19,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
-import scipy.linalg
-import scipy.sparse
-import scipy.sparse.linalg
+import scipy
 
 from warp_plate.plate.bending import (
     Bending,
     buckling_factor,
     make_bending,
     mass_matrix,
+    moving_masses,
     stiffness_matrix,
     with_oscillators,
 )
@@ -40,22 +40,29 @@ from warp_plate.scene.model import Scene
 
 # With so many nodes a side, the end of a periodic plate's spectrum is at most 0.8 % above that of a plate with edges.
 FORMULA_NODES = 24
-# Relative, of the largest eigenvalue: Lanczos' method stops there, sooner beyond so many unknowns, and the limit keeps
+# Relative tolerances of the largest eigenvalue by Lanczos' method, up to FEW unknowns and beyond; the limit keeps
 # MARGIN below what it finds. At 1e-3 it was seen to stop at the second largest of 91, 0.3 % below.
 TOLERANCE, FEW, TOLERANCE_OF_MORE = 1e-6, 4000, 1e-4
 MARGIN = 3e-3
-# Up to so many unknowns all eigenvalues are worked out, and the limit keeps off by rounding alone.
+# Up to DENSE unknowns all eigenvalues are computed, and the limit keeps off by rounding alone.
 DENSE, ROUNDING = 60, 1e-9
-# The search for the time step ends when the largest eigenvalue is 4 to this part; it takes two or three steps.
+# Newton's method for the time step ends when the largest eigenvalue is 4 to this part; it takes two or three steps.
 CLOSE, MOST_SOLVES = 1e-4, 20
+
+Matrices: TypeAlias = "dict[str, scipy.sparse.sparray]"
 
 
 @dataclass(frozen=True)
 class StabilityLimit:
-    """time_step: the largest stable one [s], at most 1 % below the true one and never above; shares: what part each
-    stiffness and loss has in the fastest motion, the sum being 1; frequency: of that motion without losses and steps
-    in time [Hz]; formula: whether it comes from a formula instead of
-    the scene's own matrices; place: (x, y) [m] where the fastest motion is largest, None by formula."""
+    """The stability limit and the fastest motion, which sets it.
+
+    Attributes:
+        time_step: Largest stable time step [s], at most 1 % below the true one and never above.
+        shares: Share of each stiffness and loss in the fastest motion; they add up to 1.
+        frequency: Frequency of the fastest motion without losses and steps in time [Hz].
+        formula: True if the limit comes from a formula, False if from the scene's own matrices.
+        place: (x, y) [m] where the fastest motion is largest; None by formula.
+    """
 
     time_step: float
     shares: Mapping[str, float]
@@ -65,13 +72,13 @@ class StabilityLimit:
 
 
 def find_limit(scene: Scene, moment_form: bool = False) -> tuple[StabilityLimit, Bending | None]:
-    """The limit of a scene with a grid; and the plate as moments, where it goes that way, or ``moment_form`` says so.
+    """Return the limit of a scene with a grid, and the plate in moment form if it needs or ``moment_form`` asks for it.
 
     Raises:
-        SceneError: the plate buckles, or fourth order is asked of one that does not know it.
+        SceneError: The plate buckles, or fourth order is asked of a plate in moment form.
     """
     if not (moment_form or needs_moment_form(scene)):
-        return _limit_of_plain(scene), None
+        return _limit_of_plain_plate(scene), None
     if scene.grid.order == 4:
         raise SceneError(
             "grid.order = 4: knows an isotropic plate, the same everywhere, with clamped and supported edges, viscous "
@@ -81,46 +88,53 @@ def find_limit(scene: Scene, moment_form: bool = False) -> tuple[StabilityLimit,
     _refuse_buckling(scene, bending)
     if _homogeneous(bending) and not scene.effects.oscillators and min(scene.grid.nodes) >= FORMULA_NODES:
         return _by_formula(*_largest_of_homogeneous(scene, bending)), bending
-    stiff, late, masses = _parts(scene, bending)
-    return _by_matrices(scene, stiff, late, masses, np.flatnonzero(bending.moves)), bending
+    stiff, losses = _named_matrices(scene, bending)
+    masses = moving_masses(scene, bending)
+    return _by_matrices(scene, stiff, losses, masses, np.flatnonzero(bending.moves)), bending
 
 
 def time_step_limit(kappa: float, spacing: tuple[float, float], backward_loss: float = 0.0, order: int = 2) -> float:
-    """A stable time step [s] of a plain plate; κ [m²/s], spacing [m], c/ρH [1/s] where damping is taken backward.
+    """Return a stable time step [s] of a plain plate.
 
     The largest eigenvalue of the discrete κ²∇⁴ is at most Λ = κ²(s/hx² + s/hy²)², s = 4 for second order and 16/3 for
     fourth: there the spectrum of a periodic plate ends, and edges only lower it (of second order they are even and odd
     mirror images; of fourth see tests/plate/test_operator.py). Undamped or with centred damping the scheme is stable
     for Λ Δt² ≤ 4 (κΔt/h² ≤ 1/4 or 3/16 on square cells); with backward damping for Λ Δt² ≤ 4 − 2cΔt/ρH.
+
+    Args:
+        kappa: κ = √(D/ρH) [m²/s].
+        spacing: (hx, hy) [m].
+        backward_loss: c/ρH [1/s] of damping that is taken backward in time.
+        order: Order of the differences in space, 2 or 4.
     """
     largest = kappa**2 * (LARGEST[order] / spacing[0] ** 2 + LARGEST[order] / spacing[1] ** 2) ** 2
     return _root(largest, backward_loss)
 
 
 def viscous_damping(scene: Scene) -> tuple[float, bool]:
-    """All viscous damping [N·s/m³], and whether it is taken backward in time."""
+    """Return all viscous damping [N·s/m³], and whether it is taken backward in time."""
     damping, bed = scene.effects.damping, scene.effects.foundation
     viscous = (damping.viscous if damping else 0.0) + (bed.damping if bed else 0.0)
     return viscous, damping is not None and damping.scheme == "backward"
 
 
 def needs_moment_form(scene: Scene) -> bool:
-    """Whether a scene is more than a plain plate with viscous damping under one carrier, and goes the general way."""
+    """Return whether a scene is more than a uniform plate with viscous damping under one carrier."""
     effects = scene.effects
-    rest = (
+    tables = (
         effects.material_damping, effects.tension, effects.foundation, effects.stretching, effects.moving_load,
         scene.drive.electrostatic,
     )  # fmt: skip
-    named = any(table is not None for table in rest) or bool(effects.oscillators)
+    named = any(table is not None for table in tables) or bool(effects.oscillators)
     return not scene.uniform or named or waves_apart(scene) > 1
 
 
 def plain_edge(edge: object) -> str:
-    """An edge as the plain plate has it; where it has not, its taps are not used."""
+    """Return an edge as the plain plate has it; the taps of other edges are not used."""
     return "clamped" if edge == "clamped" else "supported"
 
 
-def _limit_of_plain(scene: Scene) -> StabilityLimit:
+def _limit_of_plain_plate(scene: Scene) -> StabilityLimit:
     plate, (nx, ny), order = scene.plate, scene.grid.nodes, scene.grid.order
     spacing = (plate.size[0] / (nx - 1), plate.size[1] / (ny - 1))
     surface_density = plate.density * plate.thickness
@@ -133,77 +147,72 @@ def _limit_of_plain(scene: Scene) -> StabilityLimit:
     taps_x = make_taps(nx, plain_edge(scene.edges.left), plain_edge(scene.edges.right), order)
     taps_y = make_taps(ny, plain_edge(scene.edges.bottom), plain_edge(scene.edges.top), order)
     matrix = biharmonic(taps_x, taps_y, spacing, order)
-    one = scipy.sparse.eye_array(matrix.shape[0])
     inner = np.add.outer(nx * np.arange(1, ny - 1), np.arange(1, nx - 1)).ravel()
-    stiff, late = {"bending": kappa_squared * matrix}, {"backward damping": loss * one}
-    return _by_matrices(scene, stiff, late, np.ones(matrix.shape[0]), inner)
+    losses = {"backward damping": loss * scipy.sparse.eye_array(matrix.shape[0])}
+    return _by_matrices(scene, {"bending": kappa_squared * matrix}, losses, np.ones(matrix.shape[0]), inner)
 
 
-def _root(largest: float, late: float) -> float:
-    """The positive root of Λ Δt² + 2 b Δt − 4 = 0, written so that it does not cancel for large b."""
-    return 4 / (late + math.sqrt(late**2 + 4 * largest))
+def _root(stiff: float, loss: float) -> float:
+    """Return the positive root of Λ Δt² + 2 b Δt − 4 = 0, written so that it does not cancel for large b."""
+    return 4 / (loss + math.sqrt(loss**2 + 4 * stiff))
 
 
-def _by_formula(stiff: Mapping[str, float], late: Mapping[str, float]) -> StabilityLimit:
-    """From the largest eigenvalue of each part [1/s², 1/s], all of one motion."""
-    step = _root(sum(stiff.values()), sum(late.values()))
-    parts = {name: value * step**2 / 4 for name, value in stiff.items()}
-    parts |= {name: value * step / 2 for name, value in late.items()}
+def _by_formula(stiff: Mapping[str, float], losses: Mapping[str, float]) -> StabilityLimit:
+    """Return the limit from the largest eigenvalue of each part [1/s², 1/s], all of one motion."""
+    step = _root(sum(stiff.values()), sum(losses.values()))
+    shares = {name: value * step**2 / 4 for name, value in stiff.items()}
+    shares |= {name: value * step / 2 for name, value in losses.items()}
     frequency = math.sqrt(sum(stiff.values())) / (2 * math.pi)
-    return StabilityLimit(step, {name: part for name, part in parts.items() if part}, frequency, True)
+    return StabilityLimit(step, {name: share for name, share in shares.items() if share}, frequency, True)
 
 
 def _by_matrices(
-    scene: Scene,
-    stiff: Mapping[str, scipy.sparse.sparray],
-    late: Mapping[str, scipy.sparse.sparray],
-    masses: np.ndarray,
-    nodes: np.ndarray,
+    scene: Scene, stiff: Matrices, losses: Matrices, masses: np.ndarray, nodes: np.ndarray
 ) -> StabilityLimit:
-    """From parts of K and C, whose first unknowns are these nodes of the grid, counted row by row.
+    """Return the limit from parts of K and C, whose first unknowns are these nodes of the grid, counted row by row.
 
     The largest eigenvalue of A(Δt) rises with Δt as a maximum of quadratics, so that the root of the quadratic of its
     eigenvector is too long a step and the next try closer (Newton's method).
     """
     root = scipy.sparse.diags_array(1 / np.sqrt(masses))
-    whole_stiff = scipy.sparse.csr_array(root @ sum(stiff.values()) @ root)
-    whole_late = root @ sum(late.values(), start=0 * whole_stiff) @ root
-    scale = 1 / math.sqrt(abs(whole_stiff).sum(axis=1).max())
-    step, margin = scale, ROUNDING if len(masses) <= DENSE else MARGIN
+    stiffness = scipy.sparse.csr_array(root @ sum(stiff.values()) @ root)
+    loss = root @ sum(losses.values(), start=0 * stiffness) @ root
+    step = 1 / math.sqrt(abs(stiffness).sum(axis=1).max())
     for _ in range(MOST_SOLVES):
-        largest, vector = _largest(step**2 * whole_stiff + 2 * step * whole_late)
+        largest, vector = _largest_eigenpair(step**2 * stiffness + 2 * step * loss)
         if abs(largest / 4 - 1) < CLOSE:
             break
-        step = _root(float(vector @ (whole_stiff @ vector)), float(vector @ (whole_late @ vector)))
+        step = _root(float(vector @ (stiffness @ vector)), float(vector @ (loss @ vector)))
     shape = root @ vector
-    parts = {name: step**2 * float(shape @ (part @ shape)) / largest for name, part in stiff.items()}
-    parts |= {name: 2 * step * float(shape @ (part @ shape)) / largest for name, part in late.items()}
-    shares = {name: part for name, part in parts.items() if abs(part) > 1e-6}
+    shares = {name: step**2 * float(shape @ (part @ shape)) / largest for name, part in stiff.items()}
+    shares |= {name: 2 * step * float(shape @ (part @ shape)) / largest for name, part in losses.items()}
     node = nodes[np.argmax(np.abs(shape[: len(nodes)]))]
     (nx, ny), size = scene.grid.nodes, scene.plate.size
-    place = (node % nx * size[0] / (nx - 1), node // nx * size[1] / (ny - 1))
     # A shorter step lowers the eigenvalue by its own part at least, without losses by twice that.
-    over = max(1.0, largest / 4) * (1 + margin)
-    frequency = math.sqrt(float(vector @ (whole_stiff @ vector))) / (2 * math.pi)
-    return StabilityLimit(step / (over if whole_late.nnz else math.sqrt(over)), shares, frequency, False, place)
+    over = max(1.0, largest / 4) * (1 + (ROUNDING if len(masses) <= DENSE else MARGIN))
+    return StabilityLimit(
+        time_step=step / (over if loss.nnz else math.sqrt(over)),
+        shares={name: share for name, share in shares.items() if abs(share) > 1e-6},
+        frequency=math.sqrt(float(vector @ (stiffness @ vector))) / (2 * math.pi),
+        formula=False,
+        place=(node % nx * size[0] / (nx - 1), node // nx * size[1] / (ny - 1)),
+    )
 
 
-def _largest(matrix: scipy.sparse.csr_array) -> tuple[float, np.ndarray]:
-    """Largest eigenvalue of a symmetric matrix and its vector."""
+def _largest_eigenpair(matrix: scipy.sparse.csr_array) -> tuple[float, np.ndarray]:
+    """Return the largest eigenvalue of a symmetric matrix and its vector."""
     if matrix.shape[0] <= DENSE:
         values, vectors = scipy.linalg.eigh(matrix.toarray())
         return float(values[-1]), vectors[:, -1]
-    # A start of no symmetry: one that a symmetric plate shares may have no part of the mode that is looked for.
+    # Started from a vector without symmetry: a symmetric one may have no part of the mode looked for.
     start = np.random.default_rng(0).normal(size=matrix.shape[0])
     tolerance = TOLERANCE if matrix.shape[0] <= FEW else TOLERANCE_OF_MORE
     values, vectors = scipy.sparse.linalg.eigsh(matrix, k=1, which="LA", tol=tolerance, v0=start)
     return float(values[0]), vectors[:, 0]
 
 
-def _parts(
-    scene: Scene, bending: Bending
-) -> tuple[dict[str, scipy.sparse.sparray], dict[str, scipy.sparse.sparray], np.ndarray]:
-    """Parts of K [N/m] and C [N·s/m] by name, and the masses [kg]: of moving nodes, then of what oscillators hang."""
+def _named_matrices(scene: Scene, bending: Bending) -> tuple[Matrices, Matrices]:
+    """Return the parts of K [N/m] and of C [N·s/m] by name."""
     effects = scene.effects
     moves = np.flatnonzero(bending.moves)
     area = mass_matrix(bending) / bending.mass.ravel()
@@ -212,38 +221,38 @@ def _parts(
         kept = scipy.sparse.csr_array(matrix)[moves][:, moves]
         return with_oscillators(scene, kept, moves, [0.0] * len(effects.oscillators))
 
-    none = np.zeros_like(bending.spring)
-    bare = stiffness_matrix(replace(bending, spring=none, tension=(0.0, 0.0)))
+    no_spring = np.zeros_like(bending.spring)
+    bare = stiffness_matrix(replace(bending, spring=no_spring, tension=(0.0, 0.0)))
     stiff = {"bending": of_plate(bare)}
     if effects.tension:
-        stiff["tension"] = of_plate(stiffness_matrix(replace(bending, spring=none)) - bare)
+        stiff["tension"] = of_plate(stiffness_matrix(replace(bending, spring=no_spring)) - bare)
     if bending.spring.any():
         stiff["bed and springs of edges"] = of_plate(scipy.sparse.diags_array(area * bending.spring.ravel()))
     empty = 0 * scipy.sparse.csr_array(bare)[moves][:, moves]
     if effects.oscillators:
-        stiff["oscillators"] = with_oscillators(scene, empty, moves, [one.stiffness for one in effects.oscillators])
-    late = {}
+        springs = [oscillator.stiffness for oscillator in effects.oscillators]
+        stiff["oscillators"] = with_oscillators(scene, empty, moves, springs)
+    losses = {}
     viscous, backward = viscous_damping(scene)
     if backward and viscous:
-        late["backward damping"] = of_plate(scipy.sparse.diags_array(viscous * area))
+        losses["backward damping"] = of_plate(scipy.sparse.diags_array(viscous * area))
     if effects.material_damping and effects.material_damping.time:
-        late["material damping"] = effects.material_damping.time * stiff["bending"]
-    if any(one.damping for one in effects.oscillators):
-        dampers = [one.damping for one in effects.oscillators]
-        late["dampers of oscillators"] = with_oscillators(scene, empty, moves, dampers)
-    hung = [one.mass for one in effects.oscillators if one.mass > 0]
-    return stiff, late, np.concatenate([mass_matrix(bending)[moves], hung])
+        losses["material damping"] = effects.material_damping.time * stiff["bending"]
+    dampers = [oscillator.damping for oscillator in effects.oscillators]
+    if any(dampers):
+        losses["dampers of oscillators"] = with_oscillators(scene, empty, moves, dampers)
+    return stiff, losses
 
 
 def _homogeneous(bending: Bending) -> bool:
-    """Whether all nodes but those on edges are alike, and springs are the same everywhere."""
+    """Return whether all nodes but those on edges are alike, and springs are the same everywhere."""
     inner = (slice(1, -1), slice(1, -1))
     fields = (bending.bend_xx[inner], bending.bend_xy[inner], bending.bend_yy[inner], bending.twist, bending.mass)
     return all(np.ptp(field) <= 1e-12 * np.abs(field).max() for field in (*fields, bending.spring))
 
 
 def _largest_of_homogeneous(scene: Scene, bending: Bending) -> tuple[dict[str, float], dict[str, float]]:
-    """Where the spectrum of the periodic plate ends [1/s²], and the losses of that motion [1/s], by name."""
+    """Return the ends of the periodic plate's spectrum [1/s²], and the losses of that motion [1/s], by name."""
     (hx, hy), (tension_x, tension_y), mass = bending.spacing, bending.tension, float(bending.mass[0, 0])
     middle = bending.mass.shape[0] // 2, bending.mass.shape[1] // 2
     mixed = bending.bend_xy[middle] + bending.twist[middle] / 2  # D1 + 2Dxy
@@ -262,14 +271,13 @@ def _largest_of_homogeneous(scene: Scene, bending: Bending) -> tuple[dict[str, f
 
 
 def _refuse_buckling(scene: Scene, bending: Bending) -> None:
-    # What presses, alone, is quickly found and mostly enough: what pulls only helps.
+    # Compression alone is quickly checked and mostly enough: tension only helps.
     x, y = bending.tension
     if min(x, y) >= 0 or buckling_factor(scene, replace(bending, tension=(min(x, 0.0), min(y, 0.0)))) > 1:
         return
     factor = buckling_factor(scene, bending)
     if factor <= 1:
-        x, y = (factor * pull for pull in bending.tension)
         raise SceneError(
-            f"effects.tension = {{x = {bending.tension[0]:g}, y = {bending.tension[1]:g}}}: the plate buckles; the "
-            f"critical load is x = {x:.4g}, y = {y:.4g} N/m, {factor:.3g} of this one"
+            f"effects.tension = {{x = {x:g}, y = {y:g}}}: the plate buckles; the "
+            f"critical load is x = {factor * x:.4g}, y = {factor * y:.4g} N/m, {factor:.3g} of this one"
         )

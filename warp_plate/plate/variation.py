@@ -1,4 +1,4 @@
-"""Factors of thickness, stiffness and density at the nodes, from the arrays of a scene and of its files."""
+"""Variation of thickness, stiffness and density over the plate, from arrays in the scene or in files."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from warp_plate.scene.model import Scene
 
 
 def factors_at_nodes(scene: Scene) -> dict[str, np.ndarray]:
-    """(ny, nx) factors by the names ``thickness``, ``young_modulus``, ``density``; ones where the scene has no array.
+    """Return (ny, nx) factors of thickness, young_modulus and density by name; ones where the scene has no array.
 
-    Bilinear between the numbers of an array, as they are and not averaged: an array finer than the grid is sampled.
+    Arrays are interpolated bilinearly and not averaged: one finer than the grid is sampled.
 
     Raises:
-        SceneError: a file that cannot be read or holds no such array, or a plate that is not thin everywhere; one line.
+        SceneError: A file cannot be read or holds no such array, or the plate is not thin everywhere.
     """
     (nx, ny), variation = scene.grid.nodes, scene.effects.variation
-    made = {key: np.ones((ny, nx)) for key in Variation.model_fields}
+    factors = {key: np.ones((ny, nx)) for key in Variation.model_fields}
     for key, given in variation or ():
         if given is None:
             continue
@@ -33,8 +33,8 @@ def factors_at_nodes(scene: Scene) -> dict[str, np.ndarray]:
                 scene.plate.check_thin(scene.plate.thickness * array.max())
         except ValueError as error:
             raise error if isinstance(error, SceneError) else SceneError(f"{head}: {error}") from None
-        made[key] = _spread(_spread(array, ny).T, nx).T
-    return made
+        factors[key] = _interpolate(_interpolate(array, ny).T, nx).T
+    return factors
 
 
 def _read(key: str, name: str, folder: Path | None) -> list[list[float]]:
@@ -50,10 +50,10 @@ def _read(key: str, name: str, folder: Path | None) -> list[list[float]]:
     return [row for _, row in rows]
 
 
-def _spread(values: np.ndarray, count: int) -> np.ndarray:
-    """(count, ...) of (rows, ...): linear in between, from the first to the last."""
+def _interpolate(values: np.ndarray, count: int) -> np.ndarray:
+    """Return (count, ...) evenly spaced values, linear between the rows (rows, ...), from the first to the last."""
     where = np.linspace(0, len(values) - 1, count)
     low = np.minimum(where.astype(int), max(len(values) - 2, 0))
     high, part = np.minimum(low + 1, len(values) - 1), (where - low)[:, None]
-    spread: np.ndarray = (1 - part) * values[low] + part * values[high]
-    return spread
+    interpolated: np.ndarray = (1 - part) * values[low] + part * values[high]
+    return interpolated

@@ -1,4 +1,4 @@
-"""How much of each node belongs to an area: weights for loads and for the regions of the energy.
+"""Weights of the nodes in an area, for loads and for the regions of the energy.
 
 By overlap, a node's weight is the part of its cell (half a spacing to each side) that the area covers, so that
 errors fall as h² and a node on a mid-line counts half to each side. By moments, it is the integral over the area of
@@ -19,7 +19,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Area, Scene, Target
 
 REGIONS = ("plate", "target")
-# A rectangle x0, x1, y0, y1 [m], a shape, or weights (ny, nx) in cells.
+# x0, x1, y0, y1 [m] of a rectangle; a shape; or weights (ny, nx) in cells.
 Region = Area | Target | np.ndarray
 NO_AREAS: Mapping[str, Region] = MappingProxyType({})
 # The nodes of each side in an array (ny, nx).
@@ -28,7 +28,7 @@ _PLATE, _TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
 
 def overlap(positions: np.ndarray, low: float, high: float) -> np.ndarray:
-    """(nodes,) covered part of each node's cell along one axis, in units of the spacing [m → 1]."""
+    """Return (nodes,) covered part of each node's cell along one axis, in spacings; ends in m."""
     half = (positions[1] - positions[0]) / 2
     left = np.maximum(positions - half, max(low, positions[0]))
     right = np.minimum(positions + half, min(high, positions[-1]))
@@ -36,16 +36,16 @@ def overlap(positions: np.ndarray, low: float, high: float) -> np.ndarray:
 
 
 def inside(positions: np.ndarray, low: float, high: float) -> np.ndarray:
-    """(nodes,) one for the nodes from ``low`` to ``high``, both included up to rounding, else zero."""
+    """Return (nodes,) one for the nodes from ``low`` to ``high`` [m], both included up to rounding, else zero."""
     slack = 1e-9 * (positions[-1] - positions[0])
     return ((positions >= low - slack) & (positions <= high + slack)).astype(float)
 
 
 def moments(positions: np.ndarray, low: float, high: float) -> np.ndarray:
-    """(nodes,) integral from ``low`` to ``high`` of what is one at a node and zero at the others, in spacings [m → 1].
+    """Return (nodes,) integrals from ``low`` to ``high`` [m] of the nodes' Lagrange polynomials, in spacings.
 
-    Between two nodes it is the cubic through these and the next on each side; in the first and last interval through
-    the four outermost. So Σ weights · g(node) · spacing is the integral of g, exactly for cubics.
+    Between two nodes the polynomials are the cubics through these and the next on each side; in the first and last
+    interval through the four outermost. So Σ weights · g(node) · spacing is the integral of g, exactly for cubics.
     """
     spacing = positions[1] - positions[0]
     ends = np.clip((np.array([low, high]) - positions[0]) / spacing, 0, positions.size - 1)
@@ -64,14 +64,14 @@ CUBICS = np.vander([-1.5, -0.5, 0.5, 1.5], 4, increasing=True).T
 
 
 def patches(scene: Scene) -> np.ndarray:
-    """(actuators, ny, nx): share of each node's whole cell on which each actuator presses; held nodes take none.
+    """Return (actuators, ny, nx) share of each node's cell that each actuator loads; held nodes take none.
 
     Raises:
-        SceneError: an actuator touches no node that can move.
+        SceneError: An actuator touches no node that can move.
     """
     weigh = {"overlap": overlap, "nodes": inside, "moments": moments}[scene.grid.load]
     x, y = node_positions(scene)
-    fields = np.stack([_product(weigh, x, y, actuator.area) for actuator in scene.actuators])
+    fields = np.stack([_rectangle(weigh, x, y, actuator.area) for actuator in scene.actuators])
     fields[:, ~moving_nodes(scene)] = 0
     for index, field in enumerate(fields):
         if not field.any():
@@ -83,20 +83,25 @@ def patches(scene: Scene) -> np.ndarray:
 
 
 def reachable_nodes(scene: Scene, areas: np.ndarray) -> np.ndarray:
-    """(ny, nx) whether a node that moves is loaded by a patch somewhere in one of ``areas`` (areas, 4) x0, x1, y0, y1
-    [m]: those under it and, by moments, two more on each side."""
-    found, beyond = np.zeros(scene.grid.nodes[::-1], dtype=bool), 2 if scene.grid.load == "moments" else 0
+    """Return (ny, nx), true for moving nodes that a patch anywhere within one of the areas may load.
+
+    Args:
+        scene: The scene.
+        areas: (areas, 4) x0, x1, y0, y1 [m].
+    """
+    reachable = np.zeros(scene.grid.nodes[::-1], dtype=bool)
+    beyond = 2 if scene.grid.load == "moments" else 0  # nodes on each side of the area
     for x0, x1, y0, y1 in areas:
-        reached = []
+        spans = []
         for low, high, side, count in ((y0, y1, 1, scene.grid.nodes[1]), (x0, x1, 0, scene.grid.nodes[0])):
             spacing, node = scene.plate.size[side] / (count - 1), np.arange(count)
-            reached.append((node >= np.floor(low / spacing) - beyond) & (node <= np.ceil(high / spacing) + beyond))
-        found |= np.outer(*reached)
-    return found & moving_nodes(scene)
+            spans.append((node >= np.floor(low / spacing) - beyond) & (node <= np.ceil(high / spacing) + beyond))
+        reachable |= np.outer(*spans)
+    return reachable & moving_nodes(scene)
 
 
 def moving_nodes(scene: Scene) -> np.ndarray:
-    """(ny, nx) whether a node moves: all but those on clamped and supported edges."""
+    """Return (ny, nx), true for nodes that move: all but those on clamped and supported edges."""
     moves = np.ones(scene.grid.nodes[::-1], dtype=bool)
     for side, line in EDGE_LINES.items():
         if getattr(scene.edges, side) in ("clamped", "supported"):
@@ -105,21 +110,20 @@ def moving_nodes(scene: Scene) -> np.ndarray:
 
 
 def region_weights(scene: Scene, areas: Mapping[str, Region] = NO_AREAS) -> np.ndarray:
-    """(regions, ny, nx) weights of the REGIONS and of further ``areas`` by name, in cells; times hx·hy areas [m²].
+    """Return (regions, ny, nx) weights of the REGIONS and of further ``areas`` by name, in cells.
 
-    By moments where loads are weighed so, else by overlap.
+    They are by moments where loads are, else by overlap.
 
     Raises:
-        SceneError: a target of which no node that moves has a part, or whose mask cannot be read.
+        SceneError: A target covers no node that moves, or its mask cannot be read.
     """
     width, height = scene.plate.size
-    own: dict[str, Region] = {"plate": (0.0, width, 0.0, height), "target": scene.target}
-    regions = {**{name: own[name] for name in REGIONS}, **areas}
+    regions: dict[str, Region] = {"plate": (0.0, width, 0.0, height), "target": scene.target, **areas}
     return np.stack([weigh_region(scene, name, region) for name, region in regions.items()])
 
 
 def localization_factor(energy: np.ndarray) -> np.ndarray:
-    """(plates,) share of the kinetic energy (plates, regions) in the target, equation (5); NaN for a plate at rest."""
+    """Return (plates,) target's share of the energy (plates, regions), equation (5); NaN for a plate at rest."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return energy[:, _TARGET] / energy[:, _PLATE]
 
@@ -127,7 +131,7 @@ def localization_factor(energy: np.ndarray) -> np.ndarray:
 def bilinear(
     points: Sequence[tuple[float, float]], nodes: tuple[int, int], size: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(points, 4, 2) row and column of the nodes around each point (x, y) [m], and (points, 4) their shares."""
+    """Return (points, 4, 2) row and column of the nodes around points (x, y) [m], and (points, 4) their shares."""
     where = np.asarray(points, dtype=float).reshape(-1, 2) / size * (np.array(nodes) - 1)
     low = np.clip(np.floor(where).astype(int), 0, np.array(nodes) - 2)
     part = where - low
@@ -139,7 +143,7 @@ def bilinear(
 
 
 def node_positions(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """x (nx,) and y (ny,) of the nodes [m]."""
+    """Return x (nx,) and y (ny,) of the nodes [m]."""
     (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
     return np.linspace(0, width, nx), np.linspace(0, height, ny)
 
@@ -149,7 +153,7 @@ def weigh_region(scene: Scene, name: str, region: Region) -> np.ndarray:
     if isinstance(region, np.ndarray):
         return region
     if not isinstance(region, Target):
-        return _product(moments if scene.grid.load == "moments" else overlap, *node_positions(scene), region)
+        return _rectangle(moments if scene.grid.load == "moments" else overlap, *node_positions(scene), region)
     key = name if name == "target" else f"targets ({name!r})"
     field = shape_weights(scene, key, region) if region.area is None else weigh_region(scene, name, region.area)
     if not field[moving_nodes(scene)].any():
@@ -161,6 +165,6 @@ def weigh_region(scene: Scene, name: str, region: Region) -> np.ndarray:
     return field
 
 
-def _product(weigh: Callable[..., np.ndarray], x: np.ndarray, y: np.ndarray, area: Area) -> np.ndarray:
+def _rectangle(weigh: Callable[..., np.ndarray], x: np.ndarray, y: np.ndarray, area: Area) -> np.ndarray:
     x0, x1, y0, y1 = area
     return np.outer(weigh(y, y0, y1), weigh(x, x0, x1))
