@@ -24,13 +24,9 @@ import numpy as np
 
 from warp_plate import Scene, SceneError
 from warp_plate.bench.machine import busy, describe_machine, describe_versions
-from warp_plate.cluster.blocks import Blocks, plates_of_block
-from warp_plate.cluster.frames import encode
-from warp_plate.cluster.opening import open_pool
-from warp_plate.cluster.pool import Pool, Task
-from warp_plate.cluster.scheduler import spread
-from warp_plate.cluster.tasks import run_block
-from warp_plate.plate.designs import Designs
+from warp_plate.cluster.evaluator import block_size
+from warp_plate.cluster.pool import WorkerPool, open_pool
+from warp_plate.cluster.scheduler import Task, run_tasks
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.problem import Problem, make_nominal_problem
 
@@ -42,7 +38,12 @@ PARTS = ("ask", "losses", "tell")
 
 
 class Search:
-    """A problem's swarm, a generation at a time; seconds: of the PARTS of those that count; losses: of all, by hash."""
+    """A problem's swarm, a generation at a time.
+
+    Attributes:
+        seconds: Durations of the PARTS of each generation that counts.
+        losses: Hashes of the losses of all generations.
+    """
 
     def __init__(self, problem: Problem, plates: int, generations: int) -> None:
         search = problem.scene.search.model_copy(update={"particles": plates, "iterations": generations})
@@ -52,7 +53,7 @@ class Search:
         self._searcher = make_optimizer(search, problem.space, 0)
 
     def generation(self, counts: bool) -> None:
-        """Ask, losses and tell, once."""
+        """Run one generation."""
         marks = [time.perf_counter()]
         positions = self._searcher.ask()
         marks.append(time.perf_counter())
@@ -65,37 +66,36 @@ class Search:
             self.seconds.append(np.diff(marks).tolist())
 
     def row(self) -> dict[str, object]:
-        """Medians of the generations that count [s]."""
+        """Return medians over the generations that count [s]."""
         whole, parts = np.sum(self.seconds, axis=1), np.median(self.seconds, axis=0).tolist()
         return {
             "seconds": float(np.median(whole)), "each": whole.tolist(), "parts": dict(zip(PARTS, parts, strict=True))
         }  # fmt: skip
 
 
-def shipping(pool: Pool, problem: Problem) -> dict[str, object]:
-    """What a block costs beside its plates: bytes there and back, and milliseconds of a task that does nothing, with
-    so many bytes on its way there and without."""
-    designs = Designs(np.ones((4096, len(problem.scene.actuators)), complex))
-    (task,) = Blocks(designs, [slice(0, 4096)], "0" * 64)
-    there, back = sum(map(len, encode(task.payload))), 8 * len(problem.drive_solver.specialized.regions) * 4096
-    found: dict[str, object] = {"plates": 4096, "bytes_there": there, "bytes_back": back}
+def shipping(pool: WorkerPool, problem: Problem) -> dict[str, object]:
+    """Return what sending a block costs: bytes there and back, and milliseconds of a task that does nothing, without
+    them and with them."""
+    plates, actuators = 4096, len(problem.scene.actuators)
+    there, back = 16 * actuators * plates, 8 * len(problem.drive_solver.specialized.regions) * plates
+    found: dict[str, object] = {"plates": plates, "bytes_there": there, "bytes_back": back}
     for name, size in (
         ("milliseconds_empty", 0),
         ("milliseconds_with_bytes", there),
         ("milliseconds_of_16_MiB", 2**24),
     ):
-        # (A recipe that no worker knows: the answer is that it is wanted.)
-        payload = {"digest": "0" * 64, "ballast": np.zeros(size, np.uint8)}
         taken = []
         for _ in range(21):
             started = time.perf_counter()
-            list(spread(pool, [Task(run_block, payload)]))
+            list(run_tasks(pool, [Task(len, np.zeros(size, np.uint8))]))
             taken.append(time.perf_counter() - started)
         found[name] = 1e3 * float(np.median(taken))
     return found
 
 
-def measure(scene: Scene, device: str, pools: dict[str, Pool], plates: int, generations: int) -> dict[str, object]:
+def measure(
+    scene: Scene, device: str, pools: dict[str, WorkerPool], plates: int, generations: int
+) -> dict[str, object]:
     """A row for this process and for each pool, by its name, and how much faster each is than the first pool.
 
     Raises:
@@ -115,7 +115,7 @@ def measure(scene: Scene, device: str, pools: dict[str, Pool], plates: int, gene
     first = next(iter(pools))
     return {
         "plates": plates,
-        "plates_of_block": plates_of_block(problems[HERE].drive_solver.node_steps_per_plate, kind)[0],
+        "plates_of_block": block_size(problems[HERE].drive_solver.node_steps_per_plate, kind),
         "rows": rows,
         "speed_over_first": {name: float(rows[first]["seconds"]) / float(rows[name]["seconds"]) for name in pools},
         "shipping": {name: shipping(pool, problems[name]) for name, pool in pools.items()},
@@ -146,7 +146,7 @@ def main() -> None:
                 for name, (devices, cluster) in asked.items()
             }
             found = measure(Scene.load("paper"), device, pools, given.plates, given.generations)
-            words = {name: pool.words for name, pool in pools.items()}
+            words = {name: pool.description for name, pool in pools.items()}
         machine = describe_machine([device])
     except SceneError as error:
         parser.error(str(error))

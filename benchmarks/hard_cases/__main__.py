@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from hard_cases.case import Case, Measured, Where
 from hard_cases.catalogue import CASES
 from warp_plate.solve.devices import find_device
-from warp_plate.studies.localize import device_name, versions
+from warp_plate.studies.provenance import device_name, versions
 
 PRECISIONS = ("float32", "float64")
 # Of the picture: panels in a row, how curves of both precisions look, and the colours of plates.

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from inline_pool import InlinePool
 
 from warp_plate import Scene, SceneError, load_sweep
 from warp_plate.cli import output
-from warp_plate.cluster import opening
-from warp_plate.cluster.pool import Here, WorkersGone
+from warp_plate.cluster.pool import WorkersGone
 from warp_plate.result.atomic_io import check_seal
 from warp_plate.result.sweep import REFUSED, save_sweep
 from warp_plate.scene.dump import dump_scene
@@ -243,11 +243,11 @@ def test_beside_a_cluster_the_device_is_its_workers(panel, command, monkeypatch)
 
     @contextmanager
     def open_pool(devices, cluster, device, tell):
-        pool = Here()
+        pool = InlinePool()
         opened.append(device)
         yield pool
 
-    monkeypatch.setattr(opening, "open_pool", open_pool)
+    monkeypatch.setattr("warp_plate.cluster.pool.open_pool", open_pool)
     away = ("--cluster", "tcp://far:8786", "--device", "cuda:99", "--no-pictures")
     searched = ("panel.toml", *away, "--evaluator", "direct", "--json")
     status, out, err = command.func("localize", *searched, "--no-estimate", "--no-spectrum", "--baselines")

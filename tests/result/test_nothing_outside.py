@@ -22,7 +22,7 @@ FORBIDDEN_ATTRIBUTES = {"popen", "execv", "spawnv", "fromstring"}
 # Starts itself once more to try out a drawing library or as a worker, asks the machine for its name, or writes a movie:
 # fixed words, no shell.
 STARTS_PROCESSES = {
-    "viz/availability.py", "viz/pictures.py", "warp_plate/bench/machine.py", "warp_plate/cluster/processes.py",
+    "viz/availability.py", "viz/pictures.py", "warp_plate/bench/machine.py",
 }  # fmt: skip
 # Serves a page on 127.0.0.1, and opens it.
 SERVES = {"viz/explorer_page.py": {"asyncio", "socket"}, "warp_plate/cli/explore.py": {"webbrowser"}}

@@ -1,19 +1,11 @@
 """Parts of a run, and runs begun before others end, share states in turns: no bit changes, whatever is cut short."""
 
-import os
-import subprocess
-import sys
-from collections import OrderedDict
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import warp as wp
 
 from warp_plate import PlateSolver, SceneError
-from warp_plate.cluster import tasks as work
-from warp_plate.cluster.frames import receive, send
 from warp_plate.plate.designs import Designs
 from warp_plate.solve.batching import LARGEST_PART, TURNS, part_sizes
 
@@ -64,91 +56,6 @@ def test_runs_begun_before_others_end_change_no_bit(overlaps, device, path, scen
         np.testing.assert_array_equal(run.energy, right.energy)
     assert solver.node_steps == sum(run.node_steps for run in whole)
     assert not solver._ends
-
-
-# A worker whose tasks say what becomes of them; its GPU is done with one when so many are begun.
-WORKER = """
-import sys, time
-from warp_plate.cluster import tasks as work, worker
-
-begun = []
-
-def say(*words):
-    print(*words, file=sys.stderr, flush=True)
-
-def begin(name, payload, caught):
-    begun.append(payload["done when"])
-    say("begun", name)
-    return lambda: (say("waited for", name), {"value": {}})[1]
-
-def gpu_end():
-    def wait(until=begun[-1]):
-        while len(begun) < abs(until):
-            time.sleep(1e-3)
-        if until < 0:
-            raise RuntimeError("of CUDA")
-    return wait if begun[-1] else None
-
-work.begin, work.gpu_end = begin, gpu_end
-worker.main()
-"""
-AT_ONCE = [f"{word} {name}" for name in "abc" for word in ("begun", "waited for")]
-
-
-@pytest.mark.parametrize(
-    ("done_when", "order"),
-    [
-        ((3, 3, 3), [f"{word} {name}" for word in ("begun", "waited for") for name in "abc"]),
-        ((2, 0, 3), ["begun a", "begun b", "waited for a", "waited for b", "begun c", "waited for c"]),
-        ((2, 3, 3), ["begun a", "begun b", "waited for a", "begun c", "waited for b", "waited for c"]),
-        ((2, 2, 3), ["begun a", "begun b", "waited for a", "waited for b", "begun c", "waited for c"]),
-        ((1, 2, 3), AT_ONCE),
-        ((-1, -2, -3), AT_ONCE),
-        ((0, 0, 0), AT_ONCE),
-    ],
-    ids=["at work", "idle in between", "two at once", "two at once and one", "done before", "failed", "idle"],
-)
-def test_a_worker_begins_a_task_that_comes_while_its_gpu_is_at_work(done_when, order):
-    """And waits for none where it is not, or not any more."""
-    root = str(Path(__file__).parents[2])
-    worker = subprocess.Popen(
-        [sys.executable, "-c", WORKER],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": root},
-    )
-    assert "ready" in receive(worker.stdout)
-    said: list[str] = []
-    for ticket, name in enumerate("abc"):
-        # It comes when those before it are done, or while the last one is under way.
-        while len(said) < order.index(f"begun {name}"):
-            said.append(worker.stderr.readline().decode().strip())
-        send({"ticket": ticket, "name": name, "payload": {"done when": done_when[ticket]}}, worker.stdin)
-    said += [worker.stderr.readline().decode().strip() for _ in order[len(said) :]]
-    assert said == order
-    assert [receive(worker.stdout)["ticket"] for _ in "abc"] == [0, 1, 2]
-    worker.stdin.close()
-    assert worker.wait(60) == 0
-    worker.stdout.close()
-    worker.stderr.close()
-
-
-def test_a_gpu_that_failed_is_not_waited_for(monkeypatch):
-    """The ends of its tasks say what went wrong; an idle one is not waited for either."""
-
-    def failed():
-        raise RuntimeError("CUDA error 700")
-
-    stream = SimpleNamespace(is_complete=False, record_event=lambda: "event")
-    solver = SimpleNamespace(device=SimpleNamespace(is_cuda=True))
-    monkeypatch.setattr(work, "_SOLVERS", OrderedDict(one=(solver, {})))
-    monkeypatch.setattr(work.wp, "get_stream", lambda device: stream)
-    assert callable(work.gpu_end())
-    stream.record_event = failed
-    assert work.gpu_end() is None
-    stream.is_complete = True
-    assert work.gpu_end() is None
 
 
 def test_a_run_reads_nothing_from_the_device_but_its_sums(device, path, scene, phasors, monkeypatch):

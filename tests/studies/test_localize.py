@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from inline_pool import InlinePool
 from pydantic import ValidationError
 
 from warp_plate import Scene, SceneError, localize
-from warp_plate.cluster.pool import Here
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.studies.simulate import simulate
 
@@ -119,9 +119,9 @@ def test_the_paper_s_search_by_plates():
 @pytest.mark.parametrize("evaluator", ["direct", "response"])
 def test_workers_that_have_nothing_to_do_are_named_so(evaluator, scene):
     made = scene(nodes=(9, 9), window=(0.002, 0.004), search={"particles": 3, "iterations": 2})
-    result = localize(made, device="cpu", evaluator=evaluator, estimate=False, pool=Here())
+    result = localize(made, device="cpu", evaluator=evaluator, estimate=False, pool=InlinePool())
     assert ("plates of the search on this process" in result.device) == (evaluator == "direct")
-    assert ("nothing to do" in result.device) == (evaluator == "response")
+    assert ("unused" in result.device) == (evaluator == "response")
 
 
 def test_ctrl_c_keeps_the_best_so_far(device, path, scene):

@@ -106,7 +106,7 @@ def test_a_grid_that_was_chosen_is_not_chosen_again(scene, stopped, monkeypatch)
 
     checkpoint = stopped(asked, "cpu", on_progress=keep)
     assert checkpoint.scene_as_written == asked
-    monkeypatch.setattr("warp_plate.studies.localize.choose", None)
+    monkeypatch.setattr("warp_plate.studies.grid_choice.choose", None)
     found = resume(checkpoint, estimate=False)
     whole = localize(checkpoint.scene, "mine", "cpu", estimate=False)
     assert_same(found, whole)

@@ -1,31 +1,34 @@
 """Sweeps: figures as the commands give them, refused points, files, workers, and going on after a stop."""
 
 import math
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from inline_pool import InlinePool
 
 from warp_plate import SceneError, load_sweep, sweep
-from warp_plate.cluster.opening import open_pool
-from warp_plate.cluster.pool import Answer, Here
+from warp_plate.cluster.pool import open_pool
 from warp_plate.cluster.scheduler import ATTEMPTS
 from warp_plate.plate.modes import natural_modes
 from warp_plate.result.sweep import NOT_RUN, REFUSED, RUN, save_sweep
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies import sweep as module
+from warp_plate.studies.checkpointing import SweepFile
 from warp_plate.studies.localize import localize
 from warp_plate.studies.quantities_of_interest import QUANTITIES
 from warp_plate.studies.simulate import simulate
-from warp_plate.studies.sweep import begin_sweep, run_sweep
-from warp_plate.studies.sweep_file import SweepFile, continued, free_name, refuse_to_replace
+from warp_plate.studies.sweep import run_sweep, start_sweep
+from warp_plate.studies.sweep_file import check_replaceable, resume_sweep
 
 ROOT = Path(__file__).parents[2]
 
@@ -132,13 +135,13 @@ def test_a_sweep_that_is_stopped_anywhere_goes_on_to_the_same(plate, tmp_path, r
         if random.random() < 0.4:
             raise Stop
 
-    begun = begin_sweep(plate, plan, "simulate", "cpu")
+    begun = start_sweep(plate, plan, "simulate", "cpu")
     for _ in range(200):
         try:
             found = run_sweep(begun, told, SweepFile(file, math.inf, resumes=file.exists()))
             break
         except Stop:
-            begun = continued(load_sweep(file))
+            begun = resume_sweep(load_sweep(file))
     assert found.finished
     for name, values in whole.values.items():
         np.testing.assert_array_equal(found.values[name], values)
@@ -156,24 +159,20 @@ def test_points_in_any_order_give_the_same(plate, random, monkeypatch):
         np.testing.assert_array_equal(shuffled.values[name], values)
 
 
-class Killing(Here):
-    """A pool whose workers end under some tasks, and under those of one point always."""
+class Killing(InlinePool):
+    """A pool whose worker ends under some tasks, and under those of one point always."""
 
     def __init__(self, random, number):
         super().__init__()
-        self.random, self.number, self.killed = random, number, 0
+        self.random, self.number, self.killed, self.met = random, number, 0, set()
 
-    def wait(self, seconds):
-        if not self._tasks:
-            return []
-        ticket, task = self._tasks[0]
-        if task.payload["numbers"]["drive.frequency"] == self.number or (
-            not task.attempts and self.random.random() < 0.5
-        ):
-            self._tasks.popleft()
+    def run(self, function, argument):
+        first = id(argument) not in self.met
+        self.met.add(id(argument))
+        if argument.numbers["drive.frequency"] == self.number or (first and self.random.random() < 0.5):
             self.killed += 1
-            return [(ticket, Answer(fault="lost", text="its worker ended"))]
-        return super().wait(seconds)
+            raise BrokenProcessPool
+        return super().run(function, argument)
 
 
 def test_a_pool_gives_the_same_and_names_what_it_lost(plate, random, tmp_path):
@@ -188,22 +187,20 @@ def test_a_pool_gives_the_same_and_names_what_it_lost(plate, random, tmp_path):
     np.testing.assert_array_equal(there.values["frequency"][~lost], here.values["frequency"][~lost])
     np.testing.assert_array_equal(there.status[~lost], here.status[~lost])
     for point, reason in there.reasons.items():
-        assert reason == ("given up: its worker ended" if lost[point] else here.reasons[point])
+        given_up = f"given up after {ATTEMPTS} attempts: its worker ended"
+        assert reason == (given_up if lost[point] else here.reasons[point])
 
 
-class Away(Here):
-    """Workers on another kind of processor than this process has."""
+class Away(InlinePool):
+    """A worker on another kind of processor than this process has."""
 
     def __init__(self, processor="A GPU"):
         super().__init__()
         self.processor = processor
 
-    def wait(self, seconds):
-        answers = super().wait(seconds)
-        for _, answer in answers:
-            if "made" in answer.value:
-                answer.value["device"], answer.value["made"]["processor"] = "cuda:0", self.processor
-        return answers
+    def run(self, function, argument):
+        result = super().run(function, argument)
+        return result._replace(device="cuda:0", worker={**result.worker, "processor": self.processor})
 
 
 def test_what_workers_ran_on_is_kept_and_another_kind_is_not_mixed_in(plate, tmp_path):
@@ -216,32 +213,32 @@ def test_what_workers_ran_on_is_kept_and_another_kind_is_not_mixed_in(plate, tmp
 
         return told
 
-    begun = begin_sweep(plate, plan, "check")
+    begun = start_sweep(plate, plan, "check")
     here = f"{begun.device} ({begun.processor})"
     with pytest.raises(Stop):
         run_sweep(begun, stop_after(1), SweepFile(file, math.inf), Away())
     half = load_sweep(file)
     assert (half.device, half.processor, half.earlier_devices) == ("cuda:0", "A GPU", "")
     assert half.progress == "1 of 4 points"
-    with pytest.raises(SceneError, match=r"the sweep began on cuda:0 \(A GPU\), which is not here"):
-        continued(half)
-    with pytest.raises(SceneError, match=r"cuda:0 \(A GPU\) and goes on on cuda:0 \(Another\).* --device cuda$"):
-        run_sweep(continued(half, there=True), pool=Away("Another"))
-    without = Here()
+    with pytest.raises(SceneError, match=r"the sweep began on cuda:0 \(A GPU\), which this machine does not have"):
+        resume_sweep(half)
+    with pytest.raises(SceneError, match=r"cuda:0 \(A GPU\) and continues on cuda:0 \(Another\).* --device cuda$"):
+        run_sweep(resume_sweep(half, ""), pool=Away("Another"))
+    without = InlinePool()
     without.device = "cuda:99"
     with pytest.raises(SceneError, match="a worker: device = 'cuda:99': not on this machine"):
         run_sweep(begun, pool=without)
     # Whoever asks for it has it, and the file says so.
     kept = SweepFile(file, math.inf, resumes=True)
     with pytest.raises(Stop):
-        run_sweep(continued(half, there=True), stop_after(3), kept, Away("Another"), lines.append)
+        run_sweep(resume_sweep(half, ""), stop_after(3), kept, Away("Another"), lines.append)
     assert len(lines) == 1
-    assert lines[0].endswith("goes on on cuda:0 (Another), which rounds in another way: the result may differ")
-    whole = run_sweep(continued(load_sweep(file), begun.device))
+    assert lines[0].endswith("continues on cuda:0 (Another), which rounds differently: the result may differ")
+    whole = run_sweep(resume_sweep(load_sweep(file), begun.device))
     assert load_sweep(save_sweep(whole, file)).devices_used == f"cuda:0 (A GPU), then cuda:0 (Another), then {here}"
-    assert continued(whole, "cuda:99") is whole  # nothing is left to run anywhere
+    assert resume_sweep(whole, "cuda:99") is whole  # nothing is left to run anywhere
     # The same kind goes on without a word, and where nobody has said his kind there is nothing to differ from.
-    assert run_sweep(continued(half, there=True), pool=Away()).devices_used == "cuda:0 (A GPU)"
+    assert run_sweep(resume_sweep(half, ""), pool=Away()).devices_used == "cuda:0 (A GPU)"
     assert run_sweep(begun, pool=Killing(np.random.default_rng(0), 200.0)).devices_used == here
 
 
@@ -252,13 +249,13 @@ def test_a_point_without_memory_is_given_up_and_others_run(plate, monkeypatch, e
     def figures(scene, options):
         if scene.drive.frequency == 250:
             raise error
-        return real.of(scene, options)
+        return real.compute(scene, options)
 
-    monkeypatch.setitem(QUANTITIES, "check", replace(real, of=figures))
-    for pool in (None, Here()):
+    monkeypatch.setitem(QUANTITIES, "check", replace(real, compute=figures))
+    for pool, attempts in ((None, ""), (InlinePool(), f" after {ATTEMPTS} attempts")):
         found = sweep(plate, ["drive.frequency=200:300:3"], "check", device="cpu", pool=pool)
         assert found.status.tolist() == [RUN, REFUSED, RUN]
-        assert found.reasons == {1: f"given up: out of memory ({' '.join(str(error).split())})"}
+        assert found.reasons == {1: f"given up{attempts}: out of memory ({' '.join(str(error).split())})"}
     error = RuntimeError("a fault of the program")
     with pytest.raises(RuntimeError, match="a fault of the program"):
         sweep(plate, ["drive.frequency=200:300:3"], "check", device="cpu")
@@ -273,7 +270,7 @@ def test_processes_give_the_same(plate):
         def kill_one(done, total, note):
             told.append((done, total))
             if done == 1:
-                os.kill(pool.processes[0], signal.SIGKILL)
+                os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
 
         there = sweep(plate, plan, "simulate", device="cpu", on_progress=kill_one, pool=pool)
     here = sweep(plate, plan, "simulate", device="cpu")
@@ -297,7 +294,7 @@ def test_a_process_that_is_killed_leaves_a_file_that_goes_on(plate, tmp_path, ra
     process.send_signal(signal.SIGKILL)
     process.wait()
     left = load_sweep(file)
-    found = run_sweep(continued(left))
+    found = run_sweep(resume_sweep(left))
     whole = sweep(plate, ["plate.thickness=4e-4:9e-4:40"], "modes", device="cpu")
     np.testing.assert_array_equal(found.values["frequency"], whole.values["frequency"])
     np.testing.assert_array_equal(
@@ -309,12 +306,12 @@ def test_a_process_that_is_killed_leaves_a_file_that_goes_on(plate, tmp_path, ra
 def test_a_file_that_the_scene_names_must_be_the_same(scene, tmp_path):
     (tmp_path / "thick.csv").write_text("1.0,1.1\n", encoding="utf-8")
     varied = scene(effects={"variation": {"thickness": "thick.csv"}}).in_folder(tmp_path)
-    begun = begin_sweep(varied, make_plan([parse_vary(varied, "drive.frequency=200,300")]), "check", "cpu")
+    begun = start_sweep(varied, make_plan([parse_vary(varied, "drive.frequency=200,300")]), "check", "cpu")
     found = run_sweep(begun)
     assert (found.status == RUN).all()
     (tmp_path / "thick.csv").write_text("1.0,1.2\n", encoding="utf-8")
-    with pytest.raises(SceneError, match="holds something else than when the sweep began"):
-        continued(begun)
+    with pytest.raises(SceneError, match="has changed since the sweep began"):
+        resume_sweep(begun)
 
 
 def test_no_file_of_another_question_is_replaced(plate, scene, tmp_path):
@@ -331,17 +328,16 @@ def test_no_file_of_another_question_is_replaced(plate, scene, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.checkpoint.h5"]
     SweepFile(file).remove()  # which has written nothing
     assert file.exists()
-    assert free_name(tmp_path / "a.h5").name == "a-2.h5"
-    refuse_to_replace(file, replace(found, seconds=9.0, device="cuda:0"))
-    refuse_to_replace(tmp_path / "none.h5", found)
+    check_replaceable(file, replace(found, seconds=9.0, device="cuda:0"))
+    check_replaceable(tmp_path / "none.h5", found)
     others = {
-        "another scene": begin_sweep(scene(damping=80.0), plan, "check"),
-        "--what check": begin_sweep(plate, plan, "simulate"),
-        r"other points \(2 points, drive.frequency": begin_sweep(
+        "another scene": start_sweep(scene(damping=80.0), plan, "check"),
+        "--what check": start_sweep(plate, plan, "simulate"),
+        r"other points \(2 points, drive.frequency": start_sweep(
             plate, make_plan([parse_vary(plate, "drive.frequency=200,301")]), "check"
         ),
-        "--count 6": begin_sweep(plate, plan, "check", count=5),
+        "--count 6": start_sweep(plate, plan, "check", count=5),
     }
     for words, other in others.items():
         with pytest.raises(SceneError, match=rf"h5: holds a sweep of {words}.*; name another file by --out"):
-            refuse_to_replace(file, other)
+            check_replaceable(file, other)

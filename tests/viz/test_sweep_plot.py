@@ -9,7 +9,7 @@ import pytest
 from warp_plate.result.sweep import REFUSED
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.quantities_of_interest import QUANTITIES
-from warp_plate.studies.sweep import begin_sweep
+from warp_plate.studies.sweep import start_sweep
 from warp_plate.viz.plots.sweep import COLOURS, draw_sweep, edges_of
 
 NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
@@ -23,7 +23,7 @@ def panel(scene):
 def made_up(panel, vary, what="localize", samples=None):
     """A sweep with made-up figures, some of its points refused and one figure not finite."""
     plan = make_plan([parse_vary(panel, one) for one in vary], samples)
-    begun = begin_sweep(panel, plan, what, "cpu", count=3)
+    begun = start_sweep(panel, plan, what, "cpu", count=3)
     values = {name: np.random.default_rng(1).random(one.shape) for name, one in begun.values.items()}
     status = np.ones(len(plan), dtype="i1")
     status[::5] = REFUSED

@@ -1,19 +1,15 @@
-"""``warp-plate accuracy SCENE``: what accuracy costs in time, measured over a family of grids, orders and steps."""
+"""``warp-plate accuracy SCENE``: error against run time over grids, orders, time steps and precisions."""
 
 from __future__ import annotations
 
 import json as json_format
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING
 
-import cyclopts
-
-from warp_plate.cli import output
+from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from rich.console import Console
 
     from warp_plate.accuracy.measure import AccuracyRow
@@ -21,79 +17,62 @@ if TYPE_CHECKING:
 
 HEADINGS = ("nodes", "Δt (s)", "bits", "single", "bound", "error %", "u %", "modes %", "a plate", "")
 LEGEND = (
-    "single, bound: localization factor of the best single actuator, and the largest of any drive. error: the largest "
-    "relative one of single, best drive and bound; u: of the displacement under the best drive (L2 over plate and "
-    "window); modes: of the first natural frequencies. a plate: time that it takes among those of a swarm. * no other "
-    "row beats it in both error and time; ~ not measured, for it would take too long."
+    "single, bound: localization factor of the best single actuator, and the largest that any drive can have. error: "
+    "largest relative error of single, best drive and bound; u: error of the displacement under the best drive (L2 "
+    "norm over plate and window); modes: error of the first natural frequencies. a plate: seconds per plate in a "
+    "swarm. * no other row is both more accurate and faster; ~ not measured because it would take too long."
 )
 
 
 def accuracy(
-    scene: str,
+    scene: options.SceneName,
     /,
     *,
-    device: str = "auto",
+    device: options.Device = "auto",
     budget: float = 120.0,
-    path: Literal["auto", "resident", "streaming"] = "auto",
+    path: options.Stepping = "auto",
     out: Path | None = None,
-    pictures: bool = True,
-    json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+    pictures: options.Pictures = True,
+    json: options.Json = False,
 ) -> None:
-    """Show what accuracy costs in time for a scene, and which grid to take for 10 % ... 0.1 %.
+    """Show what accuracy costs in time for a scene, and which grid to take for errors of 10 % ... 0.1 %.
 
-    Grids, spatial orders, time steps and precisions are run from cheap to dear and held against a reference solution.
-    The rest of the scene stays as written.
+    Grids, spatial orders, time steps and precisions are run from the cheapest to the dearest and compared with a
+    reference solution. The rest of the scene stays as written.
 
     Parameters
     ----------
-    scene
-        A preset's name (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file.
-    device
-        cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
     budget
-        Seconds for all; what would take longer is listed as skipped.
-    path
-        How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch).
+        Seconds for all measurements; what would take longer is listed as skipped.
     out
-        The file of figures (.json); SCENE-accuracy.json in this folder when left out. Pictures are written beside it.
-    pictures
-        Plot seconds a plate against error (needs the extra viz).
-    json
-        Print one JSON object instead of a table.
+        The file of measurements (.json; default: SCENE-accuracy.json in this folder).
     """
     target = output.output_file(out, scene, "accuracy", (".json",))
     if not 0 < budget < float("inf"):
-        raise SceneError(f"--budget {budget:g}: must be a number of seconds above zero")
+        raise SceneError(f"--budget {budget:g}: must be a positive number of seconds")
     loaded = output.load_scene(scene)
     from warp_plate.accuracy.report import measure_configurations
     from warp_plate.bench.machine import describe_machine, describe_versions
+    from warp_plate.result.atomic_io import write_atomically
     from warp_plate.solve.devices import find_device
+    from warp_plate.viz.plots.accuracy import draw_accuracy
+    from warp_plate.viz.plots.frame import save_plots
 
     name = find_device(device).alias
     machine = describe_machine([name])
-    with output.progress_bar("measuring", shown=not json) as show:
+    with output.scene_errors(scene), output.progress_bar("measuring", shown=not json) as show:
         report = measure_configurations(loaded, scene, name, path, budget, show)
     record = {**report.as_json(), "machine": vars(machine), "versions": describe_versions()}
-    files, missing = _write(record, target, pictures)
+    files, missing = output.write_files(
+        target,
+        lambda path: write_atomically(f"{json_format.dumps(record, indent=1)}\n".encode(), path),
+        (lambda path: save_plots(draw_accuracy, record, path)) if pictures else None,
+    )
     if json:
         output.print_json({**record, "files": [str(file) for file in files]})
         return
     _print(report, machine.devices[name], output.console())
     output.print_files(files, missing)
-
-
-def _write(record: Mapping[str, object], path: Path, pictures: bool) -> tuple[list[Path], str | None]:
-    """The figures as JSON and their picture; returns the files, and why a picture is missing."""
-    from warp_plate.result.atomic_io import write_atomically
-
-    write_atomically(f"{json_format.dumps(record, indent=1)}\n".encode(), path)
-    if not pictures:
-        return [path], None
-    from warp_plate.viz.plots.accuracy import draw_accuracy
-    from warp_plate.viz.plots.frame import save_plots
-
-    drawn, missing = save_plots(draw_accuracy, record, path)
-    return [path, *drawn], missing
 
 
 def _print(report: AccuracyReport, device: str, console: Console) -> None:
@@ -122,7 +101,7 @@ def _print(report: AccuracyReport, device: str, console: Console) -> None:
     console.print()
     _print_missing(report, console)
     if report.interrupted:
-        console.print("Interrupted by Ctrl-C: what was measured until then is shown.")
+        console.print("Interrupted by Ctrl-C; measurements up to then are shown.")
 
 
 def _recommendations(report: AccuracyReport) -> object:
@@ -131,19 +110,19 @@ def _recommendations(report: AccuracyReport) -> object:
     swarm = f"{report.particles} × {report.iterations} plates"
     made = output.table("for", "use", "error", "a plate", swarm)
     made.columns[1].justify = "left"
-    for one in report.recommended:
-        if one.row is None:
-            made.add_row(percent(one.tolerance), "none within the budget")
+    for recommended in report.recommended:
+        if recommended.row is None:
+            made.add_row(percent(recommended.tolerance), "none within the budget")
             continue
-        row = report.rows[one.row]
+        row = report.rows[recommended.row]
         use = f"{_size(row)}, order {row.order}, {row.load}, {row.time_step:.2g} s, {row.precision}"
         error, seconds = percent(row.error or 0.0), seconds_text(row.seconds_per_plate or 0.0)
-        made.add_row(percent(one.tolerance), use, error, seconds, seconds_text(one.seconds or 0.0))
+        made.add_row(percent(recommended.tolerance), use, error, seconds, seconds_text(recommended.seconds or 0.0))
     return made
 
 
 def _print_missing(report: AccuracyReport, console: Console) -> None:
-    """Every refusal in full; of what was skipped, grids and times."""
+    """Print every refused configuration in full, and the grids and expected times of those that were skipped."""
     skipped: dict[str, list[str]] = {}
     for row in report.rows:
         kind, reason = f"{_kind(row)}, {row.precision}", row.status.partition(": ")[2]
@@ -152,7 +131,7 @@ def _print_missing(report: AccuracyReport, console: Console) -> None:
         elif not row.measured:
             console.print(f"{kind}, {_size(row)}: {row.status}")
     for kind, sizes in skipped.items():
-        console.print(f"{kind}: skipped, for it would take too long: {', '.join(sizes)}")
+        console.print(f"{kind}: skipped because of the time limit: {', '.join(sizes)}")
 
 
 def _kind(row: AccuracyRow) -> str:

@@ -1,43 +1,26 @@
-"""``warp-plate check SCENE``: what a scene asks of numbers and machine, without running it."""
+"""``warp-plate check SCENE``: the numerics and cost of a scene, without running it."""
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import cyclopts
-
-from warp_plate.cli import output
+from warp_plate.cli import options, output
 
 
 def check(
-    scene: str,
+    scene: options.SceneName,
     /,
     *,
-    device: str = "auto",
-    accuracy: str | None = None,
-    allow_unstable: Annotated[bool, cyclopts.Parameter(negative="")] = False,
-    json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+    device: options.Device = "auto",
+    accuracy: options.Accuracy | None = None,
+    allow_unstable: options.AllowUnstable = False,
+    json: options.Json = False,
 ) -> None:
-    """Show the time step and its limit, what sets it, points a wavelength, condition, memory and path, in words.
+    """Show the time step and its limit, points per wavelength, condition, memory and stepping path of a scene."""
+    loaded = output.load_scene(scene, accuracy)
+    from warp_plate.analysis.check import check as check_scene
+    from warp_plate.studies.grid_choice import resolve_grid
 
-    Parameters
-    ----------
-    scene
-        A preset's name (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file.
-    device
-        cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
-    accuracy
-        Such as 1% or 0.01: take the grid that keeps localization factors to it, instead of the scene's.
-    allow_unstable
-        Go on where the time step is above the stability limit.
-    json
-        Print one JSON object instead of sentences.
-    """
-    loaded = output.load_scene(scene, accuracy, allow_unstable)
-    from warp_plate.analysis.check import check as look
-    from warp_plate.studies.localize import resolve
-
-    found = look(resolve(loaded, device)[0], device, allow_unstable)
+    with output.scene_errors(scene):
+        found = check_scene(resolve_grid(loaded, device).scene, device, allow_unstable)
     if json:
         output.print_json({"scene": scene, **found.as_json()})
         return

@@ -1,4 +1,4 @@
-"""All commands, one file each beside this one, put together here."""
+"""The application: all commands, each from its own module."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from warp_plate.cli.export import export
 from warp_plate.cli.init import init
 from warp_plate.cli.localize import localize
 from warp_plate.cli.modes import modes
-from warp_plate.cli.output import tell
+from warp_plate.cli.output import log
 from warp_plate.cli.render import render
 from warp_plate.cli.simulate import simulate
 from warp_plate.cli.sweep import sweep
@@ -39,13 +39,13 @@ for command in COMMANDS:
 
 
 def run(arguments: list[str] | None = None) -> None:
-    """Run one command; bad input leaves the process with status 2 after one line."""
+    """Run a command; exit with status 2 after one line about bad input."""
     try:
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
     except (SceneError, cyclopts.CycloptsError) as error:
-        tell(str(error))
+        log(str(error))
         sys.exit(2)
     except MemoryError as error:
-        tell(f"out of memory: {error}; use fewer nodes, actuators, record.times or record.points")
+        log(f"out of memory: {error}; use fewer nodes, actuators, record.times or record.points")
         sys.exit(2)

@@ -1,13 +1,11 @@
-"""``warp-plate effects SCENE``: what each effect costs and changes, and what the scene calls for."""
+"""``warp-plate effects SCENE``: cost and influence of each effect, and effects that the scene calls for."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import cyclopts
-
-from warp_plate.cli import output
+from warp_plate.cli import options, output
 
 if TYPE_CHECKING:
     from warp_plate.analysis.influence import EffectToggle, Influence
@@ -16,35 +14,24 @@ if TYPE_CHECKING:
 
 
 def effects(
-    scene: str,
+    scene: options.SceneName,
     /,
     *,
-    device: str = "auto",
-    accuracy: str | None = None,
-    json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+    device: options.Device = "auto",
+    accuracy: options.Accuracy | None = None,
+    json: options.Json = False,
 ) -> None:
-    """Show every effect, on or off, its price and its influence, and what the scene calls for but does not name.
-
-    Parameters
-    ----------
-    scene
-        A preset's name (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file.
-    device
-        cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
-    accuracy
-        Such as 1% or 0.01: take the grid that keeps localization factors to it, instead of the scene's.
-    json
-        Print one JSON object instead of tables.
-    """
+    """Show the cost and influence of every effect, on or off, and effects that the scene calls for but lacks."""
     loaded = output.load_scene(scene, accuracy)
     from warp_plate.analysis.influence import measure_influence
     from warp_plate.analysis.warnings import find_warnings
-    from warp_plate.studies.localize import resolve
+    from warp_plate.studies.grid_choice import resolve_grid
 
-    loaded = resolve(loaded, device)[0]
-    with output.progress_bar("switching", shown=not json) as show:
-        found = measure_influence(loaded, device, show)
-    numbers = find_warnings(loaded, found.peak)
+    with output.scene_errors(scene):
+        loaded = resolve_grid(loaded, device).scene
+        with output.progress_bar("switching effects", shown=not json) as show:
+            found = measure_influence(loaded, device, show)
+    findings = find_warnings(loaded, found.peak)
     if json:
         output.print_json(
             {
@@ -53,15 +40,15 @@ def effects(
                 "peak_displacement": found.peak,
                 "bare_step_seconds": found.bare_step,
                 "effects": [asdict(switch) for switch in found.switches],
-                "numbers": [asdict(number) for number in numbers],
-                "warnings": [number.sentence for number in numbers if number.exceeded],
+                "numbers": [asdict(finding) for finding in findings],
+                "warnings": [finding.sentence for finding in findings if finding.exceeded],
             }
         )
         return
-    _print(scene, loaded, found, numbers)
+    _print(scene, loaded, found, findings)
 
 
-def _print(name: str, scene: Scene, found: Influence, numbers: list[Finding]) -> None:
+def _print(name: str, scene: Scene, found: Influence, findings: list[Finding]) -> None:
     console = output.console()
     console.print(f"{scene.title or name}\n")
     made = output.table("effect", "now", "price of a step", "steps", "factor", "largest displacement (m)")
@@ -70,15 +57,15 @@ def _print(name: str, scene: Scene, found: Influence, numbers: list[Finding]) ->
         made.add_row(*_row(switch))
     console.print(made)
     console.print(
-        f"\nPrice: what the effect adds to a step, in % of the bare plate's ({found.bare_step:.2g} s), measured. "
-        "Steps: how many times as many the run takes with it. Factor (localization) and displacement: with the effect "
-        "switched to its other state, under the scene's own drive:\n"
+        f"\nPrice: time that the effect adds to a step, in % of the bare plate's step ({found.bare_step:.2g} s), "
+        "measured. Steps: factor by which it changes the number of steps. Factor (localization) and displacement: with "
+        "the effect switched over, under the scene's own drive:\n"
     )
     for switch in found.switches:
         console.print(f"{'without' if switch.on else 'with'} {_words(switch.name)}: {switch.switched}")
     console.print()
-    for number in numbers:
-        console.print(f"{'! ' if number.exceeded else '  '}{number.sentence}")
+    for finding in findings:
+        console.print(f"{'! ' if finding.exceeded else '  '}{finding.sentence}")
 
 
 def _row(switch: EffectToggle) -> list[str]:

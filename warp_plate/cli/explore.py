@@ -6,11 +6,9 @@ import os
 import sys
 import threading
 import webbrowser
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING
 
-import cyclopts
-
-from warp_plate.cli import output
+from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -19,15 +17,15 @@ if TYPE_CHECKING:
 
 
 def explore(
-    scene: str,
+    scene: options.SceneName,
     /,
     *,
-    web: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+    web: options.Flag = False,
     host: str = "127.0.0.1",
     port: int = 8080,
-    device: str = "auto",
-    path: Literal["auto", "resident", "streaming"] = "auto",
-    accuracy: str | None = None,
+    device: options.Device = "auto",
+    path: options.Stepping = "auto",
+    accuracy: options.Accuracy | None = None,
 ) -> None:
     """Explore a scene in the browser: sliders for every actuator, frequency and damping (needs the extra web).
 
@@ -38,20 +36,12 @@ def explore(
 
     Parameters
     ----------
-    scene
-        Name of a preset (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file.
     web
         Serve the page without opening a browser here, as on a remote machine.
     host
         Address of the page; 127.0.0.1 can be reached from this machine only.
     port
         Port of the page; 0 takes any free one.
-    device
-        cpu, cuda, cuda:1, ...; auto takes a CUDA device if there is one.
-    path
-        Stepping of the plates: resident (all steps in one launch) or streaming (one or a few steps a launch).
-    accuracy
-        Accepted relative error of localization factors, such as 1% or 0.01, in place of the scene's grid.
     """
     if not 0 <= port <= 65535:
         raise SceneError(f"--port {port}: must be from 1 to 65535, or 0 for any free one")
@@ -68,7 +58,8 @@ def explore(
             # In a thread, as some browsers return only when they are closed.
             threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
-    model = _model(loaded, device, path)
+    with output.scene_errors(scene):
+        model = _model(loaded, device, path)
     try:
         serve_page(model, host, port, on_ready)
     except OSError as error:
@@ -81,10 +72,9 @@ def explore(
 def _model(scene: Scene, device: str, path: str) -> LiveModel:
     """Return the live model of a scene with a grid, its unit responses simulated."""
     from warp_plate.explore.live_model import LiveModel
-    from warp_plate.studies.localize import resolve
+    from warp_plate.studies.grid_choice import resolve_grid
 
-    if scene.grid.accuracy is not None:
-        scene = resolve(scene, device)[0]
+    scene = resolve_grid(scene, device).scene
     with output.progress_bar("simulating the unit responses", shown=True) as bar:
         return LiveModel(scene, device, path, lambda done, total: bar(done, total, f"{done:.2g} node-steps"))
 

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import cyclopts
-
-from warp_plate.cli import output
-from warp_plate.cli.moving import Choice, chosen_cases, chosen_motions
+from warp_plate.cli import options, output
+from warp_plate.cli.motion_options import MotionOptions, select_cases, select_motions
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from warp_plate.result.export.drive_signals import Encoding, Signal
     from warp_plate.result.model import Case, Result
 
 Format = Literal["pvd", "vtkhdf", "traces-csv", "drive-wav", "drive-csv"]
-# What is added to the result's name.
+# Endings that are added to the result's name.
 ENDINGS: dict[Format, str] = {
     "pvd": ".pvd",
     "vtkhdf": ".vtkhdf",
@@ -26,99 +22,93 @@ ENDINGS: dict[Format, str] = {
     "drive-wav": "-drive.wav",
     "drive-csv": "-drive.csv",
 }
-# Samples a second, and seconds, when nothing is said.
+# Options that each format takes beside --case.
+SERIES, SIGNAL = ("start", "end", "frames", "device"), ("rate", "duration", "full-scale")
+OPTIONS: dict[Format, tuple[str, ...]] = {
+    "pvd": SERIES,
+    "vtkhdf": SERIES,
+    "traces-csv": (),
+    "drive-wav": (*SIGNAL, "encoding"),
+    "drive-csv": SIGNAL,
+}
+# Defaults of a drive's samples a second, and of its length [s].
 RATE, DURATION = 48000, 1.0
-# Of fewer times than this ParaView shows pictures, not a motion.
+# With fewer times than this ParaView shows pictures rather than a motion.
 FEW_TIMES = 10
 
 
 def export(
-    result: Path,
+    result: options.ResultFile,
     /,
     *,
     to: Format,
-    case: list[str] | None = None,
-    start: float | None = None,
-    end: float | None = None,
-    frames: int | None = None,
-    device: str | None = None,
+    case: options.CaseNames | None = None,
+    start: options.Start | None = None,
+    end: options.End | None = None,
+    frames: options.Frames | None = None,
+    device: options.Device | None = None,
     rate: int | None = None,
     duration: float | None = None,
     full_scale: float | None = None,
     encoding: Literal["float32", "pcm16"] | None = None,
     out: Path | None = None,
-    json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+    json: options.Json = False,
 ) -> None:
     """Write a result for ParaView, a spreadsheet or the amplifier. (MATLAB reads the result file itself.)
 
+    --start, --end, --frames and --device are for pvd and vtkhdf: they run the scene again and write displacements and
+    velocities at evenly spaced times instead of the recorded displacements.
+
     Parameters
     ----------
-    result
-        An .h5 file that localize or simulate wrote.
     to
         pvd: a time series for ParaView, a .pvd index with a .vti file for each time; vtkhdf: the same as one file;
-        traces-csv: displacement at the scene's record.points; drive-wav, drive-csv: a channel for each actuator,
-        over a whole number of periods.
-    case
-        equal, single, best or drive; give it again for more. Left out: all cases; for a drive the best one.
-    start, end
-        Of pvd and vtkhdf: run the scene again and take even times between these, in seconds, instead of those that it
-        records; velocities are written too. When only frames are given, the last
-        period of the drive, or of a drive that does not repeat the first burst, else the scene's window.
-    frames
-        How many between them; 60 a period, or as many as there are steps, when left out.
-    device
-        Where they run: cpu, cuda, cuda:1, ...; a CUDA device where there is one when left out.
+        traces-csv: displacement at the scene's record.points; drive-wav, drive-csv: a channel for each actuator over a
+        whole number of periods, of the best drive unless --case names another.
     rate
-        Of drive-wav and drive-csv: samples a second; 48000 when left out.
+        drive-wav and drive-csv: samples a second (default: 48000).
     duration
-        Of the same: at most so many seconds; 1 when left out.
+        drive-wav and drive-csv: longest duration in seconds (default: 1).
     full_scale
-        Of the same: the pressure in N/m² (or the voltage) that 1.0 stands for; the drive's largest magnitude when left
-        out.
+        drive-wav and drive-csv: pressure in N/m² (or voltage) that 1.0 stands for (default: the drive's largest
+        magnitude).
     encoding
-        Of drive-wav: float32 (when left out) or pcm16.
+        drive-wav: float32 (default) or pcm16.
     out
-        The file to write; RESULT with another ending, in this folder, when left out.
-    json
-        Print one JSON object instead of lines.
+        The file to write (default: RESULT with another ending, in this folder).
     """
     target = _target(out, result, to)
-    again = {"start": start, "end": end, "frames": frames, "device": device}
-    sound = {"rate": rate, "duration": duration, "full-scale": full_scale, "encoding": encoding}
-    _refuse_unused(to, {**again, **sound})
+    series = {"start": start, "end": end, "frames": frames, "device": device}
+    signal = {"rate": rate, "duration": duration, "full-scale": full_scale, "encoding": encoding}
+    _check_options(to, {**series, **signal})
     if device is not None and start is end is frames is None:
         raise SceneError(f"--device {device}: nothing is run without --frames, --start or --end; leave it out")
     from warp_plate.result import load_result
 
     loaded = load_result(result)
-    cases = chosen_cases(loaded, result, case or [])
-    told: dict[str, Any] = {}
+    cases = select_cases(loaded, result, case or [])
     try:
         if to == "drive-wav" or to == "drive-csv":
-            name = _one_drive(cases, case)
-            signal = _signal(loaded, cases[name], rate, duration, full_scale)
-            files = _write_signal(signal, to, target, encoding or "float32")
-            told = {"case": name, **_signal_record(signal)}
+            name = _drive_case(cases, case)
+            files, record = _write_drive(loaded, cases[name], to, target, signal)
+            record = {"case": name, **record}
         elif to == "traces-csv":
             from warp_plate.result.export.traces import write_traces
 
-            files = write_traces(loaded, cases, target)
+            files, record = write_traces(loaded, cases, target), {}
         else:
-            # The best first: ParaView begins with the first field.
+            # ParaView begins with the first field, so the best case comes first.
             names = sorted(cases, key=lambda name: name != "best")
-            choice = Choice(names, 0, start, end, frames, device or "auto")
-            files, told = _write_series(loaded, result, choice, to, target, json)
+            options = MotionOptions(names, 0, start, end, frames, device or "auto")
+            files, record = _write_series(loaded, result, options, to, target, json)
     except SceneError as error:
-        # Options and files have their names in the line already.
         named = str(error).startswith(("--", f"{target}:", f"{result}:"))
         raise error if named else SceneError(f"{result}: {error}") from None
     if json:
-        output.print_json({"result": str(result), "to": to, **told, "files": [str(file) for file in files]})
+        output.print_json({"result": str(result), "to": to, **record, "files": [str(file) for file in files]})
         return
     print(f"wrote {files[-1]}" + (f" and {len(files) - 1} .vti files beside it" if to == "pvd" else ""))
-    for line in _lines(to, told):
-        print(line)
+    _print_remarks(to, record)
 
 
 def _target(out: Path | None, result: Path, to: Format) -> Path:
@@ -126,60 +116,62 @@ def _target(out: Path | None, result: Path, to: Format) -> Path:
     ending = Path(f"x{ENDINGS[to]}").suffix
     if path.suffix != ending:
         raise SceneError(f"--out {path}: must end in {ending}")
-    output.refuse_place(path)
+    output.check_writable(path)
     return path
 
 
-def _refuse_unused(to: Format, options: Mapping[str, object]) -> None:
-    """Raise SceneError for an option that this format does not read."""
-    series, signal = {"start", "end", "frames", "device"}, {"rate", "duration", "full-scale"}
-    read = {"pvd": series, "vtkhdf": series, "drive-wav": {*signal, "encoding"}, "drive-csv": signal}.get(to, set())
+def _check_options(to: Format, options: Mapping[str, object]) -> None:
+    """Check that the format takes all options that are given.
+
+    Raises:
+        SceneError: it does not.
+    """
     for name, value in options.items():
-        if value is not None and name not in read:
-            raise SceneError(f"--{name} {value}: --to {to} does not read it; leave it out")
+        if value is not None and name not in OPTIONS[to]:
+            raise SceneError(f"--{name} {value}: has no effect with --to {to}; leave it out")
 
 
 def _write_series(
-    result: Result, name: Path, choice: Choice, to: Format, target: Path, quiet: bool
+    result: Result, file: Path, options: MotionOptions, to: Format, target: Path, quiet: bool
 ) -> tuple[list[Path], dict[str, Any]]:
-    """The files of the times that are recorded, or of another run where the options ask for one; and what is told."""
+    """Write the recorded displacements, or those of another run if the options ask for one; return files and record."""
     from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
 
-    recorded = choice.start is None and choice.end is None and choice.frames is None
+    recorded = options.start is None and options.end is None and options.frames is None
     if recorded:
-        times, fields = result.times, {f"displacement_{case}": result.cases[case].displacement for case in choice.cases}
+        times = result.times
+        fields = {f"displacement_{case}": result.cases[case].displacement for case in options.cases}
     else:
-        motions = chosen_motions(result, name, choice, "displacement", quiet)
+        motions = select_motions(result, file, options, "displacement", quiet)
         times, fields = motions[0].times, {f"displacement_{motion.name}": motion.displacement for motion in motions}
         fields |= {f"velocity_{motion.name}": motion.velocity for motion in motions}
-    # The actuators are shown where the first case has them.
-    scene = result.case_scene(result.cases[choice.cases[0]])
+    # Actuators are drawn at their positions in the first case.
+    scene = result.case_scene(result.cases[options.cases[0]])
     files = (write_pvd if to == "pvd" else write_vtkhdf)(scene, times, fields, target)
     return files, {"times": len(times), "recorded": recorded, "fields": list(fields)}
 
 
-def _one_drive(cases: Mapping[str, Case], asked: list[str] | None) -> str:
-    """The case to play."""
-    if asked and len(cases) > 1:
-        raise SceneError(f"--case {' '.join(asked)}: a file plays one drive; name one case")
+def _drive_case(cases: Mapping[str, Case], named: list[str] | None) -> str:
+    """Return the case whose drive is written."""
+    if named and len(cases) > 1:
+        raise SceneError(f"--case {' '.join(named)}: a file holds one drive; name one case")
     return "best" if "best" in cases else next(iter(cases))
 
 
-def _signal(result: Result, case: Case, rate: int | None, duration: float | None, full_scale: float | None) -> Signal:
-    from warp_plate.result.export.drive_signals import make_signal
+def _write_drive(
+    result: Result, case: Case, to: Format, target: Path, options: Mapping[str, Any]
+) -> tuple[list[Path], dict[str, Any]]:
+    """Write the drive of a case as audio or text; return files and record."""
+    from warp_plate.result.export.drive_signals import make_signal, write_drive_csv, write_wav
 
-    rate = RATE if rate is None else rate
-    return make_signal(result.case_scene(case), case, rate, DURATION if duration is None else duration, full_scale)
-
-
-def _write_signal(signal: Signal, to: Format, target: Path, encoding: Encoding) -> list[Path]:
-    from warp_plate.result.export.drive_signals import write_drive_csv, write_wav
-
-    return write_wav(signal, target, encoding) if to == "drive-wav" else write_drive_csv(signal, target)
-
-
-def _signal_record(signal: Signal) -> dict[str, object]:
-    return {
+    rate = RATE if options["rate"] is None else options["rate"]
+    duration = DURATION if options["duration"] is None else options["duration"]
+    signal = make_signal(result.case_scene(case), case, rate, duration, options["full-scale"])
+    if to == "drive-wav":
+        files = write_wav(signal, target, options["encoding"] or "float32")
+    else:
+        files = write_drive_csv(signal, target)
+    return files, {
         "channels": list(signal.names),
         "frequency": signal.frequency,
         "rate": signal.rate,
@@ -192,16 +184,14 @@ def _signal_record(signal: Signal) -> dict[str, object]:
     }
 
 
-def _lines(to: Format, told: Mapping[str, Any]) -> list[str]:
-    """What is said below the files."""
-    if to in ("pvd", "vtkhdf"):
-        line = "It holds the {times} recorded times; --frames 60 takes so many of a period, for a motion."
-        return [line.format_map(told)] if told["recorded"] and told["times"] < FEW_TIMES else []
-    if to == "traces-csv":
-        return []
-    seam = "without a seam" if told["seam_degrees"] == 0 else f"with a phase jump of {told['seam_degrees']:.2g} degrees"
-    return [
-        f"Drive {told['case']}: {told['periods']} periods of {told['frequency']:g} Hz in {told['samples']} samples at "
-        f"{told['rate']} Hz, which repeat {seam}. 1.0 stands for {told['full_scale']:.6g} {told['unit']} in "
-        "every channel."
-    ]
+def _print_remarks(to: Format, record: Mapping[str, Any]) -> None:
+    """Print what to know about the files."""
+    if to in ("pvd", "vtkhdf") and record["recorded"] and record["times"] < FEW_TIMES:
+        print(f"It holds the {record['times']} recorded times; --frames 60 writes a motion of 60 frames a period.")
+    if to in ("drive-wav", "drive-csv"):
+        jump = f"with a phase jump of {record['seam_degrees']:.2g} degrees" if record["seam_degrees"] else "seamlessly"
+        print(
+            f"Drive {record['case']}: {record['periods']} periods of {record['frequency']:g} Hz in "
+            f"{record['samples']} samples at {record['rate']} Hz, which repeat {jump}. 1.0 stands for "
+            f"{record['full_scale']:.6g} {record['unit']} in every channel."
+        )

@@ -1,4 +1,4 @@
-"""``warp-plate init NAME``: a preset as a file to edit."""
+"""``warp-plate init NAME``: a preset as a scene file to edit."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def init(name: str, /, *, out: Path | None = None) -> None:
     name
         The preset: paper, paper-supported, touch-panel, cantilever-display, composite-panel or large-amplitude.
     out
-        The file to write; NAME.toml in this folder when left out. An existing file is never overwritten.
+        The file to write (default: NAME.toml in this folder). An existing file is never overwritten.
     """
     from warp_plate.scene.load import preset_text
 

@@ -1,249 +1,205 @@
-"""``warp-plate localize SCENE``: the search, its table and its files."""
+"""``warp-plate localize SCENE``: the search, its tables and its files."""
 
 from __future__ import annotations
 
-from functools import partial
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
-import cyclopts
-
-from warp_plate.cli import output
-from warp_plate.cli.crosstalk import crosstalk_json, crosstalk_table
-from warp_plate.cli.objectives_table import print_objectives
-from warp_plate.cli.options import Whole
-from warp_plate.cli.published import NOT_REPRODUCED, PUBLISHED
-from warp_plate.cli.resume import read_checkpoint, result_beside, way_on
-from warp_plate.cli.robust_table import print_robust, robust_json
-from warp_plate.cli.workers import lost_lines, own_device, workers
-from warp_plate.scene.errors import SceneError, printable
+from warp_plate.cli import options, output, tables
+from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from rich.console import Console
 
-    from warp_plate.cluster.pool import Pool
     from warp_plate.result.model import Result
-    from warp_plate.scene.model import Scene
     from warp_plate.studies.checkpointing import CheckpointFile
 
-TRIED = {
+EVALUATIONS = {
     "direct": ("plate", "simulated for the search"),
-    "response": ("drive", "tried by the search on the Gram matrices"),
+    "response": ("drive", "evaluated by the search on Gram matrices"),
 }
-# Ending of the scene that is found.
-FOUND = ".best.toml"
-MEANING = {
+CASE_LABELS = {
     "equal": "all actuators alike",
     "single": "best single actuator",
     "time_reversal": "time reversal to the target's middle",
     "inverse_filter": "regularised inverse filter",
-    "nominal": "found without scatter",
+    "nominal": "found without uncertainty",
     "best": "found by the search",
 }
+# Localization factors that Jo, Yang and Shin (2024) published in section III for the scene ``paper``.
+PUBLISHED = {"equal": 0.25, "single": 0.6367, "best": 0.72}
+NOT_REPRODUCED = (
+    "The published 0.72 can't be reproduced: with this reading of the paper no drive at all exceeds the bound. "
+    "The paper gives no damping; it is set here so that one actuator reaches the published 0.6367 on the paper's grid; "
+    "equal drives give 0.25 by symmetry. No reading of edges, loads and damping that was tried yields all three values."
+)
 
 
 def localize(
-    scene: str | None = None,
+    scene: options.SceneName | None = None,
     /,
     *,
-    device: str | None = None,
-    devices: str | None = None,
-    cluster: str | None = None,
-    seed: Whole | None = None,
+    device: options.WorkersDevice | None = None,
+    devices: options.Devices | None = None,
+    cluster: options.Cluster | None = None,
+    seed: options.Integer | None = None,
     evaluator: Literal["direct", "response"] | None = None,
-    path: Literal["auto", "resident", "streaming"] | None = None,
-    accuracy: str | None = None,
-    estimate: bool = True,
-    baselines: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+    path: options.Stepping | None = None,
+    accuracy: options.Accuracy | None = None,
+    estimate: options.Estimate = True,
+    baselines: options.Flag = False,
     spectrum: bool = True,
-    checkpoint_every: float = 30.0,
+    checkpoint_every: options.CheckpointEvery = 30.0,
     resume: Path | None = None,
     out: Path | None = None,
-    pictures: bool = True,
-    json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+    pictures: options.Pictures = True,
+    json: options.Json = False,
 ) -> None:
     """Search the drive that puts most of the plate's kinetic energy into the target.
 
-    Every actuator's magnitude and phase is searched, with the first actuator's held at 1 and 0. In a scene that is not
-    linear in its drives (stretching, electrostatic force, a moving load) the first one's magnitude is the largest of
-    those that the scene gives, which otherwise are for simulate.
+    Every actuator's magnitude and phase is searched, with those of the first actuator fixed at 1 and 0. In a scene that
+    is not linear in its drives (stretching, electrostatic force, a moving load) the magnitude of the first actuator is
+    the largest one in the scene.
 
-    A scene says by [search.magnitude], [search.phase], [search.frequency], [search.position] and [search.delay] what
-    else, and what not, is searched (docs/searching.md), and by method under [search] how (docs/methods.md).
+    [search.magnitude], [search.phase], [search.frequency], [search.position] and [search.delay] in the scene select
+    what is searched (docs/searching.md), and method under [search] how (docs/methods.md).
 
-    [search.limits] says what the amplifier can do: magnitude, power and equal_magnitudes (docs/searching.md).
+    [search.limits] holds the limits of the amplifier: magnitude, power and equal_magnitudes (docs/searching.md).
 
-    [[search.objectives]] says for what is searched: a kind, which is localization, contrast, velocity, displacement or
+    [[search.objectives]] selects what is maximised: a kind, which is localization, contrast, velocity, displacement or
     uniformity, with its weight, and a rest_limit for velocity and displacement (docs/objectives.md).
 
-    With [[targets]] a drive is searched for each, and the crosstalk between them is shown. The scene that is found is
-    written beside the result as OUT.best.toml, which simulate runs.
+    With [[targets]] a drive is searched for each, and the crosstalk between them is shown. The scene with the best
+    drive is written beside the result as OUT.best.toml, which simulate runs.
 
-    With [search.robust] the drive is judged by many panels drawn within tolerances, and compared over fresh ones with
-    what the same search finds for the nominal panel alone: see docs/robust.md.
+    With [search.robust] drives are judged on many panels drawn within tolerances; the best one is compared on fresh
+    panels with what the same search finds for the nominal panel (docs/robust.md).
 
-    Ctrl-C ends the search with the best so far, and leaves a checkpoint beside the result: --resume goes on from it as
-    if there had been no stop, to the same result to the last bit. So does a search that runs longer than
-    --checkpoint-every, in case the machine stops. A search that comes to its end takes its checkpoint away.
+    Ctrl-C ends the search with the best drive so far and leaves a checkpoint beside the result, from which --resume
+    continues to a bit-identical result. A search that runs longer than --checkpoint-every leaves one too, in case the
+    machine stops. A finished search deletes its checkpoints.
 
     Parameters
     ----------
-    scene
-        A preset's name (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file. With
-        --resume it may be left out.
-    device
-        cpu, cuda, cuda:1, ... or auto, which takes a CUDA device where there is one; auto when left out, with --resume
-        the kind that the search began on. Another kind rounds in another way: the result may differ. With --cluster
-        that of its workers.
-    devices
-        Several devices of this machine, such as cuda:0,cuda:1, or cpu,cpu for two single-threaded processes: the plates
-        of the search are shared among them, a process each. Results are the same to the last bit. See docs/scaling.md.
-    cluster
-        Workers of Dask distributed that share the plates instead (needs the extra cluster): local:4 starts four on this
-        machine, tcp://HOST:PORT or a scheduler's JSON file names a scheduler that runs.
     seed
-        Of the search; the scene's when left out.
+        Random seed of the search (default: the scene's).
     evaluator
-        direct simulates a plate for each particle; response uses Gram matrices of unit responses instead. direct when
-        left out, of a robust search response where it holds.
-    path
-        How plates are stepped: resident (all steps in one launch) or streaming (one or a few steps a launch). auto,
-        the faster one, when left out.
-    accuracy
-        Such as 1% or 0.01: the relative error that localization factors may have, instead of the scene's grid.
-    estimate
-        End with an estimate of the result's error.
+        direct simulates a plate for each evaluation; response uses Gram matrices of unit responses (default: direct;
+        for a robust search response where it applies).
     baselines
-        Show the drives that haptics takes without a search beside the one found: time reversal and inverse filter.
+        Compare with drives that need no search: time reversal and inverse filter.
     spectrum
-        After a search for one frequency of all actuators, take the localization factor over its whole range: of equal
-        drive, of the best single actuator and of the best drive that may be chosen at each frequency, or a bound of it,
-        with the plate's resonances.
-    checkpoint_every
-        Seconds between two checkpoints, at the end of an iteration: OUT.checkpoint.h5 for OUT.h5, and
-        OUT.checkpoint.previous.h5, the one before. 0: after each iteration; inf: only after Ctrl-C.
+        After a search for a common frequency, compute the localization factors over its range: of the equal drive, of
+        the best single actuator, and the bound at each frequency, with the plate's resonances.
     resume
-        The checkpoint (.checkpoint.h5) of a search to go on with; the one before it is taken where it is damaged.
-        Scene, seed, evaluator, path and accuracy are the checkpoint's; one that differs is refused.
+        The checkpoint (.checkpoint.h5) of a search to continue; the one before it is taken if it is damaged. Scene,
+        seed, evaluator, path and accuracy are the checkpoint's, and may only be given again as they were.
     out
-        The result file (.h5); SCENE-localize.h5 in this folder when left out, with --resume beside the checkpoint.
-        Pictures are written beside it.
-    pictures
-        Draw the displacements and the search's history (needs the extra viz).
-    json
-        Print one JSON object instead of tables.
+        The result file (.h5; default: SCENE-localize.h5 in this folder; with --resume beside the checkpoint).
     """
     if scene is None and resume is None:
         raise SceneError("localize needs a SCENE (a preset's name or a TOML file), or --resume FILE")
-    beside = None if resume is None else result_beside(resume)
-    target = output.output_file(out or beside, scene or "", "localize")
-    loaded = None if scene is None else output.load_scene(scene, accuracy, searched=True)
-    from warp_plate.result.checkpoint import ENDING
+    target = output.output_file(out or (resume and _result_beside(resume)), scene or "", "localize")
+    loaded = None if scene is None else output.load_scene(scene, accuracy)
+    from warp_plate.result.checkpoint import ENDING, load_newest
     from warp_plate.studies.checkpointing import CheckpointFile
+    from warp_plate.studies.localize import load_to_resume
+    from warp_plate.studies.localize import localize as run_localize
+    from warp_plate.studies.localize import resume as run_resume
 
-    same: dict[str, object] = {"seed": seed, "evaluator": evaluator, "path": path}
-    # A search that goes on is on the device that it began on, unless --device names another.
-    own = own_device(devices if resume is None else None, cluster, device)
-    checkpoint = None if resume is None else read_checkpoint(resume, loaded, scene, accuracy, same, own)
-    kept = CheckpointFile(target.with_suffix(ENDING), checkpoint_every, resume is not None, output.tell)
-    if checkpoint is None and kept.path.exists():
-        output.tell(f"{kept.path} is of a search that did not end; a checkpoint of this one will replace it")
+    # A search that is resumed runs on the device that it began on unless --device names another.
+    local = options.local_device(devices if resume is None else None, cluster, device)
+    checkpoint = None
+    if resume is not None:
+        if loaded is None and accuracy is not None:
+            loaded = output.with_accuracy_option(load_newest(resume)[0].scene_as_written, accuracy)
+        given = {"seed": seed, "evaluator": evaluator, "path": path}
+        with output.scene_errors(scene or "--accuracy"):
+            checkpoint = load_to_resume(resume, loaded, local, output.log, **given)
+    file = CheckpointFile(target.with_suffix(ENDING), checkpoint_every, resume is not None, output.log)
+    if checkpoint is None and file.path.exists():
+        output.log(f"{file.path} holds an unfinished search; a checkpoint of this one will replace it")
     output.prepare_pictures(pictures)
-    from warp_plate.studies.localize import localize as search
-    from warp_plate.studies.localize import resume as go_on
+    with (
+        options.workers(devices, cluster, device) as pool,
+        output.progress_bar("searching", not json) as show,
+        output.scene_errors(scene),
+        _resumable(file),
+    ):
+        progress = (0, 1, "")
 
-    searched = loaded if checkpoint is None else checkpoint.scene
-    assert searched is not None
-    if checkpoint is not None:
-        run = partial(go_on, checkpoint, own)
-    elif loaded is not None:
-        on = "auto" if own is None else own
-        run = partial(search, loaded, scene or "", on, seed, evaluator, path or "auto")
-    if baselines:
-        from warp_plate.studies.baselines import check_baselines, with_baselines
+        def on_progress(done: int, total: int, best: float) -> None:
+            nonlocal progress
+            progress = (done, total, f"best {best:.4g}")
+            show(*progress)
 
-        check_baselines(searched)
-    with workers(devices, cluster, device) as pool:
-        result = _run(partial(run, spectrum=spectrum, pool=pool), estimate, kept, not json, pool, searched)
-    if baselines:
-        began = ("auto", "auto") if checkpoint is None else (checkpoint.device, checkpoint.path)
-        result = with_baselines(result, began[0] if own is None else own, path or began[1])
-    files, missing = _write(result, target, pictures, kept)
+        if pool is not None:
+            pool.on_progress = lambda done, total: show(*progress[:2], f"{progress[2]} block {done}/{total}")
+        common = (on_progress, estimate, file, spectrum, pool, baselines)
+        if checkpoint is not None:
+            result = run_resume(checkpoint, local, *common)
+        else:
+            assert loaded is not None
+            result = run_localize(loaded, scene or "", local or "auto", seed, evaluator, path or "auto", *common)
+    files, missing = _write(result, target, pictures, file)
     if json:
-        output.print_json(as_json(result, files, kept.path if result.interrupted and kept.saved else None))
+        output.print_json(_as_json(result, files, file.path if result.interrupted and file.saved else None))
         return
     _print(result, output.console())
     output.print_files(files, missing)
 
 
-def _run(
-    run: Callable[..., Result], estimate: bool, kept: CheckpointFile, shown: bool, pool: Pool | None, scene: Scene
-) -> Result:
-    """The search with its progress; what leaves nothing but a checkpoint, Ctrl-C or a fault, says how to go on."""
-    with output.progress_bar("searching", shown) as show:
-        iterations, total, found = 0, scene.search.iterations * max(len(scene.targets), 1), ""
-
-        def told(done: int, of: int, best: float) -> None:
-            nonlocal iterations, total, found
-            iterations, total, found = done, of, f"best {best:.4g}"
-            show(done, of, found)
-
-        if pool is not None:
-            pool.told = lambda done, of: show(iterations, total, f"{found} block {done}/{of}")
-        try:
-            return run(on_progress=told, estimate=estimate, checkpoints=kept)
-        except SceneError as error:
-            if kept.saved is None:
-                raise
-            raise SceneError(f"{error}; there is a checkpoint{way_on(kept.saved, kept.path)}") from None
-        except KeyboardInterrupt:
-            if kept.saved is None:
-                raise
-            raise KeyboardInterrupt(way_on(kept.saved, kept.path)) from None
+def _result_beside(checkpoint: Path) -> Path:
+    """Return NAME.h5 for NAME.checkpoint.h5 or the checkpoint before it."""
+    stem = checkpoint.name.removesuffix(".h5").removesuffix(".previous")
+    named = stem.endswith(".checkpoint")
+    return checkpoint.parent / (stem.removesuffix(".checkpoint") + (".h5" if named else "-localize.h5"))
 
 
-def _write(result: Result, target: Path, pictures: bool, kept: CheckpointFile) -> tuple[list[Path], str | None]:
-    """The result and its pictures, see ``output.write_files``; the checkpoint goes once the search is done."""
+def _how_to_resume(file: CheckpointFile) -> str:
+    """Return how far the search is, and the command that resumes it; "" without a checkpoint."""
+    if file.saved is None:
+        return ""
+    command = f"warp-plate localize --resume {shlex.quote(str(file.path))}"
+    return f" after {file.saved.progress}; resume with: {command}"
+
+
+@contextmanager
+def _resumable(file: CheckpointFile) -> Iterator[None]:
+    """Add how to resume the search to errors and Ctrl-C."""
     try:
-        files, missing = output.write_files(result, target, pictures)
-        files[1:1] = _write_found(result, target.with_suffix(FOUND))
+        yield
     except SceneError as error:
-        if kept.saved is None:
+        if file.saved is None:
             raise
-        raise SceneError(f"{error}; there is a checkpoint{way_on(kept.saved, kept.path)}") from None
+        raise SceneError(f"{error}; there is a checkpoint{_how_to_resume(file)}") from None
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(_how_to_resume(file)) from None
+
+
+def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile) -> output.Drawn:
+    """Write the result, its pictures and the scenes found; delete the checkpoints of a finished search."""
+    from warp_plate.studies.localize import save_best_scenes
+
+    path = target.with_suffix(".best.toml")
+    with _resumable(file):
+        files, missing = output.write_result(result, target, pictures)
+        try:
+            files[1:1] = save_best_scenes(result, path)
+        except SceneError as error:
+            output.log(f"{path} is not written: {error}")
     if not result.interrupted:
-        kept.remove()
-    elif kept.saved is not None:
-        output.tell(f"interrupted{way_on(kept.saved, kept.path)}")
+        file.remove()
+    elif file.saved is not None:
+        output.log(f"interrupted{_how_to_resume(file)}")
     return files, missing
 
 
-def _write_found(result: Result, path: Path) -> list[Path]:
-    """The scene that was found, for ``simulate``, and of several targets one for each, numbered from the second on;
-    nothing where no scene may have its numbers, which is told."""
-    from warp_plate.result.atomic_io import write_atomically
-    from warp_plate.result.crosstalk import best_drive_scenes
-    from warp_plate.scene.dump import dump_scene
-
-    try:
-        scenes = best_drive_scenes(result)
-    except SceneError as error:
-        output.tell(f"{path} is not written: {error}")
-        return []
-    files = []
-    for number, scene in enumerate(scenes.values(), 1):
-        file = path if number == 1 else path.with_suffix(f".{number}.toml")
-        head = f"# Found by: warp-plate localize {result.source}\n# Run it by: warp-plate simulate {file.name}\n"
-        write_atomically((printable(head) + dump_scene(scene)).encode(), file)
-        files.append(file)
-    return files
-
-
-def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -> dict[str, object]:
-    """The object that ``--json`` prints; ``checkpoint``: what an interrupted search goes on from."""
-    best = result.cases["best"]
+def _as_json(result: Result, files: list[Path], checkpoint: Path | None) -> dict[str, object]:
+    """Return the record for ``--json``; ``checkpoint`` is the file that an interrupted search resumes from."""
     factors = {name: case.localization_factor for name, case in result.cases.items()}
     history = {name: values.tolist() for name, values in result.history.items()}
     return {
@@ -253,17 +209,17 @@ def as_json(result: Result, files: list[Path], checkpoint: Path | None = None) -
         "seed": result.seed,
         "localization_factor": {**factors, "bound": result.bound},
         "bound_kind": result.bound_kind,
-        "drive": output.drive_json(best, result.scene),
+        "drive": tables.drive_json(result.cases["best"], result.scene),
         "evaluations": result.evaluations,
         "node_steps": result.node_steps,
         "seconds": dict(result.seconds),
         "effects": list(result.effects),
         "history": [dict(zip(history, row, strict=True)) for row in zip(*history.values(), strict=True)],
         "objectives": dict(result.objective_values) or None,
-        "objectives_of": {name: dict(worth) for name, worth in result.objective_values_by_case.items()},
-        "robust": robust_json(result.robust),
+        "objectives_of": {name: dict(values) for name, values in result.objective_values_by_case.items()},
+        "robust": tables.robust_json(result.robust),
         "spectrum": {name: values.tolist() for name, values in result.spectrum.items()},
-        "crosstalk": crosstalk_json(result),
+        "crosstalk": tables.crosstalk_json(result),
         "evaluator": result.evaluator,
         "accuracy": dict(result.accuracy),
         "warnings": output.warnings_of(result),
@@ -278,39 +234,42 @@ def _print(result: Result, console: Console) -> None:
     from warp_plate.result.crosstalk import target_cases
     from warp_plate.scene.vary import counted
 
-    published = PUBLISHED if result.source == "paper" else {}
-    factors = {name: case.localization_factor for name, case in result.cases.items()}
-    first = f", target {result.scene.targets[0].name}" if result.target_searches else ""
-    headings = (f"localization factor{first}", "this run") + (("published",) if published else ())
     console.print(result.scene.title or result.source)
-    made = output.table(*headings)
-    rows = [(name, meaning, factors[name]) for name, meaning in MEANING.items() if name in factors]
-    bound = "bound" if result.bound is None else result.bound_description
-    for name, meaning, value in (*rows, ("bound", bound, result.bound)):
-        row = [meaning, "none claimed" if value is None else output.known(value, ".4f")]
-        made.add_row(*row, *([f"{published[name]:.4f}" if name in published else ""] if published else []))
-    console.print(made)
-    console.print()
-    print_objectives(result, console)
-    print_robust(result, console)
+    _print_factors(result, console)
+    tables.print_objectives(result, console)
+    tables.print_robust(result, console)
     for target, case in (target_cases(result.scene) or {"": "best"}).items():
         if case in result.cases:
-            console.print(output.drive_table(result.cases[case], result.scene, target))
+            console.print(tables.drive_table(result.cases[case], result.scene, target))
             console.print()
     if result.target_searches:
-        console.print(crosstalk_table(result))
+        console.print(tables.crosstalk_table(result))
         console.print()
-    for line in lost_lines(result.lost_plates):
+    for line in options.failure_lines(result.lost_plates):
         console.print(f"! {line}")
     if result.interrupted:
-        console.print("Interrupted by Ctrl-C: the best so far is shown.")
-    if published:
+        console.print("Interrupted by Ctrl-C; the best drive so far is shown.")
+    if result.source == "paper":
         console.print(NOT_REPRODUCED)
-    effects, (thing, tried) = ", ".join(result.effects) or "none", TRIED[result.evaluator]
-    console.print(
-        f"{counted(result.evaluations, thing)} {tried}, {result.node_steps:.3g} node-steps in all on "
-        f"{result.device}, {result.path}: {result.seconds['solve']:.2f} s solving after "
-        f"{result.seconds['compile']:.2f} s compiling or loading kernels. Effects compiled in: {effects}."
-    )
+    unit, verb = EVALUATIONS[result.evaluator]
+    console.print(f"{counted(result.evaluations, unit)} {verb}, in all {output.cost_text(result)}")
     output.print_accuracy(result, console)
     output.print_warnings(result, console)
+
+
+def _print_factors(result: Result, console: Console) -> None:
+    """Print the localization factors, with the published ones of the paper's scene."""
+    published = PUBLISHED if result.source == "paper" else {}
+    target = f", target {result.scene.targets[0].name}" if result.target_searches else ""
+    made = output.table(f"localization factor{target}", "this run", *(["published"] if published else []))
+    factors = {name: case.localization_factor for name, case in result.cases.items()}
+    for name, label in CASE_LABELS.items():
+        if name in factors:
+            cells = [f"{published[name]:.4f}" if name in published else ""] if published else []
+            made.add_row(label, output.number_text(factors[name], ".4f"), *cells)
+    if result.bound is None:
+        made.add_row("bound", "none claimed")
+    else:
+        made.add_row(result.bound_description, output.number_text(result.bound, ".4f"))
+    console.print(made)
+    console.print()

@@ -26,9 +26,9 @@ def main(arguments: list[str] | None = None) -> None:
         sys.stderr.close()
         sys.exit(0)
     except OSError as error:
-        from warp_plate.cli.output import tell
+        from warp_plate.cli.output import log
 
         # At exit Python would try again to write what standard output still holds.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        tell(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}")
+        log(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}")
         sys.exit(2)

@@ -1,14 +1,11 @@
-"""``warp-plate modes SCENE``: natural frequencies and shapes of the plate as the kernels have it."""
+"""``warp-plate modes SCENE``: natural frequencies and mode shapes of the discretised plate."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import cyclopts
-
-from warp_plate.cli import output
-from warp_plate.cli.options import Whole
+from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -19,62 +16,45 @@ ENDINGS = (".png", ".svg", ".pdf")
 
 
 def modes(
-    scene: str,
+    scene: options.SceneName,
     /,
     *,
-    count: Whole = 6,
-    accuracy: str | None = None,
+    count: options.Integer = 6,
+    accuracy: options.Accuracy | None = None,
     out: Path | None = None,
-    pictures: bool = True,
-    json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+    pictures: options.Pictures = True,
+    json: options.Json = False,
 ) -> None:
-    """Show the natural frequencies and shapes of a plate, with its edges and its linear effects.
+    """Show the natural frequencies and mode shapes of a plate, with its edges and its linear effects.
 
     Parameters
     ----------
-    scene
-        A preset's name (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file.
     count
-        How many modes, from the lowest.
-    accuracy
-        Such as 1% or 0.01: take the grid that keeps localization factors to it, instead of the scene's.
+        Number of modes, from the lowest.
     out
-        The picture of the shapes (.png, .svg or .pdf); SCENE-modes.png in this folder when left out.
-    pictures
-        Draw the shapes with their nodal lines (needs the extra viz).
-    json
-        Print one JSON object instead of a table.
+        The picture of the shapes with their nodal lines (.png, .svg or .pdf; default: SCENE-modes.png in this folder).
     """
     target = output.output_file(out, scene, "modes", ENDINGS)
     if count < 1:
         raise SceneError(f"--count {count}: must be at least 1")
-    loaded = _with_grid(output.load_scene(scene, accuracy))
+    loaded = output.load_scene(scene, accuracy)
     from warp_plate.plate.modes import natural_modes, refuse_many_nodes
+    from warp_plate.studies.grid_choice import resolve_grid
 
-    try:
+    with output.scene_errors(scene):
+        loaded = resolve_grid(loaded, "auto").scene
         refuse_many_nodes(loaded)
-    except SceneError as error:
-        raise SceneError(f"{scene}: {error}") from None
-    found = natural_modes(loaded, count)
+        found = natural_modes(loaded, count)
     files, missing = _draw(loaded, found, target) if pictures else ([], None)
     if json:
-        output.print_json(_record(scene, loaded, found, files))
+        output.print_json(_as_json(scene, loaded, found, files))
         return
     _print(scene, loaded, found)
     output.print_files(files, missing)
 
 
-def _with_grid(scene: Scene) -> Scene:
-    """The scene with the grid that its accuracy asks for, if it does."""
-    if scene.grid.accuracy is None:
-        return scene
-    from warp_plate.studies.localize import resolve
-
-    return resolve(scene, "auto")[0]
-
-
-def _draw(scene: Scene, found: NaturalModes, path: Path) -> tuple[list[Path], str | None]:
-    """The files written, and None or why none was."""
+def _draw(scene: Scene, found: NaturalModes, path: Path) -> output.Drawn:
+    """Draw the mode shapes; return the files written, or why there are none."""
     from warp_plate.result.atomic_io import atomic_path
     from warp_plate.viz.availability import missing_plots
     from warp_plate.viz.plots.modes import draw_modes
@@ -91,19 +71,19 @@ def _draw(scene: Scene, found: NaturalModes, path: Path) -> tuple[list[Path], st
 
 
 def _left_out(scene: Scene) -> list[str]:
-    """Effects that the scene names and natural modes know nothing of."""
+    """Return the effects of the scene that natural modes leave out."""
     effects = scene.effects
-    lossy = {
+    present = {
         "damping": effects.damping is not None,
         "material damping": effects.material_damping is not None,
         "damping of the foundation": effects.foundation is not None and effects.foundation.damping > 0,
-        "damping of oscillators": any(one.damping > 0 for one in effects.oscillators),
+        "damping of oscillators": any(oscillator.damping > 0 for oscillator in effects.oscillators),
         "stretching": effects.stretching is not None,
     }
-    return [name for name, named in lossy.items() if named]
+    return [name for name, active in present.items() if active]
 
 
-def _record(name: str, scene: Scene, found: NaturalModes, files: list[Path]) -> dict[str, object]:
+def _as_json(name: str, scene: Scene, found: NaturalModes, files: list[Path]) -> dict[str, object]:
     return {
         "scene": name,
         "nodes": list(scene.grid.nodes),
@@ -122,9 +102,9 @@ def _print(name: str, scene: Scene, found: NaturalModes) -> None:
     console = output.console()
     nx, ny = scene.grid.nodes
     console.print(f"{scene.title or name}: {nx} × {ny} nodes, order {scene.grid.order}\n")
-    hung = [index for index, one in enumerate(scene.effects.oscillators) if one.mass > 0]
+    masses = [index for index, oscillator in enumerate(scene.effects.oscillators) if oscillator.mass > 0]
     made = output.table(
-        "mode", "frequency (Hz)", "in a run (Hz)", "waves x × y", *(f"mass {index}" for index in hung)
+        "mode", "frequency (Hz)", "in a run (Hz)", "waves x × y", *(f"mass {index}" for index in masses)
     )
     rows = zip(found.frequencies, found.stepped, found.half_waves(), found.oscillators, strict=True)
     for number, (frequency, stepped, waves, motion) in enumerate(rows, start=1):
@@ -133,13 +113,13 @@ def _print(name: str, scene: Scene, found: NaturalModes) -> None:
             f"{frequency:.2f}" if frequency else "0 (rigid)",
             f"{stepped:.2f}",
             "mixed" if waves is None else f"{waves[0]} × {waves[1]}",
-            *(f"{motion[index]:.3g}" for index in hung),
+            *(f"{motion[index]:.3g}" for index in masses),
         )
     console.print(made)
     console.print(
         f"\nIn a run: with steps of {found.time_step:.3g} s. Waves: half-waves, stretches of one sign along x and y."
-        + (" Mass: motion of the oscillator's, the plate's largest being 1." if hung else "")
+        + (" Mass: displacement of the oscillator relative to the largest of the plate." if masses else "")
     )
     left_out = _left_out(scene)
     if left_out:
-        console.print(f"Not in natural modes: {', '.join(left_out)}.")
+        console.print(f"Not included in natural modes: {', '.join(left_out)}.")

@@ -1,13 +1,14 @@
-"""What commands print: a table for people, one JSON object for programs, progress on standard error."""
+"""Input and output of commands: scenes, output files, text, tables, JSON, and progress on standard error."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
+import re
 import stat
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,54 +19,84 @@ from rich.text import Text
 
 from warp_plate.scene.errors import SceneError, printable
 
-# Of the files beside a result, while they are written.
+# The longest ending of the files that are written beside a result.
 LONGEST_ENDING = ".checkpoint.h5.12345678.part.h5"
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from warp_plate.result.model import Case, Result
+    from warp_plate.result.model import Result
     from warp_plate.scene.model import Scene
 
-
-def print_json(data: Mapping[str, object]) -> None:
-    """One JSON object and nothing else; numbers that are not finite become null, which JSON has."""
-    print(json.dumps(_finite(data), indent=2))
+# Draws pictures beside a file; returns their paths and, if some are missing, the reason.
+Drawn = tuple[list[Path], str | None]
 
 
 class _PlainConsole(Console):
-    """Prints text as it stands: what a scene calls itself is neither markup nor a command to the terminal."""
+    """A console that prints text verbatim: scene titles and names are neither markup nor terminal commands."""
 
     def render_str(self, text: str, **options: Any) -> Text:
         return super().render_str(printable(text), **options)
 
 
 def console() -> Console:
-    """Standard output, wrapped to the terminal's width and plain when it is a file."""
+    """Return a console on standard output, wrapped to the terminal's width and without colours in a file."""
     return _PlainConsole(highlight=False, markup=False, emoji=False)
 
 
-def tell(line: str) -> None:
-    """One line for people on standard error."""
+def log(line: str) -> None:
+    """Print one line on standard error."""
     print(f"warp-plate: {printable(' '.join(line.split()))}", file=sys.stderr)
 
 
+def print_json(data: Mapping[str, object]) -> None:
+    """Print one JSON object. Numbers that are not finite become null, since JSON has no others."""
+    print(json.dumps(_finite(data), indent=2))
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return value
+
+
 def table(*headings: str, title: str | None = None) -> Table:
-    """An empty table whose first column is text and whose other columns are numbers."""
+    """Return an empty table whose first column is text and whose other columns are numbers."""
     made = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
     for index, heading in enumerate(headings):
         made.add_column(heading, justify="left" if index == 0 else "right")
     return made
 
 
-def known(value: float | None, digits: str, unit: str = "") -> str:
-    """A number for people; none where there is no such number."""
+def print_uncropped(console: Console, made: Table) -> None:
+    """Print a table whatever the width of the terminal: a number without its last digits is another number. Only
+    headings and the first column may wrap."""
+    for index, column in enumerate(made.columns):
+        cells = [str(cell) for cell in column.cells]
+        wrapped, fixed = ([column.header, *cells], []) if index == 0 else ([column.header], cells)
+        words = [word for text in wrapped for word in str(text).split()]
+        column.min_width = max(map(len, [*words, *fixed]), default=0)
+    console.print(made, crop=False)
+
+
+def number_text(value: float | None, digits: str, unit: str = "") -> str:
+    """Format a number; "none" if it is missing or not finite."""
     return "none" if value is None or not math.isfinite(value) else f"{value:{digits}}{unit}"
+
+
+def print_files(files: Sequence[Path], missing: str | None) -> None:
+    """Print a line for each file written, and why others are missing."""
+    for file in files:
+        print(printable(f"wrote {file}"))
+    if missing:
+        print(printable(missing))
 
 
 @contextmanager
 def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int, str], None]]:
-    """A bar with time left where standard error is a terminal; the yielded function takes (done, total, note)."""
+    """Show a progress bar if standard error is a terminal; yield a function of (done, total, note) that updates it."""
     if not shown or not sys.stderr.isatty():
         yield lambda done, total, note: None
         return
@@ -77,201 +108,158 @@ def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int, str], 
         yield lambda done, total, note: progress.update(task, completed=done, total=total, note=note)
 
 
-def print_whole(console: Console, made: Table) -> None:
-    """Print a table of which nothing is cut, whatever the window's width: a number without its end is another number.
-    Headings and the first column, which is text, may take several lines."""
-    for index, column in enumerate(made.columns):
-        cells = [str(cell) for cell in column.cells]
-        texts, whole = ([column.header, *cells], []) if index == 0 else ([column.header], cells)
-        words = [word for text in texts for word in str(text).split()]
-        column.min_width = max(map(len, [*words, *whole]), default=0)
-    console.print(made, crop=False)
+def load_scene(source: str, accuracy: str | None = None) -> Scene:
+    """Load a scene, with ``--accuracy`` in place of its grid if that is given.
+
+    Raises:
+        SceneError: see ``Scene.load`` and :func:`with_accuracy_option`.
+    """
+    from warp_plate.scene import Scene
+
+    scene = Scene.load(source)
+    return scene if accuracy is None else with_accuracy_option(scene, accuracy)
 
 
-def drive_table(case: Case, scene: Scene, target: str = "") -> Table:
-    """A drive as the source paper's Table 1 gives it, and after it what else was found; target: of several."""
-    headings = ("actuator", f"magnitude ({scene.drive_unit})", "phase (rad)", "phase / π", *case.per_actuator)
-    made = table(*headings, title=f"Drive found{f' for {printable(target)}' if target else ''}")
-    for index, actuator in enumerate(scene.actuators):
-        magnitude, phase = case.magnitude[index], case.phase[index]
-        own = (f"{values[index]:.5g}" for values in case.per_actuator.values())
-        made.add_row(actuator.name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}", *own)
-    return made
+def with_accuracy_option(scene: Scene, accuracy: str) -> Scene:
+    """Return the scene with ``--accuracy``, such as 1% or 0.01, in place of its grid.
+
+    Raises:
+        SceneError: ``accuracy`` is not a number or not in range.
+    """
+    text = accuracy.strip()
+    try:
+        return scene.with_accuracy(float(text.removesuffix("%")) / (100 if text.endswith("%") else 1))
+    except (ValueError, SceneError):
+        raise SceneError(f"--accuracy {accuracy}: must be from 0.01% to 50%, such as 1% or 0.01") from None
 
 
-def drive_json(case: Case, scene: Scene) -> list[dict[str, object]]:
-    """A drive for ``--json``, an object for each actuator; with what the search gave it of its own."""
-    own = {"frequency": case.frequency, "centre": case.centre, "delay": case.delay}
-    return [
-        {
-            "actuator": actuator.name,
-            "magnitude": float(case.magnitude[index]),
-            "phase": float(case.phase[index]),
-            **{name: values[index].tolist() for name, values in own.items() if values is not None},
-        }
-        for index, actuator in enumerate(scene.actuators)
-    ]
+@contextmanager
+def scene_errors(source: str | None) -> Iterator[None]:
+    """Prefix errors that begin with a key of the scene with the scene's file.
+
+    Raises:
+        SceneError: the prefixed error.
+    """
+    from warp_plate.scene import Scene
+
+    try:
+        yield
+    except SceneError as error:
+        key = re.match(r"\w*", str(error))
+        if source is None or key is None or key[0] not in Scene.model_fields:
+            raise
+        raise SceneError(f"{source}: {error}") from None
 
 
 def output_file(out: Path | None, source: str, command: str, endings: Sequence[str] = (".h5",)) -> Path:
-    """Where a command's file goes: ``out``, or SCENE-COMMAND with the first of the endings, in this folder.
+    """Return the path of a command's file: ``out``, or SCENE-COMMAND with the first of the endings, in this folder.
 
-    source: the name given as SCENE, empty where a command takes none.
+    Args:
+        source: the scene's name; empty for commands without a scene.
 
     Raises:
-        SceneError: another ending, or see :func:`refuse_place`; said before any work is done.
+        SceneError: ``out`` has another ending, or see :func:`check_writable`.
     """
     path = out or Path(f"{Path(source).stem}-{command}{endings[0]}" if source else f"{command}{endings[0]}")
     if path.suffix not in endings:
         raise SceneError(f"--out {path}: must end in {' or '.join(', '.join(endings).rsplit(', ', 1))}")
-    refuse_place(path)
+    check_writable(path)
     return path
 
 
-def refuse_place(path: Path) -> None:
-    """Nothing, where a file of that name and those beside it (checkpoints, pictures, unfinished ones) can be made.
+def check_writable(path: Path) -> None:
+    """Check that a file and those beside it (checkpoints, pictures, temporary files) can be written.
 
     Raises:
-        SceneError: no file can be made there, its name leaves those no room, or its folder is missing.
+        SceneError: it is a folder, its folder is missing or read-only, or its name is invalid or too long.
     """
-    there: str | bool
+    problem: str | bool
     try:
-        there = "is a folder" if stat.S_ISDIR(path.stat().st_mode) else ""
+        problem = "is a folder" if stat.S_ISDIR(path.stat().st_mode) else ""
     except (FileNotFoundError, NotADirectoryError):
-        there = "" if path.parent.is_dir() else f"no such folder: {path.parent}"
-    except (OSError, ValueError) as error:  # a name too long, or with characters that no name may have
-        there = f"no name for a file: {getattr(error, 'strerror', None) or error}"
-    there = there or _no_room_beside(path)
-    if there or not os.access(path.parent, os.W_OK):
-        raise SceneError(f"--out {path}: {there or f'no permission to write to the folder {path.parent}'}")
+        problem = "" if path.parent.is_dir() else f"no such folder: {path.parent}"
+    except (OSError, ValueError) as error:  # a name that is too long or contains forbidden characters
+        problem = f"not a valid file name: {getattr(error, 'strerror', None) or error}"
+    problem = problem or _name_too_long(path)
+    if problem or not os.access(path.parent, os.W_OK):
+        raise SceneError(f"--out {path}: {problem or f'no permission to write to the folder {path.parent}'}")
 
 
-def _no_room_beside(path: Path) -> str:
-    """Why the longest name of those beside a file is none, if so: the system alone knows how long one may be."""
+def _name_too_long(path: Path) -> str:
+    """Return why the longest name beside a file is too long, or "". Only the system knows the limit."""
     try:
         path.with_name(f".{path.stem}{LONGEST_ENDING}").stat()
     except FileNotFoundError:
         return ""
     except OSError as error:
         added = len(LONGEST_ENDING) + 1 - len(path.suffix)
-        return f"{error.strerror}: those of the files beside it take {added} bytes more"
+        return f"{error.strerror}: the names of the files beside it are {added} bytes longer"
     return ""
 
 
-def load_scene(
-    source: str, accuracy: str | None = None, allow_unstable: bool = False, searched: bool = False
-) -> Scene:
-    """The scene, with the checks that need its grid already made, so that their errors name the file as well.
-
-    accuracy: what ``--accuracy`` says; it takes the place of the scene's grid. allow_unstable: whether its time step
-    may be above the limit. searched: whether what its search frees must fit too.
-
-    Raises:
-        SceneError: see ``Scene.load``, ``make_scheme``, ``patches`` and ``parametrization_of``; or no accuracy.
-    """
-    from warp_plate.plate.scheme import make_scheme
-    from warp_plate.plate.weights import patches, region_weights
-    from warp_plate.result.crosstalk import target_regions
-    from warp_plate.scene import Scene
-
-    scene = Scene.load(source)
-    if accuracy is not None:
-        scene = with_asked_accuracy(scene, accuracy)
-    if scene.grid.accuracy is not None:
-        return scene
-    try:
-        make_scheme(scene, allow_unstable)
-        patches(scene)
-        region_weights(scene, target_regions(scene))
-        if searched:
-            from warp_plate.problem.design_variables import with_common_step
-            from warp_plate.problem.parametrization import parametrization_of
-
-            parametrization_of(with_common_step(scene))
-    except SceneError as error:
-        raise SceneError(f"{source}: {error}") from None
-    return scene
-
-
-def with_asked_accuracy(scene: Scene, accuracy: str) -> Scene:
-    """The scene with what ``--accuracy`` says in the place of its grid.
-
-    Raises:
-        SceneError: no accuracy.
-    """
-
-    try:
-        return scene.with_accuracy(_accuracy_of(accuracy))
-    except SceneError:
-        raise SceneError(f"--accuracy {accuracy}: must be from 0.01% to 50%, such as 1% or 0.01") from None
-
-
-def _accuracy_of(text: str) -> float:
-    """What ``--accuracy`` asks for, 1% or 0.01.
-
-    Raises:
-        SceneError: neither a number nor a percentage.
-    """
-    number = text.strip().removesuffix("%")
-    try:
-        return float(number) / (100 if text.strip().endswith("%") else 1)
-    except ValueError:
-        raise SceneError("not a number") from None
+def cost_text(result: Result) -> str:
+    """Return a sentence about where a result was computed, its cost, and the effects in the compiled kernels."""
+    return (
+        f"{result.node_steps:.3g} node-steps on {result.device}, {result.path}: {result.seconds['solve']:.2f} s "
+        f"solving after {result.seconds['compile']:.2f} s compiling or loading kernels. Effects compiled in: "
+        f"{', '.join(result.effects) or 'none'}."
+    )
 
 
 def print_accuracy(result: Result, console: Console) -> None:
-    """Why the grid was chosen, if it was, and the estimate of the result's error."""
-    known = result.accuracy
-    if "reason" in known:
-        console.print(f"grid chosen for {known['reason']}")
-    if "estimate" in known:
-        console.print(known["estimate"]["line"])
+    """Print why the grid was chosen, if it was, and the estimated error of the result."""
+    if "reason" in result.accuracy:
+        console.print(f"grid chosen for {result.accuracy['reason']}")
+    if "estimate" in result.accuracy:
+        console.print(result.accuracy["estimate"]["line"])
 
 
 def warnings_of(result: Result) -> list[str]:
-    """What the result's scene calls for but does not name, going by the drive that was asked for or found; and what its
-    search says in vain."""
+    """Return warnings about effects that the result calls for but its scene lacks, and about search settings that have
+    no effect."""
     from warp_plate.analysis.warnings import explain_missing_energies, search_warnings, warning_texts
     from warp_plate.problem.methods import unread_keys
 
-    lost = next((one.status for one in result.cases.values() if one.status != "ok"), None)
-    if lost is not None:
-        return [explain_missing_energies(result.scene, lost)]
+    failed = next((case.status for case in result.cases.values() if case.status != "ok"), None)
+    if failed is not None:
+        return [explain_missing_energies(result.scene, failed)]
     best = result.history.get("best")
     if best is not None and len(best) and not math.isfinite(best[-1]):
-        return ["No plate that the search tried has energies: the best single actuator stands for what it should find."]
+        return ["No plate that the search tried has energies; the best single actuator is shown in place of a result."]
     found = [*search_warnings(result.scene), *unread_keys(result.scene.search)] if result.command == "localize" else []
     return found + warning_texts(result.case_scene(result.main_case), result.peak_displacement)
 
 
 def print_warnings(result: Result, console: Console) -> None:
-    """One line for each of ``warnings_of``."""
+    """Print a line for each of ``warnings_of``."""
     for sentence in warnings_of(result):
         console.print(f"! {sentence}")
 
 
 def prepare_pictures(pictures: bool) -> None:
-    """Let what drawing needs get ready beside the run."""
+    """Start loading what drawing needs while the command runs."""
     if pictures:
         from warp_plate.viz import prepare
 
         prepare()
 
 
-def write_files(result: Result, path: Path, pictures: bool) -> tuple[list[Path], str | None]:
-    """Save the result and draw its pictures beside it; returns the files, and why a picture is missing."""
-    from warp_plate.interrupts import deferred_interrupts
-    from warp_plate.result import save_result
+def write_files(path: Path, save: Callable[[Path], object], draw: Callable[[Path], Drawn] | None) -> Drawn:
+    """Save a file whole even if Ctrl-C comes, and draw its pictures beside it unless ``draw`` is None.
 
-    files = []
+    Returns:
+        The files written, and why pictures are missing, if they are.
+    """
+    from warp_plate.interrupts import deferred_interrupts
+
+    files: list[Path] = []
     try:
         with deferred_interrupts():
-            files.append(save_result(result, path))
-        if not pictures:
+            save(path)
+            files.append(path)
+        if draw is None:
             return files, None
-        from warp_plate.viz import draw_all
-
-        drawn, missing = draw_all(result, path.with_suffix(""))
+        drawn, missing = draw(path)
     except KeyboardInterrupt:
         if not files:
             raise
@@ -279,19 +267,13 @@ def write_files(result: Result, path: Path, pictures: bool) -> tuple[list[Path],
     return files + drawn, missing
 
 
-def print_files(files: Sequence[Path], missing: str | None) -> None:
-    """A line for each file written, and why others are missing."""
-    for file in files:
-        print(printable(f"wrote {file}"))
-    if missing:
-        print(printable(missing))
+def write_result(result: Result, path: Path, pictures: bool) -> Drawn:
+    """Save a result and draw its pictures; see :func:`write_files`."""
+    from warp_plate.result import save_result
 
+    def draw(path: Path) -> Drawn:
+        from warp_plate.viz import draw_all
 
-def _finite(value: object) -> object:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    return value
+        return draw_all(result, path.with_suffix(""))
+
+    return write_files(path, lambda path: save_result(result, path), draw if pictures else None)

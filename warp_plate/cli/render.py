@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import cyclopts
+from cyclopts import Parameter
 
-from warp_plate.cli import output
-from warp_plate.cli.moving import Choice, Field, check_looks, chosen_motions, playing_rate
+from warp_plate.cli import options, output
+from warp_plate.cli.motion_options import MotionOptions, check_playback, playback_rate, select_motions
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -24,72 +23,48 @@ WIDTHS = (120, 4000)
 
 
 def render(
-    result: Path,
+    result: options.ResultFile,
     /,
     *,
-    out: Annotated[list[Path] | None, cyclopts.Parameter(negative="")] = None,
+    out: Annotated[list[Path] | None, Parameter(negative="")] = None,
     figures: Literal["paper"] | None = None,
-    field: Field = "displacement",
-    case: Annotated[list[str] | None, cyclopts.Parameter(negative="")] = None,
-    modes: int = 0,
-    plan: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+    field: options.Field = "displacement",
+    case: options.CaseNames | None = None,
+    modes: options.ShapeCount = 0,
+    plan: options.Flag = False,
     time: float | None = None,
-    start: float | None = None,
-    end: float | None = None,
-    frames: int | None = None,
-    rate: float | None = None,
+    start: options.Start | None = None,
+    end: options.End | None = None,
+    frames: options.Frames | None = None,
+    rate: options.Rate | None = None,
     width: int = 560,
-    heights: float | None = None,
-    device: str = "auto",
-    json: Annotated[bool, cyclopts.Parameter(negative="")] = False,
+    heights: options.Heights | None = None,
+    device: options.Device = "auto",
+    json: options.Json = False,
 ) -> None:
     """Draw pictures, movies and pages of a result; needs no display.
 
-    A result keeps few displacements, so its scene is run once more under its drives for the frames.
+    A result holds few displacements, so its scene is run again under its drives for the frames.
 
     Parameters
     ----------
-    result
-        An .h5 file that localize or simulate wrote.
     out
-        File to write; give it again for more: .png (a picture), .gif, .mp4 (movies), .html (a page that plays and
-        turns the plates, offline), .svg, .pdf (seen from above). RESULT.png in this folder when left out.
+        File to write; repeat the option for more: .png (a picture), .gif, .mp4 (movies), .html (a page that plays and
+        turns the plates, offline), .svg, .pdf (seen from above). Default: RESULT.png in this folder.
     figures
         paper: figures 2 and 3 of the source paper, as RESULT-figure-2.png (the recorded times) and
         RESULT-figure-3.png, .svg and .pdf (the search).
-    field
-        In colour: displacement, velocity, energy (kinetic energy density), rms-velocity or phase; heights are
-        displacements always.
-    case
-        equal, single, best, drive or another of the result's; give it again for more. All, side by side, when left out.
-    modes
-        Draw the first so many natural shapes instead, 6 at most.
     plan
         Draw the .png seen from above as well.
     time
-        Of a picture, in seconds; the moment when what is in colour is largest, when left out.
-    start
-        Of the frames, in seconds; when both this and --end are left out, the last period of the drive, or of a drive
-        that does not repeat the first burst, else the scene's window.
-    end
-        Of the frames, in seconds; the end of the run when only --start is there.
-    frames
-        How many; 60 a period, or as many as there are steps, and 600 at most, when left out.
-    rate
-        Frames a second in movies and pages; 30, or what plays a period in 1.4 s, when left out.
+        Time of a picture in seconds (default: when the quantity in colour is largest).
     width
-        Of one plate's picture, in pixels.
-    heights
-        How many times displacements are exaggerated.
-    device
-        cpu, cuda, cuda:1, ...; auto takes a CUDA device where there is one.
-    json
-        Print one JSON object instead of lines.
+        Width of one plate's picture in pixels.
     """
     targets = _targets(out, result, figures)
     if not WIDTHS[0] <= width <= WIDTHS[1]:
         raise SceneError(f"--width {width}: must be from {WIDTHS[0]} to {WIDTHS[1]} pixels")
-    check_looks(rate, heights)
+    check_playback(rate, heights)
     from warp_plate.result import load_result
     from warp_plate.viz.availability import DrawingUnavailable
     from warp_plate.viz.pictures import PictureStyle
@@ -100,27 +75,23 @@ def render(
         if figures == "paper":
             files += _paper_figures(loaded, result)
         if targets:
-            _refuse_undrawable(targets, plan)
-            start, end = _around(loaded, time, start, end)
-            choice = Choice(case or [], modes, start, end, frames, device)
-            motions = chosen_motions(loaded, result, choice, field, json)
-            shown = _frame(motions, time, field)
+            _check_drawable(targets, plan)
+            start, end = _span_around(loaded, time, start, end)
+            options = MotionOptions(case or [], modes, start, end, frames, device)
+            motions = select_motions(loaded, result, options, field, json)
+            frame = _frame(motions, time, field)
             style = PictureStyle(field, width, heights)
             for target in targets:
-                _draw(loaded, motions, target, style, shown, plan, playing_rate(rate, motions), json)
+                _draw(loaded, motions, target, style, frame, plan, playback_rate(rate, motions), json)
                 files.append(target)
     except DrawingUnavailable as problem:
         raise SceneError(str(problem)) from None
     except KeyboardInterrupt:
-        if not files:
-            raise
-        print(f"warp-plate: interrupted; wrote only {', '.join(map(str, files))}", file=sys.stderr)
-        sys.exit(130)
+        raise KeyboardInterrupt(f"; wrote only {', '.join(map(str, files))}" if files else "") from None
     if json:
         output.print_json({"result": str(result), "files": [str(file) for file in files]})
         return
-    for file in files:
-        print(f"wrote {file}")
+    output.print_files(files, None)
 
 
 def _targets(out: list[Path] | None, result: Path, figures: str | None) -> list[Path]:
@@ -128,15 +99,15 @@ def _targets(out: list[Path] | None, result: Path, figures: str | None) -> list[
     for target in targets:
         if target.suffix.lower() not in ENDINGS:
             raise SceneError(f"--out {target}: must end in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}")
-        output.refuse_place(target)
+        output.check_writable(target)
     return targets
 
 
-def _refuse_undrawable(targets: list[Path], plan: bool) -> None:
-    """Say what is missing before anything is simulated.
+def _check_drawable(targets: list[Path], plan: bool) -> None:
+    """Check that the libraries for all files are there, before anything is simulated.
 
     Raises:
-        SceneError: a library that one of the files needs.
+        SceneError: one is missing.
     """
     from warp_plate.viz.availability import missing_meshes, missing_plots, missing_renderer
     from warp_plate.viz.pictures import missing_movies
@@ -155,10 +126,11 @@ def _refuse_undrawable(targets: list[Path], plan: bool) -> None:
             raise SceneError(problem)
 
 
-def _around(
+def _span_around(
     result: Result, time: float | None, start: float | None, end: float | None
 ) -> tuple[float | None, float | None]:
-    """The span of the frames: a moment that is named must be in it, and colours hold for a period around it."""
+    """Return the first and last time of the frames; if only a time is given, those of the period around it, which sets
+    the range of the colours."""
     if time is None or start is not None or end is not None:
         return start, end
     last = result.scene.window.end
@@ -170,8 +142,8 @@ def _around(
     return first, first + period
 
 
-def _frame(motions: list[Motion], time: float | None, field: Field) -> int:
-    """The frame of pictures."""
+def _frame(motions: list[Motion], time: float | None, field: str) -> int:
+    """Return the index of the frame to draw in pictures."""
     from warp_plate.viz.pictures import largest_frame
 
     if time is None:
@@ -187,7 +159,7 @@ def _draw(
     motions: list[Motion],
     target: Path,
     style: PictureStyle,
-    shown: int,
+    frame: int,
     plan: bool,
     rate: float,
     quiet: bool,
@@ -203,26 +175,26 @@ def _draw(
         output.progress_bar(f"drawing {target.name}", shown=not quiet) as show,
     ):
 
-        def told(done: int, total: int) -> None:
+        def on_progress(done: int, total: int) -> None:
             show(done, total, "")
 
         if ending in PLOTS or (plan and ending == ".png"):
-            draw_plan(result.scene, motions, path, style.quantity, shown)
+            draw_plan(result.scene, motions, path, style.quantity, frame)
         elif ending == ".png":
-            draw_picture(result.scene, motions, path, style, shown)
+            draw_picture(result.scene, motions, path, style, frame)
         elif ending == ".html":
             write_page(result.scene, motions, path, style.quantity, rate, style.heights)
         elif ending == ".gif":
-            draw_gif(result.scene, motions, path, style, rate, told)
+            draw_gif(result.scene, motions, path, style, rate, on_progress)
         else:
-            draw_mp4(result.scene, motions, path, style, rate, told)
+            draw_mp4(result.scene, motions, path, style, rate, on_progress)
 
 
 def _paper_figures(result: Result, name: Path) -> list[Path]:
-    """Figures 2 and 3.
+    """Draw figures 2 and 3 of the source paper.
 
     Raises:
-        SceneError: the result is no search's or keeps no displacement, or a library is missing.
+        SceneError: the result has no search or no displacements, or a library is missing.
     """
     from warp_plate.result.atomic_io import atomic_paths
     from warp_plate.viz.availability import missing_plots, missing_renderer

@@ -1,155 +1,94 @@
-"""The boundary: tasks of plain data go out to a pool's workers, and their answers come back as they are done.
+"""Pools of workers: processes on the devices of this machine, or the workers of a Dask scheduler.
 
-A task is a function of a module and what it is called with: numbers, texts, bytes, arrays, and lists and tables of
-these. ``Here`` does tasks in this process; ``processes.Processes`` on several devices or cores of this machine;
-``dask.Dask`` on the workers of a Dask scheduler. What is done with tasks that fail stands once, in ``spread``.
+Both are thin layers over an executor of ``concurrent.futures``; what happens when a task fails is in ``scheduler``.
 """
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from typing import Any
 
-from warp_plate.cluster.tasks import perform
 from warp_plate.scene.errors import SceneError
-
-Payload = Mapping[str, Any]
-# Gives the answer's value, or a function that waits for the rest of the work and gives it.
-Function = Callable[[Payload], Mapping[str, Any] | Callable[[], Mapping[str, Any]]]
-# "lost": the worker ended under the task, or the task raised what no task should; "waiting": the worker ended before it
-# came to the task; "memory": it had too little; "wrong": the task is bad input, everywhere the same.
-Fault = Literal["", "lost", "waiting", "memory", "wrong"]
+from warp_plate.scene.vary import counted
 
 
 class WorkersGone(SceneError):
-    """No worker is left, and none will come: what was under way can be done later."""
+    """No worker is left and none will come; unfinished work can be continued later."""
 
 
-@dataclass(eq=False)
-class Task:
-    """What a worker is to do.
+class WorkerPool(ABC):
+    """Workers that run functions of one argument.
 
-    function: of a module's top level, so that a worker finds it by its name; payload: what it is called with, which
-    stays as it is until its answer has come. place: the caller's own, to know the answer by. size: its work, as a part
-    of that of the largest tasks of its kind. attempts: how many workers ended under it. avoid: the workers that failed
-    it, the last one last.
+    Attributes:
+        device: Device on which workers run plates; "auto" for each worker's own choice.
+        on_progress: Called with (tasks done, tasks in all) while ``run_tasks`` runs; None: nobody is.
+        retried: Number of tasks that were run again, or in halves, by the reason.
     """
 
-    function: Function
-    payload: Payload
-    place: Any = None
-    size: float = 1.0
-    attempts: int = 0
-    avoid: tuple[str, ...] = ()
+    def __init__(self, device: str = "auto") -> None:
+        self.device = device
+        self.on_progress: Callable[[int, int], object] | None = None
+        self.retried: Counter[str] = Counter()
 
     @property
-    def name(self) -> str:
-        """By which a worker finds the function."""
-        return f"{self.function.__module__}:{self.function.__qualname__}"
+    @abstractmethod
+    def description(self) -> str:
+        """The workers in a few words."""
 
-
-@dataclass(frozen=True)
-class Answer:
-    """What a task came to: a value, or a fault and one line about it. worker: who answered, where one did."""
-
-    value: Mapping[str, Any] = field(default_factory=dict)
-    fault: Fault = ""
-    text: str = ""
-    worker: str = ""
-
-
-def fittest(workers: Iterable[str], task: Task | None) -> set[str]:
-    """The workers that a task may go to: those that have not failed it, and where there are none, the one that failed
-    it longest ago. It rather waits for one of these than goes to another that is free."""
-    failed = {name: place for place, name in enumerate(() if task is None else task.avoid)}
-    ranks = {name: failed.get(name, -1) for name in workers}
-    return {name for name, rank in ranks.items() if rank == min(ranks.values())}
-
-
-class Pool(Protocol):
-    """Workers. Its methods are called from one thread; one ``spread`` at a time."""
-
-    told: Callable[[int, int], object] | None
-    """Called by ``spread`` with tasks done and in all."""
-    retried: Counter[str]
-    """How many tasks were to be done again, or in halves, by what went wrong."""
-    device: str
-    """What workers run plates on that were not told otherwise: "auto" for each one's own choice."""
-
-    @property
-    def words(self) -> str:
-        """What it is, for people."""
-
-    def free(self, task: Task | None = None) -> int:
-        """How many more tasks it takes, some of them to wait with a worker that is not done with another; with a task:
-        how many like it, of its ``fittest`` workers. One that was attempted before has a worker of its own, so that it
-        is known what ended that."""
-
-    def idle(self, task: Task | None = None) -> int:
-        """How many workers have nothing to do; with a task: of its ``fittest``."""
-
-    def submit(self, task: Task) -> int:
-        """Give a task to one of its ``fittest`` workers, where ``free`` says that there is room; returns the ticket
-        that its answer will have. It never waits for a worker."""
-
-    def wait(self, seconds: float) -> list[tuple[int, Answer]]:
-        """Answers that came, after at most so many seconds; of given up tasks too.
+    @abstractmethod
+    def worker_count(self) -> int:
+        """Return how many tasks can run at once.
 
         Raises:
-            WorkersGone: see there.
+            WorkersGone: No worker is left.
         """
 
-    def forget(self, ticket: int) -> None:
-        """The answer to this ticket is not wanted any more; another worker gave it."""
+    @abstractmethod
+    def submit(self, function: Callable[[Any], Any], argument: Any) -> Future[Any]:
+        """Give a task to a worker; it may wait there until the worker is done with another."""
 
-    def abandon(self) -> None:
-        """Give up all tasks that are under way, as soon as that can be done."""
-
+    @abstractmethod
     def close(self) -> None:
-        """End the workers that this pool started, whatever they do."""
+        """End the workers that this pool started, whatever they are doing."""
 
 
-class Here:
-    """A pool of no workers: each task is done in this process, when it is waited for."""
+@contextmanager
+def open_pool(
+    devices: str | None,
+    cluster: str | None,
+    device: str | None = None,
+    log: Callable[[str], object] = lambda line: None,
+) -> Iterator[WorkerPool | None]:
+    """Open the pool that ``--devices`` or ``--cluster`` ask for and close it at the end; None if neither is given.
 
-    def __init__(self) -> None:
-        self.told: Callable[[int, int], object] | None = None
-        self.retried = Counter[str]()
-        self._tasks: deque[tuple[int, Task]] = deque()
-        self._tickets = 0
+    Args:
+        devices: Devices of this machine, such as "cuda:0,cuda:1" or "cpu,cpu"; each has a process.
+        cluster: "local:4", "tcp://host:port" or the path of a scheduler file.
+        device: Device of the cluster's workers (default: each one's own choice).
+        log: Called with a line for people: the dashboard's address, and at the end how many tasks were run again.
 
-    words = "this process"
-    device = "auto"
+    Raises:
+        SceneError: Both are given, no such device, no such scheduler, or Dask is not installed.
+    """
+    if devices is not None and cluster is not None:
+        raise SceneError("--devices, --cluster: give one of them; workers of a cluster have their devices")
+    pool: WorkerPool | None = None
+    if devices is not None:
+        from warp_plate.cluster.local_pool import LocalPool, device_names
 
-    def free(self, task: Task | None = None) -> int:
-        """One at a time."""
-        return 1 - len(self._tasks)
+        pool = LocalPool(device_names(devices))
+    elif cluster is not None:
+        from warp_plate.cluster.dask_pool import connect
 
-    def idle(self, task: Task | None = None) -> int:
-        """See :class:`Pool`."""
-        return 0
-
-    def submit(self, task: Task) -> int:
-        """See :class:`Pool`."""
-        self._tickets += 1
-        self._tasks.append((self._tickets, task))
-        return self._tickets
-
-    def wait(self, seconds: float) -> list[tuple[int, Answer]]:
-        """See :class:`Pool`."""
-        if not self._tasks:
-            return []
-        ticket, task = self._tasks.popleft()
-        return [(ticket, Answer(**perform(task.name, task.payload)))]
-
-    def forget(self, ticket: int) -> None:
-        """See :class:`Pool`."""
-
-    def abandon(self) -> None:
-        """See :class:`Pool`."""
-        self._tasks.clear()
-
-    def close(self) -> None:
-        """See :class:`Pool`."""
+        pool = connect(cluster, device or "auto", log)
+    try:
+        yield pool
+    finally:
+        if pool is not None:
+            pool.close()
+            for reason, count in pool.retried.items():
+                log(f"{counted(count, 'task')} run again: {reason}")

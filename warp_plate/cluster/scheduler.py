@@ -1,141 +1,130 @@
-"""Tasks over a pool until each is done once: elsewhere where a worker ended, elsewhere and smaller where memory was
-short, and twice where one worker is much slower than the others."""
+"""Run tasks on a pool until each is done: again where a worker ended, in halves where memory was short."""
 
 from __future__ import annotations
 
-import statistics
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
-from warp_plate.cluster.pool import Answer, Pool, Task
+from warp_plate.cluster.pool import WorkerPool
+from warp_plate.interrupts import check_interrupt
+from warp_plate.scene.errors import SceneError
 
-# So many workers may end under a task, or be short of memory, before it is to blame itself.
+# A task is given up after so many failures.
 ATTEMPTS = 3
-# Where workers are idle, a task is given to a second one after so many times what tasks usually take, and not before
-# so many seconds: a host that slows to a tenth holds the others no longer than that and one task more. Before any task
-# is done, which may have kernels to compile, it is FIRST_SECONDS.
-SLOW, LEAST_SECONDS, FIRST_SECONDS = 3.0, 0.2, 20.0
-# Seconds between looks at the clock where nothing comes.
-LOOK = 0.05
-
-Halves = Callable[[Task], list[Task]]
-Again = Callable[[Task, Mapping[str, Any]], Task | None]
+# Tasks for each worker, so that the next one is there when it is done with one.
+TASKS_PER_WORKER = 2
+# Seconds between looks at Ctrl-C and at who is there.
+POLL_SECONDS = 0.2
 
 
-class Tasks(Protocol):
-    """As many as it says; each is made when it is asked for."""
+@dataclass(eq=False)
+class Task:
+    """A call of a function of a module's top level.
 
-    def __len__(self) -> int: ...
+    Attributes:
+        function: The function; workers find it by its name.
+        argument: Its argument.
+        key: Anything by which the caller knows the result.
+        attempts: How often the task failed.
+    """
 
-    def __iter__(self) -> Iterator[Task]: ...
+    function: Callable[[Any], Any]
+    argument: Any
+    key: Any = None
+    attempts: int = 0
 
 
-@dataclass
-class _Flight:
-    task: Task
-    since: float
-    second: bool = False
+@dataclass(frozen=True)
+class Outcome:
+    """The result of a task.
+
+    Attributes:
+        value: Return value of the function; None for a task that was given up.
+        failure: Why it was given up; "" if it was not.
+    """
+
+    value: Any = None
+    failure: str = ""
 
 
-def spread(
-    pool: Pool,
-    tasks: Tasks,
-    halves: Halves | None = None,
-    again: Again | None = None,
-    taken: deque[float] | None = None,
-) -> Iterator[tuple[Task, Answer]]:
-    """Each task with its answer, in the order in which they are done; of a task done twice the first answer counts.
+def run_tasks(
+    pool: WorkerPool, tasks: Iterable[Task], halves: Callable[[Task], list[Task]] = lambda task: []
+) -> Iterator[tuple[Task, Outcome]]:
+    """Yield each task with its outcome, in the order in which they finish.
 
     Args:
-        tasks: each is made when a worker has time for it.
-        halves: makes of a task for which memory was short two smaller ones that stand for it, and avoid the same
-            workers; or none where it cannot be cut any more. Such a task is tried elsewhere.
-        again: called with a task and its value; a task that it returns is done in its place.
-        taken: seconds that tasks like these took before, to which these are added.
-
-    An answer whose fault is "lost" or "memory" comes after all attempts; one that is "wrong" at once. Whoever leaves
-    the loop early, by Ctrl-C too, ends what is under way.
+        pool: The workers.
+        tasks: The tasks.
+        halves: Splits a task for which memory was short into smaller ones; returns none if that cannot be done.
 
     Raises:
-        WorkersGone: see there.
+        SceneError: A task raised it: bad input is bad everywhere.
+        WorkersGone: No worker is left.
+        KeyboardInterrupt: Ctrl-C was pressed. Tasks that have not begun are cancelled, also if the caller leaves.
     """
-    fresh, left = iter(tasks), len(tasks)
-    waiting, running, taken = deque[Task](), dict[int, _Flight](), deque() if taken is None else taken
-    done, heard = 0, time.monotonic()
+    waiting, running, done = deque(tasks), dict[Future[Any], Task](), 0
     try:
-        while left or waiting or running:
-            given = (waiting or left) and pool.free(waiting[0] if waiting else None) > 0
-            if given:
-                if not waiting:
-                    waiting.append(next(fresh))
-                    left -= 1
+        while waiting or running:
+            while waiting and len(running) < _depth(waiting[0], running) * pool.worker_count():
                 task = waiting.popleft()
-                running[pool.submit(task)] = _Flight(task, time.monotonic())
-            elif not (waiting or left):
-                _second(pool, running, taken)
-            answers = pool.wait(0.0 if given else LOOK)  # who gets the next one depends on what is done
-            if answers:
-                heard = time.monotonic()
-            elif waiting and pool.free() > 0 and heard < _before(taken, FIRST_SECONDS):
-                waiting[0].avoid = ()  # for whom it waits may stand still
-            for ticket, answer in answers:
-                flight = running.pop(ticket, None)
-                if flight is None:  # another worker was quicker
+                running[pool.submit(task.function, task.argument)] = task
+            if running:
+                finished, _ = wait(running, POLL_SECONDS, FIRST_COMPLETED)
+            else:
+                finished = set()
+                time.sleep(POLL_SECONDS)  # until there is a worker
+            check_interrupt()
+            for future in finished:
+                task = running.pop(future)
+                outcome = _outcome(pool, task, future, halves)
+                if not isinstance(outcome, Outcome):
+                    waiting.extendleft(outcome)
                     continue
-                others = [number for number, other in running.items() if other.task is flight.task]
-                if answer.fault in ("lost", "waiting", "memory") and others:
-                    continue
-                for number in others:
-                    del running[number]
-                    pool.forget(number)
-                instead = _instead(flight.task, answer, halves, again)
-                if instead:
-                    if answer.fault in ("lost", "memory"):
-                        pool.retried[answer.text] += 1
-                    waiting.extendleft(instead)
-                    continue
-                taken.append(time.monotonic() - flight.since)
                 done += 1
-                if pool.told is not None:
-                    pool.told(done, done + left + len(waiting) + len({id(other.task) for other in running.values()}))
-                yield flight.task, answer
-    except BaseException:  # also whoever left the loop
-        pool.abandon()
-        raise
+                if pool.on_progress is not None:
+                    pool.on_progress(done, done + len(waiting) + len(running))
+                yield task, outcome
+    finally:
+        for future in running:
+            future.cancel()
 
 
-def _before(taken: deque[float], least: float) -> float:
-    """What began before this takes long: more than so many seconds at least."""
-    usual = SLOW * statistics.median(taken) if taken else FIRST_SECONDS
-    return time.monotonic() - max(least, usual)
+def _depth(following: Task, running: dict[Future[Any], Task]) -> int:
+    """Return how many tasks a worker may have: only one while any failed before, so that no other shares its fate."""
+    suspect = following.attempts or any(task.attempts for task in running.values())
+    return 1 if suspect else TASKS_PER_WORKER
 
 
-def _second(pool: Pool, running: dict[int, _Flight], taken: deque[float]) -> None:
-    """Give tasks that take long to idle workers too."""
-    if pool.idle() == 0:
-        return
-    late = _before(taken, LEAST_SECONDS)
-    for flight in [one for one in running.values() if not one.second and one.since < late]:
-        if pool.idle(flight.task) > 0:
-            flight.second = True
-            running[pool.submit(flight.task)] = _Flight(flight.task, time.monotonic(), second=True)
-
-
-def _instead(task: Task, answer: Answer, halves: Halves | None, again: Again | None) -> list[Task]:
-    """What is to be done in place of a task that came to this answer; nothing where the answer counts."""
-    if answer.fault == "" and again is not None:
-        repeated = again(task, answer.value)
-        return [] if repeated is None else [repeated]
-    if answer.fault == "waiting":
+def _outcome(
+    pool: WorkerPool, task: Task, future: Future[Any], halves: Callable[[Task], list[Task]]
+) -> Outcome | list[Task]:
+    """Return the outcome of a task, or the tasks that are to be run in its place."""
+    if future.cancelled():  # its worker was replaced, or Dask lost it
         return [task]
-    if answer.fault not in ("lost", "memory"):
-        return []
-    task.avoid = (*(one for one in task.avoid if one != answer.worker), answer.worker)
-    smaller = halves(task) if answer.fault == "memory" and halves is not None else []
-    if smaller:
-        return smaller
+    error = future.exception()
+    if error is None:
+        return Outcome(future.result())
+    if isinstance(error, SceneError):
+        raise SceneError(f"a worker: {error}")
+    if isinstance(error, ImportError):
+        raise SceneError(f"a worker cannot import {error.name}: install the same warp-plate on every worker")
+    reason = _reason(error)
+    smaller = halves(task) if isinstance(error, MemoryError) else []
     task.attempts += 1
-    return [task] if task.attempts < ATTEMPTS else []
+    if not smaller and task.attempts == ATTEMPTS:
+        return Outcome(failure=f"given up after {ATTEMPTS} attempts: {reason}")
+    pool.retried[reason] += 1
+    return smaller or [task]
+
+
+def _reason(error: BaseException) -> str:
+    """Return one line about an error."""
+    if type(error).__name__ in ("BrokenProcessPool", "KilledWorker"):
+        return "its worker ended"
+    if isinstance(error, MemoryError):
+        return str(error)
+    return f"{type(error).__name__}: {str(error).strip()}".partition("\n")[0]

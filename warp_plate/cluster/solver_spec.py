@@ -1,19 +1,17 @@
-"""All that a worker needs to make a solver: the scene as TOML, the files that it names, and how it is to be made."""
+"""Everything that a worker needs to make a solver, or a scene with the files that it names."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from functools import cached_property
+from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from uuid import uuid4
 
 import numpy as np
 
-from warp_plate.cluster.frames import encode
 from warp_plate.plate.designs import NO_PER_PLATE, PerPlate
 from warp_plate.plate.files import named_files, read_beside
 from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, region_weights
@@ -22,43 +20,68 @@ from warp_plate.scene.model import Scene
 from warp_plate.solve.solver import PlateSolver
 from warp_plate.solve.specialize import Quantity
 
-# The device of a worker, whatever the recipe says: who starts workers knows which is whose.
-DEVICE = "WARP_PLATE_DEVICE"
+# Environment variable with the device of a worker; it takes precedence over what the command says.
+DEVICE_VARIABLE = "WARP_PLATE_DEVICE"
+# Solvers that a worker keeps: each scenario of a robust search has one.
+MAX_SOLVERS = 128
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """A :class:`PlateSolver` in plain data; files: contents by name; areas: weights (ny, nx) by name."""
+class SceneSpec:
+    """A scene in plain data.
 
-    scene: str
+    Attributes:
+        text: The scene as TOML.
+        files: Contents of the files that it names, by their names.
+    """
+
+    text: str
     files: Mapping[str, bytes]
-    device: str
-    path: str
-    areas: Mapping[str, np.ndarray]
-    per_plate: PerPlate
-    quantity: Quantity
-    share: float
 
-    @property
-    def plain(self) -> dict[str, Any]:
-        """For a task's payload."""
-        return {one.name: getattr(self, one.name) for one in fields(self)} | {"per_plate": asdict(self.per_plate)}
+    def scene_in(self, folder: str) -> Scene:
+        """Return the scene, with its files written to a folder.
 
-    @staticmethod
-    def from_plain(table: Mapping[str, Any]) -> Recipe:
-        """What ``plain`` gave."""
-        per_plate = dict(table["per_plate"])
-        if per_plate["areas"] is not None:
-            per_plate["areas"] = tuple(map(tuple, per_plate["areas"]))
-        return Recipe(**{**table, "per_plate": PerPlate(**per_plate)})
-
-    @cached_property
-    def digest(self) -> str:
-        """By which a worker knows it again."""
-        return hashlib.sha256(b"".join(encode(self.plain))).hexdigest()
+        Raises:
+            SceneError: See ``Scene.parse``.
+        """
+        for name, content in self.files.items():
+            (Path(folder) / Path(name).name).write_bytes(content)
+        return Scene.parse(self.text, "on a worker").in_folder(Path(folder))
 
 
-def recipe_of(
+@dataclass(frozen=True)
+class SolverSpec:
+    """The arguments of a :class:`PlateSolver`; specs are equal if their keys are.
+
+    Attributes:
+        scene: The scene, which has a grid.
+        device: Device of the worker unless WARP_PLATE_DEVICE names one.
+        path: See :class:`PlateSolver`, also for the others.
+        areas: Weights (ny, nx) by name.
+        key: By which workers know the solvers that they have made.
+    """
+
+    scene: SceneSpec = field(compare=False)
+    device: str = field(compare=False)
+    path: str = field(compare=False)
+    areas: Mapping[str, np.ndarray] = field(compare=False)
+    per_plate: PerPlate = field(compare=False)
+    quantity: Quantity = field(compare=False)
+    memory_share: float = field(compare=False)
+    key: str = field(default_factory=lambda: uuid4().hex)
+
+
+def scene_spec(scene: Scene) -> SceneSpec:
+    """Return a scene in plain data.
+
+    Raises:
+        SceneError: A file that it names cannot be read.
+    """
+    files = {name: read_beside(key, name, scene.folder) for key, name in named_files(scene).items()}
+    return SceneSpec(dump_scene(scene), files)
+
+
+def solver_spec(
     scene: Scene,
     device: str = "auto",
     path: str = "auto",
@@ -66,47 +89,33 @@ def recipe_of(
     per_plate: PerPlate = NO_PER_PLATE,
     quantity: Quantity = "velocity",
     memory_share: float = 1.0,
-) -> Recipe:
-    """The recipe of ``PlateSolver(scene, ...)``; for the arguments and errors see there."""
+) -> SolverSpec:
+    """Return the spec of ``PlateSolver(scene, ...)``; for the arguments and errors see there."""
     weights = region_weights(scene, areas)[len(REGIONS) :]
     named = dict(zip(areas, weights, strict=True))
-    return Recipe(dump_scene(scene), contents_of(scene), device, path, named, per_plate, quantity, memory_share)
+    return SolverSpec(scene_spec(scene), device, path, named, per_plate, quantity, memory_share)
 
 
-def contents_of(scene: Scene) -> dict[str, bytes]:
-    """The files that a scene names, by their names.
-
-    Raises:
-        SceneError: see ``read_beside``.
-    """
-    return {name: read_beside(key, name, scene.folder) for key, name in named_files(scene).items()}
-
-
-def scene_in(folder: str, text: str, files: Mapping[str, bytes]) -> Scene:
-    """The scene of a TOML text, with the files that it names in a folder of its own.
+@lru_cache(MAX_SOLVERS)
+def make_solver(spec: SolverSpec) -> PlateSolver:
+    """Return the solver, with one thread on a CPU unless WARP_PLATE_THREADS says another number.
 
     Raises:
-        SceneError: see ``Scene.parse``.
-    """
-    for name, content in files.items():
-        (Path(folder) / Path(name).name).write_bytes(content)
-    return Scene.parse(text, "on a worker").in_folder(Path(folder))
-
-
-def make_solver(recipe: Recipe) -> PlateSolver:
-    """The solver, of one thread on a CPU, unless WARP_PLATE_THREADS says another number.
-
-    Raises:
-        SceneError: see :class:`PlateSolver`.
+        SceneError: See :class:`PlateSolver`.
     """
     with TemporaryDirectory() as folder:
         return PlateSolver(
-            scene_in(folder, recipe.scene, recipe.files),
-            os.environ.get(DEVICE) or recipe.device,
-            recipe.path,
+            spec.scene.scene_in(folder),
+            worker_device(spec.device),
+            spec.path,
             threads=None if os.environ.get("WARP_PLATE_THREADS") else 1,
-            areas=recipe.areas,
-            per_plate=recipe.per_plate,
-            quantity=recipe.quantity,
-            memory_share=recipe.share,
+            areas=spec.areas,
+            per_plate=spec.per_plate,
+            quantity=spec.quantity,
+            memory_share=spec.memory_share,
         )
+
+
+def worker_device(device: str) -> str:
+    """Return the device on which this worker runs plates, of a command that asks for ``device``."""
+    return os.environ.get(DEVICE_VARIABLE) or device

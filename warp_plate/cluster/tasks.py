@@ -1,141 +1,103 @@
-"""What a worker does, whoever started it: a task by its function's name, and blocks of plates."""
+"""The functions that workers run."""
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from importlib import import_module
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 import warp_plate
-from warp_plate.cluster.solver_spec import Recipe, make_solver
-from warp_plate.plate.designs import Batch, Designs
+from warp_plate.cluster.solver_spec import SolverSpec, make_solver
+from warp_plate.plate.designs import Designs
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import processor_of
-from warp_plate.solve.solver import PlateSolver
 
-MakersByName = dict[str, Callable[[np.ndarray], Batch]]
-# Of the recipes met last: the scenarios of a robust search take one each.
-MOST_SOLVERS = 128
-# How Warp's word for want of memory begins; it has no kind of error of its own for it.
-NO_MEMORY = "Failed to allocate"
-_SOLVERS: OrderedDict[str, tuple[PlateSolver, MakersByName]] = OrderedDict()
+# Beginning of the message of the RuntimeError that Warp raises when an allocation fails.
+WARP_OUT_OF_MEMORY = "Failed to allocate"
 
 
-def begin(name: str, payload: Mapping[str, Any], caught: bool = False) -> Callable[[], dict[str, Any]]:
-    """Begin a task, "module:function" by its name; what is returned waits for its end, and gives the fields of the
-    ``pool.Answer``. A task's function may leave a part of its work to a function that it returns.
+@dataclass(frozen=True)
+class Block:
+    """Some plates of a batch.
 
-    caught: what no task should raise is an answer too, which a worker can send; left out: it is raised.
+    Attributes:
+        spec: How to make their solver.
+        designs: Their designs.
     """
-    fields = _answer(lambda: _function(name)(payload), caught)
-    rest = fields.get("value")
-    return (lambda: _answer(rest, caught)) if callable(rest) else (lambda: fields)
+
+    spec: SolverSpec
+    designs: Designs
 
 
-def gpu_end() -> Callable[[], object] | None:
-    """What waits, in any thread, until this process's GPU is done with all that was begun; None where it is done, or
-    where it failed, which the ends of tasks say."""
-    solver, _ = next(reversed(_SOLVERS.values()), (None, None))
-    if solver is None or not solver.device.is_cuda or wp.get_stream(solver.device).is_complete:
-        return None
-    device = solver.device
-    try:
-        event = wp.get_stream(device).record_event()
-    except RuntimeError:
-        return None
+@dataclass(frozen=True)
+class BlockEnergies:
+    """What a worker returns for a block.
 
-    def wait() -> None:
-        device.make_current()  # for this thread
-        wp.synchronize_event(event)
+    Attributes:
+        energy: (plates, regions) as in ``Run``.
+        node_steps: Nodes updated × steps × plates.
+        faults: Reason and time [s] for each plate that failed, as in ``Run``.
+        worker: What the bits depend on: "kind" of the device, and versions.
+    """
 
-    return wait
+    energy: np.ndarray
+    node_steps: int
+    faults: Mapping[int, tuple[str, float]]
+    worker: Mapping[str, str]
 
 
-def perform(name: str, payload: Mapping[str, Any], caught: bool = False) -> dict[str, Any]:
-    """Do a task to its end; see ``begin``."""
-    return begin(name, payload, caught)()
-
-
-def _answer(step: Callable[[], Any], caught: bool) -> dict[str, Any]:
-    try:
-        return {"value": step()}
-    except SceneError as error:
-        return {"fault": "wrong", "text": str(error)}
-    except Exception as error:
-        if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and str(error).startswith(NO_MEMORY)):
-            _SOLVERS.clear()  # what they hold may be what is wanting
-            return {"fault": "memory", "text": f"out of memory ({' '.join(str(error).split())})"}
-        if not caught:
-            raise
-        return of_error(error)
-
-
-def of_error(error: BaseException) -> dict[str, Any]:
-    """The answer for what no task should raise, for which its worker may be to blame."""
-    if isinstance(error, ImportError):
-        return {
-            "fault": "wrong",
-            "text": f"a worker cannot import {error.name}: install the same warp-plate on every worker",
-        }
-    return {"fault": "lost", "text": f"{type(error).__name__}: {str(error).strip()}".partition("\n")[0]}
-
-
-def batch_in(payload: Mapping[str, Any], scene: Scene, makers: MakersByName) -> Batch:
-    """What ``run_block`` is given; makers: of that scene, those met before."""
-    if "maker" in payload:
-        name = payload["maker"]
-        if name not in makers:
-            makers[name] = _function(name)(scene)
-        return makers[name](payload["numbers"])
-    return Designs(payload["drives"], *(payload.get(name) for name in ("frequency", "centre", "delay")))
-
-
-def _function(name: str) -> Callable[..., Any]:
-    module, _, function = name.partition(":")
-    found: Callable[..., Any] = getattr(import_module(module), function)
-    return found
-
-
-def run_block(payload: Mapping[str, Any]) -> Mapping[str, Any] | Callable[[], Mapping[str, Any]]:
-    """Plates of one recipe, which a GPU begins at once.
-
-    payload: "digest" of the recipe; "recipe", itself as plain data, where this worker may not know it; "drives" and,
-    where plates have them of their own, "frequency", "centre" and "delay" as in :class:`Designs`; or "numbers" and
-    "maker" as in :class:`Shorthand`.
-
-    Returns {"need": digest} where the recipe is not known here; else what waits for and then gives "energy" (plates,
-    regions), "node_steps", "made", which says on what, and "faults": of each plate that went wrong its place, what it
-    was, and when.
+def run_task(function: Callable[[Any], Any], argument: Any) -> Any:
+    """Call a function on a worker.
 
     Raises:
-        SceneError: see :class:`PlateSolver`.
+        MemoryError: The worker has too little memory, on the host or on its device.
     """
-    digest = payload["digest"]
-    known = _SOLVERS.pop(digest, None)
-    if known is None:
-        if "recipe" not in payload:
-            return {"need": digest}
-        known = make_solver(Recipe.from_plain(payload["recipe"])), {}
-    _SOLVERS[digest] = known
-    while len(_SOLVERS) > MOST_SOLVERS:
-        _SOLVERS.popitem(last=False)
-    solver, makers = known
-    begun = solver.begin(batch_in(payload, solver.scene, makers))
-    made = {
-        "kind": "cuda" if solver.device.is_cuda else "cpu",
-        "processor": processor_of(solver.device),
+    try:
+        return function(argument)
+    except (MemoryError, RuntimeError) as error:
+        if isinstance(error, MemoryError) or str(error).startswith(WARP_OUT_OF_MEMORY):
+            make_solver.cache_clear()  # frees what other solvers hold
+            raise MemoryError(f"out of memory ({' '.join(str(error).split())})") from None
+        raise
+
+
+def run_block(block: Block) -> BlockEnergies:
+    """Run the plates of a block.
+
+    Raises:
+        SceneError: See :class:`PlateSolver`.
+    """
+    solver = make_solver(block.spec)
+    run = solver.run(block.designs)
+    worker = {"kind": "cuda" if solver.device.is_cuda else "cpu", **worker_identity(solver.device)}
+    return BlockEnergies(run.energy, run.node_steps, dict(run.faults), worker)
+
+
+def worker_identity(device: wp.Device) -> dict[str, str]:
+    """Return the versions and the processor of this process, on which the last bits of a result depend."""
+    return {
         "warp_plate": warp_plate.__version__,
         "warp": wp.config.version,
+        "processor": processor_of(device),
     }
 
-    def rest() -> dict[str, Any]:
-        run = begun()
-        faults = [[plate, *fault] for plate, fault in run.faults.items()]
-        return {"energy": run.energy, "node_steps": run.node_steps, "faults": faults, "made": made}
 
-    return rest
+def refuse_unlike(expected: Mapping[str, str], worker: Mapping[str, str]) -> None:
+    """Refuse a worker that rounds in another way than this process or other workers.
+
+    Args:
+        expected: Some entries of a ``worker_identity``, all of which must be equal.
+        worker: That of the worker.
+
+    Raises:
+        SceneError: One line that names what differs.
+    """
+    for name, value in expected.items():
+        if worker[name] != value:
+            raise SceneError(
+                f"workers: {name} is {worker[name]} on one and {value} on another or here, which rounds in another "
+                "way; make them alike, or name one device for all by --device"
+            )

@@ -16,7 +16,7 @@ import numpy as np
 Made = TypeVar("Made")
 
 # Rows of a block; so few rows take one call and no thread, also those of the largest blocks that workers get of the
-# paper's scene (``cluster.blocks``). More threads than that wait for each other.
+# paper's scene (``cluster.evaluator``). More threads than that wait for each other.
 ROWS = 8448
 MOST_THREADS = 8
 

@@ -1,8 +1,8 @@
-"""Files that are there whole or not at all, and a seal at their end that shows whether a byte has changed since.
+"""Files that are written completely or not at all, and a seal at their end that reveals any change of a byte.
 
-The seal is one line of text after the content: SHA-256 and length of all that is before it. HDF5 does not read what
-lies behind its own end, so that a sealed HDF5 file opens everywhere; and the seal is checked before HDF5 is let near
-the file, for its library may loop or crash over damaged bytes.
+The seal is one line of text after the content, with its SHA-256 and length. HDF5 ignores what lies behind its own end,
+so a sealed HDF5 file opens everywhere. The seal is verified before HDF5 opens the file, for its library may loop or
+crash over damaged bytes.
 """
 
 from __future__ import annotations
@@ -24,10 +24,14 @@ BLOCK_BYTES = 2**20
 
 @contextmanager
 def atomic_path(path: Path, previous: Path | None = None) -> Iterator[Path]:
-    """Yield a name beside ``path`` to write to; what is there at the end takes the place of ``path``.
+    """Yield a temporary path beside ``path`` whose content replaces ``path`` at the end, but not after an error.
 
-    previous: where the file goes whose place it takes. The new one is on the disk before any name changes, so that
-    whenever the power fails, one of the two names holds a whole file. After an error or Ctrl-C all is as before.
+    The new file is on the disk before any name changes, so that after a power failure one of the names holds a complete
+    file.
+
+    Args:
+        path: The file to write.
+        previous: New name of the file that is replaced (default: it is deleted).
 
     Raises:
         OSError: the folder is missing or cannot be written to, or the disk is full.
@@ -36,7 +40,7 @@ def atomic_path(path: Path, previous: Path | None = None) -> Iterator[Path]:
     os.close(handle)
     temporary = Path(name)
     try:
-        # mkstemp makes the file private; what is written is as readable as any file that the user writes.
+        # mkstemp makes the file private; the permissions should be those of any file that the user writes.
         mask = os.umask(0)
         os.umask(mask)
         temporary.chmod(0o666 & ~mask)
@@ -48,12 +52,18 @@ def atomic_path(path: Path, previous: Path | None = None) -> Iterator[Path]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
-    _settle(path.parent)
+    if hasattr(os, "O_DIRECTORY"):
+        with suppress(OSError):  # not every file system can flush the names in a folder
+            folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
 
 
 @contextmanager
 def atomic_paths(*paths: Path) -> Iterator[list[Path]]:
-    """Names to write to instead of ``paths``; they take the paths' places, in this order, once the block ended well.
+    """Yield temporary paths whose contents replace ``paths``, in this order, at the end, but not after an error.
 
     Raises:
         SceneError: a folder is missing or cannot be written to, or the disk is full; names the last path.
@@ -68,10 +78,10 @@ def atomic_paths(*paths: Path) -> Iterator[list[Path]]:
 
 
 def write_atomically(content: bytes, path: Path, previous: Path | None = None) -> None:
-    """Write a file whole or not at all; see :func:`atomic_path`.
+    """Write a file atomically; see :func:`atomic_path`.
 
     Raises:
-        SceneError: it cannot be written; one line that says why.
+        SceneError: the file cannot be written.
     """
     try:
         with atomic_path(path, previous) as temporary:
@@ -82,15 +92,15 @@ def write_atomically(content: bytes, path: Path, previous: Path | None = None) -
 
 
 def make_seal(content: bytes) -> bytes:
-    """The line to put behind the content."""
+    """Return the line to append to the content."""
     return b"\nwarp-plate sha256 %s of %020d bytes\n" % (hashlib.sha256(content).hexdigest().encode(), len(content))
 
 
 def check_seal(path: Path) -> None:
-    """Nothing, where the file is as it was sealed.
+    """Verify that a file is as it was sealed.
 
     Raises:
-        SceneError: it is cut short, changed, was never sealed, or is a folder or device.
+        SceneError: it is cut short, changed, not sealed, or a folder or device.
         OSError: it cannot be read.
     """
     if path.exists() and not path.is_file():  # reading from a pipe may never end
@@ -107,29 +117,17 @@ def check_seal(path: Path) -> None:
                 f"{path}: damaged: no checksum at its end; it was cut short, or changed or made by another program"
             )
         file.seek(0)
-        left = content_bytes
-        while left > 0 and (block := file.read(min(BLOCK_BYTES, left))):
+        for start in range(0, content_bytes, BLOCK_BYTES):
+            block = file.read(min(BLOCK_BYTES, content_bytes - start))
             digest.update(block)
-            left -= len(block)
     if (digest.hexdigest().encode(), content_bytes) != (seal[1], int(seal[2])):
         raise SceneError(f"{path}: damaged: its content does not have the checksum that stands at its end")
 
 
 def is_intact(path: Path) -> bool:
-    """Whether the file is there and as it was sealed."""
+    """Return whether a file exists and is as it was sealed."""
     try:
         check_seal(path)
     except (OSError, SceneError):
         return False
     return True
-
-
-def _settle(folder: Path) -> None:
-    """Have the folder's new names on the disk, where the system and the file system know such a thing."""
-    if hasattr(os, "O_DIRECTORY"):
-        with suppress(OSError):
-            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                os.fsync(handle)
-            finally:
-                os.close(handle)

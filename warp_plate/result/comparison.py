@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 
 from warp_plate.result.hdf5 import ELSEWHERE, Attribute, Dataset, read_fields, write_fields
-from warp_plate.result.safe_hdf5 import member_names, open_hdf5, save_hdf5, subgroup
+from warp_plate.result.safe_hdf5 import member, open_hdf5, save_hdf5
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -131,13 +131,10 @@ def load_comparison(path: str | Path) -> MethodComparison:
 
 def _read_trials(file: h5py.File, method: str) -> list[Trial]:
     """Return the trials of a method by increasing seed."""
-    seeds = member_names(file, f"trials/{method}")
-    if not seeds or not all(seed.isdecimal() for seed in seeds):
-        raise SceneError(f"trials/{method} is missing, empty, or its members are no seeds")
-    trials = []
-    for seed in sorted(map(int, seeds)):
-        trial = read_fields(Trial, subgroup(file, f"trials/{method}/{seed}"), method=method, seed=seed)
-        if not len(trial.loss):
-            raise SceneError(f"trials/{method}/{seed} has no iterations")
-        trials.append(trial)
+    group = member(file, f"trials/{method}")
+    trials = [
+        read_fields(Trial, member(group, str(seed)), method=method, seed=seed) for seed in sorted(map(int, group))
+    ]
+    if not trials or not all(len(trial.loss) for trial in trials):
+        raise SceneError(f"trials/{method} is empty or has a trial without iterations")
     return trials

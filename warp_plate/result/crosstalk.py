@@ -1,8 +1,8 @@
-"""What the drives for several targets do at each other's: cases and regions by name, and the table of shares.
+"""Crosstalk between several targets: the energy in each of them under the drive found for each.
 
-A result whose scene has several targets holds the best drive for the first of them as the case "best", for every other
-one as the case "best NAME"; their energies have a region "target NAME" for each target beside the plate and the case's
-own "target".
+A result whose scene has several targets holds the best drive for the first one as the case "best", and for another as
+"best NAME". The energies of all cases have a region "target NAME" for each target, beside "plate" and the case's own
+"target".
 """
 
 from __future__ import annotations
@@ -18,34 +18,34 @@ from warp_plate.scene.target import NamedTarget
 
 
 def target_regions(scene: Scene) -> dict[str, NamedTarget]:
-    """The scene's several targets by the names of their regions; nothing where it has but one."""
+    """Return the targets by region name; empty if the scene has a single target."""
     return {f"target {target.name}": target for target in scene.targets}
 
 
 def target_cases(scene: Scene) -> dict[str, str]:
-    """The case of the best drive for each of the several targets, by the target's name."""
+    """Return the name of the case with the best drive by target name; empty if the scene has a single target."""
     return {target.name: f"best {target.name}" if index else "best" for index, target in enumerate(scene.targets)}
 
 
 def best_drive_scenes(result: Result) -> dict[str, Scene]:
-    """By case, the scene that ``simulate`` runs as each best drive; aimed at its own target where there are several.
+    """Return the scene that ``simulate`` runs as each best drive, by case; aimed at the drive's own target.
 
     Raises:
-        SceneError: a magnitude beyond what a scene may have.
+        SceneError: a magnitude is larger than a scene may have.
     """
     scene = result.scene
-    aims = {name: scene.aimed_at(index) for index, name in enumerate(target_cases(scene).values())}
+    aimed = {name: scene.aimed_at(index) for index, name in enumerate(target_cases(scene).values())} or {"best": scene}
     return {
         name: replace(result, scene=aim).driven_scene(result.cases[name])
-        for name, aim in (aims or {"best": scene}).items()
+        for name, aim in aimed.items()
         if name in result.cases
     }
 
 
 def crosstalk(result: Result) -> np.ndarray:
-    """(drives, targets) share of the plate's kinetic energy in each target's region under the drive found for each.
+    """Return the (drives, targets) fractions of the plate's energy in each target under the drive for each.
 
-    NaN in the rows of targets that an interrupted search did not come to.
+    Rows of targets that an interrupted search did not reach are NaN.
     """
     regions, rows = target_regions(result.scene), []
     for name in target_cases(result.scene).values():
@@ -56,8 +56,8 @@ def crosstalk(result: Result) -> np.ndarray:
 
 
 def decibels(shares: np.ndarray) -> np.ndarray:
-    """(drives, targets) of a table of shares against each drive's own target; −∞ where nothing moves."""
+    """Return (drives, targets) fractions relative to each drive's own target [dB]; −∞ where nothing moves."""
     with np.errstate(divide="ignore", invalid="ignore"):
         own = np.diag(shares)[:, None]
-        found: np.ndarray = 10 * (np.log10(np.maximum(shares, 0)) - np.log10(own))
-    return found
+        levels: np.ndarray = 10 * (np.log10(np.maximum(shares, 0)) - np.log10(own))
+    return levels

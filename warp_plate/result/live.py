@@ -1,4 +1,4 @@
-"""What a live view shows at one moment: plain data, whoever made it."""
+"""Data classes of what the explorer shows at one moment."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ QUADRANTS = ("lower left", "lower right", "upper left", "upper right")
 
 @dataclass(frozen=True)
 class SteadyMotion:
-    """A plate's steady motion, u(θ) = Re Σ amplitudes[k] exp(i orders[k] θ), θ = ωt being the drive's phase.
+    """Steady motion of a plate, u(θ) = Re Σ amplitudes[k] exp(i orders[k] θ) at the phase θ = ωt of the drive.
 
-    orders: (orders,) whole multiples of the drive's frequency; amplitudes: (orders, ny, nx) complex [m].
-    residual: what of the motion it was taken from does not repeat with the drive, as a share of the whole (root of
-    mean squares); start-up motion that has not died out, mostly.
+    Attributes:
+        orders: (orders,) integer multiples of the drive's frequency.
+        amplitudes: (orders, ny, nx) complex amplitudes [m].
+        residual: Root mean square of the part of the motion that does not repeat with the drive, mostly start-up
+            motion, relative to that of all motion.
     """
 
     orders: np.ndarray
@@ -27,15 +29,15 @@ class SteadyMotion:
     residual: float = 0.0
 
     def at(self, phase: float) -> np.ndarray:
-        """(ny, nx) displacement [m] at a phase of the drive [rad]."""
+        """Return the (ny, nx) displacement [m] at a phase of the drive [rad]."""
         field = np.zeros(self.amplitudes.shape[1:])
-        # Real parts only, and no library that would start threads for so little work.
+        # Real arithmetic, and no matrix product: its threads cost more than this little work.
         for order, amplitude in zip(self.orders, self.amplitudes, strict=True):
             field += math.cos(order * phase) * amplitude.real - math.sin(order * phase) * amplitude.imag
         return field
 
     def peak(self) -> float:
-        """The largest displacement of any node at any time [m]."""
+        """Return the largest displacement of any node at any time [m]."""
         if self.orders.size == 1 and self.orders[0] == 1:
             return float(np.abs(self.amplitudes).max())
         return float(max(np.abs(self.at(phase)).max() for phase in np.linspace(0, 2 * math.pi, 48, endpoint=False)))
@@ -43,11 +45,14 @@ class SteadyMotion:
 
 @dataclass(frozen=True)
 class DriveResponse:
-    """A drive, the motion under it and its energies.
+    """A drive, and the motion and energies of the plate under it.
 
-    scene: with the frequency and the damping that hold. drive: (actuators,) phasors [N/m²].
-    energy: averaged over the window [J], of "plate", "target" and the QUADRANTS by name.
-    bound: the largest localization factor that any drive can reach; None where none is claimed.
+    Attributes:
+        scene: The scene with the current frequency and damping.
+        phasors: (actuators,) complex amplitudes of the drive [N/m²].
+        motion: Steady motion of the plate.
+        energy: Energy averaged over the window [J] by region: "plate", "target" and the ``QUADRANTS``.
+        bound: Upper bound of the localization factor over all drives; None if unknown.
     """
 
     scene: Scene
@@ -58,21 +63,25 @@ class DriveResponse:
 
     @property
     def localization_factor(self) -> float:
-        """Share of the plate's kinetic energy in the target; not a number for a plate at rest."""
+        """Fraction of the plate's kinetic energy in the target; NaN for a plate at rest."""
         return self.share("target")
 
     def share(self, region: str) -> float:
-        """Share of the plate's kinetic energy in a region; not a number for a plate at rest."""
+        """Return the fraction of the plate's kinetic energy in a region; NaN for a plate at rest."""
         return self.energy[region] / self.energy["plate"] if self.energy["plate"] > 0 else float("nan")
 
 
 @dataclass(frozen=True)
 class SwarmSnapshot:
-    """A search at one iteration.
+    """A particle swarm at one iteration.
 
-    drives: (particles, actuators) what the particles stand for, the first actuator's being 1; factors: (particles,)
-    their localization factors; best: (iterations,) best so far after each iteration; best_phasors: (actuators,), None
-    before any finite one; iterations: how many there will be; running: whether it goes on.
+    Attributes:
+        phasors: (particles, actuators) drives of the particles, relative to the first actuator.
+        factors: (particles,) localization factors.
+        best: (iterations,) best localization factor after each iteration.
+        best_phasors: (actuators,) best drive; None before the first finite one.
+        iterations: Number of iterations of the whole search.
+        running: True if the search continues.
     """
 
     phasors: np.ndarray
@@ -84,11 +93,7 @@ class SwarmSnapshot:
 
 
 def quadrants(size: tuple[float, float]) -> dict[str, Area]:
-    """The four quarters of a plate of these sides [m], by the names in QUADRANTS: x0, x1, y0, y1 [m]."""
+    """Return the areas x0, x1, y0, y1 [m] of the ``QUADRANTS`` of a plate with these side lengths [m]."""
     (width, height), middle = size, (size[0] / 2, size[1] / 2)
-    return {
-        "lower left": (0.0, middle[0], 0.0, middle[1]),
-        "lower right": (middle[0], width, 0.0, middle[1]),
-        "upper left": (0.0, middle[0], middle[1], height),
-        "upper right": (middle[0], width, middle[1], height),
-    }
+    left, right, lower, upper = (0.0, middle[0]), (middle[0], width), (0.0, middle[1]), (middle[1], height)
+    return dict(zip(QUADRANTS, ((*left, *lower), (*right, *lower), (*left, *upper), (*right, *upper)), strict=True))

@@ -13,7 +13,7 @@ import numpy as np
 from warp_plate.plate.scene_overrides import scene_with
 from warp_plate.result.hdf5 import Attribute, Dataset, Datasets, Layout, Sizes, Units
 from warp_plate.result.robust import RobustComparison
-from warp_plate.result.safe_hdf5 import member, read_numbers
+from warp_plate.result.safe_hdf5 import read_array
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import OBJECTIVE_UNITS, Objective
@@ -71,10 +71,10 @@ class _Energies(Layout):
         group[name].attrs["regions"] = json.dumps(list(value))
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> dict[str, float]:
-        regions = Attribute(tuple[str, ...]).read(member(group, name), "regions", sizes)
+        regions = Attribute(tuple[str, ...], of=name).read(group, "regions", sizes)
         if not {"plate", "target"} <= set(regions):
             raise SceneError(f"{group.name}/{name} has regions {regions}, without plate or target")
-        return dict(zip(regions, read_numbers(group, name, (len(regions),)).tolist(), strict=True))
+        return dict(zip(regions, read_array(group, name, (len(regions),)).tolist(), strict=True))
 
 
 def _objective(path: str) -> Dataset:

@@ -19,9 +19,7 @@ from warp_plate.scene.errors import SceneError
 
 
 def save_hdf5(path: Path, file_format: str, write: Callable[[h5py.File], None], previous: Path | None = None) -> None:
-    """Compose a file in memory, seal it and write it atomically.
-
-    HDF5 does not reliably report a full disk, for it writes what it still holds when the file is closed.
+    """Compose a file in memory, seal it and write it atomically, for HDF5 does not reliably report a full disk.
 
     Args:
         path: The file.
@@ -42,16 +40,10 @@ def save_hdf5(path: Path, file_format: str, write: Callable[[h5py.File], None], 
 
 @contextmanager
 def open_hdf5(path: Path, file_format: str, kind: str) -> Iterator[h5py.File]:
-    """Yield a file opened for reading, after a check of its seal and its attribute ``format``.
-
-    Args:
-        path: The file.
-        file_format: Required value of the attribute ``format``.
-        kind: Kind of file, for the error message.
+    """Yield a file opened for reading, once its seal and its attribute ``format`` are verified.
 
     Raises:
-        SceneError: there is no such file, or it is damaged or of another kind or format. Errors while the file is read
-            become SceneErrors that name it, too.
+        SceneError: there is no such file, it is damaged or not of this kind, or reading it fails.
     """
     try:
         check_seal(path)
@@ -69,92 +61,52 @@ def open_hdf5(path: Path, file_format: str, kind: str) -> Iterator[h5py.File]:
         raise SceneError(f"{path}: damaged or not an HDF5 file of this program: {reason}") from None
 
 
-def member(group: h5py.Group, name: str) -> h5py.HLObject:
-    """Return a member of a group by its path.
+def member(group: h5py.Group, name: str, kind: type = h5py.Group) -> Any:
+    """Return the group, or other kind of object, at a path in a group.
 
     Raises:
-        SceneError: it is missing, or reached by a link, which could lead to another file.
+        SceneError: it is missing, of another kind, or reached by a link, which could lead to another file.
     """
-    path = full_path(group, name)
+    path, found = full_path(group, name), group
     for part in name.split("/"):
-        link = group.get(part, getlink=True) if isinstance(group, h5py.Group) else None
+        link = found.get(part, getlink=True) if isinstance(found, h5py.Group) else None
         if link is None:
             raise SceneError(f"{path} is missing")
         if not isinstance(link, h5py.HardLink):
             raise SceneError(f"{path} is a link, which this program does not follow")
-        group = group[part]
-    return group
-
-
-def subgroup(group: h5py.Group, name: str) -> h5py.Group:
-    """Return a group in a group by its path.
-
-    Raises:
-        SceneError: it is missing, reached by a link, or not a group.
-    """
-    found = member(group, name)
-    if not isinstance(found, h5py.Group):
-        raise SceneError(f"{full_path(group, name)} is not a group")
+        found = found[part]
+    if not isinstance(found, kind):
+        raise SceneError(f"{path} is not a {kind.__name__.lower()}")
     return found
 
 
-def member_names(group: h5py.Group, name: str) -> list[str]:
-    """Return the names of the members of a group in a group; none if there is no such group.
-
-    Raises:
-        SceneError: it is a link, or not a group.
-    """
-    if name not in group:
-        return []
-    return list(subgroup(group, name))
-
-
-def read_numbers(group: h5py.Group, name: str, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
-    """Return a dataset of real numbers.
+def read_array(
+    group: h5py.Group, name: str, shape: tuple[int | None, ...] | None = None, text: bool = False
+) -> np.ndarray:
+    """Return a dataset of real numbers, or of text.
 
     Args:
         group: The group.
         name: Path of the dataset in the group.
         shape: Required shape, with None for any length (default: any shape).
+        text: True for text.
 
     Raises:
         SceneError: it is missing, not in the file itself, or of another kind or shape.
     """
-    found = dataset(group, name, shape)
-    if found.dtype.kind not in "fiu":
-        raise SceneError(f"{full_path(group, name)} is not a dataset of real numbers")
-    values: np.ndarray = found[()]
-    return values
-
-
-def dataset(group: h5py.Group, name: str, shape: tuple[int | None, ...] | None = None) -> h5py.Dataset:
-    """Return a dataset, unread; arguments and errors as for :func:`read_numbers`."""
-    found, path = member(group, name), full_path(group, name)
-    if not isinstance(found, h5py.Dataset):
-        raise SceneError(f"{path} is not a dataset")
+    found, path = member(group, name, h5py.Dataset), full_path(group, name)
+    if (h5py.check_string_dtype(found.dtype) is None) if text else (found.dtype.kind not in "fiu"):
+        raise SceneError(f"{path} is not a dataset of {'text' if text else 'real numbers'}")
     if found.is_virtual or found.external:
         raise SceneError(f"{path} is kept in another file, which this program does not read")
     if math.prod(found.shape) * found.dtype.itemsize > found.file.id.get_filesize():
         raise SceneError(f"{path} has shape {found.shape}, more than the file holds")
-    fits = shape is None or (
-        len(shape) == len(found.shape) and all(a in (None, b) for a, b in zip(shape, found.shape, strict=True))
-    )
-    if not fits:
-        wanted = ", ".join("any" if length is None else str(length) for length in shape or ())
-        raise SceneError(f"{path} has shape {found.shape} instead of ({wanted})")
-    return found
-
-
-def read_attribute(item: h5py.HLObject, name: str) -> Any:
-    """Return an attribute as a Python object.
-
-    Raises:
-        SceneError: it is missing.
-    """
-    value = item.attrs.get(name)
-    if value is None:
-        raise SceneError(f"attribute {full_path(item, name)} is missing")
-    return value.item() if isinstance(value, np.generic) else value
+    wanted = found.shape if shape is None else shape
+    lengths_fit = all(a in (None, b) for a, b in zip(wanted, found.shape, strict=False))
+    if len(wanted) != len(found.shape) or not lengths_fit:
+        raise SceneError(f"{path} has shape {found.shape} instead of {wanted} (None: any length)")
+    values: np.ndarray = (found.asstr() if text else found)[()]
+    return values
 
 
 def full_path(item: h5py.HLObject, name: str) -> str:

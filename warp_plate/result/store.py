@@ -1,7 +1,7 @@
 """Result files: one HDF5 file for each result, readable by h5py, MATLAB's h5read and xarray; see docs/scene.md.
 
-Beside the fields of :class:`Result` a file holds some derived values for other programs: ``x``, ``y``, the localization
-factors, and the crosstalk between several targets.
+Beside the fields of :class:`Result` a file holds derived values for other programs: the positions of the nodes, the
+localization factors, and the crosstalk between several targets.
 """
 
 from __future__ import annotations

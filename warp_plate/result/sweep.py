@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 
 from warp_plate.result.hdf5 import ELSEWHERE, Attribute, Dataset, SceneText, read_fields, write_fields
-from warp_plate.result.safe_hdf5 import dataset, open_hdf5, read_numbers, save_hdf5
+from warp_plate.result.safe_hdf5 import open_hdf5, read_array, save_hdf5
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import label_of, numeric_keys, unit_of
 from warp_plate.scene.model import Scene
@@ -155,16 +155,17 @@ def load_sweep(path: str | Path) -> Sweep:
     path = Path(path)
     with open_hdf5(path, FORMAT, "sweep") as file:
         scene = SceneText().read(file, "scene", {})
-        plan, outputs = _read_plan(file, scene), _read_outputs(file)
-        count = Attribute(int).read(file, "count", {})
+        plan, count = _read_plan(file, scene), Attribute(int).read(file, "count", {})
+        outputs = {name: SweepOutput(**entry) for name, entry in _OUTPUTS.read(file, "outputs", {}).items()}
         values = {}
         for name, output in outputs.items():
             own = (count,) if output.axis else ()
-            values[name] = read_numbers(file, name, (*plan.shape, *own)).reshape(len(plan), *own)
-        status = read_numbers(file, "status", plan.shape).ravel()
+            values[name] = read_array(file, name, (*plan.shape, *own)).reshape(len(plan), *own)
+        status = read_array(file, "status", plan.shape).ravel()
         if not np.isin(status, (NOT_RUN, RUN, REFUSED)).all():
             raise SceneError("status holds other numbers than 0, 1 and 2")
-        reasons = _read_reasons(file, plan, status)
+        texts = read_array(file, "reason", plan.shape, text=True).ravel()
+        reasons = {point: str(texts[point]) for point in np.flatnonzero(status == REFUSED).tolist()}
         return read_fields(
             Sweep, file, scene=scene, plan=plan, outputs=outputs, values=values, status=status, reasons=reasons
         )
@@ -172,7 +173,7 @@ def load_sweep(path: str | Path) -> Sweep:
 
 _KEYS = Attribute(tuple[str, ...])
 _LOGARITHMIC = Attribute(tuple[bool, ...])
-_OUTPUTS = Attribute(Mapping[str, Any])
+_OUTPUTS = Attribute(Mapping[str, Mapping[str, str | None]])
 
 
 def _write(file: h5py.File, sweep: Sweep) -> None:
@@ -218,9 +219,7 @@ def _write_axis(file: h5py.File, name: str, values: np.ndarray, unit: str, meani
     file[name].make_scale(name)
 
 
-def _write_along(
-    file: h5py.File, name: str, values: np.ndarray, unit: str, meaning: str, axes: Iterable[str]
-) -> None:
+def _write_along(file: h5py.File, name: str, values: Any, unit: str, meaning: str, axes: Iterable[str]) -> None:
     Dataset(unit, meaning).write(file, name, values, {})
     for index, axis in enumerate(axes):
         file[name].dims[index].attach_scale(file[axis])
@@ -240,27 +239,8 @@ def _read_plan(file: h5py.File, scene: Scene) -> Plan:
     if not keys or not set(keys) <= set(numeric_keys(scene)) or len(logarithmic) != len(keys):
         raise SceneError(f"keys {list(keys)} do not fit the scene")
     sampled = "sample" in file
-    samples = len(read_numbers(file, "sample", (None,))) if sampled else None
-    plan = Plan(keys, tuple(read_numbers(file, key, (samples,)) for key in keys), logarithmic, sampled)
+    samples = len(read_array(file, "sample", (None,))) if sampled else None
+    plan = Plan(keys, tuple(read_array(file, key, (samples,)) for key in keys), logarithmic, sampled)
     if not 1 <= len(plan) <= MOST_POINTS:
         raise SceneError(f"the sweep has {len(plan)} points")
     return plan
-
-
-def _read_outputs(file: h5py.File) -> dict[str, SweepOutput]:
-    outputs = {}
-    for name, entry in _OUTPUTS.read(file, "outputs", {}).items():
-        outputs[name] = output = SweepOutput(**entry)
-        if not (isinstance(output.unit, str) and isinstance(output.meaning, str)):
-            raise SceneError(f"attribute outputs has no unit or meaning of {name}")
-        if not isinstance(output.axis, str | None):
-            raise SceneError(f"attribute outputs has no axis of {name}")
-    return outputs
-
-
-def _read_reasons(file: h5py.File, plan: Plan, status: np.ndarray) -> dict[int, str]:
-    texts = dataset(file, "reason", plan.shape)
-    if h5py.check_string_dtype(texts.dtype) is None:
-        raise SceneError("reason is not a dataset of text")
-    flat = texts.asstr()[()].ravel()
-    return {point: str(flat[point]) for point in np.flatnonzero(status == REFUSED).tolist()}

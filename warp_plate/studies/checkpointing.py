@@ -1,100 +1,122 @@
-"""When a search leaves a checkpoint, and where."""
+"""When a search or a sweep is saved while it runs, and where."""
 
 from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from glob import escape
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from warp_plate.result.atomic_io import is_intact
 from warp_plate.result.checkpoint import Checkpoint, previous_path, save_checkpoint
+from warp_plate.result.sweep import Sweep, save_sweep
 from warp_plate.scene.errors import SceneError
 
-# Seconds between two checkpoints.
+# Default of the seconds between two checkpoints.
 EVERY = 30.0
+Study = TypeVar("Study", Checkpoint, Sweep)
 
 
-class CheckpointFile:
-    """The file that a search can go on from.
+class StudyFile(Generic[Study]):
+    """A file that holds a study while it runs.
 
     Args:
-        path: of the file; the one before it is kept as ``previous_path(path)``.
-        every: seconds between two, at least; 0: one after each iteration; infinite: only when Ctrl-C ends the search.
-        resumes: whether the search goes on from what is there. If not, that is replaced, not kept as the previous one.
-        warn: called with one line when a file cannot be written. The search then goes on, and the last one stays.
+        path: path of the file.
+        every: least seconds between two saves; 0 saves whenever possible, infinity only when the study is interrupted.
+        resumes: True if the study continues from the file. If not, the file is replaced and not kept as the previous
+            one.
+        warn: called with one line if the file cannot be written. The study then continues, and the last file stays.
+
+    Attributes:
+        saved: what was written last, or None.
 
     Raises:
-        SceneError: ``every`` is no number of seconds.
+        SceneError: ``every`` is negative or NaN.
     """
 
     def __init__(
-        self,
-        path: Path,
-        every: float = EVERY,
-        resumes: bool = False,
-        warn: Callable[[str], object] = warnings.warn,
+        self, path: Path, every: float = EVERY, resumes: bool = False, warn: Callable[[str], object] = warnings.warn
     ) -> None:
         if not every >= 0:
             raise SceneError(f"checkpoint-every = {every:g}: must be a number of seconds, 0 or more")
         self.path = path
         self.every = every
-        self.saved: Checkpoint | None = None  # the last one that was written
-        self._goes_on = resumes
-        self._keep = resumes and is_intact(path)
-        self._seen = _mark(path)
-        self._lost = False
+        self.saved: Study | None = None
+        self._resumes = resumes
+        self._keep_previous = resumes and is_intact(path)
+        self._signature = _signature(path)
+        self._taken = False
         self._warn = warn
         self._warned = False
         self._last = time.monotonic()
 
     def due(self) -> bool:
-        """Whether it is time for the next."""
+        """Return whether ``every`` seconds have passed since the last save."""
         return time.monotonic() - self._last >= self.every
 
-    def save(self, checkpoint: Checkpoint) -> None:
-        """Write it whole, and keep the one before; where that fails, say so once and keep both.
+    def save(self, study: Study) -> None:
+        """Write the study atomically; on failure warn once and keep the last file.
 
-        A file that another search has written since is left alone: its name is that search's from then on.
+        A file that another process has written since is left alone from then on.
         """
         self._last = time.monotonic()
-        if self._another_writes():
+        if self._taken_by_another():
             return
         try:
-            save_checkpoint(checkpoint, self.path, self._keep)
-            if self.saved is None and not self._goes_on:
-                previous_path(self.path).unlink(missing_ok=True)  # of another search
+            self._write(study)
+            if self.saved is None and not self._resumes:
+                previous_path(self.path).unlink(missing_ok=True)  # left by another study
         except (SceneError, OSError) as error:
             if not self._warned:
-                self._warn(f"{error}; the search goes on")
+                self._warn(f"{error}; continuing without")
             self._warned = True
             return
-        self.saved, self._keep, self._warned = checkpoint, True, False
-        self._seen = _mark(self.path)
+        self.saved, self._keep_previous, self._warned = study, True, False
+        self._signature = _signature(self.path)
 
     def remove(self) -> None:
-        """Away with the file, the one before it, and what a killed process left of one: the search is done."""
-        if self._another_writes():
+        """Delete the file, the previous one, and temporary files that killed processes left."""
+        if self._taken_by_another():
             return
-        left = self.path.parent.glob(f".{escape(self.path.name)}.*.part.h5")
+        left: Iterable[Path] = self.path.parent.glob(f".{escape(self.path.name)}.*.part.h5")
         for path in (self.path, previous_path(self.path), *left):
             path.unlink(missing_ok=True)
 
-    def _another_writes(self) -> bool:
-        """Whether the file is another search's by now, which is said once."""
-        found = _mark(self.path)
-        if not self._lost and found not in (None, self._seen):
-            self._lost, self.saved = True, None
+    def _write(self, study: Study) -> None:
+        raise NotImplementedError
+
+    def _taken_by_another(self) -> bool:
+        """Return whether another process has written the file since; warn once if it has."""
+        if not self._taken and _signature(self.path) not in (None, self._signature):
+            self._taken, self.saved = True, None
             self._warn(
-                f"{self.path} is written by another search; this one goes on without checkpoints: give each search a "
-                "result file of its own"
+                f"{self.path} was written by another process; continuing without checkpoints: give each run a result "
+                "file of its own"
             )
-        return self._lost
+        return self._taken
 
 
-def _mark(path: Path) -> tuple[int, ...] | None:
-    """What changes when a file is written anew; None where there is none."""
+class CheckpointFile(StudyFile[Checkpoint]):
+    """The file that a search can be resumed from; the one before it is kept as ``previous_path(path)``.
+
+    See :class:`StudyFile` for the arguments.
+    """
+
+    def _write(self, study: Checkpoint) -> None:
+        save_checkpoint(study, self.path, self._keep_previous)
+
+
+class SweepFile(StudyFile[Sweep]):
+    """The file that holds the finished points of a sweep until all are done. See :class:`StudyFile`."""
+
+    def _write(self, study: Sweep) -> None:
+        save_sweep(study, self.path)
+
+
+def _signature(path: Path) -> tuple[int, ...] | None:
+    """Return numbers that change when the file is replaced; None if there is no file."""
     try:
         found = path.stat()
     except OSError:

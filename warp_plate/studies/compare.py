@@ -1,4 +1,4 @@
-"""Several methods on one problem: each from several seeds, with the same number of evaluations, on one clock."""
+"""Several search methods on one problem: each from several seeds, with the same number of evaluations."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from warp_plate.cluster.pool import Pool, WorkersGone
+from warp_plate.cluster.pool import WorkerPool, WorkersGone
 from warp_plate.interrupts import check_interrupt, deferred_interrupts
-from warp_plate.optimize.optimizer import Optimizer
 from warp_plate.problem.design_variables import at_highest_frequency
-from warp_plate.problem.methods import make_optimizer
+from warp_plate.problem.methods import Optimizer, make_optimizer
 from warp_plate.problem.problem import EvaluatorName, Problem
 from warp_plate.problem.robust import make_problem
 from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.studies.localize import device_name, of_pool, resolve, versions
+from warp_plate.studies.grid_choice import resolve_grid
+from warp_plate.studies.provenance import devices_text, versions
 
 METHODS = ("pso", "constriction", "ring", "cma", "gradient", "exact")
 # Methods that find the same from every seed.
 SEEDLESS = ("exact",)
-# Told during a trial: evaluations done, in all, and what is tried.
-OnProgress = Callable[[int, int, str], object]
+# Called during a trial with the evaluations done, their total, and the method and seed.
+OnTrialProgress = Callable[[int, int, str], object]
 
 
 def compare(
@@ -36,38 +36,37 @@ def compare(
     path: str = "auto",
     evaluator: EvaluatorName | None = None,
     evaluations: int | None = None,
-    on_progress: OnProgress | None = None,
-    pool: Pool | None = None,
+    on_progress: OnTrialProgress | None = None,
+    pool: WorkerPool | None = None,
 ) -> MethodComparison:
-    """Run every method from every seed, in turn, so that a disturbance of the machine meets all alike.
+    """Run every method from every seed, methods in turn so that disturbances of the machine affect all alike.
+
+    Ctrl-C and the loss of all workers end the comparison and keep the finished trials. Seconds of a trial are those of
+    its optimizer and its losses, after one iteration of each method that is not counted; the time for the Gram
+    matrices, which all methods share, is kept apart.
 
     Args:
-        methods: of METHODS; left out: all that fit the scene. seeds: how many, from the scene's own on.
+        methods: some of METHODS (default: all that fit the scene).
+        seeds: number of seeds, from the scene's own on.
         device, path: see :class:`PlateSolver`.
-        evaluator: left out: "response" where energies are quadratic forms of the drives, else "direct".
-        evaluations: that each trial may make; left out: the scene's particles × iterations.
+        evaluator: see ``localize`` (default: "response" where it applies, else "direct").
+        evaluations: evaluations of each trial (default: the scene's particles × iterations).
         on_progress: called after each iteration.
         pool: see ``localize``.
 
-    Ctrl-C ends it, and so does a pool whose workers are gone; the trials that are done are kept. Seconds are those of
-    the method's beginning, ``ask``, losses and ``tell``, after each method was warmed by one iteration that does not
-    count; what the Gram matrices took, which all share, is kept apart.
-
     Raises:
-        SceneError: a method that was named does not fit the scene; fewer evaluations than particles; see
+        SceneError: a named method does not fit the scene, there are fewer evaluations than particles, or see
             :func:`make_problem`.
-        KeyboardInterrupt: Ctrl-C before the first trial was done.
+        KeyboardInterrupt: Ctrl-C came before the first trial was finished.
     """
     particles = scene.search.particles
     if evaluations is not None and evaluations < particles:
         raise SceneError(
-            f"--evaluations {evaluations}: fewer than search.particles = {particles}, which are tried at once; give "
-            f"{particles} or more"
+            f"--evaluations {evaluations}: must be at least search.particles = {particles}, which are evaluated at once"
         )
-    scene = resolve(at_highest_frequency(scene), device)[0].model_copy(update={"actuators": scene.actuators})
-    search = scene.search
+    scene = resolve_grid(at_highest_frequency(scene), device).scene.model_copy(update={"actuators": scene.actuators})
     if evaluations is not None:
-        search = search.model_copy(update={"iterations": evaluations // search.particles})
+        search = scene.search.model_copy(update={"iterations": evaluations // particles})
         scene = scene.model_copy(update={"search": search})
     started = time.perf_counter()
     problem = make_problem(scene, device, path, evaluator, pool=pool)
@@ -75,43 +74,16 @@ def compare(
     if evaluator is None and problem.response is not None:
         problem = replace(problem, evaluator_name="response")
     if not problem.space.dimension:
-        raise SceneError("actuators: one alone leaves nothing to search, so there is nothing to compare")
-    budget = search.particles * search.iterations
-
-    def begin(method: str, seed: int) -> Optimizer:
-        named = search.model_copy(update={"method": method})
-        return make_optimizer(named, problem.space, seed, problem.quadratic)
-
-    fitting, skipped = _fitting(methods, begin, search.seed)
-    trials, interrupted, gone = [], False, dict[str, int]()
-    pairs = [
-        (method, search.seed + index)
-        for index in range(seeds)
-        for method in fitting
-        if index == 0 or method not in SEEDLESS
-    ]
-    try:
-        for method in fitting:
-            _warm(begin(method, search.seed), problem)
-        for index, (method, seed) in enumerate(pairs):
-
-            def tell(done: int, before: int = index * budget, note: str = f"{method}, seed {seed}") -> None:
-                if on_progress is not None:
-                    on_progress(before + done, len(pairs) * budget, note)
-
-            trials.append(_trial(begin, method, seed, problem, budget, tell))
-    except (KeyboardInterrupt, WorkersGone) as reason:
-        if not trials:
-            raise
-        interrupted = True
-        gone = {str(reason): search.particles} if isinstance(reason, WorkersGone) else {}
+        raise SceneError("actuators: a single one leaves nothing to search, so there is nothing to compare")
+    fitting, skipped = _fitting_methods(methods, problem)
+    trials, interrupted, lost = _run_trials(fitting, seeds, problem, on_progress)
     bound = problem.loss_bound
     return MethodComparison(
         source=source,
         scene=problem.scene,
-        device=device_name(problem.drive_solver.device) + of_pool(problem),
+        device=devices_text(problem),
         evaluator=problem.evaluator_name,
-        budget=budget,
+        budget=particles * scene.search.iterations,
         seconds={"prepare": prepared},
         localization=problem.only_localization,
         trials=tuple(sorted(trials, key=lambda trial: (fitting.index(trial.method), trial.seed))),
@@ -121,20 +93,18 @@ def compare(
         skipped=skipped,
         interrupted=interrupted,
         versions=versions(),
-        lost_plates=dict(problem.lost) | gone,
+        lost_plates=dict(problem.lost) | lost,
     )
 
 
-def _fitting(
-    methods: Sequence[str] | None, begin: Callable[[str, int], Optimizer], seed: int
-) -> tuple[list[str], dict[str, str]]:
-    """The methods to try, and by name why others are not."""
+def _fitting_methods(methods: Sequence[str] | None, problem: Problem) -> tuple[list[str], dict[str, str]]:
+    """Return the methods to try, and why others are left out, by their names."""
     fitting, skipped = [], {}
     for method in methods or METHODS:
         if method not in METHODS:
-            raise SceneError(f"--methods {method}: there is no such method; there are {', '.join(METHODS)}")
+            raise SceneError(f"--methods {method}: no such method; choose from {', '.join(METHODS)}")
         try:
-            begin(method, seed)
+            _optimizer(method, problem.scene.search.seed, problem)
         except SceneError as error:
             if methods:
                 raise
@@ -144,35 +114,61 @@ def _fitting(
     return list(dict.fromkeys(fitting)), skipped
 
 
-def _warm(searcher: Optimizer, problem: Problem) -> None:
-    """One iteration, so that what is compiled, loaded or allocated once costs no method its first."""
-    positions = searcher.ask()
-    searcher.tell(positions, problem.losses(positions))
+def _run_trials(
+    methods: Sequence[str], seeds: int, problem: Problem, on_progress: OnTrialProgress | None
+) -> tuple[list[Trial], bool, dict[str, int]]:
+    """Run all trials; return the finished ones, whether they were interrupted, and plates lost with all workers."""
+    search, trials = problem.scene.search, list[Trial]()
+    budget = search.particles * search.iterations
+    pairs = [
+        (method, search.seed + index)
+        for index in range(seeds)
+        for method in methods
+        if index == 0 or method not in SEEDLESS
+    ]
+    try:
+        for method in methods:  # what is compiled or allocated once is not counted for the first trial
+            optimizer = _optimizer(method, search.seed, problem)
+            positions = optimizer.ask()
+            optimizer.tell(positions, problem.losses(positions))
+        for index, (method, seed) in enumerate(pairs):
+
+            def report(done: int, before: int = index * budget, note: str = f"{method}, seed {seed}") -> None:
+                if on_progress is not None:
+                    on_progress(before + done, len(pairs) * budget, note)
+
+            trials.append(_run_trial(method, seed, problem, budget, report))
+    except (KeyboardInterrupt, WorkersGone) as reason:
+        if not trials:
+            raise
+        return trials, True, {str(reason): search.particles} if isinstance(reason, WorkersGone) else {}
+    return trials, False, {}
 
 
-def _trial(
-    begin: Callable[[str, int], Optimizer],
-    method: str,
-    seed: int,
-    problem: Problem,
-    budget: int,
-    tell: Callable[[int], None],
+def _run_trial(
+    method: str, seed: int, problem: Problem, budget: int, on_progress: Callable[[int], None]
 ) -> Trial:
+    """Run one method from one seed until it stops or has used up its evaluations."""
     evaluated, rows, best = 0, [], np.inf
     started = time.perf_counter()
-    searcher = begin(method, seed)
+    optimizer = _optimizer(method, seed, problem)
     spent = time.perf_counter() - started
     with deferred_interrupts():
-        while not searcher.stop() and evaluated < budget:
+        while not optimizer.stop() and evaluated < budget:
             started = time.perf_counter()
-            positions = searcher.ask()
+            positions = optimizer.ask()
             losses = problem.losses(positions)
-            searcher.tell(positions, losses)
+            optimizer.tell(positions, losses)
             spent += time.perf_counter() - started
             evaluated += len(positions)
             best = min(best, float(np.min(losses, initial=np.inf, where=np.isfinite(losses))))
             rows.append((evaluated, spent, best))
-            tell(evaluated)
+            on_progress(evaluated)
             check_interrupt()
-    counts, seconds, found = np.array(rows, dtype=float).T
-    return Trial(method, seed, counts.astype(int), seconds, found)
+    evaluations, seconds, losses = np.array(rows, dtype=float).T
+    return Trial(method, seed, evaluations.astype(int), seconds, losses)
+
+
+def _optimizer(method: str, seed: int, problem: Problem) -> Optimizer:
+    search = problem.scene.search.model_copy(update={"method": method})
+    return make_optimizer(search, problem.space, seed, problem.quadratic)

@@ -1,4 +1,4 @@
-"""A problem's search, run from a checkpoint (that of iteration 0 is the beginning) to its end or to Ctrl-C."""
+"""Run a search from a checkpoint, which may be that of iteration 0, to its end or until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -11,29 +11,31 @@ from typing import Any
 import numpy as np
 
 from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
-from warp_plate.optimize.optimizer import Optimizer, minimize
-from warp_plate.problem.methods import make_optimizer
+from warp_plate.optimize.pso import optimize
+from warp_plate.problem.methods import Optimizer, make_optimizer, optimizer_from_state
 from warp_plate.problem.problem import Problem
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.scene.errors import SceneError
 from warp_plate.studies.checkpointing import CheckpointFile
 
-# Told after each iteration: iterations done, iterations in all, best so far: the localization factor, or the weighted
-# sum of the objectives.
+# Called after each iteration with the iterations done, their total, and the best localization factor so far, or the
+# best weighted sum of the objectives.
 OnProgress = Callable[[int, int, float], object]
 
 
-def searcher_of(problem: Problem, seed: int, state: Mapping[str, Any] | None = None) -> Optimizer | None:
-    """What searches the problem, from its beginning or from a state; None where one actuator leaves no choice.
+def search_optimizer(problem: Problem, seed: int, state: Mapping[str, Any] | None = None) -> Optimizer | None:
+    """Return the optimizer of a problem, at its start or in a saved state; None if there is nothing to search.
 
     Raises:
-        SceneError: see ``make_optimizer``; the state does not fit the problem.
+        SceneError: see ``make_optimizer``, or the state does not fit the problem.
     """
     search, space = problem.scene.search, problem.space
     if not space.dimension:
         return None
+    if state is None:
+        return make_optimizer(search, space, seed, problem.quadratic)
     try:
-        return make_optimizer(search, space, seed, problem.quadratic, state)
+        return optimizer_from_state(search, space, seed, state, problem.quadratic)
     except SceneError:
         raise
     except ValueError as error:
@@ -41,71 +43,75 @@ def searcher_of(problem: Problem, seed: int, state: Mapping[str, Any] | None = N
 
 
 def run_search(
-    begun: Checkpoint, problem: Problem, on_progress: OnProgress | None, checkpoints: CheckpointFile | None
+    start: Checkpoint,
+    problem: Problem,
+    on_progress: OnProgress | None = None,
+    checkpoints: CheckpointFile | None = None,
 ) -> tuple[Optimizer | None, bool]:
-    """The searcher after its search, and whether Ctrl-C ended it; none where one actuator leaves no choice.
+    """Run a search; return its optimizer, None if there is nothing to search, and whether Ctrl-C ended it.
 
     Args:
-        begun: the search until now; problem: made from its scene.
+        start: state of the search; ``problem`` is that of its scene.
         on_progress: called after each iteration.
-        checkpoints: written when due, and when Ctrl-C or an error ends the search.
+        checkpoints: written at intervals, and when Ctrl-C or an error ends the search.
 
     Raises:
-        SceneError: the checkpoint does not fit its scene. WorkersGone: see there.
-        KeyboardInterrupt: Ctrl-C came once more while the checkpoint was written.
+        SceneError: the checkpoint does not fit its scene.
+        WorkersGone: no worker is left.
     """
-    if begun.search_state is None:
+    if start.search_state is None:
         return None, False
-    searcher = searcher_of(problem, begun.seed, begun.search_state)
-    if searcher is None:
-        raise SceneError("checkpoint: has the state of a search, and its scene leaves nothing to search")
+    optimizer = search_optimizer(problem, start.seed, start.search_state)
+    if optimizer is None:
+        raise SceneError("checkpoint: holds the state of a search, but its scene leaves nothing to search")
     started, first_steps = time.perf_counter(), problem.node_steps
-    counted, lost = first_steps, problem.lost  # of an iteration that is cut short nothing is kept, nor are its steps
+    # Costs up to the last complete iteration: an interrupted one is repeated when the search is resumed.
+    node_steps, lost = first_steps, problem.lost
 
     def save() -> None:
         if checkpoints is None:
             return
-        spent = begun.seconds.get("solve", 0.0) + time.perf_counter() - started
+        seconds = start.seconds.get("solve", 0.0) + time.perf_counter() - started
         checkpoints.save(
             replace(
-                begun,
-                search_state=searcher.state(),
-                seconds={**begun.seconds, "solve": spent},
-                node_steps=begun.node_steps + counted - first_steps,
-                lost_plates=dict(Counter(begun.lost_plates) + lost),
+                start,
+                search_state=optimizer.state(False),
+                seconds={**start.seconds, "solve": seconds},
+                node_steps=start.node_steps + node_steps - first_steps,
+                lost_plates=dict(Counter(start.lost_plates) + lost),
             )
         )
 
-    def after(searcher: Optimizer) -> None:
-        nonlocal counted, lost
-        counted, lost = problem.node_steps, problem.lost
+    def after_iteration(optimizer: Optimizer) -> None:
+        nonlocal node_steps, lost
+        node_steps, lost = problem.node_steps, problem.lost
         if checkpoints is not None and checkpoints.due():
             save()
         if on_progress is not None:
-            total = begun.scene.search.iterations
-            on_progress(searcher.iterations, total, float(problem.value_from_loss(searcher.result.fbest)))
+            best = float(problem.value_from_loss(optimizer.result.fbest))
+            on_progress(optimizer.iterations, start.scene.search.iterations, best)
         check_interrupt()
 
     try:
         with deferred_interrupts():
             if checkpoints is not None and checkpoints.due():
                 save()
-            minimize(searcher, problem.losses, after)
-    except SecondInterrupt:  # the searcher may be half updated: only an earlier checkpoint is whole
+            optimize(optimizer, problem.losses, after_iteration, whole=False)
+    except SecondInterrupt:  # the optimizer may be half updated, so only an earlier checkpoint is valid
         raise
     except KeyboardInterrupt:
         save()
-        return searcher, True
+        return optimizer, True
     except Exception:  # such as WorkersGone
         save()
         raise
-    return searcher, False
+    return optimizer, False
 
 
-def history_of(searcher: Optimizer | None, problem: Problem) -> dict[str, np.ndarray]:
-    """What ``Problem.value_from_loss`` is after each iteration; nothing without a search."""
-    if searcher is None:
+def history_of(optimizer: Optimizer | None, problem: Problem) -> dict[str, np.ndarray]:
+    """Return the evaluations, and the best and mean values, after each iteration; empty without a search."""
+    if optimizer is None:
         return {}
-    history = searcher.history
+    history = optimizer.history
     values = {name: np.asarray(problem.value_from_loss(history[name])) for name in ("best", "mean")}
     return {"evaluations": history["evaluations"], **values}

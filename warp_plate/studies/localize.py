@@ -1,38 +1,54 @@
-"""The whole search: reference drives, the bound, the swarm, and the best drive run once more for its pictures."""
+"""The whole search: reference drives, the bound, a search for each target, and the cases of the result."""
 
 from __future__ import annotations
 
-import platform
 import time
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
-import warp as wp
 
-import warp_plate
-from warp_plate.accuracy.choose import choose
-from warp_plate.accuracy.estimate import estimate as estimate_errors
 from warp_plate.accuracy.reference_solution import ReferenceStage
-from warp_plate.cluster.pool import Pool
+from warp_plate.cluster.evaluator import Evaluator
+from warp_plate.cluster.pool import WorkerPool
 from warp_plate.plate.files import digests
-from warp_plate.plate.weights import localization_factor
+from warp_plate.plate.weights import REGIONS
 from warp_plate.problem.design_variables import at_highest_frequency
-from warp_plate.problem.evaluate_cases import evaluate_objectives, reference_phasors
-from warp_plate.problem.problem import EvaluatorName, Problem
+from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, evaluate_objectives, reference_phasors
+from warp_plate.problem.problem import EvaluatorName, Problem, make_nominal_problem
 from warp_plate.problem.robust import RobustProblem, make_problem
-from warp_plate.result.checkpoint import Checkpoint
-from warp_plate.result.model import Result
-from warp_plate.scene.errors import SceneError
+from warp_plate.result.atomic_io import write_atomically
+from warp_plate.result.checkpoint import Checkpoint, load_newest
+from warp_plate.result.crosstalk import best_drive_scenes, target_cases, target_regions
+from warp_plate.result.model import Case, Result, TargetSearch
+from warp_plate.scene.dump import dump_scene
+from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.model import Scene
-from warp_plate.solve.devices import device_aliases, find_device, processor_of
-from warp_plate.solve.run import Run
+from warp_plate.solve.devices import processor_of
+from warp_plate.solve.solver import PlateSolver
+from warp_plate.studies import provenance
+from warp_plate.studies.baselines import baseline_cases, check_baselines
 from warp_plate.studies.checkpointing import CheckpointFile
-from warp_plate.studies.driver import OnProgress, searcher_of
-from warp_plate.studies.several_targets import run_searches, runs_of_all
+from warp_plate.studies.driver import OnProgress, history_of, run_search, search_optimizer
+from warp_plate.studies.grid_choice import estimate_error, resolve_grid
 from warp_plate.studies.spectrum import make_spectrum
-from warp_plate.studies.validation import against_nominal
+from warp_plate.studies.validation import compare_with_nominal
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class _Options:
+    """What a search reports, saves and computes beside its best drive; see :func:`localize`."""
+
+    on_progress: OnProgress | None
+    checkpoints: CheckpointFile | None
+    estimate: bool
+    spectrum: bool
+    baselines: bool
 
 
 def localize(
@@ -46,45 +62,46 @@ def localize(
     estimate: bool = True,
     checkpoints: CheckpointFile | None = None,
     spectrum: bool = True,
-    pool: Pool | None = None,
+    pool: WorkerPool | None = None,
+    baselines: bool = False,
 ) -> Result:
     """Search the drive with the largest share of the plate's kinetic energy in the target.
 
-    Args:
-        scene: what to search; ``source``: its name, kept in the result.
-        device, path: see :class:`PlateSolver`.
-        seed: of the swarm; left out: the scene's.
-        evaluator: "direct" simulates a plate for each particle; "response" uses the Gram matrices instead; left out:
-            "direct", and "response" for a robust search where these hold.
-        on_progress: called after each iteration.
-        estimate: whether to estimate the errors of the localization factors at the end.
-        checkpoints: where to keep what :func:`resume` goes on from.
-        spectrum: whether a search for one frequency of all actuators ends with the factors over its range.
-        pool: runs the plates of the search, see ``cluster.opening.open_pool``; left out: this process.
-
     A scene with several targets has one search after the other, and a best drive for each (see ``result.crosstalk``).
-    A scene with ``grid.accuracy`` gets the grid that keeps it first, for its first target. Ctrl-C ends the search
-    early; the result then holds the best so far and says that it was interrupted.
+    The grid of a scene with ``grid.accuracy`` is chosen first, for the first target. Ctrl-C ends the search early; the
+    result then holds the best drive so far and is marked as interrupted.
+
+    Args:
+        scene: scene to search; ``source`` is its name, kept in the result.
+        device, path: see :class:`PlateSolver`.
+        seed: random seed of the search (default: the scene's).
+        evaluator: "direct" simulates a plate for each candidate, "response" uses Gram matrices of unit responses
+            (default: "direct"; for robust searches "response" where it applies).
+        on_progress: called after each iteration.
+        estimate: whether to estimate the errors of the localization factors.
+        checkpoints: file that :func:`resume` can continue from.
+        spectrum: whether to compute the localization factors over the range of a searched common frequency.
+        pool: workers that run the plates of the search, see ``cluster.pool.open_pool`` (default: this process).
+        baselines: whether to compare with drives that need no search; see :mod:`warp_plate.studies.baselines`.
 
     Raises:
-        SceneError: see :class:`PlateSolver`.
+        SceneError: see :class:`PlateSolver`; or the scene has no baselines.
     """
     seed = scene.search.seed if seed is None else seed
     if not 0 <= seed < 2**63:
-        raise SceneError(f"seed = {seed}: must be a whole number from 0 to 2^63 - 1")
-    asked, files = scene, digests(scene)
-    # A frequency that is searched is judged where it asks most of a grid.
-    hardest = at_highest_frequency(asked)
-    chosen, accuracy, seconds, stage = resolve(hardest, device)
-    scene = chosen.model_copy(update={"actuators": asked.actuators})
+        raise SceneError(f"seed = {seed}: must be an integer from 0 to 2^63 - 1")
+    if baselines:
+        check_baselines(scene)
+    files = digests(scene)
+    # The highest frequency of the search is the most demanding for a grid.
+    resolved = resolve_grid(at_highest_frequency(scene), device)
     started = time.perf_counter()
-    problem = make_problem(scene, device, path, evaluator, pool=pool)
-    drives = reference_phasors(problem.scene, problem.energies_of_phasors)
-    searcher = searcher_of(problem, seed)
+    gridded = resolved.scene.model_copy(update={"actuators": scene.actuators})
+    problem = make_problem(gridded, device, path, evaluator, pool=pool)
+    initial = _initial_state(problem, seed)
     compiling = problem.compile_seconds
-    begun = Checkpoint(
-        scene_as_written=asked,
-        scene=problem.scene,
+    start = Checkpoint(
+        scene_as_written=scene,
         source=source,
         files=files,
         device=problem.drive_solver.device.alias,
@@ -93,15 +110,13 @@ def localize(
         path=path,
         evaluator=problem.evaluator_name,
         seed=seed,
-        accuracy=accuracy,
-        seconds=seconds | {"compile": compiling, "solve": time.perf_counter() - started - compiling},
-        versions=versions(),
+        accuracy=resolved.accuracy,
+        seconds={**resolved.seconds, "compile": compiling, "solve": time.perf_counter() - started - compiling},
+        versions=provenance.versions(),
         node_steps=problem.node_steps,
-        single_actuator=int(np.argmax(np.abs(drives["single"]))),
-        matrices=problem.matrices,
-        search_state=None if searcher is None else searcher.state(),
+        **initial,
     )
-    return _finish(begun, problem, on_progress, estimate, checkpoints, stage, spectrum)
+    return _run(start, problem, _Options(on_progress, checkpoints, estimate, spectrum, baselines), resolved.reference)
 
 
 def resume(
@@ -111,191 +126,258 @@ def resume(
     estimate: bool = True,
     checkpoints: CheckpointFile | None = None,
     spectrum: bool = True,
-    pool: Pool | None = None,
+    pool: WorkerPool | None = None,
+    baselines: bool = False,
 ) -> Result:
-    """Go on with a search, to the result that it would have had without a stop.
+    """Continue a search to the result that it would have had without the interruption.
 
-    All that it finds is the same to the last bit on the same kind of device with the same versions; ``seconds``, and
-    the estimate of the errors, which has its time, are not.
+    The result is bit-identical on the same kind of device with the same versions, except ``seconds`` and the error
+    estimate, which depends on them.
 
     Args:
-        device: another one than the search began on: its rounding may be another; left out: the same.
-        on_progress, estimate, checkpoints, spectrum, pool: see :func:`localize`.
+        device: another device than the search began on, which may round differently (default: one of the same kind).
+        on_progress, estimate, checkpoints, spectrum, pool, baselines: see :func:`localize`.
 
     Raises:
-        SceneError: there is no such device any more; a file that the scene names is missing or another; or the
-            checkpoint does not fit its scene.
+        SceneError: the device does not exist, a file that the scene names is missing or has changed, or the checkpoint
+            does not fit its scene.
     """
+    if baselines:
+        check_baselines(checkpoint.scene)
     started = time.perf_counter()
-    for key, digest in digests(checkpoint.scene).items():
-        if checkpoint.files.get(key) != digest:
-            raise SceneError(f"{key}: the file holds something else than when the search began")
-    on, matrices = device or same_device(checkpoint.device, checkpoint.processor), checkpoint.matrices
-    problem = make_problem(checkpoint.scene, on, checkpoint.path, checkpoint.evaluator, matrices, pool)
+    provenance.check_files(checkpoint.scene, checkpoint, "search")
+    device = device or provenance.same_device(checkpoint.device, checkpoint.processor, "search")
+    matrices = checkpoint.matrices
+    problem = make_problem(checkpoint.scene, device, checkpoint.path, checkpoint.evaluator, matrices, pool)
     if problem.parametrization.quadratic and matrices is None:
         raise SceneError("checkpoint: the matrices of its scene's response are missing")
-    solver, spent = problem.drive_solver, dict(checkpoint.seconds)
-    spent["compile"] = spent.get("compile", 0.0) + time.perf_counter() - started
-    processor, earlier = processor_of(solver.device), checkpoint.earlier_devices
-    if processor != checkpoint.processor:
+    used, seconds = problem.drive_solver.device, dict(checkpoint.seconds)
+    seconds["compile"] = seconds.get("compile", 0.0) + time.perf_counter() - started
+    earlier = checkpoint.earlier_devices
+    if processor_of(used) != checkpoint.processor:
         earlier += f"{checkpoint.device} ({checkpoint.processor}), then "
-    begun = replace(
+    start = replace(
         checkpoint,
-        device=solver.device.alias,
-        processor=processor,
+        device=used.alias,
+        processor=processor_of(used),
         earlier_devices=earlier,
-        seconds=spent,
-        versions=with_earlier(checkpoint.versions),
+        seconds=seconds,
+        versions=provenance.merged_versions(checkpoint.versions),
     )
-    return _finish(begun, problem, on_progress, estimate, checkpoints, None, spectrum)
+    return _run(start, problem, _Options(on_progress, checkpoints, estimate, spectrum, baselines))
 
 
-def same_device(device: str, processor: str, what: str = "search") -> str:
-    """A device here of the kind that a search began on.
+def load_to_resume(
+    file: Path, scene: Scene | None, device: str | None, log: Callable[[str], object], **options: object
+) -> Checkpoint:
+    """Load a checkpoint for :func:`resume`, or the one before it if it is damaged.
+
+    Args:
+        scene: scene as given again, or None; files that it names are looked for in its folder.
+        device: device to continue on, or None.
+        log: called with a line for each thing that may change the last digits of the result.
+        options: values given again by their names in :class:`Checkpoint`, or None.
 
     Raises:
-        SceneError: there is none; names a way out.
+        SceneError: no checkpoint can be read, or the scene or an option is not that of its search.
     """
-    here = [device, *(alias for alias in device_aliases() if alias != device)]
-    for alias in here:
-        if alias in device_aliases() and processor_of(find_device(alias)) == processor:
-            return alias
-    raise SceneError(
-        f"the {what} began on {device} ({processor}), which is not here; another device rounds in another way, so the "
-        f"result would not be the same to the last bit: name one to go on, --device {find_device('auto').alias}"
-    )
+    checkpoint, remark = load_newest(file)
+    if remark:
+        log(remark)
+    known = checkpoint.scene_as_written
+    provenance.check_unchanged(checkpoint, f"search in {file}", options, (scene, known), "start again without --resume")
+    if scene is not None:
+        gridded = checkpoint.scene.in_folder(scene.folder)
+        checkpoint = replace(checkpoint, scene_as_written=known.in_folder(scene.folder), scene=gridded)
+    for line in provenance.changes(checkpoint, device):
+        log(f"{file}: {line}")
+    return checkpoint
 
 
-def _finish(
-    begun: Checkpoint,
-    problem: Problem,
-    on_progress: OnProgress | None,
-    estimate: bool,
-    checkpoints: CheckpointFile | None,
-    stage: ReferenceStage | None,
-    spectrum: bool,
-) -> Result:
-    """From a checkpoint, which may be that of iteration 0, to the result: a search knows nothing else of its past."""
-    searched = run_searches(begun, problem, on_progress, checkpoints)
-    problem, seconds, first = searched.problem, dict(searched.seconds), searched.found[0]
-    scene = problem.scene
-    started, stepped = time.perf_counter(), problem.node_steps
-    found = runs_of_all(searched)
+def save_best_scenes(result: Result, path: Path) -> list[Path]:
+    """Write the scene that ``simulate`` runs as the best drive found, PATH.toml; of several targets one each, the
+    others as PATH.2.toml, PATH.3.toml, ...
+
+    Raises:
+        SceneError: a magnitude found is larger than scenes may have, or a file cannot be written.
+    """
+    files = []
+    for number, scene in enumerate(best_drive_scenes(result).values(), 1):
+        file = path if number == 1 else path.with_suffix(f".{number}.toml")
+        head = f"# Found by: warp-plate localize {result.source}\n# Run it by: warp-plate simulate {file.name}\n"
+        write_atomically((printable(head) + dump_scene(scene)).encode(), file)
+        files.append(file)
+    return files
+
+
+def _initial_state(problem: Problem, seed: int) -> dict[str, Any]:
+    """Return the fields of a checkpoint that differ from target to target, before the first iteration."""
+    phasors = reference_phasors(problem.scene, problem.energies_of_phasors)
+    optimizer = search_optimizer(problem, seed)
+    return {
+        "scene": problem.scene,
+        "single_actuator": int(np.argmax(np.abs(phasors["single"]))),
+        "matrices": problem.matrices,
+        "search_state": None if optimizer is None else optimizer.state(False),
+    }
+
+
+def _run(start: Checkpoint, problem: Problem, options: _Options, reference: ReferenceStage | None = None) -> Result:
+    """Run a search from a checkpoint, which may be that of iteration 0, and make its result."""
+    end, problem, interrupted = _search_targets(start, problem, options)
+    first, scene, device = end.finished_searches[0], problem.scene, problem.drive_solver.device.alias
+    seconds, before = dict(end.seconds), problem.node_steps
+    started = time.perf_counter()
+    evaluated = _evaluate_targets(problem, end.finished_searches)
     seconds["solve"] += time.perf_counter() - started
-    cases, compared, beside = found.cases, None, found.node_steps
-    if isinstance(problem, RobustProblem) and first.position is not None and not searched.interrupted:
-        compared, nominal, more = against_nominal(problem, begun, first.position, seconds)
-        cases, beside = {**cases, **nominal}, beside + more
-    accuracy = dict(begun.accuracy)
-    if estimate:
-        known = stage if found.scene is scene else None  # the reference of another plate tells nothing
-        accuracy |= estimated(found.scene, found.phasors, found.run, seconds, problem.drive_solver.device.alias, known)
-    best = found.cases["best"]
-    beside_best = {name: found.cases[name] for name in ("equal", "single")}
-    worth, more = evaluate_objectives(scene, beside_best, problem.drive_solver.device.alias, begun.path)
-    made = make_spectrum(problem, best, seconds) if spectrum and not searched.interrupted else {}
+    cases, node_steps = evaluated.cases, evaluated.node_steps
+    accuracy, robust = dict(end.accuracy), None
+    baselines: tuple[dict[str, Case], int] = ({}, 0)
+    spectrum: dict[str, np.ndarray] = {}
+    if isinstance(problem, RobustProblem) and first.position is not None and not interrupted:
+        position = first.position
+        compared = _optional("robust", seconds, lambda: compare_with_nominal(problem, end, position), None)
+        if compared is not None:
+            robust, cases, node_steps = compared[0], {**cases, "nominal": compared[1]}, node_steps + compared[2]
+    if options.estimate:
+        known = reference if evaluated.scene is scene else None  # that of another plate does not help
+        found = _optional(
+            "estimate",
+            seconds,
+            lambda: estimate_error(evaluated.scene, evaluated.drives, evaluated.run, seconds["solve"], device, known),
+            None,
+        )
+        accuracy |= {} if found is None else {"estimate": found}
+    compared_cases = {name: evaluated.cases[name] for name in ("equal", "single")}
+    if options.baselines:
+        baselines = _optional("baselines", seconds, lambda: baseline_cases(problem), baselines)
+        cases, node_steps = {**cases, **baselines[0]}, node_steps + baselines[1]
+        compared_cases |= baselines[0]
+    values, more = evaluate_objectives(scene, compared_cases, device, start.path)
+    if options.spectrum and not interrupted:
+        spectrum = _optional("spectrum", seconds, lambda: make_spectrum(problem, evaluated.cases["best"]), spectrum)
     return Result(
         command="localize",
-        source=begun.source,
+        source=start.source,
         scene=scene,
-        device=begun.earlier_devices + device_name(problem.drive_solver.device) + of_pool(problem),
-        seed=begun.seed,
+        device=start.earlier_devices + provenance.devices_text(problem),
+        seed=start.seed,
         effects=problem.design_solver.effects,
         path=problem.design_solver.describe_path(bool(scene.record.points)),
         cases=cases,
-        times=found.run.times,
-        trace_times=found.run.trace_times,
+        times=evaluated.run.times,
+        trace_times=evaluated.run.trace_times,
         seconds=seconds,
         bound=first.bound,
         bound_kind=first.bound_kind,
         history=first.history,
         objective_values=first.objective_values,
-        objective_values_by_case=worth,
-        evaluator=begun.evaluator,
-        interrupted=searched.interrupted,
-        versions=begun.versions,
-        node_steps=searched.node_steps + problem.node_steps + beside + more - stepped,
-        evaluations=sum(one.evaluations for one in searched.found),
+        objective_values_by_case=values,
+        evaluator=start.evaluator,
+        interrupted=interrupted,
+        versions=start.versions,
+        node_steps=end.node_steps + problem.node_steps - before + node_steps + more,
+        evaluations=sum(search.evaluations for search in end.finished_searches),
         accuracy=accuracy,
-        peak_displacement=found.peak,
-        spectrum=made,
-        target_searches=searched.found if scene.targets else (),
-        robust=compared,
-        lost_plates=searched.lost,
+        peak_displacement=evaluated.peak,
+        spectrum=spectrum,
+        target_searches=end.finished_searches if scene.targets else (),
+        robust=robust,
+        lost_plates=end.lost_plates,
     )
 
 
-def resolve(
-    scene: Scene, device: str, drives: np.ndarray | None = None
-) -> tuple[Scene, dict[str, Any], dict[str, float], ReferenceStage | None]:
-    """The scene with a grid, what is to be kept of its choice, the seconds that it took, and its reference.
-
-    Raises:
-        SceneError: no grid keeps the accuracy asked for.
-    """
-    if scene.grid.accuracy is None:
-        return scene, {}, {}, None
+def _optional(name: str, seconds: dict[str, float], compute: Callable[[], T], default: T) -> T:
+    """Compute a part of a result and add its seconds; return the default on Ctrl-C or if the part is refused, so that
+    the result is not lost."""
     started = time.perf_counter()
-    choice = choose(scene, scene.grid.accuracy, device, drives)
-    kept = {"asked": choice.asked, "expected": choice.error, "reason": choice.reason}
-    return choice.scene, kept, {"choose": time.perf_counter() - started}, choice.reference.stage
-
-
-def estimated(
-    scene: Scene,
-    drives: dict[str, np.ndarray],
-    run: Run,
-    seconds: dict[str, float],
-    device: str,
-    stage: ReferenceStage | None = None,
-) -> dict[str, Any]:
-    """The estimate of a run's errors, with its line for people; nothing where Ctrl-C came first. Adds its seconds."""
     try:
-        factors = localization_factor(run.energy)
-        found = estimate_errors(
-            scene,
-            np.array(list(drives.values())),
-            factors,
-            seconds["solve"],
-            device,
-            run.times,
-            run.displacement,
-            stage,
+        found = compute()
+    except (KeyboardInterrupt, SceneError):
+        return default
+    if found:
+        seconds[name] = time.perf_counter() - started
+    return found
+
+
+def _search_targets(
+    start: Checkpoint, problem: Problem, options: _Options
+) -> tuple[Checkpoint, Problem, bool]:
+    """Search each target that is left, until Ctrl-C.
+
+    Returns:
+        The checkpoint at the end, with all finished searches; the problem of the first target; and whether Ctrl-C ended
+        the last search.
+    """
+    count = max(len(problem.scene.targets), 1)
+    while True:
+        started, first_steps = time.perf_counter(), problem.node_steps
+        done = len(start.finished_searches)
+        on_progress = _over_targets(options.on_progress, done, count)
+        optimizer, interrupted = run_search(start, problem, on_progress, options.checkpoints)
+        position = None if optimizer is None else optimizer.result.xbest
+        search = TargetSearch(
+            position=position,
+            single_actuator=start.single_actuator,
+            bound=problem.bound,
+            bound_kind=problem.bound_kind,
+            evaluations=0 if optimizer is None else optimizer.result.evaluations,
+            history=history_of(optimizer, problem),
+            objective_values={} if position is None else problem.objective_values(position),
         )
-    except (KeyboardInterrupt, SceneError):  # a result is not lost for want of an error bar
-        return {}
-    seconds["estimate"] = found.seconds
-    return {"estimate": {"cases": list(drives), **found.as_json(), "line": found.line()}}
+        start = replace(
+            start,
+            finished_searches=(*start.finished_searches, search),
+            node_steps=start.node_steps + problem.node_steps - first_steps,
+            lost_plates=dict(Counter(start.lost_plates) + problem.lost),
+        )
+        last = interrupted or done + 1 == count
+        if not last:
+            problem = _next_problem(problem, done + 1, start)
+            start = replace(start, **_initial_state(problem, start.seed))
+            start = replace(start, node_steps=start.node_steps + problem.node_steps)
+        seconds = start.seconds.get("solve", 0.0) + time.perf_counter() - started
+        start = replace(start, seconds={**start.seconds, "solve": seconds})
+        if last:
+            return start, _with_target(problem, 0) if count > 1 else problem, interrupted
 
 
-def device_name(device: wp.Device) -> str:
-    """For people: Warp's name for the device, and the processor's."""
-    return f"{device.alias} ({device.name or platform.machine()})"
+def _over_targets(on_progress: OnProgress | None, done: int, count: int) -> OnProgress | None:
+    """Return a callback for one of several searches that reports the iterations of all."""
+    if on_progress is None or count == 1:
+        return on_progress
+    return lambda iterations, total, best: on_progress(done * total + iterations, count * total, best)
 
 
-def of_pool(problem: Problem) -> str:
-    """For people, behind ``device_name``: where the plates of the search ran, if not there."""
-    if problem.pool is None:
-        return ""
-    if problem.evaluator_name == "response":
-        return f"; {problem.pool.words}: nothing to do, for Gram matrices run no plates of the search"
-    return f", plates of the search on {problem.pool.words}"
+def _next_problem(problem: Problem, index: int, start: Checkpoint) -> Problem:
+    """Return the problem of another target. All targets are regions of every solver, so that Gram matrices hold for
+    all, unless an objective needs further regions."""
+    scene, matrices = problem.scene.aimed_at(index), None
+    if problem.matrices is not None and not problem.objectives.regions:
+        regions = problem.drive_solver.specialized.regions
+        matrices = problem.matrices.reshape(-1, len(regions), *problem.matrices.shape[1:]).copy()
+        matrices[:, REGIONS.index("target")] = matrices[:, regions.index(list(target_regions(scene))[index])]
+        matrices = matrices.reshape(problem.matrices.shape)
+    device = problem.drive_solver.device.alias
+    return make_nominal_problem(scene, device, start.path, start.evaluator, matrices, problem.pool)
 
 
-def versions() -> dict[str, str]:
-    """Of everything that the numbers depend on."""
-    return {
-        "warp_plate": warp_plate.__version__,
-        "warp": wp.config.version,
-        "numpy": np.__version__,
-        "python": platform.python_version(),
-    }
+def _with_target(problem: Problem, index: int) -> Problem:
+    """Return a problem with another target, for simulating cases only."""
+    scene = problem.scene.aimed_at(index)
+    solver = PlateSolver(scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(scene))
+    parametrization = replace(problem.parametrization, scene=scene)
+    return replace(problem, parametrization=parametrization, drive_evaluator=Evaluator(solver))
 
 
-def with_earlier(earlier: Mapping[str, str]) -> dict[str, str]:
-    """The versions of now; where a search began with another, both."""
-    return {
-        name: earlier[name] if earlier.get(name, now).split(", then ")[-1] == now else f"{earlier[name]}, then {now}"
-        for name, now in versions().items()
-        if name in earlier
-    }
+def _evaluate_targets(problem: Problem, searches: tuple[TargetSearch, ...]) -> EvaluatedCases:
+    """Simulate the cases of the first target, and the best drive of every other one."""
+    evaluated = evaluate_cases(problem, searches[0].single_actuator, searches[0].position)
+    cases, node_steps = dict(evaluated.cases), evaluated.node_steps
+    names = list(target_cases(problem.scene).values())
+    for index, search in enumerate(searches[1:], 1):
+        other = _with_target(problem, index)
+        more = evaluate_cases(other, search.single_actuator, search.position)
+        cases[names[index]] = more.cases["best"]
+        node_steps += other.drive_solver.node_steps + more.node_steps
+    return replace(evaluated, cases=cases, node_steps=node_steps)

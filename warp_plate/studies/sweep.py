@@ -1,4 +1,4 @@
-"""One command's figures over many scenes that differ in some of their numbers."""
+"""Quantities of interest of many scenes that differ in some of their numbers."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from warp_plate.cluster.pool import Pool
-from warp_plate.interrupts import check_interrupt, deferred_interrupts
+from warp_plate.cluster.pool import WorkerPool
+from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
 from warp_plate.plate.files import digests
 from warp_plate.result.sweep import REFUSED, RUN, Sweep
 from warp_plate.scene.errors import SceneError
@@ -17,16 +17,13 @@ from warp_plate.scene.keys import label_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import Plan, counted, make_plan, parse_vary
 from warp_plate.solve.devices import find_device, processor_of
-from warp_plate.studies.localize import versions
+from warp_plate.studies.checkpointing import SweepFile
+from warp_plate.studies.provenance import versions
 from warp_plate.studies.quantities_of_interest import QUANTITIES
-from warp_plate.studies.sweep_point import Found, run_here, run_there
+from warp_plate.studies.sweep_point import PointResult, run_here, run_on_pool
 
-# Told after each point: points done, in all, and what was found or refused, in a word.
-OnProgress = Callable[[int, int, str], object]
-# Told in one line that points go on on another processor.
-Elsewhere = Callable[[str], object]
-# Takes what there is so far; whether the sweep is at its end or was interrupted.
-Keep = Callable[[Sweep, bool], object]
+# Called after each point with the points done, their total, and the numbers of the point.
+OnPointProgress = Callable[[int, int, str], object]
 MOST_MODES = 1000
 
 
@@ -40,47 +37,47 @@ def sweep(
     path: str = "auto",
     source: str = "",
     count: int = 6,
-    on_progress: OnProgress | None = None,
-    pool: Pool | None = None,
+    on_progress: OnPointProgress | None = None,
+    pool: WorkerPool | None = None,
 ) -> Sweep:
-    """The figures of a command at every point of what is varied.
+    """Compute the quantities of a command at every point of a plan.
 
         >>> found = sweep(Scene.load("paper"), ["drive.frequency=200:400:21"])
         >>> found.plan.coordinates[0], found.shaped("best")      # (21,) Hz, (21,) localization factors
 
     Args:
-        scene: where nothing is varied; source: its name, kept in the result.
-        vary: KEY=START:STOP:COUNT, KEY=log:START:STOP:COUNT or KEY=a,b,c each, in the words of ``--vary``.
-        what: of ``search.figures.QUANTITIES``; count: how many modes.
-        samples, seed: draw so many points from a Latin hypercube instead of the full grid.
-        device, path: see :class:`PlateSolver`; a pool's workers have its device, and this one is not read.
+        scene: scene whose numbers are varied; ``source`` is its name, kept in the result.
+        vary: strings as for ``--vary``: KEY=START:STOP:COUNT, KEY=log:START:STOP:COUNT or KEY=a,b,c.
+        what: a key of QUANTITIES; ``count`` is the number of modes.
+        samples, seed: number of points of a Latin hypercube in place of the full grid, and its random seed.
+        device, path: see :class:`PlateSolver`; the workers of a pool have devices of their own.
         on_progress: called after each point.
-        pool: whose workers run the points, see ``cluster.pool``; left out: this process.
+        pool: workers that run the points (default: this process).
 
-    A point whose scene is refused is NaN in all outputs, and its reason is kept.
+    Values at points whose scene is refused are NaN, and the reason is kept.
 
     Raises:
-        SceneError: ``--vary`` or ``what`` is wrong; or all points are refused.
+        SceneError: ``vary`` or ``what`` is invalid, or all points are refused.
     """
-    plan = vary if isinstance(vary, Plan) else make_plan([parse_vary(scene, one) for one in vary], samples, seed)
-    here = device if pool is None else "auto"
-    return run_sweep(begin_sweep(scene, plan, what, here, path, source, count), on_progress, None, pool)
+    plan = vary if isinstance(vary, Plan) else make_plan([parse_vary(scene, text) for text in vary], samples, seed)
+    start = start_sweep(scene, plan, what, device if pool is None else "auto", path, source, count)
+    return run_sweep(start, on_progress, None, pool)
 
 
-def begin_sweep(
+def start_sweep(
     scene: Scene, plan: Plan, what: str, device: str = "auto", path: str = "auto", source: str = "", count: int = 6
 ) -> Sweep:
-    """A sweep of which no point is run yet; for the arguments see :func:`sweep`. device: "auto" where a pool's workers
-    will run its points, who say on what.
+    """Return a sweep without any finished point; see :func:`sweep` for the arguments.
 
     Raises:
-        SceneError: no such figures or device, or a file that the scene names is missing.
+        SceneError: there is no such quantity or device, or a file that the scene names is missing.
     """
     if what not in QUANTITIES:
         raise SceneError(f"--what {what}: must be one of {', '.join(QUANTITIES)}")
     if not 1 <= count <= MOST_MODES:
         raise SceneError(f"--count {count}: must be from 1 to {MOST_MODES}")
-    outputs, found = QUANTITIES[what].outputs, find_device(device)
+    outputs, used = QUANTITIES[what].outputs, find_device(device)
+    shapes = {name: (len(plan), count) if output.axis else (len(plan),) for name, output in outputs.items()}
     return Sweep(
         source=source,
         scene=scene,
@@ -88,12 +85,12 @@ def begin_sweep(
         plan=plan,
         what=what,
         count=count,
-        device=found.alias,
-        processor=processor_of(found),
+        device=used.alias,
+        processor=processor_of(used),
         earlier_devices="",
         path=path,
         outputs=outputs,
-        values={name: np.full((len(plan), *((count,) if one.axis else ())), np.nan) for name, one in outputs.items()},
+        values={name: np.full(shape, np.nan) for name, shape in shapes.items()},
         status=np.zeros(len(plan), dtype="i1"),
         reasons={},
         seconds=0.0,
@@ -102,89 +99,98 @@ def begin_sweep(
 
 
 def run_sweep(
-    begun: Sweep,
-    on_progress: OnProgress | None = None,
-    keep: Keep | None = None,
-    pool: Pool | None = None,
-    elsewhere: Elsewhere | None = None,
+    start: Sweep,
+    on_progress: OnPointProgress | None = None,
+    file: SweepFile | None = None,
+    pool: WorkerPool | None = None,
+    on_device_change: Callable[[str], object] | None = None,
 ) -> Sweep:
-    """Run the points that are left. What is found at a point depends on nothing but its scene and the kind of device,
-    so that a sweep that goes on, or whose points are run elsewhere, gives the same to the last bit.
+    """Run the points that are pending.
+
+    The result at a point depends only on its scene and the kind of device, so that a resumed or distributed sweep is
+    bit-identical.
 
     Args:
         on_progress: called after each point.
-        keep: after each point too, and with True where Ctrl-C or an error ends the run.
+        file: written at intervals, and when Ctrl-C or an error ends the sweep.
         pool: see :func:`sweep`.
-        elsewhere: called where its workers have another processor than the points that are done
-            were run on; left out: that is refused.
+        on_device_change: called with one line if workers have another kind of processor than earlier points were run on
+            (default: that is refused).
 
     Raises:
-        SceneError: all points are refused; the first one's reason. Or workers are not alike, or have another processor.
-        WorkersGone: see there, after ``keep`` was called.
-        KeyboardInterrupt: Ctrl-C, after ``keep`` was called.
+        SceneError: all points are refused, or workers differ from each other or from the earlier ones.
+        WorkersGone: no worker is left.
+        KeyboardInterrupt: Ctrl-C, after the file was written.
     """
-    values = {name: one.copy() for name, one in begun.values.items()}
-    status, reasons, started = begun.status.copy(), dict(begun.reasons), time.perf_counter()
-    if pool is not None and len(begun.pending) == len(begun.plan):
-        begun = replace(begun, device="", processor="")  # which the workers say
+    values = {name: array.copy() for name, array in start.values.items()}
+    status, reasons, started = start.status.copy(), dict(start.reasons), time.perf_counter()
+    total, pending = len(start.plan), start.pending.tolist()
+    current = start
+    if pool is not None and len(pending) == total:
+        current = replace(start, device="", processor="")  # the workers report theirs
 
     def now() -> Sweep:
-        spent = begun.seconds + time.perf_counter() - started
-        return replace(begun, values=values, status=status, reasons=reasons, seconds=spent)
+        seconds = start.seconds + time.perf_counter() - started
+        return replace(current, values=values, status=status, reasons=reasons, seconds=seconds)
 
-    total, left = len(begun.plan), begun.pending.tolist()
-    with deferred_interrupts():
-        points = run_here(begun, left) if pool is None else run_there(begun, left, pool)
-        try:
-            for done in range(total - len(left) + 1, total + 1):
-                found = next(points)
-                if found.processor:
-                    _refuse_elsewhere(begun, found, elsewhere)
-                    begun = begun.moved_to(found.device, found.processor)
-                if found.values is None:
-                    reasons[found.point] = found.reason
+    def save() -> None:
+        if file is not None and len(now().pending) < total:
+            file.save(now())
+
+    try:
+        with deferred_interrupts():
+            points = run_here(start, pending) if pool is None else run_on_pool(start, pending, pool)
+            for done, result in enumerate(points, total - len(pending) + 1):
+                if result.processor:
+                    _check_processor(current, result, on_device_change)
+                    current = current.moved_to(result.device, result.processor)
+                if result.values is None:
+                    reasons[result.point] = result.reason
                 else:
-                    for name, value in found.values.items():
-                        values[name][found.point] = value
-                status[found.point] = REFUSED if found.values is None else RUN
+                    for name, value in result.values.items():
+                        values[name][result.point] = value
+                status[result.point] = REFUSED if result.values is None else RUN
                 if on_progress is not None:
-                    on_progress(done, total, _note(found, begun))
-                if keep is not None:
-                    keep(now(), False)
+                    on_progress(done, total, _describe(result, start))
+                if file is not None and file.due():
+                    save()
                 check_interrupt()
-        except BaseException:
-            if keep is not None:
-                keep(now(), True)
-            raise
+    except SecondInterrupt:
+        raise
+    except BaseException:
+        save()
+        raise
     if (status == REFUSED).all():
-        raise SceneError(all_refused(now()))
+        raise SceneError(_all_refused(now()))
     return now()
 
 
-def _refuse_elsewhere(begun: Sweep, found: Found, elsewhere: Elsewhere | None) -> None:
-    """Nothing where a point was run on the processor of those before it; else a line, or refused."""
-    if begun.processor in ("", found.processor):
+def _check_processor(current: Sweep, result: PointResult, on_device_change: Callable[[str], object] | None) -> None:
+    """Report that a point was run on another kind of processor than those before it.
+
+    Raises:
+        SceneError: there is nothing to report it to.
+    """
+    if current.processor in ("", result.processor):
         return
-    before, now = f"{begun.device} ({begun.processor})", f"{found.device} ({found.processor})"
-    words = f"began on {before} and goes on on {now}, which rounds in another way"
-    if elsewhere is None:
-        kind = found.device.partition(":")[0]
+    before, now = f"{current.device} ({current.processor})", f"{result.device} ({result.processor})"
+    change = f"the sweep began on {before} and continues on {now}, which rounds differently"
+    if on_device_change is None:
+        kind = result.device.partition(":")[0]
         raise SceneError(
-            f"the sweep {words}, so the result would not be the same to the last bit: take workers of the first kind, "
-            f"or name theirs to go on all the same, --device {kind}"
+            f"{change}, so the result would not be bit-identical: take workers of the first kind, or name theirs to "
+            f"continue anyway, --device {kind}"
         )
-    elsewhere(f"the sweep {words}: the result may differ")
+    on_device_change(f"{change}: the result may differ")
 
 
-def all_refused(found: Sweep) -> str:
-    """One line for a sweep without any figure."""
-    more = f" (and {counted(len(found.plan) - 1, 'point')} more)" if len(found.plan) > 1 else ""
-    return f"all points are refused; {found.refusal(0)}{more}"
+def _all_refused(sweep: Sweep) -> str:
+    more = f" (and {counted(len(sweep.plan) - 1, 'point')} more)" if len(sweep.plan) > 1 else ""
+    return f"all points are refused; {sweep.refusal(0)}{more}"
 
 
-def _note(found: Found, begun: Sweep) -> str:
-    """In a word."""
-    at = ", ".join(
-        f"{label_of(begun.scene, key)} {value:.4g}" for key, value in begun.plan.numbers(found.point).items()
-    )
-    return f"{at}: refused" if found.values is None else at
+def _describe(result: PointResult, sweep: Sweep) -> str:
+    """Return the numbers of a point as one line of text."""
+    numbers = sweep.plan.numbers(result.point).items()
+    text = ", ".join(f"{label_of(sweep.scene, key)} {value:.4g}" for key, value in numbers)
+    return f"{text}: refused" if result.values is None else text

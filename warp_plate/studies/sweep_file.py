@@ -1,126 +1,176 @@
-"""The file that a sweep is kept in while it runs, and from which it goes on."""
+"""Which file a sweep continues from, and which files its result may replace."""
 
 from __future__ import annotations
 
-import itertools
-import time
-import warnings
-from collections.abc import Callable
-from dataclasses import replace
-from glob import escape
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from warp_plate.plate.files import digests
 from warp_plate.result.checkpoint import ENDING
 from warp_plate.result.sweep import Sweep, load_sweep, save_sweep
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+from warp_plate.scene.vary import Plan, make_plan, parse_vary
 from warp_plate.solve.devices import find_device, processor_of
-from warp_plate.studies.checkpointing import EVERY
-from warp_plate.studies.localize import same_device, with_earlier
+from warp_plate.studies import provenance
+from warp_plate.studies.checkpointing import SweepFile
+from warp_plate.studies.sweep import start_sweep
+
+MODES = 6
 
 
-class SweepFile:
-    """What ``run_sweep`` keeps its points in until all are done: a file of its own, laid out as the result and written
-    whole each time.
+@dataclass(frozen=True)
+class SweepRequest:
+    """What a sweep is asked for, as the options of the command; None for what is left out.
 
-    Args:
-        path: of the file; where another process has made one there since, a free name beside it is taken.
-        every: seconds between two writings, at least; 0: after each point; infinite: at the end, and after Ctrl-C.
-        warn: called with one line when the file cannot be written, or has another name. The sweep then goes on.
-        resumes: whether the sweep goes on from what is there.
-
-    Raises:
-        SceneError: ``every`` is no number of seconds.
+    Attributes:
+        scene: scene whose numbers are varied; ``source`` is its name.
+        vary: strings as for ``--vary``.
+        what: a key of QUANTITIES.
+        samples, seed: see :func:`warp_plate.studies.sweep.sweep`.
+        count: number of modes.
+        path: see :class:`PlateSolver`.
     """
 
-    def __init__(
-        self, path: Path, every: float = EVERY, warn: Callable[[str], object] = warnings.warn, resumes: bool = False
-    ) -> None:
-        if not every >= 0:
-            raise SceneError(f"checkpoint-every = {every:g}: must be a number of seconds, 0 or more")
-        self.path = path
-        self.every = every
-        self.saved: Sweep | None = None  # the last one that was written
-        self._warn = warn
-        self._own = resumes
-        self._warned = False
-        self._last = time.monotonic()
-
-    def __call__(self, sweep: Sweep, last: bool) -> None:
-        """Write it where it is time, or ``last``; nothing while no point is run."""
-        if len(sweep.pending) == len(sweep.plan) or not (last or time.monotonic() - self._last >= self.every):
-            return
-        self._last = time.monotonic()
-        if not self._own and self.path.exists():
-            taken, self.path = self.path, free_name(self.path)
-            self._warn(f"{taken} is of another sweep by now; this one is kept in {self.path}")
-        try:
-            save_sweep(sweep, self.path)
-        except SceneError as error:
-            if not self._warned:
-                self._warn(f"{error}; the sweep goes on")
-            self._warned = True
-            return
-        self.saved, self._own, self._warned = sweep, True, False
-
-    def remove(self) -> None:
-        """Away with the file, and with what a killed process left of one: the result is written."""
-        if self._own:
-            for path in (self.path, *self.path.parent.glob(f".{escape(self.path.name)}.*.part.h5")):
-                path.unlink(missing_ok=True)
+    scene: Scene | None
+    source: str
+    vary: Sequence[str] | None = None
+    what: str | None = None
+    samples: int | None = None
+    seed: int | None = None
+    count: int | None = None
+    path: str | None = None
 
 
-def refuse_to_replace(path: Path, sweep: Sweep) -> None:
-    """Nothing, where there is no file, or one of the same scene, figures and points.
+def open_sweep(
+    request: SweepRequest, target: Path, resume: Path | None, device: str | None, log: Callable[[str], object]
+) -> Sweep:
+    """Return the sweep to run for a request: the unfinished one of the same request, or a new one.
+
+    Args:
+        target: file of the result; unfinished sweeps are beside it.
+        resume: unfinished sweep to continue, or the result that it is to become; None: the one that the same request
+            left, if it did.
+        device: device of the points; "" if workers run them; None for the default.
+        log: called with one line for each thing to know about a sweep that is continued.
 
     Raises:
-        SceneError: what is there would be lost.
+        SceneError: the request is invalid, not that of the unfinished sweep, or its result would replace another file.
+    """
+    unfinished = target.with_suffix(ENDING)
+    file = unfinished if unfinished.exists() else None
+    if resume is not None:
+        beside = resume.with_suffix(ENDING)
+        file = beside if beside.exists() else resume
+        if unfinished.exists() and not unfinished.samefile(file):
+            raise SceneError(f"{unfinished}: holds another unfinished sweep; name another file by --out, or delete it")
+    if file is not None:
+        sweep = _load_unfinished(file, request, resume is not None)
+    else:
+        assert request.scene is not None
+        plan, count = _plan(request, request.scene), MODES if request.count is None else request.count
+        what, path = request.what or "localize", request.path or "auto"
+        sweep = start_sweep(request.scene, plan, what, device or "auto", path, request.source, count)
+    if request.count is not None and not any(output.axis for output in sweep.outputs.values()):
+        raise SceneError(f"--count {request.count}: --what {sweep.what} has no modes to count; leave it out")
+    check_replaceable(target, sweep)
+    if file is None:
+        return sweep
+    log(f"{file}: {sweep.progress} done; {'nothing is left' if sweep.finished else 'continuing'}")
+    for line in provenance.changes(sweep, device if device and sweep.processor else None):
+        log(f"{file}: {line}")
+    return resume_sweep(sweep, device)
+
+
+def resume_sweep(sweep: Sweep, device: str | None = None) -> Sweep:
+    """Return an unfinished sweep as it continues.
+
+    Args:
+        device: another device than it began on, which may round differently; "" if workers run its points; None for
+            one of the same kind.
+
+    Raises:
+        SceneError: the device does not exist, or a file that the scene names is missing or has changed.
+    """
+    provenance.check_files(sweep.scene, sweep, "sweep")
+    if sweep.finished:
+        return sweep
+    sweep = replace(sweep, versions=provenance.merged_versions(sweep.versions))
+    if device == "":
+        return sweep
+    if device is None:
+        device = provenance.same_device(sweep.device, sweep.processor, "sweep") if sweep.processor else "auto"
+    found = find_device(device)
+    return sweep.moved_to(found.alias, processor_of(found))
+
+
+def save_finished(sweep: Sweep, path: Path, file: SweepFile) -> None:
+    """Save a finished sweep as its result and remove the unfinished file; on failure all points are in that file.
+
+    Raises:
+        SceneError: the result cannot be written, or would replace another file that was written meanwhile.
+    """
+    try:
+        check_replaceable(path, sweep)
+        save_sweep(sweep, path)
+    except SceneError:
+        file.save(sweep)
+        raise
+    file.remove()
+
+
+def check_replaceable(path: Path, sweep: Sweep) -> None:
+    """Check that a result would replace no file other than an earlier result of the same sweep.
+
+    Raises:
+        SceneError: it would.
     """
     if not path.exists():
         return
-    way = f"name another file by --out, or delete {path}"
+    advice = f"name another file by --out, or delete {path}"
     try:
-        there = load_sweep(path)
+        existing = load_sweep(path)
     except SceneError as error:
-        raise SceneError(f"{error}; {way}") from None
-    same_scene = there.scene.model_dump() == sweep.scene.model_dump() and there.files == sweep.files
-    for what, same in (
+        raise SceneError(f"{error}; {advice}") from None
+    same_scene = existing.scene.model_dump() == sweep.scene.model_dump() and existing.files == sweep.files
+    for difference, same in (
         ("another scene", same_scene),
-        (f"--what {there.what}", there.what == sweep.what),
-        (f"--count {there.count}", there.count == sweep.count),
-        (f"other points ({there.plan.description})", there.plan.same(sweep.plan)),
+        (f"--what {existing.what}", existing.what == sweep.what),
+        (f"--count {existing.count}", existing.count == sweep.count),
+        (f"other points ({existing.plan.description})", existing.plan.same(sweep.plan)),
     ):
         if not same:
-            raise SceneError(f"{path}: holds a sweep of {what}; {way}")
+            raise SceneError(f"{path}: holds a sweep of {difference}; {advice}")
 
 
-def free_name(path: Path) -> Path:
-    """NAME-2.h5 for NAME.h5, NAME-2.checkpoint.h5 for NAME.checkpoint.h5; or the first such that no file has."""
-    ending = ENDING if path.name.endswith(ENDING) else path.suffix
-    stem = path.name.removesuffix(ending)
-    names = (path.with_name(f"{stem}-{number}{ending}") for number in itertools.count(2))
-    return next(name for name in names if not name.exists())
-
-
-def continued(begun: Sweep, device: str | None = None, there: bool = False) -> Sweep:
-    """A sweep as it goes on.
+def _load_unfinished(file: Path, request: SweepRequest, resumed: bool) -> Sweep:
+    """Load an unfinished sweep for a request.
 
     Args:
-        device: of this process, another than it began on: its rounding may be another; left out: one of the same kind.
-        there: the points that are left run on a pool's workers instead, who say on what (see ``run_sweep``).
+        resumed: whether the file was named by the user, who may leave out what it holds; if not, defaults must be the
+            same.
 
     Raises:
-        SceneError: there is no such device any more, or a file that the scene names is missing or another.
+        SceneError: it cannot be read, or is not that of the request.
     """
-    for key, digest in digests(begun.scene).items():
-        if begun.files.get(key) != digest:
-            raise SceneError(f"{key}: the file holds something else than when the sweep began")
-    if begun.finished:
-        return begun
-    begun = replace(begun, versions=with_earlier(begun.versions))
-    if there:
-        return begun
-    if device is None:
-        device = same_device(begun.device, begun.processor, "sweep") if begun.processor else "auto"
-    found = find_device(device)
-    return begun.moved_to(found.alias, processor_of(found))
+    advice = "start again without --resume" if resumed else f"name another file by --out, or delete {file}"
+    try:
+        sweep = load_sweep(file)
+    except SceneError as error:
+        raise error if resumed else SceneError(f"{error}; {advice}") from None
+    options: Mapping[str, object] = {"what": request.what, "count": request.count, "path": request.path}
+    if not resumed:
+        defaults: Mapping[str, object] = {"what": "localize", "count": MODES, "path": "auto"}
+        options = {name: defaults[name] if value is None else value for name, value in options.items()}
+    provenance.check_unchanged(sweep, f"sweep in {file}", options, (request.scene, sweep.scene), advice)
+    if (request.vary or not resumed) and not _plan(request, sweep.scene).same(sweep.plan):
+        raise SceneError(
+            f"--vary: the sweep in {file} began with other points ({sweep.plan.description}) and continues with "
+            f"nothing else; {'leave --vary out, or ' if resumed else ''}{advice}"
+        )
+    # Files that the scene names are beside the scene, not beside the sweep.
+    return sweep if request.scene is None else replace(sweep, scene=sweep.scene.in_folder(request.scene.folder))
+
+
+def _plan(request: SweepRequest, scene: Scene) -> Plan:
+    return make_plan([parse_vary(scene, text) for text in request.vary or ()], request.samples, request.seed or 0)

@@ -2,146 +2,120 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import warp as wp
 
 import warp_plate
-from warp_plate.cluster.frames import encode
-from warp_plate.cluster.pool import Answer, Pool, Task
-from warp_plate.cluster.scheduler import spread
-from warp_plate.cluster.solver_spec import DEVICE, contents_of, scene_in
-from warp_plate.cluster.tasks import perform
+from warp_plate.cluster.pool import WorkerPool
+from warp_plate.cluster.scheduler import Task, run_tasks
+from warp_plate.cluster.solver_spec import SceneSpec, scene_spec, worker_device
+from warp_plate.cluster.tasks import refuse_unlike, run_task, worker_identity
 from warp_plate.result.sweep import Sweep
-from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import with_numbers
 from warp_plate.scene.model import Scene
-from warp_plate.solve.devices import find_device, processor_of
-from warp_plate.studies.quantities_of_interest import QUANTITIES, Options, Values
-
-# That a worker keeps, with the files that they name.
-MOST_SCENES = 4
-_SCENES: OrderedDict[str, tuple[Scene, TemporaryDirectory[str]]] = OrderedDict()
+from warp_plate.solve.devices import find_device
+from warp_plate.studies.quantities_of_interest import QUANTITIES, QuantityOptions, Values
 
 
-class Found(NamedTuple):
-    """What became of a point: its figures, or why it was refused; and on what, "" where it was given up."""
+@dataclass(frozen=True)
+class Point:
+    """A point of a sweep, with all that is needed to run it.
+
+    Attributes:
+        scene: The scene that is varied; plain data for another process.
+        numbers: What the point's scene has in other keys' places.
+        what: Name in QUANTITIES.
+        options: Device, path and count of the quantities.
+    """
+
+    scene: Scene | SceneSpec
+    numbers: Mapping[str, float]
+    what: str
+    options: QuantityOptions
+
+
+class PointResult(NamedTuple):
+    """The result at a point.
+
+    Attributes:
+        point: Index of the point.
+        values: Quantities by name; None if the point was refused.
+        reason: Why it was refused; "" if it was not.
+        device: Device on which it ran; "" if it was given up.
+        worker: Versions and processor that it ran with; empty if it was given up.
+    """
 
     point: int
     values: Values | None
     reason: str
     device: str = ""
-    processor: str = ""
+    worker: Mapping[str, str] = {}
+
+    @property
+    def processor(self) -> str:
+        """Name of the processor; "" if the point was given up."""
+        return self.worker.get("processor", "")
 
 
-def run_point(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """The figures of a scene with other numbers.
-
-    payload: "scene", "numbers", "what", "device", "path", "count".
-
-    Returns "values", None where the point is refused, "reason", "device", and "made", which says on what.
-
-    Raises:
-        SceneError: no such device.
-    """
-    device = find_device(payload["device"] or "auto")
-    made = {"warp_plate": warp_plate.__version__, "warp": wp.config.version, "processor": processor_of(device)}
-    options = Options(device.alias, payload["path"], payload["count"])
-    values: Values | None = None
-    reason = ""
-    try:
-        values = QUANTITIES[payload["what"]].of(with_numbers(payload["scene"], payload["numbers"]), options)
-    except SceneError as error:
-        reason = str(error)
-    return {"values": values, "reason": reason, "device": device.alias, "made": made}
-
-
-def run_here(begun: Sweep, points: Sequence[int]) -> Iterator[Found]:
-    """One point after the other in this process, as a worker does them: one that runs out of memory is given up. Points
-    whose kernels have the same compile key share them."""
-    common = {**_common(begun), "scene": begun.scene, "device": begun.device}
-    for point in points:
-        payload = {**common, "numbers": begun.plan.numbers(point)}
-        yield _found(point, Answer(**perform(f"{__name__}:run_point", payload)))
-
-
-def run_there(begun: Sweep, points: Sequence[int], pool: Pool) -> Iterator[Found]:
-    """Points on a pool's workers, in the order in which they are done; the figures are those of one process to the last
-    bit, where workers are of its kind. A point whose workers end or have too little memory is refused after all
-    attempts.
+def run_point(point: Point) -> PointResult:
+    """Run a point, whose number the caller fills in.
 
     Raises:
-        SceneError: workers differ in kind or version from each other, or have no such device. WorkersGone: see there.
+        SceneError: No such device.
     """
-    base = {"text": dump_scene(begun.scene), "files": contents_of(begun.scene)}
-    digest = hashlib.sha256(b"".join(encode(base))).hexdigest()
-    common = {**_common(begun), "digest": digest, "device": pool.device}
-
-    def with_scene(task: Task, value: Mapping[str, Any]) -> Task | None:
-        return replace(task, payload={**task.payload, "base": base}) if "need" in value else None
-
-    tasks = [Task(run_task, {**common, "numbers": begun.plan.numbers(point)}, point) for point in points]
-    first: Mapping[str, str] = {"warp_plate": warp_plate.__version__, "warp": wp.config.version}
-    for task, answer in spread(pool, tasks, again=with_scene):
-        if answer.fault == "wrong":
-            raise SceneError(f"a worker: {answer.text}")
-        found = _found(task.place, answer)
-        made = answer.value.get("made", first)  # none where the point is given up
-        for name, value in made.items():
-            if value != first.get(name, value):
-                raise SceneError(
-                    f"workers: {name} is {value} on one and {first[name]} on another or here, which rounds in another "
-                    "way; make them alike"
-                )
-        first = made
-        yield found
+    with TemporaryDirectory() as folder:
+        scene, name = point.scene, point.options.device or "auto"
+        if isinstance(scene, SceneSpec):
+            scene, name = scene.scene_in(folder), worker_device(name)
+        device = find_device(name)
+        values, reason = None, ""
+        try:
+            options = QuantityOptions(device.alias, point.options.path, point.options.count)
+            values = QUANTITIES[point.what].compute(with_numbers(scene, point.numbers), options)
+        except SceneError as error:
+            reason = str(error)
+        return PointResult(-1, values, reason, device.alias, worker_identity(device))
 
 
-def run_task(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """A point, on a worker.
+def run_here(begun: Sweep, points: Sequence[int]) -> Iterator[PointResult]:
+    """Yield one point after the other, run in this process; a point that runs out of memory is given up.
 
-    payload: "digest" of the scene; "base", itself as text and the files that it names, where this worker may not know
-    it; "numbers", "what", "device", "path", "count".
+    Points whose kernels have the same compile key share them.
+    """
+    for number, point in zip(points, _points(begun, points, begun.scene, begun.device), strict=True):
+        try:
+            yield run_task(run_point, point)._replace(point=number)
+        except MemoryError as error:
+            yield PointResult(number, None, f"given up: {error}")
 
-    Returns {"need": digest} where the scene is not known here; else what ``run_point`` does.
+
+def run_on_pool(begun: Sweep, points: Sequence[int], pool: WorkerPool) -> Iterator[PointResult]:
+    """Yield points in the order in which a pool's workers finish them; one that fails in all attempts is given up.
+
+    The quantities are those of one process to the last bit if the workers have its kind of processor.
 
     Raises:
-        SceneError: no such device.
+        SceneError: Workers differ in processor or version, or have no such device.
+        WorkersGone: No worker is left.
     """
-    digest = payload["digest"]
-    known = _SCENES.pop(digest, None)
-    if known is None:
-        if "base" not in payload:
-            return {"need": digest}
-        folder = TemporaryDirectory()
-        known = scene_in(folder.name, payload["base"]["text"], payload["base"]["files"]), folder
-    _SCENES[digest] = known
-    while len(_SCENES) > MOST_SCENES:
-        _SCENES.popitem(last=False)[1][1].cleanup()
-    return run_point({**payload, "scene": known[0], "device": os.environ.get(DEVICE) or payload["device"]})
+    expected: Mapping[str, str] = {"warp_plate": warp_plate.__version__, "warp": wp.config.version}
+    arguments = _points(begun, points, scene_spec(begun.scene), pool.device)
+    tasks = [Task(run_point, point, number) for number, point in zip(points, arguments, strict=True)]
+    for task, outcome in run_tasks(pool, tasks):
+        if outcome.failure:
+            yield PointResult(task.key, None, outcome.failure)
+            continue
+        result: PointResult = outcome.value
+        refuse_unlike(expected, result.worker)
+        expected = result.worker
+        yield result._replace(point=task.key)
 
 
-def _common(begun: Sweep) -> dict[str, Any]:
-    """Of the payloads of all points."""
-    return {"what": begun.what, "path": begun.path, "count": begun.count}
-
-
-def _found(point: int, answer: Answer) -> Found:
-    """Of an answer; a point that no attempt came to an end with is given up.
-
-    Raises:
-        SceneError: the answer is that the task is wrong.
-    """
-    if answer.fault == "wrong":
-        raise SceneError(answer.text)
-    if answer.fault:
-        return Found(point, None, f"given up: {answer.text}")
-    value = answer.value
-    return Found(point, value["values"], value["reason"], value.get("device", ""), value["made"]["processor"])
+def _points(begun: Sweep, points: Sequence[int], scene: Scene | SceneSpec, device: str) -> Iterator[Point]:
+    options = QuantityOptions(device, begun.path, begun.count)
+    return (Point(scene, begun.plan.numbers(number), begun.what, options) for number in points)

@@ -1,0 +1,465 @@
+"""Plates on processes of this machine: the same bits as in one process, whatever happens to the workers."""
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+import numpy as np
+import pytest
+from inline_pool import InlinePool
+
+from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, load_result, localize, resume
+from warp_plate.cli.main import main
+from warp_plate.cli.options import failure_lines
+from warp_plate.cluster import evaluator as evaluators
+from warp_plate.cluster import tasks
+from warp_plate.cluster.evaluator import BLOCK_MULTIPLE, BLOCK_NODE_STEPS, block_size, make_evaluator
+from warp_plate.cluster.local_pool import LocalPool
+from warp_plate.cluster.pool import WorkersGone, open_pool
+from warp_plate.cluster.scheduler import ATTEMPTS, Task, run_tasks
+from warp_plate.plate.designs import Designs, per_plate_of
+from warp_plate.problem.scenario_losses import simulate_scenarios
+from warp_plate.problem.uncertainty import draw_scenarios
+from warp_plate.result import save_result
+from warp_plate.scene.dump import dump_scene
+from warp_plate.studies.compare import compare
+
+PLATES = 150  # blocks of 64, 64 and 22
+ROOT = Path(__file__).parents[2]
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+
+
+@pytest.fixture(scope="module")
+def pool():
+    """Two processes, started once for all tests here."""
+    with open_pool("cpu,cpu", None) as made:
+        yield made
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch):
+    """Blocks of the fewest plates."""
+    monkeypatch.setitem(evaluators.BLOCK_NODE_STEPS, "cpu", 1.0)
+
+
+def random_phasors(random, plates=PLATES):
+    return random.normal(size=(plates, 3)) + 1j * random.normal(size=(plates, 3))
+
+
+def random_designs(scene, random):
+    """Designs that differ in all that the scene's search frees."""
+    per_plate = per_plate_of(scene)
+    frequency = np.repeat(random.uniform(250, 300, (PLATES, 1)), 3, axis=1) if per_plate.frequency else None
+    delay = np.repeat(random.uniform(0, 1e-3, (PLATES, 1)), 3, axis=1) if per_plate.delay else None
+    centre = random.uniform(0.09, 0.11, (PLATES, 3, 2)) if per_plate.centre else None
+    return Designs(random_phasors(random), frequency, centre, delay)
+
+
+def assert_same(found, run):
+    assert found.energy.tobytes() == run.energy.tobytes()
+    assert repr(sorted(found.faults.items())) == repr(sorted(run.faults.items()))
+    assert found.node_steps == run.node_steps
+
+
+SCENES = {
+    "float32": {"precision": "float32", "damping": 20.0},
+    "fourth order": {"damping": 20.0, "order": 4, "load": "moments"},
+    "stretching": {"effects": {"stretching": {}, "damping": {"viscous": 20.0}}},
+    "designs": {
+        "precision": "float32",
+        "drive": {"frequency": 290.0, "burst": {"duration": 2e-3, "ramp": 5e-4}},
+        "search": {"frequency": {"range": [250.0, 300.0]}, "position": {}, "delay": {"range": [0.0, 1e-3]}},
+    },
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_workers_give_the_bits_of_one_process(name, pool, scene, random):
+    """Also of a plate that fails, by its number in the batch."""
+    made = scene((9, 9), window=(0.002, 0.004), **SCENES[name])
+    options = {"per_plate": per_plate_of(made), "areas": {"left": (0, 0.1, 0, 0.2)}}
+    designs = random_designs(made, random)
+    designs.drives[70] = np.nan
+    expected = PlateSolver(made, "cpu", **options).run(designs)
+    evaluator = make_evaluator(made, "cpu", pool=pool, **options)
+    assert expected.faults.keys() == {70}
+    assert_same(evaluator.run(designs), expected)
+    assert_same(evaluator.run(designs[:0]), PlateSolver(made, "cpu", **options).run(designs[:0]))
+    assert evaluator.node_steps == expected.node_steps
+    assert not evaluator.lost
+
+
+def test_displacements_and_files_that_a_scene_names(tmp_path, pool, scene, random):
+    (tmp_path / "pulse.csv").write_text("time,value\n0,0\n0.002,1\n0.004,0\n", encoding="utf-8")
+    drive = {"frequency": 290.0, "signal": {"file": "pulse.csv"}}
+    made = scene((9, 9), window=(0.002, 0.004), damping=20.0, drive=drive).in_folder(tmp_path)
+    phasors = random_phasors(random)
+    evaluator = make_evaluator(made, "cpu", pool=pool, quantity="displacement")
+    expected = PlateSolver(made, "cpu", quantity="displacement").run(phasors)
+    (tmp_path / "pulse.csv").unlink()
+    assert_same(evaluator.run(phasors), expected)
+
+
+def test_a_refused_design_is_named_by_its_number_in_the_batch(scene, random):
+    made = scene((9, 9), **SCENES["designs"])
+    designs = random_designs(made, random)
+    designs.frequency[70] = -1.0
+    evaluator = make_evaluator(made, "cpu", pool=InlinePool(), per_plate=per_plate_of(made))
+    with pytest.raises(SceneError, match=r"designs\.frequency: -1\.0 of actuator .* on plate 70;"):
+        evaluator.run(designs)
+
+
+@pytest.mark.parametrize("kind", ["cpu", "cuda"])
+@pytest.mark.parametrize("node_steps", [10**4, 781250, 10**8, 10**11])
+def test_a_block_has_its_work_or_the_fewest_plates(kind, node_steps, monkeypatch):
+    monkeypatch.undo()
+    size = block_size(node_steps, kind)
+    assert size % BLOCK_MULTIPLE == 0
+    assert size == BLOCK_MULTIPLE or size * node_steps <= BLOCK_NODE_STEPS[kind]
+    assert (size + BLOCK_MULTIPLE) * node_steps > BLOCK_NODE_STEPS[kind]
+
+
+def small_search(scene, **search):
+    """A scene whose search has several blocks in each generation."""
+    keys = {"particles": PLATES, "iterations": 4, **search}
+    return scene((9, 9), window=(0.002, 0.004), damping=20.0, precision="float32", search=keys)
+
+
+def assert_same_result(result, expected):
+    for name, values in expected.history.items():
+        assert result.history[name].tobytes() == values.tobytes(), name
+    assert result.cases["best"].phasors.tobytes() == expected.cases["best"].phasors.tobytes()
+    assert (result.node_steps, result.evaluations) == (expected.node_steps, expected.evaluations)
+
+
+def test_searches_give_the_same_on_workers(pool, scene, random):
+    objectives = [{"kind": "localization"}, {"kind": "displacement", "weight": 1e3}]
+    made = small_search(scene, objectives=objectives, magnitude={"range": [0.0, 1.0]})
+    result = localize(made, device="cpu", estimate=False, pool=pool)
+    assert_same_result(result, localize(made, device="cpu", estimate=False))
+    assert pool.description in result.device
+    robust = small_search(scene, robust={"young_modulus": 0.1, "scenarios": 3})
+    scenarios, phasors = draw_scenarios(robust, 3, 0), random_phasors(random)
+    here, there = (simulate_scenarios(scenarios, "cpu", pool=run_by) for run_by in (None, pool))
+    assert there.losses(Designs(phasors)).tobytes() == here.losses(Designs(phasors)).tobytes()
+    one, two = (compare(small_search(scene), "", ["pso"], 1, "cpu", "auto", "direct", pool=run) for run in (None, pool))
+    assert [trial.loss.tobytes() for trial in one.trials] == [trial.loss.tobytes() for trial in two.trials]
+
+
+def doubled(value):
+    """A task: twice a number, or what goes wrong at some numbers."""
+    if value == 13:
+        raise SceneError("value = 13: no")
+    if value == 17:
+        raise RuntimeError("CUDA error 700: an illegal memory access\nmore of it")
+    return 2 * value
+
+
+def test_tasks_of_any_function(pool):
+    """Whoever leaves early can come again; a task that is refused ends them all."""
+    progress = []
+    pool.on_progress = lambda done, total: progress.append((done, total))
+    found = {task.key: outcome.value for task, outcome in run_tasks(pool, [Task(doubled, at, at) for at in range(9)])}
+    pool.on_progress = None
+    assert found == {at: 2 * at for at in range(9)}
+    assert progress == [(done, 9) for done in range(1, 10)]
+    for _ in run_tasks(pool, [Task(doubled, 1) for _ in range(50)]):
+        break
+    with pytest.raises(SceneError, match="a worker: value = 13: no"):
+        list(run_tasks(pool, [Task(doubled, at) for at in range(16)]))
+    outcomes = list(run_tasks(pool, [Task(doubled, at, at) for at in range(100, 120)]))
+    assert sorted(task.key for task, _ in outcomes) == list(range(100, 120))
+    assert all(outcome.value == 2 * task.key for task, outcome in outcomes)
+
+
+@pytest.mark.parametrize(
+    ("devices", "cluster", "line"),
+    [
+        ("cpu,", None, "--devices cpu,: must be devices with commas between"),
+        ("cpu,cuda:99", None, "--devices cpu,cuda:99: device = 'cuda:99': not on this machine"),
+        ("cpu", "local:2", "--devices, --cluster: give one of them"),
+        (None, "local:0", "--cluster local:0: must be local:COUNT"),
+        (None, "missing.json", "--cluster missing.json: no such file"),
+    ],
+)
+def test_pools_that_cannot_be(devices, cluster, line):
+    if cluster is not None and devices is None:
+        pytest.importorskip("distributed")
+    with pytest.raises(SceneError, match=line), open_pool(devices, cluster):
+        pass
+
+
+def test_without_dask_a_line_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(SceneError, match=r"pip install 'warp-plate\[cluster\]'"), open_pool(None, "local:2"):
+        pass
+
+
+def test_workers_must_be_alike(scene, monkeypatch):
+    """In kind and versions; which processor they have may differ."""
+    evaluator = make_evaluator(scene((9, 9)), "cpu", pool=InlinePool())
+    real = tasks.worker_identity
+    evaluator.run([[1, 1, 1]])
+    for name in ("warp", "warp_plate", "processor"):
+        monkeypatch.setattr(tasks, "worker_identity", lambda device, name=name: {**real(device), name: "0.0"})
+        if name == "processor":
+            evaluator.run([[1, 1, 1]])
+            continue
+        with pytest.raises(SceneError, match=f"workers: {name} is 0.0 on one"):
+            evaluator.run([[1, 1, 1]])
+        with pytest.raises(SceneError, match=f"workers: {name} is 0.0 on one"):
+            make_evaluator(scene((9, 9)), "cpu", pool=InlinePool()).run([[1, 1, 1]])
+
+
+def test_a_solver_that_a_worker_cannot_make_is_one_line(scene):
+    with pytest.raises(SceneError, match="a worker: device = 'cuda:99': not on this machine"):
+        make_evaluator(scene((9, 9)), "cpu", pool=InlinePool("cuda:99")).run([[1, 1, 1]])
+
+
+# What happens to workers.
+
+
+def kill_some_worker(random):
+    children = multiprocessing.active_children()
+    if children:
+        os.kill(children[random.integers(len(children))].pid, signal.SIGKILL)
+
+
+@POSIX
+@pytest.mark.parametrize("kills", [3, pytest.param(20, marks=pytest.mark.slow)])
+def test_workers_that_are_killed_cost_no_plate(kills, scene, random):
+    """At random moments of their work or of their start."""
+    made, phasors = scene((9, 9), window=(0.002, 0.05), damping=20.0), random_phasors(random, 1000)
+    expected = PlateSolver(made, "cpu").run(phasors)
+    lines = []
+    with open_pool("cpu,cpu", None, log=lines.append) as pool:
+        evaluator = make_evaluator(made, "cpu", pool=pool)
+        evaluator.run(phasors[:1])
+        for _ in range(kills):
+            killer = threading.Timer(random.uniform(0, 0.3), kill_some_worker, (random,))
+            killer.start()
+            found = evaluator.run(phasors)
+            killer.join()
+            assert_same(found, expected)
+        kill_some_worker(random)  # of a pool that has nothing to do
+        time.sleep(0.2)
+        assert_same(evaluator.run(phasors), expected)
+    assert not evaluator.lost
+    assert all(line.endswith("run again: its worker ended") for line in lines)
+
+
+def poisoned(block):
+    """``run_block`` on a worker that ends under every block whose first drive is 7."""
+    if len(block.designs) and block.designs.drives[0, 0] == 7:
+        os._exit(3)
+    return tasks.run_block(block)
+
+
+def test_a_block_that_no_worker_survives_is_named(pool, scene, random, monkeypatch):
+    monkeypatch.setattr(evaluators, "run_block", poisoned)
+    made, phasors, first = scene((9, 9), damping=20.0), random_phasors(random), 64
+    phasors[first] = 7
+    evaluator, expected = make_evaluator(made, "cpu", pool=pool), PlateSolver(made, "cpu").run(phasors)
+    found = evaluator.run(phasors)
+    fault = f"block given up after {ATTEMPTS} attempts: its worker ended"
+    assert evaluator.lost == {fault: 64}
+    assert found.faults.keys() == set(range(first, first + 64))
+    assert {word for word, _ in found.faults.values()} == {fault}
+    assert np.isnan(found.energy[first : first + 64]).all()
+    rest = np.r_[0:first, first + 64 : PLATES]
+    assert found.energy[rest].tobytes() == expected.energy[rest].tobytes()
+    assert found.node_steps == len(rest) * evaluator.solver.node_steps_per_plate
+
+
+def test_an_error_of_the_program_is_tried_again_and_named():
+    """Each time in another process, since after an error of CUDA nothing works in one any more."""
+    lines = []
+    before = set(multiprocessing.active_children())
+    with open_pool("cpu", None, log=lines.append) as pool:
+        (first,) = set(multiprocessing.active_children()) - before
+        found = {task.key: outcome for task, outcome in run_tasks(pool, [Task(doubled, at, at) for at in (16, 17, 18)])}
+        assert first not in multiprocessing.active_children()
+    line = "RuntimeError: CUDA error 700: an illegal memory access"
+    assert found[17].failure == f"given up after {ATTEMPTS} attempts: {line}"
+    assert (found[16].value, found[18].value) == (32, 36)
+    assert any(told.endswith(f"again: {line}") for told in lines)
+
+
+class SmallMemory(InlinePool):
+    """A worker whose device has room for few plates."""
+
+    def __init__(self, room):
+        super().__init__()
+        self.room = room
+
+    def run(self, function, argument):
+        def allocate(block):
+            if len(block.designs) > self.room:
+                raise RuntimeError("Failed to allocate 999 bytes on device 'cuda:0'")
+            return function(block)
+
+        return super().run(allocate, argument)
+
+
+@pytest.mark.parametrize("room", [20, 0])
+def test_a_block_is_halved_until_memory_holds_it(room, scene, random):
+    """Where not even one plate has room, they are given up by name."""
+    made, phasors = scene((9, 9), damping=20.0), random_phasors(random)
+    evaluator = make_evaluator(made, "cpu", pool=SmallMemory(room))
+    found = evaluator.run(phasors)
+    if room:
+        assert_same(found, PlateSolver(made, "cpu").run(phasors))
+        assert not evaluator.lost
+    else:
+        why = "out of memory (Failed to allocate 999 bytes on device 'cuda:0')"
+        assert evaluator.lost == {f"block given up after {ATTEMPTS} attempts: {why}": PLATES}
+        assert found.node_steps == 0
+
+
+class Failing(InlinePool):
+    """A worker that ends under the last block of a generation; after some tasks nothing works any more."""
+
+    def __init__(self, tasks_left=10**9, error=WorkersGone, under=None):
+        super().__init__()
+        self.tasks_left, self.error, self.under = tasks_left, error, under
+
+    def worker_count(self):
+        if self.tasks_left <= 0:
+            raise self.error("no worker is left: of a test")
+        return 1
+
+    def run(self, function, argument):
+        self.tasks_left -= 1
+        if len(argument.designs) == self.under:
+            raise BrokenProcessPool
+        return super().run(function, argument)
+
+
+def test_lost_plates_are_in_the_result(tmp_path, scene):
+    """They count as worst, and the file says how many and why, also after a checkpoint."""
+    file = CheckpointFile(tmp_path / "panel.checkpoint.h5", 0.0)
+    made = small_search(scene, iterations=2)
+    result = localize(made, device="cpu", estimate=False, pool=Failing(under=22), checkpoints=file)
+    (why,) = result.lost_plates
+    assert result.lost_plates[why] == 2 * 22
+    assert load_checkpoint(tmp_path / "panel.checkpoint.h5").lost_plates[why] >= 22
+    assert result.evaluations == 2 * PLATES
+    assert result.cases["best"].localization_factor > 0
+    assert load_result(save_result(result, tmp_path / "panel.h5")).lost_plates == result.lost_plates
+    (line,) = failure_lines(result.lost_plates)
+    assert "44 plates" in line
+    assert why in line
+
+
+@pytest.mark.parametrize("error", [WorkersGone, RuntimeError])
+def test_a_search_whose_workers_are_gone_can_go_on(error, tmp_path, scene):
+    """Whatever it was that ended it."""
+    made, path = small_search(scene), tmp_path / "panel.checkpoint.h5"
+    expected = localize(made, device="cpu", estimate=False)
+    with pytest.raises(error, match="of a test"):
+        localize(made, device="cpu", estimate=False, pool=Failing(10, error), checkpoints=CheckpointFile(path, np.inf))
+    begun = load_checkpoint(path)
+    assert 0 < begun.iterations < 4
+    assert_same_result(resume(begun, "cpu", estimate=False, pool=InlinePool()), expected)
+
+
+def test_workers_that_cannot_start_are_one_line(scene, monkeypatch):
+    monkeypatch.setattr("warp_plate.cluster.local_pool._start_worker", os._exit)
+    pool = LocalPool(["cpu"])
+    try:
+        with pytest.raises(SceneError, match=f"a worker: given up after {ATTEMPTS} attempts: its worker ended"):
+            make_evaluator(scene((9, 9)), "cpu", pool=pool).run([[1, 1, 1]])
+    finally:
+        pool.close()
+
+
+# The command.
+
+
+def panel_in(folder, scene, **search):
+    (folder / "panel.toml").write_text(dump_scene(small_search(scene, **search)), encoding="utf-8")
+
+
+def test_the_command_on_two_processes(tmp_path, scene, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    panel_in(tmp_path, scene)
+    common = ["localize", "panel.toml", "--no-pictures", "--no-estimate", "--json"]
+    found = []
+    for options in (["--device", "cpu", "--out", "one.h5"], ["--devices", "cpu,cpu", "--out", "two.h5"]):
+        main([*common, *options])
+        found.append(json.loads(capsys.readouterr().out))
+    one, two = found
+    assert two["device"].endswith("plates of the search on 2 processes (cpu, cpu)")
+    assert {name for name in one if one[name] != two[name]} <= {"device", "files", "seconds"}
+    with pytest.raises(SystemExit) as left:
+        main([*common, "--devices", "cpu,cpu", "--device", "cpu"])
+    assert left.value.code == 2
+    assert "--device cpu: --devices cpu,cpu already says where plates run" in capsys.readouterr().err
+
+
+SLEEPING = """
+import multiprocessing, time
+from warp_plate.cluster.pool import open_pool
+from warp_plate.cluster.scheduler import Task, run_tasks
+
+if __name__ == "__main__":
+    with open_pool("cpu,cpu", None) as pool:
+        print(*(child.pid for child in multiprocessing.active_children()), flush=True)
+        list(run_tasks(pool, [Task(time.sleep, 1000), Task(time.sleep, 1000)]))
+"""
+
+
+def started(folder, *arguments, **options):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, *arguments]
+    return subprocess.Popen(command, cwd=folder, env=environment, text=True, start_new_session=True, **options)
+
+
+def alive(process):
+    """True while a process runs; one that has ended may still stand in the system's table."""
+    try:
+        return "Z" not in Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="needs /proc")
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_workers_end_with_the_program(how, tmp_path):
+    """Though they are at work, and in a moment."""
+    (tmp_path / "sleeping.py").write_text(SLEEPING, encoding="utf-8")
+    process = started(tmp_path, "sleeping.py", stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    workers = [int(number) for number in process.stdout.readline().split()]
+    assert len(workers) == 2
+    time.sleep(0.5)
+    os.kill(process.pid, how) if how == signal.SIGKILL else os.killpg(process.pid, how)
+    _, errors = process.communicate(timeout=60)
+    assert errors.count("Traceback") == (how == signal.SIGINT)  # the program's own KeyboardInterrupt
+    for _ in range(100):
+        if not any(map(alive, workers)):
+            break
+        time.sleep(0.1)
+    assert not any(map(alive, workers))
+
+
+@POSIX
+def test_ctrl_c_ends_a_command_with_workers_by_its_best(tmp_path, scene):
+    """As a terminal sends it, to all processes of the command."""
+    panel_in(tmp_path, scene, iterations=10**6)
+    options = ["--devices", "cpu,cpu", "--no-pictures", "--no-estimate", "--checkpoint-every", "0"]
+    process = started(tmp_path, "-m", "warp_plate", "localize", "panel.toml", *options, stderr=subprocess.PIPE)
+    while not (tmp_path / "panel-localize.checkpoint.h5").exists() and process.poll() is None:
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert errors.startswith("warp-plate: interrupted after ")
+    assert errors.count("\n") == 1
+    assert load_result(tmp_path / "panel-localize.h5").interrupted

@@ -1,0 +1,30 @@
+"""A pool for tests: one worker, which is this process."""
+
+from concurrent.futures import Future
+
+from warp_plate.cluster.pool import WorkerPool
+from warp_plate.cluster.tasks import run_task
+
+
+class InlinePool(WorkerPool):
+    """Runs each task when it is submitted."""
+
+    description = "this process"
+
+    def worker_count(self):
+        return 1
+
+    def submit(self, function, argument):
+        future = Future()
+        try:
+            future.set_result(self.run(function, argument))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def run(self, function, argument):
+        """Run a task; overridden by tests whose workers fail."""
+        return run_task(function, argument)
+
+    def close(self):
+        pass

@@ -1,0 +1,185 @@
+"""Tables and JSON records that ``localize`` prints: drives, objectives, crosstalk and robustness."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+
+from warp_plate.cli import output
+from warp_plate.scene.errors import printable
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from warp_plate.result.model import Case, Result
+    from warp_plate.result.robust import RobustComparison
+    from warp_plate.scene.model import Scene
+
+OBJECTIVE_HEADINGS = {
+    "equal": "equal",
+    "single": "single",
+    "time_reversal": "time\nreversal",
+    "inverse_filter": "inverse\nfilter",
+}
+ROBUST_ROWS = {
+    "mean": "mean",
+    "worst_5_percent": "mean of the worst 5 %",
+    "worst": "worst",
+    "nominal_plate": "nominal plate",
+    "searched": "scenarios of the search",
+}
+
+
+def drive_table(case: Case, scene: Scene, target: str = "") -> Table:
+    """Return the table of a drive, as Table 1 of the source paper. ``target``: its name if there are several."""
+    headings = ("actuator", f"magnitude ({scene.drive_unit})", "phase (rad)", "phase / π", *case.per_actuator)
+    made = output.table(*headings, title=f"Drive found{f' for {printable(target)}' if target else ''}")
+    for index, actuator in enumerate(scene.actuators):
+        magnitude, phase = case.magnitude[index], case.phase[index]
+        others = (f"{values[index]:.5g}" for values in case.per_actuator.values())
+        made.add_row(actuator.name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}", *others)
+    return made
+
+
+def drive_json(case: Case, scene: Scene) -> list[dict[str, object]]:
+    """Return a drive as one record for each actuator, including searched frequencies, positions and delays."""
+    searched = {"frequency": case.frequency, "centre": case.centre, "delay": case.delay}
+    return [
+        {
+            "actuator": actuator.name,
+            "magnitude": float(case.magnitude[index]),
+            "phase": float(case.phase[index]),
+            **{name: values[index].tolist() for name, values in searched.items() if values is not None},
+        }
+        for index, actuator in enumerate(scene.actuators)
+    ]
+
+
+def print_objectives(result: Result, console: Console) -> None:
+    """Print a row for each objective with a column for each target's drive or case; nothing if the localization
+    factor is the only objective."""
+    from warp_plate.problem.objectives import keeps_limit
+    from warp_plate.scene.search import OBJECTIVE_UNITS
+
+    if result.only_localization or not result.objective_values:
+        return
+    found = [search.objective_values for search in result.target_searches] or [result.objective_values]
+    columns = [target.name for target in result.scene.targets][: len(found)] or ["found"]
+    by_case = result.objective_values_by_case
+    others = {heading: by_case[name] for name, heading in OBJECTIVE_HEADINGS.items() if name in by_case}
+    made = output.table("objective", "weight", "limit", *columns, *others)
+    exceeded = []
+
+    def add_row(key: str, label: str, weight: str = "", limit: float | None = None) -> None:
+        shown = [output.number_text(values.get(key), ".4g") for values in found]
+        shown += [output.number_text(values[key], ".4g") if key in values else "" for values in others.values()]
+        made.add_row(label, weight, "" if limit is None else f"{limit:g}", *shown)
+        if limit is not None and not all(keeps_limit(values.get(key, 0.0), limit) for values in found):
+            exceeded.append(label)
+
+    for objective in result.scene.search.objectives:
+        kind, unit = objective.kind, OBJECTIVE_UNITS[objective.kind].removeprefix("1")
+        add_row(kind, f"{kind} ({unit})" if unit else kind, f"{objective.weight:g}")
+        if objective.rest_limit is not None:
+            add_row(f"{kind} of the rest", f"{kind} of the rest ({unit})", limit=objective.rest_limit)
+    add_row("sum", "weighted sum")
+    if any("bound" in values for values in found):
+        kinds = [search.bound_kind for search in result.target_searches] or [result.bound_kind]
+        add_row("bound", f"{'bound only' if 'bound only' in kinds else 'bound'} of the sum")
+    output.print_uncropped(console, made)
+    if others and not exceeded:
+        console.print("Only the drives found are restricted to what the search may choose.", style="dim")
+    for label in exceeded:
+        console.print(f"! {label}: no drive within the limit was found; the nearest one is shown")
+    console.print()
+
+
+def crosstalk_table(result: Result) -> Table:
+    """Return the crosstalk table: a row for each drive, a column for each target."""
+    from warp_plate.result.crosstalk import crosstalk, decibels, target_cases
+
+    names, shares = list(target_cases(result.scene)), crosstalk(result)
+    relative = decibels(shares)
+
+    def cell(row: int, column: int) -> str:
+        if math.isnan(shares[row, column]):
+            return "not searched"
+        return f"{shares[row, column]:.4f}" + (f" ({relative[row, column]:+.1f} dB)" if row != column else "")
+
+    made = output.table("drive for", *names, "bound", title="Crosstalk: share of the plate's kinetic energy in")
+    for row, name in enumerate(names):
+        bound = result.target_searches[row].bound if row < len(result.target_searches) else None
+        cells = [cell(row, column) for column in range(len(names))]
+        made.add_row(name, *cells, "none claimed" if bound is None else f"{bound:.4f}")
+    return made
+
+
+def crosstalk_json(result: Result) -> dict[str, object] | None:
+    """Return shares of the plate's kinetic energy, also in decibels relative to each drive's own target; None for a
+    single target."""
+    from warp_plate.result.crosstalk import crosstalk, decibels, target_cases
+
+    cases = target_cases(result.scene)
+    if not cases:
+        return None
+    shares = crosstalk(result)
+    return {
+        "targets": list(cases),
+        "cases": list(cases.values()),
+        "share": shares.tolist(),
+        "decibels": decibels(shares).tolist(),
+        "bound": [search.bound for search in result.target_searches],
+        "bound_kind": [search.bound_kind for search in result.target_searches],
+        "objectives": [dict(search.objective_values) or None for search in result.target_searches],
+        "evaluations": [search.evaluations for search in result.target_searches],
+        "drives": {
+            name: drive_json(result.cases[name], result.scene) for name in cases.values() if name in result.cases
+        },
+    }
+
+
+def print_robust(result: Result, console: Console) -> None:
+    """Print the comparison of the robust drive with the nominal one; nothing if the search was not robust."""
+    compared = result.robust
+    if result.scene.search.robust is None:
+        return
+    if compared is None:
+        why = "no drive was found, Ctrl-C came first, or a validation scenario is not a valid plate"
+        console.print(f"Not compared with a nominal drive: {why}.\n")
+        return
+    made = output.table(_robust_quantity(compared), "robust drive", "nominal drive")
+    for key, values in compared.rows().items():
+        measure = f" ({compared.measure} of {compared.scenarios})" if key == "searched" else ""
+        made.add_row(ROBUST_ROWS[key] + measure, *(f"{value:.4f}" for value in values))
+    if compared.bound is not None:
+        made.add_row("bound for the search's scenarios", f"{compared.bound:.4f}", "")
+    if compared.failed.any():
+        made.add_row("plates that failed", *map(str, compared.failed.tolist()))
+    console.print(f"Over {compared.validation.shape[1]} fresh scenarios, which neither search has used:")
+    console.print(made)
+    console.print()
+
+
+def robust_json(compared: RobustComparison | None) -> dict[str, object] | None:
+    """Return the record "robust" of the JSON output; plates that failed are null in it."""
+    if compared is None:
+        return None
+
+    def by_drive(values: list[object]) -> dict[str, object]:
+        return dict(zip(("robust", "nominal"), values, strict=True))
+
+    return {
+        "measure": compared.measure,
+        "scenarios": compared.scenarios,
+        "value": _robust_quantity(compared),
+        "bound": compared.bound,
+        **{key: by_drive(values.tolist()) for key, values in compared.rows().items()},
+        "failed": by_drive(compared.failed.tolist()),
+        "fresh": by_drive(compared.validation.tolist()),
+    }
+
+
+def _robust_quantity(compared: RobustComparison) -> str:
+    return "localization factor" if compared.localization else "weighted sum of objectives"

@@ -1,0 +1,134 @@
+"""A process for each device of this machine, by ``concurrent.futures``.
+
+Processes are spawned, never forked: a copy of a process that has used CUDA or threads is broken.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from typing import Any
+
+from warp_plate.cluster.pool import WorkerPool
+from warp_plate.cluster.solver_spec import DEVICE_VARIABLE
+from warp_plate.cluster.tasks import run_task
+from warp_plate.scene.errors import SceneError
+from warp_plate.solve.devices import find_device
+
+
+def device_names(text: str) -> list[str]:
+    """Return the devices of "cuda:0,cuda:1" as Warp names them.
+
+    Raises:
+        SceneError: One is not on this machine.
+    """
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise SceneError(f"--devices {text}: must be devices with commas between, such as cuda:0,cuda:1 or cpu,cpu")
+    try:
+        return [find_device(name).alias for name in names]
+    except SceneError as error:
+        raise SceneError(f"--devices {text}: {error}") from None
+
+
+@dataclass
+class _Worker:
+    device: str
+    executor: ProcessPoolExecutor
+    futures: list[Future[Any]] = field(default_factory=list)  # not done, or done since the last submit
+
+    @property
+    def load(self) -> int:
+        return sum(not future.done() for future in self.futures)
+
+    @property
+    def failed(self) -> bool:
+        """True if the process has ended, or raised an error after which CUDA may be unusable in it."""
+        done = [future for future in self.futures if future.done() and not future.cancelled()]
+        return any(not isinstance(future.exception(), (type(None), SceneError, MemoryError)) for future in done)
+
+
+class LocalPool(WorkerPool):
+    """A process for each device of this machine; one that fails is replaced."""
+
+    def __init__(self, devices: Sequence[str]) -> None:
+        super().__init__()
+        self._context = multiprocessing.get_context("spawn")
+        # Workers hold the other end, and end themselves when this one is closed, be it by the end of this process.
+        self._workers_end, self._lifeline = self._context.Pipe(duplex=False)
+        self._workers = [_Worker(device, self._start(device)) for device in devices]
+
+    @property
+    def description(self) -> str:
+        """See ``WorkerPool``."""
+        count = len(self._workers)
+        devices = ", ".join(worker.device for worker in self._workers)
+        return f"{count} process{'es' if count > 1 else ''} ({devices})"
+
+    def worker_count(self) -> int:
+        """See ``WorkerPool``."""
+        return len(self._workers)
+
+    def submit(self, function: Callable[[Any], Any], argument: Any) -> Future[Any]:
+        """Give a task to the worker with the fewest; see ``WorkerPool``."""
+        worker = min(self._workers, key=lambda one: one.load)
+        if worker.failed:
+            worker.executor.shutdown(wait=False, cancel_futures=True)
+            worker.executor = self._start(worker.device)
+            worker.futures = []
+        try:
+            future = worker.executor.submit(run_task, function, argument)
+        except BrokenExecutor as error:
+            future = Future()
+            future.set_exception(error)
+        worker.futures = [one for one in worker.futures if not one.done()] + [future]
+        return future
+
+    def close(self) -> None:
+        """See ``WorkerPool``."""
+        self._lifeline.close()
+        for worker in self._workers:
+            worker.executor.shutdown(cancel_futures=True)
+        self._workers_end.close()
+
+    def _start(self, device: str) -> ProcessPoolExecutor:
+        executor = ProcessPoolExecutor(1, self._context, _start_worker, (device, self._workers_end))
+        with interrupts_blocked():
+            executor.submit(os.getpid)  # starts the process now
+        return executor
+
+
+@contextmanager
+def interrupts_blocked() -> Iterator[None]:
+    """Let processes and threads that are started in the block never receive Ctrl-C; here it comes after the block."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _start_worker(device: str, lifeline: Connection) -> None:
+    """Prepare a worker process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.dup2(2, 1)  # what libraries print must not come between the command's output
+    os.environ[DEVICE_VARIABLE] = device
+    if device == "cpu":
+        os.environ.setdefault("WARP_PLATE_THREADS", "1")
+    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
+
+
+def _end_with(lifeline: Connection) -> None:
+    with suppress(EOFError, OSError):
+        lifeline.recv_bytes()
+    os._exit(0)

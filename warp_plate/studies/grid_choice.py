@@ -1,0 +1,73 @@
+"""The grid of a scene that asks for an accuracy, and the estimated error of a result."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from warp_plate.accuracy.choose import choose
+from warp_plate.accuracy.estimate import estimate
+from warp_plate.accuracy.reference_solution import ReferenceStage
+from warp_plate.plate.weights import localization_factor
+from warp_plate.scene.model import Scene
+from warp_plate.solve.run import Run
+
+
+@dataclass(frozen=True)
+class ResolvedGrid:
+    """A scene with a grid.
+
+    Attributes:
+        scene: the scene, with a grid in place of an accuracy.
+        accuracy: the accuracy asked for, the expected error and the reason for the grid; empty if the scene has a grid.
+        seconds: the time that the choice took, under "choose".
+        reference: reference solution that the choice computed.
+    """
+
+    scene: Scene
+    accuracy: Mapping[str, Any] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    reference: ReferenceStage | None = None
+
+
+def resolve_grid(scene: Scene, device: str, phasors: np.ndarray | None = None) -> ResolvedGrid:
+    """Choose the cheapest grid that keeps the scene's ``grid.accuracy``; a scene with a grid is returned as it is.
+
+    Args:
+        phasors: (drives, actuators) drives whose errors count (default: those that ``choose`` takes).
+
+    Raises:
+        SceneError: no grid keeps the accuracy.
+    """
+    if scene.grid.accuracy is None:
+        return ResolvedGrid(scene)
+    started = time.perf_counter()
+    choice = choose(scene, scene.grid.accuracy, device, phasors)
+    accuracy = {"asked": choice.asked, "expected": choice.error, "reason": choice.reason}
+    return ResolvedGrid(choice.scene, accuracy, {"choose": time.perf_counter() - started}, choice.reference.stage)
+
+
+def estimate_error(
+    scene: Scene,
+    phasors: Mapping[str, np.ndarray],
+    run: Run,
+    solve_seconds: float,
+    device: str,
+    reference: ReferenceStage | None = None,
+) -> dict[str, Any]:
+    """Return the record "estimate" of ``Result.accuracy``: estimated errors of a run of the named drives.
+
+    Args:
+        solve_seconds: time that the result took [s], which limits the time for the estimate.
+        reference: reference solution of the scene, if it is known.
+
+    Raises:
+        SceneError: see :func:`warp_plate.accuracy.estimate.estimate`.
+    """
+    drives, factors = np.array(list(phasors.values())), localization_factor(run.energy)
+    found = estimate(scene, drives, factors, solve_seconds, device, run.times, run.displacement, reference)
+    return {"cases": list(phasors), **found.as_json(), "line": found.line()}

@@ -1,0 +1,166 @@
+"""Where and with what a result was computed, and which changes a run that is resumed may have."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator, Mapping
+from typing import Protocol
+
+import numpy as np
+import warp as wp
+
+import warp_plate
+from warp_plate.plate.files import digests
+from warp_plate.problem.problem import Problem
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+from warp_plate.solve.devices import device_aliases, find_device, processor_of
+
+
+class Resumable(Protocol):
+    """A checkpoint of a search or an unfinished sweep.
+
+    Attributes:
+        device, processor: Warp's alias of the device that it ran on, and the name of its processor.
+        versions: versions of the packages that it ran with.
+        files: SHA-256 digests of the files that its scene names, by key.
+    """
+
+    @property
+    def device(self) -> str: ...
+    @property
+    def processor(self) -> str: ...
+    @property
+    def versions(self) -> Mapping[str, str]: ...
+    @property
+    def files(self) -> Mapping[str, str]: ...
+
+
+def device_name(device: wp.Device) -> str:
+    """Return the alias of a device with the name of the GPU or the processor's architecture."""
+    return f"{device.alias} ({device.name or platform.machine()})"
+
+
+def devices_text(problem: Problem) -> str:
+    """Return the device of a problem, and the workers that ran the plates of its search."""
+    text = device_name(problem.drive_solver.device)
+    if problem.pool is None:
+        return text
+    if problem.evaluator_name == "response":
+        return f"{text}; {problem.pool.description}: unused, since Gram matrices need no plates for the search"
+    return f"{text}, plates of the search on {problem.pool.description}"
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of everything that results depend on."""
+    return {
+        "warp_plate": warp_plate.__version__,
+        "warp": wp.config.version,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
+
+
+def merged_versions(earlier: Mapping[str, str]) -> dict[str, str]:
+    """Return the current versions, each after the earlier ones that differ from it."""
+    return {
+        name: earlier[name] if earlier.get(name, now).split(", then ")[-1] == now else f"{earlier[name]}, then {now}"
+        for name, now in versions().items()
+        if name in earlier
+    }
+
+
+def same_device(device: str, processor: str, study: str) -> str:
+    """Return the alias of a device on this machine with the same kind of processor.
+
+    Args:
+        study: "search" or "sweep", for the error.
+
+    Raises:
+        SceneError: there is none.
+    """
+    for alias in (device, *(alias for alias in device_aliases() if alias != device)):
+        if alias in device_aliases() and processor_of(find_device(alias)) == processor:
+            return alias
+    raise SceneError(
+        f"the {study} began on {device} ({processor}), which this machine does not have; another device rounds "
+        f"differently, so the result would not be bit-identical: to continue anyway, name one, such as "
+        f"--device {find_device('auto').alias}"
+    )
+
+
+def check_files(scene: Scene, study: Resumable, what: str) -> None:
+    """Check that the files that a scene names are still those that a study began with.
+
+    Raises:
+        SceneError: one has changed or is missing.
+    """
+    for key, digest in digests(scene).items():
+        if study.files.get(key) != digest:
+            raise SceneError(f"{key}: the file has changed since the {what} began")
+
+
+def check_unchanged(
+    study: object, name: str, options: Mapping[str, object], scenes: tuple[Scene | None, Scene], advice: str
+) -> None:
+    """Check that a scene and options given to resume a study are those that it began with.
+
+    Args:
+        study: object with the original options as attributes; name: its kind and file, for errors.
+        options: by attribute name; None for those not given.
+        scenes: the scene that is given, or None, and the original one.
+        advice: what else the user can do, for errors.
+
+    Raises:
+        SceneError: one of them differs, which would change the result.
+    """
+    for option, value in options.items():
+        before = getattr(study, option)
+        if value is not None and value != before:
+            raise SceneError(
+                f"--{option} {value}: the {name} began with {before} and continues with nothing else; leave the option "
+                f"out, or {advice}"
+            )
+    if scenes[0] is None:
+        return
+    given, known = (dict(_leaves(scene.model_dump())) for scene in scenes if scene is not None)
+    for key in {"grid.accuracy": None, **known, **given}:
+        if given.get(key) != known.get(key):
+            raise SceneError(
+                f"{key} = {given.get(key)}: the {name} began with {known.get(key)} and continues with nothing else; "
+                f"leave it out, or {advice}"
+            )
+
+
+def changes(study: Resumable, device: str | None) -> list[str]:
+    """Return a line for each change since a study began that may change the last digits of its result.
+
+    Args:
+        device: device that it continues on; None if that is not known yet or the same.
+
+    Raises:
+        SceneError: there is no such device.
+    """
+    lines = []
+    if device is not None and (processor := processor_of(find_device(device))) != study.processor:
+        lines.append(
+            f"began on {study.device} ({study.processor}) and continues on {device} ({processor}), which rounds "
+            "differently: the result may differ"
+        )
+    for name, now in versions().items():
+        before = study.versions.get(name, "another version")
+        if before != now:
+            lines.append(f"began with {name} {before}, this is {now}: the result may differ in its last digits")
+    return lines
+
+
+def _leaves(table: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Yield (dotted key, value) for all values in nested tables and lists of tables."""
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{prefix}{key}.")
+        elif isinstance(value, tuple) and value and all(isinstance(entry, dict) for entry in value):
+            for index, entry in enumerate(value):
+                yield from _leaves(entry, f"{prefix}{key}[{index}].")
+        else:
+            yield f"{prefix}{key}", value
