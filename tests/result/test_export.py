@@ -14,7 +14,7 @@ from scipy.io import wavfile
 
 from warp_plate.result import Case, Result
 from warp_plate.result.atomic_io import atomic_paths
-from warp_plate.result.export.drive_signals import BLOCK, make_signal, whole_periods, write_drive_csv, write_wav
+from warp_plate.result.export.drive_signals import BLOCK, make_drive_signal, whole_periods, write_drive_csv, write_wav
 from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
 from warp_plate.result.export.traces import write_traces
 from warp_plate.scene import SceneError
@@ -152,7 +152,7 @@ def played(signal, drive):
 
 def test_a_float_wav_plays_the_drive(result, tmp_path):
     case = result.cases["best"]
-    signal = make_signal(result.scene, case, 48000, 2.0)
+    signal = make_drive_signal(result.scene, case, 48000, 2.0)
     assert signal.samples == 96000 > BLOCK
     (path,) = write_wav(signal, tmp_path / "drive.wav")
     rate, read = wavfile.read(path)
@@ -165,7 +165,7 @@ def test_a_float_wav_plays_the_drive(result, tmp_path):
 def test_a_pcm_wav_plays_the_drive_to_its_last_bit(result, tmp_path):
     case = result.cases["equal"]
     scale = 4 * float(case.magnitude.max())
-    signal = make_signal(result.scene, case, 44100, 0.5, full_scale=scale)
+    signal = make_drive_signal(result.scene, case, 44100, 0.5, full_scale=scale)
     (path,) = write_wav(signal, tmp_path / "drive.wav", "pcm16")
     rate, read = wavfile.read(path)
     assert (rate, read.dtype) == (44100, np.int16)
@@ -173,7 +173,7 @@ def test_a_pcm_wav_plays_the_drive_to_its_last_bit(result, tmp_path):
 
 
 def test_a_wav_says_what_its_channels_and_full_scale_are(result, tmp_path):
-    signal = make_signal(result.scene, result.cases["best"], 8000, 0.1)
+    signal = make_drive_signal(result.scene, result.cases["best"], 8000, 0.1)
     (path,) = write_wav(signal, tmp_path / "drive.wav")
     content = path.read_bytes()
     size = int.from_bytes(content[4:8], "little")
@@ -187,7 +187,7 @@ def test_a_wav_says_what_its_channels_and_full_scale_are(result, tmp_path):
 
 def test_drive_csv_plays_the_drive_and_says_its_full_scale(result, tmp_path):
     case = result.cases["best"]
-    signal = make_signal(result.scene, case, 10_000, 0.1)
+    signal = make_drive_signal(result.scene, case, 10_000, 0.1)
     (path,) = write_drive_csv(signal, tmp_path / "drive.csv")
     with path.open(encoding="utf-8", newline="") as file:
         heading, *rows = csv.reader(file)
@@ -236,17 +236,17 @@ def test_what_needs_no_seam_has_none():
 )
 def test_signals_that_cannot_be_are_refused(result, options, words):
     with pytest.raises(SceneError, match=words):
-        make_signal(result.scene, result.cases["best"], **{"rate": 48000, "duration": 1.0, **options})
+        make_drive_signal(result.scene, result.cases["best"], **{"rate": 48000, "duration": 1.0, **options})
 
 
 def test_a_drive_at_rest_has_no_signal(result):
     with pytest.raises(SceneError, match="its drive is zero"):
-        make_signal(result.scene, replace(result.cases["best"], phasors=np.zeros(3, complex)), 48000, 1.0)
+        make_drive_signal(result.scene, replace(result.cases["best"], phasors=np.zeros(3, complex)), 48000, 1.0)
 
 
 def test_too_many_channels_for_a_wav_are_refused(result, tmp_path):
-    signal = make_signal(result.scene, result.cases["best"], 8000, 0.01)
-    many = replace(signal, names=("a",) * 20_000, drive=np.ones(20_000))
+    signal = make_drive_signal(result.scene, result.cases["best"], 8000, 0.01)
+    many = replace(signal, names=("a",) * 20_000, phasors=np.ones(20_000))
     with pytest.raises(SceneError, match="room for 16383 channels"):
         write_wav(many, tmp_path / "drive.wav")
     with pytest.raises(SceneError, match="--rate 2000000000: too many"):

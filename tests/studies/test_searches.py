@@ -15,7 +15,7 @@ from warp_plate.cli.main import main
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.result import save_result
-from warp_plate.result.export.drive_signals import make_signal
+from warp_plate.result.export.drive_signals import make_drive_signal
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.model import Grid
 from warp_plate.solve.response import largest_ratio, measure_response
@@ -189,7 +189,7 @@ def test_motions_and_signals_have_the_cases_own_frequency_and_places(panel):
     moment = float(found.times[3])
     field = alone.run(best.phasors[None], (moment,)).displacement[0, 0]
     np.testing.assert_array_equal(found.displacement[3], field.astype(np.float32))
-    signal = make_signal(result.case_scene(best), best, 48000, 1.0)
+    signal = make_drive_signal(result.case_scene(best), best, 48000, 1.0)
     assert signal.frequency == best.frequency[0]
     pytest.importorskip("pyvista")
     from warp_plate.viz.page import page_data
@@ -207,7 +207,7 @@ def test_several_frequencies_are_no_file_to_play():
     result = localize(searched("own frequencies"), device="cpu", estimate=False)
     best = result.cases["best"]
     with pytest.raises(SceneError, match=r"actuators\[\d\].frequency: only tones"):
-        make_signal(result.case_scene(best), best, 48000, 1.0)
+        make_drive_signal(result.case_scene(best), best, 48000, 1.0)
 
 
 def of_all_phases(response):

@@ -162,11 +162,11 @@ def _write_drive(
     result: Result, case: Case, to: Format, target: Path, options: Mapping[str, Any]
 ) -> tuple[list[Path], dict[str, Any]]:
     """Write the drive of a case as audio or text; return files and record."""
-    from warp_plate.result.export.drive_signals import make_signal, write_drive_csv, write_wav
+    from warp_plate.result.export.drive_signals import make_drive_signal, write_drive_csv, write_wav
 
     rate = RATE if options["rate"] is None else options["rate"]
     duration = DURATION if options["duration"] is None else options["duration"]
-    signal = make_signal(result.case_scene(case), case, rate, duration, options["full-scale"])
+    signal = make_drive_signal(result.case_scene(case), case, rate, duration, options["full-scale"])
     if to == "drive-wav":
         files = write_wav(signal, target, options["encoding"] or "float32")
     else:

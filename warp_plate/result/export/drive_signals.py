@@ -1,7 +1,7 @@
-"""What to play to the actuators: the drive as WAV or CSV for an amplifier, a channel for each actuator.
+"""Drives as WAV or CSV files for an amplifier, with a channel for each actuator.
 
-Channel k holds w_k cos(2πft − φ_k) divided by the full scale, so that 1.0 stands for one and the same pressure [N/m²]
-or voltage in every channel. It lasts a whole number of periods, so that it can be played over and over.
+Channel k holds w_k cos(2πft − φ_k) divided by the full scale, so that 1.0 stands for the same pressure [N/m²] or
+voltage in every channel. It lasts a whole number of periods, so that it can be played in a loop.
 """
 
 from __future__ import annotations
@@ -16,36 +16,42 @@ from typing import Literal
 import numpy as np
 
 from warp_plate.result.atomic_io import atomic_paths
-from warp_plate.result.export.traces import write_table
+from warp_plate.result.export.traces import BLOCK, write_table
 from warp_plate.result.model import Case
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 Encoding = Literal["float32", "pcm16"]
-# WAVE_FORMAT_IEEE_FLOAT and WAVE_FORMAT_PCM, and bytes a sample.
+# Code and bytes a sample of WAVE_FORMAT_IEEE_FLOAT and WAVE_FORMAT_PCM.
 FORMATS: dict[Encoding, tuple[int, int]] = {"float32": (3, 4), "pcm16": (1, 2)}
 EXTENSIBLE = 0xFFFE
-# The common end of the GUIDs that stand for the formats in WAVE_FORMAT_EXTENSIBLE.
+# Common end of the GUIDs of the formats in WAVE_FORMAT_EXTENSIBLE.
 GUID_END = bytes.fromhex("0000 1000 8000 00aa 0038 9b71")
 PCM16_FULL_SCALE = 32767
-# A WAV file counts its bytes with 32 bits; with room for what stands before the samples.
+# A WAV file counts its bytes with 32 bits; the rest is room for the chunks before the samples.
 MOST_BYTES = 2**32 - 2**20
-# So many numbers of whole periods are tried for the one that ends nearest to a sample.
-TRIED = 10_000
-BLOCK = 2**16
+# Number of lengths that are compared to find the loop whose end is nearest to a sample.
+TRIED_PERIODS = 10_000
 
 
 @dataclass(frozen=True)
-class Signal:
-    """The signals of all actuators over a whole number of periods.
+class DriveSignal:
+    """Signals of all actuators over a whole number of periods.
 
-    drive: (actuators,) phasors in units of ``full_scale``, which is in ``unit``; frequency [Hz]; rate: samples a
-    second; seam: phase jump [degrees] where the end meets the beginning, 0 where a period's multiple is whole in
-    samples.
+    Attributes:
+        names: Names of the actuators.
+        phasors: (actuators,) complex amplitudes relative to ``full_scale``.
+        full_scale: What 1.0 stands for, in ``unit``.
+        unit: Unit of the drive.
+        frequency: Frequency [Hz].
+        rate: Sampling rate [1/s].
+        samples: Number of samples.
+        periods: Number of periods.
+        seam: Phase jump [degrees] where the end meets the beginning; 0 if the periods are a whole number of samples.
     """
 
     names: tuple[str, ...]
-    drive: np.ndarray
+    phasors: np.ndarray
     full_scale: float
     unit: str
     frequency: float
@@ -54,26 +60,36 @@ class Signal:
     periods: int
     seam: float
 
+    @property
+    def full_scale_text(self) -> str:
+        """The full scale with its unit in ASCII."""
+        return f"{self.full_scale:.9g} {self.unit.replace('²', '^2')}"
+
     def blocks(self) -> Iterator[np.ndarray]:
-        """(samples, 1 + actuators) pieces of the table: time [s], then the signals."""
+        """Yield (samples, 1 + actuators) blocks of the time [s] and the signals."""
         for start in range(0, self.samples, BLOCK):
             time = np.arange(start, min(start + BLOCK, self.samples)) / self.rate
             turns = np.exp(2j * np.pi * np.mod(self.frequency * time, 1))
-            yield np.column_stack([time, (turns[:, None] * self.drive).real])
+            yield np.column_stack([time, (turns[:, None] * self.phasors).real])
 
 
-def make_signal(scene: Scene, case: Case, rate: int, duration: float, full_scale: float | None = None) -> Signal:
-    """The signals of a case.
+def make_drive_signal(
+    scene: Scene, case: Case, rate: int, duration: float, full_scale: float | None = None
+) -> DriveSignal:
+    """Return the signals of a case.
 
     Args:
-        rate: samples a second; duration: at most so long [s].
-        full_scale: what 1.0 stands for, in the unit of the scene's drives; left out: the drive's largest magnitude.
+        scene: Scene of the case.
+        case: The case.
+        rate: Sampling rate [1/s].
+        duration: Maximum duration [s].
+        full_scale: What 1.0 stands for, in the unit of the scene's drives (default: the drive's largest magnitude).
 
     Raises:
-        SceneError: a drive that does not repeat, is at rest or above the full scale; too few samples or less than a
-            period, or no room.
+        SceneError: the drive does not repeat, is zero or above the full scale; or there are too few samples, less than
+            a period, or more than a file holds.
     """
-    if (key := scene.nonperiodic_key) is not None and key != "effects.moving_load":
+    if (key := scene.not_periodic) is not None and key != "effects.moving_load":
         raise SceneError(f"{key}: only tones of drive.frequency are written, which this drive is not")
     frequency, largest, unit = scene.drive.frequency, float(case.magnitude.max()), scene.drive_unit
     full_scale = largest if full_scale is None else full_scale
@@ -89,84 +105,76 @@ def make_signal(scene: Scene, case: Case, rate: int, duration: float, full_scale
         raise SceneError(
             f"--duration {duration:g}: must be at least a period of {frequency:g} Hz, {1 / frequency:.3g} s"
         )
-    bytes_a_sample = max(size for _, size in FORMATS.values())
-    if duration * rate * len(scene.actuators) * bytes_a_sample > MOST_BYTES:
+    sample_bytes = max(size for _, size in FORMATS.values())
+    if duration * rate * len(scene.actuators) * sample_bytes > MOST_BYTES:
         raise SceneError(f"--duration {duration:g}: {len(scene.actuators)} channels take more than 4 GiB; write less")
     periods, samples, seam = whole_periods(frequency, rate, duration)
     names = tuple(actuator.name for actuator in scene.actuators)
-    return Signal(names, case.phasors / full_scale, full_scale, unit, frequency, rate, samples, periods, seam)
+    return DriveSignal(names, case.phasors / full_scale, full_scale, unit, frequency, rate, samples, periods, seam)
 
 
 def whole_periods(frequency: float, rate: int, duration: float) -> tuple[int, int, float]:
-    """Periods and samples of the span that repeats with the smallest seam, and that seam [degrees].
+    """Return the periods, samples and seam [degrees] of the loop with the smallest seam, the longest of equal ones.
 
-    Of spans between half of ``duration`` [s] and all of it; of several that are as good, the longest. The frequency
-    is taken as the decimal number that is written for it, so that 290.1 Hz at 48000 Hz is exact.
+    Loops last from half of ``duration`` [s] to all of it. The frequency is taken as the decimal number that is written
+    for it, so that 290.1 Hz at 48000 Hz is exact.
     """
     exact = Fraction(repr(float(frequency)))
-    a_period = rate / exact  # in samples
+    period_samples = rate / exact
     most = int(Fraction(repr(float(duration))) * exact)
-    tried = range(most, max(most // 2, most - TRIED, 0), -1)
-    periods = min(tried, key=lambda count: abs(round(count * a_period) - count * a_period))
-    samples = round(periods * a_period)
-    return periods, samples, float(360 * (samples / a_period - periods))
+    tried = range(most, max(most // 2, most - TRIED_PERIODS, 0), -1)
+    periods = min(tried, key=lambda count: abs(round(count * period_samples) - count * period_samples))
+    samples = round(periods * period_samples)
+    return periods, samples, float(360 * (samples / period_samples - periods))
 
 
-def write_drive_csv(signal: Signal, path: str | Path) -> list[Path]:
-    """Write a table: time [s], then each actuator in full scale; the header says what that is. The file written.
+def write_drive_csv(signal: DriveSignal, path: str | Path) -> list[Path]:
+    """Write a table of the time [s] and each actuator's signal, with the full scale in the header; return its path.
 
     Raises:
         SceneError: the file cannot be written.
     """
-    path = Path(path)
-    unit = f"[1 = {signal.full_scale:.9g} {signal.unit.replace('²', '^2')}]"
-    heading = ["time [s]", *(f"{name} {unit}" for name in signal.names)]
-    write_table(path, heading, signal.blocks())
-    return [path]
+    heading = ["time [s]", *(f"{name} [1 = {signal.full_scale_text}]" for name in signal.names)]
+    write_table(Path(path), heading, signal.blocks())
+    return [Path(path)]
 
 
-def write_wav(signal: Signal, path: str | Path, encoding: Encoding = "float32") -> list[Path]:
-    """Write a WAV file with a channel for each actuator, bound to no loudspeaker position; the file written.
+def write_wav(signal: DriveSignal, path: str | Path, encoding: Encoding = "float32") -> list[Path]:
+    """Write a WAV file with a channel for each actuator, without loudspeaker positions; return its path.
 
     Its comment (LIST INFO ICMT) names the channels, the frequency and the full scale.
 
     Raises:
-        SceneError: too many actuators for a WAV file, or it cannot be written.
+        SceneError: there are too many actuators for a WAV file, or it cannot be written.
     """
-    path = Path(path)
-    form, size = FORMATS[encoding]
+    code, size = FORMATS[encoding]
     channels = len(signal.names)
     if channels * size >= 2**16:
         raise SceneError(f"holds {channels} actuators; a WAV file has room for {(2**16 - 1) // size} channels")
     if signal.rate * channels * size >= 2**32:
         raise SceneError(f"--rate {signal.rate}: too many for a WAV file of {channels} channels")
-    with atomic_paths(path) as (temporary,), temporary.open("wb") as file:
-        head = _wav_head(signal, form, size)
-        length = signal.samples * channels * size
+    head, length = _wav_head(signal, code, size), signal.samples * channels * size
+    with atomic_paths(Path(path)) as (temporary,), temporary.open("wb") as file:
         file.write(struct.pack("<4sI4s", b"RIFF", 4 + len(head) + 8 + length, b"WAVE"))
         file.write(head + struct.pack("<4sI", b"data", length))
         for block in signal.blocks():
             values = block[:, 1:]
-            file.write(
-                values.astype("<f4").tobytes()
-                if encoding == "float32"
-                else np.rint(values * PCM16_FULL_SCALE).astype("<i2").tobytes()
-            )
-    return [path]
+            integers = encoding == "pcm16"
+            samples = np.rint(values * PCM16_FULL_SCALE).astype("<i2") if integers else values.astype("<f4")
+            file.write(samples.tobytes())
+    return [Path(path)]
 
 
-def _wav_head(signal: Signal, form: int, size: int) -> bytes:
-    """The chunks before the samples: WAVE_FORMAT_EXTENSIBLE without speaker positions, samples, comment."""
+def _wav_head(signal: DriveSignal, code: int, size: int) -> bytes:
+    """Return the chunks before the samples: format without speaker positions, number of samples, comment."""
     frame = len(signal.names) * size
     layout = struct.pack("<HHIIHH", EXTENSIBLE, len(signal.names), signal.rate, signal.rate * frame, frame, 8 * size)
-    layout += struct.pack("<HHII", 22, 8 * size, 0, form) + GUID_END
+    layout += struct.pack("<HHII", 22, 8 * size, 0, code) + GUID_END
     channels = ", ".join(f"channel {number} = {name}" for number, name in enumerate(signal.names, 1))
-    unit = signal.unit.replace("²", "^2")
-    comment = f"{channels}; {signal.frequency!r} Hz; full scale = {signal.full_scale:.9g} {unit}"
-    facts = struct.pack("<I", signal.samples)
+    comment = f"{channels}; {signal.frequency!r} Hz; full scale = {signal.full_scale_text}"
     return (
         _chunk(b"fmt ", layout)
-        + _chunk(b"fact", facts)
+        + _chunk(b"fact", struct.pack("<I", signal.samples))
         + _chunk(b"LIST", b"INFO" + _chunk(b"ICMT", comment.encode() + b"\0"))
     )
 

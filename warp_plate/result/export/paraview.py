@@ -1,8 +1,8 @@
-"""Fields as a time series for ParaView: VTI files under a PVD index, or one VTKHDF file.
+"""Time series of fields for ParaView: VTI files with a PVD index, or one VTKHDF file, written without VTK.
 
-The plate is flat image data in the plane z = 0. Point data: fields such as ``displacement_best`` [m], and the shares of
-each node's cell that lie in the ``target`` and under the ``actuators``. Written without VTK. Formats: "VTK XML
-Formats" and "VTKHDF format specification" (temporal image data) of the VTK documentation.
+The plate is flat image data in the plane z = 0. Its point data are fields such as ``displacement_best`` [m], and the
+fractions of each node's cell that lie in the ``target`` and under the ``actuators``. See "VTK XML Formats" and "VTKHDF
+format specification" (temporal image data) in the VTK documentation.
 """
 
 from __future__ import annotations
@@ -25,33 +25,36 @@ UNITS = {"displacement": "m", "velocity": "m/s", "target": "1", "actuators": "1"
 
 
 def write_pvd(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray], path: str | Path) -> list[Path]:
-    """Write PATH (.pvd) and beside it a VTI file for each time; the files written, the VTI files first.
+    """Write an index and beside it a VTI file for each time; return their paths, the index last.
 
     Args:
-        times: (times,) [s]. fields: (times, ny, nx) by name, which begins with a word of UNITS; the first is active.
+        scene: The scene.
+        times: (times,) times [s].
+        fields: (times, ny, nx) fields by name, which begins with a word of ``UNITS``; the first one is active.
+        path: The index, a .pvd file.
 
     Raises:
-        SceneError: no times, or a file cannot be written.
+        SceneError: there are no times, or a file cannot be written.
     """
     path = Path(path)
-    moving, still = _fields(times, fields), _still_fields(scene)
+    moving, constant = _moving_fields(times, fields), _constant_fields(scene)
     digits = max(4, len(str(len(times) - 1)))
     parts = [path.with_name(f"{path.stem}-{index:0{digits}}.vti") for index in range(len(times))]
     with atomic_paths(*parts, path) as (*temporaries, index_file):
         for index, (time, temporary) in enumerate(zip(times.tolist(), temporaries, strict=True)):
-            now = {name: field[index] for name, field in moving.items()}
-            temporary.write_text("\n".join(_vti_lines(scene, time, now | still)), encoding="utf-8")
+            current = {name: field[index] for name, field in moving.items()}
+            temporary.write_text("\n".join(_vti_lines(scene, time, current | constant)), encoding="utf-8")
         index_file.write_text("\n".join(_pvd_lines(times, parts)), encoding="utf-8")
     return [*parts, path]
 
 
 def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray], path: str | Path) -> list[Path]:
-    """Write all times into PATH (.vtkhdf, for ParaView 5.12 and later); the file written.
+    """Write all times into one .vtkhdf file, for ParaView 5.12 and later; return its path.
 
-    Args and errors as :func:`write_pvd`.
+    Arguments and errors are those of :func:`write_pvd`.
     """
     path = Path(path)
-    moving, still = _fields(times, fields), _still_fields(scene)
+    moving, constant = _moving_fields(times, fields), _constant_fields(scene)
     with atomic_paths(path) as (temporary,), h5py.File(temporary, "w") as file:
         root = file.create_group("VTKHDF")
         nx, ny = scene.grid.nodes
@@ -66,27 +69,27 @@ def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarra
         steps.attrs["NSteps"] = len(times)
         steps["Values"] = times.astype(float)
         offsets = steps.create_group("PointDataOffsets")
-        # Arrays are (time, y, x): the axis of a flat image's thickness is left out.
-        for name, field in (moving | {name: field[None] for name, field in still.items()}).items():
+        # Arrays are (time, y, x): the format leaves out the axis of a flat image's thickness.
+        for name, field in (moving | {name: field[None] for name, field in constant.items()}).items():
             points[name] = field
             points[name].attrs["units"] = _unit(name)
             offsets[name] = np.minimum(np.arange(len(times)), len(field) - 1)
-        # How the active array is told: to older readers, and from version 2.6 of the format on.
+        # The active array, for older readers and for those of version 2.6 of the format.
         active = next(iter(moving))
         points.attrs["Scalars"] = np.bytes_(active)
         points[active].attrs["Attribute"] = "Scalars"
     return [path]
 
 
-def _fields(times: np.ndarray, fields: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """(times, ny, nx) by name of the array."""
+def _moving_fields(times: np.ndarray, fields: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the (times, ny, nx) fields in single precision."""
     if not len(times):
         raise SceneError("holds no displacements; add record.times = [...] (seconds) to its scene and run it again")
     return {name: field.astype("<f4") for name, field in fields.items()}
 
 
-def _still_fields(scene: Scene) -> dict[str, np.ndarray]:
-    """(ny, nx) share of each node's cell that is covered, by name of the array."""
+def _constant_fields(scene: Scene) -> dict[str, np.ndarray]:
+    """Return the (ny, nx) covered fractions of each node's cell, by name."""
     areas = {str(index): actuator.area for index, actuator in enumerate(scene.actuators)}
     by_overlap = scene.model_copy(update={"grid": scene.grid.model_copy(update={"load": "overlap"})})
     weights = region_weights(by_overlap, areas)
@@ -115,7 +118,7 @@ def _pvd_lines(times: np.ndarray, parts: list[Path]) -> Iterator[str]:
 
 
 def _vti_lines(scene: Scene, time: float, fields: Mapping[str, np.ndarray]) -> Iterator[str]:
-    """Image data with its time; fields: float32 (ny, nx) by name, the first of them the active one."""
+    """Yield the lines of image data at a time; fields: float32 (ny, nx) by name, the first one active."""
     nx, ny = scene.grid.nodes
     extent = f"0 {nx - 1} 0 {ny - 1} 0 0"
     spacing = " ".join(map(repr, _spacing(scene)))
@@ -123,15 +126,10 @@ def _vti_lines(scene: Scene, time: float, fields: Mapping[str, np.ndarray]) -> I
     yield '<VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64">'
     yield f'<ImageData WholeExtent="{extent}" Origin="0 0 0" Spacing="{spacing}">'
     yield f'<FieldData><DataArray type="Float64" Name="TimeValue" NumberOfTuples="1">{time!r}</DataArray></FieldData>'
-    yield f'<Piece Extent="{extent}">'
-    yield f"<PointData Scalars={quoteattr(next(iter(fields)))}>"
+    yield f'<Piece Extent="{extent}"><PointData Scalars={quoteattr(next(iter(fields)))}>'
     for name, field in fields.items():
         data = field.tobytes()
         inline = base64.b64encode(len(data).to_bytes(8, "little") + data).decode()
         yield f'<DataArray type="Float32" Name={quoteattr(name)} format="binary">{inline}'
-        yield f'<InformationKey name="UNITS_LABEL" location="vtkDataArray">{_unit(name)}</InformationKey>'
-        yield "</DataArray>"
-    yield "</PointData>"
-    yield "</Piece>"
-    yield "</ImageData>"
-    yield "</VTKFile>\n"
+        yield f'<InformationKey name="UNITS_LABEL" location="vtkDataArray">{_unit(name)}</InformationKey></DataArray>'
+    yield "</PointData></Piece></ImageData></VTKFile>\n"

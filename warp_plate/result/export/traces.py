@@ -1,4 +1,4 @@
-"""Tables as CSV: one line of headings with units, then numbers."""
+"""Traces as CSV: a line of headings with units, then numbers."""
 
 from __future__ import annotations
 
@@ -12,17 +12,15 @@ from warp_plate.result.atomic_io import atomic_paths
 from warp_plate.result.model import Case, Result
 from warp_plate.scene.errors import SceneError
 
+# Number of rows that are composed at once.
 BLOCK = 2**16
 
 
 def write_traces(result: Result, cases: Mapping[str, Case], path: str | Path) -> list[Path]:
-    """Write the displacement [m] at the recorded points against time [s], a column for each case and point.
-
-    Returns:
-        The file written.
+    """Write the time [s], and the displacement [m] of each case at each recorded point; return the path.
 
     Raises:
-        SceneError: no traces in the result, or the file cannot be written.
+        SceneError: the result holds no traces, or the file cannot be written.
     """
     points = result.scene.record.points
     if not points or not result.trace_times.size:
@@ -38,7 +36,7 @@ def write_traces(result: Result, cases: Mapping[str, Case], path: str | Path) ->
 
 
 def write_table(path: Path, heading: list[str], blocks: Iterable[np.ndarray]) -> None:
-    """Write blocks of rows as UTF-8 with commas and points; the first column has 15 digits, the others have 9.
+    """Write blocks of rows as comma-separated UTF-8 text, the first column with 15 digits and the others with 9.
 
     Raises:
         SceneError: the file cannot be written.
