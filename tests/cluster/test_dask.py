@@ -1,0 +1,176 @@
+"""Plates on Dask's workers: the same bits, and the right answer when workers or their scheduler end."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from inline_pool import InlinePool
+from test_workers import ATTEMPTS, assert_same, assert_same_result, doubled, random_phasors, small_search
+
+from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, localize, resume
+from warp_plate.cluster import dask_pool
+from warp_plate.cluster.evaluator import BLOCK_NODE_STEPS, make_evaluator
+from warp_plate.cluster.pool import WorkersGone, open_pool
+from warp_plate.cluster.scheduler import Task, run_tasks
+
+pytest.importorskip("distributed")
+
+
+@pytest.fixture(scope="module")
+def lines():
+    """What was logged as the pool was opened."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def pool(lines):
+    """Two workers of this machine, started once for all tests here."""
+    with open_pool(None, "local:2", log=lines.append) as made:
+        yield made
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch):
+    """Blocks of the fewest plates."""
+    monkeypatch.setitem(BLOCK_NODE_STEPS, "cpu", 1.0)
+
+
+def process_number(seconds):
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def worker_processes(pool):
+    """The processes of both workers."""
+    found = set()
+    while len(found) < 2:
+        tasks = [Task(process_number, 0.05) for _ in range(8)]
+        found |= {outcome.value for _, outcome in run_tasks(pool, tasks)}
+    return sorted(found)
+
+
+def test_a_search_is_the_same_on_dask(pool, lines, scene):
+    made = small_search(scene)
+    result = localize(made, device="cpu", estimate=False, pool=pool)
+    assert_same_result(result, localize(made, device="cpu", estimate=False))
+    assert result.device.endswith("plates of the search on up to 2 Dask workers of local:2")
+    assert os.getpid() not in worker_processes(pool)
+    assert lines[0].startswith("dashboard of the workers: http://127.0.0.1:")
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="only Linux tells who listens where")
+def test_nothing_listens_but_to_this_machine(pool):
+    """Scheduler, workers, nannies and dashboards."""
+    sockets = set()
+    for process in (os.getpid(), *worker_processes(pool)):
+        links = [os.readlink(link) for link in Path(f"/proc/{process}/fd").iterdir() if link.is_symlink()]
+        sockets |= {link[len("socket:[") : -1] for link in links if link.startswith("socket:[")}
+    found = []
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for line in Path(table).read_text().splitlines()[1:]:
+            address, state, inode = (line.split()[index] for index in (1, 3, 9))
+            if state == "0A" and inode in sockets:  # it listens
+                found.append(address.partition(":")[0])
+    assert len(found) >= 4
+    assert set(found) == {f"{int.from_bytes(socket.inet_aton('127.0.0.1'), sys.byteorder):08X}"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+@pytest.mark.parametrize("kills", [1, pytest.param(9, marks=pytest.mark.slow)])
+def test_workers_killed_at_random_moments_change_nothing(kills, pool, scene, random):
+    made, phasors = scene((21, 21), damping=20.0, precision="float32"), random_phasors(random, 1500)
+    expected = PlateSolver(made, "cpu").run(phasors)
+    evaluator = make_evaluator(made, "cpu", pool=pool)
+    evaluator.run(phasors)
+    for _ in range(kills):
+        victim = int(random.choice(worker_processes(pool)))
+        killer = threading.Timer(random.uniform(0, 0.5), os.kill, (victim, signal.SIGKILL))
+        killer.start()
+        assert_same(evaluator.run(phasors), expected)
+        killer.join()
+    assert not evaluator.lost
+
+
+def end_worker(_):
+    os._exit(3)
+
+
+def lacks_a_module(_):
+    raise ModuleNotFoundError("No module named 'absent'", name="absent")
+
+
+@pytest.mark.slow
+def test_a_task_that_no_worker_survives(pool):
+    """The tasks that wait with it are not to blame."""
+    tasks = [Task(end_worker, 0, "end"), *(Task(doubled, value, value) for value in range(9))]
+    found = {task.key: outcome for task, outcome in run_tasks(pool, tasks)}
+    assert found.pop("end").failure == f"given up after {ATTEMPTS} attempts: its worker ended"
+    assert {value: outcome.value for value, outcome in found.items()} == {value: 2 * value for value in range(9)}
+
+
+def test_errors_on_workers_are_one_line(pool):
+    """A module that a worker lacks, at once; an error of the program, after it was tried again."""
+    found = {task.key: outcome for task, outcome in run_tasks(pool, [Task(doubled, at, at) for at in (16, 17)])}
+    line = "RuntimeError: CUDA error 700: an illegal memory access"
+    assert (found[16].value, found[17].failure) == (32, f"given up after {ATTEMPTS} attempts: {line}")
+    with pytest.raises(SceneError, match="a worker cannot import absent: install the same warp-plate on every worker"):
+        list(run_tasks(pool, [Task(lacks_a_module, 0)]))
+
+
+@pytest.mark.parametrize("text", ["x", '{"address": 7}', "[1]"])
+def test_a_file_that_no_scheduler_wrote_is_one_line(text, tmp_path):
+    file = tmp_path / "scheduler.json"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(SceneError, match=r"scheduler.json: has no address, so no"), open_pool(None, str(file)):
+        pass
+
+
+def test_no_scheduler_is_one_line(monkeypatch):
+    monkeypatch.setattr(dask_pool, "ANSWER_SECONDS", 0.5)
+    with socket.socket() as nobody:
+        nobody.bind(("127.0.0.1", 0))
+        where = f"tcp://127.0.0.1:{nobody.getsockname()[1]}"
+        with pytest.raises(SceneError, match=f"--cluster {where}: no scheduler answers there"), open_pool(None, where):
+            pass
+
+
+def start(*words):
+    """Start a program of Dask's, as ``dask scheduler`` and ``dask worker`` are."""
+    return subprocess.Popen([sys.executable, "-m", *words, "--host", "127.0.0.1"], stderr=subprocess.DEVNULL)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+def test_a_scheduler_that_goes_away_leaves_a_checkpoint(tmp_path, scene, monkeypatch):
+    """By the scheduler's file; the search goes on in this process, to the same result."""
+    monkeypatch.setattr(dask_pool, "JOIN_SECONDS", 5.0)
+    made, file = small_search(scene, iterations=400), tmp_path / "scheduler.json"
+    scheduler = start("distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file))
+    while not file.exists():
+        time.sleep(0.1)
+    worker = start("distributed.cli.dask_worker", "--nthreads", "1", "--no-dashboard", "--scheduler-file", str(file))
+    path = tmp_path / "panel.checkpoint.h5"
+
+    def after(done, total, best):
+        if done == 5:
+            scheduler.kill()
+
+    try:
+        checkpoints = CheckpointFile(path, np.inf)
+        with open_pool(None, str(file)) as there, pytest.raises(WorkersGone, match="the scheduler is gone"):
+            localize(made, device="cpu", estimate=False, pool=there, on_progress=after, checkpoints=checkpoints)
+    finally:
+        for process in (scheduler, worker):
+            process.kill()
+            process.wait()
+    begun = load_checkpoint(path)
+    assert 5 <= begun.iterations < 400
+    result = resume(begun, "cpu", estimate=False, pool=InlinePool())
+    assert_same_result(result, localize(made, device="cpu", estimate=False))
