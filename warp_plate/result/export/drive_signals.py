@@ -89,7 +89,7 @@ def make_drive_signal(
         SceneError: the drive does not repeat, is zero or above the full scale; or there are too few samples, less than
             a period, or more than a file holds.
     """
-    if (key := scene.not_periodic) is not None and key != "effects.moving_load":
+    if (key := scene.nonperiodic_key) is not None and key != "effects.moving_load":
         raise SceneError(f"{key}: only tones of drive.frequency are written, which this drive is not")
     frequency, largest, unit = scene.drive.frequency, float(case.magnitude.max()), scene.drive_unit
     full_scale = largest if full_scale is None else full_scale
