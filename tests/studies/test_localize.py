@@ -1,7 +1,8 @@
-"""The whole search on small scenes and on the paper's own."""
+"""The whole search on small scenes and on the paper's scene."""
 
 import numpy as np
 import pytest
+from conftest import scene_of
 from inline_pool import InlinePool
 from pydantic import ValidationError
 
@@ -9,52 +10,49 @@ from warp_plate import Scene, SceneError, localize
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.studies.simulate import simulate
 
-SMALL = {"search": {"particles": 8, "iterations": 12, "seed": 3}}
+SEARCH = {"particles": 8, "iterations": 12, "seed": 3}
 
 
-def same(one, other):
-    """Equal to the last bit in all that a search finds."""
-    return (
-        one.bound == other.bound
-        and one.evaluations == other.evaluations
-        and one.node_steps == other.node_steps
-        and all(
-            np.array_equal(one.history[name], other.history[name]) for name in ("best", "mean", "evaluations")
-        )
-        and all(np.array_equal(one.cases[name].phasors, other.cases[name].phasors) for name in one.cases)
-        and all(one.cases[name].energy == other.cases[name].energy for name in one.cases)
-        and all(
-            np.array_equal(one.cases[name].displacement, other.cases[name].displacement) for name in one.cases
-        )
-    )
+@pytest.fixture
+def panel():
+    return scene_of(damping=88.5, precision="float32", search=SEARCH)
+
+
+def assert_same_search(one, other):
+    """Check that two results have bit-identical searches and cases."""
+    assert (one.bound, one.evaluations, one.node_steps) == (other.bound, other.evaluations, other.node_steps)
+    for name in ("best", "mean", "evaluations"):
+        np.testing.assert_array_equal(one.history[name], other.history[name])
+    for name, case in one.cases.items():
+        assert case.energy == other.cases[name].energy
+        np.testing.assert_array_equal(case.phasors, other.cases[name].phasors)
+        np.testing.assert_array_equal(case.displacement, other.cases[name].displacement)
 
 
 @pytest.mark.parametrize("evaluator", ["direct", "response"])
-def test_what_a_search_leaves(device, path, evaluator, scene):
-    made = scene(
-        damping=88.5, precision="float32", record={"times": (0.005, 0.012), "points": ((0.1, 0.1),)}, **SMALL
+def test_contents_of_a_result(device, path, evaluator):
+    scene = scene_of(
+        damping=88.5, precision="float32", record={"times": (0.005, 0.012), "points": ((0.1, 0.1),)}, search=SEARCH
     )
-    told = []
-    result = localize(made, "mine", device, None, evaluator, path, lambda *news: told.append(news))
-    assert (result.command, result.source, result.scene, result.seed) == ("localize", "mine", made, 3)
+    progress, estimate = [], evaluator == "direct"
+    result = localize(
+        scene, "mine", device, None, evaluator, path, lambda *news: progress.append(news), estimate=estimate
+    )
+    assert (result.command, result.source, result.scene, result.seed) == ("localize", "mine", scene, 3)
     assert list(result.cases) == ["equal", "single", "best"]
     factors = {name: case.localization_factor for name, case in result.cases.items()}
-    # The swarm found it, or one of the two drives that it is compared with is better still; none passes the
-    # bound.
     assert max(factors.values()) <= result.bound + 1e-6
     assert factors["best"] == pytest.approx(result.history["best"][-1], abs=2e-6)
     np.testing.assert_array_equal(result.cases["equal"].phasors, [1, 1, 1])
     assert sorted(np.abs(result.cases["single"].phasors)) == [0, 0, 1]
     assert result.cases["best"].phasors[0] == 1
-    assert set(result.history) == {"evaluations", "best", "mean"}
     np.testing.assert_array_equal(result.history["evaluations"], 8 * np.arange(1, 13))
     assert np.all(np.diff(result.history["best"]) >= 0)
     assert np.all(result.history["mean"] <= result.history["best"] + 1e-12)
     assert result.evaluations == 96
-    assert [done for done, _, _ in told] == list(range(1, 13))
-    assert {whole for _, whole, _ in told} == {12}
-    np.testing.assert_array_equal([best for _, _, best in told], result.history["best"])
-    assert set(result.seconds) == {"compile", "solve", "estimate"}
+    assert progress == [(done, 12, result.history["best"][done - 1]) for done in range(1, 13)]
+    assert set(result.seconds) == {"compile", "solve", *(["estimate"] if estimate else [])}
+    assert ("estimate" in result.accuracy) == estimate
     assert result.effects == ("viscous damping (centred)",)
     assert (result.evaluator, result.interrupted) == (evaluator, False)
     for case in result.cases.values():
@@ -64,118 +62,97 @@ def test_what_a_search_leaves(device, path, evaluator, scene):
     assert set(result.versions) == {"warp_plate", "warp", "numpy", "python"}
 
 
-def test_node_steps_are_those_of_all_plates(scene):
-    """Nodes that move × steps × plates: 21 for the bound, 3 single ones, the swarm's, 3 for the pictures."""
-    made = scene(**SMALL)
-    plate = simulate(made, device="cpu").node_steps
-    assert plate == 11 * 11 * make_scheme(made).steps
-    plates, rest = divmod(localize(made, device="cpu").node_steps, plate)
-    assert rest == 0
-    assert plates == 21 + 3 + 96 + 3
+def test_node_steps_count_all_plates():
+    """Moving nodes × steps × plates: 21 for the bound, 3 single actuators, the swarm, and 3 cases."""
+    scene = scene_of(search=SEARCH)
+    plate = simulate(scene, device="cpu", estimate=False).node_steps
+    assert plate == 11 * 11 * make_scheme(scene).steps
+    assert localize(scene, device="cpu", estimate=False).node_steps == plate * (21 + 3 + 96 + 3)
 
 
-@pytest.mark.parametrize("evaluator", ["direct", "response"])
-def test_same_seed_same_bits(device, path, evaluator, scene):
-    made = scene(precision="float32", damping=88.5, **SMALL)
-    first, again, other = (localize(made, "", device, seed, evaluator, path) for seed in (5, 5, 6))
-    assert same(first, again)
-    assert not same(first, other)
-    assert localize(made, "", device, None, evaluator, path).seed == 3
+def test_the_seed_determines_every_bit(device, path, panel):
+    first, again, other = (localize(panel, "", device, seed, path=path, estimate=False) for seed in (5, 5, 6))
+    assert_same_search(first, again)
+    assert not np.array_equal(first.history["best"], other.history["best"])
 
 
-def test_both_evaluators_walk_the_same_way(scene):
-    """Losses that differ in the twelfth digit lead the swarm the same way, to as many digits as its moves
-    keep."""
-    made = scene(damping=88.5, **SMALL)
-    direct, response = (localize(made, device="cpu", evaluator=name) for name in ("direct", "response"))
+def test_both_evaluators_find_the_same():
+    scene = scene_of(damping=88.5, search=SEARCH)
+    names = ("direct", "response")
+    direct, response = (localize(scene, device="cpu", evaluator=name, estimate=False) for name in names)
     np.testing.assert_allclose(direct.history["best"], response.history["best"], rtol=1e-9)
     np.testing.assert_allclose(direct.cases["best"].phasors, response.cases["best"].phasors, rtol=1e-6)
 
 
 @pytest.mark.parametrize("preset", ["paper", pytest.param("paper-supported", marks=pytest.mark.slow)])
-def test_the_paper_s_search_comes_near_the_bound(preset):
-    """The best drive lies within 0.002 of the bound for at least 9 of 10 seeds, with the preset's own
-    settings."""
+def test_the_paper_s_search_comes_close_to_the_bound(preset):
+    """Within 0.002 of the bound for at least 9 of 10 seeds, and for the preset's seed by simulated plates too."""
     scene = Scene.load(preset)
-    results = [localize(scene, preset, "cpu", seed, "response") for seed in range(10)]
+    results = [localize(scene, preset, "cpu", seed, "response", estimate=False) for seed in range(10)]
     gaps = np.array([result.bound - result.cases["best"].localization_factor for result in results])
     assert np.all(gaps > -1e-5)
     assert np.count_nonzero(gaps < 0.002) >= 9
     assert {result.evaluations for result in results} == {1600}
-    shares = {name: results[0].cases[name].localization_factor for name in ("equal", "single")}
-    assert shares["equal"] == pytest.approx(0.25, abs=1e-5)
-    assert shares["single"] == pytest.approx(0.6367, abs=0.0005)
+    assert results[0].cases["equal"].localization_factor == pytest.approx(0.25, abs=1e-5)
+    assert results[0].cases["single"].localization_factor == pytest.approx(0.6367, abs=0.0005)
+    direct = localize(scene, preset, "cpu", estimate=False)
+    assert direct.evaluator == "direct"
+    assert direct.bound - direct.cases["best"].localization_factor < 0.002
 
 
-def test_the_paper_s_search_by_plates():
-    """The same with a plate for each particle, which is what the command does: one seed here."""
-    result = localize(Scene.load("paper"), "paper", "cpu")
-    assert result.bound - result.cases["best"].localization_factor < 0.002
-    assert result.evaluator == "direct"
-    steps, moving = 1250, 25 * 25
-    assert result.node_steps >= 1600 * steps * moving
+@pytest.mark.parametrize(("evaluator", "words"), [("direct", "plates of the search on"), ("response", "unused")])
+def test_the_device_of_a_result_names_its_workers(evaluator, words):
+    scene = scene_of(nodes=(9, 9), window=(0.002, 0.004), search={"particles": 3, "iterations": 2})
+    result = localize(scene, device="cpu", evaluator=evaluator, estimate=False, pool=InlinePool())
+    assert words in result.device
 
 
-@pytest.mark.parametrize("evaluator", ["direct", "response"])
-def test_workers_that_have_nothing_to_do_are_named_so(evaluator, scene):
-    made = scene(nodes=(9, 9), window=(0.002, 0.004), search={"particles": 3, "iterations": 2})
-    result = localize(made, device="cpu", evaluator=evaluator, estimate=False, pool=InlinePool())
-    assert ("plates of the search on this process" in result.device) == (evaluator == "direct")
-    assert ("unused" in result.device) == (evaluator == "response")
-
-
-def test_ctrl_c_keeps_the_best_so_far(device, path, scene):
-    made = scene(precision="float32", damping=88.5, **SMALL)
-
+def test_ctrl_c_keeps_the_best_so_far(device, path, panel):
     def stop(done, total, best):
         if done == 5:
             raise KeyboardInterrupt
 
-    result = localize(made, "", device, on_progress=stop, path=path)
-    whole = localize(made, "", device, path=path)
+    result = localize(panel, "", device, on_progress=stop, path=path, estimate=False)
+    full = localize(panel, "", device, path=path, estimate=False)
     assert result.interrupted
     assert result.evaluations == 40
-    np.testing.assert_array_equal(result.history["best"], whole.history["best"][:5])
+    np.testing.assert_array_equal(result.history["best"], full.history["best"][:5])
     assert result.cases["best"].localization_factor == pytest.approx(result.history["best"][-1], abs=2e-6)
-    assert result.bound == whole.bound
+    assert result.bound == full.bound
 
 
-def test_one_actuator_leaves_nothing_to_search(scene):
-    made = scene(actuators=[(0.03, 0.06, 0.04, 0.07)], damping=88.5, **SMALL)
-    result = localize(made, device="cpu")
+def test_one_actuator_leaves_nothing_to_search():
+    scene = scene_of(actuators=[(0.03, 0.06, 0.04, 0.07)], damping=88.5, search=SEARCH)
+    result = localize(scene, device="cpu", estimate=False)
     assert result.evaluations == 0
     assert len({case.localization_factor for case in result.cases.values()}) == 1
     assert result.cases["best"].localization_factor <= result.bound + 1e-12
 
 
-@pytest.mark.parametrize("changes", [{"seed": -1}, {"seed": 2**70}])
-def test_seeds_that_cannot_be_kept_are_refused(changes, scene):
+@pytest.mark.parametrize("seed", [-1, 2**63])
+def test_seeds_beyond_63_bits_are_refused(seed):
     with pytest.raises(SceneError, match="seed"):
-        localize(scene(**SMALL), device="cpu", **changes)
+        localize(scene_of(search=SEARCH), device="cpu", seed=seed)
 
 
 @pytest.mark.parametrize("search", [{"inertia": 1e9}, {"velocity_limit": 1e200}, {"social": 1e300}])
-def test_settings_that_the_swarm_refuses_are_scene_errors(search, scene):
-    """The scene's limits are the swarm's: refused on reading, or by the search as a fault of the scene."""
+def test_settings_that_the_swarm_refuses_are_scene_errors(search):
     with pytest.raises((SceneError, ValidationError), match=next(iter(search))):
-        localize(scene(search=search), device="cpu")
+        localize(scene_of(search=search), device="cpu")
 
 
-def test_simulate_drives(scene):
-    """The word "scene" takes the file's magnitudes and phases; equal and single are the search's reference
-    drives."""
-    made = scene(damping=88.5, precision="float32", **SMALL)
-    found = localize(made, device="cpu")
+def test_drives_of_simulate(panel):
+    """"scene" takes the file's magnitudes and phases; "equal" and "single" are the references of a search."""
+    found = localize(panel, device="cpu", estimate=False)
     for drive in ("equal", "single"):
-        run = simulate(made, "mine", drive, "cpu")
+        run = simulate(panel, "mine", drive, "cpu", estimate=False)
         assert run.cases["drive"].energy == found.cases[drive].energy
     actuators = tuple(
         actuator.model_copy(update={"magnitude": magnitude, "phase": phase})
-        for actuator, magnitude, phase in zip(made.actuators, (1.0, -0.5, 2.0), (0.0, 1.0, -2.0), strict=True)
+        for actuator, magnitude, phase in zip(panel.actuators, (1.0, -0.5, 2.0), (0.0, 1.0, -2.0), strict=True)
     )
-    written = simulate(made.model_copy(update={"actuators": actuators}), "mine", device="cpu")
-    np.testing.assert_allclose(
-        written.cases["drive"].phasors, [1, -0.5 * np.exp(-1j), 2 * np.exp(2j)], rtol=1e-14
-    )
+    written = simulate(panel.model_copy(update={"actuators": actuators}), "mine", device="cpu", estimate=False)
+    expected = [1, -0.5 * np.exp(-1j), 2 * np.exp(2j)]
+    np.testing.assert_allclose(written.cases["drive"].phasors, expected, rtol=1e-14)
     assert written.bound is None
     assert not written.history
