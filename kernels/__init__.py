@@ -1,6 +1,10 @@
-"""Warp code and nothing else: the stencil, the equation of motion, and the paths that step it through time.
+"""Warp kernels: the stencils, the time update, and the paths that step batches of plates through time.
 
-Every path keeps one batched grid tensor per quantity, indexed [plate, row, column]. Column i is node i along x;
-row j + 1 is node j along y: one row of zeros lies below and above the plate, and at least two columns of zeros
-to its right, so that a stencil may read past every edge. All numbers are scaled (see ``update``).
+Start with ``streaming``: it is the whole method in its plainest form, two launches a step and a thread a node. The
+other paths compute the same numbers faster. Each gathers the spatial operator by itself; ``update`` is the time update
+that all of them call, and the tests compare every path with the NumPy plates of ``warp_plate.reference``.
+
+Fields are batched tensors indexed [plate, row, column]. Column i is node i along x; row j + 1 is node j along y: one
+row of zeros lies below and above the plate, and rows are padded with zeros to ``stride`` columns, so that a stencil may
+read past every edge. All numbers are scaled, see ``update``. ``real`` is wp.float32 or wp.float64 throughout.
 """

@@ -1,6 +1,6 @@
-"""The primitives that the CUDA paths need and Warp's Python has no word for, each one line of CUDA.
+"""CUDA primitives that Warp's Python lacks, and the limits of a multiprocessor.
 
-They are for CUDA: on CPU, where a block has one thread, ``barrier`` and ``anew`` do nothing and the others are missing.
+On CPU, where a block has one thread, ``barrier`` and ``opaque`` do nothing and the others are not available.
 """
 
 from functools import cache
@@ -9,29 +9,33 @@ import warp as wp
 
 _FROM_LANE = "\nreturn __shfl_sync(0xffffffffu, value, lane);\n"
 _BARRIER = "\n#if defined(__CUDA_ARCH__)\n__syncthreads();\n#endif\n"
-_ANEW = """
+_OPAQUE = """
 #if defined(__CUDA_ARCH__)
 asm volatile("" : "+r"(value));
 __builtin_assume(value >= 0);
 #endif
 return value;
 """
+# Private to Warp (as of 1.19): the array in which its generated code places tiles in shared memory.
 _SHARED_MEMORY = "\nextern __shared__ char dynamic_smem_base[]; return (wp::uint64)dynamic_smem_base;\n"
 
+# Threads of a warp.
 LANES = 32
-# Of one multiprocessor of sm_90: its quarters, which share out the warps among them, the registers of each quarter, the
-# most that a thread can hold, and bytes of shared memory a block can take.
-QUARTERS, REGISTERS, THREAD_REGISTERS, SHARED_BYTES = 4, 16384, 255, 224 * 1024
+# Limits of a multiprocessor of sm_90. Its warps are distributed over four quarters, each with its own registers.
+QUARTERS = 4
+QUARTER_REGISTERS = 16384
+THREAD_REGISTERS = 255
+SHARED_BYTES = 224 * 1024
 
 
 def most_registers(warps):
-    """Registers that a thread can have where so many warps share a multiprocessor; the fullest quarter decides."""
-    return min(THREAD_REGISTERS, REGISTERS // (LANES * -(-warps // QUARTERS)) // 8 * 8)
+    """Return the registers available to a thread where so many warps share a multiprocessor, by its fullest quarter."""
+    return min(THREAD_REGISTERS, QUARTER_REGISTERS // (LANES * -(-warps // QUARTERS)) // 8 * 8)
 
 
 @cache
 def make_from_lane(real):
-    """The value that ``lane`` of the same warp passes in; all 32 lanes must call together."""
+    """Make ``from_lane``: the value that ``lane`` of the same warp passes in. All 32 lanes must call it together."""
 
     @wp.func_native(_FROM_LANE)
     def from_lane(value: real, lane: int) -> real: ...
@@ -39,22 +43,34 @@ def make_from_lane(real):
     return from_lane
 
 
+@cache
+def make_thread_part(real, length):
+    """Make ``thread_part``: ``length`` numbers of a field from a byte offset on."""
+
+    @wp.func
+    def thread_part(field: wp.array3d[real], offset: wp.uint64):
+        return wp.array(ptr=field.ptr + offset, shape=(wp.static(length),), dtype=real)
+
+    return thread_part
+
+
 @wp.func_native(_BARRIER)
 def barrier():
-    """Waits for all threads of the block; orders their accesses to shared memory."""
+    """Wait for all threads of the block and order their accesses to shared memory."""
     ...
 
 
 @wp.func_native(_SHARED_MEMORY)
 def shared_memory() -> wp.uint64:
-    """Address of the block's shared memory; its size is that of the tiles that the kernel takes."""
+    """Return the address of the block's shared memory, which is as large as the tiles that the kernel allocates."""
     ...
 
 
-@wp.func_native(_ANEW)
-def anew(value: int) -> int:
-    """A value of at least zero, of which the compiler knows nothing more: it works out what follows where it stands.
+@wp.func_native(_OPAQUE)
+def opaque(value: int) -> int:
+    """Return a number ≥ 0 about which the compiler can assume nothing else.
 
-    Else all that a loop makes of numbers from before it is made before it, in more registers than there are.
+    Keeps what is computed from it inside the loop where it is used; hoisted out of the loop, it would take more
+    registers than there are.
     """
     ...

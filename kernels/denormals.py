@@ -1,13 +1,12 @@
-"""Numbers next to zero, flushed to it while a kernel runs on an x86 CPU, which takes a hundred times as long for them.
+"""Flushing of denormal numbers to zero while a kernel runs on an x86 CPU, where they are a hundred times slower.
 
-A wave runs out from its actuator with a front that fades faster than any power: beyond it a plate at rest passes
-through numbers too small for a full mantissa, below 1e-38 of one in float32 and 1e-308 in float64. They change nothing
-that is seen. Other processors are as fast with them.
+Ahead of a wave front the displacement of a plate at rest fades faster than any power, through numbers below 1e-38
+(float32) or 1e-308 (float64). They are too small to matter. Other processors handle them at full speed.
 """
 
 import warp as wp
 
-# MXCSR: flush results to zero (bit 15), take denormal operands as zero (bit 6).
+# MXCSR register: flush results to zero (bit 15), read denormal operands as zero (bit 6).
 _FLUSH = """
 #if defined(__x86_64__) && !defined(__CUDA_ARCH__)
 unsigned int before = __builtin_ia32_stmxcsr();
@@ -26,11 +25,11 @@ __builtin_ia32_ldmxcsr((unsigned int)before);
 
 @wp.func_native(_FLUSH)
 def flush_denormals() -> int:
-    """From here on the calling thread's tiny numbers are zeros; returns what ``restore_denormals`` takes."""
+    """Flush denormals of the calling thread from here on; return the previous mode for ``restore_denormals``."""
     ...
 
 
 @wp.func_native(_RESTORE)
 def restore_denormals(before: int):
-    """Back to how it was."""
+    """Restore the mode that ``flush_denormals`` returned."""
     ...

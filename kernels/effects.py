@@ -1,19 +1,26 @@
-"""The compile key: what the kernels are specialised for."""
+"""The compile key: what kernels are specialised for."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Effects:
-    """One compiled kernel a value of this; a field that is off leaves no arithmetic behind.
+    """Physics compiled into a kernel; what is off leaves no arithmetic behind.
 
-    damping: the rate decays by ``Parameters.decay`` a step.
-    square_cells: equal spacing along x and y, which saves an operation in each Laplacian of second order.
-    order: of the differences in space, 2 or 4.
+    All but the first three fields belong to the moment form, see ``moment_form``.
 
-    The rest is for the general paths alone (see ``general``). terms: of the load in time (see ``load``); moments:
-    bending varies over the plate, or an edge is free or elastic; material_damping, tension, foundation (elastic edges
-    too), stretching, oscillators, moving_load.
+    Attributes:
+        damping: The rate decays at each step.
+        square_cells: Spacings along x and y are equal, which saves an operation in each second-order Laplacian.
+        order: Order of the differences in space, 2 or 4.
+        terms: Terms of the load in time, see ``load``.
+        moments: Bending stiffness varies over the plate, or an edge is free or elastic.
+        material_damping: Stress follows the strain rate too (Kelvin–Voigt).
+        tension: Constant membrane tension.
+        foundation: Elastic bed or elastic edges.
+        stretching: Tension that grows with the deflection (Berger).
+        oscillators: Masses on springs.
+        moving_load: A load that travels over the plate.
     """
 
     damping: bool = False
@@ -30,5 +37,5 @@ class Effects:
 
     @property
     def plain(self) -> bool:
-        """Whether the paths of the uniform plate with clamped and supported edges can take it."""
+        """True for a uniform plate with clamped or supported edges, which needs no moment form."""
         return self == Effects(self.damping, self.square_cells, self.order)

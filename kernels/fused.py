@@ -1,6 +1,7 @@
-"""The fused multiply-add by name, where it must not be left to the compiler whether a sum is rounded once or twice.
+"""The fused multiply-add by name, for sums that must round alike wherever they are compiled.
 
-Two loops over the same nodes may be compiled differently; a plate's numbers must not depend on which of them walks it.
+The compiler may fuse a·b + c in one of two loops over the same nodes and not in the other; a plate's numbers must not
+depend on which of them it takes.
 """
 
 from functools import cache
@@ -15,7 +16,7 @@ _FUSED = {
 
 @cache
 def make_fused(real):
-    """a·b + c, rounded once."""
+    """Make ``fused``: a·b + c, rounded once."""
 
     @wp.func_native(_FUSED[real])
     def fused(a: real, b: real, c: real) -> real: ...

@@ -1,6 +1,6 @@
-"""What the arithmetic of a device can do at most: independent chains of fused multiply-adds, kept in registers.
+"""Peak arithmetic of a device: independent chains of fused multiply-adds in registers.
 
-No part of the simulation: ``warp-plate bench`` measures with it the limit that it holds the other kernels against.
+Not part of the simulation: ``warp-plate bench`` measures with it the limit that the other kernels are compared to.
 """
 
 from functools import cache
@@ -10,11 +10,11 @@ import warp as wp
 
 @cache
 def make_multiply_adds(real, block, depth, rounds, compiler_flags):
-    """x ← factor·x + addend, passes · rounds · depth times for each number; launch over the rows of ``numbers``.
+    """Make the kernel that applies x ← factor·x + addend to each number, passes · rounds · depth times.
 
-    numbers: (rows, block); depth: multiply-adds written out one after another, so that the loops around them count for
-    little. Each must wait for the one before it, and other chains fill that time: on CPU those of the same block, which
-    LLVM turns into vectors where rounds = 1; on CUDA those of other threads, with block = 1 and many rounds.
+    Launch over the rows of ``numbers``. ``depth`` multiply-adds are written out one after another, so that loop
+    overhead is small. Each waits for the previous one, and other chains fill that time: on CPU those of the same block,
+    which LLVM vectorises where rounds = 1; on CUDA those of other threads, with block = 1 and many rounds.
     """
 
     @wp.kernel(
@@ -22,10 +22,17 @@ def make_multiply_adds(real, block, depth, rounds, compiler_flags):
         enable_backward=False,
         module_options={"cpu_compiler_flags": compiler_flags, "max_unroll": depth},
     )
-    def multiply_adds(factor: real, addend: real, passes: int, numbers: wp.array2d[real]):
+    def multiply_add(
+        # parameters
+        factor: real,
+        addend: real,
+        passes: int,
+        # outputs
+        numbers: wp.array2d[real],  # (rows, block)
+    ):
         offset = wp.uint64(wp.tid()) * wp.uint64(wp.static(block * wp.types.type_size_in_bytes(real)))
         chains = wp.array(ptr=numbers.ptr + offset, shape=(wp.static(block),), dtype=real)
-        for _again in range(passes):
+        for _pass in range(passes):
             for i in range(wp.static(block)):
                 x = chains[i]
                 for _round in range(wp.static(rounds)):
@@ -33,4 +40,4 @@ def make_multiply_adds(real, block, depth, rounds, compiler_flags):
                         x = factor * x + addend
                 chains[i] = x
 
-    return multiply_adds
+    return multiply_add

@@ -1,10 +1,9 @@
-"""Loads: the actuators' pressures become a few fields a plate, so that a step costs the same for any number of them.
+"""Loads: actuator pressures as a few fields per plate, so that a step costs the same for any number of actuators.
 
-    load(n) = Σ_t wave[n, t]·loads[t, plate]   with   loads[t, plate] = Σ_k coefficient[plate, t, k]·patch_k
+    load(n) = Σ_t wave[n, t]·loads[t, plate],   loads[t, plate] = Σ_k coefficients[plate, t, k]·patch_k
 
-One tone has two terms, cos ωt and sin ωt, with the coefficients Re Z and −Im Z. Where actuators are elsewhere on each
-plate, their patches are made here too, of weights along x and along y, which are those of ``plate/weights.py``. A load
-that moves has no such field; it is the product of a strength and of shares along y and x, new at each step.
+One tone has two terms, cos ωt and sin ωt, with the coefficients Re Z and −Im Z. Where each plate has actuators in
+places of its own, their patches are computed here, as products of weights along x and y (see ``plate/weights.py``).
 """
 
 from functools import cache
@@ -13,67 +12,64 @@ import warp as wp
 
 
 @cache
-def make_spread_drives(real):
-    """Writes the load fields at the nodes that some actuator covers; all others hold zero already.
+def make_write_loads(real):
+    """Make the kernel that writes the load fields; launch over (plates, terms, covered nodes).
 
-    coefficients: (plates, terms, actuators); support: (covered nodes, 2), row and column; patches: (actuators, covered
-    nodes); loads: (terms, plates, rows, columns). Launch over (plates, terms, covered nodes).
+    Nodes that no actuator covers are not written; they hold zero.
     """
 
     @wp.kernel(module="unique", enable_backward=False)
-    def spread_drives(
-        coefficients: wp.array3d[real],
-        support: wp.array2d[int],
-        patches: wp.array2d[real],
-        loads: wp.array4d[real],
+    def write_loads(
+        # inputs
+        coefficients: wp.array3d[real],  # (plates, terms, actuators)
+        covered: wp.array2d[int],  # (covered nodes, 2) row, column
+        patches: wp.array2d[real],  # (actuators, covered nodes)
+        # outputs
+        loads: wp.array4d[real],  # (terms, plates, rows, columns)
     ):
         plate, term, node = wp.tid()
         total = real(0.0)
         for actuator in range(patches.shape[0]):
             total += patches[actuator, node] * coefficients[plate, term, actuator]
-        loads[term, plate, support[node, 0], support[node, 1]] = total
+        loads[term, plate, covered[node, 0], covered[node, 1]] = total
 
-    return spread_drives
+    return write_loads
 
 
 @cache
-def make_spread_moved_drives(real):
-    """The same where each plate has its own patches, as ``weigh_along`` weighs them.
-
-    along_x: (plates, actuators, nx), along_y: (plates, actuators, ny); share: (covered nodes,) what a pressure of one
-    on the whole of a node's cell is worth there.
-    """
+def make_write_placed_loads(real):
+    """Make the kernel that does the same where each plate has patches in places of its own."""
 
     @wp.kernel(module="unique", enable_backward=False)
-    def spread_moved_drives(
-        coefficients: wp.array3d[real],
-        support: wp.array2d[int],
-        share: wp.array[wp.float64],
-        along_x: wp.array3d[wp.float64],
-        along_y: wp.array3d[wp.float64],
-        loads: wp.array4d[real],
+    def write_placed_loads(
+        # inputs
+        coefficients: wp.array3d[real],  # (plates, terms, actuators)
+        covered: wp.array2d[int],  # (nodes that may be covered, 2) row, column
+        share: wp.array[wp.float64],  # (nodes that may be covered,) load of a unit pressure on the node's whole cell
+        along_x: wp.array3d[wp.float64],  # (plates, actuators, nx)
+        along_y: wp.array3d[wp.float64],  # (plates, actuators, ny)
+        # outputs
+        loads: wp.array4d[real],  # (terms, plates, rows, columns)
     ):
         plate, term, node = wp.tid()
-        row = support[node, 0]
-        column = support[node, 1]
+        row = covered[node, 0]
+        column = covered[node, 1]
         total = real(0.0)
         for actuator in range(along_x.shape[1]):
-            # One row of zeros lies below the plate.
+            # A row of zeros lies below the plate.
             weight = along_y[plate, actuator, row - 1] * along_x[plate, actuator, column] * share[node]
             total += real(weight) * coefficients[plate, term, actuator]
         loads[term, plate, row, column] = total
 
-    return spread_moved_drives
+    return write_placed_loads
 
 
 @cache
-def make_weigh_along(by_moments):
-    """Weights of nodes along one axis for the span of each actuator on each plate; launch over (plates, actuators).
+def make_weigh_spans(by_moments):
+    """Make the kernel that weighs nodes along an axis for the span of each actuator; launch over (plates, actuators).
 
-    By overlap, the covered part of each node's cell; ``by_moments``, the integral over the span of the node's Lagrange
-    polynomial through four nodes. edges: (plates, actuators, 4) x0, x1, y0, y1 [m], of which the span is from ``first``
-    on; positions: (nodes,) [m]; weights: (plates, actuators, nodes). to_weights: turns the moments 1, x, x², x³ about
-    the middle of four nodes, in spacings, into their weights.
+    By overlap, a weight is the covered part of the node's cell; ``by_moments``, the integral over the span of the
+    node's Lagrange polynomial through four nodes.
     """
 
     @wp.func
@@ -85,23 +81,25 @@ def make_weigh_along(by_moments):
 
     @wp.func
     def moments_between(start: wp.float64, stop: wp.float64):
-        """∫ (1, x, x², x³) dx."""
-        made = wp.vec4d()
+        """Return ∫ (1, x, x², x³) dx."""
+        moments = wp.vec4d()
         low = wp.float64(1.0)
         high = wp.float64(1.0)
         for power in range(4):
             low *= start
             high *= stop
-            made[power] = (high - low) / wp.float64(power + 1)
-        return made
+            moments[power] = (high - low) / wp.float64(power + 1)
+        return moments
 
     @wp.kernel(module="unique", enable_backward=False)
-    def weigh_along(
-        edges: wp.array3d[wp.float64],
-        first: int,
-        positions: wp.array[wp.float64],
-        to_weights: wp.mat44d,
-        weights: wp.array3d[wp.float64],
+    def weigh_spans(
+        # inputs
+        edges: wp.array3d[wp.float64],  # (plates, actuators, 4) x0, x1, y0, y1 [m]
+        first: int,  # the span is edges[..., first : first + 2]
+        positions: wp.array[wp.float64],  # (nodes,) [m]
+        to_weights: wp.mat44d,  # from moments about the middle of four nodes, in spacings, to their weights
+        # outputs
+        weights: wp.array3d[wp.float64],  # (plates, actuators, nodes)
     ):
         plate, actuator = wp.tid()
         low = edges[plate, actuator, first]
@@ -115,27 +113,16 @@ def make_weigh_along(by_moments):
             for node in range(nodes):
                 weights[plate, actuator, node] = wp.float64(0.0)
             for interval in range(int(begin), wp.min(int(wp.ceil(end)), nodes - 1)):
-                # The four nodes whose cubic stands for this interval.
+                # First of the four nodes whose cubic is integrated over this interval.
                 node = wp.min(wp.max(interval - 1, 0), nodes - 4)
                 middle = wp.float64(node) + wp.float64(1.5)
                 left = wp.clamp(begin, wp.float64(interval), wp.float64(interval + 1)) - middle
                 right = wp.clamp(end, wp.float64(interval), wp.float64(interval + 1)) - middle
-                four = to_weights * moments_between(left, right)
+                cubic_weights = to_weights * moments_between(left, right)
                 for place in range(4):
-                    weights[plate, actuator, node + place] += four[place]
+                    weights[plate, actuator, node + place] += cubic_weights[place]
         else:
             for node in range(nodes):
                 weights[plate, actuator, node] = overlap(positions, low, high, node)
 
-    return weigh_along
-
-
-@cache
-def make_moving_load(real):
-    """What a load that moves presses with at a node: its strength times the node's shares along y and x."""
-
-    @wp.func
-    def moving_load(strength: real, along_y: real, along_x: real):
-        return strength * along_y * along_x
-
-    return moving_load
+    return weigh_spans

@@ -1,88 +1,80 @@
-"""The general plate on CUDA: all steps in one launch, a block a plate, over flat ranges of nodes.
+"""Moment form, resident path on CUDA: all steps in one launch, a block per plate, over flat ranges of nodes.
 
-The same equations as ``general``, which see. Node i of the plate, row after row, belongs to thread i modulo the
-threads. Planes that neighbours read (u, mx, my, mxy) lie in the block's shared memory where they fit, else in memory;
-what a node alone reads and writes (rate, its sum of rate², its rigidities) is held in the thread's registers, as much
-of it as they take. A node on an edge puts one neighbour in the other's place by a selection, which costs less than to
-read a factor. Threads with no node left have one of zeros beyond the plate, so that no pass asks.
+The equations of ``moment_form``. Node i of the plate, counted row after row, belongs to thread i modulo the threads.
+Planes that neighbours read (u, mx, my, mxy) are in the block's shared memory where they fit, else in device memory;
+what a node alone reads and writes (rate, its sum of rate², its rigidities) is in the thread's registers, as far as they
+reach. A node on an edge selects its inner neighbour twice, which costs less than reading a factor. Threads with no node
+left have one of zeros beyond the plate, so that no pass needs a bounds check.
 """
 
 from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.cuda import LANES, anew, barrier, make_from_lane, shared_memory
+from warp_plate.kernels.cuda import LANES, barrier, make_from_lane, opaque, shared_memory
 from warp_plate.kernels.fused import make_fused
-from warp_plate.kernels.load import make_moving_load
-from warp_plate.kernels.moment_form import make_hang, make_moment, make_other_forces, make_structs
-from warp_plate.kernels.moment_form_edges import BITS, BOTTOM, LEFT, LOADED, RIGHT, TOP, WORD, make_edges
-from warp_plate.kernels.moment_form_plan import SHARED, layout, used
+from warp_plate.kernels.moment_form import make_add_local_forces, make_moment, make_oscillator_force, make_structs
+from warp_plate.kernels.moment_form_edges import (
+    BOTTOM,
+    FLAG_BITS,
+    LEFT,
+    LOADED,
+    NODES_PER_WORD,
+    RIGHT,
+    TOP,
+    make_edges,
+)
+from warp_plate.kernels.moment_form_plan import MATERIAL_PLANES, material_planes, workspace_layout
 from warp_plate.kernels.update import make_parameters, make_update
 
 
 @cache
-def make_run(effects, real, nx, ny, stride, hanging, blocks):
-    """Steps ``start`` ... ``stop`` − 1; launch over (plates × threads,) with blocks of ``blocks.threads`` threads.
-
-    shared_planes: (planes that are ``used``, threads × nodes), holds: (hanging, threads × nodes) shares of the
-    oscillators' patches, both with zeros beyond the plate; room: (plates, ``layout``'s end) where it is not shared
-    memory; wave: (plates, steps, terms); loads: (terms, plates, rows, stride); u, rate, squares: (plates, rows,
-    stride); hung: (plates, hanging, 2) place and pace of the masses; nodes: (traced nodes, 2), row of the plate and
-    column; trace: (plates, traced nodes, steps).
-    """
-    update, other_forces = make_update(effects, real), make_other_forces(effects, real)
-    moment, hang, moving_load = make_moment(effects, real), make_hang(real), make_moving_load(real)
+def make_run_steps(effects, real, nx, ny, stride, oscillators, block):
+    """Make the kernel that runs steps ``start`` … ``stop`` − 1; launch over (plates × threads,) in blocks of
+    ``block.threads``."""
+    update, add_local_forces = make_update(effects, real), make_add_local_forces(effects, real)
+    moment, oscillator_force = make_moment(effects, real), make_oscillator_force(real)
     from_lane, Material, Parameters = make_from_lane(real), make_structs(real)[0], make_parameters(real)
-    edges_of, across, cells_of = make_edges(real, nx, ny)
+    edge_flags, sum_of_neighbours, twist_factor = make_edges(real, nx, ny)
     fused, size = make_fused(real), wp.types.type_size_in_bytes(real)
-    threads, mine, held, shared = blocks.threads, blocks.nodes, blocks.held, used(effects)
-    count, padded, warps = nx * ny, threads * mine, -(-threads // LANES)
-    state_size, words, sums = ny * stride, -(-mine // WORD), effects.stretching or effects.oscillators
-    place = layout(nx, hanging, blocks)
-    u_at, mx_at, my_at, mxy_at = (place[name] for name in ("u", "mx", "my", "mxy"))
-    bent_at, pull_at = place.get("strained", u_at), place.get("pull", 0)
-    slots, results, room_size = place["slots"], place["results"], place["end"]
+    threads, nodes_per_thread, held, shared = block.threads, block.nodes, block.in_registers, material_planes(effects)
+    count, padded, warps = nx * ny, threads * nodes_per_thread, -(-threads // LANES)
+    state_size, words = ny * stride, -(-nodes_per_thread // NODES_PER_WORD)
+    has_sums = effects.stretching or effects.oscillators
+    offsets = workspace_layout(nx, oscillators, block)
+    u_at, mx_at, my_at, mxy_at = (offsets[name] for name in ("u", "mx", "my", "mxy"))
+    retarded_at, curvature_at = offsets.get("retarded_u", u_at), offsets.get("membrane_curvature", 0)
+    partial_sums, totals, workspace_size = offsets["partial_sums"], offsets["totals"], offsets["end"]
     row = {name: index for index, name in enumerate(held)}
-    u_row, rate_row, squares_row, middle_row, pull_row = (
-        row.get(name, 0) for name in ("u", "rate", "squares", "middle", "pull")
+    u_row, rate_row, squares_row, own_force_row, curvature_row = (
+        row.get(name, 0) for name in ("u", "rate", "squares", "own_force", "membrane_curvature")
     )
     first_shared = min((row[name] for name in held if name in shared), default=0)
     held_shared = sum(name in shared for name in held)
-    Held = wp.types.matrix(shape=(max(1, len(held)), mine if held else 1), dtype=real)
+    Held = wp.types.matrix(shape=(max(1, len(held)), nodes_per_thread if held else 1), dtype=real)
 
-    def make_own(name):
-        """Reads a shared plane at a node, from registers where it is held."""
-        if name in held:
+    def make_read(name, first):
+        """Make a function that reads a plane at node i, from registers where it is held there, else from values[first
+        + i]."""
 
-            @wp.func
-            def own(h: Held, planes: wp.array[real], m: int, i: int):
-                return h[wp.static(row[name]), m]
-        else:
+        @wp.func
+        def read_register(h: Held, values: wp.array[real], m: int, i: int):
+            return h[wp.static(row.get(name, 0)), m]
 
-            @wp.func
-            def own(h: Held, planes: wp.array[real], m: int, i: int):
-                return planes[i + wp.static(shared.index(name) * padded if name in shared else 0)]
+        @wp.func
+        def read_memory(h: Held, values: wp.array[real], m: int, i: int):
+            return values[i + first]
 
-        return own
+        return read_register if name in held else read_memory
 
-    def make_number(name, first):
-        """Reads a number of the node's own, from registers where it is held, else from the block's room."""
-        if name in held:
+    def make_read_material(name):
+        return make_read(name, shared.index(name) * padded if name in shared else 0)
 
-            @wp.func
-            def number(h: Held, x: wp.array[real], m: int, i: int):
-                return h[wp.static(row[name]), m]
-        else:
-
-            @wp.func
-            def number(h: Held, x: wp.array[real], m: int, i: int):
-                return x[i + first]
-
-        return number
-
-    here_of, pull_of = make_number("u", u_at), make_number("pull", pull_at)
-    mobility_of, bend_xx_of, bend_xy_of, bend_yy_of, twist_of = map(make_own, SHARED[:5])
-    decay_of, spring_of, weight_of, press_of = map(make_own, SHARED[5:])
+    read_u, read_curvature = make_read("u", u_at), make_read("membrane_curvature", curvature_at)
+    read_inverse_mass, read_bend_xx, read_bend_xy, read_bend_yy, read_twist = map(
+        make_read_material, MATERIAL_PLANES[:5]
+    )
+    read_decay, read_spring, read_weight, read_pressure_gain = map(make_read_material, MATERIAL_PLANES[5:])
 
     @wp.func
     def sum_of_warp(value: real, lane: int):
@@ -93,260 +85,271 @@ def make_run(effects, real, nx, ny, stride, hanging, blocks):
         return total
 
     @wp.func
-    def state_at(i: int):
-        """Where the state has a node; one beyond the plate stands for the last."""
+    def state_index(i: int):
+        """Return the index of a node in the plate's part of the state; nodes beyond the plate stand for the last."""
         node = wp.min(i, wp.static(count - 1))
         return node + node // nx * wp.static(stride - nx)
 
     @wp.func
-    def part_of(field: wp.uint64, at: int):
-        """A plate's part of a field of the state, at a node."""
-        return wp.array(ptr=field, shape=(state_size,), dtype=real)[at]
+    def state_array(address: wp.uint64):
+        return wp.array(ptr=address, shape=(state_size,), dtype=real)
 
     @wp.func
-    def middle_of(mx: real, my: real, mxy: real, cells: real, aspect: real):
-        """Share in the force on a node of its own moments and of the cell to its upper right."""
-        return fused(cells, mxy, real(-2.0) * mx) - real(2.0) * aspect * my
+    def load_value(address: wp.uint64, at: int):
+        return state_array(address)[at]
 
     @wp.func
-    def finish_sum(p: Material, x: wp.array[real], units: wp.array[real], hung: wp.array3d[real], k: int, which: int):
-        """From the warps' sums an oscillator's push, and its mass half a step and a step later; or the tension."""
-        first = slots + 2 * which * warps
+    def own_force(mx: real, my: real, mxy: real, factor: real, aspect: real):
+        """Return the share of the force on a node by its own moments and the cell to its upper right."""
+        return fused(factor, mxy, real(-2.0) * mx) - real(2.0) * aspect * my
+
+    @wp.func
+    def finish_sum(
+        p: Material, x: wp.array[real], units: wp.array[real], state: wp.array3d[real], k: int, which: int
+    ):
+        """From the warps' sums compute an oscillator's force and its state after the step, or the tension."""
+        first = partial_sums + 2 * which * warps
         total = real(0.0)
         for w in range(warps):
             total += x[first + w]
-        if which < hanging:
-            speed = real(0.0)
+        if which < oscillators:
+            total_rate = real(0.0)
             for w in range(warps):
-                speed += x[first + warps + w]
-            push, hung_place, pace = hang(hung[k, which, 0], hung[k, which, 1], total, speed, p.oscillators, which)
-            hung[k, which, 0] = hung_place
-            hung[k, which, 1] = pace
-            x[results + which] = push
+                total_rate += x[first + warps + w]
+            force, mass_u, mass_rate = oscillator_force(
+                state[k, which, 0], state[k, which, 1], total, total_rate, p.oscillators, which
+            )
+            state[k, which, 0] = mass_u
+            state[k, which, 1] = mass_rate
+            x[totals + which] = force
         else:
-            x[results + which] = p.stretching * units[k] * units[k] * total
+            x[totals + which] = p.stretching * units[k] * units[k] * total
 
     @wp.kernel(
         module="unique",
         enable_backward=False,
         grid_stride=False,
-        cuda_max_registers=blocks.registers,
-        module_options={"max_unroll": max(5, mine if held else 1)},
+        cuda_max_registers=block.registers,
+        module_options={"max_unroll": max(5, nodes_per_thread if held else 1)},
     )
-    def run(
+    def run_steps(
+        # parameters
         p: Material,
-        shared_planes: wp.array2d[real],
-        holds: wp.array2d[real],
-        window: wp.vec2i,
+        shared_planes: wp.array2d[real],  # (material planes, threads × nodes), zero beyond the plate
+        oscillator_shares: wp.array2d[real],  # (oscillators, threads × nodes), zero beyond the plate
+        window: wp.vec2i,  # first and last + 1 of the steps whose rate² is summed
         start: int,
         stop: int,
-        wave: wp.array3d[real],
-        units: wp.array[real],
-        moving: wp.array[real],
-        nodes: wp.array2d[int],
-        loads: wp.array4d[real],
-        room: wp.array2d[real],
-        u: wp.array3d[real],
+        wave: wp.array3d[real],  # (plates, steps, terms)
+        units: wp.array[real],  # (plates,) unit of displacement [m]
+        moving: wp.array[real],  # (plates,) size of the moving load
+        nodes: wp.array2d[int],  # (traced nodes, 2) row of the plate, column
+        # inputs
+        loads: wp.array4d[real],  # (terms, plates, rows, stride)
+        # outputs
+        workspace: wp.array2d[real],  # (plates, size by ``workspace_layout``) where it is not shared memory
+        u: wp.array3d[real],  # (plates, rows, stride), as the next two
         rate: wp.array3d[real],
         squares: wp.array3d[real],
-        hung: wp.array3d[real],
-        trace: wp.array3d[real],
+        oscillator_state: wp.array3d[real],  # (plates, oscillators, 2) displacement and rate of the masses
+        trace: wp.array3d[real],  # (plates, traced nodes, steps)
     ):
         k = wp.tid() // threads
         thread = wp.tid() % threads
         lane = thread % LANES
         warp = thread // LANES
-        if wp.static(blocks.on_chip):
-            reserved = wp.tile_empty(shape=(room_size,), dtype=real, storage="shared")
-            own_room = shared_memory()
+        if wp.static(block.on_chip):
+            reserved = wp.tile_empty(shape=(workspace_size,), dtype=real, storage="shared")
+            x_address = shared_memory()
         else:
-            own_room = room.ptr + wp.uint64(k) * wp.uint64(wp.static(room_size * size))
-        x = wp.array(ptr=own_room, shape=(room_size,), dtype=real)
-        # In memory, though registers would do: else what follows from them is carried from pass to pass, in more.
-        kinds = wp.array(
-            ptr=own_room + wp.uint64(wp.static(place["kinds"] * size)), shape=(wp.static(words * threads),), dtype=int
+            x_address = workspace.ptr + wp.uint64(k) * wp.uint64(wp.static(workspace_size * size))
+        x = wp.array(ptr=x_address, shape=(workspace_size,), dtype=real)
+        # In memory even where registers would do: values derived from them would be carried from pass to pass.
+        flag_words = wp.array(
+            ptr=x_address + wp.uint64(wp.static(offsets["flags"] * size)),
+            shape=(wp.static(words * threads),),
+            dtype=int,
         )
         planes = wp.array(ptr=shared_planes.ptr, shape=(wp.static(len(shared) * padded),), dtype=real)
-        offset = (wp.uint64(k) * wp.uint64(wp.static(ny + 2)) + wp.uint64(1)) * wp.uint64(wp.static(stride * size))
-        own_u = wp.array(ptr=u.ptr + offset, shape=(state_size,), dtype=real)
-        own_rate = wp.array(ptr=rate.ptr + offset, shape=(state_size,), dtype=real)
-        own_squares = wp.array(ptr=squares.ptr + offset, shape=(state_size,), dtype=real)
+        plane = (wp.uint64(k) * wp.uint64(wp.static(ny + 2)) + wp.uint64(1)) * wp.uint64(wp.static(stride * size))
+        plate_u = state_array(u.ptr + plane)
+        plate_rate = state_array(rate.ptr + plane)
+        plate_squares = state_array(squares.ptr + plane)
         term = wp.uint64(loads.shape[1]) * wp.uint64(wp.static((ny + 2) * stride * size))
 
-        # Numbers left from before would spread as NaN through factors of zero.
-        for i in range(thread, room_size, threads):
+        # Clear what was left in memory: it may be NaN, which a factor of zero does not remove.
+        for i in range(thread, workspace_size, threads):
             x[i] = real(0.0)
         barrier()
         h = Held()
-        for m in range(mine):
+        for m in range(nodes_per_thread):
             i = thread + m * threads
             for q in range(held_shared):
                 h[first_shared + q, m] = planes[i + q * padded]
             if i < count:
-                at = state_at(i)
-                here = own_u[at]
+                at = state_index(i)
+                here = plate_u[at]
                 x[i + u_at] = here
                 if wp.static("u" in held):
                     h[u_row, m] = here
                 if wp.static("rate" in held):
-                    h[rate_row, m] = own_rate[at]
+                    h[rate_row, m] = plate_rate[at]
                 if wp.static("squares" in held):
-                    h[squares_row, m] = own_squares[at]
+                    h[squares_row, m] = plate_squares[at]
                 if wp.static(effects.material_damping):
-                    x[i + bent_at] = here + p.retardation * own_rate[at]
-                kind = edges_of(i)
+                    x[i + retarded_at] = here + p.retardation * plate_rate[at]
+                flags = edge_flags(i)
                 for t in range(wp.static(effects.terms)):
-                    if part_of(loads.ptr + offset + wp.uint64(t) * term, at) != real(0.0):
-                        kind = kind | LOADED
-                kinds_of = m // WORD * threads + thread
-                kinds[kinds_of] = kinds[kinds_of] | (kind << (BITS * (m % WORD)))
+                    if load_value(loads.ptr + plane + wp.uint64(t) * term, at) != real(0.0):
+                        flags = flags | LOADED
+                word_at = m // NODES_PER_WORD * threads + thread
+                flag_words[word_at] = flag_words[word_at] | (flags << (FLAG_BITS * (m % NODES_PER_WORD)))
         barrier()
 
         for n in range(start, stop):
-            own = anew(thread)
+            first = opaque(thread)
             word = int(0)
             stretched = real(0.0)
-            for m in range(mine):
-                i = own + m * threads
-                if m % WORD == 0:
-                    word = kinds[m // WORD * threads + own]
-                kind = word >> (BITS * (m % WORD))
-                at = i + bent_at
-                here = here_of(h, x, m, i)
+            for m in range(nodes_per_thread):
+                i = first + m * threads
+                if m % NODES_PER_WORD == 0:
+                    word = flag_words[m // NODES_PER_WORD * threads + first]
+                flags = word >> (FLAG_BITS * (m % NODES_PER_WORD))
+                at = i + retarded_at
+                here = read_u(h, x, m, i)
                 c = here
                 if wp.static(effects.material_damping):
                     c = x[at]
                 e = x[at + 1]
                 up = x[at + nx]
-                curved_x = across(x, at, LEFT, RIGHT, kind, 1) - real(2.0) * c
-                curved_y = p.aspect * (across(x, at, BOTTOM, TOP, kind, nx) - real(2.0) * c)
-                bend_xy = bend_xy_of(h, planes, m, i)
-                mx = moment(bend_xx_of(h, planes, m, i), curved_x, bend_xy, curved_y, p.tension_x, here)
-                my = moment(bend_yy_of(h, planes, m, i), curved_y, bend_xy, curved_x, p.tension_y, here)
-                mxy = twist_of(h, planes, m, i) * (p.root_aspect * ((x[at + wp.static(nx + 1)] - e) - (up - c)))
+                along_x = sum_of_neighbours(x, at, LEFT, RIGHT, flags, 1) - real(2.0) * c
+                along_y = p.aspect * (sum_of_neighbours(x, at, BOTTOM, TOP, flags, nx) - real(2.0) * c)
+                bend_xy = read_bend_xy(h, planes, m, i)
+                mx = moment(read_bend_xx(h, planes, m, i), along_x, bend_xy, along_y, p.tension_x, here)
+                my = moment(read_bend_yy(h, planes, m, i), along_y, bend_xy, along_x, p.tension_y, here)
+                mxy = read_twist(h, planes, m, i) * (p.root_aspect * ((x[at + wp.static(nx + 1)] - e) - (up - c)))
                 x[i + mx_at] = mx
                 x[i + my_at] = my
                 x[i + mxy_at] = mxy
-                if wp.static("middle" in held):
-                    cells = cells_of(kind, p.root_aspect)
-                    h[middle_row, m] = middle_of(mx, my, mxy, cells, p.aspect)
+                if wp.static("own_force" in held):
+                    factor = twist_factor(flags, p.root_aspect)
+                    h[own_force_row, m] = own_force(mx, my, mxy, factor, p.aspect)
                 if wp.static(effects.stretching):
-                    pull = across(x, i + u_at, LEFT, RIGHT, kind, 1) - real(2.0) * here
-                    pull_y = across(x, i + u_at, BOTTOM, TOP, kind, nx) - real(2.0) * here
-                    pull = fused(p.aspect * p.stretch_ratio, pull_y, pull)
-                    if wp.static("pull" in held):
-                        h[pull_row, m] = pull
+                    u_xx = sum_of_neighbours(x, i + u_at, LEFT, RIGHT, flags, 1) - real(2.0) * here
+                    u_yy = sum_of_neighbours(x, i + u_at, BOTTOM, TOP, flags, nx) - real(2.0) * here
+                    curvature = fused(p.aspect * p.stretch_ratio, u_yy, u_xx)
+                    if wp.static("membrane_curvature" in held):
+                        h[curvature_row, m] = curvature
                     else:
-                        x[i + pull_at] = pull
-                    stretched -= weight_of(h, planes, m, i) * here * pull
+                        x[i + curvature_at] = curvature
+                    stretched -= read_weight(h, planes, m, i) * here * curvature
             if wp.static(effects.stretching):
                 stretched = sum_of_warp(stretched, lane)
                 if lane == 0:
-                    x[wp.static(slots + 2 * hanging * warps) + warp] = stretched
+                    x[wp.static(partial_sums + 2 * oscillators * warps) + warp] = stretched
             if wp.static(effects.oscillators):
-                for o in range(hanging):
-                    under = real(0.0)
-                    speed = real(0.0)
-                    for m in range(mine):
+                for o in range(oscillators):
+                    patch_u = real(0.0)
+                    patch_rate = real(0.0)
+                    for m in range(nodes_per_thread):
                         i = thread + m * threads
-                        hold = holds[o, i]
-                        if hold != real(0.0):
-                            under += hold * x[i + u_at]
+                        share = oscillator_shares[o, i]
+                        if share != real(0.0):
+                            patch_u += share * x[i + u_at]
                             if wp.static("rate" in held):
-                                speed += hold * h[rate_row, m]
+                                patch_rate += share * h[rate_row, m]
                             else:
-                                speed += hold * own_rate[state_at(i)]
-                    under = sum_of_warp(under, lane)
-                    speed = sum_of_warp(speed, lane)
+                                patch_rate += share * plate_rate[state_index(i)]
+                    patch_u = sum_of_warp(patch_u, lane)
+                    patch_rate = sum_of_warp(patch_rate, lane)
                     if lane == 0:
-                        x[slots + 2 * o * warps + warp] = under
-                        x[wp.static(slots + warps) + 2 * o * warps + warp] = speed
+                        x[partial_sums + 2 * o * warps + warp] = patch_u
+                        x[wp.static(partial_sums + warps) + 2 * o * warps + warp] = patch_rate
             barrier()
-            if wp.static(sums):
+            if wp.static(has_sums):
                 # A thread for each oscillator, and one for the stretching.
-                for which in range(thread, wp.static(hanging + int(effects.stretching)), threads):
-                    finish_sum(p, x, units, hung, k, which)
+                for which in range(thread, wp.static(oscillators + int(effects.stretching)), threads):
+                    finish_sum(p, x, units, oscillator_state, k, which)
                 barrier()
 
             summed = n >= window[0] and n < window[1]
-            tension = x[wp.static(results + hanging)]
-            own = anew(thread)
+            tension = x[wp.static(totals + oscillators)]
+            first = opaque(thread)
             word = int(0)
-            for m in range(mine):
-                i = own + m * threads
-                if m % WORD == 0:
-                    word = kinds[m // WORD * threads + own]
-                kind = word >> (BITS * (m % WORD))
-                cells = cells_of(kind, p.root_aspect)
+            for m in range(nodes_per_thread):
+                i = first + m * threads
+                if m % NODES_PER_WORD == 0:
+                    word = flag_words[m // NODES_PER_WORD * threads + first]
+                flags = word >> (FLAG_BITS * (m % NODES_PER_WORD))
+                factor = twist_factor(flags, p.root_aspect)
                 bending = real(0.0)
-                if wp.static("middle" in held):
-                    bending = h[middle_row, m]
+                if wp.static("own_force" in held):
+                    bending = h[own_force_row, m]
                 else:
-                    bending = middle_of(x[i + mx_at], x[i + my_at], x[i + mxy_at], cells, p.aspect)
-                bending += across(x, i + mx_at, LEFT, RIGHT, kind, 1)
-                bending += p.aspect * across(x, i + my_at, BOTTOM, TOP, kind, nx)
-                bending += cells * ((x[i + mxy_at - nx - 1] - x[i + mxy_at - 1]) - x[i + mxy_at - nx])
+                    bending = own_force(x[i + mx_at], x[i + my_at], x[i + mxy_at], factor, p.aspect)
+                bending += sum_of_neighbours(x, i + mx_at, LEFT, RIGHT, flags, 1)
+                bending += p.aspect * sum_of_neighbours(x, i + my_at, BOTTOM, TOP, flags, nx)
+                bending += factor * ((x[i + mxy_at - nx - 1] - x[i + mxy_at - 1]) - x[i + mxy_at - nx])
 
-                here = here_of(h, x, m, i)
+                here = read_u(h, x, m, i)
                 before = real(0.0)
                 if wp.static("rate" in held):  # noqa: SIM108, one of the two is compiled
                     before = h[rate_row, m]
                 else:
-                    before = own_rate[state_at(i)]
+                    before = plate_rate[state_index(i)]
                 load = real(0.0)
-                if (kind & LOADED) != 0:
+                if (flags & LOADED) != 0:
                     for t in range(wp.static(effects.terms)):
-                        load += wave[k, n, t] * part_of(loads.ptr + offset + wp.uint64(t) * term, state_at(i))
-                mobility = mobility_of(h, planes, m, i)
+                        load += wave[k, n, t] * load_value(loads.ptr + plane + wp.uint64(t) * term, state_index(i))
+                inverse_mass = read_inverse_mass(h, planes, m, i)
                 spring = real(0.0)
-                pull = real(0.0)
+                curvature = real(0.0)
                 if wp.static(effects.foundation):
-                    spring = spring_of(h, planes, m, i)
+                    spring = read_spring(h, planes, m, i)
                 if wp.static(effects.stretching):
-                    pull = pull_of(h, x, m, i)
-                load = other_forces(load, mobility, spring, here, tension, pull)
+                    curvature = read_curvature(h, x, m, i)
+                load = add_local_forces(load, inverse_mass, spring, here, tension, curvature)
                 if wp.static(effects.oscillators or effects.moving_load):
-                    pressed = real(0.0)
+                    pressure = real(0.0)
                     if wp.static(effects.moving_load):
                         line = i // nx
                         if line < wp.static(ny):
                             column = i - line * nx
-                            size_now = moving[k] * p.strength[n]
-                            pressed = moving_load(size_now, p.along_y[n, line], p.along_x[n, column])
+                            pressure = moving[k] * p.strength[n] * p.along_y[n, line] * p.along_x[n, column]
                     if wp.static(effects.oscillators):
-                        for o in range(hanging):
-                            pressed += holds[o, i] * x[results + o]
-                    load += press_of(h, planes, m, i) * pressed
+                        for o in range(oscillators):
+                            pressure += oscillator_shares[o, i] * x[totals + o]
+                    load += read_pressure_gain(h, planes, m, i) * pressure
                 parameters = Parameters()
                 if wp.static(effects.damping):
-                    parameters.decay = decay_of(h, planes, m, i)
-                new = update(before, bending, load, mobility, parameters)
+                    parameters.decay = read_decay(h, planes, m, i)
+                new = update(before, bending, load, inverse_mass, parameters)
                 if wp.static("u" in held):
                     h[u_row, m] = here + new
                 x[i + u_at] = here + new
                 if wp.static(effects.material_damping):
-                    x[i + bent_at] = (here + new) + p.retardation * new
+                    x[i + retarded_at] = (here + new) + p.retardation * new
                 if wp.static("rate" in held):
                     h[rate_row, m] = new
                 elif i < count:
-                    own_rate[state_at(i)] = new
+                    plate_rate[state_index(i)] = new
                 if summed:
                     if wp.static("squares" in held):
                         h[squares_row, m] = h[squares_row, m] + new * new
                     elif i < count:
-                        own_squares[state_at(i)] = own_squares[state_at(i)] + new * new
+                        plate_squares[state_index(i)] = plate_squares[state_index(i)] + new * new
             barrier()
             for traced in range(thread, nodes.shape[0], threads):
                 trace[k, traced, n] = x[u_at + nodes[traced, 0] * nx + nodes[traced, 1]]
 
-        for m in range(mine):
+        for m in range(nodes_per_thread):
             i = thread + m * threads
             if i < count:
-                at = state_at(i)
-                own_u[at] = x[i + u_at]
+                at = state_index(i)
+                plate_u[at] = x[i + u_at]
                 if wp.static("rate" in held):
-                    own_rate[at] = h[rate_row, m]
+                    plate_rate[at] = h[rate_row, m]
                 if wp.static("squares" in held):
-                    own_squares[at] = h[squares_row, m]
+                    plate_squares[at] = h[squares_row, m]
 
-    return run
+    return run_steps

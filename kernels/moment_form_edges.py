@@ -1,21 +1,22 @@
-"""Mirror images beyond an edge, for kernels that know of each node by a few bits on which edges it lies."""
+"""Mirror images beyond an edge, for kernels that store in a few bits of each node on which edges it lies."""
 
 from functools import cache
 
 import warp as wp
 
-# Bits of a node's kind, how many there are, and how many kinds fit in a word of 32 bits.
+# Bits of a node's flags; LOADED: some load field is not zero there.
 LEFT, RIGHT, BOTTOM, TOP, LOADED = 1, 2, 4, 8, 16
-BITS, WORD = 5, 6
+# Bits of a node, and nodes in a word of 32 bits.
+FLAG_BITS, NODES_PER_WORD = 5, 6
 
 
 @cache
 def make_edges(real, nx, ny):
-    """edges_of(node, counted row after row), across(two neighbours of a node), cells_of(factor of its twists)."""
+    """Make edge_flags, sum_of_neighbours and twist_factor for plates of nx × ny nodes."""
 
     @wp.func
-    def edges_of(i: int):
-        """LEFT ... TOP of a node."""
+    def edge_flags(i: int):
+        """Return the edges, LEFT … TOP, on which node i lies; nodes are counted row after row."""
         line = i // nx
         column = i - line * nx
         edges = int(0)
@@ -30,26 +31,28 @@ def make_edges(real, nx, ny):
         return edges
 
     @wp.func
-    def across(x: wp.array[real], at: int, low: int, high: int, kind: int, step: int):
-        """The sum of a node's neighbours, ``step`` before and after it; on an edge, ``low`` or ``high`` in its kind, of
-        the inner one and its mirror image. (A selection: a factor would have to be read, and 0 · NaN is NaN.)"""
+    def sum_of_neighbours(x: wp.array[real], at: int, low: int, high: int, flags: int, step: int):
+        """Add the neighbours ``step`` before and after a node; on the edge ``low`` or ``high``, twice the inner one.
+
+        By selection: a factor would have to be read, and 0 · NaN is NaN.
+        """
         before = x[at - step]
         after = x[at + step]
         mirrored = after
-        if (kind & high) != 0:
+        if (flags & high) != 0:
             mirrored = before
-        if (kind & low) != 0:
+        if (flags & low) != 0:
             before = after
         return before + mirrored
 
     @wp.func
-    def cells_of(kind: int, root_aspect: real):
-        """Factor of the twists around a node: on an edge, half its cells are mirror images."""
-        cells = root_aspect
-        if (kind & (LEFT | RIGHT)) != 0:
-            cells = real(2.0) * cells
-        if (kind & (BOTTOM | TOP)) != 0:
-            cells = real(2.0) * cells
-        return cells
+    def twist_factor(flags: int, root_aspect: real):
+        """Return the factor of the twists around a node: on an edge, half its cells are mirror images."""
+        factor = root_aspect
+        if (flags & (LEFT | RIGHT)) != 0:
+            factor = real(2.0) * factor
+        if (flags & (BOTTOM | TOP)) != 0:
+            factor = real(2.0) * factor
+        return factor
 
-    return edges_of, across, cells_of
+    return edge_flags, sum_of_neighbours, twist_factor

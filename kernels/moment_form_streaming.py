@@ -1,30 +1,33 @@
-"""The streaming path of ``general``: a launch for each pass of a step, on every device."""
+"""Moment form, streaming path: a launch for each pass of a step, on every device."""
 
 from functools import cache
 
 import warp as wp
 
 from warp_plate.kernels.moment_form import (
-    make_bend_node,
+    make_compute_moments,
     make_finish_sum,
-    make_move_node,
     make_structs,
     make_sum_row,
+    make_update_node,
 )
 
 
 @cache
 def make_passes(effects, real):
-    """Kernels bend over (plates, ny, nx), sum_rows (plates, sums, ny), finish_sums (plates, sums), move (plates, ny,
-    nx); the step that ``move`` takes is clock[0] + offset."""
+    """Make the kernels of a step, in order.
+
+    Launch compute_moments over (plates, ny, nx), sum_rows over (plates, sums, ny), finish_sums over (plates, sums),
+    update_nodes over (plates, ny, nx).
+    """
     Material, Fields = make_structs(real)
-    bend_node, move_node = make_bend_node(effects, real), make_move_node(effects, real)
+    compute_node, update_node = make_compute_moments(effects, real), make_update_node(effects, real)
     sum_row, finish_sum = make_sum_row(effects, real), make_finish_sum(effects, real)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def bend(f: Fields, m: Material):
+    def compute_moments(f: Fields, m: Material):
         k, j, i = wp.tid()
-        bend_node(f, m, k, j, i)
+        compute_node(f, m, k, j, i)
 
     @wp.kernel(module="unique", enable_backward=False)
     def sum_rows(f: Fields, m: Material):
@@ -37,8 +40,14 @@ def make_passes(effects, real):
         finish_sum(f, m, k, which)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def move(f: Fields, m: Material, window: wp.vec2i, clock: wp.array[int], offset: int):
+    def update_nodes(
+        f: Fields,
+        m: Material,
+        window: wp.vec2i,  # first and last + 1 of the steps whose rate² is summed
+        clock: wp.array[int],  # (1,)
+        offset: int,  # the step is clock[0] + offset
+    ):
         k, j, i = wp.tid()
-        move_node(f, m, window, clock[0] + offset, k, j, i)
+        update_node(f, m, window, clock[0] + offset, k, j, i)
 
-    return bend, sum_rows, finish_sums, move
+    return compute_moments, sum_rows, finish_sums, update_nodes

@@ -1,14 +1,12 @@
 """The two passes of a step on CPU, over flat ranges of memory.
 
-LLVM turns a loop into vector instructions only where it sees plain memory and a fixed count. So each pass walks one
-flat range of nodes of compile-time length, through sub-arrays made from pointers; padding takes part and stays zero,
-because its stiffness is zero. Before each range LLVM's code makes sure that nothing overlaps, so that short ranges
-are dear.
+LLVM vectorises a loop only over plain memory with a fixed count. So each pass walks one flat range of nodes of
+compile-time length, through arrays made from addresses; padding takes part and stays zero, because its stiffness is
+zero. Before each range LLVM's code checks that no arrays overlap, which makes short ranges expensive.
 
-The first pass takes the curvature of every node from u, the second the rate and u in place from the curvature. In
-place is safe: the second pass reads u at no node but its own. Along x, the first pass of second order reads a factor
-on the curvature for each node, and both passes of fourth order five lines of taps; along y, each range has the aspect
-or five taps for all its nodes.
+The first pass computes the curvature of every node from u, the second the rate and u in place from the curvature;
+it reads u at no other node. Along x, the first pass of second order reads a factor on each node's curvature, and both
+passes of fourth order read five lines of taps. Along y, all nodes of a range share the aspect or five taps.
 """
 
 from functools import cache
@@ -16,180 +14,147 @@ from functools import cache
 import warp as wp
 
 from warp_plate.kernels.fused import make_fused
-from warp_plate.kernels.stencil import make_laplacian, make_weighed
+from warp_plate.kernels.stencil import make_laplacian, make_weighted_sum
 from warp_plate.kernels.update import make_parameters, make_update
 
 
 def taps_along_y(order):
-    """How many numbers a range has for its neighbours along y: the aspect, or the taps of fourth order."""
+    """Return how many numbers a range has for its neighbours along y: the aspect, or the taps of fourth order."""
     return 1 if order == 2 else 5
 
 
 @cache
-def make_passes(effects, real, row, beside, curved, moved, held, line=0):
-    """The two passes as functions of addresses, each of which walks one flat range: bend, move, move_unloaded.
+def make_passes(effects, real, row, node, curvature_count, update_count, masked, tap_line=0):
+    """Make the passes compute_curvature, update_loaded and update_unloaded, functions of addresses.
 
-    The third is the second for nodes without load.
-
-    row: numbers a row; beside: numbers from a node to its neighbour along x; curved, moved: lengths of the ranges;
-    held: whether some nodes of the second range are held, as their stiffness says; else all have the same stiffness;
-    line: numbers from a node's tap along x to its next one.
+    Args:
+        effects, real: Compile key and precision.
+        row, node: Numbers from a node to its neighbour along y and along x.
+        curvature_count, update_count: Lengths of the ranges of the first and the second pass.
+        masked: Each node has its own stiffness, zero where it is held (else: all share ``Parameters.stiffness``).
+        tap_line: Numbers from a node's tap along x to its next one.
     """
     order, reach = effects.order, effects.order // 2
     laplacian = make_laplacian(effects.square_cells, real)
-    weighed = make_weighed(real)
+    weighted_sum = make_weighted_sum(real)
     update = make_update(effects, real)
     fused = make_fused(real)
+    size = wp.types.type_size_in_bytes(real)
     Parameters = make_parameters(real)
-    wave_of = wp.types.vector(length=2, dtype=real)
-    taps_of = wp.types.vector(length=5, dtype=real)
-    rows_of = wp.types.vector(length=taps_along_y(order), dtype=real)
-    places_of = wp.types.vector(length=2 * reach + 1, dtype=wp.uint64)
-    longest = curved + 4 * max(row, line)
+    Wave = wp.types.vector(length=2, dtype=real)
+    Taps = wp.types.vector(length=5, dtype=real)
+    RowTaps = wp.types.vector(length=taps_along_y(order), dtype=real)
+    Rows = wp.types.vector(length=2 * reach + 1, dtype=wp.uint64)
+    length = curvature_count + 4 * max(row, tap_line)
 
     @wp.func
-    def numbers(address: wp.uint64):
-        return wp.array(ptr=address, shape=(wp.static(longest),), dtype=real)
+    def array_at(address: wp.uint64):
+        return wp.array(ptr=address, shape=(wp.static(length),), dtype=real)
 
     @wp.func
-    def along_x(total: real, columns: wp.array[real], nodes: wp.array[real], i: int):
-        """Of fourth order: a sum, and to it the node's five taps, a line for each, times the nodes from i on."""
-        taps = taps_of()
+    def add_along_x(total: real, columns: wp.array[real], field: wp.array[real], i: int):
+        """Add to a sum the five taps of node i times the nodes around it, the first of which is field[i]."""
+        taps = Taps()
         for tap in range(5):
-            taps[tap] = columns[i + tap * wp.static(line)]
-        return weighed(
-            total,
-            taps,
-            nodes[i],
-            nodes[i + wp.static(beside)],
-            nodes[i + wp.static(2 * beside)],
-            nodes[i + wp.static(3 * beside)],
-            nodes[i + wp.static(4 * beside)],
+            taps[tap] = columns[i + tap * wp.static(tap_line)]
+        return weighted_sum(
+            total, taps, field[i], field[i + wp.static(node)], field[i + wp.static(2 * node)],
+            field[i + wp.static(3 * node)], field[i + wp.static(4 * node)],
         )
 
     @wp.func
-    def bend_second(u_low: wp.uint64, u_here: wp.uint64, columns: wp.uint64, rows: rows_of, curvatures: wp.uint64):
-        """Curvature from u. u_low: address of the node a row below the range's first; columns: factors."""
-        # One window, with neighbours at fixed distances in it: the fewer pointers, the fewer overlaps LLVM checks.
-        u = numbers(u_low)
-        factor = numbers(columns)
-        curvature = numbers(curvatures)
-        for i in range(wp.static(curved)):
+    def compute_curvature_second(
+        u_low: wp.uint64, u_here: wp.uint64, columns: wp.uint64, rows: RowTaps, curvature_at: wp.uint64
+    ):
+        """``u_low``: a row below the range; ``columns``: factors on the curvature."""
+        # One array with neighbours at fixed distances: the fewer pointers, the fewer overlaps LLVM checks.
+        u = array_at(u_low)
+        factor = array_at(columns)
+        curvature = array_at(curvature_at)
+        for i in range(wp.static(curvature_count)):
             curvature[i] = factor[i] * laplacian(
-                u[i + wp.static(row)],
-                u[i + wp.static(row - beside)],
-                u[i + wp.static(row + beside)],
-                u[i],
-                u[i + wp.static(2 * row)],
-                rows[0],
+                u[i + wp.static(row)], u[i + wp.static(row - node)], u[i + wp.static(row + node)],
+                u[i], u[i + wp.static(2 * row)], rows[0],
             )
 
     @wp.func
-    def bend_fourth(u_low: wp.uint64, u_here: wp.uint64, columns: wp.uint64, rows: rows_of, curvatures: wp.uint64):
-        """Curvature from u. u_low: of the lowest of the five rows that ``rows`` weighs; u_here: of the range's own."""
-        u = numbers(u_low)
-        beside_u = numbers(u_here - wp.uint64(wp.static(2 * beside * wp.types.type_size_in_bytes(real))))
-        column = numbers(columns)
-        curvature = numbers(curvatures)
-        for i in range(wp.static(curved)):
-            along_y = weighed(
-                real(0.0),
-                rows,
-                u[i],
-                u[i + wp.static(row)],
-                u[i + wp.static(2 * row)],
-                u[i + wp.static(3 * row)],
-                u[i + wp.static(4 * row)],
+    def compute_curvature_fourth(
+        u_low: wp.uint64, u_here: wp.uint64, columns: wp.uint64, rows: RowTaps, curvature_at: wp.uint64
+    ):
+        """``u_low``: the lowest of the five rows that ``rows`` weighs; ``u_here``: the range itself."""
+        u = array_at(u_low)
+        u_along_x = array_at(u_here - wp.uint64(wp.static(2 * node * size)))
+        column = array_at(columns)
+        curvature = array_at(curvature_at)
+        for i in range(wp.static(curvature_count)):
+            along_y = weighted_sum(
+                real(0.0), rows, u[i], u[i + wp.static(row)], u[i + wp.static(2 * row)],
+                u[i + wp.static(3 * row)], u[i + wp.static(4 * row)],
             )
-            curvature[i] = along_x(along_y, column, beside_u, i)
+            curvature[i] = add_along_x(along_y, column, u_along_x, i)
 
-    def make_move(loaded):
+    def make_update_range(loaded):
         @wp.func
         def rate_after(
-            p: Parameters,
-            stiffness: wp.array[real],
-            columns: wp.array[real],
-            rows: rows_of,
-            low: wp.array[real],
-            south: wp.array[real],
-            centre: wp.array[real],
-            north: wp.array[real],
-            high: wp.array[real],
-            waves: wave_of,
-            in_phase: wp.array[real],
-            quadrature: wp.array[real],
-            rate: wp.array[real],
-            i: int,
+            p: Parameters, stiffness: wp.array[real], columns: wp.array[real], rows: RowTaps,
+            low: wp.array[real], south: wp.array[real], centre: wp.array[real], north: wp.array[real],
+            high: wp.array[real], wave: Wave, in_phase: wp.array[real], quadrature: wp.array[real],
+            rate: wp.array[real], i: int,
         ):
             biharmonic = real(0.0)
             if wp.static(order == 2):
                 west = centre[i]
-                east = centre[i + wp.static(2 * beside)]
-                biharmonic = laplacian(centre[i + wp.static(beside)], west, east, south[i], north[i], rows[0])
+                east = centre[i + wp.static(2 * node)]
+                biharmonic = laplacian(centre[i + wp.static(node)], west, east, south[i], north[i], rows[0])
             else:
-                middle = centre[i + wp.static(2 * beside)]
-                along_y = weighed(real(0.0), rows, low[i], south[i], middle, north[i], high[i])
-                biharmonic = along_x(along_y, columns, centre, i)
+                middle = centre[i + wp.static(2 * node)]
+                along_y = weighted_sum(real(0.0), rows, low[i], south[i], middle, north[i], high[i])
+                biharmonic = add_along_x(along_y, columns, centre, i)
             load = real(0.0)
             if wp.static(loaded):
-                load = waves[0] * in_phase[i] + waves[1] * quadrature[i]
-            hold = p.stiffness
-            if wp.static(held):
-                hold = stiffness[i]
-            return update(rate[i], biharmonic, load, hold, p)
+                load = wave[0] * in_phase[i] + wave[1] * quadrature[i]
+            node_stiffness = p.stiffness
+            if wp.static(masked):
+                node_stiffness = stiffness[i]
+            return update(rate[i], biharmonic, load, node_stiffness, p)
 
         @wp.func
-        def move(
-            p: Parameters,
-            stiffnesses: wp.uint64,
-            columns: wp.uint64,
-            rows: rows_of,
-            waves: wave_of,
-            summed: bool,
-            curvatures: places_of,
-            in_phases: wp.uint64,
-            quadratures: wp.uint64,
-            displacements: wp.uint64,
-            rates: wp.uint64,
-            squared_sums: wp.uint64,
+        def update_range(
+            p: Parameters, stiffness_at: wp.uint64, columns: wp.uint64, rows: RowTaps, wave: Wave, summed: bool,
+            curvature_rows: Rows, in_phase_at: wp.uint64, quadrature_at: wp.uint64,
+            u_at: wp.uint64, rate_at: wp.uint64, squares_at: wp.uint64,
         ):
-            """Rate and displacement half a step and a step later.
-
-            curvatures: addresses of the range's first node in its row and those around it, lowest first.
-            """
-            stiffness = numbers(stiffnesses)
-            column = numbers(columns)
-            low = numbers(curvatures[0])
-            south = numbers(curvatures[wp.static(reach - 1)])
-            centre = numbers(
-                curvatures[wp.static(reach)] - wp.uint64(wp.static(reach * beside * wp.types.type_size_in_bytes(real)))
-            )
-            north = numbers(curvatures[wp.static(reach + 1)])
-            high = numbers(curvatures[wp.static(2 * reach)])
-            in_phase = numbers(in_phases)
-            quadrature = numbers(quadratures)
-            u = numbers(displacements)
-            rate = numbers(rates)
-            squares = numbers(squared_sums)
-            # Two loops, not one with a test inside: a loop with a branch on ``summed`` is slower by a third.
+            """``curvature_rows``: the range's first node in its own row and in those around it, lowest first."""
+            stiffness = array_at(stiffness_at)
+            column = array_at(columns)
+            low = array_at(curvature_rows[0])
+            south = array_at(curvature_rows[wp.static(reach - 1)])
+            centre = array_at(curvature_rows[wp.static(reach)] - wp.uint64(wp.static(reach * node * size)))
+            north = array_at(curvature_rows[wp.static(reach + 1)])
+            high = array_at(curvature_rows[wp.static(2 * reach)])
+            in_phase = array_at(in_phase_at)
+            quadrature = array_at(quadrature_at)
+            u = array_at(u_at)
+            rate = array_at(rate_at)
+            squares = array_at(squares_at)
+            # Two loops: one loop with a branch on ``summed`` is slower by a third.
             if summed:
-                for i in range(wp.static(moved)):
+                for i in range(wp.static(update_count)):
                     new = rate_after(
-                        p, stiffness, column, rows, low, south, centre, north, high, waves, in_phase, quadrature, rate,
-                        i,
+                        p, stiffness, column, rows, low, south, centre, north, high, wave, in_phase, quadrature, rate, i
                     )
                     rate[i] = new
                     u[i] = u[i] + new
                     squares[i] = fused(new, new, squares[i])
             else:
-                for i in range(wp.static(moved)):
+                for i in range(wp.static(update_count)):
                     new = rate_after(
-                        p, stiffness, column, rows, low, south, centre, north, high, waves, in_phase, quadrature, rate,
-                        i,
+                        p, stiffness, column, rows, low, south, centre, north, high, wave, in_phase, quadrature, rate, i
                     )
                     rate[i] = new
                     u[i] = u[i] + new
 
-        return move
+        return update_range
 
-    return bend_second if order == 2 else bend_fourth, make_move(True), make_move(False)
+    compute_curvature = compute_curvature_second if order == 2 else compute_curvature_fourth
+    return compute_curvature, make_update_range(True), make_update_range(False)

@@ -1,9 +1,9 @@
-"""Resident path on CUDA for plates of at most 32 × 32 nodes: a warp owns a plate, a lane owns a column.
+"""Resident path on CUDA, second order, plates of at most 32 × 32 nodes: a warp owns a plate, a lane owns a column.
 
-All of a column's numbers lie in the lane's registers from the first step to the last, and a neighbour's value comes
-from the neighbour's lane: no shared memory, no barrier, and no traffic but the loads at the start and the stores at
-the end. Rows are walked upwards with the curvatures of three rows in hand; a row's displacement is overwritten as
-soon as the curvature of the row above, the last to need it, is known.
+All numbers of a column stay in the lane's registers from the first step to the last, and neighbours' values come from
+their lanes: no shared memory, no barrier, and no traffic but the loads at the start and the stores at the end. Rows are
+walked upwards with the curvatures of three rows in hand; a row's displacement is overwritten as soon as the curvature
+of the row above, the last to need it, is known.
 
 Edges along x: the lane of an edge column holds zeros (its stiffness is zero), and its curvature is the sum of its two
 neighbours. A clamped edge takes the inner lane for both, the mirror image; a supported edge takes itself.
@@ -19,26 +19,27 @@ from warp_plate.kernels.update import make_parameters, make_update
 
 
 def fits(nx, ny):
-    """Whether plates of this size can take the path."""
+    """Return whether plates of this size can take the path."""
     return nx <= LANES and ny <= LANES
 
 
 @cache
-def make_run(effects, real, ny, loaded, summed, registers=None):
-    """Steps ``start`` ... ``stop`` − 1; launch over (32 × plates,) threads.
+def make_run_steps(effects, real, ny, loaded, summed, registers=None):
+    """Make the kernel that runs steps ``start`` … ``stop`` − 1; launch over (32 × plates,).
 
-    loaded: bit j is set where row j + 1 of the plate has a loaded node; the others take no registers for it;
-    summed: whether these steps lie in the window, where rate² is summed;
-    registers: at most so many a thread; the compiler orders a step for speed alone where it has many.
-    factor_x: (nx,), factor_y: (ny,) factors on the curvature, 2 or 0 at the ends, the latter times ``aspect``;
-    wave: (plates, steps, 2).
+    Args:
+        effects, real: Compile key and precision.
+        ny: Nodes along y.
+        loaded: Bit j is set where row j + 1 of the plate has a loaded node; other rows take no registers for loads.
+        summed: These steps are in the window, where rate² is summed.
+        registers: Most registers per thread; with many, the compiler orders a step for speed alone.
     """
     laplacian = make_laplacian(effects.square_cells, real)
     update = make_update(effects, real)
     from_lane = make_from_lane(real)
     Parameters = make_parameters(real)
     moving = ny - 2
-    column_of = wp.types.vector(length=moving, dtype=real)
+    Column = wp.types.vector(length=moving, dtype=real)
 
     @wp.kernel(
         module="unique",
@@ -47,15 +48,18 @@ def make_run(effects, real, ny, loaded, summed, registers=None):
         cuda_max_registers=registers,
         module_options={"max_unroll": LANES},
     )
-    def run(
+    def run_steps(
+        # parameters
         p: Parameters,
-        factor_x: wp.array[real],
-        factor_y: wp.array[real],
-        wave: wp.array3d[real],
+        factor_x: wp.array[real],  # (nx,) factors on the curvature, 2 or 0 at the ends
+        factor_y: wp.array[real],  # (ny,) the same times aspect
+        wave: wp.array3d[real],  # (plates, steps, 2) cos ωt and sin ωt
         start: int,
         stop: int,
+        # inputs; all fields are (plates, rows, columns)
         in_phase: wp.array3d[real],
         quadrature: wp.array3d[real],
+        # outputs
         u: wp.array3d[real],
         rate: wp.array3d[real],
         squares: wp.array3d[real],
@@ -78,15 +82,15 @@ def make_run(effects, real, ny, loaded, summed, registers=None):
             west = nx - 2
             east = nx - 2
 
-        displacement = column_of()
-        speed = column_of()
-        cosine = column_of()
-        sine = column_of()
-        squared = column_of()
+        lane_u = Column()
+        lane_rate = Column()
+        cosine = Column()
+        sine = Column()
+        squared = Column()
         if lane < nx:
             for j in range(wp.static(moving)):
-                displacement[j] = u[k, j + 2, lane]
-                speed[j] = rate[k, j + 2, lane]
+                lane_u[j] = u[k, j + 2, lane]
+                lane_rate[j] = rate[k, j + 2, lane]
                 if wp.static(loaded >> j & 1):
                     cosine[j] = in_phase[k, j + 2, lane]
                     sine[j] = quadrature[k, j + 2, lane]
@@ -95,36 +99,35 @@ def make_run(effects, real, ny, loaded, summed, registers=None):
 
         bottom = factor_y[0]
         top = factor_y[wp.static(ny - 1)]
-        own_wave = wave[k]
+        plate_wave = wave[k]
         for n in range(start, stop):
-            wave_cosine = own_wave[n, 0]
-            wave_sine = own_wave[n, 1]
-            below = bottom * displacement[0]
+            wave_cosine = plate_wave[n, 0]
+            wave_sine = plate_wave[n, 1]
+            below = bottom * lane_u[0]
             here = laplacian(
-                displacement[0], from_lane(displacement[0], west), from_lane(displacement[0], east),
-                real(0.0), displacement[1], p.aspect,
+                lane_u[0], from_lane(lane_u[0], west), from_lane(lane_u[0], east), real(0.0), lane_u[1], p.aspect
             )
             for j in range(wp.static(moving)):
                 above = real(0.0)
                 if wp.static(j == moving - 1):
-                    above = top * displacement[j]
+                    above = top * lane_u[j]
                 elif wp.static(j == moving - 2):
                     above = laplacian(
-                        displacement[j + 1], from_lane(displacement[j + 1], west), from_lane(displacement[j + 1], east),
-                        displacement[j], real(0.0), p.aspect,
+                        lane_u[j + 1], from_lane(lane_u[j + 1], west), from_lane(lane_u[j + 1], east),
+                        lane_u[j], real(0.0), p.aspect,
                     )
                 else:
                     above = laplacian(
-                        displacement[j + 1], from_lane(displacement[j + 1], west), from_lane(displacement[j + 1], east),
-                        displacement[j], displacement[j + 2], p.aspect,
+                        lane_u[j + 1], from_lane(lane_u[j + 1], west), from_lane(lane_u[j + 1], east),
+                        lane_u[j], lane_u[j + 2], p.aspect,
                     )
                 biharmonic = laplacian(here, from_lane(here, west), from_lane(here, east), below, above, p.aspect)
                 load = real(0.0)
                 if wp.static(loaded >> j & 1):
                     load = wave_cosine * cosine[j] + wave_sine * sine[j]
-                new = update(speed[j], biharmonic, load, stiffness, p)
-                speed[j] = new
-                displacement[j] = displacement[j] + new
+                new = update(lane_rate[j], biharmonic, load, stiffness, p)
+                lane_rate[j] = new
+                lane_u[j] = lane_u[j] + new
                 if wp.static(summed):
                     squared[j] = squared[j] + new * new
                 below = here
@@ -132,9 +135,9 @@ def make_run(effects, real, ny, loaded, summed, registers=None):
 
         if lane < nx:
             for j in range(wp.static(moving)):
-                u[k, j + 2, lane] = displacement[j]
-                rate[k, j + 2, lane] = speed[j]
+                u[k, j + 2, lane] = lane_u[j]
+                rate[k, j + 2, lane] = lane_rate[j]
                 if wp.static(summed):
                     squares[k, j + 2, lane] = squared[j]
 
-    return run
+    return run_steps

@@ -1,12 +1,12 @@
-"""Resident path on CUDA for plates beyond one warp: a block owns a plate, a warp owns a strip of its rows.
+"""Resident path on CUDA, second order, plates beyond one warp: a block owns a plate, a warp owns a strip of its rows.
 
-A lane holds ``columns`` neighbouring columns of its warp's strip in registers from the first step to the last. Along
-x, neighbours are the lane's own or come from the next lane; along y, the outermost two rows of each strip go through
-shared memory, in two buffers that take turns, so that a step has one barrier. With two rows beyond the strip in hand
-a warp works out the curvature just outside it by itself.
+A lane holds ``columns`` neighbouring columns of its warp's strip in registers from the first step to the last. Along x,
+neighbours are the lane's own or come from the next lane; along y, the outermost two rows of each strip go through
+shared memory, in two buffers that take turns, so that a step has one barrier. With two rows beyond its strip, a warp
+computes the curvature just outside the strip by itself.
 
-Where registers are short, the sums of rate² lie in shared memory instead, each thread's own numbers a block apart.
-Loads are read where a row has any (few rows do), from the cache.
+Where registers are short, the sums of rate² are in shared memory instead, each thread's numbers a block apart. Loads
+are read from the cache, in the few rows that have any.
 """
 
 from dataclasses import dataclass
@@ -20,6 +20,7 @@ from warp_plate.kernels.cuda import (
     THREAD_REGISTERS,
     barrier,
     make_from_lane,
+    make_thread_part,
     most_registers,
     shared_memory,
 )
@@ -28,83 +29,84 @@ from warp_plate.kernels.update import make_parameters, make_update
 
 
 @dataclass(frozen=True)
-class Strips:
-    """How a block is cut: columns a lane, rows a warp, warps.
+class StripPlan:
+    """Distribution of a plate over a block.
 
-    squares_shared: the sums of rate² lie in shared memory, else in registers; registers: at most so many a thread.
+    Attributes:
+        columns: Columns per lane.
+        rows: Rows per warp.
+        warps: Warps of the block.
+        squares_shared: The sums of rate² are in shared memory, else in registers.
+        registers: Most registers per thread.
     """
 
     columns: int
     rows: int
     warps: int
-    squares_shared: bool = False
-    registers: int | None = None
+    squares_shared: bool
+    registers: int
 
 
-# Rows a warp that were fastest on an H200, first choice first, for so many columns a lane.
+# Rows per warp that were fastest on an H200, first choice first, by columns per lane.
 ROWS = {1: (13, 20, 9), 2: (13, 20, 9, 7), 3: (13, 20, 9), 4: (9, 13, 11), 5: (20, 16)}
 
 
-def plan(nx, ny, real):
-    """How to cut a plate of this size, or None where it does not fit on a multiprocessor."""
+def plan_strips(nx, ny, real):
+    """Return the plan for a plate of this size, or None where it does not fit on a multiprocessor."""
     columns = -(-(nx - 2) // LANES)
     words = 1 if real is wp.float32 else 2
     for rows in ROWS.get(columns, ()):
         warps = -(-(ny - 2) // rows)
         squares_shared = columns > 2
-        # Displacement and rate, the sums where they are kept, three rows of curvature, and addresses and the like.
+        # Displacement, rate and sums (if kept there), three rows of curvature, and addresses and the like.
         needed = words * ((2 if squares_shared else 3) * rows * columns + 6 * columns) + 24
         registers = most_registers(warps)
         squares = rows * warps if squares_shared else 0
         shared = 4 * words * columns * LANES * (2 * 4 * (warps + 2) + squares)
         if needed <= registers and shared <= SHARED_BYTES:
-            # Beyond this nothing is gained, and fewer registers let more blocks share the multiprocessor.
+            # More gains nothing, and fewer registers let more blocks share the multiprocessor.
             registers = registers if squares_shared else min(registers, 168 * words)
-            return Strips(columns, rows, warps, squares_shared, min(registers, THREAD_REGISTERS))
+            return StripPlan(columns, rows, warps, squares_shared, min(registers, THREAD_REGISTERS))
     return None
 
 
 @cache
-def make_run(effects, real, nx, ny, stride, strips, summed):
-    """Steps ``start`` ... ``stop`` − 1; launch over (plates × threads,) with blocks of 32 × warps threads.
+def make_run_steps(effects, real, nx, ny, stride, plan, summed):
+    """Make the kernel that runs steps ``start`` … ``stop`` − 1, in the window if ``summed``.
 
-    summed: whether these steps lie in the window, where rate² is summed.
-    factor_x: (nx,), factor_y: (ny,) factors on the curvature, the latter times ``aspect``; wave: (plates, steps, 2);
-    loaded: (ny + 2,) one for the rows of the tensor in which some node is loaded, else zero.
+    Launch over (plates × 32 × warps,) in blocks of 32 × warps threads.
     """
     laplacian = make_laplacian(effects.square_cells, real)
     update = make_update(effects, real)
     from_lane = make_from_lane(real)
     Parameters = make_parameters(real)
-    columns, rows, warps = strips.columns, strips.rows, strips.warps
+    columns, rows, warps = plan.columns, plan.rows, plan.warps
     threads = LANES * warps
-    size = 4 if real is wp.float32 else 8
+    size = wp.types.type_size_in_bytes(real)
     # The last column and the last row that move, by lane and place in the lane, by warp and place in the strip.
     last_lane, last_column = divmod(nx - 3, columns)
     last_warp, last_row = divmod(ny - 3, rows)
-    squares_registers = summed and not strips.squares_shared
-    # Strips 0 and warps + 1 stand for what lies below and above the plate: zeros.
-    buffer = (warps + 2) * 4 * columns * LANES
-    room = 2 * buffer + (rows * columns * threads if summed and strips.squares_shared else 0)
-    row_of = wp.types.vector(length=columns, dtype=real)
-    strip_of = wp.types.matrix(shape=(rows, columns), dtype=real)
-    squares_of = wp.types.matrix(shape=(rows, columns) if squares_registers else (1, 1), dtype=real)
+    squares_in_registers, squares_in_shared = summed and not plan.squares_shared, summed and plan.squares_shared
+    # A buffer has four rows for each strip. Strips 0 and warps + 1 are below and above the plate: zeros.
+    line = columns * LANES
+    buffer = (warps + 2) * 4 * line
+    shared_size = 2 * buffer + (rows * columns * threads if squares_in_shared else 0)
+    Row = wp.types.vector(length=columns, dtype=real)
+    Strip = wp.types.matrix(shape=(rows, columns), dtype=real)
+    Squares = wp.types.matrix(shape=(rows, columns) if squares_in_registers else (1, 1), dtype=real)
+    # Row j, column c of a thread's part is at j·stride + c, an offset that the compiler knows.
+    thread_part = make_thread_part(real, (rows - 1) * stride + columns)
 
     @wp.func
-    def own_part(field: wp.array3d[real], offset: wp.uint64):
-        """The thread's part of a field: (row j, column c) at j·stride + c, an offset that the compiler knows."""
-        return wp.array(ptr=field.ptr + offset, shape=(wp.static((rows - 1) * stride + columns),), dtype=real)
-
-    @wp.func
-    def bend(centre: row_of, south: row_of, north: row_of, lane: int, aspect: real):
-        """Curvature of a lane's part of one row of displacement."""
+    def curvature_of_row(centre: Row, south: Row, north: Row, lane: int, aspect: real):
+        """Compute the curvature of a lane's part of a row of displacement."""
         west = from_lane(centre[wp.static(columns - 1)], lane - 1)
         east = from_lane(centre[0], lane + 1)
         if lane == 0:
             west = real(0.0)
         if lane == wp.static(LANES - 1):
             east = real(0.0)
-        curvature = row_of()
+        curvature = Row()
         for c in range(wp.static(columns)):
             left = west
             right = east
@@ -119,19 +121,22 @@ def make_run(effects, real, nx, ny, stride, strips, summed):
         module="unique",
         enable_backward=False,
         grid_stride=False,
-        cuda_max_registers=strips.registers,
+        cuda_max_registers=plan.registers,
         module_options={"max_unroll": 64},
     )
-    def run(
+    def run_steps(
+        # parameters
         p: Parameters,
-        factor_x: wp.array[real],
-        factor_y: wp.array[real],
-        loaded: wp.array[int],
-        wave: wp.array3d[real],
+        factor_x: wp.array[real],  # (nx,) factors on the curvature
+        factor_y: wp.array[real],  # (ny,) the same times aspect
+        loaded: wp.array[int],  # (ny + 2,) 1 for tensor rows with loaded nodes, else 0
+        wave: wp.array3d[real],  # (plates, steps, 2) cos ωt and sin ωt
         start: int,
         stop: int,
+        # inputs; all fields are (plates, rows, stride)
         in_phase: wp.array3d[real],
         quadrature: wp.array3d[real],
+        # outputs
         u: wp.array3d[real],
         rate: wp.array3d[real],
         squares: wp.array3d[real],
@@ -142,21 +147,21 @@ def make_run(effects, real, nx, ny, stride, strips, summed):
         lane = thread % LANES
         x0 = 1 + lane * wp.static(columns)
         y0 = 2 + warp * wp.static(rows)
-        reserved = wp.tile_empty(shape=(wp.static(room),), dtype=real, storage="shared")
-        shared = wp.array(ptr=shared_memory(), shape=(wp.static(room),), dtype=real)
+        reserved = wp.tile_empty(shape=(wp.static(shared_size),), dtype=real, storage="shared")
+        shared = wp.array(ptr=shared_memory(), shape=(wp.static(shared_size),), dtype=real)
 
         offset = wp.uint64((k * wp.static(ny + 2) + y0) * wp.static(stride) + x0) * wp.uint64(wp.static(size))
-        own_u = own_part(u, offset)
-        own_rate = own_part(rate, offset)
-        own_squares = own_part(squares, offset)
-        own_in_phase = own_part(in_phase, offset)
-        own_quadrature = own_part(quadrature, offset)
+        global_u = thread_part(u, offset)
+        global_rate = thread_part(rate, offset)
+        global_squares = thread_part(squares, offset)
+        global_in_phase = thread_part(in_phase, offset)
+        global_quadrature = thread_part(quadrature, offset)
 
         # Lanes beyond the last column and rows beyond the last hold zeros: no stiffness, no load.
-        displacement = strip_of()
-        speed = strip_of()
-        squared = squares_of()
-        stiffness = row_of()
+        strip_u = Strip()
+        strip_rate = Strip()
+        squared = Squares()
+        stiffness = Row()
         loads = int(0)
         for c in range(wp.static(columns)):
             if lane < wp.static(last_lane + (c <= last_column)):
@@ -166,78 +171,76 @@ def make_run(effects, real, nx, ny, stride, strips, summed):
                 loads = loads | (loaded[y0 + j] << j)
                 for c in range(wp.static(columns)):
                     if lane < wp.static(last_lane + (c <= last_column)):
-                        displacement[j, c] = own_u[wp.static(j * stride + c)]
-                        speed[j, c] = own_rate[wp.static(j * stride + c)]
-                        if wp.static(squares_registers):
-                            squared[j, c] = own_squares[wp.static(j * stride + c)]
+                        strip_u[j, c] = global_u[wp.static(j * stride + c)]
+                        strip_rate[j, c] = global_rate[wp.static(j * stride + c)]
+                        if wp.static(squares_in_registers):
+                            squared[j, c] = global_squares[wp.static(j * stride + c)]
         if lane > wp.static(last_lane):
             loads = int(0)
-        if wp.static(summed and strips.squares_shared):
+        if wp.static(squares_in_shared):
             for m in range(wp.static(rows * columns)):
                 shared[wp.static(2 * buffer + m * threads) + thread] = real(0.0)
         if warp == 0:
             for m in range(wp.static(4 * columns)):
                 for b in range(2):
                     shared[b * wp.static(buffer) + m * LANES + lane] = real(0.0)
-                    shared[
-                        b * wp.static(buffer) + wp.static((warps + 1) * 4 * columns * LANES) + m * LANES + lane
-                    ] = real(0.0)
+                    shared[b * wp.static(buffer) + wp.static((warps + 1) * 4 * line) + m * LANES + lane] = real(0.0)
 
         left_factor = factor_x[0]
         right_factor = factor_x[wp.static(nx - 1)]
         bottom_factor = factor_y[0]
         top_factor = factor_y[wp.static(ny - 1)]
-        own_wave = wave[k]
+        plate_wave = wave[k]
         for n in range(start, stop):
-            wave_cosine = own_wave[n, 0]
-            wave_sine = own_wave[n, 1]
-            own = (n & 1) * wp.static(buffer) + (warp + 1) * wp.static(4 * columns * LANES) + lane
+            wave_cosine = plate_wave[n, 0]
+            wave_sine = plate_wave[n, 1]
+            at = (n & 1) * wp.static(buffer) + (warp + 1) * wp.static(4 * line) + lane
             for c in range(wp.static(columns)):
-                shared[own + c * LANES] = displacement[0, c]
-                shared[own + wp.static(1 * columns * LANES) + c * LANES] = displacement[1, c]
-                shared[own + wp.static(2 * columns * LANES) + c * LANES] = displacement[wp.static(rows - 2), c]
-                shared[own + wp.static(3 * columns * LANES) + c * LANES] = displacement[wp.static(rows - 1), c]
+                shared[at + c * LANES] = strip_u[0, c]
+                shared[at + wp.static(1 * line) + c * LANES] = strip_u[1, c]
+                shared[at + wp.static(2 * line) + c * LANES] = strip_u[wp.static(rows - 2), c]
+                shared[at + wp.static(3 * line) + c * LANES] = strip_u[wp.static(rows - 1), c]
             barrier()
-            below_1 = row_of()
-            below_2 = row_of()
+            below_1 = Row()
+            below_2 = Row()
             for c in range(wp.static(columns)):
-                below_2[c] = shared[own - wp.static(2 * columns * LANES) + c * LANES]
-                below_1[c] = shared[own - wp.static(1 * columns * LANES) + c * LANES]
+                below_2[c] = shared[at - wp.static(2 * line) + c * LANES]
+                below_1[c] = shared[at - wp.static(1 * line) + c * LANES]
 
-            below = bend(below_1, below_2, displacement[0], lane, p.aspect)
+            below = curvature_of_row(below_1, below_2, strip_u[0], lane, p.aspect)
             if warp == 0:
-                below = bottom_factor * displacement[0]
-            here = bend(displacement[0], below_1, displacement[1], lane, p.aspect)
+                below = bottom_factor * strip_u[0]
+            here = curvature_of_row(strip_u[0], below_1, strip_u[1], lane, p.aspect)
             for j in range(wp.static(rows)):
-                above = row_of()
+                above = Row()
                 if wp.static(j == rows - 1):
-                    above_1 = row_of()
-                    above_2 = row_of()
+                    above_1 = Row()
+                    above_2 = Row()
                     for c in range(wp.static(columns)):
-                        above_1[c] = shared[own + wp.static(4 * columns * LANES) + c * LANES]
-                        above_2[c] = shared[own + wp.static(5 * columns * LANES) + c * LANES]
-                    above = bend(above_1, displacement[j], above_2, lane, p.aspect)
+                        above_1[c] = shared[at + wp.static(4 * line) + c * LANES]
+                        above_2[c] = shared[at + wp.static(5 * line) + c * LANES]
+                    above = curvature_of_row(above_1, strip_u[j], above_2, lane, p.aspect)
                 elif wp.static(j == rows - 2):
-                    above_1 = row_of()
+                    above_1 = Row()
                     for c in range(wp.static(columns)):
-                        above_1[c] = shared[own + wp.static(4 * columns * LANES) + c * LANES]
-                    above = bend(displacement[j + 1], displacement[j], above_1, lane, p.aspect)
+                        above_1[c] = shared[at + wp.static(4 * line) + c * LANES]
+                    above = curvature_of_row(strip_u[j + 1], strip_u[j], above_1, lane, p.aspect)
                 else:
-                    above = bend(displacement[j + 1], displacement[j], displacement[j + 2], lane, p.aspect)
+                    above = curvature_of_row(strip_u[j + 1], strip_u[j], strip_u[j + 2], lane, p.aspect)
                 if wp.static(j == last_row):
                     if warp == wp.static(last_warp):
-                        above = top_factor * displacement[j]
+                        above = top_factor * strip_u[j]
 
                 west = from_lane(here[wp.static(columns - 1)], lane - 1)
                 east = from_lane(here[0], lane + 1)
                 if lane == 0:
-                    west = left_factor * displacement[j, 0]
-                # All reads of a row in one branch, so that they are under way together.
-                load = row_of()
+                    west = left_factor * strip_u[j, 0]
+                # All reads of a row in one branch, so that they overlap.
+                load = Row()
                 if (loads & wp.static(1 << j)) != 0:
                     for c in range(wp.static(columns)):
-                        at = wp.static(j * stride + c)
-                        load[c] = wave_cosine * own_in_phase[at] + wave_sine * own_quadrature[at]
+                        i = wp.static(j * stride + c)
+                        load[c] = wave_cosine * global_in_phase[i] + wave_sine * global_quadrature[i]
                         if wp.static(c > last_column):
                             if lane == wp.static(last_lane):
                                 load[c] = real(0.0)
@@ -250,18 +253,18 @@ def make_run(effects, real, nx, ny, stride, strips, summed):
                         right = here[c + 1]
                     if wp.static(c == last_column):
                         if lane == wp.static(last_lane):
-                            right = right_factor * displacement[j, c]
+                            right = right_factor * strip_u[j, c]
                     biharmonic = laplacian(here[c], left, right, below[c], above[c], p.aspect)
-                    hold = stiffness[c]
+                    node_stiffness = stiffness[c]
                     if wp.static(j > last_row):
                         if warp == wp.static(last_warp):
-                            hold = real(0.0)
-                    new = update(speed[j, c], biharmonic, load[c], hold, p)
-                    speed[j, c] = new
-                    displacement[j, c] = displacement[j, c] + new
-                    if wp.static(squares_registers):
+                            node_stiffness = real(0.0)
+                    new = update(strip_rate[j, c], biharmonic, load[c], node_stiffness, p)
+                    strip_rate[j, c] = new
+                    strip_u[j, c] = strip_u[j, c] + new
+                    if wp.static(squares_in_registers):
                         squared[j, c] = squared[j, c] + new * new
-                    if wp.static(summed and strips.squares_shared):
+                    if wp.static(squares_in_shared):
                         slot = wp.static(2 * buffer + (j * columns + c) * threads) + thread
                         shared[slot] = shared[slot] + new * new
                 below = here
@@ -270,12 +273,12 @@ def make_run(effects, real, nx, ny, stride, strips, summed):
         for j in range(wp.static(rows)):
             for c in range(wp.static(columns)):
                 if y0 + j < wp.static(ny) and lane < wp.static(last_lane + (c <= last_column)):
-                    at = wp.static(j * stride + c)
-                    own_u[at] = displacement[j, c]
-                    own_rate[at] = speed[j, c]
-                    if wp.static(squares_registers):
-                        own_squares[at] = squared[j, c]
-                    if wp.static(summed and strips.squares_shared):
-                        own_squares[at] += shared[wp.static(2 * buffer + (j * columns + c) * threads) + thread]
+                    i = wp.static(j * stride + c)
+                    global_u[i] = strip_u[j, c]
+                    global_rate[i] = strip_rate[j, c]
+                    if wp.static(squares_in_registers):
+                        global_squares[i] = squared[j, c]
+                    if wp.static(squares_in_shared):
+                        global_squares[i] += shared[wp.static(2 * buffer + (j * columns + c) * threads) + thread]
 
-    return run
+    return run_steps

@@ -1,15 +1,15 @@
-"""Resident path on CUDA for the fourth order: a block owns a plate, a warp a strip of its rows, a lane some columns.
+"""Resident path on CUDA, fourth order: a block owns a plate, a warp a strip of its rows, a lane some columns.
 
-All of a strip's numbers lie in registers from the first step to the last. Edges take part like any other node: they
-are columns of a lane and rows of a warp, hold zero displacement because their stiffness is zero, and have a curvature.
+All numbers of a strip stay in registers from the first step to the last. Edges take part like other nodes: they are
+columns of a lane and rows of a warp, hold zero displacement because their stiffness is zero, and have a curvature.
 Along x, each column has its own taps in registers, which are zero beyond the edges; so it does not matter what a lane
-at an edge gets from lanes that hold no neighbour. Along y, the taps are the same for all rows but those next to an
-edge, which only the first and the last warp have; all come with the kernel's arguments.
+at an edge receives from lanes that hold no neighbour. Along y, all rows share their taps but those next to an edge,
+which only the first and the last warp have; all are kernel arguments.
 
-Rows are walked upwards, the curvature running two rows ahead of the displacement, which is overwritten as soon as the
-curvature two rows above, the last to need it, is known. Where a plate takes several warps, the outermost four rows
-of each strip go through shared memory, in two buffers that take turns, so that a step has one barrier; a warp works
-out the curvature of the two rows outside its strip by itself.
+Rows are walked upwards, the curvature two rows ahead of the displacement, which is overwritten as soon as the curvature
+two rows above, the last to need it, is known. Where a plate takes several warps, the outermost four rows of each strip
+go through shared memory, in two buffers that take turns, so that a step has one barrier; a warp computes the curvature
+of the two rows outside its strip by itself.
 """
 
 from dataclasses import dataclass
@@ -17,17 +17,34 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.cuda import LANES, SHARED_BYTES, barrier, make_from_lane, most_registers, shared_memory
-from warp_plate.kernels.stencil import make_weighed, make_weighed_evenly
+from warp_plate.kernels.cuda import (
+    LANES,
+    SHARED_BYTES,
+    barrier,
+    make_from_lane,
+    make_thread_part,
+    most_registers,
+    shared_memory,
+)
+from warp_plate.kernels.stencil import make_symmetric_weighted_sum, make_weighted_sum
 from warp_plate.kernels.update import make_parameters, make_update
 
-# Rows next to an edge whose taps along y may be their own, and rows of u that a strip needs from each neighbour.
-SPECIAL, BORDER = 3, 4
+# Rows next to an edge that may have taps of their own along y.
+SPECIAL = 3
+# Rows of u that a strip needs from each neighbour.
+BORDER = 4
 
 
 @dataclass(frozen=True)
-class Wide:
-    """How a block is cut: columns a lane, rows a warp, warps; registers: at most so many a thread."""
+class WideStripPlan:
+    """Distribution of a plate over a block.
+
+    Attributes:
+        columns: Columns per lane.
+        rows: Rows per warp.
+        warps: Warps of the block.
+        registers: Most registers per thread.
+    """
 
     columns: int
     rows: int
@@ -35,13 +52,13 @@ class Wide:
     registers: int
 
 
-def plan(nx, ny, real):
-    """How to cut a plate of this size into as few strips as go, or None where it does not fit on a multiprocessor."""
+def plan_strips(nx, ny, real):
+    """Return the plan with the fewest strips for a plate of this size, or None where it does not fit."""
     columns = -(-nx // LANES)
     words = 1 if real is wp.float32 else 2
     for warps in range(1, 33):
         rows = -(-ny // warps)
-        # The first and the last strip hold all rows whose taps are their own.
+        # The first and the last strip hold all rows with taps of their own.
         if rows > LANES or (warps - 1) * rows > ny - BORDER or rows < BORDER + 1:
             continue
         registers = most_registers(warps)
@@ -49,67 +66,62 @@ def plan(nx, ny, real):
         needed = words * columns * (3 * rows + 10 + 7) + 30
         shared = 4 * words * 2 * 2 * BORDER * columns * LANES * (warps + 2)
         if needed <= registers and shared <= SHARED_BYTES:
-            return Wide(columns, rows, warps, registers)
+            return WideStripPlan(columns, rows, warps, registers)
     return None
 
 
 @cache
-def make_closures(real):
-    """Taps along y, times ``aspect``: inside, and of the SPECIAL nodes next to each edge from the edge inwards."""
-    taps_of = wp.types.vector(length=5, dtype=real)
-    rows_of = wp.types.matrix(shape=(SPECIAL, 5), dtype=real)
+def make_row_taps(real):
+    """Make the struct of taps along y, times aspect: inside, and of SPECIAL nodes from each edge inwards."""
+    Taps = wp.types.vector(length=5, dtype=real)
+    EdgeTaps = wp.types.matrix(shape=(SPECIAL, 5), dtype=real)
 
     @wp.struct
-    class Closures:
-        inside: taps_of
-        bend_low: rows_of
-        bend_high: rows_of
-        move_low: rows_of
-        move_high: rows_of
+    class RowTaps:
+        inside: Taps
+        bend_low: EdgeTaps
+        bend_high: EdgeTaps
+        move_low: EdgeTaps
+        move_high: EdgeTaps
 
-    return Closures
+    return RowTaps
 
 
 @cache
-def make_run(effects, real, nx, ny, stride, wide, summed):
-    """Steps ``start`` ... ``stop`` − 1; launch over (plates × threads,) with blocks of 32 × warps threads.
+def make_run_steps(effects, real, nx, ny, stride, plan, summed):
+    """Make the kernel that runs steps ``start`` … ``stop`` − 1, in the window if ``summed``.
 
-    summed: whether these steps lie in the window, where rate² is summed.
-    bend_x, move_x: (nx, 5) taps along x of both passes; wave: (plates, steps, 2);
-    loaded: (ny + 2,) one for the rows of the tensor in which some node is loaded, else zero.
+    Launch over (plates × 32 × warps,) in blocks of 32 × warps threads.
     """
-    weighed = make_weighed(real)
-    weighed_evenly = make_weighed_evenly(real)
+    weighted_sum = make_weighted_sum(real)
+    symmetric_weighted_sum = make_symmetric_weighted_sum(real)
     update = make_update(effects, real)
     from_lane = make_from_lane(real)
-    Parameters = make_parameters(real)
-    Closures = make_closures(real)
-    columns, rows, warps = wide.columns, wide.rows, wide.warps
+    Parameters, RowTaps = make_parameters(real), make_row_taps(real)
+    columns, rows, warps = plan.columns, plan.rows, plan.warps
     threads = LANES * warps
-    size = 4 if real is wp.float32 else 8
+    size = wp.types.type_size_in_bytes(real)
     last_row = ny - 1 - (warps - 1) * rows  # of the upper edge, in the last strip
-    # Strips 0 and warps + 1 stand for what lies below and above the plate: zeros.
+    # A buffer has 2·BORDER rows for each strip. Strips 0 and warps + 1 are below and above the plate: zeros.
     line = columns * LANES
     buffer = (warps + 2) * 2 * BORDER * line
-    room = 2 * buffer if warps > 1 else 1
-    taps_of = wp.types.vector(length=5, dtype=real)
-    row_of = wp.types.vector(length=columns, dtype=real)
-    around_of = wp.types.vector(length=columns + 4, dtype=real)
+    shared_size = 2 * buffer if warps > 1 else 1
+    Taps = wp.types.vector(length=5, dtype=real)
+    Row = wp.types.vector(length=columns, dtype=real)
+    Around = wp.types.vector(length=columns + 4, dtype=real)
     # Row j of the strip is row j + BORDER of the displacements, and row j + 2 of the curvatures.
-    displacements_of = wp.types.matrix(shape=(rows + 2 * BORDER, columns), dtype=real)
-    curvatures_of = wp.types.matrix(shape=(rows + 4, columns), dtype=real)
-    strip_of = wp.types.matrix(shape=(rows, columns), dtype=real)
-    squares_of = wp.types.matrix(shape=(rows, columns) if summed else (1, 1), dtype=real)
-    x_taps_of = wp.types.matrix(shape=(columns, 5), dtype=real)
+    Displacements = wp.types.matrix(shape=(rows + 2 * BORDER, columns), dtype=real)
+    Curvatures = wp.types.matrix(shape=(rows + 4, columns), dtype=real)
+    Strip = wp.types.matrix(shape=(rows, columns), dtype=real)
+    Squares = wp.types.matrix(shape=(rows, columns) if summed else (1, 1), dtype=real)
+    ColumnTaps = wp.types.matrix(shape=(columns, 5), dtype=real)
+    EdgeTaps = wp.types.matrix(shape=(SPECIAL, 5), dtype=real)
+    # Row j, column c of a thread's part is at j·stride + c, an offset that the compiler knows.
+    thread_part = make_thread_part(real, (rows - 1) * stride + columns)
 
     @wp.func
-    def own_part(field: wp.array3d[real], offset: wp.uint64):
-        """The thread's part of a field: (row j, column c) at j·stride + c, an offset that the compiler knows."""
-        return wp.array(ptr=field.ptr + offset, shape=(wp.static((rows - 1) * stride + columns),), dtype=real)
-
-    @wp.func
-    def along_x(total: row_of, row: row_of, taps: x_taps_of, lane: int):
-        around = around_of()
+    def add_along_x(total: Row, row: Row, taps: ColumnTaps, lane: int):
+        around = Around()
         if wp.static(columns == 1):
             around[0] = from_lane(row[0], lane - 2)
             around[1] = from_lane(row[0], lane - 1)
@@ -122,43 +134,60 @@ def make_run(effects, real, nx, ny, stride, wide, summed):
             around[wp.static(columns + 3)] = from_lane(row[wp.static(min(1, columns - 1))], lane + 1)
         for c in range(wp.static(columns)):
             around[c + 2] = row[c]
-        sum = row_of()
+        sums = Row()
         for c in range(wp.static(columns)):
-            sum[c] = weighed(total[c], taps[c], around[c], around[c + 1], around[c + 2], around[c + 3], around[c + 4])
-        return sum
+            sums[c] = weighted_sum(
+                total[c], taps[c], around[c], around[c + 1], around[c + 2], around[c + 3], around[c + 4]
+            )
+        return sums
 
-    @wp.func
-    def along_y_inside(a: row_of, b: row_of, c: row_of, d: row_of, e: row_of, taps: taps_of):
-        sum = row_of()
-        for k in range(wp.static(columns)):
-            sum[k] = weighed_evenly(real(0.0), taps, a[k], b[k], c[k], d[k], e[k])
-        return sum
+    def make_sum_along_y(j):
+        """Make the sum along y for row j of a strip: near an edge, the first or the last warp has taps of its own."""
+        near_low, near_high = 0 <= j < SPECIAL, 0 <= last_row - j < SPECIAL
 
-    @wp.func
-    def along_y_special(a: row_of, b: row_of, c: row_of, d: row_of, e: row_of, taps: taps_of):
-        sum = row_of()
-        for k in range(wp.static(columns)):
-            sum[k] = weighed(real(0.0), taps, a[k], b[k], c[k], d[k], e[k])
-        return sum
+        @wp.func
+        def sum_along_y(
+            a: Row, b: Row, c: Row, d: Row, e: Row, inside: Taps, low: EdgeTaps, high: EdgeTaps, warp: int
+        ):
+            sums = Row()
+            if wp.static(near_low or near_high):
+                taps = inside
+                if wp.static(near_low):
+                    if warp == 0:
+                        taps = low[wp.static(j)]
+                if wp.static(near_high):
+                    if warp == wp.static(warps - 1):
+                        taps = high[wp.static(last_row - j)]
+                for k in range(wp.static(columns)):
+                    sums[k] = weighted_sum(real(0.0), taps, a[k], b[k], c[k], d[k], e[k])
+            else:
+                for k in range(wp.static(columns)):
+                    sums[k] = symmetric_weighted_sum(real(0.0), inside, a[k], b[k], c[k], d[k], e[k])
+            return sums
+
+        return sum_along_y
 
     @wp.kernel(
         module="unique",
         enable_backward=False,
         grid_stride=False,
-        cuda_max_registers=wide.registers,
+        cuda_max_registers=plan.registers,
         module_options={"max_unroll": 64},
     )
-    def run(
+    def run_steps(
+        # parameters
         p: Parameters,
-        closures: Closures,
-        bend_x: wp.array2d[real],
+        taps_y: RowTaps,
+        bend_x: wp.array2d[real],  # (nx, 5) taps along x
         move_x: wp.array2d[real],
-        loaded: wp.array[int],
-        wave: wp.array3d[real],
+        loaded: wp.array[int],  # (ny + 2,) 1 for tensor rows with loaded nodes, else 0
+        wave: wp.array3d[real],  # (plates, steps, 2) cos ωt and sin ωt
         start: int,
         stop: int,
+        # inputs; all fields are (plates, rows, stride)
         in_phase: wp.array3d[real],
         quadrature: wp.array3d[real],
+        # outputs
         u: wp.array3d[real],
         rate: wp.array3d[real],
         squares: wp.array3d[real],
@@ -171,23 +200,23 @@ def make_run(effects, real, nx, ny, stride, wide, summed):
         lane = thread % LANES
         x0 = lane * wp.static(columns)
         y0 = 1 + warp * wp.static(rows)
-        reserved = wp.tile_empty(shape=(wp.static(room),), dtype=real, storage="shared")
-        shared = wp.array(ptr=shared_memory(), shape=(wp.static(room),), dtype=real)
+        reserved = wp.tile_empty(shape=(wp.static(shared_size),), dtype=real, storage="shared")
+        shared = wp.array(ptr=shared_memory(), shape=(wp.static(shared_size),), dtype=real)
 
         offset = wp.uint64((k * wp.static(ny + 2) + y0) * wp.static(stride) + x0) * wp.uint64(wp.static(size))
-        own_u = own_part(u, offset)
-        own_rate = own_part(rate, offset)
-        own_squares = own_part(squares, offset)
-        own_in_phase = own_part(in_phase, offset)
-        own_quadrature = own_part(quadrature, offset)
+        global_u = thread_part(u, offset)
+        global_rate = thread_part(rate, offset)
+        global_squares = thread_part(squares, offset)
+        global_in_phase = thread_part(in_phase, offset)
+        global_quadrature = thread_part(quadrature, offset)
 
         # Columns and rows beyond the plate hold zeros: no taps, no stiffness, no load.
-        displacement = displacements_of()
-        speed = strip_of()
-        squared = squares_of()
-        stiffness = row_of()
-        bend_taps = x_taps_of()
-        move_taps = x_taps_of()
+        strip_u = Displacements()
+        strip_rate = Strip()
+        squared = Squares()
+        stiffness = Row()
+        bend_taps = ColumnTaps()
+        move_taps = ColumnTaps()
         loads = int(0)
         for c in range(wp.static(columns)):
             if x0 + c < wp.static(nx):
@@ -201,98 +230,70 @@ def make_run(effects, real, nx, ny, stride, wide, summed):
                 loads = loads | (loaded[y0 + j] << j)
                 for c in range(wp.static(columns)):
                     if x0 + c < wp.static(nx):
-                        displacement[j + BORDER, c] = own_u[wp.static(j * stride + c)]
-                        speed[j, c] = own_rate[wp.static(j * stride + c)]
+                        strip_u[j + BORDER, c] = global_u[wp.static(j * stride + c)]
+                        strip_rate[j, c] = global_rate[wp.static(j * stride + c)]
                         if wp.static(summed):
-                            squared[j, c] = own_squares[wp.static(j * stride + c)]
+                            squared[j, c] = global_squares[wp.static(j * stride + c)]
         if wp.static(warps > 1):
-            for m in range(thread, wp.static(room), wp.static(threads)):
+            for m in range(thread, wp.static(shared_size), wp.static(threads)):
                 shared[m] = real(0.0)
             barrier()
 
-        own_wave = wave[k]
+        plate_wave = wave[k]
         for n in range(start, stop):
-            wave_cosine = own_wave[n, 0]
-            wave_sine = own_wave[n, 1]
+            wave_cosine = plate_wave[n, 0]
+            wave_sine = plate_wave[n, 1]
             if wp.static(warps > 1):
-                own = (n & 1) * wp.static(buffer) + (warp + 1) * wp.static(2 * BORDER * line) + lane
+                at = (n & 1) * wp.static(buffer) + (warp + 1) * wp.static(2 * BORDER * line) + lane
                 for j in range(wp.static(BORDER)):
                     for c in range(wp.static(columns)):
-                        shared[own + wp.static(j * line + c * LANES)] = displacement[j + BORDER, c]
-                        shared[own + wp.static((BORDER + j) * line + c * LANES)] = displacement[j + wp.static(rows), c]
+                        shared[at + wp.static(j * line + c * LANES)] = strip_u[j + BORDER, c]
+                        shared[at + wp.static((BORDER + j) * line + c * LANES)] = strip_u[j + wp.static(rows), c]
                 barrier()
                 for j in range(wp.static(BORDER)):
                     for c in range(wp.static(columns)):
-                        displacement[j, c] = shared[own - wp.static((BORDER - j) * line - c * LANES)]
-                        displacement[j + wp.static(BORDER + rows), c] = shared[
-                            own + wp.static((2 * BORDER + j) * line + c * LANES)
+                        strip_u[j, c] = shared[at - wp.static((BORDER - j) * line - c * LANES)]
+                        strip_u[j + wp.static(BORDER + rows), c] = shared[
+                            at + wp.static((2 * BORDER + j) * line + c * LANES)
                         ]
 
-            curvature = curvatures_of()
+            curvature = Curvatures()
             for r in range(wp.static(rows + 4)):
-                # The curvature of row r − 2 of the strip; of a single strip, those outside it are not wanted.
+                # The curvature of row r − 2 of the strip; a single strip needs none outside it.
                 if wp.static(warps > 1 or 2 <= r < rows + 2):
-                    upward = row_of()
-                    if wp.static(0 <= r - 2 < SPECIAL or 0 <= last_row - (r - 2) < SPECIAL):
-                        taps = closures.inside
-                        if wp.static(0 <= r - 2 < SPECIAL):
-                            if warp == 0:
-                                taps = closures.bend_low[wp.static(r - 2)]
-                        if wp.static(0 <= last_row - (r - 2) < SPECIAL):
-                            if warp == wp.static(warps - 1):
-                                taps = closures.bend_high[wp.static(last_row - (r - 2))]
-                        upward = along_y_special(
-                            displacement[r], displacement[r + 1], displacement[r + 2],
-                            displacement[r + 3], displacement[r + 4], taps,
-                        )
-                    else:
-                        upward = along_y_inside(
-                            displacement[r], displacement[r + 1], displacement[r + 2],
-                            displacement[r + 3], displacement[r + 4], closures.inside,
-                        )
-                    bent = along_x(upward, displacement[r + 2], bend_taps, lane)
+                    along_y = wp.static(make_sum_along_y(r - 2))(
+                        strip_u[r], strip_u[r + 1], strip_u[r + 2], strip_u[r + 3], strip_u[r + 4],
+                        taps_y.inside, taps_y.bend_low, taps_y.bend_high, warp,
+                    )
+                    curvature_row = add_along_x(along_y, strip_u[r + 2], bend_taps, lane)
                     for c in range(wp.static(columns)):
-                        curvature[r, c] = bent[c]
+                        curvature[r, c] = curvature_row[c]
 
                 # With it, all that moves row r − 4 is known.
                 if wp.static(r >= 4):
-                    across = row_of()
-                    if wp.static(0 <= r - 4 < SPECIAL or 0 <= last_row - (r - 4) < SPECIAL):
-                        weights = closures.inside
-                        if wp.static(0 <= r - 4 < SPECIAL):
-                            if warp == 0:
-                                weights = closures.move_low[wp.static(r - 4)]
-                        if wp.static(0 <= last_row - (r - 4) < SPECIAL):
-                            if warp == wp.static(warps - 1):
-                                weights = closures.move_high[wp.static(last_row - (r - 4))]
-                        across = along_y_special(
-                            curvature[r - 4], curvature[r - 3], curvature[r - 2], curvature[r - 1], curvature[r],
-                            weights,
-                        )
-                    else:
-                        across = along_y_inside(
-                            curvature[r - 4], curvature[r - 3], curvature[r - 2], curvature[r - 1], curvature[r],
-                            closures.inside,
-                        )
-                    biharmonic = along_x(across, curvature[r - 2], move_taps, lane)
-                    hold = stiffness
+                    along_y = wp.static(make_sum_along_y(r - 4))(
+                        curvature[r - 4], curvature[r - 3], curvature[r - 2], curvature[r - 1], curvature[r],
+                        taps_y.inside, taps_y.move_low, taps_y.move_high, warp,
+                    )
+                    biharmonic = add_along_x(along_y, curvature[r - 2], move_taps, lane)
+                    row_stiffness = stiffness
                     if wp.static(r == 4):
                         if warp == 0:
-                            hold = row_of()
+                            row_stiffness = Row()
                     if wp.static(r - 4 >= last_row):
                         if warp == wp.static(warps - 1):
-                            hold = row_of()
-                    # All reads of a row in one branch, so that they are under way together.
-                    load = row_of()
+                            row_stiffness = Row()
+                    # All reads of a row in one branch, so that they overlap.
+                    load = Row()
                     if (loads & wp.static(1 << r - 4)) != 0:
                         for c in range(wp.static(columns)):
                             if x0 + c < wp.static(nx):
-                                at = wp.static((r - 4) * stride + c)
-                                load[c] = wave_cosine * own_in_phase[at] + wave_sine * own_quadrature[at]
+                                i = wp.static((r - 4) * stride + c)
+                                load[c] = wave_cosine * global_in_phase[i] + wave_sine * global_quadrature[i]
                     for c in range(wp.static(columns)):
-                        new = update(speed[r - 4, c], biharmonic[c], load[c], hold[c], p)
-                        speed[r - 4, c] = new
-                        displacement[r, c] = displacement[r, c] + new
+                        new = update(strip_rate[r - 4, c], biharmonic[c], load[c], row_stiffness[c], p)
+                        strip_rate[r - 4, c] = new
+                        strip_u[r, c] = strip_u[r, c] + new
                         if wp.static(summed):
                             squared[r - 4, c] = squared[r - 4, c] + new * new
 
@@ -300,9 +301,9 @@ def make_run(effects, real, nx, ny, stride, wide, summed):
             if y0 + j <= wp.static(ny):
                 for c in range(wp.static(columns)):
                     if x0 + c < wp.static(nx):
-                        own_u[wp.static(j * stride + c)] = displacement[j + BORDER, c]
-                        own_rate[wp.static(j * stride + c)] = speed[j, c]
+                        global_u[wp.static(j * stride + c)] = strip_u[j + BORDER, c]
+                        global_rate[wp.static(j * stride + c)] = strip_rate[j, c]
                         if wp.static(summed):
-                            own_squares[wp.static(j * stride + c)] = squared[j, c]
+                            global_squares[wp.static(j * stride + c)] = squared[j, c]
 
-    return run
+    return run_steps

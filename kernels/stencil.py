@@ -1,12 +1,11 @@
-"""Difference operators on unit spacing along x; ``aspect`` is (spacing x / spacing y)².
+"""Finite differences on unit spacing along x; ``aspect`` is (spacing x / spacing y)².
 
-The 13-point biharmonic is the Laplacian of the Laplacian. Taking it in these two steps halves the arithmetic where
-a path can keep the inner Laplacian, the plate's curvature, and is where the edges enter: on a clamped edge the
-mirror node doubles the curvature, on a simply supported edge the curvature is zero. So an edge is one factor on
-the curvature of its nodes, 2 or 0 (1 inside), and no path needs a special case for it.
+The second-order biharmonic is the Laplacian of the Laplacian, 13 nodes in all. In two passes it costs half the
+arithmetic, and edges become simple: where the inner Laplacian (the curvature) is stored, a clamped edge, whose mirror
+node doubles it, and a supported edge, where it is zero, are the factors 2 and 0 on the curvature of the edge's nodes.
 
-The fourth-order form is two such passes as well, each with five nodes along each axis. Its edges change the taps of
-the two nodes next to them, in both passes; so near an edge taps are data.
+The fourth-order form is two such passes too, each with five nodes along each axis. Edges change the taps of the two
+nodes next to them in both passes, so taps near an edge are data.
 """
 
 from functools import cache
@@ -16,7 +15,7 @@ import warp as wp
 
 @cache
 def make_laplacian(square_cells, real):
-    """∇²u from the five nodes of the cross; ``real`` is wp.float32 or wp.float64."""
+    """Make ``laplacian``: ∇²u from the five nodes of the cross."""
 
     @wp.func
     def laplacian_square(centre: real, west: real, east: real, south: real, north: real, aspect: real):
@@ -32,24 +31,24 @@ def make_laplacian(square_cells, real):
 
 
 @cache
-def make_weighed(real):
-    """A sum, and to it the taps times five nodes in a row; each step is one fused multiply-add."""
-    taps_of = wp.types.vector(length=5, dtype=real)
+def make_weighted_sum(real):
+    """Make ``weighted_sum``: total + Σ taps · five nodes in a row; each step is one fused multiply-add."""
+    Taps = wp.types.vector(length=5, dtype=real)
 
     @wp.func
-    def weighed(total: real, taps: taps_of, a: real, b: real, c: real, d: real, e: real):
+    def weighted_sum(total: real, taps: Taps, a: real, b: real, c: real, d: real, e: real):
         return taps[0] * a + (taps[1] * b + (taps[2] * c + (taps[3] * d + (taps[4] * e + total))))
 
-    return weighed
+    return weighted_sum
 
 
 @cache
-def make_weighed_evenly(real):
-    """The same for taps that are alike to both sides."""
-    taps_of = wp.types.vector(length=5, dtype=real)
+def make_symmetric_weighted_sum(real):
+    """Make ``symmetric_weighted_sum``: the same for taps that are symmetric about the middle node."""
+    Taps = wp.types.vector(length=5, dtype=real)
 
     @wp.func
-    def weighed_evenly(total: real, taps: taps_of, a: real, b: real, c: real, d: real, e: real):
+    def symmetric_weighted_sum(total: real, taps: Taps, a: real, b: real, c: real, d: real, e: real):
         return taps[0] * (a + e) + (taps[1] * (b + d) + (taps[2] * c + total))
 
-    return weighed_evenly
+    return symmetric_weighted_sum

@@ -1,8 +1,9 @@
-"""Streaming path in its plainest form: two launches a step, a thread a node, any size and order, any device.
+"""The plainest path, and the place to start reading: two launches a step, a thread a node, any size, order and device.
 
-The first launch takes the curvature of every node from the displacement, the second moves the nodes by the curvature:
-in place, for it reads the displacement of no node but its own. Both gather their neighbours from the batched tensor
-with the taps of each axis as data. CUDA has a faster form for second order in ``streaming_march``.
+The first launch computes the curvature of every node from the displacement; the second moves the nodes by the
+biharmonic of the displacement, which is the curvature of the curvature. It works in place, because it reads the
+displacement of no other node. Both gather neighbours with the taps of each axis, which are data. ``temporal_blocking``
+is a faster form of this path for second order on CUDA.
 """
 
 from functools import cache
@@ -13,12 +14,12 @@ from warp_plate.kernels.update import make_parameters, make_update
 
 
 @cache
-def make_weigh(order, real):
-    """Σ of a node's neighbours along both axes, each times its tap."""
+def make_apply_taps(order, real):
+    """Make ``apply_taps``: Σ taps · neighbours of a node along both axes."""
     reach = order // 2
 
     @wp.func
-    def weigh(
+    def apply_taps(
         field: wp.array3d[real], taps_x: wp.array2d[real], taps_y: wp.array2d[real], k: int, j: int, i: int
     ):
         total = real(0.0)
@@ -32,54 +33,60 @@ def make_weigh(order, real):
                 total += taps_y[j, step] * field[k, row + 1, i]
         return total
 
-    return weigh
+    return apply_taps
 
 
 @cache
-def make_bend(effects, real):
-    """Curvature of all nodes; launch over (plates, ny, nx). taps_x: (nx, taps), taps_y: (ny, taps)."""
-    weigh = make_weigh(effects.order, real)
+def make_compute_curvature(effects, real):
+    """Make the kernel that computes the curvature of all nodes; launch over (plates, ny, nx)."""
+    apply_taps = make_apply_taps(effects.order, real)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def bend(taps_x: wp.array2d[real], taps_y: wp.array2d[real], u: wp.array3d[real], curvature: wp.array3d[real]):
+    def compute_curvature(
+        # inputs
+        taps_x: wp.array2d[real],  # (nx, order + 1)
+        taps_y: wp.array2d[real],  # (ny, order + 1)
+        u: wp.array3d[real],  # (plates, rows, columns)
+        # outputs
+        curvature: wp.array3d[real],  # (plates, rows, columns)
+    ):
         k, j, i = wp.tid()
-        curvature[k, j + 1, i] = weigh(u, taps_x, taps_y, k, j, i)
+        curvature[k, j + 1, i] = apply_taps(u, taps_x, taps_y, k, j, i)
 
-    return bend
+    return compute_curvature
 
 
 @cache
-def make_move(effects, real):
-    """One step of all nodes that move; launch over (plates, ny − 2, nx − 2).
-
-    wave: (plates, steps, 2), cos and sin ωt, see ``wave``; window: first and last + 1 of the steps whose rate² is
-    summed; the step is clock[0] + offset.
-    """
-    weigh = make_weigh(effects.order, real)
+def make_update_nodes(effects, real):
+    """Make the kernel that moves all inner nodes by one step; launch over (plates, ny − 2, nx − 2)."""
+    apply_taps = make_apply_taps(effects.order, real)
     update = make_update(effects, real)
     Parameters = make_parameters(real)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def move(
+    def update_nodes(
+        # parameters
         p: Parameters,
-        taps_x: wp.array2d[real],
-        taps_y: wp.array2d[real],
-        wave: wp.array3d[real],
-        window: wp.vec2i,
-        clock: wp.array[int],
-        offset: int,
+        taps_x: wp.array2d[real],  # (nx, order + 1)
+        taps_y: wp.array2d[real],  # (ny, order + 1)
+        wave: wp.array3d[real],  # (plates, steps, 2) cos ωt and sin ωt, see ``wave``
+        window: wp.vec2i,  # first and last + 1 of the steps whose rate² is summed
+        clock: wp.array[int],  # (1,)
+        offset: int,  # the step is clock[0] + offset
+        # inputs; all fields are (plates, rows, columns)
         in_phase: wp.array3d[real],
         quadrature: wp.array3d[real],
         curvature: wp.array3d[real],
+        # outputs
         u: wp.array3d[real],
         rate: wp.array3d[real],
         squares: wp.array3d[real],
     ):
         k, inner_row, inner_column = wp.tid()
         i = inner_column + 1
-        row = inner_row + 2  # one row of zeros lies below the plate
+        row = inner_row + 2  # a row of zeros lies below the plate
         n = clock[0] + offset
-        biharmonic = weigh(curvature, taps_x, taps_y, k, inner_row + 1, i)
+        biharmonic = apply_taps(curvature, taps_x, taps_y, k, inner_row + 1, i)
         load = wave[k, n, 0] * in_phase[k, row, i] + wave[k, n, 1] * quadrature[k, row, i]
         new = update(rate[k, row, i], biharmonic, load, p.stiffness, p)
         rate[k, row, i] = new
@@ -87,4 +94,4 @@ def make_move(effects, real):
         if n >= window[0] and n < window[1]:
             squares[k, row, i] += new * new
 
-    return move
+    return update_nodes

@@ -1,11 +1,12 @@
-"""The equation of motion, in the one place where it is written.
+"""The time update of one node, shared by all paths.
 
     ρH ü + c u̇ + D∇⁴u = f,   velocity form:  rate⁺ = decay·rate − stiffness·∇⁴u + load,   u⁺ = u + rate⁺
 
-``rate`` is the displacement gained in one step, Δt·u̇ at the half-step between two levels of u. Displacement is
-measured in units of the plate's largest drive × Δt²/ρH, so that all numbers stay near one whatever the material:
-``stiffness`` = (κΔt/h²)², of fourth order (κΔt/12h²)², and ``load`` ≤ 1, both divided by 1 + cΔt/2ρH where damping is
-centred in time.
+``rate`` is the displacement gained in one step, Δt·u̇ at the half-step between two levels of u. Displacement is in
+units of the plate's largest drive × Δt²/ρH, which keeps all numbers near one whatever the material: ``stiffness`` =
+(κΔt/h²)² (fourth order: (κΔt/12h²)²) and ``load`` ≤ 1, both divided by 1 + cΔt/2ρH where damping is centred in time.
+
+Only the update in time is here. Each path gathers ∇⁴u and the load by itself.
 """
 
 from functools import cache
@@ -15,7 +16,7 @@ import warp as wp
 
 @cache
 def make_parameters(real):
-    """The struct of run-time numbers, equal for all plates and nodes, in the precision ``real``."""
+    """Make the struct of numbers that all plates and nodes share: stiffness, aspect (see ``stencil``), decay."""
 
     @wp.struct
     class Parameters:
@@ -28,12 +29,12 @@ def make_parameters(real):
 
 @cache
 def make_update(effects, real):
-    """The rate half a step later from the rate, ∇⁴u, the load and the stiffness at one node."""
+    """Make ``update``: the rate half a step later from the rate, ∇⁴u, the load and the stiffness at a node."""
     Parameters = make_parameters(real)
 
     @wp.func
     def update(rate: real, biharmonic: real, load: real, stiffness: real, p: Parameters):
-        # From the left, each step is one fused multiply-add.
+        # Evaluated from the left, so that each term is one fused multiply-add.
         if wp.static(effects.damping):
             return load + p.decay * rate - stiffness * biharmonic
         else:

@@ -1,10 +1,10 @@
-"""Waves that plates have of their own: tones of other frequencies, bursts that begin at other times.
+"""Waves in time that differ from plate to plate: tones of other frequencies, bursts that begin at other times.
 
     load of plate k at step n = Σ_t wave[k, n, t]·loads[t, k]
 
-Where all plates share their waves, ``wave`` is one plate's with a stride of zero from plate to plate. Here are the ones
-that differ, with the two terms cos ωt and sin ωt for each carrier, under the envelope of a burst; all is worked out in
-float64. The host has the same in ``plate/signals.py``.
+Waves that all plates share are one plate's, with a stride of zero from plate to plate. The waves made here have two
+terms for each carrier, cos ωt and sin ωt, under the envelope of a burst, and are computed in float64, as on the host in
+``plate/signals.py``.
 """
 
 from functools import cache
@@ -14,7 +14,7 @@ import warp as wp
 
 @wp.struct
 class Envelope:
-    """Duration, ramp and period of a burst [s]; period: zero for a single burst."""
+    """Burst: duration, ramp and repetition period [s]; period 0 for a single burst."""
 
     duration: wp.float64
     ramp: wp.float64
@@ -22,8 +22,8 @@ class Envelope:
 
 
 @wp.func
-def risen(time: wp.float64, ramp: wp.float64):
-    """Integral of the rise ½(1 − cos πt/ramp) from 0 to ``time``, within 0 ... ramp."""
+def integrate_ramp(time: wp.float64, ramp: wp.float64):
+    """Integrate the rise ½(1 − cos πt/ramp) from 0 to ``time``, which is within 0 … ramp."""
     total = wp.float64(0.0)
     if ramp > wp.float64(0.0):
         turn = wp.float64(wp.static(wp.PI)) / ramp
@@ -32,8 +32,8 @@ def risen(time: wp.float64, ramp: wp.float64):
 
 
 @wp.func
-def envelope_until(time: wp.float64, e: Envelope):
-    """Integral of the bursts' envelope up to ``time`` after the first one's start."""
+def integrate_envelope(time: wp.float64, e: Envelope):
+    """Integrate the envelope of the bursts from the start of the first one to ``time`` after it."""
     zero = wp.float64(0.0)
     half_ramp = e.ramp / wp.float64(2.0)
     flat = wp.max(e.duration - wp.float64(2.0) * e.ramp, zero)
@@ -41,26 +41,25 @@ def envelope_until(time: wp.float64, e: Envelope):
     if e.period > zero:
         past = wp.max(wp.floor(time / e.period), zero)
     inside = time - past * e.period
-    rise = risen(wp.clamp(inside, zero, e.ramp), e.ramp)
+    rise = integrate_ramp(wp.clamp(inside, zero, e.ramp), e.ramp)
     top = wp.clamp(inside - e.ramp, zero, flat)
     falling = wp.clamp(inside - (e.duration - e.ramp), zero, e.ramp)
-    return past * (flat + e.ramp) + rise + top + (half_ramp - risen(e.ramp - falling, e.ramp))
+    return past * (flat + e.ramp) + rise + top + (half_ramp - integrate_ramp(e.ramp - falling, e.ramp))
 
 
 @cache
-def make_tones(real, burst):
-    """Writes the waves; launch over (plates, steps, carriers). ``burst``: whether the tones have an envelope.
-
-    frequency [Hz], delay [s]: (plates, carriers); wave: (plates, steps, 2·carriers).
-    """
+def make_write_tones(real, burst):
+    """Make the kernel that writes tones, under an envelope if ``burst``; launch over (plates, steps, carriers)."""
 
     @wp.kernel(module="unique", enable_backward=False)
-    def tones(
-        frequency: wp.array2d[wp.float64],
-        delay: wp.array2d[wp.float64],
+    def write_tones(
+        # inputs
+        frequency: wp.array2d[wp.float64],  # (plates, carriers) [Hz]
+        delay: wp.array2d[wp.float64],  # (plates, carriers) [s]
         time_step: wp.float64,
         envelope: Envelope,
-        wave: wp.array3d[real],
+        # outputs
+        wave: wp.array3d[real],  # (plates, steps, 2·carriers)
     ):
         k, n, carrier = wp.tid()
         step = wp.float64(n)
@@ -71,25 +70,31 @@ def make_tones(real, burst):
             low = wp.max(step - half, wp.float64(0.0)) * time_step
             high = (step + half) * time_step
             start = delay[k, carrier]
-            size = (envelope_until(high - start, envelope) - envelope_until(low - start, envelope)) / (high - low)
+            size = (integrate_envelope(high - start, envelope) - integrate_envelope(low - start, envelope)) / (
+                high - low
+            )
         if n == 0:
             size *= wp.float64(0.5)
         angle = wp.float64(wp.static(2.0 * wp.PI)) * frequency[k, carrier] * time_step * step
         wave[k, n, 2 * carrier] = real(size * wp.cos(angle))
         wave[k, n, 2 * carrier + 1] = real(size * wp.sin(angle))
 
-    return tones
+    return write_tones
 
 
 @cache
-def make_running_sums(real):
-    """Replaces waves by their running sums over the steps, below two in size; launch over (plates, terms).
+def make_accumulate_waves(real):
+    """Make the kernel that replaces waves by their running sums over the steps; launch over (plates, terms).
 
-    sizes: (plates, terms) powers of two by which the sums were divided.
+    The sums are divided by a power of two each, which makes them smaller than two.
     """
 
     @wp.kernel(module="unique", enable_backward=False)
-    def running_sums(wave: wp.array3d[real], sizes: wp.array2d[wp.float64]):
+    def accumulate_waves(
+        # outputs
+        wave: wp.array3d[real],  # (plates, steps, terms)
+        sizes: wp.array2d[wp.float64],  # (plates, terms) divisors
+    ):
         k, t = wp.tid()
         total = wp.float64(0.0)
         largest = wp.float64(0.0)
@@ -104,4 +109,4 @@ def make_running_sums(real):
             wave[k, n, t] = wave[k, n, t] * real(wp.float64(1.0) / size)
         sizes[k, t] = size
 
-    return running_sums
+    return accumulate_waves

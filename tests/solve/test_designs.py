@@ -6,15 +6,14 @@ import pytest
 from test_paths import poison
 
 from warp_plate import PlateSolver, SceneError
-from warp_plate.kernels import moment_form_plan as general_plan
+from warp_plate.kernels import moment_form_plan
 from warp_plate.plate.designs import Designs, PerPlate, per_plate_of
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import make_signals, waves_per_plate
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.reference.numpy_moment_form import run_general
 from warp_plate.reference.numpy_plate import run_plate
-from warp_plate.solve import moment_form as general
-from warp_plate.solve import paths
+from warp_plate.solve import moment_form, paths
 from warp_plate.solve.state import bytes_per_plate
 
 # Both sides round a few times ε a step, in another order, for some hundred steps.
@@ -161,10 +160,10 @@ def test_the_kernel_of_blocks_on_cpu(burst_scene, draw, monkeypatch):
     designs = draw(made, EACH, 2)
 
     def one_thread(specialized):
-        (nx, ny), planes = specialized.scheme.nodes, general_plan.planes_of(specialized.effects, ())
-        return general.blocks_path(specialized, general_plan.Blocks(1, nx * ny, (), planes, False, 64))
+        (nx, ny), planes = specialized.scheme.nodes, moment_form_plan.workspace_planes(specialized.effects, ())
+        return moment_form.block_path(specialized, moment_form_plan.BlockPlan(1, nx * ny, (), planes, False, 64))
 
-    monkeypatch.setitem(paths.GENERAL, "resident", one_thread)
+    monkeypatch.setitem(paths.MOMENT_FORM, "resident", one_thread)
     run = PlateSolver(made, "cpu", "resident", per_plate=EACH).run(designs)
     energies = [reference(written(made, designs, k), designs.drives[k : k + 1])[0][0] for k in range(2)]
     np.testing.assert_allclose(run.energy, energies, rtol=TOLERANCE["float64"])

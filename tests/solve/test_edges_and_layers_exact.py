@@ -64,7 +64,7 @@ def test_layer_over_the_whole_plate_is_the_laminate(scene, both):
 
 
 def slowest(scene):
-    """Lowest natural frequency ω [rad/s] of the plate on its grid, which the paths step (see test_general_paths)."""
+    """Lowest natural frequency ω [rad/s] of the plate on its grid, as the paths step it."""
     stiffness, masses = system(scene, make_bending(scene))
     root = scipy.sparse.diags_array(1 / np.sqrt(masses))
     matrix = root @ stiffness @ root

@@ -1,6 +1,7 @@
 """Same scene, seed and device: same bits, in whatever pieces and on however many threads the work is done.
 
-What a plate does alone or in a batch is in ``test_solver.py`` and ``test_general_paths.py``; here are whole searches.
+What a plate does alone or in a batch is in ``test_solver.py`` and ``test_moment_form_paths.py``;
+here are whole searches.
 """
 
 import hashlib

@@ -1,4 +1,4 @@
-"""The ways to step a chunk of plates, by device and name, and which one a scene takes."""
+"""The paths, by device and name, and the choice of one for a scene."""
 
 from __future__ import annotations
 
@@ -6,30 +6,27 @@ from collections.abc import Callable
 
 import warp as wp
 
-from warp_plate.solve import cpu, cuda, streaming
-from warp_plate.solve import moment_form as general
+from warp_plate.solve import cpu, cuda, moment_form, streaming
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance
 
 MakePath = Callable[[Specialized], Advance]
 
+# Paths of plain plates, and those of all other scenes.
 PATHS: dict[str, dict[str, MakePath]] = {
     "cpu": {"resident": cpu.resident_path, "streaming": streaming.streaming_path},
     "cuda": {"resident": cuda.resident_path, "streaming": cuda.streaming_path},
 }
-
-
-# Of scenes that ask for more than the plain plate.
-GENERAL: dict[str, MakePath] = {"resident": general.resident_path, "streaming": general.streaming_path}
+MOMENT_FORM: dict[str, MakePath] = {"resident": moment_form.resident_path, "streaming": moment_form.streaming_path}
 
 
 def paths_of(device: wp.Device, plain: bool = True) -> dict[str, MakePath]:
-    """The paths that a device has, by name; ``plain``: for a plain plate."""
-    return PATHS["cuda" if device.is_cuda else "cpu"] if plain else GENERAL
+    """Return the paths of a device by name, for a plain plate or for the moment form."""
+    return PATHS["cuda" if device.is_cuda else "cpu"] if plain else MOMENT_FORM
 
 
 def why_streaming(specialized: Specialized, traced: bool = False) -> str | None:
-    """Why plates cannot run resident, or, if they are ``traced``, do not; None where they do."""
+    """Return why plates (with ``traced`` points) do not run resident, or None if they do."""
     if specialized.device.is_cpu or not specialized.effects.plain:
         return None
     if not cuda.fits_on_chip(specialized):
@@ -39,5 +36,5 @@ def why_streaming(specialized: Specialized, traced: bool = False) -> str | None:
 
 
 def choose_path(specialized: Specialized) -> str:
-    """The fastest path: resident wherever the plate fits on the chip."""
+    """Return the fastest path: resident wherever the plate fits on the chip."""
     return "streaming" if why_streaming(specialized) else "resident"

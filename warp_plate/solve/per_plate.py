@@ -1,4 +1,4 @@
-"""What plates have of their own, beside drives, made on the device: their waves, and where their actuators press."""
+"""Waves and actuator places that differ from plate to plate, computed on the device."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels.load import make_spread_moved_drives, make_weigh_along
-from warp_plate.kernels.wave import Envelope, make_running_sums, make_tones
+from warp_plate.kernels.load import make_weigh_spans, make_write_placed_loads
+from warp_plate.kernels.wave import Envelope, make_accumulate_waves, make_write_tones
 from warp_plate.plate.designs import PerPlateValues
 from warp_plate.plate.signals import waves_per_plate
 from warp_plate.plate.weights import CUBICS, node_positions
@@ -19,90 +19,100 @@ from warp_plate.solve.state import State
 
 # (state, values) → (1 or plates, terms) powers of two by which the waves are divided.
 PutWaves = Callable[[State, PerPlateValues], np.ndarray]
-# (state, edges (plates, actuators, 4) [m]): weighs the patches of the plates.
+# (state, edges (plates, actuators, 4) [m]): compute the weights of the plates' patches.
 PutPlaces = Callable[[State, np.ndarray], None]
-# Numbers that the host makes at once.
+# Most numbers of waves that the host computes at once.
 HOST_NUMBERS = 2**24
 
 
 @dataclass(frozen=True)
 class PerPlateKernels:
-    """What a solver needs to give plates what is their own; compiled when it is made."""
+    """Compiled kernels for what differs from plate to plate.
+
+    Attributes:
+        put_waves: Writes the waves of a run.
+        put_places: Writes the weights of patches.
+        write_placed_loads: Kernel of the load fields of such patches.
+        inputs: Its second and third argument.
+    """
 
     put_waves: PutWaves
     put_places: PutPlaces
-    spread_moved_drives: wp.Kernel
+    write_placed_loads: wp.Kernel
     inputs: list[Any]
 
 
 def make_per_plate_kernels(specialized: Specialized) -> PerPlateKernels:
-    """Compile what ``specialized.discretization.per_plate`` asks for, or read it from Warp's cache."""
-    spread = make_spread_moved_drives(specialized.real)
+    """Compile the kernels that ``specialized.discretization.per_plate`` needs, or load them from Warp's cache."""
+    write_placed_loads = make_write_placed_loads(specialized.real)
     if specialized.discretization.per_plate.centre:
-        wp.load_module(module=spread.module, device=specialized.device)
+        wp.load_module(module=write_placed_loads.module, device=specialized.device)
     share: wp.array = wp.array(specialized.share, dtype=wp.float64, device=specialized.device)
-    return PerPlateKernels(_waves(specialized), _places(specialized), spread, [specialized.support, share])
+    inputs = [specialized.support, share]
+    return PerPlateKernels(_make_put_waves(specialized), _make_put_places(specialized), write_placed_loads, inputs)
 
 
-def _waves(specialized: Specialized) -> PutWaves:
-    """Tones are made on the device; sweeps, and what squares of voltages make of tones, on the host."""
+def _make_put_waves(specialized: Specialized) -> PutWaves:
+    """Return the writer of waves: tones on the device; sweeps, and squares of voltages, on the host."""
     scene, scheme, device = specialized.scene, specialized.scheme, specialized.device
     drive, burst = scene.drive, scene.drive.burst
-    tones = make_tones(specialized.real, burst is not None)
-    add_up = make_running_sums(specialized.real)
-    if specialized.discretization.carriers:
-        for kernel in (tones, add_up):
+    carriers, terms = specialized.discretization.carriers, specialized.discretization.signals.terms
+    write_tones = make_write_tones(specialized.real, burst is not None)
+    accumulate_waves = make_accumulate_waves(specialized.real)
+    if carriers:
+        for kernel in (write_tones, accumulate_waves):
             wp.load_module(module=kernel.module, device=device)
     envelope = Envelope()
     if burst is not None:
         envelope.duration, envelope.ramp, envelope.period = burst.duration, burst.ramp, burst.period or 0.0
     on_device = drive.chirp is None and drive.electrostatic is None
 
-    def put(state: State, values: PerPlateValues) -> np.ndarray:
-        frequency, delay = values.frequency, values.delay
-        if frequency is None:
+    def put_on_device(state: State, frequency: np.ndarray, delay: np.ndarray | None) -> None:
+        tones = (frequency, np.zeros_like(frequency) if delay is None else delay)
+        inputs: list[Any] = [wp.array(values, dtype=wp.float64, device=device) for values in tones]
+        wp.launch(
+            write_tones,
+            dim=(len(frequency), scheme.steps, carriers),
+            inputs=[*inputs, scheme.time_step, envelope],
+            outputs=[state.plate_waves],
+            device=device,
+        )
+
+    def put_from_host(state: State, frequency: np.ndarray, delay: np.ndarray | None) -> None:
+        block = max(1, HOST_NUMBERS // (scheme.steps * terms))
+        for first in range(0, len(frequency), block):
+            some = slice(first, min(first + block, len(frequency)))
+            delays = None if delay is None else delay[some]
+            waves = waves_per_plate(scene, scheme.time_step, scheme.steps, frequency[some], delays)
+            state.plate_waves[some].assign(waves.astype(scene.grid.precision))
+
+    def put_waves(state: State, values: PerPlateValues) -> np.ndarray:
+        if values.frequency is None:
             state.wave = state.shared_wave
             return specialized.sizes[None]
-        state.wave, plates = state.plate_waves, len(frequency)
-        if on_device:
-            late = np.zeros_like(frequency) if delay is None else delay
-            inputs: list[Any] = [wp.array(one, dtype=wp.float64, device=device) for one in (frequency, late)]
-            wp.launch(
-                tones,
-                dim=(plates, scheme.steps, specialized.discretization.carriers),
-                inputs=[*inputs, scheme.time_step, envelope],
-                outputs=[state.plate_waves],
-                device=device,
-            )
-        else:
-            block = max(1, HOST_NUMBERS // (scheme.steps * specialized.discretization.signals.terms))
-            for first in range(0, plates, block):
-                some = slice(first, min(first + block, plates))
-                made = waves_per_plate(
-                    scene, scheme.time_step, scheme.steps, frequency[some], None if delay is None else delay[some]
-                )
-                state.plate_waves[some].assign(made.astype(scene.grid.precision))
+        state.wave = state.plate_waves
+        (put_on_device if on_device else put_from_host)(state, values.frequency, values.delay)
         if specialized.quantity == "velocity":
-            return np.ones((1, specialized.discretization.signals.terms))
-        sizes = wp.zeros((plates, specialized.discretization.signals.terms), dtype=wp.float64, device=device)
-        wp.launch(add_up, dim=sizes.shape, inputs=[state.plate_waves], outputs=[sizes], device=device)
+            return np.ones((1, terms))
+        sizes = wp.zeros((len(values.frequency), terms), dtype=wp.float64, device=device)
+        wp.launch(accumulate_waves, dim=sizes.shape, inputs=[state.plate_waves], outputs=[sizes], device=device)
         return np.asarray(sizes.numpy())
 
-    return put
+    return put_waves
 
 
-def _places(specialized: Specialized) -> PutPlaces:
+def _make_put_places(specialized: Specialized) -> PutPlaces:
     scene, device = specialized.scene, specialized.device
-    weigh_along = make_weigh_along(scene.grid.load == "moments")
+    weigh_spans = make_weigh_spans(scene.grid.load == "moments")
     if specialized.discretization.per_plate.centre:
-        wp.load_module(module=weigh_along.module, device=device)
+        wp.load_module(module=weigh_spans.module, device=device)
     positions: list[wp.array] = [wp.array(axis, dtype=wp.float64, device=device) for axis in node_positions(scene)]
     to_weights = wp.mat44d(*np.linalg.inv(CUBICS).ravel().tolist())
 
-    def put(state: State, edges: np.ndarray) -> None:
+    def put_places(state: State, edges: np.ndarray) -> None:
         rectangles: wp.array = wp.array(edges, dtype=wp.float64, device=device)
         for first, axis, along in ((0, positions[0], state.along_x), (2, positions[1], state.along_y)):
             inputs = [rectangles, first, axis, to_weights]
-            wp.launch(weigh_along, dim=edges.shape[:2], inputs=inputs, outputs=[along], device=device)
+            wp.launch(weigh_spans, dim=edges.shape[:2], inputs=inputs, outputs=[along], device=device)
 
-    return put
+    return put_places

@@ -1,4 +1,4 @@
-"""The plain streaming path of every device, and how any path steps that takes a few launches for a step."""
+"""The plain streaming path of every device, and stepping by a few launches per step."""
 
 from __future__ import annotations
 
@@ -11,55 +11,65 @@ from warp_plate.solve.launches import Launcher, repeat
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
 
-# Steps whose launches are put together.
+# Steps whose launches are recorded together.
 STEPS = 16
-# (launch, state, plates, clock, offset): the launches of step clock[0] + offset.
+# (launch, state, plates, clock, offset): make the launches of step clock[0] + offset.
 Step = Callable[[Launcher, State, int, wp.array, int], None]
 
 
+def record_nodes(
+    launch: Launcher, record_trace: wp.Kernel, state: State, plates: int, clock: wp.array, offset: int
+) -> None:
+    """Record the traced nodes of a state, if there are any, at step clock[0] + offset."""
+    if state.nodes.shape[0]:
+        inputs, outputs = [clock, offset, state.nodes, state.u], [state.trace]
+        dim = (plates, state.nodes.shape[0])
+        launch(record_trace, dim=dim, inputs=inputs, outputs=outputs, device=clock.device)
+
+
 def step_by_step(specialized: Specialized, step: Step) -> Advance:
-    """Steps of a few launches each, after which the trace is kept."""
-    device, keep = specialized.device, record.make_record(specialized.real)
-    for kernel in (keep, record.advance_clock):
+    """Return a path of a few launches per step, after which traced nodes are recorded."""
+    device, record_trace = specialized.device, record.make_record_trace(specialized.real)
+    for kernel in (record_trace, record.advance_clock):
         wp.load_module(module=kernel.module, device=device)
     clock = wp.zeros(1, dtype=int, device=device)
 
-    def steps(launch: Launcher, state: State, plates: int, count: int) -> None:
+    def launches(launch: Launcher, state: State, plates: int, count: int) -> None:
         for offset in range(count):
             step(launch, state, plates, clock, offset)
-            if state.nodes.shape[0]:
-                inputs, outputs = [clock, offset, state.nodes, state.u], [state.trace]
-                launch(keep, dim=(plates, state.nodes.shape[0]), inputs=inputs, outputs=outputs, device=device)
+            record_nodes(launch, record_trace, state, plates, clock, offset)
         launch(record.advance_clock, dim=1, inputs=[clock, count], device=device)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         clock.fill_(start)
-        whole, rest = divmod(stop - start, STEPS)
-        for _ in range(whole):
-            repeat(device, steps, state, plates, STEPS)
-        steps(wp.launch, state, plates, rest)
+        runs, rest = divmod(stop - start, STEPS)
+        for _ in range(runs):
+            repeat(device, launches, state, plates, STEPS)
+        launches(wp.launch, state, plates, rest)
 
     return advance
 
 
 def streaming_path(specialized: Specialized) -> Advance:
-    """Two launches a step, a thread a node."""
+    """Return the path with two launches per step and a thread per node."""
     device, real, effects = specialized.device, specialized.real, specialized.effects
-    bend, move = streaming.make_bend(effects, real), streaming.make_move(effects, real)
-    for kernel in (bend, move):
+    compute_curvature = streaming.make_compute_curvature(effects, real)
+    update_nodes = streaming.make_update_nodes(effects, real)
+    for kernel in (compute_curvature, update_nodes):
         wp.load_module(module=kernel.module, device=device)
     nx, ny = specialized.scheme.nodes
     bend_x, bend_y, move_x, move_y = specialized.taps
-    shared = [specialized.parameters, move_x, move_y]
     window = wp.vec2i(*specialized.scheme.window)
 
     def step(launch: Launcher, state: State, plates: int, clock: wp.array, offset: int) -> None:
         curvature = state.u_next
-        launch(bend, dim=(plates, ny, nx), inputs=[bend_x, bend_y, state.u], outputs=[curvature], device=device)
+        inputs = [bend_x, bend_y, state.u]
+        launch(compute_curvature, dim=(plates, ny, nx), inputs=inputs, outputs=[curvature], device=device)
         launch(
-            move,
+            update_nodes,
             dim=(plates, ny - 2, nx - 2),
-            inputs=[*shared, state.wave, window, clock, offset, state.in_phase, state.quadrature, curvature],
+            inputs=[specialized.parameters, move_x, move_y, state.wave, window, clock, offset]
+            + [state.in_phase, state.quadrature, curvature],
             outputs=[state.u, state.rate, state.squares],
             device=device,
         )

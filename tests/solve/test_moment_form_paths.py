@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver, SceneError
-from warp_plate.kernels import moment_form_plan as general_plan
+from warp_plate.kernels import moment_form_plan
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.reference.numpy_moment_form import run_general
-from warp_plate.solve import moment_form as general
-from warp_plate.solve import paths
+from warp_plate.solve import moment_form, paths
 
 TOLERANCE = {"float32": 3e-4, "float64": 1e-11}
 # (nodes, sides) [m]: odd, even, oblong, and the smallest; cells are square in the first alone.
@@ -232,12 +231,13 @@ def test_the_kernel_of_blocks_on_cpu(held, mix, full, random, monkeypatch):
 
     def one_thread(specialized):
         effects, (nx, ny) = specialized.effects, specialized.scheme.nodes
-        names = (*general_plan.FIRST, "pull", *general_plan.used(effects)) if held else ()
-        planes = general_plan.planes_of(effects, names)
+        material = moment_form_plan.material_planes(effects)
+        names = (*moment_form_plan.REGISTERS_FIRST, "membrane_curvature", *material) if held else ()
+        planes = moment_form_plan.workspace_planes(effects, names)
         # One node beyond the plate.
-        return general.blocks_path(specialized, general_plan.Blocks(1, nx * ny + 1, names, planes, False, 64))
+        return moment_form.block_path(specialized, moment_form_plan.BlockPlan(1, nx * ny + 1, names, planes, False, 64))
 
-    monkeypatch.setitem(paths.GENERAL, "resident", one_thread)
+    monkeypatch.setitem(paths.MOMENT_FORM, "resident", one_thread)
     points = [tuple(np.multiply((0.3, 0.9), made.plate.size))]
     run = PlateSolver(made, "cpu", "resident").run(drives, (made.window.end / 2,), points)
     check(run, made, run_general(made, drives), points)
