@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate import memory
+from warp_plate.plate.discretization import discretize
 from warp_plate.plate.moving_load import moving_weights
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import make_signals
@@ -96,7 +97,7 @@ def check_arrays(scene):
     try:
         scheme = make_scheme(scene)
         fields = [patches(scene), region_weights(scene, {one.name: one for one in scene.targets[1:]})]
-        judge = make_objectives(scene)
+        judge = make_objectives(discretize(scene))
         fields += [judge.areas, judge.masses, judge.cells]
         if scheme.steps <= LONGEST_RUN:
             signals = make_signals(scene, scheme.time_step, scheme.steps)

@@ -8,7 +8,6 @@ import scipy.optimize
 
 from warp_plate import PlateSolver
 from warp_plate.plate.weights import REGIONS, localization_factor
-from warp_plate.problem.objectives import localization_loss
 from warp_plate.problem.parametrization import paper_phasors
 from warp_plate.solve.response import Response, measure_response, unit_drives
 
@@ -172,4 +171,3 @@ def test_loss_of_a_plate_at_rest_is_no_number():
         :, [REGIONS.index("plate"), REGIONS.index("target")]
     ]
     np.testing.assert_array_equal(localization_factor(energy), [0.25, np.nan, np.nan])
-    np.testing.assert_array_equal(localization_loss(energy), [0.75, np.nan, np.nan])

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.optimize.quadratic import real_parts
 from warp_plate.result.live import DriveResponse, SteadyMotion, quadrants
 from warp_plate.scene.model import Scene
-from warp_plate.solve.response import Response, measure_response, real_parts, unit_drives
+from warp_plate.solve.response import Response, measure_response, unit_drives
 from warp_plate.solve.run import Run
 from warp_plate.solve.solver import PlateSolver, Progress
 

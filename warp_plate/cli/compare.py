@@ -91,7 +91,7 @@ def rows(result: MethodComparison) -> list[dict[str, object]]:
     """Return a record for each method: losses, gap, number of seeds near the bound, and cost."""
     import numpy as np
 
-    from warp_plate.optimize.record import tolerance_scale
+    from warp_plate.optimize.optimizer import tolerance_scale
     from warp_plate.problem.objectives import loss_scale
 
     near = NEAR * tolerance_scale(result.bound or 0.0, loss_scale(result.scene.search.objectives))

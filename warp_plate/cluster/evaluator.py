@@ -17,6 +17,7 @@ from warp_plate.cluster.scheduler import Task, run_tasks
 from warp_plate.cluster.solver_spec import SolverSpec, solver_spec
 from warp_plate.cluster.tasks import Block, BlockEnergies, refuse_unlike, run_block
 from warp_plate.plate.designs import Batch, Designs, as_phasors, check_designs
+from warp_plate.plate.discretization import Discretization
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.solver import PlateSolver
@@ -138,12 +139,16 @@ class Evaluator:
 
 
 def make_evaluator(
-    scene: Scene, device: str = "auto", path: str = "auto", pool: WorkerPool | None = None, **options: Any
+    scene: Scene | Discretization,
+    device: str = "auto",
+    path: str = "auto",
+    pool: WorkerPool | None = None,
+    **options: Any,
 ) -> Evaluator:
     """Return the evaluator of a scene; the options are those of :class:`PlateSolver` (areas, memory_share, ...).
 
     Args:
-        scene: A scene with a grid.
+        scene: A scene with a grid, or its discretization.
         device: Device of the solver in this process; workers have ``pool.device``.
         path: See :class:`PlateSolver`.
         pool: Workers that run batches (default: this process does).
@@ -152,7 +157,7 @@ def make_evaluator(
         SceneError: See :class:`PlateSolver`.
     """
     solver = PlateSolver(scene, device, path, **options)
-    return Evaluator(solver, pool, None if pool is None else solver_spec(scene, pool.device, path, **options))
+    return Evaluator(solver, pool, None if pool is None else solver_spec(solver.scene, pool.device, path, **options))
 
 
 def block_size(node_steps_per_plate: int, kind: str) -> int:

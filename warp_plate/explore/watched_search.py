@@ -8,7 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from warp_plate.optimize.pso import Swarm, optimize
+from warp_plate.optimize.optimizer import minimize
+from warp_plate.optimize.pso import Swarm
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import with_paper_search
 from warp_plate.problem.methods import swarm_settings
@@ -47,7 +48,7 @@ class WatchedSearch:
         self._reading: SwarmSnapshot | None = None
         # What is free in the scene's own search is for ``localize``: here it is always the drives.
         space = parametrization_of(with_paper_search(scene)).space
-        swarm = Swarm(swarm_settings(scene.search, space, scene.search.seed))
+        swarm = Swarm(space, swarm_settings(scene.search, scene.search.seed))
         self._thread = threading.Thread(target=self._run, args=(swarm,), name="swarm", daemon=True)
         self._thread.start()
 
@@ -64,7 +65,7 @@ class WatchedSearch:
         self._thread.join()
 
     def _run(self, swarm: Swarm) -> None:
-        optimize(swarm, self._losses, self._after)
+        minimize(swarm, self._losses, self._after)
         if self._reading is not None:
             self._publish(swarm, running=False)
 

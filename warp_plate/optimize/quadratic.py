@@ -1,6 +1,6 @@
 """Losses that follow from energies that are quadratic forms of the drive, with their slopes.
 
-With z in R^{2M} as in ``solve.response``, E_r = zᵀ A_r z and loss = L(E), position by position,
+With z = (Re Z₁ ... Re Z_M, −Im Z₁ ... −Im Z_M) of the phasors Z, E_r = zᵀ A_r z and loss = L(E), position by position,
 
     ∂loss/∂x = Σ_r ∂L/∂E_r · 2 (A_r z) · ∂z/∂x
 
@@ -15,64 +15,82 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.solve.response import Response, real_parts
-
 # The step of central differences, as a part of a number's own size: errors of h² and of rounding / h meet.
 STEP = 6e-6
+# Drives whose plate energy is below this part of the largest are combinations that cancel out: two actuators in one
+# place, for example. What is left of their energy is rounding, and no ratio of it means anything.
+RANK_TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True)
 class Quadratic:
-    """A problem whose plates need not be run.
+    """A problem whose energies are quadratic forms of phasors, so that no plate need be run.
 
-    matrices: (regions, 2M, 2M), energies zᵀ A z; drives: positions (n, dimension) → (n, M) phasors; positions: back
-    again, as near as the space allows; losses_of: energies (n, regions) → (n,); localization: whether that is 1 − LF
-    and nothing else.
+    Attributes:
+        matrices: (regions, 2M, 2M) symmetric A_r.
+        phasors: function from positions (n, dimension) to phasors (n, M).
+        positions: function from phasors (n, M) to positions (n, dimension), as near as the space allows.
+        losses_of: function from energies (n, regions) to losses (n,).
+        ratio: indices of two regions where the loss is 1 − E_first / E_second and nothing else; None for other losses.
     """
 
     matrices: np.ndarray
-    drives: Callable[[np.ndarray], np.ndarray]
+    phasors: Callable[[np.ndarray], np.ndarray]
     positions: Callable[[np.ndarray], np.ndarray]
     losses_of: Callable[[np.ndarray], np.ndarray]
-    localization: bool
+    ratio: tuple[int, int] | None = None
 
-    def energies(self, drives: np.ndarray) -> np.ndarray:
-        """(n, regions) of drives (n, actuators)."""
-        return Response(self.matrices).energy(drives)
+    def energies(self, phasors: np.ndarray) -> np.ndarray:
+        """Return the energies (n, regions) of phasors (n, M)."""
+        return quadratic_forms(self.matrices, phasors)
 
     def losses(self, positions: np.ndarray) -> np.ndarray:
-        """(n,) of positions (n, dimension)."""
-        return self.losses_of(self.energies(self.drives(positions)))
+        """Return the losses (n,) of positions (n, dimension)."""
+        return self.losses_of(self.energies(self.phasors(positions)))
 
     def losses_and_slopes(
         self, positions: np.ndarray, spans: np.ndarray, lower: np.ndarray, upper: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(n,) losses and (n, dimension) ∂loss/∂x; spans: (dimension,) typical sizes; no step leaves the limits."""
-        with np.errstate(all="ignore"):  # what is no number there is no number here
-            return self._losses_and_slopes(positions, spans, (lower, upper))
+        """Return the losses (n,) and ∂loss/∂x (n, dimension) of positions (n, dimension).
 
-    def _losses_and_slopes(
-        self, positions: np.ndarray, spans: np.ndarray, limits: tuple[np.ndarray, np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        z = real_parts(self.drives(positions))
-        products = np.einsum("rab,pb->pra", self.matrices, z)
-        energy = np.einsum("pa,pra->pr", z, products)
-        losses = self.losses_of(energy)
-        turned = 2 * np.einsum("pr,pra->pa", _slopes(self.losses_of, energy), products)
-        slopes = np.empty(positions.shape)
-        for column, span in enumerate(spans):
-            ends = []
-            for step in (STEP * span, -STEP * span):
-                moved = positions.copy()
-                moved[:, column] = np.clip(moved[:, column] + step, limits[0][column], limits[1][column])
-                ends.append((moved[:, column], real_parts(self.drives(moved))))
-            (high, z_high), (low, z_low) = ends
-            slopes[:, column] = ((z_high - z_low) * turned).sum(axis=1) / (high - low)
-        return losses, slopes
+        Args:
+            positions: where.
+            spans: (dimension,) typical sizes of the numbers.
+            lower: (dimension,) limits that no step of a difference passes.
+            upper: the same.
+        """
+        with np.errstate(all="ignore"):  # what is no number there is no number here
+            z = real_parts(self.phasors(positions))
+            products = np.einsum("rab,pb->pra", self.matrices, z)
+            energy = np.einsum("pa,pra->pr", z, products)
+            losses = self.losses_of(energy)
+            dloss_dz = 2 * np.einsum("pr,pra->pa", _slopes(self.losses_of, energy), products)
+            slopes = np.empty(positions.shape)
+            for column, span in enumerate(spans):
+                ends = []
+                for step in (STEP * span, -STEP * span):
+                    moved = positions.copy()
+                    moved[:, column] = np.clip(moved[:, column] + step, lower[column], upper[column])
+                    ends.append((moved[:, column], real_parts(self.phasors(moved))))
+                (high, z_high), (low, z_low) = ends
+                slopes[:, column] = ((z_high - z_low) * dloss_dz).sum(axis=1) / (high - low)
+            return losses, slopes
+
+
+def real_parts(phasors: np.ndarray) -> np.ndarray:
+    """Return z = (Re Z, −Im Z), shape (n, 2M), of phasors Z (n, M)."""
+    phasors = np.asarray(phasors, dtype=complex)
+    return np.concatenate([phasors.real, -phasors.imag], axis=1)
+
+
+def quadratic_forms(matrices: np.ndarray, phasors: np.ndarray) -> np.ndarray:
+    """Return zᵀ A_r z, shape (n, regions), for matrices A (regions, 2M, 2M) and the z of phasors (n, M)."""
+    z = real_parts(phasors)
+    return np.einsum("pa,rab,pb->pr", z, matrices, z)
 
 
 def _slopes(losses_of: Callable[[np.ndarray], np.ndarray], energy: np.ndarray) -> np.ndarray:
-    """(n, regions) ∂L/∂E of energies (n, regions); an energy of zero has none."""
+    """Return ∂L/∂E (n, regions) at energies (n, regions); zero for an energy of zero."""
     slopes = np.zeros(energy.shape)
     for region in range(energy.shape[1]):
         step = STEP * np.abs(energy[:, region])

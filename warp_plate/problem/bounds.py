@@ -1,14 +1,14 @@
-"""What no drive can pass, where that is proved: the largest energy ratio, or energy, of the drives allowed.
+"""Upper bounds of energies and energy ratios over all drives that are allowed.
 
-With z as in ``solve.response``, energies are zᵀA z, and limits on drives are limits on the |z_k|² of the actuators, on
-their sum (power) or on the energy elsewhere: all of them quadratic forms. Without limits the largest ratio is an
-eigenvalue, which a drive reaches. With limits it is bounded by multipliers (``search.semidefinite``): for a ratio under
-equal magnitudes, say, any d with Σ d_k = 0 has
+With z as in ``optimize.quadratic``, energies are zᵀA z, and limits on drives are limits on the |z_k|² of the actuators,
+on their sum (power) or on the energy elsewhere: all of them quadratic forms. Without limits the largest ratio is an
+eigenvalue, which a drive reaches. With limits it is bounded by multipliers (``problem.semidefinite``): for a ratio
+under equal magnitudes, say, any d with Σ d_k = 0 has
 
     zᵀA z = zᵀ(A + diag d) z ≤ λ(d) zᵀB z,    λ(d) the largest eigenvalue of (A + diag d) z = λ B z,
 
-and so for every d; the least λ(d) is the bound. A phase that is held leaves its actuator one real number instead of
-two, which narrows the matrices themselves.
+and so for every d; the least λ(d) is the bound. A fixed phase leaves its actuator one real number instead of two, which
+narrows the matrices themselves.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from typing import Literal
 
 import numpy as np
 
+from warp_plate.optimize.quadratic import real_parts
 from warp_plate.plate.weights import REGIONS
 from warp_plate.problem.semidefinite import ROUNDINGS, QuadraticLimits, least_majorant
-from warp_plate.solve.response import Response, largest_ratio, real_parts
+from warp_plate.solve.response import Response, largest_ratio
 
 # Relative distance within which a drive that keeps all limits must come for its bound to be called attained.
 NEAR = 1e-6
@@ -34,7 +35,13 @@ SCALES = np.geomspace(1e-3, 1e3, 241)
 
 @dataclass(frozen=True)
 class Bound:
-    """value: in the unit of what is bounded; kind: whether a drive reaches it (to 1e-6 of it); sentence: for people."""
+    """A proved bound.
+
+    Attributes:
+        value: bound in the unit of the bounded quantity.
+        kind: "attained" if a drive comes within NEAR of it.
+        sentence: reason, for people.
+    """
 
     value: float
     kind: Literal["attained", "bound only"]
@@ -43,11 +50,15 @@ class Bound:
 
 @dataclass(frozen=True)
 class AllowedDrives:
-    """Which drives may be chosen; arrays (actuators,), magnitudes in the unit of drives.
+    """A set of drives; magnitudes are in the unit of drives.
 
-    lower, upper: of magnitudes; lower −∞ where a magnitude may be of any sign; both the same where it is held. phase
-    [rad]: where it is held, NaN where it is free. power: largest Σ magnitude². equal: all magnitudes the same. wider:
-    whether some of these drives cannot be chosen after all, so that one of them reaching a bound says little.
+    Attributes:
+        lower: (actuators,) least magnitudes; −∞ where a magnitude may be of any sign.
+        upper: (actuators,) largest magnitudes; the same as ``lower`` where they are fixed.
+        phase: (actuators,) fixed phases [rad]; NaN where a phase is searched.
+        power: largest Σ magnitude².
+        equal: whether all magnitudes are the same.
+        wider: whether the set holds drives that cannot be chosen, so that one of them may be what reaches a bound.
     """
 
     lower: np.ndarray
@@ -59,9 +70,9 @@ class AllowedDrives:
 
     @staticmethod
     def all_drives(actuators: int) -> AllowedDrives:
-        """No limit at all."""
-        low, high, free = (np.full(actuators, value) for value in (-math.inf, math.inf, math.nan))
-        return AllowedDrives(low, high, free)
+        """Return the set of all drives."""
+        lower, upper, phase = (np.full(actuators, value) for value in (-math.inf, math.inf, math.nan))
+        return AllowedDrives(lower, upper, phase)
 
     @property
     def at_any_scale(self) -> bool:
@@ -69,8 +80,11 @@ class AllowedDrives:
         return not self.equal and not (self.lower > 0).any()
 
     def basis(self) -> np.ndarray:
-        """(2M, parameters): z = basis @ parameters are the drives of the phases that are held; two parameters for an
-        actuator whose phase is free, one where it is held, none where its magnitude must be zero."""
+        """Return (2M, parameters): z = basis @ parameters are the drives of the fixed phases.
+
+        There are two parameters for an actuator whose phase is searched, one where it is fixed, none where its
+        magnitude must be zero.
+        """
         count, columns = len(self.phase), []
         for index, (phase, most) in enumerate(zip(self.phase, self.upper, strict=True)):
             turns = [(1.0, 0.0), (0.0, 1.0)] if math.isnan(phase) else [(math.cos(phase), math.sin(phase))]
@@ -84,8 +98,10 @@ class AllowedDrives:
 def bound_localization(
     response: Response, allowed: AllowedDrives, most_actuators: int = MOST_ACTUATORS
 ) -> Bound | None:
-    """Of the localization factor in a scene that is linear in its drives; None where no drive moves the plate. Above so
-    many actuators with limits the eigenvalue of the drives without limits is kept."""
+    """Return the bound of the localization factor in a linear scene; None where no drive moves the plate.
+
+    With limits and more than ``most_actuators`` actuators it is the eigenvalue of the drives without limits.
+    """
     plate, target = (response.matrices[REGIONS.index(name)] for name in ("plate", "target"))
     basis = allowed.basis()
     reduced = basis.T @ response.matrices @ basis
@@ -113,7 +129,10 @@ def bound_localization(
 def bound_energy(
     matrix: np.ndarray, allowed: AllowedDrives, others: Sequence[tuple[np.ndarray, float]] = ()
 ) -> Bound | None:
-    """Of zᵀ matrix z; others: further matrices and the most that their forms may be. None where nothing limits it."""
+    """Return the bound of zᵀ matrix z; None where nothing limits it.
+
+    ``others``: further matrices and the largest values of their forms.
+    """
     basis = allowed.basis()
     if not basis.shape[1] or len(allowed.phase) > MOST_ACTUATORS:
         return None
@@ -127,7 +146,7 @@ def bound_energy(
     def energy(drives: np.ndarray) -> np.ndarray:
         z = real_parts(drives)
         over = np.max([np.ones(len(z)), *(_forms(other, z) / value for other, value in others)], axis=0)
-        if not (allowed.lower > 0).any():  # brought down to what the other limits allow
+        if not (allowed.lower > 0).any():  # scaled down to the other limits
             return _forms(matrix, z) / over
         return np.where(over <= 1 + 1e-12, _forms(matrix, z), -np.inf)
 
@@ -135,7 +154,7 @@ def bound_energy(
 
 
 # A limit zᵀ matrix z ≤ (or =) value · τ² + constant, with τ one more number beside z: matrix, its entry for τ², the
-# constant, and whether it is an equation. In a ratio τ is free, for a ratio does not know how large its drive is.
+# constant, and whether it is an equation. In a ratio τ is arbitrary, for a ratio does not depend on the drive's size.
 _Row = tuple[np.ndarray, float, float, bool]
 
 
@@ -144,7 +163,7 @@ def _row(matrix: np.ndarray, constant: float, value: float) -> _Row:
 
 
 def _limit_rows(allowed: AllowedDrives) -> list[_Row]:
-    """Limits on |z_k|² and on their sum."""
+    """Return the limits on |z_k|² and on their sum."""
     count = len(allowed.phase)
     squares = []
     for index in range(count):
@@ -172,13 +191,14 @@ def _limit_rows(allowed: AllowedDrives) -> list[_Row]:
 def _majorant(
     objective: np.ndarray, rows: Sequence[_Row], basis: np.ndarray, sizes: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """The bound of zᵀ objective z, and the z (2M,) at which its multipliers point.
+    """Return the bound of zᵀ objective z, and the z (2M,) at which its multipliers point.
 
-    sizes: (2M,) energies of the units: actuators of very different size must not make each other look like rounding.
+    ``sizes``: (2M,) energies of the units: actuators of very different size must not make each other look like
+    rounding.
     """
     sizes = np.where(sizes > 0, sizes, 1.0)
     scaled = basis / np.sqrt((basis**2 * sizes[:, None]).sum(axis=0))
-    # τ in a unit in which it is about as large as the rest; a ratio may have no limit that names it.
+    # τ in a unit in which it is about as large as the rest; a ratio may have no limit with τ.
     norms = [(np.abs(scaled.T @ matrix @ scaled).max(), abs(entry)) for matrix, entry, _, _ in rows]
     lifted = any(entry for _, entry in norms)
     wide = np.zeros((len(basis) + lifted, basis.shape[1] + lifted))
@@ -187,11 +207,11 @@ def _majorant(
         wide[-1, -1] = 1 / math.sqrt(max((entry / norm for norm, entry in norms if entry and norm), default=1.0))
 
     def widened(matrix: np.ndarray, entry: float) -> np.ndarray:
-        whole = np.pad(matrix, (0, int(lifted)))
+        padded = np.pad(matrix, (0, int(lifted)))
         if lifted:
-            whole[-1, -1] = entry
-        made: np.ndarray = wide.T @ whole @ wide
-        return made
+            padded[-1, -1] = entry
+        reduced: np.ndarray = wide.T @ padded @ wide
+        return reduced
 
     limits = QuadraticLimits(
         np.array([widened(matrix, entry) for matrix, entry, _, _ in rows]),
@@ -204,8 +224,8 @@ def _majorant(
     return least, scaled @ np.linalg.eigh(slack)[1][: basis.shape[1], 0]
 
 
-def _best_allowed(judge: Callable[[np.ndarray], np.ndarray], z: np.ndarray, allowed: AllowedDrives) -> float:
-    """The best of what ``judge`` makes of the drives near ±z, (2M,), that keep the limits; −∞ if none does."""
+def _best_allowed(quantity: Callable[[np.ndarray], np.ndarray], z: np.ndarray, allowed: AllowedDrives) -> float:
+    """Return the largest quantity of the drives near ±z, (2M,), that keep the limits; −∞ if none does."""
     if not np.abs(z).max() > 0:
         return -math.inf
     best = -math.inf
@@ -214,14 +234,14 @@ def _best_allowed(judge: Callable[[np.ndarray], np.ndarray], z: np.ndarray, allo
         held = ~np.isnan(allowed.phase)
         phase = np.where(held, np.nan_to_num(allowed.phase), -np.angle(phasors))
         sizes = np.where(held, (phasors * np.exp(1j * phase)).real, np.abs(phasors))
-        tried = _that_keep(SCALES[:, None] * sizes / np.abs(sizes).max() * _typical(allowed), allowed)
+        tried = _within_limits(SCALES[:, None] * sizes / np.abs(sizes).max() * _typical_magnitude(allowed), allowed)
         if tried.size:
-            best = max(best, float(np.nanmax(np.append(judge(tried * np.exp(-1j * phase)), -math.inf))))
+            best = max(best, float(np.nanmax(np.append(quantity(tried * np.exp(-1j * phase)), -math.inf))))
     return best
 
 
-def _that_keep(sizes: np.ndarray, allowed: AllowedDrives) -> np.ndarray:
-    """Magnitudes (some, actuators) that keep the limits, out of others (tried, actuators)."""
+def _within_limits(sizes: np.ndarray, allowed: AllowedDrives) -> np.ndarray:
+    """Return magnitudes (some, actuators) that keep the limits, made of others (tried, actuators)."""
     if allowed.equal:
         sizes = np.where(sizes < 0, -1, 1) * np.abs(sizes).mean(axis=1, keepdims=True)
     lower = np.maximum(allowed.lower, -allowed.upper)
@@ -235,13 +255,14 @@ def _that_keep(sizes: np.ndarray, allowed: AllowedDrives) -> np.ndarray:
     return sizes[kept]
 
 
-def _typical(allowed: AllowedDrives) -> float:
-    """A magnitude among those that are allowed."""
+def _typical_magnitude(allowed: AllowedDrives) -> float:
+    """Return a magnitude among those that are allowed."""
     named = [*allowed.lower, *allowed.upper, math.sqrt(allowed.power / len(allowed.phase))]
     return max((value for value in named if 0 < value < math.inf), default=1.0)
 
 
 def _of_multipliers(least: float, reached: float) -> Bound:
+    """Return the bound by multipliers, with whether a drive reaches it."""
     sentence = "the dual of the semidefinite relaxation under the drive's limits"
     if reached >= least * (1 - NEAR):
         return Bound(least, "attained", f"{sentence}, which a drive reaches")
@@ -249,6 +270,6 @@ def _of_multipliers(least: float, reached: float) -> Bound:
 
 
 def _forms(matrix: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """(plates,) zᵀ matrix z of z (plates, 2M)."""
+    """Return zᵀ matrix z, shape (n,), of z (n, 2M)."""
     forms: np.ndarray = np.einsum("pa,ab,pb->p", z, matrix, z, optimize=True)
     return forms

@@ -1,10 +1,11 @@
-"""Which numbers a scene's ``[search]`` has_design_tables, their limits, and whether they fit the scene."""
+"""The design variables that a scene's ``[search]`` names, their limits, and whether they fit the scene."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 from warp_plate.plate.designs import per_plate_of
 from warp_plate.plate.scheme import MOST_STEPS, STEPS_A_PERIOD, make_scheme
@@ -13,190 +14,208 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Search
 
-# The tables that free something; without any the search is the source paper's.
+# The tables that name design variables; without any the search is the source paper's.
 TABLES = ("magnitude", "phase", "frequency", "position", "delay")
 # Objectives that a common factor of the drive does not change, where displacements are linear in it.
 RATIOS = ("localization", "contrast", "uniformity")
-# From where the source paper draws its first positions.
-PAPER_FIRST = (-2.0, 2.0)
-TURN = 2 * math.pi
+# The range in which the source paper draws its first positions.
+PAPER_RANGE = (-2.0, 2.0)
+TWO_PI = 2 * math.pi
+
+Kind = Literal["magnitude", "phase", "frequency", "x", "y", "delay"]
 
 
 @dataclass(frozen=True)
 class DesignVariable:
-    """A number that is searched: for people its name, what it is (magnitude, phase, frequency, x, y or delay), and of
-    which actuators, by index; for the others see ``Space``. held: what the scene has."""
+    """A number of a position.
+
+    Attributes:
+        name: name for people.
+        kind: quantity.
+        actuators: indices of the actuators that have it in common.
+        fixed: the scene's own value.
+        initial: range in which a search begins.
+        lower: lower limit.
+        upper: upper limit.
+        period: period of a number that wraps; ∞ for all others.
+    """
 
     name: str
-    kind: str
+    kind: Kind
     actuators: tuple[int, ...]
-    held: float
-    first: tuple[float, float]
+    fixed: float
+    initial: tuple[float, float]
     lower: float = -math.inf
     upper: float = math.inf
     period: float = math.inf
 
 
 def has_design_tables(scene: Scene) -> bool:
-    """Whether some table says what is free, so that the search is not the source paper's."""
+    """Return whether a table names design variables, so that the search is not the source paper's."""
     return any(getattr(scene.search, name) is not None for name in TABLES)
 
 
 def with_paper_search(scene: Scene) -> Scene:
-    """The scene with the source paper's search for its localization factor, and the swarm that its own has."""
-    plain = Search()
-    fixed = {name: getattr(plain, name) for name in (*TABLES, "objectives", "limits", "robust")}
-    return scene.model_copy(update={"search": scene.search.model_copy(update=fixed)})
+    """Return the scene with the source paper's search for its localization factor, by the scene's own swarm."""
+    default = Search()
+    paper = {name: getattr(default, name) for name in (*TABLES, "objectives", "limits", "robust")}
+    return scene.model_copy(update={"search": scene.search.model_copy(update=paper)})
 
 
 def only_ratios(scene: Scene) -> bool:
-    """Whether a factor that all actuators have in common changes nothing that is sought."""
-    return scene.linear and all(one.kind in RATIOS for one in scene.search.objectives)
+    """Return whether a factor that all actuators have in common changes no objective."""
+    return scene.linear and all(objective.kind in RATIOS for objective in scene.search.objectives)
 
 
 def make_design_variables(scene: Scene) -> tuple[DesignVariable, ...]:
-    """The free numbers; none only where the paper's reading meets a single actuator, which leaves no choice.
+    """Return the design variables; none only where the paper's reading meets a single actuator.
 
     Raises:
-        SceneError: nothing is free, or a table does not fit the scene; names the key.
+        SceneError: no variable changes the motion, or a table does not fit the scene; names the key.
     """
     if not has_design_tables(scene):
-        return _paper_numbers(scene)
-    _check_equal(scene)
+        return _paper_variables(scene)
+    _check_equal_magnitudes(scene)
     _check_some_drive(scene)
-    made = (*_magnitudes(scene), *_phases(scene), *_frequencies(scene), *_positions(scene), *_delays(scene))
-    if not made:
+    variables = (*_magnitudes(scene), *_phases(scene), *_frequencies(scene), *_positions(scene), *_delays(scene))
+    if not variables:
         raise SceneError(
-            "search: nothing is free that changes the motion; name more actuators, or write one of "
+            "search: no variable changes the motion; name more actuators, or write one of "
             f"{', '.join(f'[search.{name}]' for name in TABLES)}"
         )
-    return made
+    return variables
 
 
 def with_common_step(scene: Scene) -> Scene:
-    """The scene with one time step for all the frequencies and starts that its search may find.
+    """Return the scene with one time step for all the frequencies and delays that its search may choose.
 
     Raises:
         SceneError: the scene's own time step does not carry the range; see ``at_highest_frequency``, ``make_scheme``.
     """
-    free, step = scene.search.frequency, scene.grid.time_step
-    if step is None and (free is not None or scene.search.delay is not None):
-        hardest = at_highest_frequency(scene)
-        # Plates whose actuators differ in these go the general way, which has a limit of its own.
+    table, step = scene.search.frequency, scene.grid.time_step
+    if step is None and (table is not None or scene.search.delay is not None):
+        highest = at_highest_frequency(scene)
+        # Plates whose actuators differ in these are stepped in moment form, which has a limit of its own.
         forms = {False, per_plate_of(scene).per_actuator}
-        step = min(make_scheme(hardest, moment_form=moment_form).time_step for moment_form in forms)
+        step = min(make_scheme(highest, moment_form=moment_form).time_step for moment_form in forms)
         return scene.with_tables(grid={**scene.grid.model_dump(), "time_step": step})
-    if step is not None and free is not None:
-        carried = 0.5 / step / _times(scene)
-        if free.range[1] >= carried:
+    if step is not None and table is not None:
+        carried = 0.5 / step / _harmonic(scene)
+        if table.range[1] >= carried:
             raise SceneError(
-                f"search.frequency.range = {list(free.range)}: a step of {step:g} s carries less than {carried:.6g} "
+                f"search.frequency.range = {list(table.range)}: a step of {step:g} s carries less than {carried:.6g} "
                 "Hz; end the range lower, or write a smaller grid.time_step"
             )
     return scene
 
 
 def at_highest_frequency(scene: Scene) -> Scene:
-    """The scene with every frequency that is free at the upper end of its range: the one that asks most of a grid.
+    """Return the scene with searched frequencies at the upper end of their range, which needs the finest grid.
 
     Raises:
         SceneError: a step chosen for it is too short for a run of at most MOST_STEPS.
     """
-    free = scene.search.frequency
-    if (
-        free is None or scene.drive.signal is not None
-    ):  # of which ``make_design_variables`` says that they do not go together
+    table = scene.search.frequency
+    if table is None or scene.drive.signal is not None:  # ``make_design_variables`` refuses both together
         return scene
-    most = MOST_STEPS / STEPS_A_PERIOD / scene.window.end / _times(scene)
-    if scene.grid.time_step is None and free.range[1] > most:
+    most = MOST_STEPS / STEPS_A_PERIOD / scene.window.end / _harmonic(scene)
+    if scene.grid.time_step is None and table.range[1] > most:
         raise SceneError(
-            f"search.frequency.range = {list(free.range)}: {free.range[1]:g} Hz takes "
-            f"{MOST_STEPS * free.range[1] / most:.3g} steps until window.end = {scene.window.end:g} s, and at most "
+            f"search.frequency.range = {list(table.range)}: {table.range[1]:g} Hz takes "
+            f"{MOST_STEPS * table.range[1] / most:.3g} steps until window.end = {scene.window.end:g} s, and at most "
             f"{MOST_STEPS:.3g} are possible; end the range at {most:.4g} Hz or lower"
         )
-    who = set(_named(scene, "frequency"))
+    named = set(_named_actuators(scene, "frequency"))
     actuators = [
-        one.model_dump() | ({"frequency": free.range[1]} if index in who else {})
-        for index, one in enumerate(scene.actuators)
+        actuator.model_dump() | ({"frequency": table.range[1]} if index in named else {})
+        for index, actuator in enumerate(scene.actuators)
     ]
     return scene.with_tables(actuators=actuators)
 
 
-def _times(scene: Scene) -> int:
-    """By how much the plate's highest frequency is that of the voltage: squares have twice that."""
+def _harmonic(scene: Scene) -> int:
+    """Return the plate's highest frequency as a multiple of the voltage's: its square has twice the frequency."""
     return 1 if scene.drive.electrostatic is None else 2
 
 
-def _paper_numbers(scene: Scene) -> tuple[DesignVariable, ...]:
-    """Section II.C of the source paper; see ``variables``."""
+def _paper_variables(scene: Scene) -> tuple[DesignVariable, ...]:
+    """Return the variables of section II.C of the source paper; see :mod:`parametrization`."""
     search, others = scene.search, range(1, len(scene.actuators))
-    ends = search.limits.magnitude or search.limits.power
-    for index, one in enumerate(search.objectives):
-        if one.kind not in RATIOS and one.rest_limit is None and not ends:
+    bounded = search.limits.magnitude or search.limits.power
+    for index, objective in enumerate(search.objectives):
+        if objective.kind not in RATIOS and objective.rest_limit is None and not bounded:
             raise SceneError(
-                f"search.objectives[{index}].kind = {one.kind!r}: grows with the magnitudes without end; write "
+                f"search.objectives[{index}].kind = {objective.kind!r}: grows with the magnitudes without end; write "
                 "[search.magnitude] with a range, search.limits, or a rest_limit"
             )
-    made = []
-    for kind in ("magnitude", "phase"):
-        if kind == "magnitude" and search.limits.equal_magnitudes:
-            continue
-        held = 1.0 if kind == "magnitude" else 0.0
-        made += [DesignVariable(_title(scene, kind, (one,)), kind, (one,), held, PAPER_FIRST) for one in others]
-    return tuple(made)
+    kinds: dict[Kind, float] = {"magnitude": 1.0, "phase": 0.0}
+    if search.limits.equal_magnitudes:
+        del kinds["magnitude"]
+    return tuple(
+        DesignVariable(_title(scene, kind, (actuator,)), kind, (actuator,), fixed, PAPER_RANGE)
+        for kind, fixed in kinds.items()
+        for actuator in others
+    )
+
+
+def _ranged(
+    scene: Scene, kind: Kind, group: tuple[int, ...], fixed: float, ends: tuple[float, float]
+) -> DesignVariable:
+    """Return a variable that begins anywhere within its limits."""
+    return DesignVariable(_title(scene, kind, group), kind, group, float(fixed), ends, *ends)
+
+
+def _groups(scene: Scene, table: str, separate: bool) -> list[tuple[int, ...]]:
+    """Return the groups of actuators that share a variable: each of the named ones alone, or all together."""
+    named = _named_actuators(scene, table)
+    return [(actuator,) for actuator in named] if separate else [named]
 
 
 def _magnitudes(scene: Scene) -> Iterator[DesignVariable]:
-    free, limits = scene.search.magnitude, scene.search.limits
-    if free is None:
+    table, equal = scene.search.magnitude, scene.search.limits.equal_magnitudes
+    if table is None:
         return
-    who, (low, high) = _named(scene, "magnitude"), free.range
-    groups: list[tuple[int, ...]] = [(one,) for one in who]
-    if limits.equal_magnitudes:
-        if len(who) < len(scene.actuators):
-            raise SceneError(
-                "search.magnitude.actuators: limits.equal_magnitudes gives all actuators the same; delete one of them"
-            )
-        # Where only ratios matter, one magnitude of all changes nothing.
-        groups = [] if only_ratios(scene) else [who]
-    for group in groups:
-        held = scene.actuators[group[0]].magnitude
-        yield DesignVariable(_title(scene, "magnitude", group), "magnitude", group, held, (low, high), low, high)
+    if equal and len(_named_actuators(scene, "magnitude")) < len(scene.actuators):
+        raise SceneError(
+            "search.magnitude.actuators: limits.equal_magnitudes gives all actuators the same; delete one of them"
+        )
+    if equal and only_ratios(scene):  # one magnitude of all changes nothing
+        return
+    for group in _groups(scene, "magnitude", not equal):
+        yield _ranged(scene, "magnitude", group, scene.actuators[group[0]].magnitude, table.range)
 
 
 def _phases(scene: Scene) -> Iterator[DesignVariable]:
-    """A common phase shifts a steady motion in time, and changes nothing: then the first actuator's is held.
+    """Yield phases. A common phase shifts a steady motion in time, and changes nothing: then the first one is fixed.
 
-    It is free where the motion has a time of its own: a burst, a sweep, a file, a moving load.
+    It is searched where the motion has a time of its own: a burst, a sweep, a file, a moving load.
     """
     if scene.search.phase is None:
         return
-    who, drive = _named(scene, "phase"), scene.drive
-    clocked = drive.burst or drive.chirp or drive.signal or scene.effects.moving_load
-    if len(who) == len(scene.actuators) and not clocked:
-        who = who[1:]
-    for one in who:
-        name, held = _title(scene, "phase", (one,)), scene.actuators[one].phase
-        yield DesignVariable(name, "phase", (one,), held, (0.0, TURN), period=TURN)
+    named, drive = _named_actuators(scene, "phase"), scene.drive
+    transient = drive.burst or drive.chirp or drive.signal or scene.effects.moving_load
+    if len(named) == len(scene.actuators) and not transient:
+        named = named[1:]
+    for actuator in named:
+        name, fixed = _title(scene, "phase", (actuator,)), scene.actuators[actuator].phase
+        yield DesignVariable(name, "phase", (actuator,), fixed, (0.0, TWO_PI), period=TWO_PI)
 
 
 def _frequencies(scene: Scene) -> Iterator[DesignVariable]:
-    free = scene.search.frequency
-    if free is None:
+    table = scene.search.frequency
+    if table is None:
         return
     for key in ("signal", "chirp"):
         if getattr(scene.drive, key) is not None:
             raise SceneError(f"search.frequency: drive.{key} says which frequencies there are; delete one of them")
-    who, (low, high) = _named(scene, "frequency"), free.range
-    for group in [(one,) for one in who] if free.own else [who]:
-        held = float(actuator_frequencies(scene)[group[0]])
-        yield DesignVariable(_title(scene, "frequency", group), "frequency", group, held, (low, high), low, high)
+    for group in _groups(scene, "frequency", table.own):
+        yield _ranged(scene, "frequency", group, actuator_frequencies(scene)[group[0]], table.range)
 
 
 def _positions(scene: Scene) -> Iterator[DesignVariable]:
-    """Middles of patches, so that the whole patch stays in the area; along a side that leaves no room, it stays."""
-    free = scene.search.position
-    if free is None:
+    """Yield centres of patches that keep the whole patch in the area; along a side without room, a patch stays."""
+    table = scene.search.position
+    if table is None:
         return
     if scene.grid.load == "nodes":
         raise SceneError(
@@ -204,90 +223,87 @@ def _positions(scene: Scene) -> Iterator[DesignVariable]:
             'or "moments"'
         )
     width, height = scene.plate.size
-    area = free.area or (0.0, width, 0.0, height)
-    for one in _named(scene, "position"):
-        patch = scene.actuators[one].area
-        for axis, side, first in (("x", width, 0), ("y", height, 2)):
+    area = table.area or (0.0, width, 0.0, height)
+    axes: tuple[tuple[Literal["x", "y"], float, int], ...] = (("x", width, 0), ("y", height, 2))
+    for actuator in _named_actuators(scene, "position"):
+        patch, name = scene.actuators[actuator].area, scene.actuators[actuator].name
+        for axis, side, first in axes:
             low, high, start, stop = patch[first], patch[first + 1], area[first], area[first + 1]
             half = (high - low) / 2
             if stop - start < 2 * half - 1e-9 * side:
                 raise SceneError(
                     f"search.position.area = {list(area)}: is {stop - start:.6g} m long along {axis}, actuator "
-                    f"{scene.actuators[one].name!r} {2 * half:.6g} m; make room for all of it"
+                    f"{name!r} {2 * half:.6g} m; make room for all of it"
                 )
             lower, upper = start + half, stop - half
-            if upper - lower <= 1e-9 * side and abs((low + high) / 2 - lower) > 1e-9 * side:
-                raise SceneError(
-                    f"search.position.area = {list(area)}: is no longer along {axis} than actuator "
-                    f"{scene.actuators[one].name!r}, which lies elsewhere; move it there, or enlarge the area"
-                )
             if upper - lower > 1e-9 * side:
-                yield DesignVariable(
-                    _title(scene, axis, (one,)), axis, (one,), (low + high) / 2, (lower, upper), lower, upper
+                yield _ranged(scene, axis, (actuator,), (low + high) / 2, (lower, upper))
+            elif abs((low + high) / 2 - lower) > 1e-9 * side:
+                raise SceneError(
+                    f"search.position.area = {list(area)}: is no longer along {axis} than actuator {name!r}, which "
+                    "lies elsewhere; move it there, or enlarge the area"
                 )
 
 
 def _delays(scene: Scene) -> Iterator[DesignVariable]:
-    free = scene.search.delay
-    if free is None:
+    table = scene.search.delay
+    if table is None:
         return
     if scene.drive.burst is None:
         raise SceneError("search.delay: only a burst has a start; write [drive.burst], or delete search.delay")
-    who, (low, high) = _named(scene, "delay"), free.range
-    if high >= scene.window.end:
+    if table.range[1] >= scene.window.end:
         raise SceneError(
-            f"search.delay.range = {list(free.range)}: reaches past the run, which ends at window.end = "
+            f"search.delay.range = {list(table.range)}: reaches past the run, which ends at window.end = "
             f"{scene.window.end:g} s; end it earlier"
         )
-    for group in [(one,) for one in who] if free.own else [who]:
-        held = float(actuator_delays(scene)[group[0]])
-        yield DesignVariable(_title(scene, "delay", group), "delay", group, held, (low, high), low, high)
+    for group in _groups(scene, "delay", table.own):
+        yield _ranged(scene, "delay", group, actuator_delays(scene)[group[0]], table.range)
 
 
-def _named(scene: Scene, table: str) -> tuple[int, ...]:
-    """Indices of the actuators that a table names; all where it names none.
+def _named_actuators(scene: Scene, table: str) -> tuple[int, ...]:
+    """Return the indices of the actuators that a table names; all where it names none.
 
     Raises:
-        SceneError: no actuator has a name that it names, or it names one twice.
+        SceneError: a name that no actuator has, or that is there twice.
     """
-    there = [one.name for one in scene.actuators]
+    existing = [actuator.name for actuator in scene.actuators]
     names = getattr(scene.search, table).actuators
     if names is None:
-        return tuple(range(len(there)))
+        return tuple(range(len(existing)))
     for index, name in enumerate(names):
-        if name not in there:
+        if name not in existing:
             raise SceneError(
                 f"search.{table}.actuators[{index}] = {name!r}: there is no such actuator; there are: "
-                f"{', '.join(there)}"
+                f"{', '.join(existing)}"
             )
         if name in names[:index]:
-            raise SceneError(f"search.{table}.actuators[{index}] = {name!r}: stands there twice; delete one")
-    return tuple(sorted(there.index(name) for name in names))
+            raise SceneError(f"search.{table}.actuators[{index}] = {name!r}: is there twice; delete one")
+    return tuple(sorted(existing.index(name) for name in names))
 
 
-def _title(scene: Scene, kind: str, group: tuple[int, ...]) -> str:
-    """For people: "phase of upper left"; just "frequency" where it is that of all."""
+def _title(scene: Scene, kind: Kind, group: tuple[int, ...]) -> str:
+    """Return a name such as "phase of upper left", or just "frequency" where all actuators share it."""
     if len(group) == len(scene.actuators) > 1:
         return kind
-    return f"{kind} of {', '.join(scene.actuators[one].name for one in group)}"
+    return f"{kind} of {', '.join(scene.actuators[actuator].name for actuator in group)}"
 
 
 def _check_some_drive(scene: Scene) -> None:
-    """Raise SceneError where all magnitudes are zero and held, so that nothing moves whatever is searched."""
-    at_rest = not any(one.magnitude for one in scene.actuators) and scene.search.magnitude is None
+    """Raise SceneError where all magnitudes are zero and fixed, so that nothing moves whatever is searched."""
+    at_rest = not any(actuator.magnitude for actuator in scene.actuators) and scene.search.magnitude is None
     bias = scene.drive.electrostatic is not None and scene.drive.electrostatic.bias
     if at_rest and not bias and scene.effects.moving_load is None:
         raise SceneError(
-            "search: the actuators' magnitudes are all 0 and held, so that nothing moves; write others, or free them: "
-            "[search.magnitude]"
+            "search: the actuators' magnitudes are all 0 and fixed, so that nothing moves; write others, or search "
+            "them: [search.magnitude]"
         )
 
 
-def _check_equal(scene: Scene) -> None:
-    """Raise SceneError where magnitudes should be equal, are not, and are held."""
-    sizes = {abs(one.magnitude) for one in scene.actuators}
+def _check_equal_magnitudes(scene: Scene) -> None:
+    """Raise SceneError where magnitudes should be equal, are not, and are fixed."""
+    sizes = {abs(actuator.magnitude) for actuator in scene.actuators}
     if scene.search.limits.equal_magnitudes and scene.search.magnitude is None and len(sizes) > 1:
         raise SceneError(
             f"search.limits.equal_magnitudes: the actuators' magnitudes, from {min(sizes):g} to {max(sizes):g}, differ "
-            "and are held; write the same for all, or free them by [search.magnitude]"
+            "and are fixed; write the same for all, or search them: [search.magnitude]"
         )

@@ -1,34 +1,30 @@
-"""The method that a scene names, in the one shape that all have: ask, tell, stop, result, history and state."""
+"""The search method that a scene names."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
-from typing import Any, Protocol
+from typing import Any
 
-import numpy as np
-
-from warp_plate.optimize.cma_es import CovarianceSearch, CovarianceSettings
+from warp_plate.optimize.cma_es import CovarianceSearch
 from warp_plate.optimize.exact import ExactSearch
-from warp_plate.optimize.gradient import GradientSearch, GradientSettings
-from warp_plate.optimize.pso import Swarm
-from warp_plate.optimize.pso_settings import SwarmSettings
+from warp_plate.optimize.gradient import GradientSearch
+from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings
+from warp_plate.optimize.pso import Swarm, SwarmSettings
 from warp_plate.optimize.quadratic import Quadratic
-from warp_plate.optimize.record import SearchResult
-from warp_plate.optimize.space import Space
+from warp_plate.optimize.space import SearchSpace
 from warp_plate.plate.memory import refuse_beyond_memory
-from warp_plate.plate.row_blocks import GrowingRows
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.search import Search
 
-# A swarm with restarts, and no word on when, starts anew after so many iterations without progress.
+# A swarm with restarts but without ``stall`` restarts after so many iterations without progress.
 RESTART_AFTER = 20
-# Bytes a particle and number: positions, velocities, own bests, random numbers, drives; and what a descent keeps.
-SWARM_BYTES, MATRIX_BYTES = 120.0, 32.0
+# Bytes for each number of a particle: positions, velocities, personal bests, random numbers, drives; for each entry of
+# a descent's inverse Hessian; and for each particle.
+NUMBER_BYTES, MATRIX_BYTES, PARTICLE_BYTES = 120.0, 32.0, 100.0
 
-# The keys of ``[search]`` that not every method reads, and those that do; docs/methods.md has the same table.
+# The keys of ``[search]`` that not every method reads, and the methods that do; docs/methods.md has the same table.
 _SWARMS = ("pso", "constriction", "ring")
 READ_BY = {
     **dict.fromkeys(("particles", "iterations", "restarts", "stall"), (*_SWARMS, "cma", "gradient")),
@@ -37,52 +33,37 @@ READ_BY = {
 }
 
 
-class Optimizer(Protocol):
-    """A search between two iterations; states are flat: plain numbers, texts, arrays, and one of random numbers."""
-
-    @property
-    def iterations(self) -> int: ...
-
-    @property
-    def history(self) -> dict[str, np.ndarray]: ...
-
-    @property
-    def result(self) -> SearchResult: ...
-
-    def ask(self) -> np.ndarray | GrowingRows: ...
-
-    def tell(self, solutions: Any, losses: Any, /) -> None: ...
-
-    def stop(self) -> dict[str, Any]: ...
-
-    def state(self, plain: bool = True, /) -> dict[str, Any]: ...
-
-
-def make_optimizer(search: Search, space: Space, seed: int, problem: Quadratic | None = None) -> Optimizer:
-    """The method of a table ``[search]`` at its beginning.
-
-    problem: where losses are functions of quadratic forms of the drive, which "gradient" and "exact" need.
-
-    Raises:
-        SceneError: the method does not fit the problem or takes more memory than there is; pycma is missing.
-    """
-    return _made(search, space, seed, problem, None)
-
-
-def optimizer_from_state(
-    search: Search, space: Space, seed: int, state: Mapping[str, Any], problem: Quadratic | None = None
+def make_optimizer(
+    search: Search,
+    space: SearchSpace,
+    seed: int,
+    problem: Quadratic | None = None,
+    state: Mapping[str, Any] | None = None,
 ) -> Optimizer:
-    """The same, where its ``state`` was taken, bit for bit.
+    """Return the method of a table ``[search]``.
+
+    Args:
+        search: the table.
+        space: of positions.
+        seed: random seed.
+        problem: where losses follow from quadratic forms of the drive, which "gradient" and "exact" need.
+        state: go on from this state (see ``Optimizer.state``), to the last bit (default: from the beginning).
 
     Raises:
-        SceneError: as :func:`make_optimizer`.
+        SceneError: the method does not fit the problem or takes more memory than there is; pycma is not installed.
         ValueError: the state is not that of such a search.
     """
-    return _made(search, space, seed, problem, dict(state))
+    try:
+        optimizer = _make(search, space, seed, problem)
+    except MethodError as error:
+        raise SceneError(f"search.method = {search.method!r}: {error}") from None
+    if state is not None:
+        optimizer.restore(state)
+    return optimizer
 
 
 def unread_keys(search: Search) -> list[str]:
-    """A sentence for each key that is not as the default has it, and that the method does not read."""
+    """Return a sentence for each key that differs from its default and that the method does not read."""
     return [
         f"search.{key} = {getattr(search, key)}: method = {search.method!r} does not read it, only "
         f"{', '.join(map(repr, methods))}; delete it, or write another method."
@@ -91,14 +72,8 @@ def unread_keys(search: Search) -> list[str]:
     ]
 
 
-def swarm_settings(search: Search, space: Space, seed: int) -> SwarmSettings:
-    """What the swarm of "pso", "constriction" or "ring" is told.
-
-    Raises:
-        SceneError: it takes more memory than there is.
-    """
-    _refuse_beyond_memory(search, space, SWARM_BYTES * space.dimension)
-    span = space.initial_upper - space.initial_lower
+def swarm_settings(search: Search, seed: int) -> SwarmSettings:
+    """Return the settings of the swarm of "pso", "constriction" or "ring"."""
     common: dict[str, Any] = {
         "particles": search.particles,
         "iterations": search.iterations,
@@ -107,43 +82,29 @@ def swarm_settings(search: Search, space: Space, seed: int) -> SwarmSettings:
         "restarts": search.restarts,
         "loss_scale": loss_scale(search.objectives),
         "seed": seed,
-        "position_range": (space.initial_lower, space.initial_upper),
-        # In the source paper both ranges are −2 ... 2: a velocity goes at most half-way across.
-        "velocity_range": (-span / 2, span / 2),
-        "bounds": (space.lower, space.upper) if np.isfinite([space.lower, space.upper]).any() else None,
-        "period": space.period if np.isfinite(space.period).any() else None,
     }
     if search.method == "pso":
-        own = {name: getattr(search, name) for name in ("inertia", "decay", "cognitive", "social")}
-        return SwarmSettings(space.dimension, **own, **common)
-    return SwarmSettings.constriction(space.dimension, neighbours=1 if search.method == "ring" else None, **common)
+        weights = {name: getattr(search, name) for name in ("inertia", "decay", "cognitive", "social")}
+        return SwarmSettings(**weights, **common)
+    return SwarmSettings.constriction(ring=search.method == "ring", **common)
 
 
-def _made(
-    search: Search, space: Space, seed: int, problem: Quadratic | None, state: dict[str, Any] | None
-) -> Optimizer:
+def _make(search: Search, space: SearchSpace, seed: int, problem: Quadratic | None) -> Optimizer:
+    dimension = space.dimension
     if search.method == "exact":
-        return ExactSearch(space, problem) if state is None else ExactSearch.from_state(space, problem, state)
-    evaluations, least = search.particles * search.iterations, loss_scale(search.objectives)
-    if search.method == "gradient":
-        if problem is None:
-            raise SceneError(
-                "search.method = 'gradient': needs losses that follow from quadratic forms of the drives; write 'cma'"
-            )
-        _refuse_beyond_memory(search, space, (SWARM_BYTES + MATRIX_BYTES * space.dimension) * space.dimension)
-        descents = GradientSettings(search.particles, evaluations, search.restarts, search.stall, seed, least)
-        if state is None:
-            return GradientSearch(space, problem, descents)
-        return GradientSearch.from_state(space, problem, descents, state)
+        return ExactSearch(space, problem)
+    if search.method == "gradient" and problem is None:
+        raise MethodError("needs losses that follow from quadratic forms of the drives; write 'cma'")
+    entry_bytes = NUMBER_BYTES + (MATRIX_BYTES * dimension if search.method == "gradient" else 0.0)
+    what = f"search.particles = {search.particles} with {dimension} numbers each"
+    refuse_beyond_memory(search.particles * (entry_bytes * dimension + PARTICLE_BYTES), what)
+    if search.method in _SWARMS:
+        return Swarm(space, swarm_settings(search, seed))
+    batch, evaluations, scale = search.particles, search.particles * search.iterations, loss_scale(search.objectives)
     if search.method == "cma":
-        _refuse_beyond_memory(search, space, SWARM_BYTES * space.dimension)
-        population = max(search.particles, 4 + int(3 * math.log(space.dimension)))
-        cloud = CovarianceSettings(population, evaluations, search.restarts, search.stall, seed, least)
-        return CovarianceSearch(space, cloud) if state is None else CovarianceSearch.from_state(space, cloud, state)
-    settings = swarm_settings(search, space, seed)
-    return Swarm(settings) if state is None else Swarm.from_state({**state, "settings": asdict(settings)})
-
-
-def _refuse_beyond_memory(search: Search, space: Space, each: float) -> None:
-    what = f"search.particles = {search.particles} with {space.dimension} numbers each"
-    refuse_beyond_memory(search.particles * (each + 100.0), what)
+        batch = max(batch, 4 + int(3 * math.log(dimension)))
+    settings = SearchSettings(batch, evaluations, search.restarts, search.stall, seed, scale)
+    if search.method == "cma":
+        return CovarianceSearch(space, settings)
+    assert problem is not None
+    return GradientSearch(space, problem, settings)

@@ -1,4 +1,4 @@
-"""What a drive is worth: from the energies of the plate's regions to values, and to the loss that a search lowers.
+"""The objectives of a search: from the energies of the plate's regions to values, and to the loss that is minimised.
 
 With E, A and M a region's energy [J], area [m²] and mass [kg], t the target and r the rest of the plate:
 
@@ -8,157 +8,170 @@ With E, A and M a region's energy [J], area [m²] and mass [kg], t the target an
     displacement   √(2 U_t / M_t)  [m], the same of U = ½ ∫ ρH u² dA, averaged over the window
     uniformity     (Σ E_i)² / (Σ A_i · Σ E_i²/A_i), over cells i of the target; 1 where all E_i/A_i are the same
 
-The loss is −Σ weight · value; of one localization with weight 1 alone, 1 − LF as in the source paper. Beyond a
-``rest_limit`` it is the largest loss that any drive within all limits can have, plus the sum of the parts by which
-limits are passed: such a drive is worse than any that keeps them, the more so the farther it is beyond.
+The loss is −Σ weight · value; for a single localization with weight 1 it is 1 − LF, as in the source paper. Beyond a
+``rest_limit`` it is the largest loss that any drive within all limits can have, plus the sum of the relative excesses:
+such a drive is worse than any that keeps the limits, the more so the farther it is beyond.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.plate.section import make_section
+from warp_plate.plate.discretization import Discretization
 from warp_plate.plate.shapes import bounds, shape_weights
-from warp_plate.plate.weights import REGIONS, localization_factor, region_weights
+from warp_plate.plate.weights import REGIONS, Region, localization_factor
+from warp_plate.result.crosstalk import target_regions
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Objective
 
-# Beyond these a contrast is rounding.
+# A contrast beyond these is rounding.
 MOST_DECIBELS = 120.0
-# Cells of the target along x and along y, for its uniformity: at most, and nodes of each along an axis at least.
+# Largest number of cells of the target along each axis, for its uniformity, and least nodes of a cell along it.
 MOST_CELLS, CELL_NODES = 6, 2
-# Part of the plate's area from which on there is a rest.
+# Smallest rest of the plate, as a part of its area.
 LEAST_REST = 1e-9
 # Part of a limit that rounding in float32 may pass.
 ROUNDING = 1e-5
 OF_THE_REST = " of the rest"
-_PLATE, _TARGET = REGIONS.index("plate"), REGIONS.index("target")
+PLATE, TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
 
 @dataclass(frozen=True)
 class Objectives:
-    """The objectives of a scene, ready for energies on its grid.
+    """The objectives of a scene on its grid.
 
-    regions: weights (ny, nx) by name, which a solver must sum beside the plate and the target
-    (``PlateSolver(areas=judge.regions)``). areas, masses: (2,) of target and rest [m², kg]; cells: (cells,) areas of
-    ``regions`` [m²].
+    Attributes:
+        terms: the scene's objectives.
+        regions: regions that a solver must sum beside the plate and the target, by name: the cells of the target, as
+            weights (ny, nx), then all targets of a scene with several.
+        areas: (2,) areas of target and rest [m²].
+        masses: (2,) masses of target and rest [kg].
+        cells: (cells,) areas of the target's cells [m²].
     """
 
     terms: tuple[Objective, ...]
-    regions: Mapping[str, np.ndarray]
+    regions: Mapping[str, Region]
     areas: np.ndarray
     masses: np.ndarray
     cells: np.ndarray
 
     @property
     def needs_displacement(self) -> bool:
-        """Whether :meth:`losses` needs the run of a solver for displacements too."""
-        return any(one.kind == "displacement" for one in self.terms)
+        """Whether :meth:`losses` needs energies of displacements too."""
+        return any(term.kind == "displacement" for term in self.terms)
 
     @property
     def limits(self) -> dict[str, float]:
-        """The largest values on the rest that are allowed, by their names in ``values``."""
-        return {one.kind + OF_THE_REST: one.rest_limit for one in self.terms if one.rest_limit is not None}
+        """Largest values of the rest that are allowed, by their names in :meth:`values`."""
+        return {term.kind + OF_THE_REST: term.rest_limit for term in self.terms if term.rest_limit is not None}
 
     @property
     def only_localization(self) -> bool:
-        """Whether the loss is 1 − LF, for which alone a bound is known."""
-        return [(one.kind, one.weight) for one in self.terms] == [("localization", 1)]
+        """Whether the loss is 1 − LF."""
+        return seeks_only_localization(self.terms)
 
     def losses(self, energy: np.ndarray, displacement_energy: np.ndarray | None = None) -> np.ndarray:
-        """(plates,) what is to be made small; not finite where a plate has no energies, and NaN for one at rest whose
-        localization, contrast or uniformity is sought.
+        """Return the losses (plates,) of plates.
+
+        They are not finite for a plate without energies, and NaN for one at rest whose localization, contrast or
+        uniformity counts.
 
         Args:
-            energy: (plates, regions) [J]: plate, target, and then ``regions`` in their order.
-            displacement_energy: the same of ½ ∫ ρH u² dA [J s²], where displacements are judged.
+            energy: (plates, regions) energies [J] of plate, target, and ``regions`` in their order.
+            displacement_energy: the same of ½ ∫ ρH u² dA [J s²], for objectives that need displacements.
         """
         if self.only_localization:
-            return localization_loss(energy)
-        worth, limits = self.values(energy, displacement_energy), self.limits
-        total = -worth["sum"]
+            return 1 - localization_factor(energy)
+        values, limits = self.values(energy, displacement_energy), self.limits
+        total = -values["sum"]
         if not limits:
             return np.asarray(total)
-        worst = MOST_DECIBELS * sum(one.weight for one in self.terms if one.kind == "contrast")
-        excess = sum(np.maximum(worth[name] / limit - 1, 0) for name, limit in limits.items())
+        worst = MOST_DECIBELS * sum(term.weight for term in self.terms if term.kind == "contrast")
+        excess = sum(np.maximum(values[name] / limit - 1, 0) for name, limit in limits.items())
         return np.where(excess > 0, worst + excess, total)
 
     def values(self, energy: np.ndarray, displacement_energy: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """(plates,) by the objectives' kinds, in OBJECTIVE_UNITS; of velocity and displacement also that "of the rest".
+        """Return values (plates,) by the objectives' kinds, in OBJECTIVE_UNITS, and their weighted "sum".
 
-        Args: see :meth:`losses`.
+        Velocity and displacement come with those "of the rest". Args: see :meth:`losses`.
         """
-        found: dict[str, np.ndarray] = {}
-        for one in self.terms:
-            if one.kind == "localization":
-                found[one.kind] = localization_factor(energy)
-            elif one.kind == "contrast":
-                found[one.kind] = _decibels(_target_and_rest(energy) / self.areas)
-            elif one.kind == "uniformity":
-                found[one.kind] = _uniformity(energy[:, len(REGIONS) : len(REGIONS) + self.cells.size], self.cells)
+        values: dict[str, np.ndarray] = {}
+        for term in self.terms:
+            if term.kind == "localization":
+                values[term.kind] = localization_factor(energy)
+            elif term.kind == "contrast":
+                values[term.kind] = _decibels(_target_and_rest(energy) / self.areas)
+            elif term.kind == "uniformity":
+                values[term.kind] = _uniformity(energy[:, len(REGIONS) : len(REGIONS) + self.cells.size], self.cells)
             else:
-                moved = energy if one.kind == "velocity" else displacement_energy
-                if moved is None:
-                    raise ValueError("displacements are judged: their energies are needed")
+                forms = energy if term.kind == "velocity" else displacement_energy
+                if forms is None:
+                    raise ValueError("an objective of displacement needs energies of displacement")
                 with np.errstate(invalid="ignore", divide="ignore"):  # a target that is all of the plate has no rest
-                    target, rest = np.sqrt(2 * np.maximum(_target_and_rest(moved), 0) / self.masses).T
-                found |= {one.kind: target, one.kind + OF_THE_REST: rest}
-        return {**found, "sum": np.asarray(sum(one.weight * found[one.kind] for one in self.terms))}
+                    target, rest = np.sqrt(2 * np.maximum(_target_and_rest(forms), 0) / self.masses).T
+                values |= {term.kind: target, term.kind + OF_THE_REST: rest}
+        return {**values, "sum": np.asarray(sum(term.weight * values[term.kind] for term in self.terms))}
 
     def within_limits(self, values: Mapping[str, float]) -> bool:
-        """Whether one drive's values are within all limits on the rest."""
+        """Return whether the values of one drive keep all limits on the rest."""
         return all(keeps_limit(values[name], limit) for name, limit in self.limits.items())
 
 
+def seeks_only_localization(terms: Sequence[Objective]) -> bool:
+    """Return whether the loss of these objectives is 1 − LF."""
+    return [(term.kind, term.weight) for term in terms] == [("localization", 1)]
+
+
 def keeps_limit(value: float, limit: float) -> bool:
-    """Whether a value keeps its limit, but for rounding in float32."""
+    """Return whether a value keeps its limit, but for rounding in float32."""
     return value <= limit * (1 + ROUNDING)
 
 
-def make_objectives(scene: Scene) -> Objectives:
-    """The judge of a scene with a grid.
+def loss_scale(objectives: Iterable[Objective]) -> float:
+    """Return the size that tolerances of a loss refer to where the loss itself is smaller; 1 for 1 − LF.
+
+    Localization, contrast and uniformity are numbers of order one, whose sum with others may pass zero. A velocity or a
+    displacement is as small as its unit makes it: its own size is all that there is to go by.
+    """
+    return float(sum(term.weight for term in objectives if term.kind not in ("velocity", "displacement")))
+
+
+def make_objectives(discretization: Discretization) -> Objectives:
+    """Return the objectives of a scene on its grid.
 
     Raises:
-        SceneError: a target that covers no node, all of the plate where the rest counts, or too few nodes for a
-            uniformity; a mask that cannot be read.
+        SceneError: a target that covers no node, that leaves no rest where the rest counts, or that has too few nodes
+            for a uniformity; a mask that cannot be read.
     """
-    weights, density = region_weights(scene), make_section(scene).mass
-    node = math.prod(side / (count - 1) for side, count in zip(scene.plate.size, scene.grid.nodes, strict=True))
+    scene, weights = discretization.scene, discretization.region_weights
+    density, cell = discretization.surface_density, discretization.cell
     areas, masses = (
-        (node * factor * weights).sum(axis=(1, 2)) @ [[0, 1], [1, -1]] for factor in (np.ones_like(density), density)
+        (cell * factor * weights).sum(axis=(1, 2)) @ [[0, 1], [1, -1]] for factor in (np.ones_like(density), density)
     )
-    objectives = scene.search.objectives
-    for index, one in enumerate(objectives):
-        key = f"search.objectives[{index}].kind = {one.kind!r}"
-        if areas[1] <= LEAST_REST * areas.sum() and (one.kind == "contrast" or one.rest_limit is not None):
+    terms = scene.search.objectives
+    for index, term in enumerate(terms):
+        key = f"search.objectives[{index}].kind = {term.kind!r}"
+        if areas[1] <= LEAST_REST * areas.sum() and (term.kind == "contrast" or term.rest_limit is not None):
             raise SceneError(f"{key}: the target covers the whole plate, so there is no rest; make it smaller")
-    regions: dict[str, np.ndarray] = {}
-    if any(one.kind == "uniformity" for one in objectives):
-        regions = _cells_of_target(scene, node)
-        if len(regions) < 2:
+    cells: dict[str, np.ndarray] = {}
+    if any(term.kind == "uniformity" for term in terms):
+        cells = _target_cells(discretization)
+        if len(cells) < 2:
             raise SceneError(
                 f"target.{scene.target.description}: has fewer than {2 * CELL_NODES} nodes along x and y, too few for "
                 "search.objectives with kind = 'uniformity'; enlarge it, or use more nodes"
             )
-    return Objectives(
-        terms=objectives,
-        regions=regions,
-        areas=areas,
-        masses=masses,
-        cells=np.array([node * field.sum() for field in regions.values()]),
-    )
+    cell_areas = np.array([cell * field.sum() for field in cells.values()])
+    return Objectives(terms, {**cells, **target_regions(scene)}, areas, masses, cell_areas)
 
 
-def _cells_of_target(scene: Scene, node: float) -> dict[str, np.ndarray]:
-    """Weights (ny, nx) of the parts of the target in a raster over its bounding box, of those that have an inside.
-
-    node: area of a node's cell [m²].
-    """
+def _target_cells(discretization: Discretization) -> dict[str, np.ndarray]:
+    """Return weights (ny, nx) of the target's parts in a raster over its bounding box, without the empty ones."""
+    scene = discretization.scene
     key = next(iter(scene.targets_by_key))
     x0, x1, y0, y1 = bounds(scene, key, scene.target)
     sides = []
@@ -167,22 +180,22 @@ def _cells_of_target(scene: Scene, node: float) -> dict[str, np.ndarray]:
         sides.append(np.linspace(low, high, min(max(count, 1), MOST_CELLS) + 1))
     along_x, along_y = sides
     least = 1e-6 * (along_x[1] - along_x[0]) * (along_y[1] - along_y[0])
-    found = {}
+    cells = {}
     for row, (bottom, top) in enumerate(zip(along_y[:-1].tolist(), along_y[1:].tolist(), strict=True)):
         for column, (left, right) in enumerate(zip(along_x[:-1].tolist(), along_x[1:].tolist(), strict=True)):
             field = shape_weights(scene, key, scene.target, (left, right, bottom, top))
-            if field.sum() * node > least:
-                found[f"cell {row} {column}"] = field
-    return found
+            if field.sum() * discretization.cell > least:
+                cells[f"cell {row} {column}"] = field
+    return cells
 
 
 def _target_and_rest(energy: np.ndarray) -> np.ndarray:
-    """(plates, 2)"""
-    return np.stack([energy[:, _TARGET], energy[:, _PLATE] - energy[:, _TARGET]], axis=1)
+    """Return energies (plates, 2) of target and rest."""
+    return np.stack([energy[:, TARGET], energy[:, PLATE] - energy[:, TARGET]], axis=1)
 
 
 def _decibels(densities: np.ndarray) -> np.ndarray:
-    """(plates,) of the first of (plates, 2) over the second; what rounding makes negative counts as nothing."""
+    """Return the level (plates,) of the first of (plates, 2) over the second; negative ones, by rounding, are zero."""
     target, rest = np.maximum(densities, 0).T
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = 10 * (np.log10(target) - np.log10(rest))
@@ -190,23 +203,9 @@ def _decibels(densities: np.ndarray) -> np.ndarray:
 
 
 def _uniformity(energy: np.ndarray, areas: np.ndarray) -> np.ndarray:
-    """(plates,) of energies (plates, cells) in cells of these areas (cells,); NaN for a plate at rest."""
+    """Return uniformities (plates,) of energies (plates, cells) in cells of these areas; NaN for a plate at rest."""
     with np.errstate(invalid="ignore", divide="ignore"):
         largest = np.abs(energy).max(axis=1, keepdims=True)  # squares of small energies would be lost
         share = energy / largest
-        found: np.ndarray = share.sum(axis=1) ** 2 / (areas.sum() * (share**2 / areas).sum(axis=1))
-    return found
-
-
-def localization_loss(energy: np.ndarray) -> np.ndarray:
-    """(plates,) Λ = 1 − LF, Problem 2 of the source paper."""
-    return 1 - localization_factor(energy)
-
-
-def loss_scale(objectives: Iterable[Objective]) -> float:
-    """What tolerances of a loss are parts of where the loss itself is smaller (``record.size_of``); 1 of 1 − LF.
-
-    Localization, contrast and uniformity are numbers of order one, whose sum with others may pass zero. A velocity or a
-    displacement is as small as its unit makes it: its own size is all that there is to go by.
-    """
-    return float(sum(one.weight for one in objectives if one.kind not in ("velocity", "displacement")))
+        uniformity: np.ndarray = share.sum(axis=1) ** 2 / (areas.sum() * (share**2 / areas).sum(axis=1))
+    return uniformity

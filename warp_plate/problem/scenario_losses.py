@@ -1,8 +1,8 @@
-"""The scenarios of a robust search, compiled: plates × scenarios in, losses out.
+"""Losses of designs over the scenarios of a robust search: plates × scenarios.
 
 A scenario has its own stiffness and mass, which all plates of a launch share: so each scenario is a launch of its own,
-of kernels compiled once for all. Where energies are quadratic forms of the drive, each scenario has Gram matrices of
-its own instead, and one product of arrays holds all plates and all scenarios.
+of kernels compiled once for all. Where energies are quadratic forms of the phasors, each scenario has its own Gram
+matrices instead, and one product of arrays covers all plates and all scenarios.
 """
 
 from __future__ import annotations
@@ -15,128 +15,134 @@ import numpy as np
 
 from warp_plate.cluster.evaluator import Evaluator, make_evaluator
 from warp_plate.cluster.pool import WorkerPool
+from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.designs import Designs
+from warp_plate.plate.discretization import discretize
 from warp_plate.problem.objectives import Objectives, make_objectives
 from warp_plate.problem.problem import in_float64
-from warp_plate.problem.uncertainty import Scenario, kept_on_plate
-from warp_plate.solve.response import Response, measure_response
+from warp_plate.problem.uncertainty import Scenario
+from warp_plate.solve.response import measure_response
 
-# Plates × matrices whose energies are worked out at once from Gram matrices.
+# Plates × matrices whose energies are computed at once from Gram matrices.
 BLOCK = 2**22
 
 
 @dataclass(frozen=True)
 class ScenarioPlates:
-    """A scenario with the judge of its energies; evaluators: of velocities and, where these are judged, of
-    displacements; none where Gram matrices stand for them."""
+    """Plates of one scenario.
+
+    Attributes:
+        scenario: the panel.
+        objectives: objectives on its grid.
+        evaluators: evaluators of velocities and, if an objective needs them, of displacements; none where Gram
+            matrices stand for them.
+    """
 
     scenario: Scenario
     objectives: Objectives
     evaluators: tuple[Evaluator, ...] = ()
 
+    def losses(self, designs: Designs) -> np.ndarray:
+        """Return the losses (plates,) of nominal designs on this panel, by simulation."""
+        on_panel = self.scenario.designs(designs)
+        return self.objectives.losses(*(evaluator.run(on_panel).energy for evaluator in self.evaluators))
+
 
 @dataclass(frozen=True)
 class ScenarioLosses:
-    """All scenarios of a search.
+    """Losses of designs over all scenarios of a search.
 
-    matrices: (scenarios · regions, 2M, 2M), scenario by scenario, those of displacements after those of velocities,
-    gains included; None where plates are simulated. spent: seconds that compiling took, and node-steps, of solvers that
-    are not kept.
+    Attributes:
+        scenarios: plates of each scenario.
+        matrices: (scenarios · regions, 2M, 2M) Gram matrices with gains, scenario by scenario, those of displacements
+            after those of velocities; None where plates are simulated.
+        setup_cost: seconds of compilation and node-steps of solvers that are not kept.
     """
 
     scenarios: tuple[ScenarioPlates, ...]
     matrices: np.ndarray | None = None
-    spent: tuple[float, int] = (0.0, 0)
+    setup_cost: tuple[float, int] = (0.0, 0)
+
+    @property
+    def evaluators(self) -> list[Evaluator]:
+        """Evaluators of all scenarios."""
+        return [evaluator for plates in self.scenarios for evaluator in plates.evaluators]
 
     @property
     def node_steps(self) -> int:
-        """Of all plates so far."""
-        return self.spent[1] + sum(evaluator.node_steps for panel in self.scenarios for evaluator in panel.evaluators)
+        """Node-steps of all plates so far."""
+        return self.setup_cost[1] + sum(evaluator.node_steps for evaluator in self.evaluators)
 
     @property
     def compile_seconds(self) -> float:
-        """Of all solvers."""
-        return self.spent[0] + sum(one.compile_seconds for panel in self.scenarios for one in panel.evaluators)
+        """Seconds of compilation of all solvers."""
+        return self.setup_cost[0] + sum(evaluator.compile_seconds for evaluator in self.evaluators)
 
     def losses(self, designs: Designs) -> np.ndarray:
-        """(plates, scenarios); not finite where a plate has no energies."""
+        """Return losses (plates, scenarios) of designs; not finite where a plate has no energies."""
         if self.matrices is None:
-            return np.stack([_losses_of_plates(panel, designs) for panel in self.scenarios], axis=1)
-        response, block = Response(self.matrices), max(1, BLOCK // len(self.matrices))
-        cuts = range(0, max(len(designs), 1), block)
-        return np.concatenate([self.judged(response.energy(designs.drives[at : at + block])) for at in cuts])
+            return np.stack([plates.losses(designs) for plates in self.scenarios], axis=1)
+        block = max(1, BLOCK // len(self.matrices))
+        starts = range(0, max(len(designs), 1), block)
+        phasors = [designs.drives[start : start + block] for start in starts]
+        return np.concatenate([self.losses_from_energies(quadratic_forms(self.matrices, some)) for some in phasors])
 
-    def judged(self, energy: np.ndarray) -> np.ndarray:
-        """(plates, scenarios) losses of energies (plates, scenarios · regions), in the order of ``matrices``."""
-        regions = energy.shape[1] // len(self.scenarios)
-        if self.scenarios[0].objectives.only_localization:  # of all panels at once: judges then differ in nothing
-            found: np.ndarray = (
-                self.scenarios[0].objectives.losses(energy.reshape(-1, regions)).reshape(-1, len(self.scenarios))
-            )
-            return found
+    def losses_from_energies(self, energy: np.ndarray) -> np.ndarray:
+        """Return losses (plates, scenarios) of energies (plates, scenarios · regions), in the order of ``matrices``."""
+        count = len(self.scenarios)
+        regions = energy.shape[1] // count
+        objectives = self.scenarios[0].objectives
+        if objectives.only_localization:  # all panels at once: their objectives then do not differ
+            losses: np.ndarray = objectives.losses(energy.reshape(-1, regions)).reshape(-1, count)
+            return losses
+        sets = 2 if objectives.needs_displacement else 1
         columns = []
-        for index, panel in enumerate(self.scenarios):
-            own = energy[:, index * regions : (index + 1) * regions]
-            columns.append(
-                panel.objectives.losses(*np.split(own, 2 if panel.objectives.needs_displacement else 1, axis=1))
-            )
+        for index, plates in enumerate(self.scenarios):
+            part = energy[:, index * regions : (index + 1) * regions]
+            columns.append(plates.objectives.losses(*np.split(part, sets, axis=1)))
         return np.stack(columns, axis=1)
-
-
-def in_scenario(designs: Designs, scenario: Scenario) -> Designs:
-    """What designs are on the panel of a scenario: its gains times their drives, places of their own off as well."""
-    centre = designs.centre
-    if centre is not None:
-        areas = np.array([actuator.area for actuator in scenario.scene.actuators]).reshape(-1, 2, 2)
-        half = np.diff(areas, axis=2)[..., 0] / 2
-        centre = kept_on_plate(centre + scenario.offset, half, scenario.scene.plate.size)
-    return replace(designs, drives=designs.drives * scenario.gain, centre=centre)
 
 
 def simulate_scenarios(
     scenarios: Sequence[Scenario], device: str = "auto", path: str = "auto", pool: WorkerPool | None = None
 ) -> ScenarioLosses:
-    """ScenarioLosses whose plates are simulated, a launch a scenario; together they take the memory of one solver.
+    """Return losses by simulation, a launch a scenario; all solvers together take the memory of one.
 
     Raises:
         SceneError: see :class:`PlateSolver` and ``make_objectives``.
     """
-    panels = []
-    for one in scenarios:
-        judge = make_objectives(one.scene)
-        share = 1 / (len(scenarios) * (2 if judge.needs_displacement else 1))
-        panels.append(ScenarioPlates(one, judge, _evaluators(one, judge, device, path, pool, memory_share=share)))
-    return ScenarioLosses(tuple(panels))
+    share = 1 / len(scenarios)
+    return ScenarioLosses(tuple(_scenario_plates(each, device, path, pool, share) for each in scenarios))
 
 
 def scenario_responses(scenarios: Sequence[Scenario], device: str = "auto", path: str = "auto") -> ScenarioLosses:
-    """ScenarioLosses by their Gram matrices, measured in float64, for scenes whose energies are quadratic in the drive.
+    """Return losses by Gram matrices, measured in double precision, for energies that are quadratic in the phasors.
 
     Raises:
         SceneError: see :class:`PlateSolver`, ``make_objectives`` and ``measure_response``.
     """
-    panels, matrices, seconds, node_steps = [], [], 0.0, 0
-    for one in scenarios:
-        exact, gain = replace(one, scene=in_float64(one.scene)), np.tile(one.gain, 2)
-        judge = make_objectives(exact.scene)
-        for evaluator in _evaluators(exact, judge, device, path):
-            solver = evaluator.solver
-            matrices.append(measure_response(solver).matrices * np.outer(gain, gain))
-            seconds, node_steps = seconds + solver.compile_seconds, node_steps + solver.node_steps
-        panels.append(ScenarioPlates(one, judge))
-    return ScenarioLosses(tuple(panels), np.concatenate(matrices), (seconds, node_steps))
+    kept, matrices, seconds, node_steps = [], [], 0.0, 0
+    for scenario in scenarios:
+        gain = np.tile(scenario.gain, 2)
+        plates = _scenario_plates(replace(scenario, scene=in_float64(scenario.scene)), device, path)
+        for evaluator in plates.evaluators:
+            matrices.append(measure_response(evaluator.solver).matrices * np.outer(gain, gain))
+            seconds, node_steps = seconds + evaluator.compile_seconds, node_steps + evaluator.node_steps
+        kept.append(ScenarioPlates(scenario, plates.objectives))
+    return ScenarioLosses(tuple(kept), np.concatenate(matrices), (seconds, node_steps))
 
 
-def _losses_of_plates(panel: ScenarioPlates, designs: Designs) -> np.ndarray:
-    own = in_scenario(designs, panel.scenario)
-    return panel.objectives.losses(*(evaluator.run(own).energy for evaluator in panel.evaluators))
-
-
-def _evaluators(
-    one: Scenario, judge: Objectives, device: str, path: str, pool: WorkerPool | None = None, **options: Any
-) -> tuple[Evaluator, ...]:
-    common: dict[str, Any] = {"areas": judge.regions, "per_plate": one.per_plate, **options}
-    made = make_evaluator(one.scene, device, path, pool, **common)
-    if not judge.needs_displacement:
-        return (made,)
-    return made, make_evaluator(one.scene, device, path, pool, quantity="displacement", **common)
+def _scenario_plates(
+    scenario: Scenario, device: str, path: str, pool: WorkerPool | None = None, memory_share: float = 1.0
+) -> ScenarioPlates:
+    """Return the plates of one scenario, whose solvers together take a share of the memory for plates."""
+    grid = discretize(scenario.scene, scenario.per_plate)
+    objectives = make_objectives(grid)
+    quantities = ("velocity", "displacement") if objectives.needs_displacement else ("velocity",)
+    options: dict[str, Any] = {
+        "areas": objectives.regions,
+        "per_plate": scenario.per_plate,
+        "memory_share": memory_share / len(quantities),
+    }
+    evaluators = tuple(make_evaluator(grid, device, path, pool, **options, quantity=each) for each in quantities)
+    return ScenarioPlates(scenario, objectives, evaluators)

@@ -1,11 +1,11 @@
 """Upper bounds of quadratic forms under quadratic limits: the dual of the semidefinite relaxation, by a barrier.
 
-To be bounded: the largest zᵀA z of all z with zᵀC_i z ≤ c_i. Any multipliers μ with
+The bounded quantity is the largest zᵀA z of all z with zᵀC_i z ≤ c_i. Any multipliers μ with
 
     S(μ) = Σ μ_i C_i − A ⪰ 0,    μ_i ≥ 0 (of any sign where the limit is an equation)
 
-give zᵀA z ≤ Σ μ_i zᵀC_i z ≤ Σ μ_i c_i, so Σ μ_i c_i bounds it, whether or not these μ are the best ones: what is left
-undone makes the bound wider, never wrong. The best ones are found by Newton's method on
+give zᵀA z ≤ Σ μ_i zᵀC_i z ≤ Σ μ_i c_i, so Σ μ_i c_i bounds it, whether or not these μ are the best ones: an
+early end makes the bound wider, never wrong. The best ones are found by Newton's method on
 
     φ(μ) = t Σ μ_i c_i − log det S(μ) − Σ log μ_i,    t → ∞,
 
@@ -29,7 +29,13 @@ ROUNDINGS = 64
 
 @dataclass(frozen=True)
 class QuadraticLimits:
-    """matrices: (limits, n, n) C_i, symmetric; values: (limits,) c_i; equation: (limits,) whether zᵀC_i z is c_i."""
+    """Limits of quadratic forms, zᵀC_i z ≤ c_i.
+
+    Attributes:
+        matrices: (limits, n, n) symmetric C_i.
+        values: (limits,) c_i.
+        equation: (limits,) whether zᵀC_i z = c_i.
+    """
 
     matrices: np.ndarray
     values: np.ndarray
@@ -37,10 +43,10 @@ class QuadraticLimits:
 
 
 def least_majorant(objective: np.ndarray, limits: QuadraticLimits) -> tuple[float, np.ndarray]:
-    """The bound Σ μ_i c_i and the slack S(μ), (n, n), whose smallest eigenvector is near the z that comes nearest.
+    """Return the bound Σ μ_i c_i and the slack S(μ), (n, n), whose smallest eigenvector is near the z of the maximum.
 
-    Infinity and an empty slack where no multipliers are found. The value lies above the exact one of its μ by what
-    rounding may have taken.
+    They are infinity and empty where no multipliers are found. The value lies above the exact one of its μ by the
+    largest rounding error.
     """
     size = float(np.abs(objective).max())
     if size == 0:
@@ -59,7 +65,7 @@ def least_majorant(objective: np.ndarray, limits: QuadraticLimits) -> tuple[floa
 
 
 def _follow(objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndarray) -> np.ndarray:
-    """The multipliers at the end of the central path, from ones inside; the last ones that rounding leaves inside."""
+    """Return the multipliers at the end of the central path, or the last ones that rounding leaves inside."""
     count = len(objective) + np.count_nonzero(~limits.equation)
     weight = count / max(abs(float(limits.values @ multipliers)), 1e-3)
     least = multipliers
@@ -76,7 +82,7 @@ def _follow(objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndar
 
 
 def _between(objective: np.ndarray, limits: QuadraticLimits, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
-    """The last multipliers on the way from ones to others that are surely inside."""
+    """Return the last multipliers between two that are surely inside."""
     low, high = 0.0, 1.0
     for _ in range(20):
         middle = (low + high) / 2
@@ -89,7 +95,7 @@ def _between(objective: np.ndarray, limits: QuadraticLimits, inside: np.ndarray,
 
 
 def _surely_inside(slack: np.ndarray, multipliers: np.ndarray) -> bool:
-    """S is computed with errors; one that is positive definite by more than these is so in truth."""
+    """Return whether S is positive definite by more than the errors with which it is computed."""
     error = ROUNDINGS * np.finfo(float).eps * (1 + np.abs(multipliers).sum()) * len(slack)
     return bool(np.linalg.eigvalsh(slack)[0] > error)
 
@@ -97,7 +103,7 @@ def _surely_inside(slack: np.ndarray, multipliers: np.ndarray) -> bool:
 def _centre(
     objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndarray, weight: float, stop_below: float = -np.inf
 ) -> tuple[np.ndarray, bool]:
-    """Newton's method at one t; whether it settled. Ends early where the last multiplier falls below ``stop_below``."""
+    """Apply Newton's method at one t, or until the last multiplier falls below a value; return whether it settled."""
     level = _barrier(objective, limits, multipliers, weight)
     for _ in range(MOST_STEPS):
         step, decrement = _newton(objective, limits, multipliers, weight)
@@ -122,7 +128,7 @@ def _centre(
 def _newton(
     objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndarray, weight: float
 ) -> tuple[np.ndarray, float]:
-    """Newton's step for φ, and by how much φ falls along it to first order."""
+    """Return Newton's step for φ, and the decrease of φ along it to first order."""
     try:
         inverse = np.linalg.inv(_slack(objective, limits, multipliers))
     except np.linalg.LinAlgError:  # at the edge, as far as numbers tell
@@ -139,7 +145,7 @@ def _newton(
 
 
 def _barrier(objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndarray, weight: float) -> float:
-    """φ, infinite outside."""
+    """Return φ; infinity outside."""
     bounded = multipliers[~limits.equation]
     if (bounded <= 0).any():
         return np.inf
@@ -152,7 +158,7 @@ def _barrier(objective: np.ndarray, limits: QuadraticLimits, multipliers: np.nda
 
 
 def _inside(objective: np.ndarray, limits: QuadraticLimits) -> np.ndarray | None:
-    """Multipliers with S ≻ 0: the least s with S + s·1 ⪰ 0 is sought until it is below zero; None if it never is."""
+    """Return multipliers with S ≻ 0, by lowering s with S + s·1 ⪰ 0 until it is negative; None if it never is."""
     count, size = len(limits.values), len(objective)
     wider = QuadraticLimits(
         np.concatenate([limits.matrices, np.eye(size)[None]]),
@@ -172,5 +178,6 @@ def _inside(objective: np.ndarray, limits: QuadraticLimits) -> np.ndarray | None
 
 
 def _slack(objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndarray) -> np.ndarray:
+    """Return S(μ), shape (n, n)."""
     slack: np.ndarray = np.tensordot(multipliers, limits.matrices, 1) - objective
     return slack

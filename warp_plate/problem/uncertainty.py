@@ -1,7 +1,7 @@
-"""The panels that one may really have: variants of a scene, drawn evenly within the tolerances of ``[search.robust]``.
+"""Scenarios of a robust search: variants of a scene, drawn evenly within the tolerances of ``[search.robust]``.
 
-Each scenario takes a row of numbers from 0 to 1, whatever the tolerances are: a tolerance more leaves what the others
-draw as it was, and the first of many scenarios are the same panels as those of a few.
+Each scenario takes a row of numbers from 0 to 1, whatever the tolerances are: another tolerance leaves the other draws
+as they were, and the first of many scenarios are the same panels as those of a few.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.plate.designs import PerPlate, per_plate_of
+from warp_plate.plate.designs import Designs, PerPlate, per_plate_of
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Robust
 
-# Bytes that a scenario's scene takes, and each of its actuators.
+# Bytes of a scenario's scene, and of each of its actuators.
 SCENE_BYTES, ACTUATOR_BYTES = 20_000.0, 2_000.0
 
 
@@ -26,10 +26,13 @@ SCENE_BYTES, ACTUATOR_BYTES = 20_000.0, 2_000.0
 class Scenario:
     """One panel.
 
-    scene: with its stiffness, thickness, damping, oscillators and actuators where they are; gain: (actuators,) by which
-    drives are multiplied; offset: (actuators, 2) x, y by which actuators are off [m], as drawn: ``scene`` keeps them on
-    the plate. per_plate: what its solver is made for, the same for all scenarios of a scene, so that they share kernels
-    wherever their actuators are.
+    Attributes:
+        scene: scene with the panel's stiffness, thickness, damping, oscillators and places of actuators.
+        gain: (actuators,) factors of the drives.
+        offset: (actuators, 2) displacements of the actuators along x and y [m], as drawn; ``scene`` keeps them on the
+            plate.
+        per_plate: what its solver is made for; the same for all scenarios of a scene, so that they share kernels
+            wherever their actuators are.
     """
 
     scene: Scene
@@ -37,13 +40,26 @@ class Scenario:
     offset: np.ndarray
     per_plate: PerPlate
 
+    def designs(self, designs: Designs) -> Designs:
+        """Return the nominal designs on this panel: drives with its gains, and searched places with its offsets."""
+        centre = designs.centre
+        if centre is not None:
+            areas = np.array([actuator.area for actuator in self.scene.actuators]).reshape(-1, 2, 2)
+            half = np.diff(areas, axis=2)[..., 0] / 2
+            centre = clip_to_plate(centre + self.offset, half, self.scene.plate.size)
+        return replace(designs, drives=designs.drives * self.gain, centre=centre)
+
 
 def draw_scenarios(scene: Scene, count: int, seed: int, validation: bool = False) -> tuple[Scenario, ...]:
-    """So many scenarios of a scene with ``[search.robust]`` and a grid; the nominal scene is none of them.
+    """Draw scenarios of a scene with ``[search.robust]`` and a grid; the nominal scene is none of them.
 
-    The same seed draws the same scenarios; ``validation``: from another stream, which shares nothing with the first.
-    All
-    have one time step: the scene's own where it is stable for each, else the one that the stiffest would choose.
+    All have one time step: the scene's own where it is stable for each, else the one that the stiffest would choose.
+
+    Args:
+        scene: nominal scene.
+        count: number of scenarios.
+        seed: random seed.
+        validation: draw from another stream, which shares nothing with the first.
 
     Raises:
         SceneError: a scenario is no plate, or has no stable run; they take more memory than there is.
@@ -56,56 +72,58 @@ def draw_scenarios(scene: Scene, count: int, seed: int, validation: bool = False
         count * (SCENE_BYTES + ACTUATOR_BYTES * actuators), f"search.robust: {count} scenarios of {actuators} actuators"
     )
     numbers = np.random.default_rng([seed, int(validation)]).random((count, 4 + 3 * actuators))
-    drawn = [_scenario(scene, robust, row) for row in numbers]
-    step = _common_step(scene, drawn)
-    grid = scene.grid.model_copy(update={"time_step": step})
-    return tuple(replace(one, scene=one.scene.model_copy(update={"grid": grid})) for one in drawn)
+    scenarios = [_scenario(scene, robust, row) for row in numbers]
+    grid = scene.grid.model_copy(update={"time_step": _common_step(scene, scenarios)})
+    return tuple(replace(each, scene=each.scene.model_copy(update={"grid": grid})) for each in scenarios)
 
 
-def kept_on_plate(centre: np.ndarray, half: np.ndarray, size: tuple[float, float]) -> np.ndarray:
-    """Middles (..., actuators, 2) of patches [m], moved so that they lie on the plate; ``half``: (actuators, 2) [m] of
-    their sides."""
+def clip_to_plate(centre: np.ndarray, half: np.ndarray, size: tuple[float, float]) -> np.ndarray:
+    """Return centres of patches (..., actuators, 2) [m], moved so that the patches lie on the plate.
+
+    ``half``: (actuators, 2) half of the patches' sides [m].
+    """
     return np.clip(centre, half, np.maximum(np.asarray(size) - half, half))
 
 
 def _scenario(scene: Scene, robust: Robust, numbers: np.ndarray) -> Scenario:
-    """From (4 + 3 · actuators,) numbers between 0 and 1."""
+    """Return the scenario of numbers (4 + 3 · actuators,) between 0 and 1."""
     panel, gains, offsets = np.split(numbers, [4, 4 + len(scene.actuators)])
     tolerances = np.array([robust.young_modulus, robust.thickness, robust.damping])
-    stiffer, thicker, damped = (1 + tolerances * (2 * panel[:3] - 1)).tolist()
+    stiffness, thickness, damping = (1 + tolerances * (2 * panel[:3] - 1)).tolist()
     offset = robust.place * (2 * offsets.reshape(-1, 2) - 1)
-    made = scene.with_tables(
+    variant = scene.with_tables(
         plate={
             **scene.plate.model_dump(),
-            "young_modulus": scene.plate.young_modulus * stiffer,
-            "thickness": scene.plate.thickness * thicker,
+            "young_modulus": scene.plate.young_modulus * stiffness,
+            "thickness": scene.plate.thickness * thickness,
         },
-        effects=_effects(scene, stiffer, thicker, damped, bool(panel[3] < robust.without_oscillators)),
-        actuators=_moved(scene, offset),
+        effects=_effects(scene, stiffness, thickness, damping, bool(panel[3] < robust.without_oscillators)),
+        actuators=_moved_actuators(scene, offset),
         search={**scene.search.model_dump(), "robust": None},
     )
-    return Scenario(made, 1 + robust.gain * (2 * gains - 1), offset, _own(scene, robust.place))
+    return Scenario(variant, 1 + robust.gain * (2 * gains - 1), offset, _per_plate(scene, robust.place))
 
 
-def _effects(scene: Scene, stiffer: float, thicker: float, damped: float, bare: bool) -> dict[str, Any]:
-    """The table ``[effects]``; one factor for all damping of the panel, what hangs on it keeps its own."""
+def _effects(scene: Scene, stiffness: float, thickness: float, damping: float, bare: bool) -> dict[str, Any]:
+    """Return the table ``[effects]`` with factors; one for all damping of the panel, not for that of oscillators."""
     tables = scene.effects.model_dump()
     for table, key in (("damping", "viscous"), ("material_damping", "time"), ("foundation", "damping")):
         if tables[table] is not None:
-            tables[table][key] *= damped
+            tables[table][key] *= damping
     if tables["orthotropic"] is not None:  # rigidities in place of EH³
-        tables["orthotropic"] = {key: value * stiffer * thicker**3 for key, value in tables["orthotropic"].items()}
+        rigidity = tables["orthotropic"].items()
+        tables["orthotropic"] = {key: value * stiffness * thickness**3 for key, value in rigidity}
     if bare:
         tables["oscillators"] = ()
     return tables
 
 
-def _moved(scene: Scene, offset: np.ndarray) -> list[dict[str, Any]]:
-    """The tables of the actuators, each moved by its offset (actuators, 2) [m] and kept on the plate."""
+def _moved_actuators(scene: Scene, offset: np.ndarray) -> list[dict[str, Any]]:
+    """Return the tables of the actuators, each moved by its offset (actuators, 2) [m] and kept on the plate."""
     areas = np.array([actuator.area for actuator in scene.actuators]).reshape(-1, 2, 2)  # (actuators, axis, end)
     centre, half = areas.mean(axis=2), np.diff(areas, axis=2)[..., 0] / 2
-    shift = kept_on_plate(centre + offset, half, scene.plate.size) - centre
-    # What does not move keeps its place to the last bit.
+    shift = clip_to_plate(centre + offset, half, scene.plate.size) - centre
+    # An actuator without offset keeps its place to the last bit.
     moved = np.where(offset[..., None] == 0, areas, areas + shift[..., None])
     return [
         {**actuator.model_dump(), "area": tuple(area.ravel().tolist())}
@@ -113,8 +131,8 @@ def _moved(scene: Scene, offset: np.ndarray) -> list[dict[str, Any]]:
     ]
 
 
-def _own(scene: Scene, place: float) -> PerPlate:
-    """What plates have of their own, each actuator's area being wider by ``place`` [m] on all sides."""
+def _per_plate(scene: Scene, place: float) -> PerPlate:
+    """Return what may differ between plates, each actuator's area being wider by ``place`` [m] on all sides."""
     per_plate = per_plate_of(scene)
     if not place:
         return per_plate
@@ -123,12 +141,12 @@ def _own(scene: Scene, place: float) -> PerPlate:
     return replace(per_plate, centre=True, areas=tuple(map(tuple, wider.tolist())))
 
 
-def _common_step(scene: Scene, drawn: list[Scenario]) -> float:
-    """A time step [s] that is stable for all."""
-    free = scene.grid.model_copy(update={"time_step": None})
+def _common_step(scene: Scene, scenarios: list[Scenario]) -> float:
+    """Return a time step [s] that is stable for all."""
+    grid = scene.grid.model_copy(update={"time_step": None})
     moment_form = per_plate_of(scene).per_actuator  # whose limit may be another
-    schemes = [make_scheme(one.scene.model_copy(update={"grid": free}), moment_form=moment_form) for one in drawn]
-    own = scene.grid.time_step
-    if own is not None and own <= min(scheme.limit for scheme in schemes):
-        return own
+    schemes = [make_scheme(each.scene.model_copy(update={"grid": grid}), moment_form=moment_form) for each in scenarios]
+    step = scene.grid.time_step
+    if step is not None and step <= min(scheme.limit for scheme in schemes):
+        return step
     return min(scheme.time_step for scheme in schemes)

@@ -12,13 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.optimize.quadratic import RANK_TOLERANCE, quadratic_forms
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.weights import REGIONS
 from warp_plate.solve.solver import PlateSolver, Progress
-
-# Drives whose plate energy is below this part of the largest cancel out, such as those of two actuators in one place.
-# Their energy is rounding, and its ratio means nothing.
-RANK_TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True)
@@ -34,8 +31,7 @@ class Response:
 
     def energy(self, phasors: np.ndarray) -> np.ndarray:
         """Return (plates, regions) energies [J] of phasors (plates, actuators), as ``PlateSolver.run`` would."""
-        z = real_parts(phasors)
-        return np.einsum("pa,rab,pb->pr", z, self.matrices, z)
+        return quadratic_forms(self.matrices, phasors)
 
     def bound(self) -> float:
         """Return the largest localization factor that any drive can reach."""
@@ -75,12 +71,6 @@ def response_of(energy: np.ndarray, actuators: int) -> Response:
         matrix[np.diag_indices(count)] = single
         matrix[first, second] = matrix[second, first] = (pair - single[first] - single[second]) / 2
     return Response(matrices)
-
-
-def real_parts(phasors: np.ndarray) -> np.ndarray:
-    """Return (plates, 2M) z = (Re Z, −Im Z) of phasors (plates, actuators)."""
-    phasors = np.asarray(phasors, dtype=complex)
-    return np.concatenate([phasors.real, -phasors.imag], axis=1)
 
 
 def largest_ratio(matrices: np.ndarray) -> tuple[float, np.ndarray]:

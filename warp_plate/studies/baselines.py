@@ -22,7 +22,7 @@ from warp_plate.analysis.superposition import LINEAR_ORDERS, LINEAR_SAMPLES, las
 from warp_plate.plate.signals import carrier_frequencies
 from warp_plate.plate.weights import REGIONS, bilinear
 from warp_plate.problem.evaluate_cases import cases_from_run
-from warp_plate.problem.problem import Problem, summed_regions
+from warp_plate.problem.problem import Problem
 from warp_plate.result.model import Case
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -51,7 +51,7 @@ def baseline_cases(problem: Problem) -> tuple[dict[str, Case], int]:
         SceneError: see :func:`check_baselines`.
     """
     scene, plates = problem.scene, problem.drive_solver
-    regions = summed_regions(scene, problem.objectives)
+    regions = problem.objectives.regions
     solver = PlateSolver(plates.discretization, plates.device.alias, problem.path, areas=regions)
     phasors = baseline_phasors(solver)
     run = solver.run(np.array(list(phasors.values())), record_times(scene), scene.record.points)

@@ -10,8 +10,9 @@ import numpy as np
 
 from warp_plate.cluster.pool import WorkerPool, WorkersGone
 from warp_plate.interrupts import check_interrupt, deferred_interrupts
+from warp_plate.optimize.optimizer import Optimizer
 from warp_plate.problem.design_variables import at_highest_frequency
-from warp_plate.problem.methods import Optimizer, make_optimizer
+from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.problem import EvaluatorName, Problem
 from warp_plate.problem.robust import make_problem
 from warp_plate.result.comparison import MethodComparison, Trial

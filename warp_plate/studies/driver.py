@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
-from warp_plate.optimize.pso import optimize
-from warp_plate.problem.methods import Optimizer, make_optimizer, optimizer_from_state
+from warp_plate.optimize.optimizer import Optimizer, minimize
+from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.problem import Problem
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.scene.errors import SceneError
@@ -32,10 +32,8 @@ def search_optimizer(problem: Problem, seed: int, state: Mapping[str, Any] | Non
     search, space = problem.scene.search, problem.space
     if not space.dimension:
         return None
-    if state is None:
-        return make_optimizer(search, space, seed, problem.quadratic)
     try:
-        return optimizer_from_state(search, space, seed, state, problem.quadratic)
+        return make_optimizer(search, space, seed, problem.quadratic, state)
     except SceneError:
         raise
     except ValueError as error:
@@ -75,7 +73,7 @@ def run_search(
         checkpoints.save(
             replace(
                 start,
-                search_state=optimizer.state(False),
+                search_state=optimizer.state(),
                 seconds={**start.seconds, "solve": seconds},
                 node_steps=start.node_steps + node_steps - first_steps,
                 lost_plates=dict(Counter(start.lost_plates) + lost),
@@ -96,7 +94,7 @@ def run_search(
         with deferred_interrupts():
             if checkpoints is not None and checkpoints.due():
                 save()
-            optimize(optimizer, problem.losses, after_iteration, whole=False)
+            minimize(optimizer, problem.losses, after_iteration)
     except SecondInterrupt:  # the optimizer may be half updated, so only an earlier checkpoint is valid
         raise
     except KeyboardInterrupt:

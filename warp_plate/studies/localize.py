@@ -218,7 +218,7 @@ def _initial_state(problem: Problem, seed: int) -> dict[str, Any]:
         "scene": problem.scene,
         "single_actuator": int(np.argmax(np.abs(phasors["single"]))),
         "matrices": problem.matrices,
-        "search_state": None if optimizer is None else optimizer.state(False),
+        "search_state": None if optimizer is None else optimizer.state(),
     }
 
 
@@ -244,7 +244,7 @@ def _run(start: Checkpoint, problem: Problem, options: _Options, reference: Refe
         found = _optional(
             "estimate",
             seconds,
-            lambda: estimate_error(evaluated.scene, evaluated.drives, evaluated.run, seconds["solve"], device, known),
+            lambda: estimate_error(evaluated.scene, evaluated.phasors, evaluated.run, seconds["solve"], device, known),
             None,
         )
         accuracy |= {} if found is None else {"estimate": found}
@@ -353,7 +353,7 @@ def _next_problem(problem: Problem, index: int, start: Checkpoint) -> Problem:
     """Return the problem of another target. All targets are regions of every solver, so that Gram matrices hold for
     all, unless an objective needs further regions."""
     scene, matrices = problem.scene.aimed_at(index), None
-    if problem.matrices is not None and not problem.objectives.regions:
+    if problem.matrices is not None and not problem.objectives.cells.size:
         regions = problem.drive_solver.specialized.regions
         matrices = problem.matrices.reshape(-1, len(regions), *problem.matrices.shape[1:]).copy()
         matrices[:, REGIONS.index("target")] = matrices[:, regions.index(list(target_regions(scene))[index])]

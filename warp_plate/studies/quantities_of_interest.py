@@ -9,7 +9,7 @@ import numpy as np
 
 from warp_plate.analysis.check import check
 from warp_plate.optimize.exact import best_position
-from warp_plate.optimize.pso import optimize
+from warp_plate.optimize.optimizer import MethodError, minimize
 from warp_plate.plate.modes import natural_modes, refuse_many_nodes
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import at_highest_frequency
@@ -146,12 +146,12 @@ def _best_position(problem: Problem) -> np.ndarray | None:
     if problem.scene.search.robust is None and problem.only_localization and problem.space.dimension:
         try:
             return best_position(problem.space, problem.quadratic)
-        except SceneError:  # a limit or a fixed number keeps the search from the eigenvector
+        except MethodError:  # a limit or a fixed number keeps the search from the eigenvector
             pass
     optimizer = search_optimizer(problem, problem.scene.search.seed)
     if optimizer is None:
         return None
-    optimize(optimizer, problem.losses)
+    minimize(optimizer, problem.losses)
     return optimizer.result.xbest
 
 

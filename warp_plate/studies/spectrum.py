@@ -92,8 +92,8 @@ def _factor(response: Response, phasors: np.ndarray) -> float:
 def _best_factor(response: Response, parametrization: Parametrization) -> float:
     """Return the bound over the drives that the search may choose, or the factor of the scene's drive if it chooses
     none."""
-    if not any(number.kind in ("magnitude", "phase") for number in parametrization.numbers):
-        return _factor(response, parametrization.designs(np.zeros((1, len(parametrization.numbers)))).drives[0])
+    if not any(number.kind in ("magnitude", "phase") for number in parametrization.variables):
+        return _factor(response, parametrization.designs(np.zeros((1, len(parametrization.variables)))).drives[0])
     bound = bound_localization(response, allowed_drives(parametrization), MOST_BOUNDED)
     return math.nan if bound is None else bound.value
 

@@ -35,7 +35,7 @@ def compare_with_nominal(
     optimizer = search_optimizer(nominal, start.seed)
     if optimizer is None:
         return None
-    found, interrupted = run_search(replace(start, search_state=optimizer.state(False)), nominal)
+    found, interrupted = run_search(replace(start, search_state=optimizer.state()), nominal)
     if interrupted or found is None or found.result.xbest is None:
         return None
     evaluated = evaluate_cases(nominal, start.single_actuator, found.result.xbest)
@@ -70,8 +70,8 @@ def validate(problem: RobustProblem, robust: np.ndarray, nominal: np.ndarray) ->
         scenarios=table.scenarios,
         localization=problem.only_localization,
         bound=None if bound is None else float(problem.value_from_loss(bound.value)),
-        searched=values(problem.losses_of(designs)),
-        nominal_plate=values(problem.nominal.losses_of(designs)),
+        searched=values(problem.design_losses(designs)),
+        nominal_plate=values(problem.nominal.design_losses(designs)),
         validation=values(np.stack(losses, axis=1)),
     )
     return comparison, node_steps

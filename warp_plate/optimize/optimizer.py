@@ -1,0 +1,265 @@
+"""The shape that all search methods share: ask for positions, tell their losses, stop, result, history and state.
+
+Methods minimise. Their names are those of pycma's ``CMAEvolutionStrategy``, so that :func:`minimize` runs either.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warp_plate.optimize.space import SearchSpace
+
+COLUMNS = ("best", "mean", "worst", "nonfinite", "evaluations")
+# A search stalls when so many iterations lower the best loss by no more than this part of its size.
+STALL_TOLERANCE = 1e-6
+
+
+class MethodError(ValueError):
+    """A method does not fit its problem, or needs a library that is not installed."""
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """Settings of a method that asks for the same number of positions in each iteration.
+
+    Attributes:
+        batch: positions in an iteration: the first population of CMA-ES, or the number of descents.
+        evaluations: largest number of evaluations in all.
+        restarts: largest number of restarts.
+        stall: iterations without progress that end a search (default: no such end).
+        seed: random seed.
+        loss_scale: see :func:`tolerance_scale`.
+    """
+
+    batch: int
+    evaluations: int
+    restarts: int = 0
+    stall: int | None = None
+    seed: int = 0
+    loss_scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """Best position of a search; the first four attributes are named as pycma's.
+
+    Attributes:
+        xbest: (dimension,) best position; None before any finite loss.
+        fbest: its loss; infinity before any finite loss.
+        evaluations: number of losses.
+        iterations: number of iterations.
+        nonfinite: number of losses that were infinite or not a number.
+    """
+
+    xbest: np.ndarray | None
+    fbest: float
+    evaluations: int
+    iterations: int
+    nonfinite: int
+
+
+def tolerance_scale(loss: float, loss_scale: float) -> float:
+    """Return the size that relative tolerances of a loss refer to, so that neither unit nor weight changes a search.
+
+    It is the loss's magnitude, but at least ``loss_scale``, for losses that pass zero.
+    """
+    return max(abs(loss), loss_scale)
+
+
+class SearchRecord:
+    """Best position so far and statistics of each iteration.
+
+    Attributes:
+        position: (dimension,) best position; NaN before any finite loss.
+        loss: its loss; infinity before any finite loss.
+        rows: for each iteration the values of COLUMNS.
+    """
+
+    def __init__(self, dimension: int, loss_scale: float) -> None:
+        self.loss_scale = loss_scale
+        self.position = np.full(dimension, np.nan)
+        self.loss = math.inf
+        self.rows: list[list[float]] = []
+
+    @property
+    def evaluations(self) -> int:
+        """Number of losses so far."""
+        return int(self.rows[-1][-1]) if self.rows else 0
+
+    def add(self, positions: np.ndarray, losses: np.ndarray, finite: np.ndarray) -> None:
+        """Record an iteration: positions (n, dimension), losses (n,), infinite where ``finite`` (n,) is false."""
+        best = int(np.argmin(losses))
+        if losses[best] < self.loss:
+            self.position, self.loss = np.array(positions[best]), float(losses[best])
+        mean = worst = math.nan
+        known = losses if finite.all() else losses[finite]
+        if known.size:
+            with np.errstate(over="ignore"):
+                mean, worst = float(known.mean()), float(known.max())
+        self.rows.append([self.loss, mean, worst, len(losses) - known.size, self.evaluations + len(losses)])
+
+    def stalled(self, stall: int | None, since: int = 0) -> bool:
+        """Return whether the last ``stall`` iterations, all after iteration ``since``, made no progress."""
+        if stall is None or len(self.rows) - since <= stall:
+            return False
+        if not math.isfinite(self.loss):
+            return True
+        fall = self.rows[-1 - stall][0] - self.loss
+        return not fall > STALL_TOLERANCE * tolerance_scale(self.loss, self.loss_scale)
+
+
+class Optimizer(ABC):
+    """Base of the search methods.
+
+    Attributes:
+        space: the numbers that are searched.
+        record: best position and history.
+        positions: (n, dimension) positions that :meth:`ask` gave last, read-only.
+        asked: whether their losses are still to be told.
+    """
+
+    FORMAT: ClassVar[str]
+
+    def __init__(self, space: SearchSpace, loss_scale: float = 1.0) -> None:
+        self.space = space
+        self.record = SearchRecord(space.dimension, loss_scale)
+        self.positions = np.empty((0, space.dimension))
+        self.asked = False
+
+    @property
+    def iterations(self) -> int:
+        """Number of iterations whose losses are known."""
+        return len(self.record.rows)
+
+    @property
+    def history(self) -> dict[str, np.ndarray]:
+        """Arrays with one entry for each iteration.
+
+        `evaluations` and `best` loss so far; of the iteration itself the `mean` and `worst` of its finite losses (NaN
+        if it has none) and `nonfinite`, the number of the others.
+        """
+        columns = np.array(self.record.rows, dtype=float).reshape(-1, len(COLUMNS)).T
+        history = dict(zip(COLUMNS, columns, strict=True))
+        return history | {name: history[name].astype(int) for name in ("nonfinite", "evaluations")}
+
+    @property
+    def result(self) -> SearchResult:
+        """Best position so far, with counts."""
+        record = self.record
+        best = record.position.copy() if math.isfinite(record.loss) else None
+        nonfinite = sum(int(row[COLUMNS.index("nonfinite")]) for row in record.rows)
+        return SearchResult(best, record.loss, record.evaluations, self.iterations, nonfinite)
+
+    def ask(self) -> np.ndarray:
+        """Return positions to evaluate, (n, dimension), read-only; the same ones until their losses are told."""
+        if not self.asked:
+            self.positions = self._propose()
+            self.positions.flags.writeable = False
+            self.asked = True
+        return self.positions
+
+    def tell(self, solutions: ArrayLike, losses: ArrayLike) -> None:
+        """Take the losses, shape (n,), of the positions that :meth:`ask` gave. Losses that are not finite are worst.
+
+        Raises:
+            ValueError: `solutions` are not those positions, or `losses` has another shape.
+        """
+        same = self.asked and (solutions is self.positions or np.array_equal(np.asarray(solutions), self.positions))
+        if not same:
+            raise ValueError("tell: solutions must be the positions that the last ask() gave, told once")
+        values = np.array(losses, dtype=float)
+        if values.shape != (len(self.positions),):
+            raise ValueError(f"tell: losses of shape {values.shape}: must be ({len(self.positions)},)")
+        finite = np.isfinite(values)
+        values[~finite] = np.inf
+        self.record.add(self.positions, values, finite)
+        self._learn(values)
+        self.asked = False
+
+    @abstractmethod
+    def stop(self) -> dict[str, Any]:
+        """Return the reasons to stop, with a number for each; empty to go on."""
+
+    def state(self) -> dict[str, Any]:
+        """Return all that the search needs to go on: arrays, numbers, texts, and the state of its random numbers."""
+        return {
+            "format": self.FORMAT,
+            "best_position": self.record.position.copy(),
+            "best_loss": self.record.loss,
+            "history": np.array(self.record.rows, dtype=float).reshape(-1, len(COLUMNS)),
+            "positions": self.positions.copy(),
+            "asked": self.asked,
+            **self._own_state(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from what :meth:`state` returned, to the last bit; ``self`` is new and has the same settings.
+
+        Raises:
+            ValueError: the state is not that of such a search.
+        """
+        try:
+            if state["format"] != self.FORMAT:
+                raise ValueError(f"search state: format = {state['format']!r}: must be {self.FORMAT!r}")
+            self._restore(state)
+        except (KeyError, TypeError, OverflowError) as error:
+            raise ValueError(f"search state: {error} is missing or of a wrong kind") from None
+
+    @abstractmethod
+    def _propose(self) -> np.ndarray:
+        """Return the next positions (n, dimension)."""
+
+    @abstractmethod
+    def _learn(self, losses: np.ndarray) -> None:
+        """Take the losses (n,) of ``positions``, infinite where they were not finite; they are recorded already."""
+
+    @abstractmethod
+    def _own_state(self) -> dict[str, Any]:
+        """Return what :meth:`state` needs beside the record and the positions."""
+
+    def _restore(self, state: Mapping[str, Any]) -> None:
+        self.record.position = as_shape(state, "best_position", self.record.position.shape)
+        self.record.loss = float(state["best_loss"])
+        self.record.rows = as_shape(state, "history", (-1, len(COLUMNS))).tolist()
+        self.positions = as_shape(state, "positions", (-1, self.space.dimension))
+        self.asked = bool(state["asked"])
+
+
+def as_shape(state: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> np.ndarray:
+    """Return an array of a state as float64 numbers; −1 in ``shape`` stands for any length.
+
+    Raises:
+        ValueError: the array has another shape.
+    """
+    values = np.array(state[name], dtype=float)
+    if values.ndim != len(shape) or any(want not in (-1, have) for want, have in zip(shape, values.shape, strict=True)):
+        raise ValueError(f"search state: {name} of shape {values.shape}: must be {shape}")
+    return values
+
+
+def minimize(
+    optimizer: Any, objective: Callable[[np.ndarray], ArrayLike], callback: Callable[[Any], object] | None = None
+) -> Any:
+    """Run a search until its `stop()` names a reason or `callback(optimizer)` returns something true.
+
+    Args:
+        optimizer: an :class:`Optimizer` or pycma's ``CMAEvolutionStrategy``.
+        objective: takes positions, shape (n, dimension), and returns their losses, shape (n,).
+        callback: called after each iteration; a search that it ended goes on when this function is called again.
+
+    Returns:
+        ``optimizer.result``.
+    """
+    while not optimizer.stop():
+        solutions = optimizer.ask()
+        optimizer.tell(solutions, objective(np.asarray(solutions, dtype=float)))
+        if callback is not None and callback(optimizer):
+            break
+    return optimizer.result
