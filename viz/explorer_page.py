@@ -212,6 +212,8 @@ class ExplorerPage:
             client.ClientStateChange(value="picture", change=(self._take, "[picture]"))
 
     def _add_numbers(self, html: Any) -> None:
+        self.server.state.title = self.model.scene.title or TITLE
+        html.Div("{{ title }}", style="font-weight: 600; margin-bottom: 6px")
         with html.Div(style="font-size: 17px"):
             html.Div("Localization factor <b id='factor'>{{ factor }}</b>")
             html.Div("Bound <b id='bound'>{{ bound }}</b>")

@@ -1,31 +1,21 @@
-"""What the explorer draws, as data; its refusals on the command line."""
+"""The explorer's picture as data, and refusals of the command."""
 
 import math
-import sys
-import time
 
 import numpy as np
 import pytest
 
 from warp_plate import viz
-from warp_plate.cli.main import main
+from warp_plate.explore import live_model
 from warp_plate.explore.live_model import LiveModel
 from warp_plate.result.live import DriveResponse, SteadyMotion, SwarmSnapshot
 from warp_plate.scene.dump import dump_scene
-from warp_plate.viz import explorer_page, explorer_window
+from warp_plate.viz import explorer_page
 from warp_plate.viz.availability import off_screen
-from warp_plate.viz.explorer import CHOICES, LOWEST, Stage, factor_text, share_texts
+from warp_plate.viz.explorer_view import LEAST_SHARE, PERIOD, ExplorerView, factor_text, share_texts
+from warp_plate.viz.pictures import make_plotter
 
 pyvista = pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
-
-
-@pytest.fixture
-def drawing():
-    """Skips the test where nothing can be drawn off screen."""
-    if (problem := viz.missing()) is not None:
-        pytest.skip(problem)
-    with off_screen():
-        yield
 
 
 @pytest.fixture
@@ -36,10 +26,15 @@ def model(scene):
 
 
 @pytest.fixture
-def stage(model, drawing):
-    plotter = explorer_page._make_plotter()
-    yield Stage(plotter, model, 16)
-    plotter.close()
+def view(model):
+    if (problem := viz.missing_renderer()) is not None:
+        pytest.skip(problem)
+    with off_screen():
+        plotter = make_plotter((900, 800), off_screen=True, shape=(2, 1))
+        made = ExplorerView(plotter, model, 16)
+        made.plotter = plotter
+        yield made
+        plotter.close()
 
 
 def points(chart_plot):
@@ -47,35 +42,25 @@ def points(chart_plot):
     return np.column_stack([np.asarray(chart_plot.x), np.asarray(chart_plot.y)])
 
 
-# Stage ------------------------------------------------------------------------------------------------------
-
-
-def test_the_plate_is_the_models(stage, model):
-    """Heights are the displacement at the phase shown times the factor, and go on with time."""
+def test_the_plate_follows_the_model(view, model):
+    pictures = []
     for seconds in (0.0, 0.1, 0.4):
-        stage.advance(seconds)
-        surface = stage.plate.meshes.surface
-        field = model.read().motion.at(stage.turn)
-        np.testing.assert_allclose(surface.points[:, 2], stage.plate.scale.factor * field.ravel(), rtol=1e-5, atol=1e-9)
-    assert stage.turn == pytest.approx(2 * math.pi * 0.5 / 1.5)
-    stage.playing = False
-    stage.advance(0.2)
-    assert stage.turn == pytest.approx(2 * math.pi * 0.5 / 1.5)
+        assert view.advance(seconds)
+        surface = view.plate.meshes.surface
+        heights = view.plate.scale.warp_factor * model.read().motion.at(view.angle).ravel()
+        np.testing.assert_allclose(surface.points[:, 2], heights, rtol=1e-5, atol=1e-9)
+        view.plotter.render_window.Render()
+        pictures.append(np.asarray(view.plotter.screenshot(return_img=True)).astype(int))
+    assert view.angle == pytest.approx(2 * math.pi * 0.5 / PERIOD)
+    assert (pictures[0] != pictures[2]).any()
+    assert (np.ptp(pictures[0], axis=2) > 60).mean() > 0.01
 
 
-def test_what_stands_still_is_not_drawn_again(model, drawing, monkeypatch):
-    """A paused window renders when something changes, and only then."""
-    plotter = explorer_window.make_plotter(off_screen=True)
-    window = explorer_window.ExplorerWindow(plotter, model)
-    plotter.show(auto_close=False, interactive=False)
-    drawn = []
-    monkeypatch.setattr(type(plotter), "render", lambda self: drawn.append(1))
-    assert window.tick()
-    window.pause()
-    window.tick()
-    drawn.clear()
-    assert not any(window.tick() for _ in range(3))
-    assert not drawn
+def test_a_paused_plate_changes_only_with_the_model(view, model):
+    view.playing = False
+    view.advance(0.2)
+    assert view.angle == 0
+    assert not view.advance(0.2)
     for change in (
         lambda: model.set_actuator(1, magnitude=0.5),
         lambda: model.set_frequency(250.0),
@@ -84,83 +69,77 @@ def test_what_stands_still_is_not_drawn_again(model, drawing, monkeypatch):
     ):
         change()
         model.wait()
-        drawn.clear()
-        assert window.tick()
-        assert drawn
-        assert not window.tick()
-    window.pause()
-    time.sleep(0.01)
-    assert window.tick()
-    plotter.close()
+        assert view.advance(0.2)
+        assert not view.advance(0.2)
 
 
-def test_a_harder_drive_moves_more_until_the_scale_ends(stage, model):
-    """Half the drive is drawn half as high, in the same colours; twice the drive takes another scale."""
-    stage.turn = 0.7
-    stage.advance(0)
-    first, height = stage.plate.scale, np.abs(stage.plate.meshes.surface.points[:, 2]).max()
-    for index in range(3):
-        model.set_actuator(index, magnitude=0.5)
-    stage.advance(0)
-    assert stage.plate.scale == first
-    assert np.abs(stage.plate.meshes.surface.points[:, 2]).max() == pytest.approx(height / 2, rel=1e-4)
-    for index in range(3):
-        model.set_actuator(index, magnitude=2.0)
-    stage.advance(0)
-    assert stage.plate.scale.limit >= model.read().motion.peak() > first.limit
-    for index in range(3):
-        model.set_actuator(index, magnitude=0.1 * LOWEST)
-    stage.advance(0)
-    assert LOWEST * stage.plate.scale.limit <= model.read().motion.peak() <= stage.plate.scale.limit
+def test_the_scale_is_kept_while_it_suits(view, model):
+    """Half the drive is drawn half as high in the same scale; twice the drive needs another one."""
+    view.angle = 0.7
+    view.advance(0)
+    first, height = view.plate.scale, np.abs(view.plate.meshes.surface.points[:, 2]).max()
+
+    def drive(magnitude):
+        for index in range(3):
+            model.set_actuator(index, magnitude=magnitude)
+        view.advance(0)
+        return view.plate.scale.limit, model.read().motion.peak()
+
+    drive(0.5)
+    assert view.plate.scale == first
+    assert np.abs(view.plate.meshes.surface.points[:, 2]).max() == pytest.approx(height / 2, rel=1e-4)
+    limit, peak = drive(2.0)
+    assert limit >= peak > first.limit
+    limit, peak = drive(0.1 * LEAST_SHARE)
+    assert LEAST_SHARE * limit <= peak <= limit
 
 
-def test_texts_follow(stage, model):
+def test_the_caption_follows(view, model):
     model.set_frequency(250.0)
     model.choose("exact")
     model.wait()
     assert model.status() == ""
-    stage.advance(0)
-    shown = stage.plate.heading.GetInput()
-    assert "250 Hz" in shown
+    view.advance(0)
+    text = view.plate.caption.GetInput()
+    assert "250 Hz" in text
     bound = f"{100 * model.read().bound:.2f} %"
-    assert f"localization factor {bound}, bound {bound}" in shown
+    assert f"localization factor {bound}, bound {bound}" in text
 
 
-def test_the_swarm_is_drawn(stage, model):
-    """History, bound, particles of this iteration and their drives, each as the search has them."""
-    charts = stage.search
+def test_the_swarm_is_drawn(view, model):
+    charts = view.search
     assert not charts.history.visible
     assert charts.hint.GetVisibility()
     model.choose("found", seconds=0.01)
     model.wait()
-    stage.advance(0)
+    view.advance(0)
     swarm = model.swarm()
     assert charts.history.visible
     assert not charts.hint.GetVisibility()
-    np.testing.assert_allclose(points(charts._best), np.column_stack([np.arange(1, 9), swarm.best]))
-    np.testing.assert_allclose(points(charts._factors), np.column_stack([np.full(6, 8), swarm.factors]))
-    np.testing.assert_allclose(points(charts._bound)[:, 1], model.read().bound)
-    for index, (particles, mark) in enumerate(zip(charts._particles, charts._marks, strict=True), start=1):
-        drives = swarm.drives[:, index]
-        np.testing.assert_allclose(points(particles), np.column_stack([drives.real, drives.imag]))
-        np.testing.assert_allclose(points(mark), [[swarm.best_phasors[index].real, swarm.best_phasors[index].imag]])
+    bound, best, factors = [points(plot) for plot in (*charts.history.plots("line"), *charts.history.plots("scatter"))]
+    np.testing.assert_allclose(best, np.column_stack([np.arange(1, 9), swarm.best]))
+    np.testing.assert_allclose(factors, np.column_stack([np.full(6, 8), swarm.factors]))
+    np.testing.assert_allclose(bound[:, 1], model.read().bound)
+    *particles, first_mark, second_mark = (points(plot) for plot in charts.plane.plots("scatter"))
+    for index, (drawn, mark) in enumerate(zip(particles, (first_mark, second_mark), strict=True), start=1):
+        phasors, found = swarm.phasors[:, index], swarm.best_phasors[index]
+        np.testing.assert_allclose(drawn, np.column_stack([phasors.real, phasors.imag]))
+        np.testing.assert_allclose(mark, [[found.real, found.imag]])
     model.set_actuator(0, magnitude=0.5)
-    stage.advance(0)
+    view.advance(0)
     assert not charts.history.visible
 
 
-def test_a_swarm_without_a_finite_loss_and_without_a_bound(stage):
-    """Nothing is marked as best."""
-    nothing = SwarmSnapshot(
+def test_a_swarm_without_a_finite_loss_and_without_a_bound(view):
+    swarm = SwarmSnapshot(
         np.ones((4, 3), complex), np.full(4, np.nan), np.array([np.nan]), best_phasors=None, iterations=5, running=True
     )
-    stage.search.show(nothing, None)
-    assert not any(mark.visible for mark in stage.search._marks)
-    assert not stage.search._bound.visible
+    view.search.show(swarm, None)
+    assert [plot.visible for plot in view.search.plane.plots("scatter")] == [True, True, False, False]
+    assert not next(iter(view.search.history.plots("line"))).visible
 
 
 def test_texts_of_a_plate_at_rest(scene):
-    """Not defined, rather than a number."""
     energy = dict.fromkeys(("plate", "target", "lower left", "lower right", "upper left", "upper right"), 0.0)
     motion = SteadyMotion(np.array([1]), np.zeros((1, 13, 13), complex))
     reading = DriveResponse(scene(), np.zeros(3, complex), motion, energy, None)
@@ -168,82 +147,39 @@ def test_texts_of_a_plate_at_rest(scene):
     assert set(share_texts(reading).values()) == {"—"}
 
 
-def test_pictures_are_drawn(stage):
-    """Two phases are two pictures, both in colours."""
-    pictures = []
-    for seconds in (0.0, 0.5):
-        stage.advance(seconds)
-        stage.plotter.render_window.Render()
-        pictures.append(np.asarray(stage.plotter.screenshot(return_img=True)).astype(int))
-    assert np.any(pictures[0] != pictures[1])
-    for picture in pictures:
-        assert (picture.max(axis=2) - picture.min(axis=2) > 60).mean() > 0.01
-
-
-def test_the_window_pages_through_many_actuators(scene, drawing):
-    """Five fit; the sliders are those of the actuators that their names say, and move these."""
-    areas = [(0.02 + 0.02 * index, 0.03 + 0.02 * index, 0.05, 0.1) for index in range(7)]
-    model = LiveModel(scene(nodes=(21, 21), damping=120.0, actuators=areas), "cpu")
-    plotter = explorer_window.make_plotter(off_screen=True)
-    try:
-        window = explorer_window.ExplorerWindow(plotter, model)
-        plotter.show(auto_close=False, interactive=False)
-        for presses, first in (("after", 2), ("after", 2), ("before", 0), ("before", 0), ("after", 2)):
-            window.pages._pressed(presses)
-            window.tick()
-            assert [name.GetInput().split()[0] for name in window._names] == [str(first + k + 1) for k in range(5)]
-        window.sliders["magnitude 4"]._changed(0.25)
-        window.sliders["phase 4"]._changed(1.5)
-        assert model.settings.magnitude == (1, 1, 1, 1, 1, 1, 0.25)
-        assert model.settings.phase[6] == 1.5
-    finally:
-        plotter.close()
-        model.close()
-
-
-def test_choices_are_the_models():
-    from warp_plate.explore.live_model import CHOICES as known
-
-    assert tuple(CHOICES) == known
+def test_the_buttons_are_the_choices_of_the_model():
+    assert tuple(explorer_page.CHOICES) == live_model.CHOICES
 
 
 # Command ----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
-def refused(tmp_path, monkeypatch, capsys, scene):
-    """The line with which a command on a small scene is refused."""
+def refused(tmp_path, monkeypatch, command, scene):
+    """A function that returns the line with which the command is refused."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "panel.toml").write_text(dump_scene(scene(damping=120.0)), encoding="utf-8")
 
-    def run(*arguments):
-        with pytest.raises(SystemExit) as left:
-            main(["explore", "panel.toml", *arguments])
-        captured = capsys.readouterr()
-        assert (left.value.code, captured.out, captured.err.count("\n")) == (2, "", 1)
-        return captured.err
+    def run(*options):
+        status, out, err = command("explore", "panel.toml", *options)
+        assert (status, out, err.count("\n")) == (2, "", 1)
+        return err
 
     return run
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only on Linux is there a system without displays")
-def test_without_a_display_it_says_what_to_do(refused, monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    assert "no window can be opened: there is no display" in refused()
-    assert "'warp-plate explore panel.toml --web' shows the same in a browser" in refused()
-
-
-def test_without_trame_it_says_what_to_install(refused, monkeypatch):
+def test_missing_libraries_are_named(refused, monkeypatch):
     monkeypatch.setattr(explorer_page.importlib.util, "find_spec", lambda name: None)
-    assert "the page needs trame: pip install 'warp-plate[web]'" in refused("--web")
+    for options in ((), ("--web",)):
+        assert "pip install 'warp-plate[web]'" in refused(*options)
 
 
 @pytest.mark.parametrize("port", [-1, 65536])
-def test_a_port_that_is_none(refused, port):
-    assert f"--port {port}: must be from 1 to 65535, or 0" in refused("--web", "--port", str(port))
+def test_a_port_out_of_range(refused, port):
+    assert f"--port {port}" in refused("--port", port)
 
 
-def test_a_device_that_is_not_there(refused):
-    if explorer_page.missing_page() or viz.missing():
+def test_a_missing_device(refused):
+    if explorer_page.missing_page() or viz.missing_renderer():
         pytest.skip("the page cannot be served here")
-    assert "device = 'cuda:99': not on this machine" in refused("--web", "--device", "cuda:99")
+    assert "cuda:99" in refused("--web", "--device", "cuda:99")

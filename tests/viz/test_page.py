@@ -1,40 +1,131 @@
-"""The page that ``render`` writes, in headless Chromium: it plays, turns, and asks for nothing but itself."""
+"""The page of ``render`` as data, and in headless Chromium: it plays, turns, and requests nothing."""
 
+import base64
 import io
+import json
 import math
+import re
 import time
 
 import numpy as np
 import pytest
 
 from warp_plate.result.motion import Motion
-from warp_plate.viz.page import write_page
+from warp_plate.viz import page as page_module
+from warp_plate.viz.fields import FIELDS, common_scale
+from warp_plate.viz.meshes import plate_meshes
+from warp_plate.viz.page import NAN, PEAK, page_data, write_page
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
 
 FRAMES = 10
 
 
-def wave(size):
-    """A bump that goes up and down on 9 × 9 nodes, up at frame 0."""
+def bump(size):
+    """A bump that oscillates on 9 × 9 nodes, up at frame 0."""
     x, y = np.meshgrid(np.linspace(0, np.pi, 9), np.linspace(0, np.pi, 9))
     turn = 2 * math.pi * np.arange(FRAMES)[:, None, None] / FRAMES
-    field = np.cos(turn) * size * np.sin(x) * np.sin(y)
-    return Motion("best", 200.0, (0.0, 0.005), np.arange(FRAMES) * 5e-4, field, 0 * field, np.ones((9, 9)), 0.5)
+    field, velocity = (wave * size * np.sin(x) * np.sin(y) for wave in (np.cos(turn), -1257 * np.sin(turn)))
+    times = np.arange(FRAMES) * 5e-4
+    return Motion("best", 200.0, (0.0, 0.005), times, field, velocity, np.ones((9, 9)), 0.5)
+
+
+def decoded(text, kind):
+    return np.frombuffer(base64.b64decode(text), kind)
+
+
+# Data -------------------------------------------------------------------------------------------------------
+
+
+def test_frames_meshes_and_scale(scene):
+    made, motions = scene(), [bump(1e-7), bump(3e-7)]
+    data = page_data(made, motions, "velocity", 25.0, None)
+    scale = common_scale(made, motions, FIELDS["velocity"])
+    assert (data["grid"], data["frames"], data["rate"]) == ([9, 9], FRAMES, 25.0)
+    assert (data["factor"], data["limits"], data["title"]) == (scale.warp_factor, [-1.0, 1.0], "velocity\n[µm/s]")
+    for motion, plate in zip(motions, data["plates"], strict=True):
+        heights = decoded(plate["heights"], "<i2").reshape(FRAMES, 9, 9) / PEAK * data["peak"]
+        np.testing.assert_allclose(heights, motion.displacement, atol=data["peak"] / PEAK)
+        colours = decoded(plate["colours"], "<i2").reshape(FRAMES, 9, 9) / PEAK * scale.limit
+        np.testing.assert_allclose(colours, motion.velocity, atol=scale.limit / PEAK)
+        assert "t = 0.0005 s" in plate["headings"][1]
+    meshes = plate_meshes(made, motions[0].displacement[0], scale)
+    triangles = decoded(data["triangles"], "<u4").reshape(-1, 3)
+    np.testing.assert_array_equal(triangles, meshes.surface.faces.reshape(-1, 4)[:, 1:])
+    weights = [decoded(outline["shares"], "<f4").reshape(-1, 3) for outline in data["outlines"]]
+    np.testing.assert_allclose(np.concatenate(weights).sum(axis=1), 1, rtol=1e-6)
+    # The segments of the actuators add up to their perimeters.
+    last = data["outlines"][-1]
+    ends = decoded(last["points"], "<f4").reshape(-1, 2)[decoded(last["pieces"], "<i4").reshape(-1, 2)]
+    perimeters = sum(2 * (x1 - x0 + y1 - y0) for x0, x1, y0, y1 in (actuator.area for actuator in made.actuators))
+    assert np.hypot(*(ends[:, 1] - ends[:, 0]).T).sum() == pytest.approx(perimeters, rel=1e-5)
+
+
+def test_nodes_at_rest_have_no_phase(scene):
+    data = page_data(scene(), [bump(3e-7)], "phase", 25.0, 5.0)
+    colours = decoded(data["plates"][0]["colours"], "<i2").reshape(9, 9)
+    assert (data["colourFrames"], data["factor"], data["cyclic"]) == (1, 5.0, True)
+    assert (colours[0] == NAN).all()
+    assert (colours[1:-1, 1:-1] == 0).all()
+
+
+@pytest.mark.parametrize("quantity", ["displacement", "velocity", "phase"])
+def test_fine_grids_are_thinned(scene, monkeypatch, quantity):
+    """Every second node is shown; limits and heights stay those of all nodes."""
+    every = page_data(scene(), [bump(3e-7)], quantity, 25.0, None)
+    monkeypatch.setattr(page_module, "MOST_BYTES", 1200.0)
+    data = page_data(scene(), [bump(3e-7)], quantity, 25.0, None)
+    assert (every["thinned"], data["grid"]) == ("", [5, 5])
+    assert data["thinned"] == "5 × 5 of 9 × 9 nodes are shown."
+    assert (data["peak"], data["factor"], data["limits"]) == (every["peak"], every["factor"], every["limits"])
+    for part in ("heights", "colours"):
+        if every["plates"][0][part] is not None:
+            fine = decoded(every["plates"][0][part], "<i2").reshape(-1, 9, 9)
+            np.testing.assert_array_equal(decoded(data["plates"][0][part], "<i2").reshape(-1, 5, 5), fine[:, ::2, ::2])
+    assert decoded(data["triangles"], "<u4").max() == 24
+
+
+def test_thinned_grids_that_miss_the_last_node_interpolate(scene, monkeypatch):
+    """From 9 to 4 nodes: positions 0, 8/3, 16/3, 8; phases take the nearest node."""
+    assert [page_module.thinned_nodes(nodes, 67_500_000) for nodes in (27, 28, 102, 513, 4)] == [10, 10, 35, 129, 2]
+    assert page_module.thinned_nodes(102, 7_500_000) == 102
+    monkeypatch.setattr(page_module, "thinned_nodes", lambda nodes, values: 4)
+    motion = bump(3e-7)
+    data = page_data(scene(), [motion], "displacement", 25.0, None)
+    heights = decoded(data["plates"][0]["heights"], "<i2").reshape(-1, 4, 4)[0] / PEAK * data["peak"]
+    at = np.array([0, 8 / 3, 16 / 3, 8])
+    rows = np.array([np.interp(at, np.arange(9), row) for row in motion.displacement[0]])
+    expected = np.array([np.interp(at, np.arange(9), column) for column in rows.T]).T
+    np.testing.assert_allclose(heights, expected, atol=data["peak"] / PEAK)
+    phases = page_data(scene(), [motion], "phase", 25.0, None)
+    assert set(decoded(phases["plates"][0]["colours"], "<i2")) == {0, NAN}
+
+
+def test_the_page_is_one_file_without_requests(scene, tmp_path):
+    write_page(scene(title="</script><b>"), [bump(3e-7)], tmp_path / "page.html", rate=20)
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert not re.findall(r"""(?:https?:|//cdn|src=|@import|fetch\(|XMLHttp|import\()""", text)
+    assert "default-src 'none'" in text
+    assert text.count("</script>") == 2
+    (data,) = re.findall(r'<script id="data" type="application/json">(.*)</script>', text)
+    assert json.loads(data)["name"] == "</script><b>"
+
+
+# Browser ----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def opened(browser, scene, tmp_path):
-    """Opens the page of a quantity, paused at frame 0; at the end no error was seen and nothing was asked for."""
-    asked, wrong, pages = [], [], []
+    """A factory of pages paused at frame 0; at the end there was no error and no request."""
+    requests, errors, pages = [], [], []
 
     def open_page(quantity="displacement"):
-        write_page(scene(), [wave(1e-7), wave(2e-7)], tmp_path / "page.html", quantity, rate=20)
+        write_page(scene(), [bump(1e-7), bump(2e-7)], tmp_path / "page.html", quantity, rate=20)
         page = browser.new_page(viewport={"width": 1100, "height": 600}, offline=True)
         pages.append(page)
-        page.on("request", lambda request: asked.append(request.url))
-        page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
-        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("request", lambda request: requests.append(request.url))
+        page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+        page.on("pageerror", lambda error: errors.append(str(error)))
         page.goto((tmp_path / "page.html").as_uri())
         until(page, "player.frame > 0.5")
         page.keyboard.press("Space")
@@ -44,8 +135,8 @@ def opened(browser, scene, tmp_path):
     yield open_page
     for page in pages:
         page.close()
-    assert wrong == []
-    assert set(asked) == {(tmp_path / "page.html").as_uri()}
+    assert errors == []
+    assert set(requests) == {(tmp_path / "page.html").as_uri()}
 
 
 def until(page, condition):
@@ -57,7 +148,7 @@ def until(page, condition):
 
 
 def pixels(page, plate=1):
-    """What stands on a plate's canvas."""
+    """The pixels of a plate's canvas."""
     from matplotlib.image import imread
 
     until(page, "!player.asked")
@@ -65,39 +156,33 @@ def pixels(page, plate=1):
     return np.round(imread(io.BytesIO(picture))[..., :3] * 255).astype(int)
 
 
-def redder(picture):
-    """How many pixels are clearly red, less those that are clearly blue."""
+def redness(picture):
+    """The number of red pixels less that of blue ones."""
     difference = picture[..., 0] - picture[..., 2]
     return int((difference > 60).sum() - (difference < -60).sum())
 
 
-def test_the_page_plays_and_pauses(opened):
+def test_playing_and_stepping(opened):
     page = opened()
     assert page.inner_text("#play") == "Play"
-    still = page.evaluate("player.frame")
+    assert redness(pixels(page)) > 1000
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("player.frame") == 1
+    until(page, "document.querySelectorAll('.heading')[1].textContent.includes('t = 0.0005 s')")
+    page.locator("#time").fill("5")
+    assert redness(pixels(page)) < -1000
+    assert "localization factor 50.00 %" in page.locator(".heading").nth(1).inner_text()
     page.click("#play")
-    until(page, f"player.frame !== {still}")
+    until(page, "player.frame !== 5")
     assert page.inner_text("#play") == "Pause"
     page.keyboard.press("Space")
     until(page, "!player.playing")
 
 
-def test_frames_and_texts_follow_the_keys_and_the_slider(opened):
-    page = opened()
-    up = pixels(page)
-    assert redder(up) > 1000
-    page.keyboard.press("ArrowRight")
-    assert page.evaluate("player.frame") == 1
-    until(page, "document.querySelectorAll('.heading')[1].textContent.includes('t = 0.0005 s')")
-    page.locator("#time").fill("5")
-    assert redder(pixels(page)) < -1000
-    assert "localization factor 50.00 %" in page.locator(".heading").nth(1).inner_text()
-
-
 def test_limits_are_common_to_the_plates(opened):
     page = opened()
     small, large = (pixels(page, plate) for plate in (0, 1))
-    # Half as high, half way to dark red: what is red has more green in it.
+    # Half the displacement is halfway to dark red: its red has more green in it.
     greens = [picture[..., 1][picture[..., 0] - picture[..., 2] > 60].min() for picture in (small, large)]
     assert greens[0] > 80 > 40 > greens[1]
     assert page.locator("#ticks span").all_inner_texts() == ["200", "100", "0", "−100", "−200"]
@@ -105,7 +190,7 @@ def test_limits_are_common_to_the_plates(opened):
     assert "clamped" in page.inner_text("#key")
 
 
-def test_dragging_turns_and_the_wheel_zooms(opened):
+def test_dragging_rotates_and_the_wheel_zooms(opened):
     page = opened()
     before = pixels(page)
     box = page.locator("#plates canvas").nth(1).bounding_box()
@@ -118,14 +203,14 @@ def test_dragging_turns_and_the_wheel_zooms(opened):
     assert (turned != before).any(axis=-1).mean() > 0.05
     page.mouse.wheel(0, 600)
     until(page, "camera.zoom < 0.9")
-    # Farther away, less of the picture is not white.
+    # Zoomed out, less of the picture is not white.
     assert (pixels(page).min(axis=-1) < 240).sum() < 0.8 * (turned.min(axis=-1) < 240).sum()
     page.mouse.dblclick(*middle)
     until(page, "camera.zoom === 1")
     assert (pixels(page) == before).all()
 
 
-def test_heights_grow_with_their_slider(opened):
+def test_the_slider_of_heights(opened):
     page = opened()
     before = pixels(page)
     factor = page.evaluate("factor()")
@@ -137,9 +222,9 @@ def test_heights_grow_with_their_slider(opened):
     assert red[1] < red[0] - 5
 
 
-def test_phases_are_shown_without_what_does_not_move(opened):
+def test_phases_are_grey_at_rest(opened):
     page = opened("phase")
     picture = pixels(page)
-    # Lag 0 all over, dark in the middle of the colour map; the held edge is grey.
+    # A lag of 0 is dark, in the middle of the colour map; the clamped edge is grey.
     assert (picture.max(axis=-1) < 70).mean() > 0.1
     assert page.locator("#ticks span").all_inner_texts() == ["180", "90", "0", "−90", "−180"]

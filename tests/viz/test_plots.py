@@ -1,4 +1,4 @@
-"""What plots of curves and maps say: labels that fit, numbers that do not overlap, words that are true."""
+"""Texts of Matplotlib plots: they fit, do not overlap, and are true."""
 
 import itertools
 from dataclasses import replace
@@ -10,12 +10,12 @@ from conftest import scene_of
 from warp_plate import Scene
 from warp_plate.result import Case, Result
 from warp_plate.result.comparison import MethodComparison, Trial
-from warp_plate.viz.figures import draw_history
-from warp_plate.viz.lettering import INK
-from warp_plate.viz.plots.axes import number_logarithmic
+from warp_plate.viz.annotations import INK
 from warp_plate.viz.plots.compare import draw_comparison
 from warp_plate.viz.plots.crosstalk import draw_crosstalk
-from warp_plate.viz.plots.spectrum import draw_spectrum, words_of
+from warp_plate.viz.plots.frame import figure, number_log_axis, save_plots
+from warp_plate.viz.plots.history import draw_history
+from warp_plate.viz.plots.spectrum import curve_labels, draw_spectrum
 
 figures = pytest.importorskip("matplotlib.figure", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
 
@@ -26,32 +26,29 @@ FREE = {"magnitude": {"range": [0.0, 2.0]}, "phase": {}, "frequency": {"range": 
 
 @pytest.fixture
 def drawn(monkeypatch, tmp_path):
-    """Draws a result or a comparison, and returns the figure and its texts with the boxes that they fill in it [0, 1].
-
-    No text leaves the figure, and none lies on another.
-    """
+    """A function that draws something, and returns the figure and its texts: none cut off, none overlapping."""
     from matplotlib.text import Text
 
-    saved, found, save, write = [], {}, figures.Figure.savefig, Text.draw
+    saved, boxes, save, write = [], {}, figures.Figure.savefig, Text.draw
 
-    def saves(figure, *given, **named):
+    def saves(figure, *args, **options):
         saved.append(figure)
-        found.clear()
-        save(figure, *given, **named)
+        boxes.clear()
+        save(figure, *args, **options)
 
     def writes(text, renderer):
         if text.get_visible() and text.get_text().strip():
             box = text.get_window_extent(renderer).transformed(saved[-1].transFigure.inverted())
-            found[text] = (text.get_text(), box)  # the last one: a figure is laid out by drawing it once more
+            boxes[text] = (text.get_text(), box)  # the last one, as layout draws the figure several times
         write(text, renderer)
 
-    def draw(how, what):
-        how(what, tmp_path / "one.png")
-        for words, box in found.values():
-            assert min(*box.min, *(1 - box.max)) > -0.002, f"{words!r} is cut off"
-        for (words, box), (others, other) in itertools.combinations(found.values(), 2):
-            assert not box.overlaps(other), f"{words!r} lies on {others!r}"
-        return saved[-1], [words for words, _ in found.values()]
+    def draw(function, data):
+        function(data, tmp_path / "plot.png")
+        for text, box in boxes.values():
+            assert min(*box.min, *(1 - box.max)) > -0.002, f"{text!r} is cut off"
+        for (text, box), (other, other_box) in itertools.combinations(boxes.values(), 2):
+            assert not box.overlaps(other_box), f"{text!r} overlaps {other!r}"
+        return saved[-1], [text for text, _ in boxes.values()]
 
     monkeypatch.setattr(figures.Figure, "savefig", saves)
     monkeypatch.setattr(Text, "draw", writes)
@@ -59,7 +56,7 @@ def drawn(monkeypatch, tmp_path):
 
 
 def result_of(names=(), **search):
-    """As a search leaves it; of several targets with places of their own for the second."""
+    """A result of a search; with several targets, the second drive has actuators elsewhere."""
     made = scene_of(nodes=(11, 11), search=search).model_dump()
     if names:
         made |= {"targets": [one | {"name": name} for one, name in zip(TARGETS, names, strict=True)]}
@@ -90,13 +87,12 @@ def result_of(names=(), **search):
 
 
 @pytest.mark.parametrize("names", [("left", "disc"), LONG])
-def test_the_words_of_the_crosstalk_fit(drawn, names):
+def test_crosstalk_names_fit(drawn, names):
     _, words = drawn(draw_crosstalk, result_of(names))
     assert {f"drive for {name}" for name in names} <= {one.replace("\n", " ") for one in words}
 
 
-def test_crosstalk_shows_actuators_where_they_were(drawn):
-    """Those of the second target's drive were moved by the search."""
+def test_crosstalk_shows_moved_actuators(drawn):
     result = result_of(("left", "disc"), position={})
     figure, _ = drawn(draw_crosstalk, result)
     panels = [one for one in figure.get_axes() if one.get_title()]
@@ -107,7 +103,7 @@ def test_crosstalk_shows_actuators_where_they_were(drawn):
 
 
 @pytest.mark.parametrize("draw", [draw_history, draw_spectrum])
-def test_the_first_of_several_searches_is_named(drawn, draw):
+def test_plots_of_the_first_of_several_targets_say_so(drawn, draw):
     assert f"search for target {LONG[0]}, the first of 2" in drawn(draw, result_of(LONG, **FREE))[1]
     assert "search for" not in " ".join(drawn(draw, result_of())[1])
 
@@ -121,7 +117,7 @@ def test_the_first_of_several_searches_is_named(drawn, draw):
         ("exact", []),
     ],
 )
-def test_a_swarm_is_named_only_where_there_is_one(drawn, method, words):
+def test_means_are_named_by_the_method(drawn, method, words):
     _, shown = drawn(draw_history, result_of(method=method))
     assert [one for one in shown if "mean" in one] == words
 
@@ -137,9 +133,9 @@ def test_a_swarm_is_named_only_where_there_is_one(drawn, method, words):
         ({"frequency": FREE["frequency"]}, "the scene's drive", False),
     ],
 )
-def test_a_bound_is_called_one(drawn, search, best, any_size):
+def test_curves_that_are_only_bounds_say_so(drawn, search, best, any_size):
     result = result_of(**search)
-    words = words_of(result.scene.search)
+    words = curve_labels(result.scene.search)
     assert (words["best"], "cannot" not in words["single"]) == (best, any_size)
     assert set(words.values()) <= set(drawn(draw_spectrum, result)[1])
 
@@ -155,22 +151,33 @@ def test_a_bound_is_called_one(drawn, search, best, any_size):
         ((1.5e-6, 9e-5), [r"2\times10^{-6}", r"5\times10^{-6}", "10^{-5}", r"2\times10^{-5}", r"5\times10^{-5}"]),
     ],
 )
-def test_numbers_of_a_logarithmic_axis(drawn, ends, numbers):
+def test_labels_of_a_logarithmic_axis(drawn, ends, numbers):
     def draw(ends, path):
-        figure = figures.Figure(figsize=(4, 2), layout="constrained")
-        axes = figure.add_subplot()
-        axes.set(xscale="log", xlim=ends, yticks=[])
-        number_logarithmic(axes.xaxis)
-        figure.savefig(path)
+        with figure(path, (4, 2)) as made:
+            axes = made.add_subplot()
+            axes.set(xscale="log", xlim=ends, yticks=[])
+            number_log_axis(axes.xaxis)
 
     _, shown = drawn(draw, ends)
     assert [one.replace(r"$\mathdefault{", "").replace("}$", "") for one in shown] == numbers
 
 
-def test_a_comparison_of_few_evaluations_can_be_read(drawn):
+def test_a_comparison_over_less_than_two_decades(drawn):
     rising = np.linspace(0.6, 0.2, 20)
     trial = Trial("ring", 5, np.arange(40, 840, 40), np.geomspace(0.01, 0.2, 20), rising)
     scene = scene_of(nodes=(11, 11))
     comparison = MethodComparison("panel", scene, "cpu", "direct", 800, {"prepare": 0.5}, True, (trial,))
     _, words = drawn(draw_comparison, comparison)
     assert "panel: median, best and worst of 1 seed" in words
+
+
+def test_plots_are_saved_beside_the_data(tmp_path):
+    def draw(title, path):
+        with figure(path, (2, 1)) as made:
+            made.suptitle(title)
+
+    assert save_plots(draw, "a", tmp_path / "b.h5") == ([tmp_path / "b.png", tmp_path / "b.svg"], None)
+    assert (tmp_path / "b.png").read_bytes().startswith(b"\x89PNG")
+    files, problem = save_plots(draw, "a", tmp_path / "missing" / "b.h5")
+    assert files == []
+    assert "missing" in problem

@@ -1,4 +1,4 @@
-"""Pictures of sweeps: of all shapes, with numbers that have room and figures that are all seen."""
+"""Pictures of sweeps of all shapes: labels have room, and coinciding curves can all be seen."""
 
 import itertools
 from dataclasses import replace
@@ -10,7 +10,7 @@ from warp_plate.result.sweep import REFUSED
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.quantities_of_interest import QUANTITIES
 from warp_plate.studies.sweep import start_sweep
-from warp_plate.viz.plots.sweep import COLOURS, draw_sweep, edges_of
+from warp_plate.viz.plots.sweep import COLOURS, cell_edges, draw_sweep
 
 NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
 
@@ -20,8 +20,8 @@ def panel(scene):
     return scene(damping=88.5, time_step=2e-4)
 
 
-def made_up(panel, vary, what="localize", samples=None):
-    """A sweep with made-up figures, some of its points refused and one figure not finite."""
+def random_sweep(panel, vary, what="localize", samples=None):
+    """A sweep with random values, some points refused and one value infinite."""
     plan = make_plan([parse_vary(panel, one) for one in vary], samples)
     begun = start_sweep(panel, plan, what, "cpu", count=3)
     values = {name: np.random.default_rng(1).random(one.shape) for name, one in begun.values.items()}
@@ -58,7 +58,7 @@ def test_pictures_of_all_shapes(panel, tmp_path, monkeypatch, what, vary, sample
 
     figures, save = [], Figure.savefig
     monkeypatch.setattr(Figure, "savefig", lambda self, *args, **how: (figures.append(self), save(self, *args, **how)))
-    picture = draw_sweep(made_up(panel, vary, what, samples), tmp_path / "a.png")
+    picture = draw_sweep(random_sweep(panel, vary, what, samples), tmp_path / "a.png")
     from matplotlib.image import imread
 
     drawn = imread(picture)
@@ -69,8 +69,7 @@ def test_pictures_of_all_shapes(panel, tmp_path, monkeypatch, what, vary, sample
         ends = sorted(axis.get_view_interval())
         shown = [tick.label1 for tick in axis.get_major_ticks() if ends[0] <= tick.get_loc() <= ends[1]]
         boxes = [label.get_window_extent() for label in shown if label.get_visible() and label.get_text()]
-        boxes.sort(key=lambda box: (box.x0, box.y0))
-        # Numbers have room between them.
+        boxes.sort(key=lambda box: box.x0 if axis.axis_name == "x" else box.y0)
         assert all(one.x1 + 5 < two.x0 or one.y1 < two.y0 for one, two in itertools.pairwise(boxes))
     if what == "check" and len(vary) == 1:
         assert [axes.get_ylabel() for axes in lettered] == ["time step [s]", "resolution"]
@@ -78,13 +77,13 @@ def test_pictures_of_all_shapes(panel, tmp_path, monkeypatch, what, vary, sample
 
 
 @pytest.mark.parametrize("samples", [None, 5])
-def test_figures_that_are_alike_are_all_seen(panel, tmp_path, samples):
-    """Every colour of the legend is in the panels, though modes 2 and 3, or best and bound, lie on each other."""
+def test_coinciding_curves_can_all_be_seen(panel, tmp_path, samples):
+    """Every colour of the legend is in the panels, though best and bound coincide."""
     pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
     from matplotlib.colors import to_rgb
     from matplotlib.image import imread
 
-    sweep = made_up(panel, ["plate.thickness=4e-4:6e-4:6"], "localize", samples)
+    sweep = random_sweep(panel, ["plate.thickness=4e-4:6e-4:6"], "localize", samples)
     sweep.values.update({name: np.linspace(0.2, 0.7, len(sweep.plan)) for name in sweep.values})
     sweep.values["single"], sweep.values["equal"] = (1 - sweep.values[name] for name in ("best", "bound"))
     drawn = imread(draw_sweep(replace(sweep, status=np.ones_like(sweep.status)), tmp_path / "a.png"))[..., :3]
@@ -94,8 +93,8 @@ def test_figures_that_are_alike_are_all_seen(panel, tmp_path, samples):
         assert seen[0] > seen[1] + 40
 
 
-def test_cells_lie_half_way_between_values():
-    np.testing.assert_allclose(edges_of(np.array([1.0, 2.0, 4.0]), False), [0.5, 1.5, 3.0, 5.0])
-    np.testing.assert_allclose(edges_of(np.array([1.0, 100.0]), True), [0.1, 10.0, 1000.0])
-    low, high = edges_of(np.array([0.0]), False)
+def test_cell_edges_lie_halfway_between_values():
+    np.testing.assert_allclose(cell_edges(np.array([1.0, 2.0, 4.0]), False), [0.5, 1.5, 3.0, 5.0])
+    np.testing.assert_allclose(cell_edges(np.array([1.0, 100.0]), True), [0.1, 10.0, 1000.0])
+    low, high = cell_edges(np.array([0.0]), False)
     assert low < 0 < high
