@@ -11,7 +11,7 @@ from hard_cases.case import Case, Measured, Where, both, grouped, largest_differ
 from warp_plate import PlateSolver
 from warp_plate.plate.bending import buckling_factor, make_bending
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.reference.numpy_moment_form import run_general
+from warp_plate.reference.numpy_moment_form import run_moment_form
 from warp_plate.scene.model import Scene
 
 DRIVES = np.array([[1.0, 0.4j]])
@@ -49,7 +49,7 @@ def inside(name: str, where: Where) -> Measured:
 
 def _against_numpy(where: Where, scene: Scene, drives: np.ndarray = DRIVES, part: float = 0.9) -> Measured:
     run = where.solver(scene).run(drives, (scene.window.end,))
-    exact = run_general(scene, drives).displacement[:, -1]
+    exact = run_moment_form(scene, drives).displacement[:, -1]
     difference = largest_difference(run.displacement[:, 0], exact)
     long = stepped(scene, part, where.steps(100_000, 3000), scene.drive.frequency)
     kept = where.solver(long).run(drives, (), [(0.13, 0.05)])

@@ -10,7 +10,7 @@ import numpy as np
 from hard_cases.case import PANEL, Case, Measured, Where, both, grouped, largest_difference, scene_of
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
-from warp_plate.reference.numpy_moment_form import run_general
+from warp_plate.reference.numpy_moment_form import run_moment_form
 from warp_plate.scene.model import Scene
 
 STEPS = 600
@@ -98,7 +98,7 @@ def shaped(name: str, where: Where) -> Measured:
         window={"start": 0.0, "end": STEPS * step},
     )  # fmt: skip
     run = where.solver(made).run(DRIVES, (STEPS * step,))
-    exact = run_general(made, DRIVES)
+    exact = run_moment_form(made, DRIVES)
     shape = run.displacement[0, 0]
     return Measured(largest_difference(run.displacement[:, 0], exact.displacement[:, -1]), shape=shape)
 

@@ -18,7 +18,7 @@ from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import make_signals
 from warp_plate.plate.weights import patches, region_weights
 from warp_plate.problem.objectives import make_objectives
-from warp_plate.reference.numpy_moment_form import run_general
+from warp_plate.reference.numpy_moment_form import run_moment_form
 from warp_plate.scene import preset_text
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.load import parse_toml
@@ -181,7 +181,7 @@ def check_run(tables):
     same = scene.with_tables(grid={**scene.grid.model_dump(), "time_step": step}, effects=effects)
     tolerance = 1e-7 if scene.grid.precision == "float64" else 5e-3
     assert run.finite.all()
-    np.testing.assert_allclose(run.energy, run_general(same, drives).energy, rtol=tolerance)
+    np.testing.assert_allclose(run.energy, run_moment_form(same, drives).energy, rtol=tolerance)
 
 
 @st.composite

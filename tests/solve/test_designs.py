@@ -11,7 +11,7 @@ from warp_plate.plate.designs import Designs, PerPlate, per_plate_of
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import make_signals, waves_per_plate
 from warp_plate.plate.weights import patches, region_weights
-from warp_plate.reference.numpy_moment_form import run_general
+from warp_plate.reference.numpy_moment_form import run_moment_form
 from warp_plate.reference.numpy_plate import run_plate
 from warp_plate.solve import moment_form, paths
 from warp_plate.solve.state import bytes_per_plate
@@ -107,7 +107,7 @@ def reference(made, drives):
     """(energy, displacements of all steps) in plain NumPy, of a scene of either kind."""
     scheme = make_scheme(made)
     if scheme.bending is not None:
-        history = run_general(made, drives)
+        history = run_moment_form(made, drives)
         return history.energy, history.displacement
     wave = make_signals(made, scheme.time_step, scheme.steps).wave
     carrier = wave[:, 0] + 1j * wave[:, 1]

@@ -87,10 +87,10 @@ def mix(scene, random):
 def hung_masses(m, u, v, step):
     """(steps + 1, oscillators) displacements and last rates of what hangs on the plate, from its own equation of
     motion and what the plate did; v: (steps + 1, nodes), that before the first step first."""
-    z, pace = np.zeros((len(u), len(m.hung))), np.zeros((len(u), len(m.hung)))
+    z, pace = np.zeros((len(u), len(m.attached))), np.zeros((len(u), len(m.attached)))
     for n in range(len(u) - 1):
         push = m.springs * (z[n] - m.shares @ u[n]) + m.dampers * (pace[n] - m.shares @ v[n])
-        pace[n + 1] = pace[n] - step * inverse(m.hung) * push
+        pace[n + 1] = pace[n] - step * inverse(m.attached) * push
         z[n + 1] = z[n] + step * pace[n + 1]
     return z, pace
 
@@ -106,7 +106,7 @@ def balance(made, drive, device, path):
     z, pace = hung_masses(m, u, v, step)
     apart, rates = z - u @ m.shares.T, pace - v @ m.shares.T
     slopes = np.einsum("nk,nk->n", u, u @ m.slopes)
-    stored = 0.5 * (m.mass * after**2).sum(axis=1) + 0.5 * (m.hung * pace[1:] ** 2).sum(axis=1)
+    stored = 0.5 * (m.mass * after**2).sum(axis=1) + 0.5 * (m.attached * pace[1:] ** 2).sum(axis=1)
     np.testing.assert_allclose(run.energy[0, 0], energy_of_plate(made, scheme, after), rtol=1e-9)
     stored += 0.5 * np.einsum("nk,nk->n", u[:-1] @ (m.bending + m.other), u[1:])
     stored += 0.5 * (m.springs * apart[:-1] * apart[1:]).sum(axis=1) + m.berger / 4 * slopes[:-1] * slopes[1:]

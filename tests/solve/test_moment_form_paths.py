@@ -12,7 +12,7 @@ import pytest
 from warp_plate import PlateSolver, SceneError
 from warp_plate.kernels import moment_form_plan
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.reference.numpy_moment_form import run_general
+from warp_plate.reference.numpy_moment_form import run_moment_form
 from warp_plate.solve import moment_form, paths
 
 TOLERANCE = {"float32": 3e-4, "float64": 1e-11}
@@ -131,7 +131,7 @@ def bending_load(scene):
     quick = scene.model_copy(update={"grid": scene.grid.model_copy(update={"precision": "float64"})})
     linear = quick.model_copy(update={"effects": quick.effects.model_copy(update={"stretching": None})})
     drive = np.ones((1, len(scene.actuators)), dtype=complex)
-    return scene.plate.thickness / np.abs(run_general(linear, drive).displacement).max()
+    return scene.plate.thickness / np.abs(run_moment_form(linear, drive).displacement).max()
 
 
 def check(run, scene, reference, points=()):
@@ -167,7 +167,7 @@ def test_random_mixes(device, path, number, mix, random):
     points = [(0.0, 0.0), tuple(random.uniform(0, 1, 2) * size)]
     print(made.edges, made.effects, made.drive, made.actuators)
     solver = PlateSolver(made, device, path)
-    reference = run_general(made, drives)
+    reference = run_moment_form(made, drives)
     check(solver.run(drives, times), made, reference)
     check(solver.run(drives, times, points), made, reference, points)
 
@@ -219,7 +219,7 @@ def same(one, other):
 @pytest.mark.parametrize("precision", TOLERANCE)
 def test_all_effects_at_once(device, path, precision, full, random):
     made, drives = full(precision, 2, random)
-    reference = run_general(made, drives)
+    reference = run_moment_form(made, drives)
     check(PlateSolver(made, device, path).run(drives, (0.003, 0.0055)), made, reference)
     assert np.abs(reference.displacement).max() > 0.3 * made.plate.thickness
 
@@ -240,7 +240,7 @@ def test_the_kernel_of_blocks_on_cpu(held, mix, full, random, monkeypatch):
     monkeypatch.setitem(paths.MOMENT_FORM, "resident", one_thread)
     points = [tuple(np.multiply((0.3, 0.9), made.plate.size))]
     run = PlateSolver(made, "cpu", "resident").run(drives, (made.window.end / 2,), points)
-    check(run, made, run_general(made, drives), points)
+    check(run, made, run_moment_form(made, drives), points)
 
 
 @pytest.mark.parametrize("precision", TOLERANCE)
@@ -295,6 +295,6 @@ def test_traces_are_the_displacements(device, path, load, full, random):
 def test_what_the_reference_refuses(scene):
     """A plain plate has its own reference; a step above the limit has none."""
     with pytest.raises(ValueError, match="numpy_plate"):
-        run_general(scene(), np.ones((1, 3)))
+        run_moment_form(scene(), np.ones((1, 3)))
     with pytest.raises(SceneError, match="stability limit"):
-        run_general(scene(time_step=1e-3, effects={"foundation": {"stiffness": 1e4}}), np.ones((1, 3)))
+        run_moment_form(scene(time_step=1e-3, effects={"foundation": {"stiffness": 1e4}}), np.ones((1, 3)))

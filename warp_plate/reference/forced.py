@@ -9,8 +9,8 @@ and its motion is the real part of a sum of three exponentials,
     q = f Σ_j α_j exp(s_j t),   s = iω, −γ + μ, −γ − μ,   μ² = γ² − Ω²,
     α_0 = 1/(ρH (Ω² − ω² + 2iγω)),   α_1 = α_0 (s_2 − iω)/2μ,   α_2 = α_0 (iω − s_1)/2μ.
 
-So is every time average of products of two of them: nothing is stepped, and no time is sampled. A scene is linear in
-its drives; with z = (Re Z_1 ... Re Z_M, −Im Z_1 ... −Im Z_M) the energies are zᵀA z in the target and zᵀB z in the
+Time averages of products of two of them are closed forms: nothing is stepped or sampled. A scene is linear in its
+drives; with z = (Re Z_1 ... Re Z_M, −Im Z_1 ... −Im Z_M) the energies are zᵀA z in the target and zᵀB z in the
 plate, the localization factor is their ratio, and the largest eigenvalue of A z = λ B z bounds it.
 """
 
@@ -21,18 +21,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from warp_plate.reference.ritz import Modes, solve_modes
 from warp_plate.reference.thin_plate import thin_plate
 from warp_plate.scene.model import Scene
 
-# μ is kept this far from zero, in units of one over the longest time: a critically damped mode, or a rigid one without
-# damping, is then off by some 1e-11, and as much is lost where its two exponentials cancel.
+# Smallest |μ|, in units of one over the longest time: a critically damped mode, or a rigid one without damping, is then
+# off by some 1e-11, and as much is lost where its two exponentials cancel.
 SMALLEST_SPLIT = 1e-5
-# Drives with less than this part of the largest plate energy cancel out; no ratio of what is left means anything.
+# Drives with less than this part of the largest plate energy cancel out; their ratio is one of rounding errors.
 RANK_TOLERANCE = 1e-10
-# The numbers of functions a side that show how the references converge.
+# Numbers of functions along each side that show how the references converge.
 COUNTS = (16, 24, 32, 40, 44, 48)
 
 
@@ -40,34 +40,35 @@ COUNTS = (16, 24, 32, 40, 44, 48)
 class Motion:
     """Motion of modes from rest under a unit force exp(iωt): Σ_j amplitudes_j exp(exponents_j t).
 
-    exponents: three arrays, (1,) for the drive and (modes,) twice [1/s]; amplitudes: three of (modes,) [m³/N for
-    modal forces in m].
+    Attributes:
+        exponents: (1,) of the drive, and twice (modes,) [1/s].
+        amplitudes: Thrice (modes,) [m³/N for modal forces in m].
     """
 
     exponents: tuple[np.ndarray, np.ndarray, np.ndarray]
     amplitudes: tuple[np.ndarray, np.ndarray, np.ndarray]
 
     def at(self, times: np.ndarray, derivative: int = 0) -> np.ndarray:
-        """(times, modes) complex values of the derivative of that order at times [s]."""
+        """Return (times, modes) complex values of a derivative at times [s]."""
         parts = zip(self.exponents, self.amplitudes, strict=True)
         when = np.asarray(times, dtype=float)[:, None]
         return np.sum([a * s**derivative * np.exp(s * when) for s, a in parts], axis=0)
 
 
 def motion_from_rest(modes: Modes, frequency: float, longest: float) -> Motion:
-    """The motion of all modes under exp(iωt), ω/2π = ``frequency`` [Hz], up to the time ``longest`` [s].
+    """Return the motion of all modes under exp(iωt), ω/2π = ``frequency`` [Hz], up to the time ``longest`` [s].
 
     Raises:
-        ValueError: an undamped mode that is driven at its own frequency.
+        ValueError: An undamped mode is driven at its natural frequency.
     """
     plate, drive = modes.plate, 2j * math.pi * frequency
-    gamma, own = plate.viscous / (2 * plate.surface_density), modes.angular_frequencies
-    split = np.sqrt(gamma**2 - own**2 + 0j)
+    gamma, natural = plate.viscous / (2 * plate.surface_density), modes.angular_frequencies
+    split = np.sqrt(gamma**2 - natural**2 + 0j)
     floor = SMALLEST_SPLIT / longest
     kept = np.abs(split) > floor
     split = np.where(kept, split, floor)
-    # The slow one as a quotient: −γ + μ would cancel where damping is strong.
-    slow, fast = np.where(kept, -(own**2) / (gamma + split), split - gamma), -gamma - split
+    # The slow one as a quotient: −γ + μ would cancel for strong damping.
+    slow, fast = np.where(kept, -(natural**2) / (gamma + split), split - gamma), -gamma - split
     steady = _steady_amplitudes(modes, frequency)
     return Motion(
         exponents=(np.array([drive]), slow, fast),
@@ -78,27 +79,27 @@ def motion_from_rest(modes: Modes, frequency: float, longest: float) -> Motion:
 def displacement(
     modes: Modes, scene: Scene, drive: np.ndarray, times: Sequence[float], x: np.ndarray, y: np.ndarray
 ) -> np.ndarray:
-    """(times, points of y, points of x) displacement [m] of the scene's plate at times [s], from rest at t = 0.
+    """Return (times, points of y, points of x) displacement [m] at times [s], from rest at t = 0.
 
-    drive: (actuators,) phasors Z [N/m²], the load being Re(Z exp(iωt)) on each patch.
+    Args:
+        modes: Modes of the scene's plate.
+        scene: The scene.
+        drive: (actuators,) phasors Z [N/m²], the load being Re(Z exp(iωt)) on each patch.
+        times: Times [s].
+        x: (points of x,) [m].
+        y: (points of y,) [m].
     """
-    return _field(modes, scene, drive, times, x, y, derivative=0)
-
-
-def velocity(
-    modes: Modes, scene: Scene, drive: np.ndarray, times: Sequence[float], x: np.ndarray, y: np.ndarray
-) -> np.ndarray:
-    """(times, points of y, points of x) velocity [m/s]; see :func:`displacement`."""
-    return _field(modes, scene, drive, times, x, y, derivative=1)
+    force = np.asarray(drive) @ modes.patch_forces([actuator.area for actuator in scene.actuators])
+    motion = motion_from_rest(modes, scene.drive.frequency, max(scene.window.end, *times))
+    amplitudes = (force * motion.at(np.asarray(times))).real
+    return np.einsum("tm,mji->tji", amplitudes, modes.shapes(x, y), optimize=True)
 
 
 def transient_matrices(modes: Modes, scene: Scene) -> np.ndarray:
-    """(2, 2M, 2M) matrices of plate and target, zᵀ matrix z being the energy averaged over the scene's window [J].
-
-    The averages are closed forms. z as above, in (N/m²).
+    """Return (2, 2M, 2M) matrices of plate and target: zᵀ matrix z is the energy averaged over the scene's window [J].
 
     Raises:
-        SceneError: the target is no rectangle.
+        SceneError: The target is not a rectangle.
     """
     start, end = scene.window.start, scene.window.end
     motion = motion_from_rest(modes, scene.drive.frequency, end)
@@ -119,7 +120,7 @@ def transient_matrices(modes: Modes, scene: Scene) -> np.ndarray:
 
 
 def steady_matrices(modes: Modes, scene: Scene) -> np.ndarray:
-    """As :func:`transient_matrices`, for the steady vibration alone, averaged over whole periods."""
+    """Return the matrices of :func:`transient_matrices` for the steady vibration alone, over whole periods."""
     rate = 2j * math.pi * scene.drive.frequency * _steady_amplitudes(modes, scene.drive.frequency)
     rates = rate * modes.patch_forces([actuator.area for actuator in scene.actuators])
     plate = rates.conj() @ rates.T
@@ -130,7 +131,7 @@ def steady_matrices(modes: Modes, scene: Scene) -> np.ndarray:
 
 
 def localization_factors(matrices: np.ndarray, drives: np.ndarray) -> np.ndarray:
-    """(drives,) share of the energy in the target under drives (drives, actuators) [N/m²], phasors."""
+    """Return (drives,) share of the energy in the target under phasors (drives, actuators) [N/m²]."""
     drives = np.asarray(drives, dtype=complex)
     z = np.concatenate([drives.real, -drives.imag], axis=1)
     plate, target = np.einsum("da,rab,db->rd", z, matrices, z, optimize=True)
@@ -138,7 +139,7 @@ def localization_factors(matrices: np.ndarray, drives: np.ndarray) -> np.ndarray
 
 
 def bound(matrices: np.ndarray) -> tuple[float, np.ndarray]:
-    """The largest localization factor that any drive reaches, and (actuators,) such a drive, at most one in size."""
+    """Return the largest localization factor of any drive, and (actuators,) phasors that reach it, at most one."""
     plate, target = matrices
     size = np.sqrt(np.diag(plate))
     values, vectors = scipy.linalg.eigh(plate / np.outer(size, size))
@@ -152,11 +153,15 @@ def bound(matrices: np.ndarray) -> tuple[float, np.ndarray]:
 
 @dataclass(frozen=True)
 class Converged:
-    """What one number of functions gives.
+    """Results of one number of functions.
 
-    functions: in each direction; angular_frequencies: the first [rad/s]; localization_factors: (drives,); bound;
-    error: estimate of the error of both, the largest change from either of the two rows before. One change alone may
-    be small by chance, for the errors of successive rows differ in sign. NaN in the first two rows.
+    Attributes:
+        functions: Number of functions in each direction.
+        angular_frequencies: First natural frequencies [rad/s].
+        localization_factors: (drives,)
+        bound: Largest localization factor of any drive.
+        error: Estimated error of both, the largest change from either of the two rows before, for one change alone may
+            be small by chance; NaN in the first two rows.
     """
 
     functions: int
@@ -169,13 +174,17 @@ class Converged:
 def converge(
     scene: Scene, drives: np.ndarray, steady: bool = False, counts: Sequence[int] = COUNTS, frequencies: int = 6
 ) -> list[Converged]:
-    """Localization factors of drives (drives, actuators) and their bound, for growing numbers of functions.
+    """Return localization factors of drives and their bound, for growing numbers of functions.
 
-    steady: of the steady vibration instead of the scene's window; frequencies: how many of them to keep.
+    Args:
+        scene: The scene.
+        drives: (drives, actuators) phasors [N/m²].
+        steady: Use the steady vibration instead of the scene's window.
+        counts: Numbers of functions along each side.
+        frequencies: Number of natural frequencies to keep.
 
     Raises:
-        SceneError: an edge or an effect that the references do not know, see :func:`thin_plate`, or a target that is
-            no rectangle.
+        SceneError: ``thin_plate`` refuses the scene, or the target is not a rectangle.
     """
     plate = thin_plate(scene)
     rows: list[Converged] = []
@@ -191,30 +200,14 @@ def converge(
 
 
 def _steady_amplitudes(modes: Modes, frequency: float) -> np.ndarray:
-    """(modes,) α_0 of the equations above."""
+    """Return (modes,) α_0 of the equations above."""
     plate, omega = modes.plate, 2 * math.pi * frequency
-    own = modes.angular_frequencies
-    dynamic = plate.surface_density * (own - omega) * (own + omega) + 1j * plate.viscous * omega
+    natural = modes.angular_frequencies
+    dynamic = plate.surface_density * (natural - omega) * (natural + omega) + 1j * plate.viscous * omega
     if np.any(dynamic == 0):
-        raise ValueError(f"frequency = {frequency:g} Hz: the undamped plate is driven at one of its own frequencies")
+        raise ValueError(f"frequency = {frequency:g} Hz: the undamped plate is driven at a natural frequency")
     amplitudes: np.ndarray = 1 / dynamic
     return amplitudes
-
-
-def _field(
-    modes: Modes,
-    scene: Scene,
-    drive: np.ndarray,
-    times: Sequence[float],
-    x: np.ndarray,
-    y: np.ndarray,
-    derivative: int,
-) -> np.ndarray:
-    when = np.asarray(times, dtype=float)
-    force = np.asarray(drive) @ modes.patch_forces([actuator.area for actuator in scene.actuators])
-    motion = motion_from_rest(modes, scene.drive.frequency, max(scene.window.end, when.max()))
-    amplitudes = (force * motion.at(when, derivative)).real
-    return np.einsum("tm,mji->tji", amplitudes, modes.shapes(x, y), optimize=True)
 
 
 def _average(
@@ -226,9 +219,9 @@ def _average(
     start: float,
     end: float,
 ) -> np.ndarray:
-    """(M, M) sums over modes m, n of rate_m rate_n overlap_mn times the average of exp((s_m + s_n) t).
+    """Return (M, M) sums over modes m, n of rate_m rate_n overlap_mn times the average of exp((s_m + s_n) t).
 
-    Without overlaps, those of the whole plate: one for m = n, else zero.
+    ``overlaps`` = None stands for those of the whole plate, one for m = n, else zero.
     """
     if overlaps is None:
         return (first_rate * _mean_exponential(first, second, start, end)) @ second_rate.T
@@ -236,7 +229,7 @@ def _average(
 
 
 def _mean_exponential(first: np.ndarray, second: np.ndarray, start: float, end: float) -> np.ndarray:
-    """Average of exp((first + second) t) from start to end, broadcast; real parts are not positive."""
+    """Return the average of exp((first + second) t) from start to end, broadcast; real parts are not positive."""
     turn = (first + second) * (end - start)
     late, early = np.exp(first * end) * np.exp(second * end), np.exp(first * start) * np.exp(second * start)
     small = np.abs(turn) < 1e-3
@@ -248,7 +241,7 @@ def _mean_exponential(first: np.ndarray, second: np.ndarray, start: float, end: 
 
 
 def _real_matrix(plain: np.ndarray, conjugate: np.ndarray) -> np.ndarray:
-    """(2M, 2M) matrix of averages of Re and Im parts, from averages of X_k X_l and of conj(X_k) X_l."""
+    """Return (2M, 2M) averages of products of Re and Im parts, from averages of X_k X_l and of conj(X_k) X_l."""
     real = (conjugate + plain).real / 2
     imaginary = (conjugate - plain).real / 2
     mixed = (conjugate + plain).imag / 2

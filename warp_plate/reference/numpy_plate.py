@@ -1,8 +1,7 @@
-"""The plate in plain NumPy float64, written from the equations and sharing no step with the kernels.
+"""The plain plate in NumPy float64, written from the equations; it shares no step with the kernels.
 
-Of second order the 13-point stencil in one piece with ghost nodes, of fourth order whole matrices of one-dimensional
-differences; the paper's two-step scheme instead of the velocity form, physical units instead of scaled ones: what
-agrees with this is right. It is slow, and meant for tests.
+Second order is the 13-point stencil in one piece with ghost nodes, fourth order matrices of one-dimensional
+differences. It steps the paper's two-step scheme instead of the velocity form, in physical units. Slow; for tests.
 """
 
 from __future__ import annotations
@@ -14,9 +13,9 @@ from warp_plate.plate.scheme import Scheme
 
 
 def biharmonic(u: np.ndarray, spacing: tuple[float, float]) -> np.ndarray:
-    """∇⁴u (..., ny − 4, nx − 4) [u/m⁴] from u (..., ny, nx), by the 13-point stencil; spacing (hx, hy) [m].
+    """Return ∇⁴u (..., ny − 4, nx − 4) [u/m⁴] of u (..., ny, nx), by the 13-point stencil.
 
-    1, −4, 6, −4, 1 for u_xxxx: the paper, section II.B, prints u_ij twice.
+    u_xxxx takes 1, −4, 6, −4, 1: the paper, section II.B, prints u_ij twice.
     """
     hx, hy = spacing
 
@@ -35,7 +34,7 @@ def biharmonic(u: np.ndarray, spacing: tuple[float, float]) -> np.ndarray:
 
 
 def with_ghosts(u: np.ndarray, edges: tuple[str, str, str, str]) -> np.ndarray:
-    """u (..., ny, nx) with one ghost node beyond each edge; edges: left, bottom, right, top.
+    """Return u (..., ny, nx) with one ghost node beyond each edge; edges are left, bottom, right, top.
 
     Clamped, ∂u/∂n = 0: the ghost equals the first inner node. Supported, ∂²u/∂n² = 0 with u = 0: its negative.
     """
@@ -51,7 +50,7 @@ def with_ghosts(u: np.ndarray, edges: tuple[str, str, str, str]) -> np.ndarray:
 
 
 def curvature_matrix(nodes: int, spacing: float, low: str, high: str) -> np.ndarray:
-    """(nodes, nodes) matrix of ∂² of fourth order [1/m²], for u = 0 at both ends; spacing [m].
+    """Return the (nodes, nodes) matrix of ∂² of fourth order [1/m²], for u = 0 at both ends.
 
     Inside (−1, 16, −30, 16, −1)/12, with the ghost −u₁ beyond a supported end and no curvature on it; at a clamped end
     the rows of nodes 0 and 1 that ``plate.operator`` derives.
@@ -71,7 +70,7 @@ def curvature_matrix(nodes: int, spacing: float, low: str, high: str) -> np.ndar
 def biharmonic_of_fourth_order(
     u: np.ndarray, spacing: tuple[float, float], edges: tuple[str, str, str, str]
 ) -> np.ndarray:
-    """∇⁴u (..., ny − 2, nx − 2) [u/m⁴] from u (..., ny, nx) with its edge nodes at zero, as BᵀBu."""
+    """Return ∇⁴u (..., ny − 2, nx − 2) [u/m⁴] of u (..., ny, nx), zero on the edges, as BᵀBu."""
     left, bottom, right, top = edges
     along_x = curvature_matrix(u.shape[-1], spacing[0], left, right)
     along_y = curvature_matrix(u.shape[-2], spacing[1], bottom, top)
@@ -88,11 +87,19 @@ def run_plate(
     drives: np.ndarray,
     carrier: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacements (plates, steps + 1, ny, nx) [m] and mean squared velocity (plates, ny, nx) [m²/s²].
+    """Step plates by (ρH/Δt²)(u⁺ − 2u + u⁻) + c·rate + D∇⁴u = f, the rate from u⁺ − u⁻ (centred) or u − u⁻.
 
-    drives: (plates, actuators) complex phasors [N/m²]; patches: (actuators, ny, nx); viscous: c [N·s/m³];
-    carrier: (steps,) complex, left out: exp(iωt).
-    The two-step form: (ρH/Δt²)(u⁺ − 2u + u⁻) + c·(rate) + D∇⁴u = f, the rate from u⁺ − u⁻ (centred) or u − u⁻.
+    Args:
+        scheme: The scheme.
+        edges: Left, bottom, right and top edge.
+        viscous: c [N·s/m³].
+        backward: Take damping backward in time.
+        patches: (actuators, ny, nx) weights of the actuators.
+        drives: (plates, actuators) complex phasors [N/m²].
+        carrier: (steps,) complex (default: exp(iωt)).
+
+    Returns:
+        Displacements (plates, steps + 1, ny, nx) [m] and mean squared velocity (plates, ny, nx) [m²/s²].
     """
     (nx, ny), dt = scheme.nodes, scheme.time_step
     history = np.zeros((drives.shape[0], scheme.steps + 1, ny, nx))

@@ -4,8 +4,8 @@ The modes make the elastic energy stationary against the kinetic one,
 
     U = D/2 ∫ u_xx² + u_yy² + 2ν u_xx u_yy + 2(1 − ν) u_xy² dA,   T = ρH/2 ∫ u̇² dA,   u = Σ q_ij φ_i(x) ψ_j(y),
 
-the problem of A. W. Leissa, The free vibration of rectangular plates, J. Sound Vib. 31 (1973) 257-293. Only what
-holds an edge must be built into the functions (u = 0 on a supported edge, u = u_n = 0 on a clamped one); moments and
+the problem of A. W. Leissa, The free vibration of rectangular plates, J. Sound Vib. 31 (1973) 257-293. Only geometric
+conditions must be built into the functions (u = 0 on a supported edge, u = u_n = 0 on a clamped one); moments and
 forces of supported and free edges follow from U. An edge on springs is a free one whose energy ½∮ k u² + r u_n² ds is
 added to U, with k [N/m²] and r [N] per length. Along one side, s = −1 ... 1, with p = 0, 1, 2 conditions at the low
 end (free, supported, clamped) and q at the high one,
@@ -13,14 +13,14 @@ end (free, supported, clamped) and q at the high one,
     φ_i(s) = (1 + s)^p (1 − s)^q P_i^(2q, 2p)(s) / norm,   i = 0, 1, ...,
 
 P the Jacobi polynomials, which are orthogonal under the weight (1 − s)^2q (1 + s)^2p. So the φ_i are orthonormal
-polynomials, the ones that Gram and Schmidt's process would make of (1 + s)^p (1 − s)^q s^i: the method of R. B. Bhat,
+polynomials, those of Gram and Schmidt's process on (1 + s)^p (1 − s)^q s^i: the method of R. B. Bhat,
 J. Sound Vib. 102 (1985) 493-499, in closed form. They are kept as sums of Legendre polynomials, as N. S. Bardell's
 functions are (J. Sound Vib. 151 (1991) 263-289). The mass matrix is ρH times one; the stiffness matrix is a sum of
-Kronecker products of one-dimensional integrals, and Gauss's rule gives those without error.
+Kronecker products of one-dimensional integrals, for which Gauss's rule is exact.
 
-Natural frequencies come from above and converge fast, slowed only by what happens in corners. Motion under a patch,
-whose load has jumps, converges like a power of the number of functions; quadratic results, such as energies, have
-about the square of its error.
+Natural frequencies converge from above and fast, slowed only by the corners. Motion under a patch, whose load has
+jumps, converges like a power of the number of functions; quadratic results, such as energies, have about the square of
+its error.
 """
 
 from __future__ import annotations
@@ -29,14 +29,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
-import scipy.special
+import scipy
 from numpy.polynomial import legendre
 
 from warp_plate.reference.thin_plate import Held, ThinPlate
 from warp_plate.scene.model import Area, ElasticEdge
 
-# Conditions that an edge puts on the functions: on the displacement, and on the slope. Springs put none.
+# Number of geometric conditions of an edge: on the displacement, then on the slope. Springs have none.
 CONDITIONS = {"free": 0, "supported": 1, "clamped": 2}
 
 
@@ -44,8 +43,10 @@ CONDITIONS = {"free": 0, "supported": 1, "clamped": 2}
 class Line:
     """Orthonormal functions along one side: ∫ φ_i φ_j dx = δ_ij.
 
-    length [m]; coefficients (functions, degree + 1) of Legendre polynomials in s = 2x/length − 1 [1/√m];
-    even: whether both ends are held alike, so that φ_i is even or odd about the middle as i is.
+    Attributes:
+        length: Length of the side [m].
+        coefficients: (functions, degree + 1) coefficients of Legendre polynomials in s = 2x/length − 1 [1/√m].
+        even: True if both ends are held alike, so that φ_i is even or odd about the middle as i is.
     """
 
     length: float
@@ -54,11 +55,11 @@ class Line:
 
     @property
     def functions(self) -> int:
-        """How many there are."""
+        """Number of functions."""
         return len(self.coefficients)
 
     def values(self, x: np.ndarray, derivative: int = 0) -> np.ndarray:
-        """(functions, points) values of the derivative of that order at x [m]."""
+        """Return (functions, points) values of a derivative at x [m]."""
         coefficients = self.coefficients
         if derivative:
             coefficients = legendre.legder(coefficients, derivative, scl=2 / self.length, axis=1)
@@ -67,13 +68,13 @@ class Line:
         return values
 
     def products(self, low: float, high: float, first: int = 0, second: int = 0) -> np.ndarray:
-        """(functions, functions) ∫ of the derivatives of these orders, row times column, from low to high [m]."""
+        """Return (functions, functions) ∫ of two derivatives, row times column, from low to high [m]."""
         x, weights = _gauss(self.coefficients.shape[1], low, high)
         products: np.ndarray = (self.values(x, first) * weights) @ self.values(x, second).T
         return products
 
     def integrals(self, low: float, high: float) -> np.ndarray:
-        """(functions,) integrals from low to high [m]."""
+        """Return (functions,) integrals from low to high [m]."""
         x, weights = _gauss(self.coefficients.shape[1], low, high)
         integrals: np.ndarray = self.values(x) @ weights
         return integrals
@@ -81,11 +82,15 @@ class Line:
 
 @dataclass(frozen=True)
 class Modes:
-    """Natural modes of a plate, as many as there are functions, by rising frequency.
+    """Natural modes of a plate, as many as there are functions, by rising frequency; only the lowest are accurate.
 
-    angular_frequencies: (modes,) ω [rad/s], zero for rigid motions; vectors: (modes, functions of y, functions of
-    x), so that the shapes Φ have ∫ Φ_m Φ_n dA = δ_mn (shapes in 1/m, amplitudes in m²). The lowest are the plate's;
-    the highest are only there to make the functions complete.
+    Attributes:
+        plate: The plate.
+        along_x: Functions of x.
+        along_y: Functions of y.
+        angular_frequencies: (modes,) ω [rad/s], zero for rigid motions.
+        vectors: (modes, functions of y, functions of x); the shapes Φ have ∫ Φ_m Φ_n dA = δ_mn (shapes in 1/m,
+            amplitudes in m²).
     """
 
     plate: ThinPlate
@@ -96,9 +101,9 @@ class Modes:
 
     @property
     def rigid(self) -> int:
-        """How many of the first modes do not bend the plate: 3 without any held edge, 1 with one supported edge."""
+        """Number of rigid motions: 3 without any held edge, 1 with one supported edge."""
         left, bottom, right, top = self.plate.edges
-        # Of the motions 1, x/width and y/height: displacements of the corners of held edges, slopes across these.
+        # Displacements of the corners of held edges, and slopes across these, of the motions 1, x/width and y/height.
         held = [np.zeros((1, 3))]
         for edge, x in ((left, 0.0), (right, 1.0)):
             held.append(_holds(edge)[0] * np.array([[1, x, 0], [1, x, 1]]))
@@ -109,51 +114,32 @@ class Modes:
         return 3 - int(np.linalg.matrix_rank(np.concatenate(held)))
 
     def shapes(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """(modes, points of y, points of x) shapes Φ [1/m] on the grid of x and y [m]."""
+        """Return (modes, points of y, points of x) shapes Φ [1/m] on the grid of x and y [m]."""
         shapes: np.ndarray = self.along_y.values(y).T @ self.vectors @ self.along_x.values(x)
         return shapes
 
     def patch_forces(self, areas: Sequence[Area]) -> np.ndarray:
-        """(areas, modes) ∫ Φ dA [m] over rectangles x0, x1, y0, y1 [m]: modal forces of a pressure of one."""
+        """Return (areas, modes) ∫ Φ dA [m] over rectangles x0, x1, y0, y1 [m]: modal forces of a pressure of one."""
         along_x = np.array([self.along_x.integrals(x0, x1) for x0, x1, _, _ in areas])
         along_y = np.array([self.along_y.integrals(y0, y1) for _, _, y0, y1 in areas])
         return np.einsum("mji,pj,pi->pm", self.vectors, along_y, along_x, optimize=True)
 
-    def point_forces(self, points: Sequence[tuple[float, float]]) -> np.ndarray:
-        """(points, modes) Φ [1/m] at (x, y) [m]: modal forces of a force of one."""
-        x, y = np.array(points, dtype=float).T
-        along_x, along_y = self.along_x.values(x), self.along_y.values(y)
-        return np.einsum("mji,jp,ip->pm", self.vectors, along_y, along_x, optimize=True)
-
     def overlaps(self, area: Area) -> np.ndarray:
-        """(modes, modes) ∫ Φ_m Φ_n dA over the rectangle: the Gram matrix of a region."""
+        """Return (modes, modes) ∫ Φ_m Φ_n dA over a rectangle: the Gram matrix of a region."""
         x0, x1, y0, y1 = area
         inside = self.along_y.products(y0, y1) @ self.vectors @ self.along_x.products(x0, x1)
         count = len(self.vectors)
         overlaps: np.ndarray = inside.reshape(count, -1) @ self.vectors.reshape(count, -1).T
         return overlaps
 
-    def static_deflection(self, forces: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """(loads, points of y, points of x) deflection [m] under constant modal forces (loads, modes).
-
-        Raises:
-            ValueError: a plate that nothing holds against a rigid motion.
-        """
-        if self.rigid:
-            raise ValueError(f"edges = {list(self.plate.edges)}: the plate can move without bending; hold it somewhere")
-        amplitudes = forces / (self.plate.surface_density * self.angular_frequencies**2)
-        return np.einsum("lm,mji->lji", amplitudes, self.shapes(x, y), optimize=True)
-
-
 def solve_modes(plate: ThinPlate, functions: int | tuple[int, int] = 32) -> Modes:
-    """The modes of a plate from that many functions in each direction, or so many of x and of y.
+    """Return the modes of a plate from ``functions`` in each direction, or a pair for x and y.
 
-    Where both ends of a direction are held alike, even and odd functions do not mix, and are solved for apart.
-    Rounding grows with the eighth power of the number of functions: the lowest frequencies keep 7 digits with 48 and
-    5 with 64.
+    If both ends of a direction are held alike, even and odd functions do not mix, and are solved for apart. Rounding
+    grows with the eighth power of the number of functions: the lowest frequencies keep 7 digits with 48 and 5 with 64.
 
     Raises:
-        ValueError: fewer than 4 functions in a direction.
+        ValueError: There are fewer than 4 functions in a direction.
     """
     columns, rows = (functions, functions) if isinstance(functions, int) else functions
     if min(columns, rows) < 4:
@@ -164,14 +150,14 @@ def solve_modes(plate: ThinPlate, functions: int | tuple[int, int] = 32) -> Mode
     matrix = stiffness_matrix(along_x, along_y, plate.poisson_ratio)
     matrix += np.kron(np.eye(rows), _springs(along_x, left, right) / plate.rigidity)
     matrix += np.kron(_springs(along_y, bottom, top) / plate.rigidity, np.eye(columns))
-    family = 2 * (np.arange(rows) % 2 * along_y.even)[:, None] + np.arange(columns) % 2 * along_x.even
+    symmetry = 2 * (np.arange(rows) % 2 * along_y.even)[:, None] + np.arange(columns) % 2 * along_x.even
     values, vectors = np.empty(0), np.empty((0, rows * columns))
-    for member in np.unique(family):
-        mine = np.flatnonzero(family == member)
-        own_values, own_vectors = scipy.linalg.eigh(matrix[np.ix_(mine, mine)])
-        placed = np.zeros((mine.size, rows * columns))
-        placed[:, mine] = own_vectors.T
-        values, vectors = np.concatenate([values, own_values]), np.concatenate([vectors, placed])
+    for kind in np.unique(symmetry):
+        members = np.flatnonzero(symmetry == kind)
+        some_values, some_vectors = scipy.linalg.eigh(matrix[np.ix_(members, members)])
+        placed = np.zeros((members.size, rows * columns))
+        placed[:, members] = some_vectors.T
+        values, vectors = np.concatenate([values, some_values]), np.concatenate([vectors, placed])
     order = np.argsort(values, kind="stable")
     modes = Modes(
         plate=plate,
@@ -180,12 +166,12 @@ def solve_modes(plate: ThinPlate, functions: int | tuple[int, int] = 32) -> Mode
         angular_frequencies=np.sqrt(plate.rigidity / plate.surface_density * np.maximum(values[order], 0)),
         vectors=vectors[order].reshape(-1, rows, columns),
     )
-    modes.angular_frequencies[: modes.rigid] = 0  # what is left there is rounding
+    modes.angular_frequencies[: modes.rigid] = 0  # but for rounding
     return modes
 
 
 def make_line(length: float, low: Held, high: Held, functions: int) -> Line:
-    """The functions of one direction, with the edge conditions at its low and high end built in."""
+    """Return the functions of one direction that satisfy the geometric conditions at its low and high end."""
     p, q = (0 if isinstance(edge, ElasticEdge) else CONDITIONS[edge] for edge in (low, high))
     degrees = np.arange(functions + p + q)
     s, weights = legendre.leggauss(degrees.size)
@@ -198,16 +184,16 @@ def make_line(length: float, low: Held, high: Held, functions: int) -> Line:
 
 
 def stiffness_matrix(along_x: Line, along_y: Line, poisson_ratio: float) -> np.ndarray:
-    """Square matrix of stiffnesses over D [1/m⁴], the functions of x counting fastest."""
+    """Return the square matrix of stiffnesses over D [1/m⁴], the functions of x counting fastest."""
 
     def of(line: Line, first: int, second: int) -> np.ndarray:
         return line.products(0, line.length, first, second)
 
     coupled = np.kron(of(along_y, 0, 2), of(along_x, 2, 0))
-    one_x, one_y = np.eye(along_x.functions), np.eye(along_y.functions)
+    identity_x, identity_y = np.eye(along_x.functions), np.eye(along_y.functions)
     matrix: np.ndarray = (
-        np.kron(one_y, of(along_x, 2, 2))
-        + np.kron(of(along_y, 2, 2), one_x)
+        np.kron(identity_y, of(along_x, 2, 2))
+        + np.kron(of(along_y, 2, 2), identity_x)
         + poisson_ratio * (coupled + coupled.T)
         + 2 * (1 - poisson_ratio) * np.kron(of(along_y, 1, 1), of(along_x, 1, 1))
     )
@@ -215,7 +201,7 @@ def stiffness_matrix(along_x: Line, along_y: Line, poisson_ratio: float) -> np.n
 
 
 def _springs(line: Line, low: Held, high: Held) -> np.ndarray:
-    """(functions, functions) stiffness [N/m³] of the springs at both ends: k φ_i φ_j + r φ_i' φ_j'."""
+    """Return (functions, functions) stiffness [N/m³] of the springs at both ends: k φ_i φ_j + r φ_i' φ_j'."""
     matrix = np.zeros((line.functions, line.functions))
     for edge, place in ((low, 0.0), (high, line.length)):
         if isinstance(edge, ElasticEdge):
@@ -225,13 +211,13 @@ def _springs(line: Line, low: Held, high: Held) -> np.ndarray:
 
 
 def _holds(edge: Held) -> tuple[bool, bool]:
-    """Whether an edge resists displacement, and slope across it."""
+    """Return whether an edge resists displacement, and slope across it."""
     if isinstance(edge, ElasticEdge):
         return edge.translation > 0, edge.rotation > 0
     return CONDITIONS[edge] >= 1, CONDITIONS[edge] == 2
 
 
 def _gauss(count: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points and weights from low to high, exact up to degree 2·count − 1."""
+    """Return points and weights from low to high, exact up to degree 2·count − 1."""
     s, weights = legendre.leggauss(count)
     return (low + high) / 2 + (high - low) / 2 * s, (high - low) / 2 * weights

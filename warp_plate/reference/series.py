@@ -1,8 +1,7 @@
 """Exact solutions of simply supported plates as series of sine modes; NumPy float64.
 
 A rectangle a × b, all four sides simply supported, has the modes sin(mπx/a) sin(nπy/b), m, n = 1, 2, ...
-Under the load of one mode only that mode moves, and its amplitude q is a damped oscillator's, from rest at t
-= 0:
+Under the load of one mode only that mode moves, and its amplitude q is a damped oscillator's, from rest at t = 0:
 
     ρH q̈ + c q̇ + D k⁴ q = Re(Z exp(iωt)),   k² = (mπ/a)² + (nπ/b)²,   q(0) = q̇(0) = 0
 
@@ -15,7 +14,7 @@ that presses with Re(p exp(iωt)) loads the mode with
     Z = 4p/ab · ∫ sin(mπx/a) dx ∫ sin(nπy/b) dy,   |Z| ≤ 16|p| / (π²mn),
 
 and the plate's motion is the sum over all modes (Navier's series). Here it is cut off at m, n ≤ terms;
-:func:`truncation` bounds what is left out.
+:func:`truncation` bounds the rest.
 """
 
 from __future__ import annotations
@@ -30,20 +29,21 @@ from warp_plate.reference.thin_plate import ThinPlate, thin_plate
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# A span of time in which the fastest v² turns by this [rad] takes so many of Gauss's points: exact to rounding.
+# A span of time in which the fastest v² turns by PANEL_TURN [rad] takes PANEL_POINTS of Gauss's points: exact to
+# rounding.
 PANEL_TURN, PANEL_POINTS = 16.0, 16
-# Amplitudes of this many modes and times are held at once.
+# Number of amplitudes (modes × times) held at once.
 AMPLITUDES_AT_ONCE = 2_000_000
 
 
 def mode_shape(mode: tuple[int, int], size: tuple[float, float], x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """(y, x) values of sin(mπx/a) sin(nπy/b); mode (m, n), size (a, b) [m], x and y [m]."""
+    """Return (y, x) values of sin(mπx/a) sin(nπy/b); mode (m, n), size (a, b) [m], x and y [m]."""
     (m, n), (width, height) = mode, size
     return np.outer(np.sin(n * math.pi * y / height), np.sin(m * math.pi * x / width))
 
 
 def wavenumber_squared(mode: tuple[int, int], size: tuple[float, float]) -> float:
-    """k² [1/m²] of the mode: −∇² of its shape is k² times its shape."""
+    """Return k² [1/m²] of the mode: −∇² of its shape is k² times its shape."""
     (m, n), (width, height) = mode, size
     return (m * math.pi / width) ** 2 + (n * math.pi / height) ** 2
 
@@ -51,36 +51,11 @@ def wavenumber_squared(mode: tuple[int, int], size: tuple[float, float]) -> floa
 def grid_wavenumber_squared(
     mode: tuple[int, int], size: tuple[float, float], spacing: tuple[float, float]
 ) -> float:
-    """k² [1/m²] of the mode under the five-point Laplacian, (4/h²) sin²(mπh/2a) for each direction."""
+    """Return k² [1/m²] of the mode under the five-point Laplacian: (4/h²) sin²(mπh/2a) for each direction."""
     return sum(
         (2 / step * math.sin(order * math.pi * step / (2 * length))) ** 2
         for order, length, step in zip(mode, size, spacing, strict=True)
     )
-
-
-def mode_amplitude(
-    time: np.ndarray,
-    stiffness: float | np.ndarray,
-    surface_density: float,
-    viscous: float,
-    pressure: complex | np.ndarray,
-    frequency: float,
-    derivative: int = 0,
-) -> np.ndarray:
-    """q [m] of the equations above at ``time`` [s], from rest under Re(pressure · exp(iωt)) times the mode.
-
-    Args:
-        stiffness: D k⁴ [N/m³]; surface_density: ρH [kg/m²]; viscous: c [N·s/m³]; pressure: Z [N/m²];
-        frequency: ω/2π [Hz]; derivative: 1 for q̇ [m/s]. Times, stiffnesses and pressures are broadcast.
-
-    Raises:
-        ValueError: damping so strong that a mode does not vibrate; :func:`damped_motion` allows it.
-    """
-    gamma = viscous / (2 * surface_density)
-    if np.any(np.asarray(stiffness) / surface_density <= gamma**2):
-        critical = 2 * math.sqrt(np.min(stiffness) * surface_density)
-        raise ValueError(f"viscous = {viscous:g}: the mode does not vibrate; must be below {critical:g}")
-    return damped_motion(time, stiffness, surface_density, viscous, pressure, frequency, derivative)
 
 
 def damped_motion(
@@ -92,25 +67,35 @@ def damped_motion(
     frequency: float,
     derivative: int = 0,
 ) -> np.ndarray:
-    """As :func:`mode_amplitude`, with any damping."""
+    """Return q [m] of the equations above at ``time`` [s]; times, stiffnesses and pressures are broadcast.
+
+    Args:
+        time: t [s].
+        stiffness: D k⁴ [N/m³].
+        surface_density: ρH [kg/m²].
+        viscous: c [N·s/m³].
+        pressure: Z [N/m²].
+        frequency: ω/2π [Hz].
+        derivative: 0 for q [m], 1 for q̇ [m/s].
+    """
     omega = 2 * math.pi * frequency
     gamma = viscous / (2 * surface_density)
-    own_squared = np.asarray(stiffness) / surface_density - gamma**2
+    squared = np.asarray(stiffness) / surface_density - gamma**2
     steady = pressure / (stiffness - surface_density * omega**2 + 1j * viscous * omega)
     start, speed = -steady.real, omega * steady.imag - gamma * steady.real  # A and νB
     if derivative:
-        steady, start, speed = 1j * omega * steady, speed - gamma * start, -gamma * speed - own_squared * start
-    cosine, sine = _decays(np.asarray(time), own_squared, gamma)
+        steady, start, speed = 1j * omega * steady, speed - gamma * start, -gamma * speed - squared * start
+    cosine, sine = _decays(np.asarray(time), squared, gamma)
     motion: np.ndarray = (steady * np.exp(1j * omega * time)).real + start * cosine + speed * sine
     return motion
 
 
-def _decays(time: np.ndarray, own_squared: np.ndarray, gamma: float) -> tuple[np.ndarray, np.ndarray]:
-    """exp(−γt) cos νt and exp(−γt) sin(νt)/ν [s] of ν² [1/s²]."""
-    rate = np.sqrt(np.abs(own_squared))
+def _decays(time: np.ndarray, squared: np.ndarray, gamma: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return exp(−γt) cos νt and exp(−γt) sin(νt)/ν [s] for ν² [1/s²]."""
+    rate = np.sqrt(np.abs(squared))
     turn, decay = rate * time, np.exp(-gamma * time)
     cosine, sine = decay * np.cos(turn), decay * time * np.sinc(turn / math.pi)
-    strong = own_squared < 0
+    strong = squared < 0
     if np.any(strong):
         rate = np.where(strong, rate, 1)
         grown = np.exp(np.where(strong, rate - gamma, 0) * time)
@@ -121,7 +106,7 @@ def _decays(time: np.ndarray, own_squared: np.ndarray, gamma: float) -> tuple[np
 
 
 def patch_pressures(scene: Scene, drive: np.ndarray, terms: int) -> np.ndarray:
-    """(terms, terms) complex Z [N/m²] of the modes, n by row and m by column, under drive (actuators,) [N/m²]."""
+    """Return (terms, terms) Z [N/m²] of the modes, n by row and m by column, under phasors (actuators,) [N/m²]."""
     (width, height), orders = scene.plate.size, np.arange(1, terms + 1)
     pressures = np.zeros((terms, terms), dtype=complex)
     for phasor, actuator in zip(drive, scene.actuators, strict=True):
@@ -133,47 +118,40 @@ def patch_pressures(scene: Scene, drive: np.ndarray, terms: int) -> np.ndarray:
 
 
 def displacement(
-    scene: Scene, drive: np.ndarray, times: Sequence[float], x: np.ndarray, y: np.ndarray, terms: int = 100
+    scene: Scene,
+    drive: np.ndarray,
+    times: Sequence[float],
+    x: np.ndarray,
+    y: np.ndarray,
+    terms: int = 100,
+    derivative: int = 0,
 ) -> np.ndarray:
-    """(times, points of y, points of x) displacement [m] at times [s], from rest at t = 0.
+    """Return (times, points of y, points of x) displacement [m], or velocity [m/s], from rest at t = 0.
 
-    drive: (actuators,) phasors Z [N/m²], the load being Re(Z exp(iωt)) on each patch; x, y [m].
+    Args:
+        scene: A scene with supported edges and no effect other than viscous damping.
+        drive: (actuators,) phasors Z [N/m²], the load being Re(Z exp(iωt)) on each patch.
+        times: Times [s].
+        x: (points of x,) [m].
+        y: (points of y,) [m].
+        terms: Number of modes along each side.
+        derivative: 0 for displacement, 1 for velocity.
 
     Raises:
-        SceneError: an edge that is not supported, or an effect other than viscous damping.
-    """
-    return _field(scene, drive, times, x, y, terms, derivative=0)
-
-
-def velocity(
-    scene: Scene, drive: np.ndarray, times: Sequence[float], x: np.ndarray, y: np.ndarray, terms: int = 100
-) -> np.ndarray:
-    """(times, points of y, points of x) velocity [m/s]; see :func:`displacement`."""
-    return _field(scene, drive, times, x, y, terms, derivative=1)
-
-
-def mean_square_velocity(
-    scene: Scene, drive: np.ndarray, x: np.ndarray, y: np.ndarray, terms: int = 32
-) -> np.ndarray:
-    """(points of y, points of x) v² [m²/s²] averaged over the scene's window.
-
-    The average over time is exact to rounding for the modes that are kept. With v the velocity of those and δ the
-    bound of :func:`truncation`, what is left out changes it by no more than the average of 2|v|δ + δ².
+        SceneError: The scene has another edge or effect.
     """
     along, across = _shapes(scene.plate.size, x, y, terms)
-    mean = np.zeros((np.size(y), np.size(x)))
-    for rates, shares in _window_rates(scene, drive, terms):
-        mean += np.einsum("t,tji->ji", shares, (across.T @ rates @ along) ** 2)
-    return mean
+    field: np.ndarray = across.T @ _amplitudes(scene, drive, np.asarray(times), terms, derivative) @ along
+    return field
 
 
 def kinetic_energies(scene: Scene, drive: np.ndarray, terms: int = 32) -> np.ndarray:
-    """(2,) kinetic energies of plate and target averaged over the scene's window [J].
+    """Return (2,) kinetic energies of plate and target averaged over the scene's window [J].
 
-    The average over time is exact to rounding for the modes that are kept; the plate's energy comes from below.
+    The average over time is exact to rounding for the modes kept; the plate's energy converges from below.
 
     Raises:
-        SceneError: the target is no rectangle.
+        SceneError: The target is not a rectangle.
     """
     (width, height), (x0, x1, y0, y1) = scene.plate.size, scene.target.rectangle()
     along, across = _sine_products(width, x0, x1, terms), _sine_products(height, y0, y1, terms)
@@ -185,21 +163,21 @@ def kinetic_energies(scene: Scene, drive: np.ndarray, terms: int = 32) -> np.nda
 
 
 def truncation(scene: Scene, drive: np.ndarray, terms: int) -> tuple[float, float]:
-    """Bounds on the displacement [m] and the velocity [m/s] of the modes left out, at any point and time.
+    """Return bounds on the displacement [m] and the velocity [m/s] of the modes left out, at any point and time.
 
     With ν ≥ ω + γ, the equations above give |q| ≤ 3|Q| and |q̇| ≤ 4ν|Q|. In |Q| ≤ s·16P/(π²mn D k⁴), P is the sum of
     the |Z| of the drive and s = 1/(1 − ρHω²/Dk⁴) that of the slowest mode left out. The sums over m > terms and
     all n, and the other way round, use (α² + β²)² ≥ 16/(3√3) α³β, α² + β² ≥ 4/3^¾ α^³⸍² β^½ and integrals.
 
     Raises:
-        ValueError: so few terms that a mode left out is not above the drive and the damping.
+        ValueError: A mode left out is not above the drive and the damping.
     """
     plate = _supported_plate(scene)
     (width, height), omega = plate.size, scene.drive_angular_frequency
     gamma = plate.viscous / (2 * plate.surface_density)
     slowest = min(wavenumber_squared(mode, plate.size) for mode in ((terms + 1, 1), (1, terms + 1)))
-    own = math.sqrt(max(plate.rigidity / plate.surface_density * slowest**2 - gamma**2, 0))
-    if own < omega + gamma:
+    natural = math.sqrt(max(plate.rigidity / plate.surface_density * slowest**2 - gamma**2, 0))
+    if natural < omega + gamma:
         raise ValueError(f"terms = {terms}: a mode left out is as slow as the drive or the damping; take more")
     above = 1 / (1 - plate.surface_density * omega**2 / (plate.rigidity * slowest**2))
     load = above * 16 / math.pi**2 * float(np.abs(drive).sum())
@@ -220,7 +198,7 @@ def _supported_plate(scene: Scene) -> ThinPlate:
 
 
 def _amplitudes(scene: Scene, drive: np.ndarray, times: np.ndarray, terms: int, derivative: int) -> np.ndarray:
-    """(times, terms, terms) q [m] or q̇ [m/s] of the modes, n by row and m by column."""
+    """Return (times, terms, terms) q [m] or q̇ [m/s] of the modes, n by row and m by column."""
     plate, orders = _supported_plate(scene), np.arange(1, terms + 1)
     squared = (orders * math.pi / plate.size[0]) ** 2 + (orders[:, None] * math.pi / plate.size[1]) ** 2
     return damped_motion(
@@ -234,22 +212,8 @@ def _amplitudes(scene: Scene, drive: np.ndarray, times: np.ndarray, terms: int, 
     )
 
 
-def _field(
-    scene: Scene,
-    drive: np.ndarray,
-    times: Sequence[float],
-    x: np.ndarray,
-    y: np.ndarray,
-    terms: int,
-    derivative: int,
-) -> np.ndarray:
-    along, across = _shapes(scene.plate.size, x, y, terms)
-    field: np.ndarray = across.T @ _amplitudes(scene, drive, np.asarray(times), terms, derivative) @ along
-    return field
-
-
 def _window_rates(scene: Scene, drive: np.ndarray, terms: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Chunks of (times, terms, terms) q̇ [m/s] and (times,) shares of the window, by Gauss's rule in panels."""
+    """Yield chunks of (times, terms, terms) q̇ [m/s] and (times,) shares of the window, by Gauss's rule in panels."""
     plate = _supported_plate(scene)
     start, end = scene.window.start, scene.window.end
     fastest = math.sqrt(plate.rigidity / plate.surface_density) * wavenumber_squared((terms, terms), plate.size)
@@ -265,20 +229,20 @@ def _window_rates(scene: Scene, drive: np.ndarray, terms: int) -> Iterator[tuple
 
 
 def _shapes(size: tuple[float, float], x: np.ndarray, y: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
-    """(terms, points) sines along x and along y."""
+    """Return (terms, points) sines along x and along y."""
     orders = np.arange(1, terms + 1)
     return np.sin(np.outer(orders * math.pi / size[0], x)), np.sin(np.outer(orders * math.pi / size[1], y))
 
 
 def _sine_integral(wavenumber: np.ndarray, low: float, high: float) -> np.ndarray:
-    """∫ sin(kx) dx from low to high, as a product that does not cancel on a narrow patch."""
+    """Return ∫ sin(kx) dx from low to high, as a product that does not cancel on a narrow patch."""
     middle, half = (low + high) / 2, (high - low) / 2
     integral: np.ndarray = 2 / wavenumber * np.sin(wavenumber * middle) * np.sin(wavenumber * half)
     return integral
 
 
 def _sine_products(length: float, low: float, high: float, terms: int) -> np.ndarray:
-    """(terms, terms) ∫ sin(kx) sin(lx) dx from low to high, k and l = π/length, 2π/length, ..."""
+    """Return (terms, terms) ∫ sin(kx) sin(lx) dx from low to high, k and l = π/length, 2π/length, ..."""
     orders = np.arange(1, terms + 1)
     difference, total = orders[:, None] - orders, orders[:, None] + orders
     of_difference, of_total = (_cosine_integral(order, length, low, high) for order in (difference, total))
@@ -287,7 +251,7 @@ def _sine_products(length: float, low: float, high: float, terms: int) -> np.nda
 
 
 def _cosine_integral(order: np.ndarray, length: float, low: float, high: float) -> np.ndarray:
-    """∫ cos(order·πx/length) dx from low to high."""
+    """Return ∫ cos(order·πx/length) dx from low to high."""
     k = order * math.pi / length
     middle, half = (low + high) / 2, (high - low) / 2
     integral: np.ndarray = 2 * half * np.cos(k * middle) * np.sinc(k * half / math.pi)

@@ -1,4 +1,4 @@
-"""The continuous plate of a scene, without a grid: what the exact and the Ritz references start from."""
+"""The continuous plate of a scene, without a grid, for the exact and the Ritz references."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import ElasticEdge, Scene
 
 EDGES = ("clamped", "supported", "free")
-# One of these words, or springs.
 Held = str | ElasticEdge
 
 
@@ -16,9 +15,13 @@ Held = str | ElasticEdge
 class ThinPlate:
     """A rectangular Kirchhoff-Love plate, ρH ü + c u̇ + D∇⁴u = f.
 
-    size: (a, b) [m]; edges: left, bottom, right, top, each of EDGES or springs; rigidity: D = EH³ / 12(1 − ν²) [N·m];
-    poisson_ratio: ν, which matters only where an edge is free or on springs; surface_density: ρH [kg/m²];
-    viscous: c [N·s/m³].
+    Attributes:
+        size: (a, b) [m].
+        edges: Left, bottom, right and top edge, each one of EDGES or on springs.
+        rigidity: D = EH³ / 12(1 − ν²) [N·m].
+        poisson_ratio: ν, which matters only if an edge is free or on springs.
+        surface_density: ρH [kg/m²].
+        viscous: c [N·s/m³].
     """
 
     size: tuple[float, float]
@@ -30,10 +33,10 @@ class ThinPlate:
 
 
 def thin_plate(scene: Scene) -> ThinPlate:
-    """The plate of a scene; what the scene says of grids and of time steps plays no part.
+    """Return the plate of a scene; its grid and time steps play no part.
 
     Raises:
-        SceneError: an edge, an effect or a drive that the references do not know.
+        SceneError: The references do not know one of its edges or effects, or its drive.
     """
     edges = (scene.edges.left, scene.edges.bottom, scene.edges.right, scene.edges.top)
     for side, edge in zip(("left", "bottom", "right", "top"), edges, strict=True):
