@@ -99,7 +99,6 @@ class Swarm(Optimizer):
         super().__init__(space, settings.loss_scale)
         self.settings = settings
         self.random = np.random.default_rng(settings.seed)
-        self._bounded = bool(np.isfinite([space.lower, space.upper]).any())
         self.restarts = self.restarted_at = 0
         self.earlier_loss = math.inf  # best of the swarms before the last restart
         self.improved_loss = math.inf  # best of this swarm when it last made progress, at iteration improved_at
@@ -172,15 +171,15 @@ class Swarm(Optimizer):
         way = np.empty_like(self.positions)
         for index, goal in enumerate((self.personal_positions, self.personal_positions[leaders])):
             np.subtract(goal, self.positions, out=way)
-            for column, period, _ in space.wrapped:  # the shorter way round
-                way[:, column] -= period * np.round(way[:, column] / period)
+            space.shorten(way)
             way *= pull[index]
             self.velocities += way
         self._limit_velocities()
         self.positions = self.positions + self.velocities
-        if self._bounded:
-            self.velocities[(self.positions < space.lower) | (self.positions > space.upper)] = 0.0
-            np.clip(self.positions, space.lower, space.upper, out=self.positions)
+        for column in np.flatnonzero(np.isfinite(space.lower) | np.isfinite(space.upper)):
+            numbers, lower, upper = self.positions[:, column], space.lower[column], space.upper[column]
+            self.velocities[(numbers < lower) | (numbers > upper), column] = 0.0
+            np.clip(numbers, lower, upper, out=numbers)
         space.wrap(self.positions)
 
     def _best_neighbors(self) -> np.ndarray:

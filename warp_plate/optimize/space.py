@@ -38,18 +38,21 @@ class SearchSpace:
         """(dimension,) lengths of the initial ranges; 1 for a range of no length."""
         return np.where(self.initial_upper > self.initial_lower, self.initial_upper - self.initial_lower, 1.0)
 
-    @cached_property
-    def wrapped(self) -> list[tuple[int, float, float]]:
-        """Column, period and lower end of the period for each number that wraps."""
-        return [
-            (column, float(self.period[column]), float(self.initial_lower[column]))
-            for column in np.flatnonzero(np.isfinite(self.period)).tolist()
-        ]
-
     def wrap(self, positions: np.ndarray) -> None:
         """Shift the numbers that wrap into one period from the lower ends of their ranges on, in place."""
-        for column, period, lowest in self.wrapped:
-            positions[:, column] -= period * np.floor((positions[:, column] - lowest) / period)
+        self._shift(positions, np.floor, self.initial_lower)
+
+    def shorten(self, differences: np.ndarray) -> None:
+        """Shift differences of positions to the shorter way round where numbers wrap, in place."""
+        self._shift(differences, np.rint, np.zeros(self.dimension))
+
+    def _shift(self, values: np.ndarray, rounding: np.ufunc, lowest: np.ndarray) -> None:
+        for column in np.flatnonzero(np.isfinite(self.period)):
+            periods = values[:, column] - lowest[column]
+            periods /= self.period[column]
+            rounding(periods, out=periods)
+            periods *= self.period[column]
+            values[:, column] -= periods
 
     def from_unit(self, points: np.ndarray, wrap: bool = True) -> np.ndarray:
         """Return the positions (n, dimension) of points that are 0 and 1 at the ends of the initial ranges."""

@@ -7,13 +7,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import Any, TypeVar
-
-import numpy as np
-
-Made = TypeVar("Made")
 
 # Rows of a block; so few rows take one call and no thread, also those of the largest blocks that workers get of the
 # paper's scene (``cluster.evaluator``). More threads than that wait for each other.
@@ -33,43 +28,6 @@ def over_blocks(task: Callable[[slice], object], rows: int) -> None:
         return
     for done in [_pool().submit(task, block) for block in blocks]:
         done.result()
-
-
-def in_blocks(rows: int) -> bool:
-    """Whether so many rows are more than one block."""
-    return rows > ROWS
-
-
-class GrowingRows:
-    """An array (rows, columns) that is made row after row, as far as it is asked for.
-
-    make: writes some rows of ``array``; slices come in order, in blocks as ``over_blocks`` gives them; after Ctrl-C
-    some may come once more.
-    """
-
-    def __init__(self, make: Callable[[slice], object], array: np.ndarray) -> None:
-        self._make, self._array, self._made = make, array, 0
-
-    def __len__(self) -> int:
-        return len(self._array)
-
-    def __getitem__(self, some: slice) -> np.ndarray:
-        """Rows, read-only."""
-        first, stop = self._made, max(self._made, some.indices(len(self))[1])
-        over_blocks(lambda rows: self._make(slice(first + rows.start, first + rows.stop)), stop - first)
-        self._made = stop
-        rows = self._array[some]
-        rows.flags.writeable = False
-        return rows
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        rows = np.asarray(self[:], dtype)
-        return rows.copy() if copy else rows
-
-
-def meanwhile(task: Callable[[], Made]) -> Future[Made]:
-    """Begin a task in one of those threads; its ``result()`` waits for it."""
-    return _pool().submit(task)
 
 
 @cache

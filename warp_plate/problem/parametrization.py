@@ -17,6 +17,7 @@ import numpy as np
 
 from warp_plate.optimize.space import SearchSpace
 from warp_plate.plate.designs import Designs
+from warp_plate.plate.row_blocks import over_blocks
 from warp_plate.plate.scene_overrides import actuator_centres, scene_with
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.problem.design_variables import DesignVariable, has_design_tables, make_design_variables, only_ratios
@@ -61,7 +62,13 @@ class Parametrization:
         """Return the designs of positions (n, dimension), within the scene's limits of drives."""
         values = self._values(np.asarray(positions, dtype=float))
         # Plates innermost: NumPy is slow along short rows.
-        phasors = self._limited(values["magnitude"]) * self._rotations(values["phase"])
+        magnitude, phasors = self._limited(values["magnitude"]), np.empty(values["phase"].shape, dtype=complex)
+
+        def fill(plates: slice) -> None:
+            rotations = self._rotations(values["phase"][:, plates])
+            np.multiply(magnitude[:, plates], rotations, out=phasors[:, plates])
+
+        over_blocks(fill, len(positions))
         phasors *= self.unit
         centre = np.stack([values["x"].T, values["y"].T], axis=2) if "x" in values else None
         frequency, delay = (values[kind].T if kind in values else None for kind in ("frequency", "delay"))
