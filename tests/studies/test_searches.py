@@ -1,4 +1,4 @@
-"""Small searches for each kind of number, from the scene to the files: what is found is what was judged."""
+"""Small searches for each kind of design variable, from the scene to the files."""
 
 import json
 from dataclasses import replace
@@ -11,7 +11,6 @@ from test_resume import assert_same, stop_after, stopped  # noqa: F401 (a fixtur
 
 from warp_plate import PlateSolver, Scene, SceneError, load_result, localize, resume
 from warp_plate.analysis.motion import motions
-from warp_plate.cli.main import main
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.result import save_result
@@ -29,9 +28,7 @@ SEARCHES = {
     "frequency": {"phase": {}, "frequency": {"range": [100.0, 400.0]}},
     "own frequencies": {"frequency": {"range": [100.0, 400.0], "own": True}},
     "position": {"phase": {}, "position": {"area": [0.0, 0.2, 0.0, 0.15]}},
-    "delay": {"delay": {"range": [0.0, 0.004]}},
     "delay of one": {"delay": {"range": [0.0, 0.004], "actuators": ["1"]}},
-    "own delays": {"delay": {"range": [0.0, 0.004], "own": True}},
     "all": {
         "magnitude": {"range": [0.1, 2.0]},
         "phase": {},
@@ -51,12 +48,17 @@ def searched(name, particles=6, iterations=5, precision="float32", **tables):
     )
 
 
+@pytest.fixture(scope="module")
+def by_frequency():
+    return localize(searched("frequency"), device="cpu", estimate=False)
+
+
 @pytest.mark.parametrize("name", SEARCHES)
-def test_what_is_found_is_a_scene_that_gives_the_same(name, tmp_path):
-    """The best of the batch, its last run, the scene of it and the file of the result agree."""
-    result = localize(searched(name), device="cpu", estimate=False)
+def test_the_scene_found_simulates_to_the_result(name, tmp_path):
+    """The best of the search, its case, its scene and the file of the result agree."""
+    result = localize(searched(name), device="cpu", estimate=False, spectrum=False)
     best = result.cases["best"]
-    # A plate of a batch whose plates differ and a scene of its own are stepped by other kernels.
+    # Kernels differ between a batch of plates with parameters of their own and a scene of its own.
     assert best.localization_factor == pytest.approx(result.history["best"][-1], abs=2e-5)
     assert np.all(np.diff(result.history["best"]) >= 0)
     again = simulate(result.driven_scene(best), device="cpu", estimate=False).cases["drive"]
@@ -72,18 +74,16 @@ def test_what_is_found_is_a_scene_that_gives_the_same(name, tmp_path):
     assert (result.bound is not None) == (name in ("magnitude", "phase"))
 
 
-@pytest.mark.parametrize("name", ["frequency", "all"])
-def test_a_search_that_was_stopped_finds_the_same(name, stopped):  # noqa: F811
-    made = searched(name)
-    whole = localize(made, "mine", "cpu", estimate=False, spectrum=False)
-    checkpoint = stopped(made, "cpu", on_progress=stop_after(3))
-    after = resume(checkpoint, estimate=False, spectrum=False)
-    assert_same(after, whole)
-    for heading, values in whole.cases["best"].per_actuator.items():
-        np.testing.assert_array_equal(after.cases["best"].per_actuator[heading], values)
+def test_an_interrupted_search_of_everything_resumes_bit_identically(stopped):  # noqa: F811
+    scene = searched("all")
+    resumed = resume(stopped(scene, "cpu", on_progress=stop_after(3)), estimate=False)
+    full = localize(scene, "mine", "cpu", estimate=False)
+    assert_same(resumed, full)
+    for heading, values in full.cases["best"].per_actuator.items():
+        np.testing.assert_array_equal(resumed.cases["best"].per_actuator[heading], values)
 
 
-def test_a_stopped_search_of_another_scene_is_refused(stopped):  # noqa: F811
+def test_a_checkpoint_of_another_search_is_refused(stopped):  # noqa: F811
     checkpoint = stopped(searched("frequency"), "cpu", on_progress=stop_after(2))
     other = checkpoint.scene.with_tables(search={**SEARCHES["phase"], "particles": 6, "iterations": 5})
     with pytest.raises(SceneError, match="checkpoint: "):
@@ -91,20 +91,19 @@ def test_a_stopped_search_of_another_scene_is_refused(stopped):  # noqa: F811
 
 
 @pytest.mark.parametrize("method", ["ring", "constriction", "gradient"])
-def test_other_methods_stop_and_go_on(method, stopped):  # noqa: F811
-    made = searched("phase")
-    made = made.with_tables(search={**made.search.model_dump(), "method": method})
-    whole = localize(made, "mine", "cpu", estimate=False)
-    assert_same(resume(stopped(made, "cpu", on_progress=stop_after(2)), estimate=False), whole)
+def test_other_methods_resume_bit_identically(method, stopped):  # noqa: F811
+    scene = searched("phase")
+    scene = scene.with_tables(search={**scene.search.model_dump(), "method": method})
+    checkpoint = stopped(scene, "cpu", on_progress=stop_after(2))
+    assert_same(resume(checkpoint, estimate=False), localize(scene, "mine", "cpu", estimate=False))
 
 
-def test_other_objectives_are_followed_and_their_history_says_so():
-    """Of RMS velocity with all magnitudes bounded the history holds the weighted sum; no bound of LF is claimed."""
-    made = searched("magnitude")
+def test_history_holds_the_weighted_sum_of_other_objectives():
+    scene = searched("magnitude")
     objectives = [{"kind": "velocity", "weight": 1e3}, {"kind": "displacement", "weight": 1e5}]
-    made = made.with_tables(search={**made.search.model_dump(), "objectives": objectives})
-    direct = localize(made, device="cpu", estimate=False)
-    by_matrices = localize(made, device="cpu", estimate=False, evaluator="response")
+    scene = scene.with_tables(search={**scene.search.model_dump(), "objectives": objectives})
+    direct = localize(scene, device="cpu", estimate=False)
+    by_matrices = localize(scene, device="cpu", estimate=False, evaluator="response")
     assert direct.bound is None
     assert not direct.only_localization
     np.testing.assert_allclose(direct.history["best"], by_matrices.history["best"], rtol=1e-3)
@@ -112,82 +111,72 @@ def test_other_objectives_are_followed_and_their_history_says_so():
 
 
 @pytest.mark.parametrize("name", ["frequency", "own frequencies"])
-def test_a_grid_chosen_for_an_accuracy_carries_every_frequency(name):
-    """The grid is chosen where the range ends; the scene keeps its own frequency, and nothing else of the grid."""
-    made = searched(name)
-    result = localize(made.model_copy(update={"grid": Grid(accuracy=0.3)}), device="cpu", estimate=False)
+def test_a_grid_for_an_accuracy_resolves_every_frequency(name):
+    """The grid is chosen at the end of the range; the scene keeps its own frequency."""
+    scene = searched(name)
+    result = localize(
+        scene.model_copy(update={"grid": Grid(accuracy=0.3)}), device="cpu", estimate=False, spectrum=False
+    )
     assert result.accuracy["asked"] == 0.3
-    assert result.scene.drive.frequency == made.drive.frequency
-    assert result.scene.grid.time_step <= 1 / 20 / made.search.frequency.range[1]
+    assert result.scene.drive.frequency == scene.drive.frequency
+    assert result.scene.grid.time_step <= 1 / 20 / scene.search.frequency.range[1]
     assert np.isfinite(result.cases["best"].localization_factor)
 
 
 @pytest.fixture
 def panel(tmp_path, monkeypatch):
-    """A search for a frequency and places in a file of the working folder."""
+    """A search for a frequency and positions, in a file of the working folder."""
     monkeypatch.chdir(tmp_path)
-    made = searched("frequency").with_tables(title="panel")
-    search = made.search.model_dump() | {"position": {}, "method": "constriction", "inertia": 0.3}
-    made = made.with_tables(search=search)
-    Path("panel.toml").write_text(dump_scene(made), encoding="utf-8")
-    return made
+    scene = searched("frequency").with_tables(title="panel")
+    search = scene.search.model_dump() | {"position": {}, "method": "constriction", "inertia": 0.3}
+    scene = scene.with_tables(search=search)
+    Path("panel.toml").write_text(dump_scene(scene), encoding="utf-8")
+    return scene
 
 
-def run(capsys, *arguments):
-    main([*map(str, arguments), "--device", "cpu", "--no-estimate", "--json"])
-    return json.loads(capsys.readouterr().out)
+QUICK = ("--device", "cpu", "--no-estimate", "--no-pictures")
 
 
-def test_the_command_writes_the_scene_that_it_found(panel, capsys):
-    told = run(capsys, "localize", "panel.toml", "--no-pictures")
-    assert told["files"] == ["panel-localize.h5", "panel-localize.best.toml"]
-    assert {"frequency", "centre", "magnitude", "phase"} <= told["drive"][0].keys()
-    assert len(told["spectrum"]["frequency"]) >= 61
-    again = run(capsys, "simulate", "panel-localize.best.toml", "--no-pictures")
-    in_vain = "search.inertia = 0.3: method = 'constriction' does not read it, only 'pso'; delete it"
-    assert [line for line in told["warnings"] if line.startswith(in_vain)]
+def test_the_command_writes_the_scene_that_it_found(panel, command):
+    record = json.loads(command("localize", "panel.toml", *QUICK, "--json")[1])
+    assert record["files"] == ["panel-localize.h5", "panel-localize.best.toml"]
+    assert {"frequency", "centre", "magnitude", "phase"} <= record["drive"][0].keys()
+    assert len(record["spectrum"]["frequency"]) >= 61
+    again = json.loads(command("simulate", "panel-localize.best.toml", *QUICK, "--json")[1])
+    assert any(line.startswith("search.inertia = 0.3: method = 'constriction'") for line in record["warnings"])
     assert "search" not in "".join(again["warnings"])
-    assert np.float32(again["localization_factor"]) == np.float32(told["localization_factor"]["best"])
+    assert np.float32(again["localization_factor"]) == np.float32(record["localization_factor"]["best"])
     found = Scene.load("panel-localize.best.toml")
-    assert found.drive.frequency == told["drive"][0]["frequency"]
+    assert found.drive.frequency == record["drive"][0]["frequency"]
     x0, x1, y0, y1 = found.actuators[0].area
-    np.testing.assert_allclose([(x0 + x1) / 2, (y0 + y1) / 2], told["drive"][0]["centre"], rtol=1e-14)
-
-
-def test_the_table_shows_frequency_and_place(panel, capsys):
-    main(["localize", "panel.toml", "--device", "cpu", "--no-estimate", "--no-pictures", "--no-spectrum"])
-    out = capsys.readouterr().out
-    assert "frequency" in out
-    assert "x (m)" in out
+    np.testing.assert_allclose([(x0 + x1) / 2, (y0 + y1) / 2], record["drive"][0]["centre"], rtol=1e-14)
+    _, out, _ = command("localize", "panel.toml", *QUICK, "--no-spectrum")
     result = load_result("panel-localize.h5")
+    assert "x (m)" in out
     assert f"{result.cases['best'].frequency[0]:.5g}" in out
     assert not result.spectrum
 
 
-def test_a_scene_that_does_not_fit_is_named_before_anything_runs(panel, capsys):
+def test_an_invalid_search_is_refused_before_anything_runs(panel, command):
     text, table = Path("panel.toml").read_text(encoding="utf-8"), "[search.position]"
     Path("panel.toml").write_text(text.replace(table, f'{table}\nactuators = ["x"]'), encoding="utf-8")
-    with pytest.raises(SystemExit) as gone:
-        main(["localize", "panel.toml", "--device", "cpu"])
-    assert gone.value.code == 2
-    assert "panel.toml: search.position.actuators[0] = 'x'" in capsys.readouterr().err
+    status, _, err = command("localize", "panel.toml", "--device", "cpu")
+    assert status == 2
+    assert "panel.toml: search.position.actuators[0] = 'x'" in err
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
 
 
-def test_motions_and_signals_have_the_cases_own_frequency_and_places(panel):
+def test_motions_and_signals_use_the_frequency_and_positions_of_a_case(panel):
     result = localize(panel, device="cpu", estimate=False, spectrum=False)
     best = result.cases["best"]
     equal, found = motions(result.scene, {name: result.cases[name] for name in ("equal", "best")}, device="cpu")
-    assert equal.frequency == 290
-    assert equal.scene is None
+    assert (equal.frequency, equal.scene) == (290, None)
     assert found.frequency == best.frequency[0]
     assert found.scene.actuators[0].area != result.scene.actuators[0].area
     assert found.span == equal.span
     assert found.span[1] - found.span[0] == pytest.approx(1 / min(290, best.frequency[0]))
-    # A step of this motion is one of the scene that was found.
-    alone = PlateSolver(result.driven_scene(best), "cpu")
-    moment = float(found.times[3])
-    field = alone.run(best.phasors[None], (moment,)).displacement[0, 0]
+    solver = PlateSolver(result.driven_scene(best), "cpu")
+    field = solver.run(best.phasors[None], (float(found.times[3]),)).displacement[0, 0]
     np.testing.assert_array_equal(found.displacement[3], field.astype(np.float32))
     signal = make_drive_signal(result.case_scene(best), best, 48000, 1.0)
     assert signal.frequency == best.frequency[0]
@@ -196,49 +185,47 @@ def test_motions_and_signals_have_the_cases_own_frequency_and_places(panel):
 
     page = page_data(result.scene, [equal, found], "displacement", 30.0, None)
     assert page["plates"][0]["outlines"] is None
-    own = page["plates"][1]["outlines"]
-    assert len(own) == len(page["outlines"])
-    moved = [one != other for one, other in zip(own, page["outlines"], strict=True)]
-    assert any(moved)  # the actuators'
+    outlines = page["plates"][1]["outlines"]
+    moved = [one != other for one, other in zip(outlines, page["outlines"], strict=True)]
+    assert any(moved)  # those of the actuators
     assert not all(moved)
 
 
-def test_several_frequencies_are_no_file_to_play():
+def test_several_frequencies_are_not_a_file_to_play():
     result = localize(searched("own frequencies"), device="cpu", estimate=False)
     best = result.cases["best"]
     with pytest.raises(SceneError, match=r"actuators\[\d\].frequency: only tones"):
         make_drive_signal(result.case_scene(best), best, 48000, 1.0)
 
 
-def of_all_phases(response):
-    """The largest localization factor of three actuators alike but for their phases, by trying many."""
+def best_of_all_phases(response):
+    """The largest localization factor of three actuators of equal magnitude, by trying many phases."""
     turns = np.exp(1j * np.arange(0, 2 * np.pi, np.pi / 90))
-    second, third = (one.ravel() for one in np.meshgrid(turns, turns))
+    second, third = (phases.ravel() for phases in np.meshgrid(turns, turns))
     energy = response.energy(np.stack([np.ones_like(second), second, third], axis=1))
     return (energy[:, 1] / energy[:, 0]).max()
 
 
-def test_the_spectrum_is_that_of_each_frequency_alone():
-    """Equal drive, best single actuator and what no drive passes that may be chosen at a frequency: whatever it is, by
-    Gram matrices of a scene of its own; one of equal magnitudes, by trying; and the scene's own."""
-    made = searched("frequency", precision="float64")
-    frequencies = np.array([150.0, 290.0, 360.0])
-    found = factors_over(made, frequencies, device="cpu")
-    free = {"frequency": {"range": [100.0, 400.0]}}
-    whatever, own = (
-        factors_over(made.with_tables(search={**free, **tables}), frequencies, device="cpu")["best"]
-        for tables in ({"magnitude": {"range": [0.0, 2.0]}, "phase": {}}, {})
+def test_the_spectrum_equals_scenes_of_one_frequency_each():
+    """Equal drive, best single actuator and best drive, from Gram matrices of a scene of that frequency; the best of
+    equal magnitudes by trying phases."""
+    scene = searched("frequency", precision="float64")
+    frequencies = np.array([150.0, 290.0])
+    found = factors_over(scene, frequencies, device="cpu")
+    table = {"frequency": {"range": [100.0, 400.0]}}
+    free, fixed = (
+        factors_over(scene.with_tables(search={**table, **more}), frequencies, device="cpu")["best"]
+        for more in ({"magnitude": {"range": [0.0, 2.0]}, "phase": {}}, {})
     )
     for index, frequency in enumerate(frequencies):
-        grid = made.grid.model_dump() | {"time_step": make_scheme(made).time_step}
-        alone = made.with_tables(drive={"frequency": frequency}, search={}, grid=grid)
-        solver = PlateSolver(alone, "cpu")
+        grid = scene.grid.model_dump() | {"time_step": make_scheme(scene).time_step}
+        solver = PlateSolver(scene.with_tables(drive={"frequency": frequency}, search={}, grid=grid), "cpu")
         response = measure_response(solver)
-        tried = of_all_phases(response)
+        tried = best_of_all_phases(response)
         assert tried - 1e-9 <= found["best"][index] <= tried + 2e-3
-        held = np.delete(np.delete(response.matrices, 3, axis=1), 3, axis=2)  # the first one's phase is 0
-        assert whatever[index] == pytest.approx(largest_ratio(held)[0], rel=1e-9)
-        assert own[index] == pytest.approx(found["equal"][index], rel=1e-9)
+        held = np.delete(np.delete(response.matrices, 3, axis=1), 3, axis=2)  # the phase of the first actuator is 0
+        assert free[index] == pytest.approx(largest_ratio(held)[0], rel=1e-9)
+        assert fixed[index] == pytest.approx(found["equal"][index], rel=1e-9)
         energy = solver.run([[1, 1, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1]]).energy
         factors = energy[:, 1] / energy[:, 0]
         assert found["equal"][index] == pytest.approx(factors[0], rel=1e-9)
@@ -246,48 +233,43 @@ def test_the_spectrum_is_that_of_each_frequency_alone():
 
 
 def test_resonances_are_the_natural_frequencies_in_the_range():
-    made = searched("frequency")
-    every = natural_modes(made, 60).frequencies
-    low, high = every[2] - 1, every[40] + 1e-6
-    np.testing.assert_allclose(resonances(made, low, high), every[(every >= low) & (every <= high)], rtol=1e-9)
+    scene = searched("frequency")
+    frequencies = natural_modes(scene, 60).frequencies
+    low, high = frequencies[2] - 1, frequencies[40] + 1e-6
+    expected = frequencies[(frequencies >= low) & (frequencies <= high)]
+    np.testing.assert_allclose(resonances(scene, low, high), expected, rtol=1e-9)
 
 
-def test_the_spectrum_of_a_search_covers_its_range_and_bounds_what_it_finds(tmp_path):
-    result = localize(searched("frequency"), device="cpu", estimate=False)
-    spectrum, best = result.spectrum, result.cases["best"]
+def test_the_spectrum_of_a_search(by_frequency, tmp_path):
+    """It covers the range and bounds what the search finds, is kept in the file, and drawn."""
+    spectrum, best = by_frequency.spectrum, by_frequency.cases["best"]
     assert spectrum["frequency"][[0, -1]].tolist() == [100, 400]
     assert np.all(spectrum["best"] >= spectrum["equal"] - 1e-9)
     assert best.localization_factor <= np.interp(best.frequency[0], spectrum["frequency"], spectrum["best"]) + 0.02
-    loaded = load_result(save_result(result, tmp_path / "one.h5"))
+    loaded = load_result(save_result(by_frequency, tmp_path / "one.h5"))
     for name, values in spectrum.items():
         np.testing.assert_array_equal(loaded.spectrum[name], values)
-
-
-def test_no_spectrum_where_drives_do_not_superpose_or_frequencies_are_several():
-    made = searched("frequency", effects={"damping": {"viscous": 60.0}, "stretching": {}})
-    assert localize(made, device="cpu", estimate=False).spectrum == {}
-    assert localize(searched("own frequencies"), device="cpu", estimate=False).spectrum == {}
-
-
-def test_the_spectrum_is_drawn(tmp_path):
     pytest.importorskip("matplotlib")
     from warp_plate.viz.plots.spectrum import draw_spectrum
 
-    result = localize(searched("frequency"), device="cpu", estimate=False)
-    drawn = draw_spectrum(result, tmp_path / "spectrum.svg").read_text(encoding="utf-8")
-    assert drawn.startswith("<?xml")
-    with pytest.raises(ValueError, match="holds no spectrum"):
-        draw_spectrum(replace(result, spectrum={}), tmp_path / "none.svg")
+    assert draw_spectrum(by_frequency, tmp_path / "spectrum.svg").read_text(encoding="utf-8").startswith("<?xml")
+    with pytest.raises(ValueError, match="no spectrum"):
+        draw_spectrum(replace(by_frequency, spectrum={}), tmp_path / "none.svg")
     assert not (tmp_path / "none.svg").exists()
 
 
-def test_a_search_that_found_nothing_says_so(tmp_path, monkeypatch, capsys):
-    """Drives beyond all bounds on a plate that stretches: no plate has energies, which is no find of the search."""
+def test_no_spectrum_if_drives_do_not_superpose_or_frequencies_differ():
+    scene = searched("frequency", effects={"damping": {"viscous": 60.0}, "stretching": {}})
+    assert localize(scene, device="cpu", estimate=False).spectrum == {}
+    assert localize(searched("own frequencies"), device="cpu", estimate=False).spectrum == {}
+
+
+def test_a_search_without_any_finite_plate_says_so(tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     search = {"magnitude": {"range": [1e8, 1e9]}, "particles": 3, "iterations": 2}
     effects = {"damping": {"viscous": 60.0}, "stretching": {}}
-    made = scene_of(nodes=(11, 11), window=(0.004, 0.008), search=search, effects=effects)
-    Path("lost.toml").write_text(dump_scene(made), encoding="utf-8")
-    told = run(capsys, "localize", "lost.toml", "--no-pictures")
-    assert told["history"][-1]["best"] is None
-    assert told["warnings"][0].startswith("No plate that the search tried has energies")
+    scene = scene_of(nodes=(11, 11), window=(0.004, 0.008), search=search, effects=effects)
+    Path("lost.toml").write_text(dump_scene(scene), encoding="utf-8")
+    record = json.loads(command("localize", "lost.toml", *QUICK, "--json")[1])
+    assert record["history"][-1]["best"] is None
+    assert record["warnings"][0].startswith("No plate that the search tried has energies")

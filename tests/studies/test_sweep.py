@@ -1,4 +1,4 @@
-"""Sweeps: figures as the commands give them, refused points, files, workers, and going on after a stop."""
+"""Sweeps: quantities as the commands find them, refused points, files, workers, and resuming."""
 
 import math
 import multiprocessing
@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import scene_of
 from inline_pool import InlinePool
 
 from warp_plate import SceneError, load_sweep, sweep
@@ -22,36 +23,47 @@ from warp_plate.plate.modes import natural_modes
 from warp_plate.result.sweep import NOT_RUN, REFUSED, RUN, save_sweep
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.vary import make_plan, parse_vary
-from warp_plate.studies import sweep as module
 from warp_plate.studies.checkpointing import SweepFile
 from warp_plate.studies.localize import localize
 from warp_plate.studies.quantities_of_interest import QUANTITIES
 from warp_plate.studies.simulate import simulate
 from warp_plate.studies.sweep import run_sweep, start_sweep
-from warp_plate.studies.sweep_file import check_replaceable, resume_sweep
+from warp_plate.studies.sweep_file import check_replaceable, resume_sweep, save_finished
 
 ROOT = Path(__file__).parents[2]
+GRID = ("plate.thickness=4e-4:2e-3:5", "drive.frequency=200,300")
 
 
 @pytest.fixture
-def plate(scene):
-    """A small scene with one key that may be refused: thicker than the time step allows."""
-    return scene(damping=88.5, time_step=2e-4, search={"particles": 8, "iterations": 10})
+def plate():
+    """A small scene whose thickness may be too large for its time step."""
+    return scene_of(damping=88.5, time_step=2e-4, search={"particles": 8, "iterations": 10})
 
 
-def test_figures_are_those_of_the_commands(plate):
-    """Each point alone, by the command itself, gives the same."""
-    plan = make_plan([parse_vary(plate, "drive.frequency=250,290"), parse_vary(plate, "actuators[1].phase=0,1.5")])
+def plan_of(scene, *vary, samples=None):
+    return make_plan([parse_vary(scene, text) for text in vary], samples, 0)
+
+
+def assert_same(one, other):
+    for name, values in other.values.items():
+        np.testing.assert_array_equal(one.values[name], values)
+    np.testing.assert_array_equal(one.status, other.status)
+    assert one.reasons == other.reasons
+
+
+def test_quantities_are_those_of_the_commands(plate):
+    plan = plan_of(plate, "drive.frequency=250,290", "actuators[1].phase=0,1.5")
     found = {what: sweep(plate, plan, what, device="cpu", count=3) for what in QUANTITIES}
-    for point in range(len(plan)):
+    for point in (0, 3):
         scene = plan.scene(plate, point)
-        alone = simulate(scene, device="cpu", estimate=False)
-        values = {name: one[point] for name, one in found["simulate"].values.items()}
-        assert values["localization_factor"] == alone.cases["drive"].localization_factor
-        assert values["energy_plate"] == alone.cases["drive"].energy["plate"]
-        assert values["peak_displacement"] == alone.peak_displacement
+        single = simulate(scene, device="cpu", estimate=False)
+        values = {name: array[point] for name, array in found["simulate"].values.items()}
+        assert values["localization_factor"] == single.cases["drive"].localization_factor
+        assert values["energy_plate"] == single.cases["drive"].energy["plate"]
+        assert values["energy_target"] == single.cases["drive"].energy["target"]
+        assert values["peak_displacement"] == single.peak_displacement
         searched = localize(scene, device="cpu", evaluator="response", estimate=False)
-        values = {name: one[point] for name, one in found["localize"].values.items()}
+        values = {name: array[point] for name, array in found["localize"].values.items()}
         assert values["bound"] == pytest.approx(searched.bound, rel=1e-9)
         for name in ("equal", "single"):
             assert values[name] == pytest.approx(searched.cases[name].localization_factor, rel=1e-9)
@@ -62,21 +74,26 @@ def test_figures_are_those_of_the_commands(plate):
         assert found["check"].values["steps_a_period"][point] == pytest.approx(1 / (scene.drive.frequency * 2e-4))
 
 
-def test_where_no_eigenvector_is_the_answer_the_scene_is_searched(scene):
-    """A limit on magnitudes, a plate that is not linear, one actuator, and one that is searched over panels: what
-    ``localize`` finds."""
-    search = {"particles": 6, "iterations": 8}
-    limited = scene(damping=88.5, search={**search, "limits": {"equal_magnitudes": True}})
-    stretched = scene((9, 9), effects={"stretching": {}}, search=search)
-    alone = scene(damping=88.5, actuators=[(0.03, 0.06, 0.03, 0.06)])
-    robust = scene((9, 9), damping=88.5, search={**search, "robust": {"thickness": 0.05, "scenarios": 2, "fresh": 1}})
-    for one, evaluator in ((limited, "response"), (stretched, "direct"), (alone, "response"), (robust, "response")):
-        found = sweep(one, ["drive.frequency=290"], device="cpu").values
-        searched = localize(one, device="cpu", evaluator=evaluator, estimate=False)
-        assert found["best"][0] == pytest.approx(searched.cases["best"].localization_factor, rel=1e-6)
-        assert np.isnan(found["bound"][0]) == (searched.bound is None)
-        if searched.bound is not None:
-            assert found["bound"][0] == pytest.approx(searched.bound, rel=1e-9)
+SEARCH = {"particles": 6, "iterations": 8}
+
+
+@pytest.mark.parametrize(
+    ("tables", "evaluator"),
+    [
+        ({"search": {**SEARCH, "limits": {"equal_magnitudes": True}}}, "response"),
+        ({"effects": {"stretching": {}}, "search": SEARCH}, "direct"),
+        ({"actuators": [(0.03, 0.06, 0.03, 0.06)]}, "response"),
+        ({"search": {**SEARCH, "robust": {"thickness": 0.05, "scenarios": 2, "fresh": 1}}}, "response"),
+    ],
+    ids=["limits", "nonlinear", "one actuator", "robust"],
+)
+def test_what_no_eigenvector_answers_is_searched(tables, evaluator):
+    scene = scene_of((9, 9), **{"damping": None if "effects" in tables else 88.5, **tables})
+    found = sweep(scene, ["drive.frequency=290"], device="cpu").values
+    searched = localize(scene, device="cpu", evaluator=evaluator, estimate=False)
+    assert found["best"][0] == pytest.approx(searched.cases["best"].localization_factor, rel=1e-6)
+    expected = math.nan if searched.bound is None else searched.bound
+    assert found["bound"][0] == pytest.approx(expected, rel=1e-9, nan_ok=True)
 
 
 def test_refused_points_have_a_reason_and_others_run(plate):
@@ -86,22 +103,20 @@ def test_refused_points_have_a_reason_and_others_run(plate):
     assert np.isnan(found.shaped("limit")[1:]).all()
     assert "grid.time_step = 0.0002: above the stability limit" in found.reasons[2]
     assert "not thin" in found.reasons[4]
-    # The numbers are said once, and points are counted as people do.
-    line = r"all points are refused; grid\.order = 3: must be 2 or 4 \(and 1 point more\)$"
-    with pytest.raises(SceneError, match=line):
-        sweep(plate, ["grid.order=3,5"], "check", device="cpu")
     assert found.refusal(2).startswith("at plate.thickness = 0.002, drive.frequency = 250: grid.time_step = 0.0002: ab")
+    with pytest.raises(SceneError, match=r"all points are refused; grid\.order = 3: must be 2 or 4 \(and 1 point more"):
+        sweep(plate, ["grid.order=3,5"], "check", device="cpu")
 
 
-def test_keys_that_change_nothing_are_known(plate):
+def test_keys_without_effect(plate):
     found = sweep(plate, ["drive.frequency=200,300", "search.seed=1,2", "plate.density=1000"], device="cpu")
     assert found.keys_without_effect == ("search.seed",)
     assert sweep(plate, ["search.seed=1:9"], samples=3, device="cpu").keys_without_effect == ("search.seed",)
-    both = sweep(plate, ["search.seed=1:9", "drive.frequency=200:300"], samples=3, device="cpu")
-    assert both.keys_without_effect == ()
+    two = ["search.seed=1:9", "drive.frequency=200:300"]
+    assert sweep(plate, two, samples=3, device="cpu").keys_without_effect == ()
 
 
-def test_what_is_no_sweep(plate):
+def test_invalid_requests(plate):
     with pytest.raises(SceneError, match="--what colours: must be one of localize"):
         sweep(plate, ["drive.frequency=1,2"], "colours")
     with pytest.raises(SceneError, match="--count 0"):
@@ -109,76 +124,69 @@ def test_what_is_no_sweep(plate):
 
 
 @pytest.mark.parametrize("samples", [None, 7])
-def test_a_file_gives_back_what_was_saved(plate, tmp_path, samples):
+def test_a_file_returns_what_was_saved(plate, tmp_path, samples):
     vary = ["plate.thickness=4e-4,5e-4,2e-3", "drive.frequency=log:200:300:2"]
     found = sweep(plate, vary, "modes", samples=samples, device="cpu", count=2)
     read = load_sweep(save_sweep(found, tmp_path / "a.h5"))
     assert read.plan.same(found.plan)
     assert read.plan.logarithmic == (False, True)
-    assert (read.scene, read.what, read.count, read.reasons) == (plate, "modes", 2, found.reasons)
-    assert read.outputs == found.outputs
-    np.testing.assert_array_equal(read.values["frequency"], found.values["frequency"])
-    np.testing.assert_array_equal(read.status, found.status)
+    assert (read.scene, read.what, read.count, read.outputs) == (plate, "modes", 2, found.outputs)
+    assert_same(read, found)
 
 
 class Stop(KeyboardInterrupt):
-    """Ctrl-C at a point of our choice."""
+    """Ctrl-C at a chosen point."""
 
 
-def test_a_sweep_that_is_stopped_anywhere_goes_on_to_the_same(plate, tmp_path, random):
-    plan = make_plan([parse_vary(plate, "plate.thickness=4e-4:2e-3:5"), parse_vary(plate, "drive.frequency=200,300")])
-    whole, file = sweep(plate, plan, "simulate", device="cpu"), tmp_path / "a.h5"
-    ran = []
+def test_a_sweep_interrupted_anywhere_resumes_to_the_same(plate, tmp_path, random):
+    plan, file, described = plan_of(plate, *GRID), tmp_path / "a.h5", []
 
-    def told(done, total, note):
-        ran.append(note)
+    def on_progress(done, total, note):
+        described.append(note)
         if random.random() < 0.4:
             raise Stop
 
-    begun = start_sweep(plate, plan, "simulate", "cpu")
+    current = start_sweep(plate, plan, "simulate", "cpu")
     for _ in range(200):
         try:
-            found = run_sweep(begun, told, SweepFile(file, math.inf, resumes=file.exists()))
+            found = run_sweep(current, on_progress, SweepFile(file, math.inf, resumes=file.exists()))
             break
         except Stop:
-            begun = resume_sweep(load_sweep(file))
+            current = resume_sweep(load_sweep(file))
     assert found.finished
-    for name, values in whole.values.items():
-        np.testing.assert_array_equal(found.values[name], values)
-    np.testing.assert_array_equal(found.status, whole.status)
-    assert found.reasons == whole.reasons
-    assert len(ran) == len(set(ran)) == len(plan)  # none twice
+    assert_same(found, sweep(plate, plan, "simulate", device="cpu"))
+    assert len(described) == len(set(described)) == len(plan)  # no point is run twice
 
 
-def test_points_in_any_order_give_the_same(plate, random, monkeypatch):
-    plan = make_plan([parse_vary(plate, "drive.frequency=200:300:6")])
-    whole, real = sweep(plate, plan, "localize", device="cpu"), module.run_here
-    monkeypatch.setattr(module, "run_here", lambda begun, left: real(begun, random.permutation(left).tolist()))
-    shuffled = sweep(plate, plan, "localize", device="cpu")
-    for name, values in whole.values.items():
-        np.testing.assert_array_equal(shuffled.values[name], values)
+def test_points_do_not_depend_on_their_order(plate):
+    """The pending points are the first and the last; they give what all points in turn give."""
+    plan = plan_of(plate, "drive.frequency=200:300:4")
+    full = sweep(plate, plan, "localize", device="cpu")
+    status = np.array([NOT_RUN, RUN, RUN, NOT_RUN], dtype="i1")
+    values = {name: np.where(status == RUN, array, np.nan) for name, array in full.values.items()}
+    assert_same(run_sweep(replace(full, status=status, values=values)), full)
 
 
 class Killing(InlinePool):
-    """A pool whose worker ends under some tasks, and under those of one point always."""
+    """A pool whose worker ends under half of the tasks, and under those of one frequency always."""
 
-    def __init__(self, random, number):
+    def __init__(self, random, frequency):
         super().__init__()
-        self.random, self.number, self.killed, self.met = random, number, 0, set()
+        self.random, self.frequency, self.killed, self.met = random, frequency, 0, set()
 
     def run(self, function, argument):
         first = id(argument) not in self.met
         self.met.add(id(argument))
-        if argument.numbers["drive.frequency"] == self.number or (first and self.random.random() < 0.5):
+        if argument.numbers["drive.frequency"] == self.frequency or (first and self.random.random() < 0.5):
             self.killed += 1
             raise BrokenProcessPool
         return super().run(function, argument)
 
 
-def test_a_pool_gives_the_same_and_names_what_it_lost(plate, random, tmp_path):
+def test_points_whose_workers_end_are_tried_again_and_then_given_up(plate, random, tmp_path):
     (tmp_path / "thick.csv").write_text("1.0,1.1\n", encoding="utf-8")
     varied = plate.with_tables(effects={"variation": {"thickness": "thick.csv"}}).in_folder(tmp_path)
-    plan = make_plan([parse_vary(varied, "drive.frequency=200:300:6"), parse_vary(varied, "plate.thickness=5e-4,0.1")])
+    plan = plan_of(varied, "drive.frequency=200:300:6", "plate.thickness=5e-4,0.1")
     pool = Killing(random, 220.0)
     here, there = sweep(varied, plan, "modes", device="cpu"), sweep(varied, plan, "modes", device="cpu", pool=pool)
     lost = plan.points[:, 0] == 220.0
@@ -192,7 +200,7 @@ def test_a_pool_gives_the_same_and_names_what_it_lost(plate, random, tmp_path):
 
 
 class Away(InlinePool):
-    """A worker on another kind of processor than this process has."""
+    """A worker with another kind of processor than this process has."""
 
     def __init__(self, processor="A GPU"):
         super().__init__()
@@ -203,20 +211,20 @@ class Away(InlinePool):
         return result._replace(device="cuda:0", worker={**result.worker, "processor": self.processor})
 
 
-def test_what_workers_ran_on_is_kept_and_another_kind_is_not_mixed_in(plate, tmp_path):
-    plan, file, lines = make_plan([parse_vary(plate, "drive.frequency=200:300:4")]), tmp_path / "a.h5", []
+def test_processors_of_workers_are_kept_and_not_mixed_silently(plate, tmp_path):
+    plan, file, lines = plan_of(plate, "drive.frequency=200:300:4"), tmp_path / "a.h5", []
 
     def stop_after(points):
-        def told(done, total, note):
+        def on_progress(done, total, note):
             if done == points:
                 raise Stop
 
-        return told
+        return on_progress
 
-    begun = start_sweep(plate, plan, "check")
-    here = f"{begun.device} ({begun.processor})"
+    start = start_sweep(plate, plan, "check")
+    here = f"{start.device} ({start.processor})"
     with pytest.raises(Stop):
-        run_sweep(begun, stop_after(1), SweepFile(file, math.inf), Away())
+        run_sweep(start, stop_after(1), SweepFile(file, math.inf), Away())
     half = load_sweep(file)
     assert (half.device, half.processor, half.earlier_devices) == ("cuda:0", "A GPU", "")
     assert half.progress == "1 of 4 points"
@@ -226,32 +234,30 @@ def test_what_workers_ran_on_is_kept_and_another_kind_is_not_mixed_in(plate, tmp
         run_sweep(resume_sweep(half, ""), pool=Away("Another"))
     without = InlinePool()
     without.device = "cuda:99"
-    with pytest.raises(SceneError, match="a worker: device = 'cuda:99': not on this machine"):
-        run_sweep(begun, pool=without)
-    # Whoever asks for it has it, and the file says so.
+    with pytest.raises(SceneError, match="device = 'cuda:99': not on this machine"):
+        run_sweep(start, pool=without)
     kept = SweepFile(file, math.inf, resumes=True)
     with pytest.raises(Stop):
         run_sweep(resume_sweep(half, ""), stop_after(3), kept, Away("Another"), lines.append)
-    assert len(lines) == 1
-    assert lines[0].endswith("continues on cuda:0 (Another), which rounds differently: the result may differ")
-    whole = run_sweep(resume_sweep(load_sweep(file), begun.device))
-    assert load_sweep(save_sweep(whole, file)).devices_used == f"cuda:0 (A GPU), then cuda:0 (Another), then {here}"
-    assert resume_sweep(whole, "cuda:99") is whole  # nothing is left to run anywhere
-    # The same kind goes on without a word, and where nobody has said his kind there is nothing to differ from.
+    (line,) = lines
+    assert "continues on cuda:0 (Another)" in line
+    full = run_sweep(resume_sweep(load_sweep(file), start.device))
+    assert load_sweep(save_sweep(full, file)).devices_used == f"cuda:0 (A GPU), then cuda:0 (Another), then {here}"
+    assert resume_sweep(full, "cuda:99") is full  # nothing is left to run
     assert run_sweep(resume_sweep(half, ""), pool=Away()).devices_used == "cuda:0 (A GPU)"
-    assert run_sweep(begun, pool=Killing(np.random.default_rng(0), 200.0)).devices_used == here
+    assert run_sweep(start, pool=Killing(np.random.default_rng(0), 200.0)).devices_used == here
 
 
 @pytest.mark.parametrize("error", [RuntimeError("Failed to allocate 9 bytes\non device 'cuda:0'"), MemoryError("9")])
 def test_a_point_without_memory_is_given_up_and_others_run(plate, monkeypatch, error):
     real = QUANTITIES["check"]
 
-    def figures(scene, options):
+    def compute(scene, options):
         if scene.drive.frequency == 250:
             raise error
         return real.compute(scene, options)
 
-    monkeypatch.setitem(QUANTITIES, "check", replace(real, compute=figures))
+    monkeypatch.setitem(QUANTITIES, "check", replace(real, compute=compute))
     for pool, attempts in ((None, ""), (InlinePool(), f" after {ATTEMPTS} attempts")):
         found = sweep(plate, ["drive.frequency=200:300:3"], "check", device="cpu", pool=pool)
         assert found.status.tolist() == [RUN, REFUSED, RUN]
@@ -261,27 +267,21 @@ def test_a_point_without_memory_is_given_up_and_others_run(plate, monkeypatch, e
         sweep(plate, ["drive.frequency=200:300:3"], "check", device="cpu")
 
 
-def test_processes_give_the_same(plate):
-    """Real ones, and every output; a worker that is killed at work is replaced."""
-    plan = make_plan([parse_vary(plate, "drive.frequency=200:300:4"), parse_vary(plate, "plate.thickness=5e-4,0.1")])
-    told = []
+def test_processes_give_the_same_after_one_is_killed(plate):
+    plan, progress = plan_of(plate, "drive.frequency=200:300:4", "plate.thickness=5e-4,0.1"), []
     with open_pool("cpu,cpu", None) as pool:
 
         def kill_one(done, total, note):
-            told.append((done, total))
+            progress.append((done, total))
             if done == 1:
                 os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
 
         there = sweep(plate, plan, "simulate", device="cpu", on_progress=kill_one, pool=pool)
-    here = sweep(plate, plan, "simulate", device="cpu")
-    for name, values in here.values.items():
-        np.testing.assert_array_equal(there.values[name], values)
-    assert there.reasons == here.reasons
-    assert told == [(done, len(plan)) for done in range(1, len(plan) + 1)]
+    assert_same(there, sweep(plate, plan, "simulate", device="cpu"))
+    assert progress == [(done, len(plan)) for done in range(1, len(plan) + 1)]
 
 
-def test_a_process_that_is_killed_leaves_a_file_that_goes_on(plate, tmp_path, random):
-    """By the system, without a word, at any moment of its work."""
+def test_a_killed_process_leaves_a_file_that_resumes(plate, tmp_path):
     (tmp_path / "panel.toml").write_text(dump_scene(plate), encoding="utf-8")
     command = [sys.executable, "-m", "warp_plate", "sweep", "panel.toml", "--vary", "plate.thickness=4e-4:9e-4:40"]
     options = ["--what", "modes", "--checkpoint-every", "0", "--no-pictures", "--device", "cpu"]
@@ -290,54 +290,46 @@ def test_a_process_that_is_killed_leaves_a_file_that_goes_on(plate, tmp_path, ra
     file = tmp_path / "panel-sweep.checkpoint.h5"
     while not file.exists() and process.poll() is None:
         time.sleep(0.005)
-    time.sleep(0.2 * random.random())
+    time.sleep(0.1)
     process.send_signal(signal.SIGKILL)
     process.wait()
     left = load_sweep(file)
-    found = run_sweep(resume_sweep(left))
-    whole = sweep(plate, ["plate.thickness=4e-4:9e-4:40"], "modes", device="cpu")
-    np.testing.assert_array_equal(found.values["frequency"], whole.values["frequency"])
-    np.testing.assert_array_equal(
-        left.values["frequency"][left.status == RUN], whole.values["frequency"][left.status == RUN]
-    )
+    full = sweep(plate, ["plate.thickness=4e-4:9e-4:40"], "modes", device="cpu")
+    assert_same(run_sweep(resume_sweep(left)), full)
+    done = left.status == RUN
+    np.testing.assert_array_equal(left.values["frequency"][done], full.values["frequency"][done])
     assert np.isnan(left.values["frequency"][left.status == NOT_RUN]).all()
 
 
-def test_a_file_that_the_scene_names_must_be_the_same(scene, tmp_path):
+def test_files_that_the_scene_names_must_not_change(tmp_path):
     (tmp_path / "thick.csv").write_text("1.0,1.1\n", encoding="utf-8")
-    varied = scene(effects={"variation": {"thickness": "thick.csv"}}).in_folder(tmp_path)
-    begun = start_sweep(varied, make_plan([parse_vary(varied, "drive.frequency=200,300")]), "check", "cpu")
-    found = run_sweep(begun)
-    assert (found.status == RUN).all()
+    varied = scene_of(effects={"variation": {"thickness": "thick.csv"}}).in_folder(tmp_path)
+    start = start_sweep(varied, plan_of(varied, "drive.frequency=200,300"), "check", "cpu")
+    assert (run_sweep(start).status == RUN).all()
     (tmp_path / "thick.csv").write_text("1.0,1.2\n", encoding="utf-8")
     with pytest.raises(SceneError, match="has changed since the sweep began"):
-        resume_sweep(begun)
+        resume_sweep(start)
 
 
-def test_no_file_of_another_question_is_replaced(plate, scene, tmp_path):
-    """Two sweeps that begin at once with one name each keep a file; a result takes the place of its like alone."""
-    plan = make_plan([parse_vary(plate, "drive.frequency=200,300")])
-    found, file, lines = sweep(plate, plan, "check", device="cpu"), tmp_path / "a.checkpoint.h5", []
-    first, second = SweepFile(file, warn=lines.append), SweepFile(file, warn=lines.append)
-    first(found, True)
-    second(replace(found, seconds=9.0), True)
-    assert lines == [f"{file} is of another sweep by now; this one is kept in {second.path}"]
-    assert second.path.name == "a-2.checkpoint.h5"
-    assert (load_sweep(file).seconds, load_sweep(second.path).seconds) == (found.seconds, 9.0)
-    second.remove()
-    assert [path.name for path in tmp_path.iterdir()] == ["a.checkpoint.h5"]
-    SweepFile(file).remove()  # which has written nothing
-    assert file.exists()
-    check_replaceable(file, replace(found, seconds=9.0, device="cuda:0"))
+def test_a_result_replaces_only_one_of_the_same_sweep(plate, tmp_path):
+    plan, path = plan_of(plate, "drive.frequency=200,300"), tmp_path / "a.h5"
+    found, unfinished = sweep(plate, plan, "check", device="cpu"), tmp_path / "a.checkpoint.h5"
+    save_sweep(found, path)
+    check_replaceable(path, replace(found, seconds=9.0, device="cuda:0"))
     check_replaceable(tmp_path / "none.h5", found)
     others = {
-        "another scene": start_sweep(scene(damping=80.0), plan, "check"),
+        "another scene": start_sweep(scene_of(damping=80.0), plan, "check"),
         "--what check": start_sweep(plate, plan, "simulate"),
-        r"other points \(2 points, drive.frequency": start_sweep(
-            plate, make_plan([parse_vary(plate, "drive.frequency=200,301")]), "check"
-        ),
+        r"other points \(2 points, drive.frequency": start_sweep(plate, plan_of(plate, "drive.frequency=2,3"), "check"),
         "--count 6": start_sweep(plate, plan, "check", count=5),
     }
     for words, other in others.items():
         with pytest.raises(SceneError, match=rf"h5: holds a sweep of {words}.*; name another file by --out"):
-            check_replaceable(file, other)
+            check_replaceable(path, other)
+    # All points are kept where the result cannot be written.
+    other = replace(found, count=5)
+    with pytest.raises(SceneError, match="holds a sweep of --count 6"):
+        save_finished(other, path, SweepFile(unfinished))
+    assert load_sweep(unfinished).finished
+    save_finished(found, path, SweepFile(unfinished, resumes=True))
+    assert not unfinished.exists()
