@@ -16,7 +16,7 @@ from warp_plate.cluster.pool import WorkerPool
 from warp_plate.cluster.scheduler import Task, run_tasks
 from warp_plate.cluster.solver_spec import SolverSpec, solver_spec
 from warp_plate.cluster.tasks import Block, BlockEnergies, refuse_unlike, run_block
-from warp_plate.plate.designs import Batch, Designs, as_phasors, check_designs
+from warp_plate.plate.designs import Designs, as_phasors, check_designs
 from warp_plate.plate.discretization import Discretization
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -76,7 +76,7 @@ class Evaluator:
         """Seconds that compiling the solver of this process took."""
         return self.solver.compile_seconds
 
-    def run(self, designs: np.ndarray | Batch, on_block: OnBlock | None = None) -> Evaluation:
+    def run(self, designs: np.ndarray | Designs, on_block: OnBlock | None = None) -> Evaluation:
         """Return the energies of a batch.
 
         Args:
@@ -94,7 +94,7 @@ class Evaluator:
                 on_block(slice(0, len(run.energy)), run.energy)
             return Evaluation(run.energy, run.node_steps, run.faults)
         grid, actuators = solver.discretization, len(solver.scene.actuators)
-        designs = designs[:] if isinstance(designs, Batch) else Designs(as_phasors(designs, actuators))
+        designs = designs if isinstance(designs, Designs) else Designs(as_phasors(designs, actuators))
         # Checked here: a worker would name a plate by its number in the block.
         check_designs(designs, solver.scene, grid.per_plate, grid.scheme.time_step)
         return self._run_blocks(self.pool, designs, on_block)

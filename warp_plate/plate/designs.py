@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -42,39 +42,6 @@ class Designs:
     def only_drives(self) -> bool:
         """True if plates differ in nothing but their drives, so that superposition holds between them."""
         return self.frequency is None and self.centre is None and self.delay is None
-
-
-@runtime_checkable
-class Batch(Protocol):
-    """Designs, or what makes some of them when they are asked for: a solver takes part after part."""
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, some: slice) -> Designs: ...
-
-    @property
-    def only_drives(self) -> bool:
-        """See :class:`Designs`."""
-        ...
-
-
-@runtime_checkable
-class Shorthand(Batch, Protocol):
-    """A batch whose designs any process makes of fewer numbers, a row for each plate, for this scene.
-
-    maker: "module:function"; the function takes the scene and gives what makes a batch of such rows.
-    """
-
-    maker: str
-
-    @property
-    def scene(self) -> Scene:
-        """For which they are designs."""
-        ...
-
-    def numbers(self, some: slice) -> np.ndarray:
-        """(plates, numbers) of some plates."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -206,12 +206,11 @@ def _cpu_path(specialized: Specialized) -> Advance:
     # The last thread's passes read beyond its workspace.
     shape = (specialized.threads + 1, len(moment_form_cpu.WORKSPACE_PLANES), rows, stride)
     workspace = wp.zeros(shape, dtype=real, device=device)
-    oscillator_state: wp.array = wp.zeros((0, oscillators, 2), dtype=real, device=device)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
-        nonlocal oscillator_state
         if start == 0:  # at rest; all plates of a batch begin together
-            oscillator_state = wp.zeros((state.capacity, oscillators, 2), dtype=real, device=device)
+            state.beside[kernel] = wp.zeros((state.capacity, oscillators, 2), dtype=real, device=device)
+        oscillator_state = state.beside[kernel]
 
         def run_share(thread: int, first: int, last: int) -> None:
             inputs = [material, *shared, state.wave, window, state.units, state.moving, start, stop, first, thread]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from warp_plate.plate.row_blocks import over_blocks
 from warp_plate.plate.signals import Signals
 from warp_plate.solve.specialize import Specialized
 
@@ -27,20 +26,14 @@ def scaled_coefficients(
     Returns:
         (plates,) pressure [N/m²] of each plate; NaN where its energies would not keep full precision.
     """
-    scale = np.empty(len(phasors))
-
-    def fill(rows: slice) -> None:
-        with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite spoils its own plate alone
-            # Plates innermost: NumPy is slow along short rows.
-            columns = signals.coefficients(phasors[rows]).transpose(1, 2, 0)
-            columns *= (sizes if len(sizes) == 1 else sizes[rows]).T[:, None]
-            pressure = np.maximum(np.abs(columns).max(axis=(0, 1)), least)
-            pressure[(pressure != 0) & ~((pressure >= SMALLEST_DRIVE) & (pressure <= LARGEST_DRIVE))] = np.nan
-            scale[rows] = pressure
-            columns /= np.where(pressure == 0, 1, pressure)
-            coefficients[rows] = columns.transpose(2, 0, 1)
-
-    over_blocks(fill, len(phasors))
+    with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite spoils its own plate alone
+        # Plates innermost: NumPy is slow along short rows.
+        columns = signals.coefficients(phasors).transpose(1, 2, 0)
+        columns *= sizes.T[:, None]
+        scale: np.ndarray = np.maximum(np.abs(columns).max(axis=(0, 1)), least)
+        scale[(scale != 0) & ~((scale >= SMALLEST_DRIVE) & (scale <= LARGEST_DRIVE))] = np.nan
+        columns /= np.where(scale == 0, 1, scale)
+        coefficients[: len(phasors)] = columns.transpose(2, 0, 1)
     return scale
 
 

@@ -177,9 +177,6 @@ class PlateSolver:
         self.node_steps += run.node_steps
         return run
 
-    def begin(self, drives: Drives) -> Callable[[], Run]:
-        return lambda: self.run(drives)  # until no task begins runs ahead
-
     def setup(self, drives: Drives) -> None:
         """Put plates at rest under their loads, to be stepped and read by hand.
 
@@ -251,8 +248,6 @@ class PlateSolver:
         return run
 
     def _check_drives(self, drives: Drives) -> tuple[np.ndarray, PerPlateValues]:
-        if hasattr(drives, "only_drives") and not isinstance(drives, Designs):
-            drives = drives[: len(drives)]  # until all batches are plain Designs
         actuators, scheme = len(self.scene.actuators), self.specialized.scheme
         designs = drives if isinstance(drives, Designs) else Designs(as_phasors(drives, actuators))
         phasors = as_phasors(designs.drives, actuators)

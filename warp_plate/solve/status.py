@@ -11,7 +11,6 @@ from functools import reduce
 
 import numpy as np
 
-from warp_plate.plate.row_blocks import over_blocks
 from warp_plate.solve.specialize import Specialized
 
 OK = "ok"
@@ -87,18 +86,11 @@ def find_faults(
         largest_sum: Largest sum of a bounded plate.
         energy: (plates, regions) takes the energies [J].
     """
-    faults = np.zeros(len(phasors), dtype=np.int8)  # indices into FAULTS
-
-    def check(rows: slice) -> None:
-        total, size = sums[rows], scale[rows]
-        with np.errstate(invalid="ignore", over="ignore"):
-            joules = total * unit * size[:, None] ** 2
-            grew = (grown[rows] >= 0) | ~_all_in_row(total <= largest_sum)
-        energy[rows] = joules
-        sound = _all_in_row(np.isfinite(joules) & ~((total > 0) & (joules == 0)))
-        faults[rows] = np.where(grew & np.isfinite(size), FAULTS.index(GREW), ~sound)
-
-    over_blocks(check, len(phasors))
+    with np.errstate(invalid="ignore", over="ignore"):
+        energy[:] = sums * unit * scale[:, None] ** 2
+        grew = (grown >= 0) | ~_all_in_row(sums <= largest_sum)
+    sound = _all_in_row(np.isfinite(energy) & ~((sums > 0) & (energy == 0)))
+    faults = np.where(grew & np.isfinite(scale), FAULTS.index(GREW), ~sound)  # indices into FAULTS
     unscaled = np.flatnonzero(~np.isfinite(scale))
     faults[unscaled[~np.isfinite(phasors[unscaled]).all(axis=1)]] = FAULTS.index(NO_DRIVE)
     faulty = np.flatnonzero(faults)
