@@ -37,8 +37,8 @@ def view(
             f"no window can be opened: {problem}; write pictures, movies or a page with 'warp-plate render {result}'"
             ", or look in a browser with 'warp-plate explore SCENE'"
         )
-    options = MotionOptions(case or [], modes, start, end, frames, device)
-    motions = select_motions(loaded, result, options, field, quiet=False)
+    chosen = MotionOptions(case or [], modes, start, end, frames, device)
+    motions = select_motions(loaded, result, chosen, field, quiet=False)
     from warp_plate.viz.window import open_window
 
     open_window(loaded.scene, motions, field, Path(f"{result.stem}-view"), playback_rate(rate, motions), heights)
