@@ -20,7 +20,7 @@ from warp_plate.cli.main import main
 from warp_plate.cli.options import failure_lines
 from warp_plate.cluster import evaluator as evaluators
 from warp_plate.cluster import tasks
-from warp_plate.cluster.evaluator import BLOCK_MULTIPLE, BLOCK_NODE_STEPS, block_size, make_evaluator
+from warp_plate.cluster.evaluator import block_size, make_evaluator
 from warp_plate.cluster.local_pool import LocalPool
 from warp_plate.cluster.pool import WorkersGone, open_pool
 from warp_plate.cluster.scheduler import ATTEMPTS, Task, run_tasks
@@ -46,7 +46,7 @@ def pool():
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch):
     """Blocks of the fewest plates."""
-    monkeypatch.setitem(evaluators.BLOCK_NODE_STEPS, "cpu", 1.0)
+    monkeypatch.setitem(evaluators.BLOCK_NODE_STEPS, "cpu", (1.0, 1.0))
 
 
 def random_phasors(random, plates=PLATES):
@@ -116,14 +116,22 @@ def test_a_refused_design_is_named_by_its_number_in_the_batch(scene, random):
         evaluator.run(designs)
 
 
-@pytest.mark.parametrize("kind", ["cpu", "cuda"])
-@pytest.mark.parametrize("node_steps", [10**4, 781250, 10**8, 10**11])
-def test_a_block_has_its_work_or_the_fewest_plates(kind, node_steps, monkeypatch):
+@pytest.mark.parametrize(
+    ("plates", "workers", "node_steps", "kind", "size"),
+    [
+        (4096, 2, 781250, "cpu", 1024),  # of the paper's scene: 0.1 s of a core
+        (2048, 2, 781250, "cpu", 512),  # two for each worker
+        (300, 4, 781250, "cpu", 128),  # not less than is worth sending
+        (131072, 2, 781250, "cuda", 32768),
+        (131072, 1, 781250, "cuda", 32768),
+        (4224, 2, 781250, "cuda", 2112),  # fills an H200 once
+        (1000, 2, 10**11, "cuda", 64),
+        (1, 3, 1, "cpu", 10**8),
+    ],
+)
+def test_how_many_plates_a_block_has(plates, workers, node_steps, kind, size, monkeypatch):
     monkeypatch.undo()
-    size = block_size(node_steps, kind)
-    assert size % BLOCK_MULTIPLE == 0
-    assert size == BLOCK_MULTIPLE or size * node_steps <= BLOCK_NODE_STEPS[kind]
-    assert (size + BLOCK_MULTIPLE) * node_steps > BLOCK_NODE_STEPS[kind]
+    assert block_size(plates, workers, node_steps, kind) == size
 
 
 def small_search(scene, **search):
@@ -257,7 +265,7 @@ def test_workers_that_are_killed_cost_no_plate(kills, scene, random):
 
 def poisoned(block):
     """``run_block`` on a worker that ends under every block whose first drive is 7."""
-    if len(block.designs) and block.designs.drives[0, 0] == 7:
+    if len(block[1]) and block[1].drives[0, 0] == 7:
         os._exit(3)
     return tasks.run_block(block)
 
@@ -301,7 +309,7 @@ class SmallMemory(InlinePool):
 
     def run(self, function, argument):
         def allocate(block):
-            if len(block.designs) > self.room:
+            if len(block[1]) > self.room:
                 raise RuntimeError("Failed to allocate 999 bytes on device 'cuda:0'")
             return function(block)
 
@@ -337,7 +345,7 @@ class Failing(InlinePool):
 
     def run(self, function, argument):
         self.tasks_left -= 1
-        if len(argument.designs) == self.under:
+        if len(argument[1]) == self.under:
             raise BrokenProcessPool
         return super().run(function, argument)
 

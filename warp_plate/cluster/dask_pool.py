@@ -25,48 +25,14 @@ if TYPE_CHECKING:
 
 # Seconds to wait for a scheduler to answer and for a worker to join, and between counts of the workers.
 ANSWER_SECONDS, JOIN_SECONDS, COUNT_SECONDS = 10.0, 60.0, 2.0
-# For workers that this program starts on cores that it fills: with these at Dask's own values two of them spent a tenth
-# of a core on watching themselves.
-QUIET = {
+SETTINGS = {
+    "distributed.admin.large-graph-warning-threshold": "1 GiB",  # a scene may name large files
+    "distributed.scheduler.allowed-failures": 0,  # of a scheduler started here: run_tasks counts attempts
+    # Of workers that fill their cores: by Dask's own values two of them spent a tenth of a core on watching themselves.
     "distributed.worker.profile.enabled": False,
     "distributed.admin.system-monitor.interval": "5s",
     "distributed.admin.tick.interval": "200ms",
 }
-
-
-def connect(address: str, device: str, log: Callable[[str], object]) -> DaskPool:
-    """Return the pool of "local:4", "tcp://host:port" or a scheduler file; logs the address of its dashboard.
-
-    Raises:
-        SceneError: Dask is not installed, no scheduler answers, or no worker has joined it.
-    """
-    try:
-        import distributed
-    except ImportError:
-        raise SceneError(f"--cluster {address}: Dask is not installed: pip install 'warp-plate[cluster]'") from None
-    from dask import config
-
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # errors are reported here in one line
-    config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"})  # a scene may name large files
-    config.set({"distributed.scheduler.allowed-failures": 0})  # of a scheduler started here: run_tasks counts
-    cluster = None
-    try:
-        if address.startswith("local:"):
-            cluster = _start_workers(address)
-            client = distributed.Client(cluster, timeout=ANSWER_SECONDS)
-        elif "://" in address:
-            client = distributed.Client(address, timeout=ANSWER_SECONDS)
-        else:
-            client = distributed.Client(scheduler_file=_scheduler_file(address), timeout=ANSWER_SECONDS)
-    except SceneError:
-        raise
-    except (OSError, ValueError, distributed.TimeoutError) as error:
-        line = str(error).partition("\n")[0] or type(error).__name__
-        raise SceneError(f"--cluster {address}: no scheduler answers there: {line}") from None
-    pool = DaskPool(client, cluster, address, device)
-    if client.dashboard_link:
-        log(f"dashboard of the workers: {client.dashboard_link}")
-    return pool
 
 
 class DaskPool(WorkerPool):
@@ -87,11 +53,10 @@ class DaskPool(WorkerPool):
 
     @property
     def description(self) -> str:
-        """See ``WorkerPool``."""
         return f"up to {self._most} Dask worker{'s' if self._most > 1 else ''} of {self._address}"
 
     def worker_count(self) -> int:
-        """Return the number of the workers' threads, counted now and then; see ``WorkerPool``."""
+        """Return the number of the workers' threads, counted now and then."""
         now = time.monotonic()
         if self._count and now < self._next_count:
             return self._count
@@ -103,12 +68,11 @@ class DaskPool(WorkerPool):
         return self._count
 
     def submit(self, function: Callable[[Any], Any], argument: Any) -> Future[Any]:
-        """See ``WorkerPool``; the scheduler chooses the worker."""
         future: Future[Any] = self._executor.submit(run_task, function, argument)
         return future
 
     def close(self) -> None:
-        """See ``WorkerPool``: a scheduler that ran before goes on, and so do its workers."""
+        """Leave the scheduler; one that was started here ends with its workers."""
         self._client.close(timeout=1)
         if self._cluster is not None:
             self._cluster.close()
@@ -122,34 +86,49 @@ class DaskPool(WorkerPool):
         return 0
 
 
-def _scheduler_file(path: str) -> str:
-    """Return the path of a scheduler's file.
+def connect(address: str, device: str, log: Callable[[str], object]) -> DaskPool:
+    """Return the pool of "local:4", "tcp://host:port" or a scheduler file; logs the address of its dashboard.
 
     Raises:
-        SceneError: It is missing, or no scheduler wrote it.
+        SceneError: Dask is not installed, no scheduler answers, or no worker has joined it.
     """
+    try:
+        import distributed
+        from dask import config
+    except ImportError:
+        raise SceneError(f"--cluster {address}: Dask is not installed: pip install 'warp-plate[cluster]'") from None
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # errors are reported here in one line
+    config.set(SETTINGS)
+    cluster = _start_workers(address) if address.startswith("local:") else None
+    scheduler = address if cluster or "://" in address else _address_in(address)
+    try:
+        client = distributed.Client(cluster or scheduler, timeout=ANSWER_SECONDS)
+    except (OSError, ValueError, distributed.TimeoutError) as error:
+        line = str(error).partition("\n")[0] or type(error).__name__
+        raise SceneError(f"--cluster {address}: no scheduler answers there: {line}") from None
+    pool = DaskPool(client, cluster, address, device)
+    if client.dashboard_link:
+        log(f"dashboard of the workers: {client.dashboard_link}")
+    return pool
+
+
+def _address_in(path: str) -> str:
+    """Return the address in a scheduler's file."""
     if not os.path.isfile(path):
         raise SceneError(f"--cluster {path}: no such file; must be local:4, tcp://HOST:PORT or a scheduler's file")
-    content = None
-    with suppress(ValueError):
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    if not (isinstance(content, dict) and isinstance(content.get("address"), str)):
-        raise SceneError(
-            f"--cluster {path}: has no address, so no scheduler wrote it; must be the file of "
-            "dask scheduler --scheduler-file"
-        )
-    return path
+    try:
+        return str(json.loads(Path(path).read_text(encoding="utf-8"))["address"])
+    except (ValueError, KeyError, TypeError):
+        raise SceneError(f"--cluster {path}: has no address, so no scheduler wrote it") from None
 
 
 def _start_workers(address: str) -> LocalCluster:
-    """Return the cluster of "local:4": workers of one thread on this machine alone."""
-    from dask import config
+    """Start the workers of "local:4", which have one thread each and listen to this machine alone."""
     from distributed import LocalCluster
 
     count = address.partition(":")[2]
     if not (count.isdecimal() and int(count) >= 1):
         raise SceneError(f"--cluster {address}: must be local:COUNT with a count of workers from 1 on, such as local:4")
-    config.set(QUIET)
     with interrupts_blocked():
         return LocalCluster(
             n_workers=int(count),

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,37 +12,18 @@ import warp as wp
 import warp_plate
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.cluster.scheduler import Task, run_tasks
-from warp_plate.cluster.solver_spec import SolverSpec, solver_spec
-from warp_plate.cluster.tasks import Block, BlockEnergies, refuse_unlike, run_block
+from warp_plate.cluster.tasks import Evaluation, SolverSpec, refuse_unlike, run_block
 from warp_plate.plate.designs import Designs, as_phasors, check_designs
 from warp_plate.plate.discretization import Discretization
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.solver import PlateSolver
 
-# Work in a block: a tenth of a second of a core, and what keeps a GPU busy. It sets how many plates a block has,
-# which never depends on the number of workers. (An H200 runs 2112 plates of the paper's scene side by side.)
-BLOCK_NODE_STEPS = {"cpu": 8e8, "cuda": 6.6e9}
+# The least and the most work in a block. On a CPU 0.01 and 0.1 s of a core; on a GPU what fills an H200 once (2112
+# plates of the paper's scene), and 16 times that.
+BLOCK_NODE_STEPS = {"cpu": (1e8, 8e8), "cuda": (1.65e9, 2.64e10)}
 # The plates of a block are a multiple of this: whole groups of the CPU's lanes and of a GPU's warps.
 BLOCK_MULTIPLE = 64
-
-# Called with plates that are done and their energies (plates, regions) [J].
-OnBlock = Callable[[slice, np.ndarray], object]
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """Energies of a batch.
-
-    Attributes:
-        energy: (plates, regions) as in ``Run``; NaN for a plate that failed.
-        node_steps: Nodes updated × steps × plates.
-        faults: Reason and time of detection [s] (NaN if unknown) of each plate that failed, by its number.
-    """
-
-    energy: np.ndarray
-    node_steps: int
-    faults: Mapping[int, tuple[str, float]]
 
 
 class Evaluator:
@@ -73,15 +52,14 @@ class Evaluator:
 
     @property
     def compile_seconds(self) -> float:
-        """Seconds that compiling the solver of this process took."""
+        """Time that compiling the solver of this process took [s]."""
         return self.solver.compile_seconds
 
-    def run(self, designs: np.ndarray | Designs, on_block: OnBlock | None = None) -> Evaluation:
+    def run(self, designs: np.ndarray | Designs) -> Evaluation:
         """Return the energies of a batch.
 
         Args:
             designs: Phasors (plates, actuators), or designs as for :meth:`PlateSolver.run`.
-            on_block: Called for some plates after others, as soon as their energies are known.
 
         Raises:
             SceneError: The designs are refused, or workers are of different kinds or versions.
@@ -90,50 +68,46 @@ class Evaluator:
         solver = self.solver
         if self.pool is None:
             run = solver.run(designs)
-            if on_block is not None:
-                on_block(slice(0, len(run.energy)), run.energy)
             return Evaluation(run.energy, run.node_steps, run.faults)
-        grid, actuators = solver.discretization, len(solver.scene.actuators)
-        designs = designs if isinstance(designs, Designs) else Designs(as_phasors(designs, actuators))
+        if not isinstance(designs, Designs):
+            designs = Designs(as_phasors(designs, len(solver.scene.actuators)))
         # Checked here: a worker would name a plate by its number in the block.
+        grid = solver.discretization
         check_designs(designs, solver.scene, grid.per_plate, grid.scheme.time_step)
-        return self._run_blocks(self.pool, designs, on_block)
+        return self._run_blocks(self.pool, designs)
 
-    def _run_blocks(self, pool: WorkerPool, designs: Designs, on_block: OnBlock | None) -> Evaluation:
-        assert self._spec is not None
+    def _run_blocks(self, pool: WorkerPool, designs: Designs) -> Evaluation:
         if not self._worker:
             self._probe(pool)
         plates = len(designs)
         energy = np.full((plates, len(self.solver.specialized.regions)), np.nan)
         faults: dict[int, tuple[str, float]] = {}
-        node_steps, size = 0, block_size(self.solver.node_steps_per_plate, self._worker["kind"])
+        node_steps = 0
+        size = block_size(plates, pool.worker_count(), self.solver.node_steps_per_plate, self._worker["kind"])
         slices = [slice(first, min(first + size, plates)) for first in range(0, plates, size)]
-        tasks = [Task(run_block, Block(self._spec, designs[some]), some) for some in slices]
+        tasks = [Task(run_block, (self._spec, designs[some]), some) for some in slices]
         for task, outcome in run_tasks(pool, tasks, halves_of_block):
             some = task.key
             if outcome.failure:
                 fault = f"block {outcome.failure}"
                 faults |= dict.fromkeys(range(some.start, some.stop), (fault, math.nan))
                 self.lost[fault] += some.stop - some.start
-            else:
-                found: BlockEnergies = outcome.value
-                refuse_unlike(self._worker, found.worker)
-                energy[some] = found.energy
-                faults |= {some.start + plate: fault for plate, fault in found.faults.items()}
-                node_steps += found.node_steps
-            if on_block is not None:
-                on_block(some, energy[some])
+                continue
+            block, worker = outcome.value
+            refuse_unlike(self._worker, worker)
+            energy[some] = block.energy
+            faults |= {some.start + plate: fault for plate, fault in block.faults.items()}
+            node_steps += block.node_steps
         self._worker_node_steps += node_steps
         return Evaluation(energy, node_steps, faults)
 
     def _probe(self, pool: WorkerPool) -> None:
         """Let one worker make the solver, which compiles kernels once for all of a machine, and learn what it is."""
-        assert self._spec is not None
         nothing = Designs(np.zeros((0, len(self.solver.scene.actuators)), dtype=complex))
-        for _, outcome in run_tasks(pool, [Task(run_block, Block(self._spec, nothing))]):
+        for _, outcome in run_tasks(pool, [Task(run_block, (self._spec, nothing))]):
             if outcome.failure:
                 raise SceneError(f"a worker: {outcome.failure}")
-            worker = outcome.value.worker
+            _, worker = outcome.value
             refuse_unlike({"warp_plate": warp_plate.__version__, "warp": wp.config.version}, worker)
             self._worker = {name: worker[name] for name in ("kind", "warp_plate", "warp")}
 
@@ -157,23 +131,31 @@ def make_evaluator(
         SceneError: See :class:`PlateSolver`.
     """
     solver = PlateSolver(scene, device, path, **options)
-    return Evaluator(solver, pool, None if pool is None else solver_spec(solver.scene, pool.device, path, **options))
+    if pool is None:
+        return Evaluator(solver)
+    options["per_plate"] = solver.discretization.per_plate
+    return Evaluator(solver, pool, SolverSpec.of(solver.scene, pool.device, path, **options))
 
 
-def block_size(node_steps_per_plate: int, kind: str) -> int:
-    """Return how many plates a block has on a device of this kind, "cpu" or "cuda"."""
-    return BLOCK_MULTIPLE * max(1, int(BLOCK_NODE_STEPS[kind] / (node_steps_per_plate * BLOCK_MULTIPLE)))
+def block_size(plates: int, workers: int, node_steps_per_plate: int, kind: str) -> int:
+    """Return how many plates a block has: two blocks for each worker, or more where these were too large.
+
+    Args:
+        plates: Number of plates of the batch.
+        workers: Number of workers.
+        node_steps_per_plate: Nodes updated × steps.
+        kind: "cpu" or "cuda".
+    """
+    least, most = (max(1, int(work / node_steps_per_plate)) for work in BLOCK_NODE_STEPS[kind])
+    blocks_per_worker = max(2, math.ceil(plates / (workers * most)))
+    size = max(least, math.ceil(plates / (workers * blocks_per_worker)))
+    return BLOCK_MULTIPLE * math.ceil(size / BLOCK_MULTIPLE)
 
 
 def halves_of_block(task: Task) -> list[Task]:
     """Return the task as two of half as many plates; none if it has but one."""
-    block, some = task.argument, task.key
-    count = (some.stop - some.start) // 2
-    if count == 0:
-        return []
-    first, second = block.designs[:count], block.designs[count:]
+    (spec, designs), some = task.argument, task.key
+    count = len(designs) // 2
     middle = some.start + count
-    return [
-        Task(run_block, replace(block, designs=first), slice(some.start, middle)),
-        Task(run_block, replace(block, designs=second), slice(middle, some.stop)),
-    ]
+    parts = ((designs[:count], slice(some.start, middle)), (designs[count:], slice(middle, some.stop)))
+    return [Task(task.function, (spec, part), rows) for part, rows in parts] if count else []

@@ -17,25 +17,9 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from warp_plate.cluster.pool import WorkerPool
-from warp_plate.cluster.solver_spec import DEVICE_VARIABLE
-from warp_plate.cluster.tasks import run_task
+from warp_plate.cluster.tasks import DEVICE_VARIABLE, run_task
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.devices import find_device
-
-
-def device_names(text: str) -> list[str]:
-    """Return the devices of "cuda:0,cuda:1" as Warp names them.
-
-    Raises:
-        SceneError: One is not on this machine.
-    """
-    names = [name.strip() for name in text.split(",")]
-    if not all(names):
-        raise SceneError(f"--devices {text}: must be devices with commas between, such as cuda:0,cuda:1 or cpu,cpu")
-    try:
-        return [find_device(name).alias for name in names]
-    except SceneError as error:
-        raise SceneError(f"--devices {text}: {error}") from None
 
 
 @dataclass
@@ -67,22 +51,18 @@ class LocalPool(WorkerPool):
 
     @property
     def description(self) -> str:
-        """See ``WorkerPool``."""
-        count = len(self._workers)
-        devices = ", ".join(worker.device for worker in self._workers)
+        count, devices = len(self._workers), ", ".join(worker.device for worker in self._workers)
         return f"{count} process{'es' if count > 1 else ''} ({devices})"
 
     def worker_count(self) -> int:
-        """See ``WorkerPool``."""
         return len(self._workers)
 
     def submit(self, function: Callable[[Any], Any], argument: Any) -> Future[Any]:
-        """Give a task to the worker with the fewest; see ``WorkerPool``."""
+        """Give a task to the worker that has the fewest."""
         worker = min(self._workers, key=lambda one: one.load)
         if worker.failed:
             worker.executor.shutdown(wait=False, cancel_futures=True)
-            worker.executor = self._start(worker.device)
-            worker.futures = []
+            worker.executor, worker.futures = self._start(worker.device), []
         try:
             future = worker.executor.submit(run_task, function, argument)
         except BrokenExecutor as error:
@@ -92,7 +72,6 @@ class LocalPool(WorkerPool):
         return future
 
     def close(self) -> None:
-        """See ``WorkerPool``."""
         self._lifeline.close()
         for worker in self._workers:
             worker.executor.shutdown(cancel_futures=True)
@@ -105,9 +84,24 @@ class LocalPool(WorkerPool):
         return executor
 
 
+def device_names(text: str) -> list[str]:
+    """Return the devices of "cuda:0,cuda:1" as Warp names them.
+
+    Raises:
+        SceneError: One is not on this machine.
+    """
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise SceneError(f"--devices {text}: must be devices with commas between, such as cuda:0,cuda:1 or cpu,cpu")
+    try:
+        return [find_device(name).alias for name in names]
+    except SceneError as error:
+        raise SceneError(f"--devices {text}: {error}") from None
+
+
 @contextmanager
 def interrupts_blocked() -> Iterator[None]:
-    """Let processes and threads that are started in the block never receive Ctrl-C; here it comes after the block."""
+    """Keep Ctrl-C from processes and threads that are started in the block; here it comes after the block."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return

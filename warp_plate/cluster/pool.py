@@ -49,7 +49,7 @@ class WorkerPool(ABC):
 
     @abstractmethod
     def submit(self, function: Callable[[Any], Any], argument: Any) -> Future[Any]:
-        """Give a task to a worker; it may wait there until the worker is done with another."""
+        """Give a task to a worker, where it waits until the worker is done with others."""
 
     @abstractmethod
     def close(self) -> None:

@@ -1,52 +1,105 @@
-"""The functions that workers run."""
+"""What workers run: the plates of a block, by a solver that is made from plain data."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 import warp as wp
 
 import warp_plate
-from warp_plate.cluster.solver_spec import SolverSpec, make_solver
 from warp_plate.plate.designs import Designs
+from warp_plate.plate.files import named_files, read_beside
+from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, region_weights
+from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import processor_of
+from warp_plate.solve.solver import PlateSolver
 
+# Environment variable with the device of a worker; it takes precedence over what the command says.
+DEVICE_VARIABLE = "WARP_PLATE_DEVICE"
+# Number of solvers that a worker keeps: each scenario of a robust search has one.
+MAX_SOLVERS = 128
 # Beginning of the message of the RuntimeError that Warp raises when an allocation fails.
 WARP_OUT_OF_MEMORY = "Failed to allocate"
 
 
 @dataclass(frozen=True)
-class Block:
-    """Some plates of a batch.
+class SceneSpec:
+    """A scene in plain data.
 
     Attributes:
-        spec: How to make their solver.
-        designs: Their designs.
+        text: The scene as TOML.
+        files: Contents of the files that it names, by their names.
     """
 
-    spec: SolverSpec
-    designs: Designs
+    text: str
+    files: Mapping[str, bytes]
+
+    @staticmethod
+    def of(scene: Scene) -> SceneSpec:
+        """Return a scene in plain data.
+
+        Raises:
+            SceneError: A file that it names cannot be read.
+        """
+        files = {name: read_beside(key, name, scene.folder) for key, name in named_files(scene).items()}
+        return SceneSpec(dump_scene(scene), files)
+
+    def scene_in(self, folder: str) -> Scene:
+        """Write the files to a folder and return the scene, which reads them there."""
+        for name, content in self.files.items():
+            (Path(folder) / Path(name).name).write_bytes(content)
+        return Scene.parse(self.text, "on a worker").in_folder(Path(folder))
 
 
 @dataclass(frozen=True)
-class BlockEnergies:
-    """What a worker returns for a block.
+class SolverSpec:
+    """The arguments of a :class:`PlateSolver` in plain data.
 
     Attributes:
-        energy: (plates, regions) as in ``Run``.
+        scene: The scene, which has a grid.
+        device: Device, unless the worker's environment names another one.
+        path: See :class:`PlateSolver`.
+        options: Further arguments.
+        key: By which workers know the solvers that they have made.
+    """
+
+    scene: SceneSpec = field(compare=False)
+    device: str = field(compare=False)
+    path: str = field(compare=False)
+    options: Mapping[str, Any] = field(compare=False)
+    key: str = field(default_factory=lambda: uuid4().hex)
+
+    @staticmethod
+    def of(scene: Scene, device: str, path: str, areas: Mapping[str, Region] = NO_AREAS, **options: Any) -> SolverSpec:
+        """Return the spec of ``PlateSolver(scene, device, path, ...)``, with areas as weights."""
+        weights = region_weights(scene, areas)[len(REGIONS) :]
+        options["areas"] = dict(zip(areas, weights, strict=True))
+        return SolverSpec(SceneSpec.of(scene), device, path, options)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Energies of a batch.
+
+    Attributes:
+        energy: (plates, regions) as in ``Run``; NaN for a plate that failed.
         node_steps: Nodes updated × steps × plates.
-        faults: Reason and time [s] for each plate that failed, as in ``Run``.
-        worker: What the bits depend on: "kind" of the device, and versions.
+        faults: Reason and time of detection [s] (NaN if unknown) of each plate that failed, by its number.
     """
 
     energy: np.ndarray
     node_steps: int
     faults: Mapping[int, tuple[str, float]]
-    worker: Mapping[str, str]
 
 
 def run_task(function: Callable[[Any], Any], argument: Any) -> Any:
@@ -64,16 +117,31 @@ def run_task(function: Callable[[Any], Any], argument: Any) -> Any:
         raise
 
 
-def run_block(block: Block) -> BlockEnergies:
-    """Run the plates of a block.
+def run_block(block: tuple[SolverSpec, Designs]) -> tuple[Evaluation, dict[str, str]]:
+    """Run the plates of a block; returns their energies and the worker's identity with the "kind" of its device.
 
     Raises:
         SceneError: See :class:`PlateSolver`.
     """
-    solver = make_solver(block.spec)
-    run = solver.run(block.designs)
-    worker = {"kind": "cuda" if solver.device.is_cuda else "cpu", **worker_identity(solver.device)}
-    return BlockEnergies(run.energy, run.node_steps, dict(run.faults), worker)
+    spec, designs = block
+    solver = make_solver(spec)
+    run = solver.run(designs)
+    kind = "cuda" if solver.device.is_cuda else "cpu"
+    return Evaluation(run.energy, run.node_steps, dict(run.faults)), {"kind": kind, **worker_identity(solver.device)}
+
+
+@lru_cache(MAX_SOLVERS)
+def make_solver(spec: SolverSpec) -> PlateSolver:
+    """Return the solver of a spec, with one thread on a CPU unless WARP_PLATE_THREADS says another number."""
+    with TemporaryDirectory() as folder:
+        scene, device = spec.scene.scene_in(folder), worker_device(spec.device)
+        threads = None if os.environ.get("WARP_PLATE_THREADS") else 1
+        return PlateSolver(scene, device, spec.path, threads=threads, **spec.options)
+
+
+def worker_device(device: str) -> str:
+    """Return the device of this worker for a command that asks for ``device``."""
+    return os.environ.get(DEVICE_VARIABLE) or device
 
 
 def worker_identity(device: wp.Device) -> dict[str, str]:
@@ -86,11 +154,7 @@ def worker_identity(device: wp.Device) -> dict[str, str]:
 
 
 def refuse_unlike(expected: Mapping[str, str], worker: Mapping[str, str]) -> None:
-    """Refuse a worker that rounds in another way than this process or other workers.
-
-    Args:
-        expected: Some entries of a ``worker_identity``, all of which must be equal.
-        worker: That of the worker.
+    """Refuse a worker whose identity differs in an entry of ``expected`` from this process or other workers.
 
     Raises:
         SceneError: One line that names what differs.

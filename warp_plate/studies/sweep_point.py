@@ -12,8 +12,7 @@ import warp as wp
 import warp_plate
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.cluster.scheduler import Task, run_tasks
-from warp_plate.cluster.solver_spec import SceneSpec, scene_spec, worker_device
-from warp_plate.cluster.tasks import refuse_unlike, run_task, worker_identity
+from warp_plate.cluster.tasks import SceneSpec, refuse_unlike, run_task, worker_device, worker_identity
 from warp_plate.result.sweep import Sweep
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import with_numbers
@@ -104,7 +103,7 @@ def run_on_pool(begun: Sweep, points: Sequence[int], pool: WorkerPool) -> Iterat
         WorkersGone: No worker is left.
     """
     expected: Mapping[str, str] = {"warp_plate": warp_plate.__version__, "warp": wp.config.version}
-    arguments = _points(begun, points, scene_spec(begun.scene), pool.device)
+    arguments = _points(begun, points, SceneSpec.of(begun.scene), pool.device)
     tasks = [Task(run_point, point, number) for number, point in zip(points, arguments, strict=True)]
     for task, outcome in run_tasks(pool, tasks):
         if outcome.failure:
