@@ -128,7 +128,8 @@ def test_errors_on_workers_are_one_line(pool):
 def test_a_file_that_no_scheduler_wrote_is_one_line(text, tmp_path):
     file = tmp_path / "scheduler.json"
     file.write_text(text, encoding="utf-8")
-    with pytest.raises(SceneError, match=r"scheduler.json: (has no address|no scheduler answers there)"), open_pool(None, str(file)):
+    line = r"scheduler.json: (has no address|no scheduler answers there)"
+    with pytest.raises(SceneError, match=line), open_pool(None, str(file)):
         pass
 
 

@@ -61,6 +61,8 @@ class DaskPool(WorkerPool):
         if self._count and now < self._next_count:
             return self._count
         self._count, self._next_count = self._count_threads(), now + COUNT_SECONDS
+        if self._cluster is not None and self._count < self._most:
+            self._cluster.scale(self._most)  # Dask gives up workers that end too often
         if self._count:
             self._seen, self._most = now, max(self._most, self._count)
         elif self._client.status == "closed" or now - self._seen > JOIN_SECONDS:
