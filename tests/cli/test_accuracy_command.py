@@ -23,8 +23,8 @@ NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
 def command(command, tmp_path, monkeypatch):
     """Run ``accuracy`` on small grids in an empty folder: (status, standard output, standard error)."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(family, "LADDER", (9, 13, 417))
-    monkeypatch.setattr(family, "BASE", 9)
+    monkeypatch.setattr(family, "SIDES", (9, 13, 417))
+    monkeypatch.setattr(family, "BASE_SIDE", 9)
     monkeypatch.setattr(report, "REFERENCE_ERROR", 2e-3)
 
     return partial(command, "accuracy")

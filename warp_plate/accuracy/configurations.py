@@ -1,4 +1,4 @@
-"""Configurations: the numerics that a scene can be solved with, its physics staying as written."""
+"""Configurations: the grid, order, loads, time step and precision that a scene can be solved with."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ Order = Literal[2, 4]
 Load = Literal["overlap", "nodes", "moments"]
 Precision = Literal["float32", "float64"]
 
-# How loads are weighed where the errors are to fall as fast as the order allows.
+# Weights of loads with which errors fall as fast as the order allows.
 LOAD_OF: dict[Order, Load] = {2: "overlap", 4: "moments"}
-# Nodes of a side of a square plate, from coarse to fine: each grid has about twice the nodes of the one before.
-LADDER = (13, 19, 27, 37, 53, 75, 105, 149, 209, 297, 417)
-# The grid on which time steps are varied, and these steps as parts of the longest one.
-BASE = 27
-TIME_STEP_PARTS = (0.5, 0.25)
-# A step above the stability limit, to show that it is refused.
+# Time of a node-step relative to second order in float32, measured with ``warp-plate accuracy``.
+RELATIVE_COST = {(2, "float32"): 1.0, (2, "float64"): 1.4, (4, "float32"): 2.0, (4, "float64"): 2.8}
+# Nodes along each side of a square plate; each grid has about twice the nodes of the one before.
+SIDES = (13, 19, 27, 37, 53, 75, 105, 149, 209, 297, 417)
+# Side of the grid on which the time step is varied, and these time steps as fractions of the longest.
+BASE_SIDE, TIME_STEP_FRACTIONS = 27, (0.5, 0.25)
+# A time step above the stability limit, to show that it is refused.
 TOO_LONG = 1.05
-# A step may be shorter than the longest by this part, if then the window starts at the end of a step.
-ALIGNMENT = 0.08
-MOST_STEPS_TRIED = 1000
+# A time step may be this fraction shorter if the window then starts at the end of a step.
+ALIGNMENT, MOST_STEPS_TRIED = 0.08, 1000
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """order; load; nodes: (nx, ny), edges included; time_step [s], None: what ``make_scheme`` chooses; precision."""
+    """Numerical settings of a run."""
 
-    order: Order
-    load: Load
-    nodes: tuple[int, int]
-    time_step: float | None
-    precision: Precision
+    order: Order  # spatial order
+    load: Load  # weights of loads and regions
+    nodes: tuple[int, int]  # nodes (nx, ny), edges included
+    time_step: float | None  # time step [s]; None for the one that ``make_scheme`` chooses
+    precision: Precision  # precision of the time steps
 
     def __str__(self) -> str:
         nx, ny = self.nodes
@@ -48,79 +48,74 @@ class Configuration:
 
 
 def configuration_of(scene: Scene) -> Configuration:
-    """What the scene itself says."""
+    """Return the configuration of the scene as written."""
     grid = scene.grid
     return Configuration(grid.order, grid.load, grid.nodes, grid.time_step, grid.precision)
 
 
 def scene_with(scene: Scene, configuration: Configuration) -> Scene:
-    """The scene on another grid, with centred damping, which is second order in time as all else is.
+    """Return the scene on another grid, with centred damping, which is of second order in time like everything else.
 
     Raises:
-        SceneError: fewer nodes than the order takes, too many, or an order that the scene cannot have.
+        SceneError: the grid has too few or too many nodes, or the scene cannot have this order.
     """
-    damping = scene.effects.damping
     effects = scene.effects
-    if damping is not None:
-        effects = effects.model_copy(update={"damping": damping.model_copy(update={"scheme": "centred"})})
+    if effects.damping is not None:
+        effects = effects.model_copy(update={"damping": effects.damping.model_copy(update={"scheme": "centred"})})
     return scene.with_tables(effects=effects.model_dump(), grid=asdict(configuration))
 
 
 def highest_order(scene: Scene) -> Order:
-    """Four where the scene allows it."""
+    """Return the highest spatial order that the scene allows."""
     return 2 if needs_moment_form(scene) else 4
 
 
-def bending_wave(scene: Scene) -> float:
-    """Length [m] of a free bending wave at the drive's highest frequency, 2π√(κ/ω)."""
-    return math.sqrt(2 * math.pi * _kappa(scene) / highest_frequency(scene))
-
-
-def _kappa(scene: Scene) -> float:
+def bending_wavelength(scene: Scene) -> float:
+    """Return the length [m] of a free bending wave at the drive's highest frequency, 2π√(κ/ω)."""
     plate = scene.plate
-    return plate.thickness * math.sqrt(plate.young_modulus / (12 * plate.density * (1 - plate.poisson_ratio**2)))
+    kappa = plate.thickness * math.sqrt(plate.young_modulus / (12 * plate.density * (1 - plate.poisson_ratio**2)))
+    return math.sqrt(2 * math.pi * kappa / highest_frequency(scene))
 
 
 def nodes_for(size: tuple[float, float], side: float, order: Order = 2) -> tuple[int, int]:
-    """(nx, ny) with as many cells as a square of ``side`` × ``side`` nodes has, near to squares."""
+    """Return (nx, ny) of nearly square cells, as many as a square of ``side`` × ``side`` nodes has."""
     spacing = math.sqrt(size[0] * size[1]) / (side - 1)
-    few = FEWEST_NODES[order]
-    return max(few, round(size[0] / spacing) + 1), max(few, round(size[1] / spacing) + 1)
+    fewest = FEWEST_NODES[order]
+    return max(fewest, round(size[0] / spacing) + 1), max(fewest, round(size[1] / spacing) + 1)
 
 
 def spacing_of(scene: Scene, nodes: tuple[int, int]) -> float:
-    """Root of the area of a cell [m]."""
+    """Return the square root of the area of a cell [m]."""
     width, height = scene.plate.size
     return math.sqrt(width / (nodes[0] - 1) * height / (nodes[1] - 1))
 
 
 def stability_limit(scene: Scene, order: Order, nodes: tuple[int, int]) -> float:
-    """Largest stable time step [s] with centred damping."""
+    """Return the largest stable time step [s] with centred damping."""
     return find_limit(scene_with(scene, Configuration(order, LOAD_OF[order], nodes, None, "float64")))[0].time_step
 
 
 def longest_time_step(scene: Scene, order: Order, nodes: tuple[int, int]) -> float:
-    """As long as the stability limit, the drive and the window allow, ending with a step; see :func:`fitted`."""
+    """Return the longest :func:`aligned` time step [s] that the stability limit and the drive allow."""
     longest = min(SAFETY * stability_limit(scene, order, nodes), 1 / (STEPS_A_PERIOD * highest_frequency(scene)))
-    return fitted(scene, longest)
+    return aligned(scene, longest)
 
 
-def fitted(scene: Scene, longest: float) -> float:
-    """A time step [s] of at most ``longest`` that divides the run, and if possible the time before the window.
+def aligned(scene: Scene, longest: float) -> float:
+    """Return a time step [s] of at most ``longest`` that divides the run, and if possible the time before the window.
 
-    Where the window starts inside a step, a part of that step is counted or lost: an error of first order.
+    If the window starts within a step, a part of that step is counted or lost, which is an error of first order.
     """
     window = scene.window
     fewest = math.ceil(window.end / longest * (1 - 1e-12))
-
     steps = fewest + np.arange(min(int(ALIGNMENT * fewest), MOST_STEPS_TRIED) + 1)
     before = window.start / window.end * steps
-    missed = np.round(np.abs(before - np.round(before)), 6)
-    return window.end / int(steps[np.argmin(missed)])
+    misalignment = np.round(np.abs(before - np.round(before)), 6)
+    return window.end / int(steps[np.argmin(misalignment)])
 
 
 def node_steps(scene: Scene, configuration: Configuration) -> float:
-    """Nodes that move × steps of a run, without making its arrays."""
+    """Return the number of moving nodes times the number of steps of a run."""
     nx, ny = configuration.nodes
     step = configuration.time_step
     if step is None:
@@ -128,11 +123,13 @@ def node_steps(scene: Scene, configuration: Configuration) -> float:
     return (nx - 2) * (ny - 2) * scene.window.end / step
 
 
-def make_configurations(scene: Scene) -> list[Configuration]:
-    """All that the command tries, from cheap to dear: families of grids, time steps, both precisions.
+def cost_of_run(scene: Scene, configuration: Configuration) -> float:
+    """Return the time that a plate takes, in node-steps of second order in float32."""
+    return node_steps(scene, configuration) * RELATIVE_COST[configuration.order, configuration.precision]
 
-    The scene as written is not among them: its damping scheme may differ too.
-    """
+
+def make_configurations(scene: Scene) -> list[Configuration]:
+    """Return the configurations that ``warp-plate accuracy`` measures, from cheap to expensive."""
     kinds: list[tuple[Order, Load, Precision]] = [
         (2, "nodes", "float32"),
         (2, "overlap", "float32"),
@@ -140,20 +137,17 @@ def make_configurations(scene: Scene) -> list[Configuration]:
         (2, "overlap", "float64"),
         (4, "moments", "float64"),
     ]
-    orders: tuple[Order, ...] = (2, 4) if highest_order(scene) == 4 else (2,)
-    known = [kind for kind in kinds if kind[0] in orders]
-    family = [_usual(scene, order, load, side, precision) for side in LADDER for order, load, precision in known]
-    for order in orders:
-        base = _usual(scene, order, LOAD_OF[order], BASE, "float32")
-        usual = longest_time_step(scene, order, base.nodes)
-        steps = [fitted(scene, part * usual) for part in TIME_STEP_PARTS]
+    kinds = [kind for kind in kinds if kind[0] <= highest_order(scene)]
+
+    def on_grid(order: Order, load: Load, side: float, precision: Precision) -> Configuration:
+        nodes = nodes_for(scene.plate.size, side, order)
+        return Configuration(order, load, nodes, longest_time_step(scene, order, nodes), precision)
+
+    made = [on_grid(order, load, side, precision) for side in SIDES for order, load, precision in kinds]
+    for order in dict.fromkeys(order for order, _, _ in kinds):
+        base = on_grid(order, LOAD_OF[order], BASE_SIDE, "float32")
+        longest = longest_time_step(scene, order, base.nodes)
+        steps = [aligned(scene, fraction * longest) for fraction in TIME_STEP_FRACTIONS]
         steps.append(TOO_LONG * stability_limit(scene, order, base.nodes))
-        family += [replace(base, time_step=step) for step in steps]
-    family = list(dict.fromkeys(family))
-    return sorted(family, key=lambda one: node_steps(scene, one))
-
-
-def _usual(scene: Scene, order: Order, load: Load, side: float, precision: Precision) -> Configuration:
-    """With the longest time step."""
-    nodes = nodes_for(scene.plate.size, side, order)
-    return Configuration(order, load, nodes, longest_time_step(scene, order, nodes), precision)
+        made += [replace(base, time_step=step) for step in steps]
+    return sorted(dict.fromkeys(made), key=lambda one: cost_of_run(scene, one))

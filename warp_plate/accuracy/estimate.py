@@ -13,99 +13,82 @@ from warp_plate.accuracy.configurations import (
     LOAD_OF,
     Configuration,
     configuration_of,
+    cost_of_run,
     highest_order,
     longest_time_step,
     node_steps,
     nodes_for,
 )
 from warp_plate.accuracy.formatting import percent, two_digits
-from warp_plate.accuracy.grid_search import finer
-from warp_plate.accuracy.reference_solution import ReferenceStage, grow, ritz_field
-from warp_plate.accuracy.trial_runs import TrialRun, cost_of_run, try_out
+from warp_plate.accuracy.grid_search import TrialRun, refine, try_out
+from warp_plate.accuracy.reference_solution import Observed, ReferenceStage, refine_reference, ritz_field
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.reference.forced import localization_factors as factors_of
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# The estimate may take this part of the run's time, at least and at most so many seconds.
-SHARE, LEAST_SECONDS, MOST_SECONDS = 0.08, 0.4, 20.0
-# What rounding may do to a localization factor.
+# Time of the estimate as a fraction of the run's, and its least and greatest value [s].
+TIME_SHARE, LEAST_SECONDS, MOST_SECONDS = 0.08, 0.4, 20.0
+# Effect of rounding on a localization factor.
 ROUNDING = {"float32": 1e-6, "float64": 1e-13}
-# The reference is good enough when its own error is this part of the error that it shows.
-GOOD_ENOUGH = 0.2
-FIRST_WANTED, FINEST_WANTED = 0.02, 1e-6
-# The first of these that the run does not keep is the one that a price is named for.
-TOLERANCES = (0.01, 0.001)
-# Plates that show how large the error of fourth order is: nodes of a side of a square plate.
-PILOT_SIDE = 19
-# And node-steps of theirs for each second that the estimate may take.
-PILOT_NODE_STEPS = 2e7
-# A grid found by the law of its order is to keep this part of the tolerance.
-AIM = 0.9
+# Uncertainty of the reference as a fraction of the error that it shows, and its greatest and least value.
+GOOD_ENOUGH, FIRST_WANTED, FINEST_WANTED = 0.2, 0.02, 1e-6
+# A price is named for the first of these that the run does not keep; its grid is to keep this fraction of it.
+TOLERANCES, TOLERANCE_SHARE = (0.01, 0.001), 0.9
+# Side of the grid that shows the error of fourth order, and node-steps on it for each second of the estimate.
+PILOT_SIDE, PILOT_NODE_STEPS = 19, 2e7
 
 
 @dataclass(frozen=True)
 class Price:
-    """What another accuracy takes: tolerance; the configuration; cost: times that of the run, per plate."""
+    """The cost of another accuracy."""
 
-    tolerance: float
-    configuration: Configuration
-    cost: float
+    tolerance: float  # relative error
+    configuration: Configuration  # cheapest configuration that keeps it
+    cost: float  # cost of a plate relative to the run
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """The error of a run, case by case.
+    """Errors of a run, for each drive."""
 
-    configuration: of the run; localization_factors: (cases,) found; references: (cases,) what they should be;
-    uncertainty: relative, of the references; errors: (cases,) relative, |difference| + uncertainty, NaN for plates at
-    rest; error: the largest; displacement_errors: (cases,) relative L2 differences over the plate and the times kept,
-    NaN where they are not known; kind: of the reference; seconds: that the estimate took; price: of the next better
-    tolerance, None where the run keeps all of them.
-    """
-
-    configuration: Configuration
-    localization_factors: np.ndarray
-    references: np.ndarray
-    uncertainty: float
-    errors: np.ndarray
-    kind: str
-    seconds: float
-    price: Price | None
-    displacement_errors: np.ndarray
+    configuration: Configuration  # configuration of the run
+    localization_factors: np.ndarray  # (drives,) computed localization factors
+    references: np.ndarray  # (drives,) accurate localization factors
+    uncertainty: float  # relative error of the references
+    errors: np.ndarray  # (drives,) relative errors, |difference| + uncertainty; NaN for plates at rest
+    kind: str  # method of the reference
+    seconds: float  # time that the estimate took [s]
+    price: Price | None  # price of the next better tolerance; None if the run keeps all
+    displacement_errors: np.ndarray  # (drives,) relative L2 errors over plate and recorded times; NaN if not known
 
     @property
     def error(self) -> float:
-        """The largest relative error of all cases."""
+        """Largest relative error of all drives."""
         return float(np.nanmax(self.errors)) if np.isfinite(self.errors).any() else math.nan
 
-    def line(self, case: int = -1) -> str:
-        """For people: the localization factor of a case with its error bar, and what a better one costs."""
-        nx, ny = self.configuration.nodes
-        value, bar = float(self.localization_factors[case]), float(self.errors[case] * self.localization_factors[case])
-        grid = f"{nx} × {ny}, order {self.configuration.order}, {self.configuration.load}"
+    def line(self, drive: int = -1) -> str:
+        """Return the localization factor of a drive with its error bar, and the price of a better one, for people."""
+        value, error = float(self.localization_factors[drive]), float(self.errors[drive])
+        bar, moved = error * value, float(self.displacement_errors[drive])
+        grid = _grid_text(self.configuration)
         if not math.isfinite(bar):
             return f"{grid}: no error estimate (the plate is at rest, or not linear in its drives)"
-        limited = self.uncertainty > float(self.errors[case]) / 2
+        limited = self.uncertainty > error / 2
         at_most = f" at most (the reference is known to {percent(self.uncertainty)} only)" if limited else ""
-        moved = float(self.displacement_errors[case])
         displacement = f", displacement ± {percent(moved)}" if math.isfinite(moved) and not limited else ""
         digits = max(3, 1 - math.floor(math.log10(bar))) if bar > 0 else 6
-        found = f"localization factor {value:.{min(digits, 8)}f} ± {two_digits(bar)}{at_most}{displacement}"
-        return f"{grid}: {found}{self.price_line()}"
+        text = f"localization factor {value:.{min(digits, 8)}f} ± {two_digits(bar)}{at_most}{displacement}"
+        return f"{grid}: {text}{self._price_text()}"
 
-    def price_line(self) -> str:
-        """ "; 1 % costs 3 times as much (27 × 27, order 4, moments)", or nothing."""
+    def _price_text(self) -> str:
         if self.price is None:
             return ""
-        wanted, cost = self.price.configuration, self.price.cost
-        grid = f"{wanted.nodes[0]} × {wanted.nodes[1]}, order {wanted.order}, {wanted.load}"
-        if 0.95 < cost < 1.05:
-            return f"; {percent(self.price.tolerance)} costs as much ({grid})"
-        return f"; {percent(self.price.tolerance)} costs {two_digits(cost)} times as much ({grid})"
+        cost = "as" if 0.95 < self.price.cost < 1.05 else f"{two_digits(self.price.cost)} times as"
+        return f"; {percent(self.price.tolerance)} costs {cost} much ({_grid_text(self.price.configuration)})"
 
     def as_json(self) -> dict[str, object]:
-        """Of numbers and texts only."""
+        """Return the estimate as numbers and texts."""
         price = self.price
         return {
             "error": self.error,
@@ -126,9 +109,14 @@ class Estimate:
         }
 
 
+def _grid_text(configuration: Configuration) -> str:
+    nx, ny = configuration.nodes
+    return f"{nx} × {ny}, order {configuration.order}, {configuration.load}"
+
+
 def estimate(
     scene: Scene,
-    drives: np.ndarray,
+    phasors: np.ndarray,
     localization_factors: np.ndarray,
     seconds: float,
     device: str = "auto",
@@ -136,109 +124,109 @@ def estimate(
     displacement: np.ndarray | None = None,
     stage: ReferenceStage | None = None,
 ) -> Estimate:
-    """How far the localization factors of a run are from the right ones, at a tenth of its price or less.
+    """Estimate the errors of localization factors in at most a tenth of the time of the run.
+
+    The reference is refined until its own error is well below the one that it shows, or until time is up; its
+    remaining error is added.
 
     Args:
-        scene: as it was run.
-        drives: (cases, actuators) phasors.
-        localization_factors: (cases,) found.
-        seconds: that the run took.
-        device: for the plates that price fourth order.
-        times, displacement: (cases, times, ny, nx) [m] of the run at times [s].
-        stage: a reference that is there already.
-
-    The reference grows until its own error is well below the one that it shows, or until time is up; what is left of
-    its error is added.
+        scene: Scene as it was run.
+        phasors: (drives, actuators) phasors.
+        localization_factors: (drives,) computed localization factors.
+        seconds: Time that the run took [s].
+        device: Device of the trial run that prices fourth order.
+        times: Times of ``displacement`` [s].
+        displacement: (drives, times, ny, nx) displacement of the run [m].
+        stage: Reference solution, if there is one already.
     """
     started = time.perf_counter()
-    budget = min(max(SHARE * seconds, LEAST_SECONDS), MOST_SECONDS)
-    found = np.asarray(localization_factors, dtype=float)
-    drives = np.asarray(drives, dtype=complex)
-    # The reference is one of Gram matrices, which a plate that stretches does not have.
-    kept = np.isfinite(found) & np.any(drives != 0, axis=1) & scene.linear
+    budget = min(max(TIME_SHARE * seconds, LEAST_SECONDS), MOST_SECONDS)
+    computed = np.asarray(localization_factors, dtype=float)
+    phasors = np.asarray(phasors, dtype=complex)
+    # The reference consists of Gram matrices, which a nonlinear plate does not have.
+    kept = np.isfinite(computed) & np.any(phasors != 0, axis=1) & scene.linear
+    references = np.full(computed.shape, math.nan)
     if not kept.any():
-        nothing = np.full(found.shape, math.nan)
-        return Estimate(configuration_of(scene), found, nothing, math.nan, nothing, "none", 0.0, None, nothing)
+        return Estimate(
+            configuration_of(scene), computed, references, math.nan, references, "none", 0.0, None, references
+        )
 
-    def enough(matrices: np.ndarray) -> float:
-        difference = np.abs(found[kept] / factors_of(matrices, drives[kept]) - 1).max()
+    def wanted(matrices: np.ndarray) -> float:
+        difference = np.abs(computed[kept] / factors_of(matrices, phasors[kept]) - 1).max()
         return min(max(GOOD_ENOUGH * float(difference), FINEST_WANTED), FIRST_WANTED)
 
-    stage = stage or grow(scene, "auto", device, enough, budget, drives[kept])
-    references = np.full(found.shape, math.nan)
-    references[kept] = factors_of(stage.matrices, drives[kept])
-    differences = np.abs(found / references - 1)
-    errors = differences + stage.uncertainty + ROUNDING[scene.grid.precision]
-    worst = float(np.nanmax(differences))
-    # What is mostly the reference's own error says nothing of the price of a smaller one.
-    known = stage.uncertainty < worst
-    price = _price(scene, worst, drives[kept], references[kept], device, budget) if known else None
-    moved = _displacement_errors(stage, scene, drives, times, displacement)
-    took = time.perf_counter() - started
+    stage = stage or refine_reference(scene, "auto", device, wanted, budget, Observed(only=phasors[kept]))
+    references[kept] = factors_of(stage.matrices, phasors[kept])
+    differences = np.abs(computed / references - 1)
+    largest = float(np.nanmax(differences))
+    # A difference within the uncertainty does not allow to extrapolate to smaller errors.
+    known = stage.uncertainty < largest
+    price = _price(scene, largest, phasors[kept], references[kept], device, budget) if known else None
+    displacement_errors = _displacement_errors(stage, scene, phasors, times, displacement)
     return Estimate(
         configuration=configuration_of(scene),
-        localization_factors=found,
+        localization_factors=computed,
         references=references,
         uncertainty=stage.uncertainty,
-        errors=errors,
+        errors=differences + stage.uncertainty + ROUNDING[scene.grid.precision],
         kind=stage.kind,
-        seconds=took,
+        seconds=time.perf_counter() - started,
         price=price,
-        displacement_errors=moved,
+        displacement_errors=displacement_errors,
     )
 
 
 def _displacement_errors(
     stage: ReferenceStage,
     scene: Scene,
-    drives: np.ndarray,
+    phasors: np.ndarray,
     times: Sequence[float] | np.ndarray,
     displacement: np.ndarray | None,
 ) -> np.ndarray:
-    """(cases,) relative L2 differences over the nodes and times, where the reference knows displacements at once."""
-    errors = np.full(len(drives), math.nan)
+    """Return (drives,) relative L2 errors over nodes and times; NaN unless the reference has modes."""
+    errors = np.full(len(phasors), math.nan)
     if displacement is None or stage.modes is None or not len(times):
         return errors
-    (nx, ny), (width, height) = scene.grid.nodes, scene.plate.size
-    for case, (drive, found) in enumerate(zip(drives, displacement, strict=True)):
-        right = ritz_field(stage.modes, scene, drive)(times, np.linspace(0, width, nx), np.linspace(0, height, ny))
-        size = np.linalg.norm(right)
+    x, y = (np.linspace(0, side, count) for side, count in zip(scene.plate.size, scene.grid.nodes, strict=True))
+    for drive, computed in enumerate(displacement):
+        expected = ritz_field(stage.modes, scene, phasors[drive])(times, x, y)
+        size = np.linalg.norm(expected)
         if size > 0:
-            errors[case] = np.linalg.norm(found - right) / size
+            errors[drive] = np.linalg.norm(computed - expected) / size
     return errors
 
 
 def _price(
-    scene: Scene, error: float, drives: np.ndarray, references: np.ndarray, device: str, budget: float
+    scene: Scene, error: float, phasors: np.ndarray, references: np.ndarray, device: str, budget: float
 ) -> Price | None:
-    """The cheaper of finer grids of the run's own kind and of the highest order."""
-    tolerance = next((one for one in TOLERANCES if error > one), None)
+    """Return the cheaper of finer grids of the run's own order and of the highest order."""
+    tolerance = next((tolerance for tolerance in TOLERANCES if error > tolerance), None)
     if tolerance is None or not math.isfinite(error):
         return None
-    written = replace(configuration_of(scene), time_step=make_scheme(scene).time_step)
-    own_cost = cost_of_run(scene, written)
-    known = [TrialRun(written, error, own_cost)]
+    run = replace(configuration_of(scene), time_step=make_scheme(scene).time_step)
+    run_cost = cost_of_run(scene, run)
+    trials = [TrialRun(run, error, run_cost)]
     if scene.grid.order == 2 and highest_order(scene) == 4:
-        known.append(_pilot(scene, drives, references, device, budget))
-    needed = [_needed(scene, trial, AIM * tolerance) for trial in known if math.isfinite(trial.error)]
-    best = min(needed, key=lambda one: cost_of_run(scene, one))
-    return Price(tolerance, best, cost_of_run(scene, best) / own_cost)
+        trials.append(_pilot(scene, phasors, references, device, budget))
+    needed = [_needed(scene, trial, TOLERANCE_SHARE * tolerance) for trial in trials if math.isfinite(trial.error)]
+    cheapest = min(needed, key=lambda configuration: cost_of_run(scene, configuration))
+    return Price(tolerance, cheapest, cost_of_run(scene, cheapest) / run_cost)
 
 
-def _pilot(scene: Scene, drives: np.ndarray, references: np.ndarray, device: str, budget: float) -> TrialRun:
-    """Fourth order on a coarse grid, if its few plates take no longer than the estimate may."""
+def _pilot(scene: Scene, phasors: np.ndarray, references: np.ndarray, device: str, budget: float) -> TrialRun:
+    """Return a trial run of fourth order on a coarse grid; its error is infinite if it would take too long."""
     nodes = nodes_for(scene.plate.size, PILOT_SIDE, 4)
     pilot = Configuration(4, LOAD_OF[4], nodes, longest_time_step(scene, 4, nodes), "float32")
-    if len(drives) * node_steps(scene, pilot) > PILOT_NODE_STEPS * budget:
-        return TrialRun(pilot, math.inf, math.inf)
     try:
-        return try_out(scene, pilot, drives, references, device)
-    except SceneError:  # its step is too long for the window, or its cells too large for an actuator
-        return TrialRun(pilot, math.inf, math.inf)
+        if len(phasors) * node_steps(scene, pilot) <= PILOT_NODE_STEPS * budget:
+            return try_out(scene, pilot, phasors, references, device)
+    except SceneError:  # the time step is too long for the window, or the cells too large for an actuator
+        pass
+    return TrialRun(pilot, math.inf, math.inf)
 
 
-def _needed(scene: Scene, trial: TrialRun, aim: float) -> Configuration:
-    """The grid that keeps the error by the law of its order; loads on whole nodes are weighed as the order does."""
+def _needed(scene: Scene, trial: TrialRun, tolerance: float) -> Configuration:
+    """Return the configuration that keeps the tolerance by the convergence law, with the loads that the order needs."""
     configuration = replace(trial.configuration, load=LOAD_OF[trial.configuration.order])
-    factor = max((trial.error / aim) ** (1 / configuration.order), 9 / min(configuration.nodes))
-    return finer(scene, configuration, factor)
+    factor = max((trial.error / tolerance) ** (1 / configuration.order), 9 / min(configuration.nodes))
+    return refine(scene, configuration, factor)

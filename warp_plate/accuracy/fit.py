@@ -1,4 +1,4 @@
-"""What the rows of a family say together: measured orders, cost exponents, the Pareto front, recommendations."""
+"""Convergence orders, cost exponents, Pareto front and recommendations from measured configurations."""
 
 from __future__ import annotations
 
@@ -11,75 +11,73 @@ import numpy as np
 from warp_plate.accuracy.measure import AccuracyRow
 
 TOLERANCES = (0.1, 0.03, 0.01, 0.003, 0.001)
-# The clean part of a family: errors below the first (coarser grids are not yet on the law), so many times above what
-# the reference leaves open, and well above what rounding of float32 does to an energy.
+# Errors that a fit takes: below the first number (coarser grids do not yet converge regularly), this many times above
+# the uncertainty of the reference, and well above the rounding of energies.
 LARGEST_ERROR, ABOVE_UNCERTAINTY = 0.3, 3.0
 ROUNDING = {"float32": 1e-5, "float64": 1e-10}
-# Rows that a line takes: the finest ones, for coarse grids are not yet on the law, and starting a run counts there.
+# Rows that a fit takes, the finest ones: on coarse grids the start of a run costs time too.
 FEWEST_ROWS, MOST_ROWS = 3, 4
+# Relative reduction of the error for which a more expensive row is on the Pareto front.
+LEAST_GAIN = 0.01
 
 
 @dataclass(frozen=True)
 class ConvergenceLaw:
-    """A family's laws: error ∝ spacing^order, seconds ∝ (nodes a side)^cost_exponent; None where rows are too few.
+    """Power laws of configurations that differ in grid only; an exponent is None if there are too few rows."""
 
-    order is of the localization factors, order_displacement and order_frequencies of these.
-    """
-
-    family: str
-    rows: int
-    order: float | None
-    order_displacement: float | None
-    order_frequencies: float | None
-    cost_exponent: float | None
+    family: str  # order, load and precision
+    rows: int  # number of grids
+    order: float | None  # exponent p of error ∝ spacing^p, of localization factors
+    order_displacement: float | None  # likewise, of displacements
+    order_frequencies: float | None  # likewise, of natural frequencies
+    cost_exponent: float | None  # exponent p of seconds ∝ (nodes a side)^p
 
 
 @dataclass(frozen=True)
 class Recommendation:
-    """tolerance; row: index of the cheapest row that keeps it, None if none does; seconds: of the whole search."""
+    """The cheapest row for a tolerance."""
 
-    tolerance: float
-    row: int | None
-    seconds: float | None
-
-
-def family_of(row: AccuracyRow) -> str:
-    """Rows of one name differ in grid and time step only."""
-    return f"order {row.order}, {row.load}, {row.precision}"
+    tolerance: float  # relative error
+    row: int | None  # index of the row; None if no row keeps the tolerance
+    seconds: float | None  # time of the whole search [s]
 
 
 def fit_laws(rows: Sequence[AccuracyRow], uncertainty: float) -> list[ConvergenceLaw]:
-    """A law for each family, from the longest time step of every grid; the scene as written is left out."""
+    """Return a law for each order, load and precision, from the longest time step of each grid."""
     laws = []
-    for name in dict.fromkeys(family_of(row) for row in rows if not row.as_written):
-        mine = longest_steps([row for row in rows if family_of(row) == name and row.measured and not row.as_written])
-        if not mine:
+    for family in dict.fromkeys(_family(row) for row in rows if not row.as_written):
+        members = [row for row in rows if _family(row) == family and row.measured and not row.as_written]
+        if not members:
             continue
-        floor = max(ABOVE_UNCERTAINTY * uncertainty, ROUNDING[mine[0].precision])
-        # The reference's displacement is less exact than its energies, whose error is about the square.
+        members = _longest_steps(members)
+        floor = max(ABOVE_UNCERTAINTY * uncertainty, ROUNDING[members[0].precision])
+        # The error of energies is about the square of that of displacements.
         field_floor = max(floor, math.sqrt(uncertainty))
-        sides = [(1 / row.spacing, row.seconds_per_plate) for row in mine]
         laws.append(
             ConvergenceLaw(
-                family=name,
-                rows=len(mine),
-                order=_order([(row.spacing, row.error) for row in mine], floor),
-                order_displacement=_order([(row.spacing, row.error_displacement) for row in mine], field_floor),
-                order_frequencies=_order([(row.spacing, row.error_frequencies) for row in mine], 1e-7),
-                cost_exponent=slope(sides[-MOST_ROWS:]),
+                family=family,
+                rows=len(members),
+                order=_order([(row.spacing, row.error) for row in members], floor),
+                order_displacement=_order([(row.spacing, row.error_displacement) for row in members], field_floor),
+                order_frequencies=_order([(row.spacing, row.error_frequencies) for row in members], 1e-7),
+                cost_exponent=slope([(1 / row.spacing, row.seconds_per_plate) for row in members][-MOST_ROWS:]),
             )
         )
     return laws
 
 
-def longest_steps(rows: Sequence[AccuracyRow]) -> list[AccuracyRow]:
-    """Of each grid the row with the longest step, from coarse to fine."""
-    found: dict[tuple[int, int], AccuracyRow] = {}
+def _family(row: AccuracyRow) -> str:
+    return f"order {row.order}, {row.load}, {row.precision}"
+
+
+def _longest_steps(rows: Sequence[AccuracyRow]) -> list[AccuracyRow]:
+    """Return the row with the longest time step of each grid, from coarse to fine."""
+    longest: dict[tuple[int, int], AccuracyRow] = {}
     for row in rows:
-        other = found.get(row.nodes)
+        other = longest.get(row.nodes)
         if other is None or (row.time_step or 0) > (other.time_step or 0):
-            found[row.nodes] = row
-    return sorted(found.values(), key=lambda row: -row.spacing)
+            longest[row.nodes] = row
+    return sorted(longest.values(), key=lambda row: -row.spacing)
 
 
 def _order(points: Sequence[tuple[float, float | None]], floor: float) -> float | None:
@@ -88,7 +86,7 @@ def _order(points: Sequence[tuple[float, float | None]], floor: float) -> float 
 
 
 def slope(points: Sequence[tuple[float, float | None]]) -> float | None:
-    """Exponent p of the least-squares law y ∝ x^p; None for fewer than FEWEST_ROWS points."""
+    """Return the exponent p of the least-squares law y ∝ x^p; None for fewer than FEWEST_ROWS points."""
     kept = [(x, y) for x, y in points if y is not None and y > 0]
     if len(kept) < FEWEST_ROWS:
         return None
@@ -96,29 +94,12 @@ def slope(points: Sequence[tuple[float, float | None]]) -> float | None:
     return float(np.polyfit(x, y, 1)[0])
 
 
-# A dearer row is on the front if its error is smaller by this part at least.
-LEAST_GAIN = 0.01
-
-
-def _keeps(row: AccuracyRow, error: float) -> bool:
-    return row.measured and row.error is not None and row.error <= error
-
-
-def _as_fine(other: AccuracyRow, row: AccuracyRow) -> bool:
-    """Whether it is measured, of the same family and no coarser: one that is right by chance is not recommended."""
-    alike = (other.order, other.load, other.precision) == (row.order, row.load, row.precision)
-    return other.measured and alike and other.spacing <= row.spacing * (1 + 1e-9)
-
-
 def pareto_front(rows: Sequence[AccuracyRow]) -> list[int]:
-    """Indices of the measured rows that no other beats in both seconds and error, from cheap to dear."""
-    order = sorted(
-        (index for index, row in enumerate(rows) if row.measured),
-        key=lambda index: (rows[index].seconds_per_plate, rows[index].error),
-    )
+    """Return the indices of the measured rows that no other row beats in time and error, from cheap to expensive."""
+    measured = [index for index, row in enumerate(rows) if row.measured]
     front: list[int] = []
     least = math.inf
-    for index in order:
+    for index in sorted(measured, key=lambda index: (rows[index].seconds_per_plate, rows[index].error)):
         error = rows[index].error
         if error is not None and error < (1 - LEAST_GAIN) * least:
             front.append(index)
@@ -129,18 +110,27 @@ def pareto_front(rows: Sequence[AccuracyRow]) -> list[int]:
 def recommend(
     rows: Sequence[AccuracyRow], uncertainty: float, plates: int, tolerances: Sequence[float] = TOLERANCES
 ) -> list[Recommendation]:
-    """For each tolerance the cheapest row whose error and the reference's own stay below it.
+    """Return the cheapest row for each tolerance, in a search of ``plates`` plates.
 
-    plates: of the whole search, particles × iterations.
+    The tolerance includes the uncertainty of the reference, and the finer grids of the row's order, load and precision
+    must keep it too: a coarse grid may be right by chance.
     """
-    found = []
+
+    def keeps(row: AccuracyRow, error: float) -> bool:
+        finer = [
+            other
+            for other in rows
+            if other.measured and _family(other) == _family(row) and other.spacing <= row.spacing * (1 + 1e-9)
+        ]
+        return all(other.error is not None and other.error <= error for other in finer)
+
+    recommendations = []
     for tolerance in tolerances:
-        keeping = [
+        candidates = [
             (row.seconds_per_plate, index)
             for index, row in enumerate(rows)
-            if row.measured and row.seconds_per_plate is not None
-            if all(_keeps(other, tolerance - uncertainty) for other in rows if _as_fine(other, row))
+            if row.measured and row.seconds_per_plate is not None and keeps(row, tolerance - uncertainty)
         ]
-        seconds, index = min(keeping, default=(None, None))
-        found.append(Recommendation(tolerance, index, None if seconds is None else plates * seconds))
-    return found
+        seconds, index = min(candidates, default=(None, None))
+        recommendations.append(Recommendation(tolerance, index, None if seconds is None else plates * seconds))
+    return recommendations

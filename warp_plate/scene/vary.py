@@ -23,25 +23,15 @@ INTEGER_TOLERANCE = (1e-9, 1e-3)
 
 @dataclass(frozen=True)
 class VariedKey:
-    """A key of the scene and the range of its values.
+    """A key of the scene and the range of its values."""
 
-    Attributes:
-        key: One of ``numeric_keys``.
-        start: First value.
-        stop: Last value.
-        count: Number of values; None if the range has none.
-        logarithmic: True if values are spaced by a constant factor.
-        listed: Values of a list; empty for a range.
-        integer: True if the key holds an integer.
-    """
-
-    key: str
-    start: float
-    stop: float
-    count: int | None = None
-    logarithmic: bool = False
-    listed: tuple[float, ...] = ()
-    integer: bool = False
+    key: str  # one of ``numeric_keys``
+    start: float  # first value
+    stop: float  # last value
+    count: int | None = None  # number of values; None if the range has none
+    logarithmic: bool = False  # true if values are spaced by a constant factor
+    listed: tuple[float, ...] = ()  # values of a list; empty for a range
+    integer: bool = False  # true if the key holds an integer
 
     def values(self) -> np.ndarray:
         """Return the (count,) values of a grid.
@@ -79,19 +69,13 @@ class VariedKey:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The points of a sweep.
+    """The points of a sweep."""
 
-    Attributes:
-        keys: Varied keys.
-        coordinates: Array for each key: its values along one axis of a grid, or its value in each sample.
-        logarithmic: True for each key with a logarithmic range.
-        sampled: True for samples, False for a full grid.
-    """
-
-    keys: tuple[str, ...]
+    keys: tuple[str, ...]  # varied keys
+    # Array for each key: its values along one axis of a grid, or its value in each sample
     coordinates: tuple[np.ndarray, ...]
-    logarithmic: tuple[bool, ...]
-    sampled: bool = False
+    logarithmic: tuple[bool, ...]  # true for each key with a logarithmic range
+    sampled: bool = False  # true for samples, False for a full grid
 
     def __len__(self) -> int:
         return math.prod(self.shape)
