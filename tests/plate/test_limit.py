@@ -13,6 +13,7 @@ import scipy.optimize
 
 from warp_plate.plate.bending import make_bending, oscillator_shares, stiffness_matrix, system
 from warp_plate.plate.modes import natural_modes
+from warp_plate.plate.operator import biharmonic
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.stability_limit import FORMULA_NODES, find_limit
 
@@ -84,9 +85,8 @@ def matrices(made):
     """Dense K, C, c per mass, in coordinates √mass·u: damping C at the last half-step, c centred in time."""
     scheme = make_scheme(made)
     if made.grid.order == 4:
-        from warp_plate.accuracy.natural_frequencies import biharmonic
-
-        stiffness = scheme.kappa**2 * biharmonic(made).toarray()
+        bilaplacian = biharmonic(scheme.taps_x, scheme.taps_y, scheme.spacing, scheme.order)
+        stiffness = scheme.kappa**2 * bilaplacian.toarray()
         return stiffness, scheme.viscous / scheme.surface_density * scheme.backward * np.eye(len(stiffness))
     bending, effects = make_bending(made), made.effects
     stiffness, masses = system(made, bending)
