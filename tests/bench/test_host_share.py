@@ -7,7 +7,7 @@ import host_share
 import pytest
 
 from warp_plate.optimize.optimizer import minimize
-from warp_plate.problem.problem import make_nominal_problem
+from warp_plate.problem.problem import make_problem
 from warp_plate.studies.driver import search_optimizer
 
 
@@ -25,7 +25,7 @@ def test_parts_add_up_to_the_whole(scene):
 def test_the_clock_around_the_steps_changes_no_bit(scene):
     found = []
     for timed in (False, True):
-        problem = make_nominal_problem(scene(nodes=(9, 9), search={"particles": 5, "iterations": 3}), "cpu")
+        problem = make_problem(scene(nodes=(9, 9), search={"particles": 5, "iterations": 3}), "cpu")
         clock = host_share.DeviceTime(problem) if timed else None
         found.append(minimize(search_optimizer(problem, 0), problem.losses).fbest)
         assert clock is None or clock.taken()[1] > 0

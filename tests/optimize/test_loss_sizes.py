@@ -10,7 +10,7 @@ from conftest import scene_of
 from warp_plate.optimize.record import tolerance_scale
 from warp_plate.problem.methods import make_optimizer, optimizer_from_state
 from warp_plate.problem.objectives import loss_scale
-from warp_plate.problem.problem import make_nominal_problem
+from warp_plate.problem.problem import make_problem
 from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.scene.search import Objective
 
@@ -22,7 +22,7 @@ LIMITED = {"kind": "displacement", "rest_limit": 2e-8}
 def problem(**objective):
     """A search for displacements of about 5e-8 m, answered by Gram matrices."""
     search = {"magnitude": {"range": [0.0, 0.1]}, "phase": {}, "objectives": [objective]}
-    return make_nominal_problem(scene_of(nodes=(9, 9), damping=88.5, search=search), "cpu", evaluator="response")
+    return make_problem(scene_of(nodes=(9, 9), damping=88.5, search=search), "cpu", evaluator="response")
 
 
 def found(objective, weight, resumed=False, **keys):

@@ -10,7 +10,7 @@ import pytest
 from warp_plate import Scene, load_result, localize
 from warp_plate.cli.main import main
 from warp_plate.problem.objectives import keeps_limit
-from warp_plate.problem.problem import make_nominal_problem
+from warp_plate.problem.problem import make_problem
 from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.result.store import save_result
 from warp_plate.scene.dump import dump_scene
@@ -80,7 +80,7 @@ def test_of_a_robust_search_they_are_those_of_the_plate_without_scatter(scene):
     result = localize(scene((9, 9), damping=88.5, search=search), device="cpu", estimate=False)
     assert result.robust is not None
     assert result.objective_values["sum"] == pytest.approx(result.robust.nominal_plate[0], rel=1e-9)
-    plain = make_nominal_problem(scene((9, 9), damping=88.5, search=SEARCH), "cpu")
+    plain = make_problem(scene((9, 9), damping=88.5, search=SEARCH), "cpu")
     assert result.objective_values["bound"] == pytest.approx(-plain.loss_bound.value, rel=1e-9)
 
 
@@ -102,7 +102,7 @@ def test_the_command_shows_them_beside_those_of_other_drives(panel, tmp_path, mo
         known = [column[name] for column in columns if name in column]
         assert any(row[-len(known) :] == pytest.approx(known, rel=1e-3) for row in rows if len(row) >= len(known))
     assert "…" not in out
-    problem = make_nominal_problem(panel, "cpu")
+    problem = make_problem(panel, "cpu")
     for name in CASES:
         drive = result.cases[name].phasors[None]
         worth = problem.objectives.values(

@@ -7,7 +7,7 @@ from conftest import scene_of
 from warp_plate import PlateSolver, SceneError
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.parametrization import paper_phasors
-from warp_plate.problem.problem import make_nominal_problem
+from warp_plate.problem.problem import make_problem
 from warp_plate.solve.response import measure_response
 
 STRETCHING = {"effects": {"stretching": {}}}
@@ -19,7 +19,7 @@ def positions(problem, count=6):
 
 @pytest.fixture(scope="module")
 def problem():
-    return make_nominal_problem(scene_of(nodes=(9, 9), window=(0.004, 0.006), precision="float32"), "cpu")
+    return make_problem(scene_of(nodes=(9, 9), window=(0.004, 0.006), precision="float32"), "cpu")
 
 
 def test_losses_are_those_of_the_papers_reading_to_the_last_bit(problem):
@@ -38,7 +38,7 @@ def test_the_bound_and_the_matrices_are_those_of_float64(problem):
 
 
 def test_known_matrices_are_not_measured_again(problem):
-    known = make_nominal_problem(problem.scene, "cpu", evaluator="response", matrices=problem.response.matrices)
+    known = make_problem(problem.scene, "cpu", evaluator="response", matrices=problem.response.matrices)
     assert known.node_steps == 0
     asked = positions(problem)
     assert np.allclose(known.losses(asked), problem.losses(asked), atol=1e-5)
@@ -46,20 +46,20 @@ def test_known_matrices_are_not_measured_again(problem):
 
 
 def test_no_bound_is_claimed_where_none_is_proved():
-    assert make_nominal_problem(scene_of(nodes=(9, 9), window=(0.004, 0.006), **STRETCHING), "cpu").bound is None
+    assert make_problem(scene_of(nodes=(9, 9), window=(0.004, 0.006), **STRETCHING), "cpu").bound is None
 
 
 def test_the_response_is_refused_where_it_does_not_hold():
     with pytest.raises(SceneError, match=r"evaluator = 'response': effects.stretching is not linear"):
-        make_nominal_problem(scene_of(nodes=(9, 9), **STRETCHING), "cpu", evaluator="response")
+        make_problem(scene_of(nodes=(9, 9), **STRETCHING), "cpu", evaluator="response")
     searched = scene_of(nodes=(9, 9), search={"phase": {}, "position": {}})
     with pytest.raises(SceneError, match=r"evaluator = 'response': no Gram matrix holds where x, y is searched"):
-        make_nominal_problem(searched, "cpu", evaluator="response")
+        make_problem(searched, "cpu", evaluator="response")
 
 
 def test_only_the_free_phases_are_searched():
     """Magnitudes stay the scene's; the bound over all drives is above what phases alone can reach."""
-    problem = make_nominal_problem(scene_of(nodes=(9, 9), window=(0.004, 0.006), search={"phase": {}}), "cpu")
+    problem = make_problem(scene_of(nodes=(9, 9), window=(0.004, 0.006), search={"phase": {}}), "cpu")
     assert problem.space.dimension == 2
     factors = 1 - problem.losses(np.random.default_rng(2).uniform(0, 6, (20, 2)))
     assert np.all(factors <= problem.bound)

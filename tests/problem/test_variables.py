@@ -13,7 +13,7 @@ from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.problem.design_variables import at_highest_frequency, with_common_step
 from warp_plate.problem.parametrization import parametrization_of
-from warp_plate.problem.problem import make_nominal_problem
+from warp_plate.problem.problem import make_problem
 
 ALL = {
     "magnitude": {"range": [0.5, 3.0]},
@@ -275,7 +275,7 @@ def test_magnitudes_of_zero_that_are_held_move_nothing():
 def test_a_time_step_that_carries_too_little_is_told_with_its_numbers():
     scene = scene_of(nodes=(9, 9), time_step=1e-4, search={"frequency": {"range": [200.0, 6000.0]}})
     with pytest.raises(SceneError, match=r"search.frequency.range = .*0.0001 s carries less than 5000 Hz"):
-        make_nominal_problem(scene, "cpu")
+        make_problem(scene, "cpu")
 
 
 @pytest.mark.parametrize("grid", [{"nodes": (9, 9)}, {"accuracy": 0.1}])

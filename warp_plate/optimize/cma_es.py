@@ -8,6 +8,7 @@ wrapped into one period. pycma needs two numbers or more: a single one gets an i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -38,12 +39,12 @@ class CovarianceSearch(Optimizer):
         Raises:
             MethodError: pycma is not installed.
         """
-        super().__init__(space, settings.loss_scale)
+        super().__init__(space, settings)
         try:
             import cma
         except ImportError:
             raise MethodError("needs pycma; pip install 'warp-plate[cma]'") from None
-        self.settings, self._cma = settings, cma
+        self._cma = cma
         self._random = np.random.RandomState(np.random.MT19937(settings.seed))
         self._losses: list[np.ndarray] = []  # from which the whole search follows again
         self._restarts = self._began_at = 0
@@ -55,8 +56,8 @@ class CovarianceSearch(Optimizer):
         restarting = bool(ended) and self._restarts < self.settings.restarts
         population = self._population(self._restarts + restarting)
         reasons: dict[str, Any] = {}
-        if self.record.evaluations + population > self.settings.evaluations and self.iterations:
-            reasons["evaluations"] = self.record.evaluations
+        if self.evaluations + population > self.settings.evaluations and self.iterations:
+            reasons["evaluations"] = self.evaluations
         return reasons if restarting else reasons | ended
 
     def _propose(self) -> np.ndarray:
@@ -96,12 +97,13 @@ class CovarianceSearch(Optimizer):
             )
 
     def _population(self, restarts: int) -> int:
-        return self.settings.batch * GROWTH**restarts
+        fewest = 4 + int(3 * math.log(self.space.dimension))  # pycma's default
+        return max(self.settings.particles, fewest) * GROWTH**restarts
 
     def _ended(self) -> dict[str, Any]:
         """Return why the present cloud should go no further."""
         reasons = dict(self._cloud.stop()) if self.iterations > self._began_at else {}
-        if self.record.stalled(self.settings.stall, self._began_at):
+        if self.stalled(self._began_at):
             reasons["stall"] = self.settings.stall
         return reasons
 

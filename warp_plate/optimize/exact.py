@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.optimize.optimizer import MethodError, Optimizer
+from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings
 from warp_plate.optimize.quadratic import RANK_TOLERANCE, Quadratic, real_parts
 from warp_plate.optimize.space import SearchSpace
 
@@ -31,7 +31,7 @@ class ExactSearch(Optimizer):
         Raises:
             MethodError: see :func:`best_position`.
         """
-        super().__init__(space)
+        super().__init__(space, SearchSettings())
         self.positions = best_position(space, problem)[None]
 
     def stop(self) -> dict[str, int]:

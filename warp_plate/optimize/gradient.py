@@ -46,11 +46,11 @@ class GradientSearch(Optimizer):
     FORMAT = "gradient 2"
 
     def __init__(self, space: SearchSpace, problem: Quadratic, settings: SearchSettings) -> None:
-        super().__init__(space, settings.loss_scale)
-        self.problem, self.settings = problem, settings
+        super().__init__(space, settings)
+        self.problem = problem
         self.random = np.random.default_rng(settings.seed)
         self._limits = space.to_unit(space.lower), space.to_unit(space.upper)
-        starts, dimension = settings.batch, space.dimension
+        starts, dimension = settings.particles, space.dimension
         self.base, self.loss = np.zeros((starts, dimension)), np.full(starts, np.inf)
         self.slope, self.direction = np.zeros((starts, dimension)), np.zeros((starts, dimension))
         self.inverse = np.zeros((starts, dimension, dimension))
@@ -61,17 +61,17 @@ class GradientSearch(Optimizer):
     def stop(self) -> dict[str, int]:
         """Return {"evaluations": number}, {"converged": descents}, {"stall": iterations}, or nothing to go on."""
         reasons = {}
-        if self.record.evaluations >= self.settings.evaluations:
-            reasons["evaluations"] = self.record.evaluations
+        if self.evaluations >= self.settings.evaluations:
+            reasons["evaluations"] = self.evaluations
         if not (self.restarts_left >= 0).any():
-            reasons["converged"] = self.settings.batch
-        if self.settings.stall is not None and self.record.stalled(self.settings.stall):
+            reasons["converged"] = self.settings.particles
+        if self.settings.stall is not None and self.stalled():
             reasons["stall"] = self.settings.stall
         return reasons
 
     def _propose(self) -> np.ndarray:
         """Return the next position of each descent that has not ended, as far as the budget goes."""
-        room = self.settings.evaluations - self.record.evaluations
+        room = self.settings.evaluations - self.evaluations
         self._active = rows = np.flatnonzero(self.restarts_left >= 0)[: max(room, 0)]
         self._points = np.clip(self.base[rows] + self.step[rows, None] * self.direction[rows], *self._limits)
         return self.space.from_unit(self._points)

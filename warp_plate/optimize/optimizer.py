@@ -27,23 +27,28 @@ class MethodError(ValueError):
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """Settings of a method that asks for the same number of positions in each iteration.
+    """Settings that all methods share.
 
     Attributes:
-        batch: positions in an iteration: the first population of CMA-ES, or the number of descents.
-        evaluations: largest number of evaluations in all.
-        restarts: largest number of restarts.
-        stall: iterations without progress that end a search (default: no such end).
+        particles: positions in an iteration; of CMA-ES in the first population, of descents at most.
+        iterations: particles × iterations is the largest number of evaluations.
+        restarts: largest number of restarts; of descents, of each.
+        stall: iterations without progress after which a search restarts or ends (default: it does not).
         seed: random seed.
         loss_scale: see :func:`tolerance_scale`.
     """
 
-    batch: int
-    evaluations: int
+    particles: int = 20
+    iterations: int = 80
     restarts: int = 0
     stall: int | None = None
     seed: int = 0
     loss_scale: float = 1.0
+
+    @property
+    def evaluations(self) -> int:
+        """Largest number of evaluations."""
+        return self.particles * self.iterations
 
 
 @dataclass(frozen=True)
@@ -73,70 +78,38 @@ def tolerance_scale(loss: float, loss_scale: float) -> float:
     return max(abs(loss), loss_scale)
 
 
-class SearchRecord:
-    """Best position so far and statistics of each iteration.
-
-    Attributes:
-        position: (dimension,) best position; NaN before any finite loss.
-        loss: its loss; infinity before any finite loss.
-        rows: for each iteration the values of COLUMNS.
-    """
-
-    def __init__(self, dimension: int, loss_scale: float) -> None:
-        self.loss_scale = loss_scale
-        self.position = np.full(dimension, np.nan)
-        self.loss = math.inf
-        self.rows: list[list[float]] = []
-
-    @property
-    def evaluations(self) -> int:
-        """Number of losses so far."""
-        return int(self.rows[-1][-1]) if self.rows else 0
-
-    def add(self, positions: np.ndarray, losses: np.ndarray, finite: np.ndarray) -> None:
-        """Record an iteration: positions (n, dimension), losses (n,), infinite where ``finite`` (n,) is false."""
-        best = int(np.argmin(losses))
-        if losses[best] < self.loss:
-            self.position, self.loss = np.array(positions[best]), float(losses[best])
-        mean = worst = math.nan
-        known = losses if finite.all() else losses[finite]
-        if known.size:
-            with np.errstate(over="ignore"):
-                mean, worst = float(known.mean()), float(known.max())
-        self.rows.append([self.loss, mean, worst, len(losses) - known.size, self.evaluations + len(losses)])
-
-    def stalled(self, stall: int | None, since: int = 0) -> bool:
-        """Return whether the last ``stall`` iterations, all after iteration ``since``, made no progress."""
-        if stall is None or len(self.rows) - since <= stall:
-            return False
-        if not math.isfinite(self.loss):
-            return True
-        fall = self.rows[-1 - stall][0] - self.loss
-        return not fall > STALL_TOLERANCE * tolerance_scale(self.loss, self.loss_scale)
-
-
 class Optimizer(ABC):
     """Base of the search methods.
 
     Attributes:
         space: the numbers that are searched.
-        record: best position and history.
+        settings: of the method.
         positions: (n, dimension) positions that :meth:`ask` gave last, read-only.
         asked: whether their losses are still to be told.
+        best_position: (dimension,) best position so far; NaN before any finite loss.
+        best_loss: its loss; infinity before any finite loss.
+        rows: for each iteration the values of COLUMNS.
     """
 
     FORMAT: ClassVar[str]
 
-    def __init__(self, space: SearchSpace, loss_scale: float = 1.0) -> None:
-        self.space = space
-        self.record = SearchRecord(space.dimension, loss_scale)
+    def __init__(self, space: SearchSpace, settings: SearchSettings) -> None:
+        self.space, self.settings = space, settings
         self.positions = np.empty((0, space.dimension))
         self.asked = False
+        self.best_position = np.full(space.dimension, np.nan)
+        self.best_loss = math.inf
+        self.rows: list[list[float]] = []
 
     @property
     def iterations(self) -> int:
         """Number of iterations whose losses are known."""
-        return len(self.record.rows)
+        return len(self.rows)
+
+    @property
+    def evaluations(self) -> int:
+        """Number of losses so far."""
+        return int(self.rows[-1][-1]) if self.rows else 0
 
     @property
     def history(self) -> dict[str, np.ndarray]:
@@ -145,17 +118,26 @@ class Optimizer(ABC):
         `evaluations` and `best` loss so far; of the iteration itself the `mean` and `worst` of its finite losses (NaN
         if it has none) and `nonfinite`, the number of the others.
         """
-        columns = np.array(self.record.rows, dtype=float).reshape(-1, len(COLUMNS)).T
+        columns = np.array(self.rows, dtype=float).reshape(-1, len(COLUMNS)).T
         history = dict(zip(COLUMNS, columns, strict=True))
         return history | {name: history[name].astype(int) for name in ("nonfinite", "evaluations")}
 
     @property
     def result(self) -> SearchResult:
         """Best position so far, with counts."""
-        record = self.record
-        best = record.position.copy() if math.isfinite(record.loss) else None
-        nonfinite = sum(int(row[COLUMNS.index("nonfinite")]) for row in record.rows)
-        return SearchResult(best, record.loss, record.evaluations, self.iterations, nonfinite)
+        best = self.best_position.copy() if math.isfinite(self.best_loss) else None
+        nonfinite = sum(int(row[COLUMNS.index("nonfinite")]) for row in self.rows)
+        return SearchResult(best, self.best_loss, self.evaluations, self.iterations, nonfinite)
+
+    def stalled(self, since: int = 0) -> bool:
+        """Return whether the last ``settings.stall`` iterations, all after iteration ``since``, made no progress."""
+        stall = self.settings.stall
+        if stall is None or self.iterations - since <= stall:
+            return False
+        if not math.isfinite(self.best_loss):
+            return True
+        fall = self.rows[-1 - stall][0] - self.best_loss
+        return not fall > STALL_TOLERANCE * tolerance_scale(self.best_loss, self.settings.loss_scale)
 
     def ask(self) -> np.ndarray:
         """Return positions to evaluate, (n, dimension), read-only; the same ones until their losses are told."""
@@ -179,21 +161,33 @@ class Optimizer(ABC):
             raise ValueError(f"tell: losses of shape {values.shape}: must be ({len(self.positions)},)")
         finite = np.isfinite(values)
         values[~finite] = np.inf
-        self.record.add(self.positions, values, finite)
+        self._record(values, finite)
         self._learn(values)
         self.asked = False
+
+    def _record(self, losses: np.ndarray, finite: np.ndarray) -> None:
+        """Record an iteration: losses (n,), infinite where ``finite`` (n,) is false."""
+        best = int(np.argmin(losses))
+        if losses[best] < self.best_loss:
+            self.best_position, self.best_loss = np.array(self.positions[best]), float(losses[best])
+        mean = worst = math.nan
+        known = losses if finite.all() else losses[finite]
+        if known.size:
+            with np.errstate(over="ignore"):
+                mean, worst = float(known.mean()), float(known.max())
+        self.rows.append([self.best_loss, mean, worst, len(losses) - known.size, self.evaluations + len(losses)])
 
     @abstractmethod
     def stop(self) -> dict[str, Any]:
         """Return the reasons to stop, with a number for each; empty to go on."""
 
     def state(self) -> dict[str, Any]:
-        """Return all that the search needs to go on: arrays, numbers, texts, and the state of its random numbers."""
+        """Return all that the search needs to go on: arrays, numbers, texts, and the state of its random generator."""
         return {
             "format": self.FORMAT,
-            "best_position": self.record.position.copy(),
-            "best_loss": self.record.loss,
-            "history": np.array(self.record.rows, dtype=float).reshape(-1, len(COLUMNS)),
+            "best_position": self.best_position.copy(),
+            "best_loss": self.best_loss,
+            "history": np.array(self.rows, dtype=float).reshape(-1, len(COLUMNS)),
             "positions": self.positions.copy(),
             "asked": self.asked,
             **self._own_state(),
@@ -225,9 +219,9 @@ class Optimizer(ABC):
         """Return what :meth:`state` needs beside the record and the positions."""
 
     def _restore(self, state: Mapping[str, Any]) -> None:
-        self.record.position = as_shape(state, "best_position", self.record.position.shape)
-        self.record.loss = float(state["best_loss"])
-        self.record.rows = as_shape(state, "history", (-1, len(COLUMNS))).tolist()
+        self.best_position = as_shape(state, "best_position", self.best_position.shape)
+        self.best_loss = float(state["best_loss"])
+        self.rows = as_shape(state, "history", (-1, len(COLUMNS))).tolist()
         self.positions = as_shape(state, "positions", (-1, self.space.dimension))
         self.asked = bool(state["asked"])
 

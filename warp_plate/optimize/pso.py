@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.optimize.optimizer import STALL_TOLERANCE, Optimizer, as_shape, tolerance_scale
+from warp_plate.optimize.optimizer import STALL_TOLERANCE, Optimizer, SearchSettings, as_shape, tolerance_scale
 from warp_plate.optimize.space import SearchSpace
 
 # Largest velocity, so that the positions of a swarm that flies apart stay finite.
@@ -37,37 +37,24 @@ NUMBERS = ("improved_loss", "improved_at", "earlier_loss", "restarts", "restarte
 
 
 @dataclass(frozen=True)
-class SwarmSettings:
-    """Settings of a particle swarm.
+class SwarmSettings(SearchSettings):
+    """Settings of a particle swarm, beside those of all methods.
 
     Attributes:
-        particles: number of particles.
-        iterations: number of iterations.
         inertia: w of equation (7).
         decay: k of equation (7).
         cognitive: c1 of equation (7).
         social: c2 of equation (7).
         velocity_limit: largest size of a velocity component (default: no limit).
         ring: whether G is the best of the particle and its two neighbors in a ring, not of all particles.
-        stall: iterations in a row that together lower the best loss by no more than STALL_TOLERANCE of its size, after
-            which the search restarts or ends (default: it does not).
-        restarts: how often such a swarm is drawn again before the search ends.
-        seed: random seed.
-        loss_scale: see :func:`tolerance_scale`.
     """
 
-    particles: int = 20
-    iterations: int = 80
     inertia: float = 0.4
     decay: float = 0.99
     cognitive: float = 2.0
     social: float = 2.0
     velocity_limit: float | None = None
     ring: bool = False
-    stall: int | None = None
-    restarts: int = 0
-    seed: int = 0
-    loss_scale: float = 1.0
 
     @classmethod
     def constriction(cls, **others: Any) -> SwarmSettings:
@@ -94,10 +81,10 @@ class Swarm(Optimizer):
     """
 
     FORMAT = "swarm 3"
+    settings: SwarmSettings
 
     def __init__(self, space: SearchSpace, settings: SwarmSettings) -> None:
-        super().__init__(space, settings.loss_scale)
-        self.settings = settings
+        super().__init__(space, settings)
         self.random = np.random.default_rng(settings.seed)
         self.restarts = self.restarted_at = 0
         self.earlier_loss = math.inf  # best of the swarms before the last restart
@@ -110,13 +97,13 @@ class Swarm(Optimizer):
         reasons = {}
         if self.iterations >= self.settings.iterations:
             reasons["iterations"] = self.iterations
-        if self._stalled() and self.restarts >= self.settings.restarts:
+        if self.stalled() and self.restarts >= self.settings.restarts:
             reasons["stall"] = self.iterations - self.improved_at
         return reasons
 
     def _propose(self) -> np.ndarray:
-        if self._stalled() and self.restarts < self.settings.restarts:
-            self.restarts, self.restarted_at, self.earlier_loss = self.restarts + 1, self.iterations, self.record.loss
+        if self.stalled() and self.restarts < self.settings.restarts:
+            self.restarts, self.restarted_at, self.earlier_loss = self.restarts + 1, self.iterations, self.best_loss
             self._draw()
             self._begin()
         elif self.iterations and math.isinf(self.personal_losses[self.leader]):
@@ -133,13 +120,14 @@ class Swarm(Optimizer):
         self.leader = int(np.argmin(self.personal_losses))
         best = float(self.personal_losses[self.leader])
         if best < self.earlier_loss:
-            self.record.position = self.personal_positions[self.leader].copy()
+            self.best_position = self.personal_positions[self.leader].copy()
         # Compared with the last loss that counted, so that many small steps together do count.
         least = STALL_TOLERANCE * tolerance_scale(best, self.settings.loss_scale)
         if best < self.improved_loss - least:
             self.improved_loss, self.improved_at = best, self.iterations
 
-    def _stalled(self) -> bool:
+    def stalled(self, since: int = 0) -> bool:
+        """Return whether ``settings.stall`` iterations in a row made no progress, together and since a restart."""
         return self.settings.stall is not None and self.iterations - self.improved_at >= self.settings.stall
 
     def _draw(self) -> None:

@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.weights import localization_factor
-from warp_plate.problem.objectives import make_objectives, seeks_only_localization
 from warp_plate.problem.parametrization import magnitude_unit
 from warp_plate.problem.problem import Energies, Problem
 from warp_plate.result.crosstalk import target_regions
@@ -99,33 +97,26 @@ def cases_from_run(phasors: dict[str, np.ndarray], run: Run) -> dict[str, Case]:
     }
 
 
-def evaluate_objectives(scene: Scene, cases: Mapping[str, Case], device: str, path: str) -> tuple[CaseValues, int]:
-    """Evaluate drives under objectives other than the ones they were optimised for.
-
-    Args:
-        scene: whose frequency and places hold for all cases.
-        cases: by name; their energies are those of the regions of ``make_objectives``.
-        device: see :class:`PlateSolver`.
-        path: see :class:`PlateSolver`.
+def evaluate_objectives(problem: Problem, cases: Mapping[str, Case]) -> tuple[CaseValues, int]:
+    """Evaluate cases at the scene's own frequency and places under objectives that they were not optimised for.
 
     Returns:
         ``Objectives.values`` by case, and node-steps. Empty if only the localization factor counts, which a case has,
         if each of several targets has objectives of its own, or if Ctrl-C interrupts it.
     """
-    if seeks_only_localization(scene.search.objectives) or scene.targets:
+    objectives, solver = problem.objectives, problem.drive_solver
+    if objectives.only_localization or problem.scene.targets:
         return {}, 0
+    displacement_energy, node_steps = None, 0
     try:
-        discretization = discretize(scene)
-        objectives = make_objectives(discretization)
-        displacement_energy, node_steps = None, 0
         if objectives.needs_displacement:
-            solver = PlateSolver(discretization, device, path, areas=objectives.regions, quantity="displacement")
+            grid, areas = solver.discretization, objectives.regions
+            solver = PlateSolver(grid, solver.device.alias, problem.path, areas=areas, quantity="displacement")
             run = solver.run(np.array([case.phasors for case in cases.values()]))
             displacement_energy, node_steps = run.energy, run.node_steps
     except (KeyboardInterrupt, SceneError):  # a result is not lost for want of what it is compared with
         return {}, 0
     energy = np.array([list(case.energy.values()) for case in cases.values()])
     values = objectives.values(energy, displacement_energy)
-    return {
-        name: {kind: float(column[index]) for kind, column in values.items()} for index, name in enumerate(cases)
-    }, node_steps
+    by_case = {name: {kind: float(column[at]) for kind, column in values.items()} for at, name in enumerate(cases)}
+    return by_case, node_steps

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -74,37 +73,32 @@ def unread_keys(search: Search) -> list[str]:
 
 def swarm_settings(search: Search, seed: int) -> SwarmSettings:
     """Return the settings of the swarm of "pso", "constriction" or "ring"."""
-    common: dict[str, Any] = {
-        "particles": search.particles,
-        "iterations": search.iterations,
-        "velocity_limit": search.velocity_limit,
-        "stall": search.stall if search.stall or not search.restarts else RESTART_AFTER,
-        "restarts": search.restarts,
-        "loss_scale": loss_scale(search.objectives),
-        "seed": seed,
-    }
+    common = _common_settings(search, seed) | {"velocity_limit": search.velocity_limit}
+    if search.restarts and not search.stall:
+        common["stall"] = RESTART_AFTER
     if search.method == "pso":
         weights = {name: getattr(search, name) for name in ("inertia", "decay", "cognitive", "social")}
         return SwarmSettings(**weights, **common)
     return SwarmSettings.constriction(ring=search.method == "ring", **common)
 
 
+def _common_settings(search: Search, seed: int) -> dict[str, Any]:
+    keys = {name: getattr(search, name) for name in ("particles", "iterations", "restarts", "stall")}
+    return {**keys, "seed": seed, "loss_scale": loss_scale(search.objectives)}
+
+
 def _make(search: Search, space: SearchSpace, seed: int, problem: Quadratic | None) -> Optimizer:
-    dimension = space.dimension
-    if search.method == "exact":
+    method, dimension = search.method, space.dimension
+    if method == "exact":
         return ExactSearch(space, problem)
-    if search.method == "gradient" and problem is None:
-        raise MethodError("needs losses that follow from quadratic forms of the drives; write 'cma'")
-    entry_bytes = NUMBER_BYTES + (MATRIX_BYTES * dimension if search.method == "gradient" else 0.0)
+    entry_bytes = NUMBER_BYTES + (MATRIX_BYTES * dimension if method == "gradient" else 0.0)
     what = f"search.particles = {search.particles} with {dimension} numbers each"
     refuse_beyond_memory(search.particles * (entry_bytes * dimension + PARTICLE_BYTES), what)
-    if search.method in _SWARMS:
+    if method in _SWARMS:
         return Swarm(space, swarm_settings(search, seed))
-    batch, evaluations, scale = search.particles, search.particles * search.iterations, loss_scale(search.objectives)
-    if search.method == "cma":
-        batch = max(batch, 4 + int(3 * math.log(dimension)))
-    settings = SearchSettings(batch, evaluations, search.restarts, search.stall, seed, scale)
-    if search.method == "cma":
+    settings = SearchSettings(**_common_settings(search, seed))
+    if method == "cma":
         return CovarianceSearch(space, settings)
-    assert problem is not None
+    if problem is None:
+        raise MethodError("needs losses that follow from quadratic forms of the drives; write 'cma'")
     return GradientSearch(space, problem, settings)

@@ -16,7 +16,7 @@ such a drive is worse than any that keeps the limits, the more so the farther it
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,7 +72,7 @@ class Objectives:
     @property
     def only_localization(self) -> bool:
         """Whether the loss is 1 − LF."""
-        return seeks_only_localization(self.terms)
+        return [(term.kind, term.weight) for term in self.terms] == [("localization", 1)]
 
     def losses(self, energy: np.ndarray, displacement_energy: np.ndarray | None = None) -> np.ndarray:
         """Return the losses (plates,) of plates.
@@ -119,11 +119,6 @@ class Objectives:
     def within_limits(self, values: Mapping[str, float]) -> bool:
         """Return whether the values of one drive keep all limits on the rest."""
         return all(keeps_limit(values[name], limit) for name, limit in self.limits.items())
-
-
-def seeks_only_localization(terms: Sequence[Objective]) -> bool:
-    """Return whether the loss of these objectives is 1 − LF."""
-    return [(term.kind, term.weight) for term in terms] == [("localization", 1)]
 
 
 def keeps_limit(value: float, limit: float) -> bool:

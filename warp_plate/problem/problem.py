@@ -1,10 +1,18 @@
-"""The search of a scene: from positions, by way of designs and of the energies of their plates, to losses."""
+"""The search of a scene: from positions, by way of designs and of the energies of their plates, to losses.
+
+A robust search evaluates every drive on the same scenarios, and its loss is a measure of theirs:
+
+    loss(position) = measure over s of the loss of panel s under gain_s · drive, its actuators off by offset_s
+
+The scenarios are drawn once, from ``search.robust.seed``: all particles of all iterations meet the same ones, so that
+their losses can be compared, and a search that goes on from a checkpoint draws them again.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -16,16 +24,19 @@ from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.optimize.space import SearchSpace
 from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.plate.discretization import discretize
+from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.problem.bounds import Bound
 from warp_plate.problem.design_variables import has_design_tables, with_common_step
 from warp_plate.problem.loss_bounds import bound_loss
 from warp_plate.problem.objectives import PLATE, TARGET, Objectives, make_objectives
 from warp_plate.problem.parametrization import Parametrization, parametrization_of
+from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure, scenario_responses, simulate_scenarios
+from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.model import BoundKind
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Record, Scene
-from warp_plate.scene.search import Limits
-from warp_plate.solve.response import Response, measure_response
+from warp_plate.scene.model import Scene
+from warp_plate.scene.search import Limits, Robust
+from warp_plate.solve.response import Response, in_float64, measure_response
 from warp_plate.solve.solver import PlateSolver
 
 EvaluatorName = Literal["direct", "response"]
@@ -35,7 +46,7 @@ Energies = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Problem:
-    """A scene's search, compiled.
+    """A scene's search, compiled. In a robust search all but its losses and their bound is about the nominal plate.
 
     Attributes:
         parametrization: design variables.
@@ -49,6 +60,7 @@ class Problem:
         path: path of the kernels, as asked for.
         setup_cost: seconds of compilation and node-steps of measurements before the search.
         pool: workers that run batches; None if this process does.
+        scenario_losses: losses over the scenarios of a robust search; None for other searches.
     """
 
     parametrization: Parametrization
@@ -62,6 +74,7 @@ class Problem:
     path: str
     setup_cost: tuple[float, int]
     pool: WorkerPool | None
+    scenario_losses: ScenarioLosses | None = None
 
     @property
     def drive_solver(self) -> PlateSolver:
@@ -84,8 +97,19 @@ class Problem:
         return self.parametrization.space
 
     @property
+    def robust(self) -> Robust:
+        """The table ``[search.robust]`` of a robust search."""
+        assert self.scene.search.robust is not None
+        return self.scene.search.robust
+
+    @cached_property
+    def nominal(self) -> Problem:
+        """The same search on the nominal plate alone, with the same solvers."""
+        return replace(self, scenario_losses=None)
+
+    @property
     def only_localization(self) -> bool:
-        """Whether losses are 1 − LF."""
+        """Whether losses are 1 − LF, or a measure of it."""
         return self.objectives.only_localization
 
     @property
@@ -101,7 +125,7 @@ class Problem:
     @property
     def lost(self) -> Counter[str]:
         """Number of plates without energies because workers failed, by the reason."""
-        return lost_plates(self._evaluators)
+        return sum((evaluator.lost for evaluator in self._evaluators), Counter())
 
     @property
     def matrices(self) -> np.ndarray | None:
@@ -123,6 +147,8 @@ class Problem:
 
     def design_losses(self, designs: Designs) -> np.ndarray:
         """Return the losses (plates,) of designs; NaN where a plate has no energies."""
+        if self.scenario_losses is not None:
+            return apply_measure(self.scenario_losses.losses(designs), self.robust)
         return self.objectives.losses(self.energies(designs), self._displacement_energies(designs))
 
     def losses(self, positions: np.ndarray) -> np.ndarray:
@@ -143,25 +169,27 @@ class Problem:
         designs = self.parametrization.designs(position[None])
         values = self.objectives.values(self.energies(designs), self._displacement_energies(designs))
         numbers = {name: float(value[0]) for name, value in values.items()}
-        if self.loss_bound is None or not self.objectives.within_limits(numbers):
+        if self._nominal_loss_bound is None or not self.objectives.within_limits(numbers):
             return numbers
-        return {**numbers, "bound": -self.loss_bound.value}
+        return {**numbers, "bound": -self._nominal_loss_bound.value}
 
     @cached_property
     def quadratic(self) -> Quadratic | None:
-        """The problem for methods that need no plates; None if energies are not quadratic forms of the phasors."""
-        if self.response is None or self.matrices is None:
+        """The problem for methods that need no plates; None if these are simulated, or energies not quadratic."""
+        ratio = None
+        if self.scenario_losses is not None:
+            scenario_losses, matrices = self.scenario_losses, self.scenario_losses.matrices
+
+            def losses_of(energy: np.ndarray) -> np.ndarray:
+                return apply_measure(scenario_losses.losses_from_energies(energy), self.robust)
+        else:
+            matrices, ratio = self.matrices, (TARGET, PLATE) if self.only_localization else None
+
+            def losses_of(energy: np.ndarray) -> np.ndarray:
+                return self.objectives.losses(*np.split(energy, 2 if self.displacement_response else 1, axis=1))
+
+        if matrices is None:
             return None
-        count = len(self.response.matrices)
-
-        def losses_of(energy: np.ndarray) -> np.ndarray:
-            return self.objectives.losses(energy[:, :count], energy[:, count:] if self.displacement_response else None)
-
-        return self._quadratic(self.matrices, losses_of, (TARGET, PLATE) if self.only_localization else None)
-
-    def _quadratic(
-        self, matrices: np.ndarray, losses_of: Callable[[np.ndarray], np.ndarray], ratio: tuple[int, int] | None
-    ) -> Quadratic:
         return Quadratic(
             matrices=matrices,
             phasors=lambda positions: self.parametrization.designs(positions).drives,
@@ -173,23 +201,38 @@ class Problem:
     @cached_property
     def loss_bound(self) -> Bound | None:
         """Proved lower bound of the loss; None where none is claimed."""
+        losses = self.scenario_losses
+        if losses is None:
+            return self._nominal_loss_bound
+        # No drive, the same for all panels, has a smaller loss than the measure of each panel's own bound.
+        bounds = [bound_loss(self.parametrization, *forms) for forms in losses.quadratic_forms()]
+        if not bounds or None in bounds:
+            return None
+        least = np.array([[bound.value for bound in bounds if bound is not None]])
+        value = float(apply_measure(least, self.robust)[0])
+        return Bound(value, "bound only", "the measure of what each scenario alone could reach")
+
+    @cached_property
+    def _nominal_loss_bound(self) -> Bound | None:
         return bound_loss(self.parametrization, self.objectives, self.response, self.displacement_response)
 
     @cached_property
     def bound(self) -> float | None:
         """Largest localization factor that any drive can reach; None where none is claimed, or for other objectives."""
-        if self.response is None or not self.only_localization or self.loss_bound is None:
+        bound = self._nominal_loss_bound
+        if self.response is None or not self.only_localization or bound is None:
             return None
-        return 1 - self.loss_bound.value if self._limited else self.response.bound()
+        return 1 - bound.value if self._limited else self.response.bound()
 
     @property
     def bound_kind(self) -> BoundKind:
         """Kind of ``bound``, or of the bound of the objectives' sum."""
-        if self.loss_bound is None:
+        bound = self._nominal_loss_bound
+        if bound is None:
             return ""
         if self.only_localization and not self._limited:
             return "attained"
-        return "bound only" if self.loss_bound.kind == "bound only" else "attained within limits"
+        return "bound only" if bound.kind == "bound only" else "attained within limits"
 
     @property
     def _limited(self) -> bool:
@@ -204,67 +247,60 @@ class Problem:
 
     @property
     def _evaluators(self) -> set[Evaluator]:
-        evaluators = (self.drive_evaluator, self.design_evaluator, self.displacement_evaluator)
-        return {evaluator for evaluator in evaluators if evaluator is not None}
+        nominal = (self.drive_evaluator, self.design_evaluator, self.displacement_evaluator)
+        scenarios = () if self.scenario_losses is None else self.scenario_losses.evaluators
+        return {evaluator for evaluator in (*nominal, *scenarios) if evaluator is not None}
 
 
-def make_nominal_problem(
+def make_problem(
     scene: Scene,
     device: str = "auto",
     path: str = "auto",
-    evaluator: str = "direct",
+    evaluator: str | None = None,
     matrices: np.ndarray | None = None,
     pool: WorkerPool | None = None,
 ) -> Problem:
-    """Return the problem of a scene with a grid, without the scatter of ``[search.robust]``.
+    """Return the problem of a scene with a grid, robust where it has ``[search.robust]``.
 
     Args:
-        scene: scene with a grid.
-        device: see :class:`PlateSolver`.
-        path: see :class:`PlateSolver`.
-        evaluator: see ``Problem.evaluator_name``.
+        scene: the scene; device and path are those of :class:`PlateSolver`.
+        evaluator: see ``Problem.evaluator_name`` (default: "direct"; in a robust search "response" if it can be).
         matrices: ``Problem.matrices`` where they are known (default: they are measured).
         pool: workers that run batches (default: this process does).
 
     Raises:
-        SceneError: see ``parametrization_of``, ``with_common_step``, ``make_objectives`` and :class:`PlateSolver`;
-            "response" for energies that are not quadratic forms of the phasors.
+        SceneError: see ``parametrization_of``, ``with_common_step``, ``make_objectives``, ``draw_scenarios`` and
+            :class:`PlateSolver`; "response" for energies that are not quadratic forms of the phasors.
     """
     parametrization = parametrization_of(with_common_step(scene))
-    scene, per_plate = parametrization.scene, per_plate_of(parametrization.scene)
-    if evaluator == "response" and not parametrization.quadratic:
+    scene, quadratic = parametrization.scene, parametrization.quadratic
+    if evaluator == "response" and not quadratic:
         raise SceneError(f"evaluator = 'response': {_why_not_quadratic(parametrization)}; write 'direct'")
+    name = evaluator or ("response" if scene.search.robust is not None and quadratic else "direct")
     grid = discretize(scene)
     objectives = make_objectives(grid)
-    design_grid = grid if parametrization.only_drives else discretize(scene, per_plate)
+    design_grid = grid if parametrization.only_drives else discretize(scene, per_plate_of(scene))
     options = {"areas": objectives.regions, "per_plate": design_grid.per_plate}
     drives = make_evaluator(grid, device, path, pool, areas=objectives.regions)
     designs = drives if parametrization.only_drives else make_evaluator(design_grid, device, path, pool, **options)
     displacements = None
     if objectives.needs_displacement:
         displacements = make_evaluator(design_grid, device, path, pool, **options, quantity="displacement")
-    setup_cost = 0.0, 0
-    if matrices is None and parametrization.quadratic:
-        matrices, setup_cost = _measure_matrices([drives, displacements], objectives, path)
+    seconds, node_steps = 0.0, 0
+    if matrices is None and quadratic:
+        matrices, seconds, node_steps = _measure_matrices([drives, displacements], objectives, path)
     sets = 1 if displacements is None else 2
     regions = sets * len(drives.solver.specialized.regions)
     if matrices is not None and len(matrices) != regions:
         raise SceneError(f"matrices: of {len(matrices)} regions; must be {regions}")
     responses = [None, None] if matrices is None else [*map(Response, np.split(matrices, sets)), None]
+    scenarios = _scenario_losses(scene, drives.solver.device.alias, path, name, pool)
+    if scenarios is not None:
+        seconds, node_steps = seconds + scenarios.setup_cost[0], node_steps + scenarios.setup_cost[1]
     return Problem(
-        parametrization, objectives, drives, designs, displacements, responses[0], responses[1], evaluator, path,
-        setup_cost, pool,
+        parametrization, objectives, drives, designs, displacements, responses[0], responses[1], name, path,
+        (seconds, node_steps), pool, scenarios,
     )  # fmt: skip
-
-
-def lost_plates(evaluators: Iterable[Evaluator]) -> Counter[str]:
-    """Return the number of plates that these evaluators have lost, by the reason."""
-    return sum((evaluator.lost for evaluator in evaluators), Counter())
-
-
-def in_float64(scene: Scene) -> Scene:
-    """Return the scene in double precision, for energies whose differences lose digits; nothing is recorded."""
-    return scene.model_copy(update={"grid": scene.grid.model_copy(update={"precision": "float64"}), "record": Record()})
 
 
 def _why_not_quadratic(parametrization: Parametrization) -> str:
@@ -276,8 +312,8 @@ def _why_not_quadratic(parametrization: Parametrization) -> str:
 
 def _measure_matrices(
     evaluators: Iterable[Evaluator | None], objectives: Objectives, path: str
-) -> tuple[np.ndarray, tuple[float, int]]:
-    """Return the Gram matrices of evaluators, measured in double precision, and the cost of further solvers."""
+) -> tuple[np.ndarray, float, int]:
+    """Return Gram matrices, measured in double precision, and the compilation and node-steps of further solvers."""
     matrices, seconds, node_steps = [], 0.0, 0
     for evaluator in evaluators:
         if evaluator is None:
@@ -289,4 +325,19 @@ def _measure_matrices(
         matrices.append(measure_response(solver).matrices)
         if solver is not evaluator.solver:
             seconds, node_steps = seconds + solver.compile_seconds, node_steps + solver.node_steps
-    return np.concatenate(matrices), (seconds, node_steps)
+    return np.concatenate(matrices), seconds, node_steps
+
+
+def _scenario_losses(
+    scene: Scene, device: str, path: str, evaluator: str, pool: WorkerPool | None
+) -> ScenarioLosses | None:
+    """Return the losses over the scenarios of a robust search; None for another search."""
+    robust, particles = scene.search.robust, scene.search.particles
+    if robust is None:
+        return None
+    what = f"search.particles = {particles} with search.robust.scenarios = {robust.scenarios}"
+    refuse_beyond_memory(24.0 * particles * robust.scenarios, what)
+    scenarios = draw_scenarios(scene, robust.scenarios, robust.seed)
+    if evaluator == "response":
+        return scenario_responses(scenarios, device, path)
+    return simulate_scenarios(scenarios, device, path, pool)

@@ -7,7 +7,7 @@ matrices instead, and one product of arrays covers all plates and all scenarios.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,9 +19,9 @@ from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.discretization import discretize
 from warp_plate.problem.objectives import Objectives, make_objectives
-from warp_plate.problem.problem import in_float64
 from warp_plate.problem.uncertainty import Scenario
-from warp_plate.solve.response import measure_response
+from warp_plate.scene.search import Robust
+from warp_plate.solve.response import Response, in_float64, measure_response
 
 # Plates × matrices whose energies are computed at once from Gram matrices.
 BLOCK = 2**22
@@ -68,16 +68,6 @@ class ScenarioLosses:
         """Evaluators of all scenarios."""
         return [evaluator for plates in self.scenarios for evaluator in plates.evaluators]
 
-    @property
-    def node_steps(self) -> int:
-        """Node-steps of all plates so far."""
-        return self.setup_cost[1] + sum(evaluator.node_steps for evaluator in self.evaluators)
-
-    @property
-    def compile_seconds(self) -> float:
-        """Seconds of compilation of all solvers."""
-        return self.setup_cost[0] + sum(evaluator.compile_seconds for evaluator in self.evaluators)
-
     def losses(self, designs: Designs) -> np.ndarray:
         """Return losses (plates, scenarios) of designs; not finite where a plate has no energies."""
         if self.matrices is None:
@@ -101,6 +91,32 @@ class ScenarioLosses:
             part = energy[:, index * regions : (index + 1) * regions]
             columns.append(plates.objectives.losses(*np.split(part, sets, axis=1)))
         return np.stack(columns, axis=1)
+
+    def quadratic_forms(self) -> Iterator[tuple[Objectives, Response, Response | None]]:
+        """Yield each scenario's objectives and Gram matrices, of velocities and of displacements; none without."""
+        if self.matrices is None:
+            return
+        for plates, matrices in zip(self.scenarios, np.split(self.matrices, len(self.scenarios)), strict=True):
+            sets = 2 if plates.objectives.needs_displacement else 1
+            velocity, *displacement = map(Response, np.split(matrices, sets))
+            yield plates.objectives, velocity, displacement[0] if displacement else None
+
+
+def apply_measure(losses: np.ndarray, robust: Robust) -> np.ndarray:
+    """Return the measure (plates,) of losses (plates, scenarios); NaN where one of a plate's is not finite.
+
+    A plate without energies on one panel is worse than any other: no measure overlooks it.
+    """
+    failed = ~np.isfinite(losses).all(axis=1)
+    finite = np.where(failed[:, None], 0.0, losses)
+    if robust.measure == "mean":
+        measure = finite.mean(axis=1)
+    elif robust.measure == "worst":
+        measure = finite.max(axis=1)
+    else:
+        # The least of the scenarios' losses that this part of them does not pass, not a value between two of them.
+        measure = np.quantile(finite, robust.quantile, axis=1, method="inverted_cdf")
+    return np.where(failed, np.nan, measure)
 
 
 def simulate_scenarios(

@@ -15,6 +15,7 @@ import numpy as np
 from warp_plate.optimize.quadratic import RANK_TOLERANCE, quadratic_forms
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.plate.weights import REGIONS
+from warp_plate.scene.model import Record, Scene
 from warp_plate.solve.solver import PlateSolver, Progress
 
 
@@ -60,6 +61,11 @@ def measure_response(solver: PlateSolver, progress: Progress | None = None) -> R
     actuators = len(solver.scene.actuators)
     refuse_beyond_memory(100.0 * actuators**3, f"actuators: {actuators}, which makes {2 * actuators**2} unit drives;")
     return response_of(solver.run(unit_drives(actuators), progress=progress).energy, actuators)
+
+
+def in_float64(scene: Scene) -> Scene:
+    """Return the scene in double precision, for energies whose differences lose digits; nothing is recorded."""
+    return scene.model_copy(update={"grid": scene.grid.model_copy(update={"precision": "float64"}), "record": Record()})
 
 
 def response_of(energy: np.ndarray, actuators: int) -> Response:

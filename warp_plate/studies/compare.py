@@ -13,8 +13,7 @@ from warp_plate.interrupts import check_interrupt, deferred_interrupts
 from warp_plate.optimize.optimizer import Optimizer
 from warp_plate.problem.design_variables import at_highest_frequency
 from warp_plate.problem.methods import make_optimizer
-from warp_plate.problem.problem import EvaluatorName, Problem
-from warp_plate.problem.robust import make_problem
+from warp_plate.problem.problem import EvaluatorName, Problem, make_problem
 from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene

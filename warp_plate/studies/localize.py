@@ -18,8 +18,7 @@ from warp_plate.plate.files import digests
 from warp_plate.plate.weights import REGIONS
 from warp_plate.problem.design_variables import at_highest_frequency
 from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, evaluate_objectives, reference_phasors
-from warp_plate.problem.problem import EvaluatorName, Problem, make_nominal_problem
-from warp_plate.problem.robust import RobustProblem, make_problem
+from warp_plate.problem.problem import EvaluatorName, Problem, make_problem
 from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.checkpoint import Checkpoint, load_newest
 from warp_plate.result.crosstalk import best_drive_scenes, target_cases, target_regions
@@ -234,7 +233,7 @@ def _run(start: Checkpoint, problem: Problem, options: _Options, reference: Refe
     accuracy, robust = dict(end.accuracy), None
     baselines: tuple[dict[str, Case], int] = ({}, 0)
     spectrum: dict[str, np.ndarray] = {}
-    if isinstance(problem, RobustProblem) and first.position is not None and not interrupted:
+    if problem.scenario_losses is not None and first.position is not None and not interrupted:
         position = first.position
         compared = _optional("robust", seconds, lambda: compare_with_nominal(problem, end, position), None)
         if compared is not None:
@@ -253,7 +252,7 @@ def _run(start: Checkpoint, problem: Problem, options: _Options, reference: Refe
         baselines = _optional("baselines", seconds, lambda: baseline_cases(problem), baselines)
         cases, node_steps = {**cases, **baselines[0]}, node_steps + baselines[1]
         compared_cases |= baselines[0]
-    values, more = evaluate_objectives(scene, compared_cases, device, start.path)
+    values, more = evaluate_objectives(problem, compared_cases)
     if options.spectrum and not interrupted:
         spectrum = _optional("spectrum", seconds, lambda: make_spectrum(problem, evaluated.cases["best"]), spectrum)
     return Result(
@@ -359,7 +358,7 @@ def _next_problem(problem: Problem, index: int, start: Checkpoint) -> Problem:
         matrices[:, REGIONS.index("target")] = matrices[:, regions.index(list(target_regions(scene))[index])]
         matrices = matrices.reshape(problem.matrices.shape)
     device = problem.drive_solver.device.alias
-    return make_nominal_problem(scene, device, start.path, start.evaluator, matrices, problem.pool)
+    return make_problem(scene, device, start.path, start.evaluator, matrices, problem.pool)
 
 
 def _with_target(problem: Problem, index: int) -> Problem:

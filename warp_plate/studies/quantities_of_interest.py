@@ -14,8 +14,7 @@ from warp_plate.plate.modes import natural_modes, refuse_many_nodes
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import at_highest_frequency
 from warp_plate.problem.evaluate_cases import reference_phasors
-from warp_plate.problem.problem import Problem
-from warp_plate.problem.robust import make_problem
+from warp_plate.problem.problem import Problem, make_problem
 from warp_plate.result.sweep import SweepOutput
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene

@@ -13,10 +13,10 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.bounds import bound_localization
 from warp_plate.problem.loss_bounds import allowed_drives
 from warp_plate.problem.parametrization import Parametrization, parametrization_of
-from warp_plate.problem.problem import Problem, in_float64
+from warp_plate.problem.problem import Problem
 from warp_plate.result.model import Case
 from warp_plate.scene.model import Scene
-from warp_plate.solve.response import Response, response_of, unit_drives
+from warp_plate.solve.response import Response, in_float64, response_of, unit_drives
 from warp_plate.solve.solver import PlateSolver
 
 # Limits of the number of frequencies. Between them their plates cost about as much as those of the search.

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from warp_plate.problem.evaluate_cases import evaluate_cases
-from warp_plate.problem.robust import RobustProblem
+from warp_plate.problem.problem import Problem
 from warp_plate.problem.scenario_losses import simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.checkpoint import Checkpoint
@@ -17,7 +17,7 @@ from warp_plate.studies.driver import run_search, search_optimizer
 
 
 def compare_with_nominal(
-    problem: RobustProblem, start: Checkpoint, position: np.ndarray
+    problem: Problem, start: Checkpoint, position: np.ndarray
 ) -> tuple[RobustComparison, Case, int] | None:
     """Compare the position (dimension,) found by a robust search with that of the same search without uncertainty.
 
@@ -43,7 +43,7 @@ def compare_with_nominal(
     return comparison, evaluated.cases["best"], node_steps + evaluated.node_steps
 
 
-def validate(problem: RobustProblem, robust: np.ndarray, nominal: np.ndarray) -> tuple[RobustComparison, int]:
+def validate(problem: Problem, robust: np.ndarray, nominal: np.ndarray) -> tuple[RobustComparison, int]:
     """Evaluate the positions (dimension,) of a robust and a nominal search over ``search.robust.fresh`` new scenarios.
 
     Both drives are simulated as two plates of one launch for each scenario.
@@ -59,7 +59,7 @@ def validate(problem: RobustProblem, robust: np.ndarray, nominal: np.ndarray) ->
     for scenario in draw_scenarios(problem.scene, table.fresh, table.seed, validation=True):
         panel = simulate_scenarios([scenario], problem.drive_solver.device.alias, problem.path)
         losses.append(panel.losses(designs)[:, 0])
-        node_steps += panel.node_steps
+        node_steps += sum(evaluator.node_steps for evaluator in panel.evaluators)
 
     def values(losses: np.ndarray) -> np.ndarray:
         return np.asarray(problem.value_from_loss(losses))
