@@ -1,4 +1,4 @@
-"""One HTML file that plays and turns plates in motion in any browser, without a network or a server.
+"""A single HTML file that plays and turns plates in motion in any browser, without a network or a server.
 
 The page draws with WebGL 2 the meshes, styles and scale of the other pictures, which are written into it. Of a fine
 grid it shows every second, third, … node, so that the file stays small enough to be sent and opened.
@@ -21,7 +21,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import LABEL_FORMAT, legend_entries, lookup_table
 from warp_plate.viz.camera import AZIMUTH, ELEVATION
 from warp_plate.viz.captions import frame_caption
-from warp_plate.viz.fields import DISPLACEMENT, MODE, PlateField, common_scale, field_of
+from warp_plate.viz.fields import DISPLACEMENT, MODE, DrawingScale, PlateField, common_scale, field_of
 from warp_plate.viz.meshes import PlateMeshes, SurfacePolylines, plate_meshes
 from warp_plate.viz.scene3d import LineLayer, line_layers
 from warp_plate.viz.side_by_side import rows_and_columns
@@ -63,57 +63,63 @@ def write_page(
 
 
 def page_data(
-    scene: Scene, motions: Sequence[Motion], quantity: str, rate: float, heights: float | None
+    scene: Scene, motions: Sequence[Motion], quantity: str, rate: float, heights_factor: float | None
 ) -> dict[str, Any]:
     """Return all data of the page's script as JSON types; arrays are base64 of little-endian numbers."""
     field = field_of(motions, quantity)
     scale = common_scale(scene, motions, field)
-    coloured_by_height = field in (DISPLACEMENT, MODE)
-    displacements = [motion.displacement for motion in motions]
-    peak = scale.limit
-    if not coloured_by_height:
-        peak = max(float(np.abs(np.nan_to_num(array)).max()) for array in displacements) or 1.0
-    colours = [] if coloured_by_height else [field.values(motion) for motion in motions]
-    all_nodes = displacements[0].shape[1:]
-    values = sum(len(array) for array in [*displacements, *colours]) * math.prod(all_nodes)
+    heights = [motion.displacement for motion in motions]
+    if field in (DISPLACEMENT, MODE):
+        peak, colours = scale.limit, []
+    else:
+        peak = max(float(np.abs(np.nan_to_num(array)).max()) for array in heights) or 1.0
+        colours = [field.values(motion) for motion in motions]
+    all_nodes = heights[0].shape[1:]
+    values = sum(len(array) for array in [*heights, *colours]) * math.prod(all_nodes)
     ny, nx = (thinned_nodes(nodes, values) for nodes in all_nodes)
-    displacements = [_resampled(array, (ny, nx), field) for array in displacements]
-    colours = [_resampled(array, (ny, nx), field) for array in colours]
-    meshes = plate_meshes(scene, displacements[0][0], scale)
-    low, high = scale.clim
+    heights, colours = ([_resampled(array, (ny, nx), field) for array in arrays] for arrays in (heights, colours))
+    meshes = plate_meshes(scene, heights[0][0], scale)
+    plates = [
+        {
+            "headings": [frame_caption(motion, frame, scene) for frame in range(len(motion.times))],
+            "heights": _integers(heights[index], peak),
+            # null: the heights are the colours, and the outlines those of the scene.
+            "colours": _integers(colours[index], scale.limit) if colours else None,
+            "outlines": _outlines(plate_meshes(motion.scene, heights[0][0], scale)) if motion.scene else None,
+        }
+        for index, motion in enumerate(motions)
+    ]
     return {
+        **_scale_data(scale),
         "name": scene.title or "Plates in motion",
         "size": list(scene.plate.size),
         "grid": [nx, ny],
         "thinned": "" if (ny, nx) == all_nodes else f"{nx} × {ny} of {all_nodes[1]} × {all_nodes[0]} nodes are shown.",
-        "frames": len(displacements[0]),
+        "frames": len(heights[0]),
         "colourFrames": len(field.values(motions[0])),
         "columns": rows_and_columns(len(motions))[1],
         "rate": rate,
         "peak": peak,
-        "factor": scale.warp_factor if heights is None else heights,
-        "heightWords": bool(scale.heights),
+        "factor": scale.warp_factor if heights_factor is None else heights_factor,
         "azimuth": AZIMUTH,
         "elevation": ELEVATION,
-        "title": scale.title,
-        "limits": [low / high, 1.0],
-        "ticks": [(LABEL_FORMAT % tick).replace("-", "−") for tick in np.linspace(high, low, 5)],
-        "cyclic": field.kind == "cyclic",
-        "none": _rgb(field.nan_colour),
-        "table": _base64(lookup_table(scale).values.astype(np.uint8)),
         "key": legend_entries(scene),
         "triangles": _base64(meshes.surface.faces.reshape(-1, 4)[:, 1:].astype("<u4")),
         "outlines": _outlines(meshes),
-        "plates": [
-            {
-                "headings": [frame_caption(motion, frame, scene) for frame in range(len(motion.times))],
-                "heights": _integers(displacements[index], peak),
-                "colours": None if coloured_by_height else _integers(colours[index], scale.limit),
-                # Outlines of a plate with actuators elsewhere; null for those of the scene.
-                "outlines": _outlines(plate_meshes(motion.scene, displacements[0][0], scale)) if motion.scene else None,
-            }
-            for index, motion in enumerate(motions)
-        ],
+        "plates": plates,
+    }
+
+
+def _scale_data(scale: DrawingScale) -> dict[str, Any]:
+    low, high = scale.clim
+    return {
+        "heightWords": bool(scale.heights),
+        "title": scale.title,
+        "limits": [low / high, 1.0],
+        "ticks": [(LABEL_FORMAT % tick).replace("-", "−") for tick in np.linspace(high, low, 5)],
+        "cyclic": scale.field.kind == "cyclic",
+        "none": _rgb(scale.field.nan_colour),
+        "table": _base64(lookup_table(scale).values.astype(np.uint8)),
     }
 
 

@@ -22,7 +22,7 @@ from warp_plate.viz.side_by_side import SideBySide, plate_subplots, rows_and_col
 
 if TYPE_CHECKING:
     import pyvista
-    from vtkmodules.vtkInteractionWidgets import vtkButtonWidget, vtkSliderWidget
+    from vtkmodules.vtkInteractionWidgets import vtkButtonWidget, vtkSliderRepresentation2D
 
 # All lengths in pixels: largest window, width of a plate, height of the strip of controls, button and its column.
 MOST_WIDE, MOST_HIGH, PLATE, STRIP, BUTTON, COLUMN = 1500, 900, 620, 150, 18, 172
@@ -104,7 +104,7 @@ class ViewerWindow:
         """Show a frame, counted modulo the number of frames."""
         self._position = frame % self.plates.frames
         self.plates.show(int(self._position))
-        self.sliders["time"].GetRepresentation().SetValue(self._moments[self.plates.frame])
+        self.sliders["time"].SetValue(self._moments[self.plates.frame])
         self.plotter.render()
 
     def play(self, playing: bool) -> None:
@@ -121,13 +121,13 @@ class ViewerWindow:
     def set_rate(self, rate: float) -> None:
         """Set the frames a second."""
         self.rate = min(max(rate, 1.0), FASTEST)
-        self.sliders["rate"].GetRepresentation().SetValue(self.rate)
+        self.sliders["rate"].SetValue(self.rate)
         self.plotter.render()
 
     def exaggerate(self, warp_factor: float) -> None:
         """Exaggerate heights by this factor."""
         self.plates.exaggerate(max(warp_factor, 1e-3 * self._warp_factor))
-        self.sliders["heights"].GetRepresentation().SetValue(self.plates.scale.warp_factor / self._warp_factor)
+        self.sliders["heights"].SetValue(self.plates.scale.warp_factor / self._warp_factor)
         self.plotter.render()
 
     def colour_by(self, quantity: str) -> None:
@@ -184,7 +184,7 @@ class ViewerWindow:
         plotter, moments = self.plotter, self._moments
         plotter.subplot(row, 0)
         plotter.renderer.InteractiveOff()
-        self.sliders: dict[str, vtkSliderWidget] = {}
+        self.sliders: dict[str, vtkSliderRepresentation2D] = {}
         self.status = add_text(plotter, "h: list of keys", (0.013, 0.14), FONT_SIZE, "#08519c")
         self.play_button = plotter.add_checkbox_button_widget(
             self.play, value=True, position=(20, 64), size=BUTTON, border_size=2, color_on="#08519c", color_off="white"
@@ -214,13 +214,12 @@ class ViewerWindow:
             callback, ends, value=value, pointa=(left, 0.70), pointb=(right, 0.70), style="modern", fmt="%.4g",
             interaction_event="always", slider_width=0.12, tube_width=0.03, color=INK,
         )  # fmt: skip
-        bar = slider.GetRepresentation()
+        bar = self.sliders[key] = slider.GetRepresentation()
         bar.SetLabelHeight(0.11)
         bar.SetSliderLength(0.006)
         bar.SetEndCapLength(0.0)
         style_text(bar.GetLabelProperty(), FONT_SIZE)
         add_text(self.plotter, title, (left, 1.0), FONT_SIZE)
-        self.sliders[key] = slider
 
     def _add_buttons(
         self, labels: dict[str, str], y: int, left: int, callback: Callable[[str], None], chosen: str

@@ -1,4 +1,4 @@
-"""What all Matplotlib plots share: style, canvas, file, axis numbers."""
+"""The parts shared by all Matplotlib plots: style, canvas, file, axis numbers."""
 
 from __future__ import annotations
 
