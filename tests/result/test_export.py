@@ -148,6 +148,8 @@ def test_a_wav_plays_the_drive(result, tmp_path, encoding, rate, share, error):
     values = read / (1 if share == 1 else 32767) * signal.full_scale
     np.testing.assert_allclose(values, played(signal, case.phasors), atol=error * signal.full_scale)
     content = path.read_bytes()
+    assert content[20:22] == b"\xfe\xff"  # WAVE_FORMAT_EXTENSIBLE
+    assert content[40:44] == bytes(4)  # no loudspeaker positions
     assert len(content) == int.from_bytes(content[4:8], "little") + 8
     start = content.index(b"ICMT") + 8
     comment = content[start : content.index(b"\0", start)].decode()
