@@ -1,4 +1,4 @@
-"""The benchmark of the host's share: its rows add up, and it changes nothing that is found. Never how fast it is."""
+"""The benchmark of the host's share: its parts add up, and it changes no result; no test asserts a speed."""
 
 import json
 import sys
@@ -22,7 +22,7 @@ def test_parts_add_up_to_the_whole(scene):
         assert all(seconds[name] > 0 for name in seconds)
 
 
-def test_the_clock_around_the_steps_changes_no_bit(scene):
+def test_the_clock_changes_no_bit(scene):
     found = []
     for timed in (False, True):
         problem = make_problem(scene(nodes=(9, 9), search={"particles": 5, "iterations": 3}), "cpu")

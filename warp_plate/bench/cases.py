@@ -1,4 +1,4 @@
-"""What ``warp-plate bench`` measures: which devices, precisions, sizes of plate and numbers of plates."""
+"""The cases of ``warp-plate bench``: devices, precisions, grids and numbers of plates."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ PLATES = (1, 20, 256, 1024, 8192, 65536)
 NODES = (17, 27, 53, 105, 161, 257, 513, 1025)
 QUICK_PLATES = (1, 20, 256)
 QUICK_NODES = (53, 257)
-# Plates of the paper's size that keep a CPU thread, or the largest GPU of today, busy; of other sizes, as many nodes.
+# Plates of the paper's size that keep a CPU thread, or the largest GPUs, busy; for other sizes, as many nodes.
 FILLING_A_THREAD, FILLING_A_GPU = 128, 65536
 
 
 @dataclass(frozen=True)
 class BenchCase:
-    """One thing to measure; nodes: of each side; path: "auto" or one of the device's."""
+    """A case to measure."""
 
-    device: str
-    precision: str
-    nodes: int
-    plates: int
-    path: str = "auto"
+    device: str  # Warp's name of the device
+    precision: str  # precision of the time steps
+    nodes: int  # nodes of each side
+    plates: int  # number of plates
+    path: str = "auto"  # path of the solver
 
     def __str__(self) -> str:
         return f"{self.device}, {self.precision}, {self.plates} × {self.nodes}²"
 
 
 def all_devices() -> list[str]:
-    """The CPU and every CUDA device."""
+    """Return the names of the CPU and of every CUDA device."""
     find_device("cpu")
     return [device.alias for device in wp.get_devices()]
 
 
 def filling_plates(device: str, nodes: int) -> int:
-    """So many plates of ``nodes`` × ``nodes`` that no core and no multiprocessor waits for work."""
+    """Return a number of plates of ``nodes`` × ``nodes`` that keeps all cores or multiprocessors busy."""
     share = (PAPER_NODES - 2) ** 2 / (nodes - 2) ** 2
     if find_device(device).is_cuda:
         return max(1, round(FILLING_A_GPU * share))
@@ -54,16 +54,15 @@ def make_cases(
     path: str = "auto",
     quick: bool = False,
 ) -> list[BenchCase]:
-    """Every device with every precision, and for each of them
+    """Return the cases of every device and precision.
 
-    - neither plates nor nodes given: numbers of plates at the paper's size, then sizes that fill the device;
-    - plates: these, at the paper's size; nodes: these, with plates that fill the device;
-    - both: each with each.
+    Without ``plates`` and ``nodes``: numbers of plates at the paper's size, then sizes that fill the device. With
+    ``plates`` alone: these, at the paper's size. With ``nodes`` alone: these, filling the device. With both: all pairs.
 
     Raises:
-        SceneError: no such device.
+        SceneError: there is no such device.
     """
-    cases: dict[BenchCase, None] = {}  # each once, in order
+    cases: dict[BenchCase, None] = {}  # ordered, without duplicates
     for device in devices:
         find_device(device)
         for precision in precisions:
@@ -75,7 +74,7 @@ def make_cases(
 def _sizes(
     device: str, plates: Sequence[int] | None, nodes: Sequence[int] | None, quick: bool
 ) -> list[tuple[int, int]]:
-    """(nodes, plates) pairs."""
+    """Return (nodes, plates) pairs."""
     if plates and nodes:
         return [(size, count) for size in nodes for count in plates]
     if not nodes:

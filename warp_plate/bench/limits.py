@@ -1,18 +1,18 @@
-"""What a device can do at most, measured: copying memory, and arithmetic; and what a node-step needs of each.
+"""Measured limits of a device, memory copies and arithmetic, and the share of them that a node-step needs.
 
 A share of a limit is (need of a node-step) × (node-steps a second) / (limit).
 
-Memory: displacement and rate, each read and written once. That is the least for a path with one launch a step; a path
-that takes several steps on the way through memory can pass it, and has a share above one.
+Memory: displacement and rate, each read and written once, which is the least for a path with one launch a step. A path
+that takes several steps on each pass through memory may exceed a share of one.
 
-Arithmetic: an addition, a multiplication or a fused multiply-add counts as one operation, for each takes one turn of
-the arithmetic unit. The measured limit, which by custom counts a fused multiply-add as two, is halved to compare.
-Only what any program must do is counted: not edges, padding, addresses, exchange between threads, or loads of nodes
-that no actuator covers.
+Arithmetic: an addition, a multiplication or a fused multiply-add counts as one operation. The measured limit counts a
+fused multiply-add as two, as is customary, and is halved for the comparison. Edges, padding, addresses, exchange
+between threads and loads of nodes without an actuator do not count.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -20,42 +20,48 @@ from functools import partial
 
 import warp as wp
 
-from warp_plate.bench.clock import seconds_of
 from warp_plate.kernels.limits import make_multiply_adds
 from warp_plate.solve.cpu import compiler_flags
 from warp_plate.solve.devices import cpu_threads
 from warp_plate.solve.specialize import Specialized
 
 REALS = {"float32": wp.float32, "float64": wp.float64}
-# Displacement and rate, read and written.
+# Numbers moved: displacement and rate, read and written.
 NUMBERS_MOVED = 4
-# Each of the two Laplacians: three additions and a multiply-add. The update: two multiply-adds and an addition.
-LAPLACIANS, UPDATE = 2 * 4, 3
-# Where a node is loaded: a multiplication and a multiply-add. In the window: rate² to its sum, a multiply-add.
-LOAD, SUM = 2, 1
-# Larger than any cache, and several of them where one is over too soon to be timed.
-COPY_BYTES = {"cpu": 2**28, "cuda": 2**30}
-COPIES = {"cpu": 1, "cuda": 8}
-# CPU: a block that stays in the first-level cache, over and over. CUDA: as many threads as fit, some times over.
+# Operations of the two Laplacians (three additions and a multiply-add each), the update (two multiply-adds and an
+# addition), the load of a node (a multiplication and a multiply-add) and the window's sum (a multiply-add).
+LAPLACIANS, UPDATE, LOAD, SUM = 2 * 4, 3, 2, 1
+# Bytes beyond any cache, and copies in a row where one is too short to be timed.
+COPY_BYTES, COPIES = {"cpu": 2**28, "cuda": 2**30}, {"cpu": 1, "cuda": 8}
+# CPU: passes over a block in the first-level cache. CUDA: a few times as many threads as fit.
 CPU_BLOCK, CPU_DEPTH, CPU_PASSES = 1024, 32, 100_000
 CUDA_THREADS, CUDA_DEPTH, CUDA_ROUNDS = 4 * 2048, 128, 256
-# The fastest of so many runs: a limit is what the device can do when nothing disturbs it.
+# The fastest of these runs counts, because other programs can only slow a device down.
 RUNS = 5
 
 
 @dataclass(frozen=True)
 class DeviceLimits:
-    """copy_bytes_per_second: read and written together; flops: by precision, a fused multiply-add being two."""
+    """Measured limits of a device."""
 
-    copy_bytes_per_second: float
-    flops: Mapping[str, float]
+    copy_bytes_per_second: float  # bytes read and written together [1/s]
+    flops: Mapping[str, float]  # operations by precision, a fused multiply-add being two [1/s]
+
+
+def seconds_of(work: Callable[[], None], device: wp.Device) -> float:
+    """Return the time of some work [s], from an idle device to an idle device."""
+    wp.synchronize_device(device)
+    start = time.perf_counter()
+    work()
+    wp.synchronize_device(device)
+    return time.perf_counter() - start
 
 
 def measure_limits(device: wp.Device, precisions: Iterable[str]) -> DeviceLimits:
-    """Both limits of a device; on CPU with as many threads as the simulation uses.
+    """Measure both limits of a device, on CPU with as many threads as the simulation uses.
 
     Raises:
-        SceneError: WARP_PLATE_THREADS is no number of threads.
+        SceneError: WARP_PLATE_THREADS is not a number of threads.
     """
     threads = cpu_threads() if device.is_cpu else 1
     copied = _copy_bytes_per_second(device, threads)
@@ -63,7 +69,7 @@ def measure_limits(device: wp.Device, precisions: Iterable[str]) -> DeviceLimits
 
 
 def share_of_limit(specialized: Specialized, path: str, rate: float, limits: DeviceLimits) -> tuple[str, float]:
-    """Name of the limit that a path is held against, and the share that ``rate`` [node-steps/s] is of it."""
+    """Return the name of the limit that applies to a path, and the share that ``rate`` [node-steps/s] is of it."""
     if path == "streaming":
         moved = NUMBERS_MOVED * wp.types.type_size_in_bytes(specialized.real)
         return "copy", rate * moved / limits.copy_bytes_per_second
@@ -72,7 +78,7 @@ def share_of_limit(specialized: Specialized, path: str, rate: float, limits: Dev
 
 
 def operations_a_node_step(specialized: Specialized) -> float:
-    """Floating-point operations that a node-step needs, averaged over the nodes and steps of a scene."""
+    """Return the floating-point operations of a node-step, averaged over the nodes and steps of a scene."""
     scheme = specialized.scheme
     loaded = specialized.support.shape[0] / specialized.interior_nodes
     summed = (scheme.window[1] - scheme.window[0]) / scheme.steps
@@ -100,14 +106,14 @@ def _flops(device: wp.Device, real: type, threads: int) -> float:
     kernel = make_multiply_adds(real, block, depth, rounds, compiler_flags())
     wp.load_module(module=kernel.module, device=device)
     numbers = [wp.zeros((rows, block), dtype=real, device=device) for _ in range(threads)]
-    # 2 is where x ← x/2 + 1 comes to rest: neither too large nor too small for a number.
+    # x ← x/2 + 1 converges to 2, so numbers neither overflow nor vanish.
     inputs = [0.5, 1.0, passes]
-    calls = [partial(wp.launch, kernel, dim=rows, inputs=inputs, outputs=[own], device=device) for own in numbers]
+    calls = [partial(wp.launch, kernel, dim=rows, inputs=inputs, outputs=[array], device=device) for array in numbers]
     return 2 * depth * rounds * passes * block * rows * threads / _fastest(calls, device)
 
 
 def _fastest(calls: Sequence[Callable[[], object]], device: wp.Device) -> float:
-    """Seconds for all calls: on CPU side by side, a thread each; on CUDA queued one after another."""
+    """Return the time of all calls [s], on CPU in a thread each, on CUDA queued one after another."""
     with ThreadPoolExecutor(len(calls)) as pool:
 
         def work() -> None:

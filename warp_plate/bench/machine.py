@@ -1,4 +1,4 @@
-"""What a measurement ran on, for the record beside the figures, and whether that machine was quiet."""
+"""A description of the machine that a measurement ran on, and a warning if it is busy."""
 
 from __future__ import annotations
 
@@ -13,30 +13,26 @@ import warp as wp
 from warp_plate import __version__
 from warp_plate.solve.devices import cpu_threads, find_device, processor_of
 
-# Waiting programs for each core, averaged over a minute, above which figures are not to be trusted.
+# Load average of a minute for each core above which timings are unreliable.
 QUIET = 0.3
 
 
 @dataclass(frozen=True)
 class Machine:
-    """What the figures belong to.
+    """The machine of a measurement."""
 
-    system: operating system; cores: of the CPU, and threads that are used; load: average of the minute before the
-    measurement, None on systems that keep none; devices: models by Warp's name.
-    """
-
-    system: str
-    cores: int
-    threads: int
-    load: float | None
-    devices: Mapping[str, str]
+    system: str  # operating system
+    cores: int  # cores of the CPU
+    threads: int  # threads that the simulation uses
+    load: float | None  # load average of the minute before; None on systems without it
+    devices: Mapping[str, str]  # models by Warp's name of the device
 
 
 def describe_machine(devices: Sequence[str]) -> Machine:
-    """The machine as it is now.
+    """Return the machine with its current load.
 
     Raises:
-        SceneError: no such device, or WARP_PLATE_THREADS is no number of threads.
+        SceneError: there is no such device, or WARP_PLATE_THREADS is not a number of threads.
     """
     threads = cpu_threads()
     models = {name: find_device(name) for name in devices}
@@ -53,21 +49,21 @@ def describe_machine(devices: Sequence[str]) -> Machine:
 
 
 def describe_versions() -> dict[str, str]:
-    """Python, this program, Warp and what compiles and runs its kernels."""
-    found = {"python": platform.python_version(), "warp-plate": __version__}
-    found |= {package: metadata.version(package) for package in ("warp-lang", "numpy")}
+    """Return the versions of Python, this program, Warp, NumPy and CUDA."""
+    versions = {"python": platform.python_version(), "warp-plate": __version__}
+    versions |= {package: metadata.version(package) for package in ("warp-lang", "numpy")}
     for name, version in (("toolkit", wp.get_cuda_toolkit_version()), ("driver", wp.get_cuda_driver_version())):
         if wp.is_cuda_available() and version:
-            found[f"cuda {name}"] = ".".join(map(str, version))
-    return found
+            versions[f"cuda {name}"] = ".".join(map(str, version))
+    return versions
 
 
 def busy() -> str | None:
-    """A sentence where other programs are running, by the load average; else None."""
+    """Return a warning if other programs are running, by the load average; else None."""
     load, cores = _load_average(), os.cpu_count() or 1
     if load is None or load <= QUIET * cores:
         return None
-    return f"this machine is busy (load average {load:g} on {cores} cores): expect times that are too long"
+    return f"this machine is busy (load average {load:g} on {cores} cores): times will be too long"
 
 
 def _load_average() -> float | None:

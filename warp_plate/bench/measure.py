@@ -1,4 +1,4 @@
-"""Times the solver: each case warmed up, synchronised, and run several times, of which the median counts."""
+"""Timing of the solver: each case is warmed up, synchronised and run several times; the median counts."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import numpy as np
 import warp as wp
 
 from warp_plate.bench.cases import BenchCase
-from warp_plate.bench.clock import seconds_of
-from warp_plate.bench.limits import DeviceLimits, measure_limits, share_of_limit
+from warp_plate.bench.limits import DeviceLimits, measure_limits, seconds_of, share_of_limit
 from warp_plate.bench.machine import Machine, describe_machine, describe_versions
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.memory import machine_memory
@@ -23,24 +22,22 @@ from warp_plate.solve.engine import load_drives, make_engine
 from warp_plate.solve.specialize import Specialized, specialize
 from warp_plate.solve.state import Advance, State, bytes_per_plate, make_state
 
-# Steps of the paper's run: the most that a run takes here, and what "seconds for a swarm" are for.
+# Steps of the paper's run: the most that a timed run takes, and the steps of "seconds for a swarm".
 PAPER_STEPS = 1250
-# The fewest steps that say something, and the longest that they may take [s].
-FEWEST_STEPS = 32
-LONGEST_SECONDS = 1.0
-# A case takes at most this part of a CUDA device's free memory, and of the machine's, or this many bytes, on CPU.
+# Fewest steps of a timed run, and the longest time that they may take [s].
+FEWEST_STEPS, LONGEST_SECONDS = 32, 1.0
+# Memory of a case: fraction of a CUDA device's free memory; on CPU fraction of the machine's memory, and bytes at most.
 CUDA_MEMORY_SHARE, CPU_MEMORY_SHARE, CPU_MEMORY_BYTES = 0.8, 0.5, 2**32
-# Short runs are repeated more often, up to this number.
+# Most repetitions of short runs.
 MOST_RUNS = 100
-NOTHING_TRACED = np.zeros((0, 2), dtype=np.int32)
 
 
 @dataclass(frozen=True)
 class TimingBudget:
-    """seconds: that a run may take, fewer steps being taken where the whole would take longer; runs: at least."""
+    """The duration of a measurement."""
 
-    seconds: float
-    runs: int
+    seconds: float  # time of a run, which takes fewer steps than the paper's if necessary [s]
+    runs: int  # fewest runs
 
 
 FULL = {"cpu": TimingBudget(1.0, 5), "cuda": TimingBudget(0.25, 7)}
@@ -49,68 +46,60 @@ QUICK = {"cpu": TimingBudget(0.2, 3), "cuda": TimingBudget(0.1, 5)}
 
 @dataclass(frozen=True)
 class BenchRow:
-    """One case's figures; None where it was skipped.
+    """Timing of one case; None where it was skipped."""
 
-    path: the one taken; seconds: of one run of ``steps`` steps; swarm_seconds: for the paper's 1250 steps;
-    limit: "copy" or "arithmetic"; share: of that limit (see ``limits``); status: "measured", or why not.
-    """
-
-    device: str
-    precision: str
-    nodes: int
-    plates: int
-    steps: int | None
-    path: str | None
-    seconds: float | None
-    node_steps_per_second: float | None
-    nanoseconds_per_node_step: float | None
-    swarm_seconds: float | None
-    bytes_per_plate: int | None
-    limit: str | None
-    share: float | None
-    status: str
+    device: str  # Warp's name of the device
+    precision: str  # precision of the time steps
+    nodes: int  # nodes of each side
+    plates: int  # number of plates
+    steps: int | None = None  # steps of a timed run
+    path: str | None = None  # path of the solver
+    seconds: float | None = None  # median time of a run [s]
+    node_steps_per_second: float | None = None  # rate [1/s]
+    nanoseconds_per_node_step: float | None = None  # its inverse [ns]
+    swarm_seconds: float | None = None  # time of the paper's 1250 steps [s]
+    bytes_per_plate: int | None = None  # device memory of a plate
+    limit: str | None = None  # limit that applies, "copy" or "arithmetic"
+    share: float | None = None  # share of this limit
+    status: str = "measured"  # or "skipped: ..."
 
     @property
     def measured(self) -> bool:
-        """Whether there are figures."""
+        """True if the case was timed."""
         return self.status == "measured"
 
 
 @dataclass(frozen=True)
 class BenchReport:
-    """Everything that one call of the benchmark found; limits: by device."""
+    """The result of a benchmark."""
 
-    machine: Machine
-    versions: Mapping[str, str]
-    limits: Mapping[str, DeviceLimits]
-    rows: Sequence[BenchRow]
-    interrupted: bool
+    machine: Machine  # machine
+    versions: Mapping[str, str]  # versions of software
+    limits: Mapping[str, DeviceLimits]  # limits by device
+    rows: Sequence[BenchRow]  # timings
+    interrupted: bool  # True if Ctrl-C ended it
 
     def as_json(self) -> dict[str, object]:
-        """Of numbers, texts, lists and mappings only."""
+        """Return the report as numbers, texts, lists and mappings."""
         return asdict(self)
-
-
-class NotMeasured(Exception):
-    """A case is too large for this machine; the message says in what."""
 
 
 @dataclass(frozen=True)
 class PreparedCase:
-    """A case that can be run: plates with their drives on the device."""
+    """A case with its plates and drives on the device."""
 
-    specialized: Specialized
-    path: str
-    advance: Advance
-    state: State
+    specialized: Specialized  # scene on the device
+    path: str  # path of the solver
+    advance: Advance  # function that steps plates
+    state: State  # plates
 
     @property
     def node_steps(self) -> int:
-        """Of one step of all plates."""
+        """Number of moving nodes of all plates."""
         return self.state.capacity * self.specialized.interior_nodes
 
     def run(self, steps: int) -> None:
-        """Half of the steps before the window, half in it, as in the paper."""
+        """Run steps, half of them before the window and half in it, as in the paper."""
         start = (PAPER_STEPS - steps) // 2
         self.advance(self.state, self.state.capacity, start, start + steps)
 
@@ -120,16 +109,16 @@ def measure_all(
     pace: Mapping[str, TimingBudget],
     on_progress: Callable[[int, BenchCase], None] | None = None,
 ) -> BenchReport:
-    """Measure the cases, and the limits of each device before its first; Ctrl-C ends it with what is there.
+    """Measure the cases, and the limits of each device before its first case; Ctrl-C ends it with the rows so far.
 
     Args:
-        cases: ordered by device.
-        pace: by "cpu" and "cuda".
-        on_progress: called with the number of cases done and the one that comes next.
+        cases: Cases, ordered by device.
+        pace: Durations by "cpu" and "cuda".
+        on_progress: Called with the number of finished cases and the next one.
 
     Raises:
-        SceneError: no such device, or WARP_PLATE_THREADS is no number of threads.
-        KeyboardInterrupt: nothing has been measured yet.
+        SceneError: there is no such device, or WARP_PLATE_THREADS is not a number of threads.
+        KeyboardInterrupt: no case has been measured yet.
     """
     machine = describe_machine(list(dict.fromkeys(case.device for case in cases)))
     limits: dict[str, DeviceLimits] = {}
@@ -152,13 +141,12 @@ def measure_all(
 
 
 def measure_case(case: BenchCase, limits: DeviceLimits, pace: TimingBudget) -> BenchRow:
-    """The figures of a case, or the reason why it was skipped."""
+    """Return the timing of a case, or the reason why it was skipped."""
     try:
         ready = prepare(case)
         steps = choose_steps(ready, pace.seconds)
-    except (SceneError, NotMeasured) as reason:
-        nothing = dict.fromkeys(list(BenchRow.__dataclass_fields__)[4:-1])
-        return BenchRow(case.device, case.precision, case.nodes, case.plates, **nothing, status=f"skipped: {reason}")
+    except SceneError as reason:
+        return BenchRow(case.device, case.precision, case.nodes, case.plates, status=f"skipped: {reason}")
     seconds = median(time_runs(partial(ready.run, steps), ready.specialized.device, pace))
     rate = ready.node_steps * steps / seconds
     limit, share = share_of_limit(ready.specialized, ready.path, rate, limits)
@@ -176,12 +164,11 @@ def measure_case(case: BenchCase, limits: DeviceLimits, pace: TimingBudget) -> B
         bytes_per_plate=bytes_per_plate(ready.specialized, 0),
         limit=limit,
         share=share,
-        status="measured",
     )
 
 
 def time_runs(run: Callable[[], None], device: wp.Device, pace: TimingBudget) -> list[float]:
-    """Seconds of each run, after one to warm up; more runs than asked for where they are short."""
+    """Return the time of each run [s], after one to warm up; short runs are repeated more often."""
     run()
     taken: list[float] = []
     while len(taken) < pace.runs or (sum(taken) < pace.seconds / 4 and len(taken) < MOST_RUNS):
@@ -190,37 +177,37 @@ def time_runs(run: Callable[[], None], device: wp.Device, pace: TimingBudget) ->
 
 
 def choose_steps(ready: PreparedCase, seconds: float) -> int:
-    """An even number of steps that take about so many seconds, at most those of the paper's run.
+    """Return an even number of steps that takes about this time [s], at most the steps of the paper's run.
 
     Raises:
-        NotMeasured: even few steps would take too long.
+        SceneError: the fewest steps take too long.
     """
     for steps in (4, FEWEST_STEPS, 8 * FEWEST_STEPS, PAPER_STEPS):
         took = seconds_of(partial(ready.run, steps), ready.specialized.device)
         if steps <= FEWEST_STEPS and took > LONGEST_SECONDS:
-            raise NotMeasured(f"{steps} steps take {took:.1f} s, which is over {LONGEST_SECONDS:g} s")
+            raise SceneError(f"{steps} steps take {took:.1f} s, which is more than {LONGEST_SECONDS:g} s")
         if steps >= FEWEST_STEPS and took > seconds / 8:
             break
     return min(PAPER_STEPS, max(FEWEST_STEPS, int(steps * seconds / took) // 2 * 2))
 
 
 def prepare(case: BenchCase) -> PreparedCase:
-    """Compile the case and load random drives.
+    """Compile the kernels of a case and load random drives.
 
-    Plates start from noise instead of from rest: a wave front that runs into a resting plate passes through denormal
-    numbers, with which a CPU is slow; short runs of large plates took up to twice as long (measured).
+    Plates start from noise. If they started at rest, the wave front would pass through denormal numbers, which slow a
+    CPU down by up to two times in short runs of large plates.
 
     Raises:
-        SceneError: no such device, or the path cannot take this size.
-        NotMeasured: the plates do not fit into memory.
+        SceneError: there is no such device, the path cannot take this grid, or the plates do not fit into memory.
     """
     device = find_device(case.device)
     specialized = specialize(discretize(paper_like(case.nodes, case.precision)), device)
     needed, room = case.plates * bytes_per_plate(specialized, 0), memory_for_plates(device)
     if needed > room:
-        raise NotMeasured(f"needs {needed / 2**30:.1f} GiB of memory, and {room / 2**30:.1f} GiB may be taken")
+        raise SceneError(f"needs {needed / 2**30:.1f} GiB of memory, but only {room / 2**30:.1f} GiB may be used")
     engine = make_engine(specialized, case.path)
-    state = make_state(specialized, case.plates, wp.array(NOTHING_TRACED, dtype=int, device=device))
+    no_points = wp.zeros((0, 2), dtype=int, device=device)
+    state = make_state(specialized, case.plates, no_points)
     random = np.random.default_rng(0)
     parts = random.uniform(-1, 1, (2, case.plates, specialized.patches.shape[0]))
     coefficients = specialized.discretization.signals.coefficients(parts[0] + 1j * parts[1])
@@ -235,8 +222,10 @@ def prepare(case: BenchCase) -> PreparedCase:
 
 
 def paper_like(nodes: int, precision: str) -> Scene:
-    """The paper's panel on another grid, its times scaled as the stability limit is: again 1250 steps, half of them in
-    the window, each as far below the limit and through as much of the drive's period as in the paper."""
+    """Return the paper's scene on another grid, with times scaled like the stability limit.
+
+    It has again 1250 steps, half of them in the window, each the same fraction of the limit and of the drive's period.
+    """
     scene = Scene.load("paper").model_dump()
     scale = ((scene["grid"]["nodes"][0] - 1) / (nodes - 1)) ** 2
     scene["grid"] |= {"nodes": (nodes, nodes), "precision": precision, "load": "overlap"}
@@ -249,7 +238,7 @@ def paper_like(nodes: int, precision: str) -> Scene:
 
 
 def memory_for_plates(device: wp.Device) -> float:
-    """Bytes of the device's memory that the plates of one case may take."""
+    """Return the bytes of the device's memory that the plates of one case may take."""
     if device.is_cuda:
         return CUDA_MEMORY_SHARE * float(device.free_memory)
     return min(CPU_MEMORY_SHARE * machine_memory(), CPU_MEMORY_BYTES)
