@@ -1,4 +1,4 @@
-"""Drives of any shape, kind and size given to ``PlateSolver.run``: right numbers, a flagged plate, or one line."""
+"""Drives of any shape, kind and size given to ``PlateSolver.run``: right numbers, a faulty plate, or one line."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from warp_plate import PlateSolver, SceneError
 from warp_plate.solve.scaling import LARGEST_DRIVE, SMALLEST_DRIVE
 
 ACTUATORS = 3
-# Beside the sizes that are kept, with room for the rounding of a sum of three.
+# The sizes that are kept, with room for the rounding of a sum of three.
 SIZES = st.floats(10 * SMALLEST_DRIVE, LARGEST_DRIVE / 10)
 PARTS = st.just(0.0) | SIZES | SIZES.map(lambda size: -size)
 
@@ -22,21 +22,14 @@ def solver(request):
     return PlateSolver(scene_of((9, 9), damping=88.5, precision=request.param, window=(0.002, 0.006)), "cpu")
 
 
-@pytest.fixture(scope="module")
-def unit_energies(solver):
-    """(actuators,) energies of the plate under one actuator each."""
-    return solver.run(np.eye(ACTUATORS)).energy[:, 0]
-
-
 def refused(solver, *arguments, **options):
     with pytest.raises(SceneError) as caught:
         solver.run(*arguments, **options)
-    line = str(caught.value)
-    assert line.isprintable()
-    return line
+    assert str(caught.value).isprintable()
+    return str(caught.value)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(
     drives=arrays.arrays(
         st.sampled_from([np.float64, np.complex128]), st.tuples(st.integers(0, 6), st.just(ACTUATORS)),
@@ -45,72 +38,65 @@ def refused(solver, *arguments, **options):
     good=st.lists(st.tuples(*[PARTS] * ACTUATORS), min_size=1, max_size=4),
 )  # fmt: skip
 def test_a_bad_drive_harms_no_other(solver, drives, good):
-    """Whatever stands beside them, good drives give the same bits as alone; every bad one is flagged."""
+    """Good drives give the same bits as alone whatever stands beside them; every bad one is reported."""
     good = np.array(good)
     alone = solver.run(good, (0.004,))
     mixed = solver.run(np.concatenate([drives, good, drives]), (0.004,))
-    mine = slice(len(drives), len(drives) + len(good))
-    np.testing.assert_array_equal(mixed.energy[mine], alone.energy)
-    np.testing.assert_array_equal(mixed.displacement[mine], alone.displacement)
+    middle = slice(len(drives), len(drives) + len(good))
+    np.testing.assert_array_equal(mixed.energy[middle], alone.energy)
+    np.testing.assert_array_equal(mixed.displacement[middle], alone.displacement)
     assert alone.finite.all()
     with np.errstate(over="ignore", invalid="ignore"):
         size = np.abs(drives).max(axis=1) if len(drives) else np.zeros(0)
     bad = ~(np.isfinite(size) & ((size == 0) | ((size >= SMALLEST_DRIVE) & (size <= LARGEST_DRIVE))))
-    finite = mixed.finite
-    # The plate's own stiffness may carry a drive near the end beyond it.
+    # Near the end, the plate's own stiffness may carry a drive beyond it.
     near = (size > LARGEST_DRIVE / 10) & (size < 10 * LARGEST_DRIVE)
-    np.testing.assert_array_equal(finite[: len(drives)][~near], ~bad[~near])
-    np.testing.assert_array_equal(finite[: len(drives)], finite[mine.stop :])
+    np.testing.assert_array_equal(mixed.finite[: len(drives)][~near], ~bad[~near])
+    np.testing.assert_array_equal(mixed.finite[: len(drives)], mixed.finite[middle.stop :])
+    faults = mixed.status[: len(drives)]
+    assert set(faults[~np.isfinite(drives).all(axis=1)]) <= {"drive is not finite"}
+    assert set(faults[~bad & ~near]) <= {"ok"}
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.floats(1.01 * SMALLEST_DRIVE, 0.99 * LARGEST_DRIVE), st.integers(0, ACTUATORS - 1))
-def test_energies_go_with_the_square_at_every_size(solver, unit_energies, size, actuator):
-    drive = np.zeros((1, ACTUATORS))
-    drive[0, actuator] = size
-    energy = solver.run(drive).energy[0]
-    assert energy[0] == pytest.approx(size**2 * unit_energies[actuator], rel=1e-12)
+def test_energies_go_with_the_square_at_every_size(solver, size, actuator):
+    unit = np.zeros((1, ACTUATORS))
+    unit[0, actuator] = 1
+    energy, expected = solver.run(size * unit).energy[0], solver.run(unit).energy[0]
+    assert energy[0] == pytest.approx(size**2 * expected[0], rel=1e-12)
     assert 0 < energy[1] < energy[0]
 
 
 @given(shape=arrays.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4))
-def test_any_other_shape_is_refused(solver, shape):
+def test_another_shape_is_refused(solver, shape):
     if len(shape) != 2 or shape[1] != ACTUATORS:
         assert "drives: shape" in refused(solver, np.zeros(shape))
-
-
-@given(
-    arrays.arrays(
-        arrays.unicode_string_dtypes() | arrays.byte_string_dtypes() | arrays.datetime64_dtypes() | st.just(object),
-        (1, ACTUATORS),
-    )
-)
-def test_any_other_kind_is_refused(solver, drives):
-    assert "not an array of numbers" in refused(solver, drives)
 
 
 @pytest.mark.parametrize(
     "drives",
     [
-        None, "abc", {}, {1: 2}, object(), [[1, None, 2]], [[1, 2, 3], [1, 2]], [[10**400, 1, 1]], iter([[1, 2, 3]]),
+        None, "abc", {1: 2}, object(), [[1, None, 2]], [[1, 2, 3], [1, 2]], [[10**400, 1, 1]], iter([[1, 2, 3]]),
         np.ma.masked_array([[1.0, 2, 3]], mask=[[0, 1, 0]]), ([[1, 2, 3]], [[0, 0]]), ([[1j, 1, 1]], [[0, 0, 0]]),
-        ([["a"] * 3], [[1] * 3]), ([[1, 2, 3]], [[0, 0, 0]], [[0, 0, 0]]),
+        ([["a"] * 3], [[1] * 3]), ([[1, 2, 3]], [[0, 0, 0]], [[0, 0, 0]]), np.array([["2026-01-01"] * 3], "M8[D]"),
+        np.array([[b"1"] * 3]),
     ],
-    ids=range(14),
+    ids=range(15),
 )  # fmt: skip
-def test_what_is_no_drive_is_refused(solver, drives):
+def test_values_that_are_no_drives_are_refused(solver, drives):
     assert refused(solver, drives).startswith("drives: ")
 
 
 @pytest.mark.parametrize(
     ("magnitude", "phase"), [([[np.inf, 1, 1]], 0.0), ([[1, 1, 1]], np.nan), ([[1, 1, 1]], [[0, np.inf, 0]])]
 )
-def test_magnitudes_and_phases_that_are_no_numbers_are_flagged(solver, magnitude, phase):
+def test_magnitudes_and_phases_that_are_not_finite_are_reported(solver, magnitude, phase):
     assert not solver.run((np.array(magnitude), np.array(phase))).finite.any()
 
 
 @pytest.mark.parametrize("dtype", ["f2", "f4", "f8", "i1", "u8", "c8", "c16", "?"])
-def test_numbers_of_every_kind_are_taken(solver, dtype):
+def test_numbers_of_every_kind_are_accepted(solver, dtype):
     drives = np.array([[1, 0, 1]], dtype=dtype)
     np.testing.assert_array_equal(solver.run(drives).energy, solver.run([[1.0, 0.0, 1.0]]).energy)
 
@@ -119,10 +105,11 @@ def test_numbers_of_every_kind_are_taken(solver, dtype):
     "options",
     [
         {"times": 5}, {"times": ("a",)}, {"times": ((0.001, 0.002),)}, {"times": (np.inf,)}, {"times": (None,)},
-        {"points": (5,)}, {"points": ((0.1,),)}, {"points": ((0.1, 0.1, 0.1),)}, {"points": (("a", "b"),)},
-        {"points": ((np.nan, 0.1),)}, {"points": ((0.1, 1e300),)}, {"points": ((0.1, 0.1), (0.1,))},
+        {"times": (0.004, -0.001)}, {"times": (0.007,)}, {"points": (5,)}, {"points": ((0.1,),)},
+        {"points": ((0.1, 0.1, 0.1),)}, {"points": (("a", "b"),)}, {"points": ((np.nan, 0.1),)},
+        {"points": ((0.1, 0.1), (0.21, 0.1))}, {"points": ((0.1, -0.01),)}, {"points": ((0.1, 0.1), (0.1,))},
     ],
-    ids=range(12),
+    ids=range(15),
 )  # fmt: skip
-def test_what_is_no_time_or_point_is_refused(solver, options):
+def test_bad_times_and_points_are_refused(solver, options):
     assert refused(solver, [[1, 1, 1]], **options).startswith(next(iter(options)))

@@ -180,7 +180,7 @@ def test_a_plate_knows_nothing_of_its_batch(device, path, kind, precision, burst
     chunks = PlateSolver(made, device, path, chunk=7, per_plate=own)
     np.testing.assert_array_equal(chunks.run(designs).energy, together)
     plain = solver.run(designs.drives).energy
-    assert {"plate_waves", "along_x", "along_y"} <= poison(solver._states[0])
+    assert {"plate_waves", "along_x", "along_y"} <= poison(solver.states[0])
     np.testing.assert_array_equal(solver.run(designs[3:4]).energy, together[3:4])
     np.testing.assert_array_equal(solver.run(designs.drives).energy, plain)
     designs.drives[5] = np.nan
@@ -214,11 +214,11 @@ def test_patches_are_those_of_the_scene(load, effects, burst_scene, draw, pairs)
     for device in {device for device, _ in pairs}:
         solver = PlateSolver(made, device, per_plate=own)
         solver.run(Designs(np.tile(np.eye(count), (7, 1)), centre=np.repeat(designs.centre, count, axis=0)))
-        found = solver._states[0].in_phase.numpy()[: 7 * count].reshape(7, count, 10, -1)
+        found = solver.states[0].in_phase.numpy()[: 7 * count].reshape(7, count, 10, -1)
         for plate in range(7):
             alone = PlateSolver(written(made, designs, plate), "cpu")
             alone.run(np.eye(count))
-            expected = alone._states[0].in_phase.numpy()[:count]
+            expected = alone.states[0].in_phase.numpy()[:count]
             np.testing.assert_allclose(found[plate], expected, rtol=0, atol=1e-13 * np.abs(expected).max())
 
 
@@ -233,7 +233,7 @@ def test_patches_move_without_jumps(load, burst_scene):
     drives = np.tile([1.0, 0, 0], (2001, 1))
     solver = PlateSolver(made, "cpu", per_plate=PerPlate(centre=True))
     solver.run(Designs(drives, centre=centre))
-    jumps = np.abs(np.diff(solver._states[0].in_phase.numpy()[:2001], axis=0)).max()
+    jumps = np.abs(np.diff(solver.states[0].in_phase.numpy()[:2001], axis=0)).max()
     assert 0 < jumps < 3 * (places[1] - places[0]) / spacing
 
 
@@ -271,7 +271,7 @@ def test_waves_are_those_of_the_scene(name, each, scene, draw, phasors, pairs):
     for device in {device for device, _ in pairs}:
         solver = PlateSolver(made, device, per_plate=own)
         solver.run(designs)
-        np.testing.assert_allclose(solver._states[0].wave.numpy()[:4], waves, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(solver.states[0].wave.numpy()[:4], waves, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("precision", TOLERANCE)

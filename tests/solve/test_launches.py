@@ -47,7 +47,7 @@ def test_together_they_change_no_bit(kind, device, scene, random, monkeypatch):
         assert (right.energy > 0).all()
         np.testing.assert_array_equal(run.energy, right.energy)
         np.testing.assert_array_equal(run.trace, right.trace)
-    kept = [[name for name in solver._states[0].beside if isinstance(name, tuple)] for solver in solvers]
+    kept = [[name for name in solver.states[0].beside if isinstance(name, tuple)] for solver in solvers]
     assert kept[0]
     assert not kept[1]
 

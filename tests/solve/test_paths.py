@@ -151,7 +151,7 @@ def test_numbers_left_in_memory_do_not_matter(device, path, nodes, order, scene,
     solver = fitting_solver(made, device, path)
     drives = phasors(4, len(made.actuators))
     first = solver.run(drives, (60 * step,))
-    poisoned = poison(solver._states[0])
+    poisoned = poison(solver.states[0])
     assert {"u", "rate", "squares"} <= poisoned
     second = solver.run(drives, (60 * step,))
     np.testing.assert_array_equal(second.energy, first.energy)

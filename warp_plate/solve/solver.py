@@ -70,6 +70,7 @@ class PlateSolver:
         device: The Warp device.
         engine: The compiled kernels.
         path: Name of the path.
+        states: Device arrays that runs use, made by the first run.
         node_steps: Nodes updated × steps × plates of all runs so far.
         compile_seconds: Time that discretizing and compiling took [s].
 
@@ -101,7 +102,7 @@ class PlateSolver:
         self.path = self.engine.path
         self._chunk, self._areas, self._memory_share = chunk, areas, memory_share
         self._largest_rate = largest_rate_per_step(self.specialized)
-        self._states: list[State] = []
+        self.states: list[State] = []
         self._batch: PlateBatch | None = None
         self.node_steps = 0
         self.compile_seconds = time.perf_counter() - started
@@ -325,18 +326,18 @@ class PlateSolver:
             size = min(self._chunk, size)
         elif self.device.is_cuda and not traced and plates >= 2 * part:
             size, turns = part, 2
-        held = [] if traced or any(state.nodes.shape[0] for state in self._states) else self._states
+        held = [] if traced or any(state.nodes.shape[0] for state in self.states) else self.states
         # A CUDA driver may take a while to tell its free memory.
         if self._chunk is None and not (self.device.is_cuda and _have_room(held, turns, size)):
-            in_use = sum(one.capacity * bytes_per_plate(self.specialized, one.nodes.shape[0]) for one in self._states)
+            in_use = sum(one.capacity * bytes_per_plate(self.specialized, one.nodes.shape[0]) for one in self.states)
             room = plates_that_fit(self.specialized, traced, in_use, self._memory_share)
             turns = min(turns, room)
             size = min(size, room // turns)
         if not _have_room(held, turns, size):
-            self._states.clear()  # frees the old arrays before new ones are allocated
+            self.states.clear()  # frees the old arrays before new ones are allocated
             nodes = wp.array(corners + np.array([1, 0], np.int32), dtype=int, device=self.device)
-            self._states += [make_state(self.specialized, size, nodes) for _ in range(turns)]
-        return self._states[:turns], size
+            self.states += [make_state(self.specialized, size, nodes) for _ in range(turns)]
+        return self.states[:turns], size
 
     def _advance(
         self, batch: PlateBatch, snapshots: list[int], displacement: np.ndarray, report: Callable[[int], None]
