@@ -117,7 +117,7 @@ def test_a_large_batch_takes_turns_on_a_gpu(device, path, scene, phasors, monkey
         pytest.skip("parts take turns on CUDA alone")
     made, drives = scene((9, 9), window=(0.002, 0.004)), phasors(60, 3)
     right = PlateSolver(made, device, path).run(drives).energy
-    monkeypatch.setattr("warp_plate.solve.batching.PART_NODE_STEPS", 20 * PlateSolver(made, device).node_steps_per_plate)
     solver = PlateSolver(made, device, path)
+    monkeypatch.setattr("warp_plate.solve.batching.PART_NODE_STEPS", 20 * solver.node_steps_per_plate)
     np.testing.assert_array_equal(solver.run(drives).energy, right)
     assert [state.capacity for state in solver.states] == [20, 20]

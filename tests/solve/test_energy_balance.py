@@ -6,9 +6,9 @@ vᵀMv changes by 2Δt v̄ᵀM(v⁺ − v)/Δt, and K is symmetric, it says with
     E_{n+½} − E_{n−½} = Δt fᵀv̄ − Δt v̄ᵀ(losses),   E_{n+½} = ½ v⁺ᵀMv⁺ + ½ uᵀKu⁺
 
 for plate and oscillators together. The losses are C v̄ (viscous damping, centred), C v (backward), τK_b v (material)
-and, in each damper, d times the last half-step's difference of rates. All is computed from the displacements of all steps of
-a run. With stretching, E also has the potential ¼ B (uᵀLu)(u⁺ᵀLu⁺) of N = B uᵀLu, whose change is the work
-of N only up to the square of the step.
+and, in each damper, d times the last half-step's difference of rates. All is computed from the displacements of all
+steps of a run. With stretching, E also has the potential ¼ B (uᵀLu)(u⁺ᵀLu⁺) of N = B uᵀLu, whose change is its work
+only up to the square of the step.
 """
 
 import numpy as np
@@ -85,7 +85,7 @@ def mix(scene, random):
 
 
 def attached_masses(m, u, v, step):
-    """Return (steps + 1, oscillators) displacements and last rates of the attached masses, from their equation of motion.
+    """Return (steps + 1, oscillators) displacements and last rates of the attached masses, by their equation of motion.
 
     u, v: (steps + 1, nodes) of the plate, v beginning with that before the first step.
     """

@@ -1,4 +1,4 @@
-"""The catalogue of hard cases (docs/hard-cases.md): every case keeps to its bound, and the committed figures are all there.
+"""The catalogue of hard cases (docs/hard-cases.md): every case keeps to its bound, and all figures are committed.
 
 Paths and precisions take turns over the cases; ``benchmarks/hard_cases`` measures all of them on all.
 """
