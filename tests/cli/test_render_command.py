@@ -157,7 +157,7 @@ def test_natural_shapes(render, tmp_path):
         (["--case", "worst"], "--case worst: "),
         (["--frames", "1"], "--frames 1: must be at least 2"),
         (["--modes", "40"], "--modes 40: must be from 1 to 6"),
-        (["--modes", "2", "--field", "phase"], "--field phase: natural shapes have their displacement only"),
+        (["--modes", "2", "--field", "phase"], "--field phase: mode shapes have displacements only"),
         (["--time", "7"], "--time 7: must be from 0 to 0.012 s"),
         (["--time", "0.001", "--start", "0.01"], "--time 0.001: must lie between --start and --end, 0.01 and 0.012 s"),
         (["--start", "0.01", "--end", "7"], "start = 0.01, end = 7: must lie inside the run"),
@@ -179,14 +179,14 @@ def test_figures_of_the_paper_come_from_a_search(searched, tmp_path, capsys):
 def test_a_moment_is_the_frame_of_pictures(searched):
     """--time: frames over the period from there on, or over the last one."""
     from warp_plate.analysis.motion import motions
-    from warp_plate.cli.render import _around, _frame
+    from warp_plate.cli.render import _frame, _span_around
 
     result = load_result(searched)
     period = 1 / result.scene.drive.frequency
-    assert _around(result, 0.004, None, None) == pytest.approx((0.004, 0.004 + period))
-    assert _around(result, 0.0119, None, None) == pytest.approx((0.012 - period, 0.012))
-    assert _around(result, None, 0.001, None) == (0.001, None)
-    shown = motions(result.scene, result.cases, _around(result, 0.0119, None, None), device="cpu")
+    assert _span_around(result, 0.004, None, None) == pytest.approx((0.004, 0.004 + period))
+    assert _span_around(result, 0.0119, None, None) == pytest.approx((0.012 - period, 0.012))
+    assert _span_around(result, None, 0.001, None) == (0.001, None)
+    shown = motions(result.scene, result.cases, _span_around(result, 0.0119, None, None), device="cpu")
     moment = shown[0].times[_frame(shown, 0.0119, "displacement")]
     assert moment == pytest.approx(0.0119, abs=period / 20)
 
