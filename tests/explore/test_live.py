@@ -1,6 +1,7 @@
 """The live model: what it shows at once is what plates do when they are run."""
 
 import math
+import threading
 import time
 
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 
 from warp_plate import PlateSolver, SceneError, localize
 from warp_plate.analysis.superposition import ORDERS, last_period
+from warp_plate.explore import live_model
 from warp_plate.explore.live_model import CHOICES, LiveModel
-from warp_plate.explore.settings import changed_scene, ranges_of
+from warp_plate.explore.settings import changed_scene, slider_ranges
 from warp_plate.plate.weights import localization_factor
 
 # Damped so strongly that the motion is steady when the run ends, and not so strongly that low modes creep.
@@ -26,9 +28,8 @@ def panel(scene):
 @pytest.fixture
 def film(scene):
     """Large displacements, which are not linear in the drives."""
-    return scene(
-        frequency=60.0, window=(0.08, 0.1), effects={"stretching": {}, "damping": {"viscous": DAMPING}}, search=SEARCH
-    )
+    effects = {"stretching": {}, "damping": {"viscous": DAMPING}}
+    return scene(frequency=60.0, window=(0.08, 0.1), effects=effects, search=SEARCH)
 
 
 @pytest.fixture
@@ -45,19 +46,23 @@ def live():
         model.close()
 
 
-# Settings ---------------------------------------------------------------------------------------------------
+def until(condition):
+    """Wait for something that a thread does."""
+    end = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.002)
 
 
-def test_bound_and_exact_best_are_those_of_localize(panel, live):
-    model = live(panel)
-    model.choose("exact")
+def chosen(model, choice):
+    """The reading under one of the choices."""
+    model.choose(choice)
     model.wait()
-    assert model.read().bound == pytest.approx(localize(panel, device="cpu", estimate=False).bound, rel=1e-9)
-    assert model.read().localization_factor == pytest.approx(model.read().bound, rel=1e-9)
+    return model.read()
 
 
 def test_sliders_move_the_reading(panel, live):
-    """Magnitude and phase at once, without a simulation; lag φ as in cos(ωt − φ)."""
+    """Without a simulation; the lag is φ as in cos(ωt − φ)."""
     model = live(panel)
     model.set_actuator(1, magnitude=2.0)
     model.set_actuator(1, phase=math.pi / 2)
@@ -71,57 +76,44 @@ def test_frequency_and_damping_are_simulated_again(frequency, damping, panel, li
     model.set_frequency(frequency)
     model.set_damping(damping)
     model.wait()
-    reading, other = model.read(), changed_scene(panel, frequency, damping)
-    run = PlateSolver(other, "cpu").run(np.ones((1, 3)))
+    reading = model.read()
+    run = PlateSolver(changed_scene(panel, frequency, damping), "cpu").run(np.ones((1, 3)))
     assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
     assert (reading.scene.drive.frequency, reading.scene.effects.damping.viscous) == (frequency, damping)
 
 
-def test_reading_does_not_wait_for_a_simulation(panel, live, monkeypatch):
-    """While the worker is at it, the old reading stays, drives still move it, and the status says so."""
-    import warp_plate.explore.live_model as module
-
+def test_a_reading_does_not_wait_for_a_simulation(panel, live, monkeypatch):
+    """While the worker simulates, the old responses stay and drives still move; then the latest frequency is shown."""
     model = live(panel)
-    slow = module.unit_responses
+    real, go_on = live_model.unit_responses, threading.Event()
 
-    def slowed(*arguments):
-        time.sleep(0.3)
-        return slow(*arguments)
+    def slow(*arguments):
+        assert go_on.wait(60)
+        return real(*arguments)
 
-    monkeypatch.setattr(module, "unit_responses", slowed)
-    model.set_frequency(200.0)
+    monkeypatch.setattr(live_model, "unit_responses", slow)
+    for frequency in np.linspace(150, 200, 20):
+        model.set_frequency(frequency)
     assert model.busy()
     assert model.status() == "simulating ..."
     model.set_actuator(0, magnitude=0.5)
-    assert model.read().scene.drive.frequency == 290.0
-    assert model.read().phasors[0] == 0.5
+    assert (model.read().scene.drive.frequency, model.read().phasors[0]) == (290.0, 0.5)
+    go_on.set()
     model.wait()
-    assert model.read().scene.drive.frequency == 200.0
-    assert model.read().phasors[0] == 0.5
+    assert (model.read().scene.drive.frequency, model.read().phasors[0]) == (200.0, 0.5)
     assert not model.busy()
 
 
-def test_the_latest_of_many_frequencies_wins(panel, live):
-    model = live(panel)
-    for frequency in np.linspace(150, 320, 60):
-        model.set_frequency(frequency)
-    model.wait()
-    assert model.read().scene.drive.frequency == 320.0
-
-
-def test_damping_where_the_scene_names_none(scene, live):
-    made = scene()
-    model = live(made)
-    assert ranges_of(made).damping == pytest.approx(0.5 * made.drive_angular_frequency * 0.5)
+def test_damping_where_the_scene_has_none(scene, live):
+    model = live(scene())
     model.set_damping(100.0)
     model.wait()
     assert model.read().scene.effects.damping.viscous == 100.0
 
 
-def test_what_cannot_be_simulated_is_told_and_the_rest_goes_on(scene, live):
+def test_what_cannot_be_simulated_is_reported_and_the_rest_goes_on(scene, live):
     """A step that a stronger damping, taken backward, makes unstable."""
-    made = scene(damping=10.0, scheme="backward", time_step=1.2e-4)
-    model = live(made)
+    model = live(scene(damping=10.0, scheme="backward", time_step=1.2e-4))
     before = model.read()
     model.set_damping(1e5)
     model.wait()
@@ -133,59 +125,42 @@ def test_what_cannot_be_simulated_is_told_and_the_rest_goes_on(scene, live):
     assert model.read().scene.effects.damping.viscous == 20.0
 
 
-def test_ranges(panel, scene):
+def test_slider_ranges(panel, scene):
     """Within what the run can carry."""
-    ranges = ranges_of(panel)
-    assert ranges.magnitude == 2.0
-    assert ranges.damping == 5 * DAMPING
+    ranges = slider_ranges(panel)
+    assert (ranges.magnitude, ranges.damping) == (2.0, 5 * DAMPING)
     assert ranges.frequency == pytest.approx((58, 580))
-    short = ranges_of(scene(window=(0.0, 0.005), time_step=8e-4, nodes=(7, 7)))
-    assert short.frequency == pytest.approx((200, 312.5))
-
-
-# Choices ----------------------------------------------------------------------------------------------------
+    short = scene(window=(0.0, 0.005), time_step=8e-4, nodes=(7, 7))
+    assert slider_ranges(short).frequency == pytest.approx((200, 312.5))
+    # A loss factor of 0.5 where the scene has no damping: 0.5 ωρH.
+    assert slider_ranges(short).damping == pytest.approx(0.5 * short.drive_angular_frequency * 0.5)
 
 
 def test_choices(panel, live):
-    """Each is what localize means by the name."""
-    model, found = live(panel), localize(panel, device="cpu", estimate=False)
+    """Each is what localize means by the name, and within the sliders' range."""
+    model, result = live(panel), localize(panel, device="cpu", estimate=False)
     for choice, case in (("equal", "equal"), ("single", "single"), ("found", "best")):
-        model.choose(choice)
-        model.wait()
         # A run in float64 against one in the scene's precision.
-        assert model.read().localization_factor == pytest.approx(found.cases[case].localization_factor, rel=1e-6)
-    model.choose("random")
-    model.wait()
-    first = model.read().phasors
-    model.choose("random")
-    model.wait()
-    assert np.abs(first - model.read().phasors).min() > 0
-    model.choose("scene")
-    model.wait()
-    np.testing.assert_allclose(model.read().phasors, [1, 1, 1])
+        expected = result.cases[case].localization_factor
+        assert chosen(model, choice).localization_factor == pytest.approx(expected, rel=1e-6)
+    exact = chosen(model, "exact")
+    assert exact.bound == pytest.approx(result.bound, rel=1e-9)
+    assert exact.localization_factor == pytest.approx(exact.bound, rel=1e-9)
+    first, second = chosen(model, "random").phasors, chosen(model, "random").phasors
+    assert np.abs(first - second).min() > 0
+    np.testing.assert_allclose(chosen(model, "scene").phasors, [1, 1, 1])
+    for choice in CHOICES:
+        chosen(model, choice)
+        assert max(model.settings.magnitude) <= model.ranges.magnitude * (1 + 1e-12)
+        assert all(0 <= phase < 2 * math.pi for phase in model.settings.phase)
     with pytest.raises(ValueError, match="'best': there are: scene, equal"):
         model.choose("best")
 
 
-def test_drives_found_fit_the_sliders(panel, live):
-    model = live(panel)
-    for choice in CHOICES:
-        model.choose(choice)
-        model.wait()
-        assert max(model.settings.magnitude) <= model.ranges.magnitude * (1 + 1e-12)
-        assert all(0 <= phase < 2 * math.pi for phase in model.settings.phase)
-
-
 def test_one_actuator(scene, live):
     model = live(scene(damping=DAMPING, actuators=[(0.03, 0.06, 0.04, 0.07)]))
-    for choice in CHOICES:
-        model.choose(choice)
-        model.wait()
-        assert model.read().localization_factor > 0
+    assert all(chosen(model, choice).localization_factor > 0 for choice in CHOICES)
     assert model.swarm() is None
-
-
-# The swarm, watched -----------------------------------------------------------------------------------------
 
 
 def test_a_search_is_watched(panel, live):
@@ -194,8 +169,7 @@ def test_a_search_is_watched(panel, live):
     model.choose("found", seconds=0.02)
     seen = {}
     while model.busy():
-        swarm = model.swarm()
-        if swarm is not None:
+        if (swarm := model.swarm()) is not None:
             seen[swarm.best.size] = swarm
         time.sleep(0.002)
     model.wait()
@@ -213,49 +187,27 @@ def test_a_search_is_watched(panel, live):
     np.testing.assert_allclose(last.best, history, rtol=1e-9)
 
 
-def test_before_the_first_swarm_is_evaluated_the_status_says_so(panel, live, monkeypatch):
-    model = live(panel)
-    model.choose("found")
-    model.wait()
-    assert model.status() == ""
-    monkeypatch.setattr(model._search, "read", lambda: None)
-    assert model.status() == "searching: the first swarm ..."
-
-
-def test_a_search_ends_when_it_is_told_or_the_drive_is_moved(panel, live):
+def test_a_search_ends_when_it_is_stopped_or_the_drive_is_moved(panel, live):
+    """What it finds after that is not taken."""
     model = live(panel)
     model.choose("found", seconds=0.02)
-    while model.swarm() is None:
-        time.sleep(0.002)
+    until(model.swarm)
     model.end_search()
     model.wait()
     assert not model.swarm().running
     assert model.swarm().best.size < 15
     model.choose("found", seconds=0.02)
-    while model.swarm() is None or not model.swarm().running:
-        time.sleep(0.002)
+    until(lambda: model.swarm() is not None and model.swarm().running)
     model.set_actuator(0, magnitude=0.25)
     assert model.swarm() is None
     time.sleep(0.1)
-    assert model.settings.magnitude[0] == 0.25
+    assert model.read().phasors[0] == pytest.approx(0.25 * np.exp(-1j * model.settings.phase[0]))
 
 
-def test_what_an_ended_search_finds_comes_too_late(panel, live):
-    """Even if its thread is just about to tell."""
-    model = live(panel)
-    model.choose("found", seconds=0.02)
-    while model.swarm() is None:
-        time.sleep(0.002)
-    tell = model._search._found
-    model.set_actuator(0, magnitude=0.25)
-    tell(np.array([1.0, 1.0, 1.0]))
-    assert model.settings.magnitude[0] == 0.25
-
-
-def test_a_frequency_that_is_asked_for_during_a_search_stays(panel, live):
+def test_a_frequency_that_is_set_during_a_search_stays(panel, live):
     """It ends the search, whose drives are those of another frequency."""
     model = live(panel)
-    for frequency in (200.0, 210.0, 220.0):
+    for frequency in (200.0, 220.0):
         model.choose("found")
         model.set_frequency(frequency)
         model.wait()
@@ -264,23 +216,18 @@ def test_a_frequency_that_is_asked_for_during_a_search_stays(panel, live):
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_failure_that_no_scene_explains_is_told(panel, live, monkeypatch):
+def test_an_error_of_the_program_is_reported(panel, live, monkeypatch):
     """Such as a device that runs out of memory; what is shown stays."""
-    import warp_plate.explore.live_model as module
-
     model = live(panel)
 
     def fail(*_):
         raise RuntimeError("out of memory")
 
-    monkeypatch.setattr(module, "unit_responses", fail)
+    monkeypatch.setattr(live_model, "unit_responses", fail)
     model.set_frequency(200.0)
     model.wait()
     assert model.status().startswith("the simulation has failed")
     assert model.read().scene.drive.frequency == 290.0
-
-
-# Not linear -------------------------------------------------------------------------------------------------
 
 
 def test_stretching_is_simulated_for_each_drive(film, live):
@@ -291,8 +238,7 @@ def test_stretching_is_simulated_for_each_drive(film, live):
         for index in range(3):
             model.set_actuator(index, magnitude=magnitude)
         model.wait()
-        reading = model.read()
-        solver = PlateSolver(film, "cpu")
+        reading, solver = model.read(), PlateSolver(film, "cpu")
         times = last_period(film, solver.specialized.scheme.time_step, 5)
         run = solver.run(np.full((1, 3), magnitude), times)
         assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
@@ -305,31 +251,20 @@ def test_stretching_is_simulated_for_each_drive(film, live):
     assert shown[1].peak() < 9.8 * shown[0].peak()
 
 
-def test_no_exact_best_where_nothing_is_linear(film, live):
+def test_choices_where_nothing_is_linear(film, live):
+    """A swarm of simulated plates, no exact best, and a drive that no run survives."""
     model = live(film)
+    chosen(model, "found")
+    assert model.read().localization_factor == pytest.approx(model.swarm().best[-1], rel=1e-6)
     before = model.settings
-    model.choose("exact")
-    model.wait()
+    chosen(model, "exact")
     assert model.status().startswith("exact best: effects.stretching is not linear")
     assert model.settings == before
-    model.choose("equal")
-    model.wait()
+    chosen(model, "equal")
     assert "stretching" not in model.status()
-
-
-def test_a_swarm_of_plates_that_stretch(film, live):
-    """Simulated, beside the plate that is shown."""
-    model = live(film)
-    model.choose("found")
-    model.wait()
-    assert model.read().localization_factor == pytest.approx(model.swarm().best[-1], rel=1e-6)
-
-
-def test_a_drive_that_no_run_survives_is_told(film, live):
-    model = live(film)
     model.set_actuator(0, magnitude=1e12)
     model.wait()
-    assert model.status()
+    assert "grew without bound" in model.status()
 
 
 def test_a_scene_that_cannot_run_is_refused_at_once(scene):

@@ -1,7 +1,7 @@
-"""A scene to play with: any drive at once, another frequency or damping as soon as it is simulated.
+"""The model behind the explorer: any drive at once, another frequency or damping as soon as it is simulated.
 
-Whoever draws calls ``read`` for each picture; it never waits for a simulation. A worker thread simulates what was asked
-for last, and a swarm that is watched runs in a thread of its own.
+Whoever draws calls ``read`` for each picture, which never waits for a simulation. A worker thread simulates what was
+asked for last, and a search that is watched has a thread of its own.
 """
 
 from __future__ import annotations
@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from warp_plate.analysis.superposition import SimulatedResponses, UnitResponses, simulated_responses, unit_responses
-from warp_plate.explore.settings import Settings, changed_scene, polar, ranges_of
+from warp_plate.explore.settings import LiveSettings, changed_scene, largest_magnitude, polar, slider_ranges
 from warp_plate.explore.watched_search import WatchedSearch
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.problem.evaluate_cases import reference_phasors
@@ -26,21 +25,26 @@ from warp_plate.scene.model import Scene
 from warp_plate.solve.solver import Progress
 
 CHOICES = ("scene", "equal", "single", "found", "exact", "random")
-# The start-up motion that is worth a word, as a share of the motion.
-LEFT_OVER = 0.02
+# Share of the motion from which start-up motion is mentioned.
+RESIDUAL_WARNING = 0.02
 
 
 class LiveModel:
     """A scene under settings that change while it is looked at.
 
     Args:
-        scene: with a grid; its drive is the first one.
-        device, path: see :class:`PlateSolver`.
-        progress: of the first simulation, which is over when this returns.
+        scene: A scene with a grid, whose drive is the first one.
+        device: See :class:`PlateSolver`.
+        path: See :class:`PlateSolver`.
+        progress: Called during the first simulation, which is done when the constructor returns.
+
+    Attributes:
+        ranges: Ends of the sliders.
+        settings: Positions of the sliders.
 
     Raises:
-        SceneError: a load that does not repeat; see :class:`PlateSolver`. Later ones are told by ``status`` and leave
-            the last reading as it is.
+        SceneError: The load does not repeat with the drive, or see :class:`PlateSolver`. Later errors are reported by
+            ``status`` and leave the last reading as it is.
     """
 
     def __init__(
@@ -51,73 +55,70 @@ class LiveModel:
                 f"{scene.nonperiodic_key}: what is explored repeats with the period of drive.frequency; leave it out"
             )
         self.scene = scene
-        self.ranges = ranges_of(scene)
+        self.ranges = slider_ranges(scene)
         self._device, self._path = device, path
-        self._scale = max((abs(one.magnitude) for one in scene.actuators), default=0.0) or 1.0
-        drive = scene_phasors(scene)
+        self._scale = largest_magnitude(scene)
+        phasors = scene_phasors(scene)
         damping = scene.effects.damping.viscous if scene.effects.damping else 0.0
-        self.settings = Settings(scene.drive.frequency, damping, *polar(drive))
+        self.settings = LiveSettings(scene.drive.frequency, damping, *polar(phasors))
         self._random = np.random.default_rng()
-        self._responses: UnitResponses | SimulatedResponses = self._simulated(scene, progress)
-        self._reading = self._responses.read(drive)
-        self._done = self.settings
+        self._responses: UnitResponses | SimulatedResponses = self._simulate(scene, progress)
+        self._reading = self._responses.read(phasors)
+        self._simulated = self.settings
         self._choice: tuple[str, float] | None = None
         self._problem = ""
         self._search: WatchedSearch | None = None
-        self._searches = 0
+        self._followed: SwarmSnapshot | None = None
         self._closed = False
         self._changed = threading.Condition()
         self._worker = threading.Thread(target=self._work, name="live model", daemon=True)
         self._worker.start()
 
-    # What is shown ------------------------------------------------------------------------------------------
-
     def read(self) -> DriveResponse:
-        """The plate under the settings, or as near to them as it is known by now."""
-        responses, wanted, reading = self._responses, self.settings, self._reading
-        if isinstance(responses, UnitResponses):
-            drive = wanted.drive
-            if reading.scene is not responses.scene or not np.array_equal(reading.phasors, drive):
-                reading = self._reading = responses.read(drive)
+        """Return the plate under the settings, or as near to them as has been simulated."""
+        self._follow_search()
+        responses, phasors, reading = self._responses, self.settings.phasors, self._reading
+        if isinstance(responses, UnitResponses) and (
+            reading.scene is not responses.scene or not np.array_equal(reading.phasors, phasors)
+        ):
+            reading = self._reading = responses.read(phasors)
         return reading
 
     def busy(self) -> bool:
-        """Whether a simulation or a search is under way."""
+        """Return whether a simulation or a search is under way."""
         swarm = self.swarm()
         searching = self._search is not None and (swarm is None or swarm.running)
-        return self._choice is not None or self._behind(self.settings) or searching
+        return self._choice is not None or self._outdated(self.settings) or searching
 
     def status(self) -> str:
-        """One line for people: what is being done or went wrong, or what the picture leaves out; mostly empty."""
+        """Return one line about what is being done, went wrong or is not shown; mostly empty."""
         if self._problem:
             return self._problem
-        if self._behind(self.settings):
+        if self._outdated(self.settings):
             return "simulating ..."
         if self._search is not None and self.swarm() is None:
             return "searching: the first swarm ..."
-        left = self.read().motion.residual
-        if not math.isfinite(left):
-            return "the numbers of this run grew beyond all bounds: drive less, or write a shorter grid.time_step"
-        if left > LEFT_OVER:
-            return f"not steady: {100 * left:.2g} % of the motion at the end of the run is start-up motion, not shown"
+        residual = self.read().motion.residual
+        if not math.isfinite(residual):
+            return "the motion of this run grew without bound: drive less, or write a shorter grid.time_step"
+        if residual > RESIDUAL_WARNING:
+            return f"not steady: {100 * residual:.2g} % of the motion at the end of the run is start-up motion, not shown"
         return ""
 
     def swarm(self) -> SwarmSnapshot | None:
-        """The search that was asked for last, while its frequency and damping hold."""
-        return self._search.read() if self._search is not None else None
-
-    # What is asked for --------------------------------------------------------------------------------------
+        """Return the last iteration of the search, while its frequency and damping hold; None without one."""
+        return self._search.snapshot() if self._search is not None else None
 
     def set_frequency(self, frequency: float) -> None:
-        """Drive at this frequency [Hz] as soon as it is simulated."""
-        self._ask(frequency=float(frequency))
+        """Set the frequency of the drive [Hz]; it is shown as soon as it is simulated."""
+        self._request(frequency=float(frequency))
 
     def set_damping(self, damping: float) -> None:
-        """Damp by this c [N·s/m³] as soon as it is simulated."""
-        self._ask(damping=float(damping))
+        """Set the viscous damping [N·s/m³]; it is shown as soon as it is simulated."""
+        self._request(damping=float(damping))
 
     def set_actuator(self, index: int, magnitude: float | None = None, phase: float | None = None) -> None:
-        """Another magnitude [N/m²] or phase lag [rad] of one actuator. Ends a search."""
+        """Set the magnitude [N/m²] or the phase lag [rad] of an actuator. Ends a search."""
         with self._changed:
             self._end_search()
             self._choice = None
@@ -126,17 +127,19 @@ class LiveModel:
                 magnitudes[index] = float(magnitude)
             if phase is not None:
                 phases[index] = float(phase)
-            self._ask(magnitude=tuple(magnitudes), phase=tuple(phases))
+            self._request(magnitude=tuple(magnitudes), phase=tuple(phases))
 
     def choose(self, choice: str, seconds: float = 0.0) -> None:
-        """Take one of the CHOICES as the drive; ``seconds`` an iteration of the search that "found" makes.
+        """Take one of the CHOICES as the drive.
 
-        "scene": as the scene gives it; "equal": all alike; "single": the best single actuator; "found": by the
-        scene's swarm, the drive being its best so far; "exact": the one that reaches the bound, where there is one;
-        "random": any.
+        Args:
+            choice: "scene": the scene's own; "equal": all actuators alike; "single": the best single actuator;
+                "found": the best so far of a search by the scene's swarm, which begins now; "exact": the drive that
+                attains the bound; "random": any.
+            seconds: Least duration of an iteration of that search [s].
 
         Raises:
-            ValueError: none of these.
+            ValueError: There is no such choice.
         """
         if choice not in CHOICES:
             raise ValueError(f"choice = {choice!r}: there are: {', '.join(CHOICES)}")
@@ -146,127 +149,126 @@ class LiveModel:
             self._changed.notify()
 
     def end_search(self) -> None:
-        """Search no further; the best drive so far stays."""
+        """End the search; the best drive so far stays."""
         if self._search is not None:
             self._search.end()
 
     def wait(self) -> None:
-        """Until nothing is under way: for tests and for pictures without a window."""
+        """Wait until nothing is under way, for tests and for pictures without a window."""
         while True:
             search = self._search
             if search is not None:
                 search.join()
+            self._follow_search()
             with self._changed:
-                if not self._changed.wait_for(lambda: self._choice is None and not self._behind(self.settings), 0.02):
+                if not self._changed.wait_for(lambda: self._choice is None and not self._outdated(self.settings), 0.02):
                     continue
             if search is self._search:
                 return
 
     def close(self) -> None:
         """End the threads."""
-        self._end_search()
         with self._changed:
+            self._end_search()
             self._closed = True
             self._changed.notify()
         self._worker.join()
 
-    # How ----------------------------------------------------------------------------------------------------
-
-    def _ask(self, **changes: Any) -> None:
+    def _request(self, **changes: Any) -> None:
         with self._changed:
             self.settings = replace(self.settings, **changes)
             self._changed.notify()
 
-    def _behind(self, wanted: Settings) -> bool:
-        """Whether something must be simulated for these settings."""
-        done = self._done
-        if (wanted.frequency, wanted.damping) != (done.frequency, done.damping):
-            return True
-        return not self.scene.linear and wanted != done
+    def _outdated(self, settings: LiveSettings) -> bool:
+        """Return whether something must be simulated for these settings."""
+        if not self.scene.linear:
+            return settings != self._simulated
+        return (settings.frequency, settings.damping) != (self._simulated.frequency, self._simulated.damping)
+
+    def _follow_search(self) -> None:
+        """Take the best drive of the search, after each of its iterations."""
+        with self._changed:
+            snapshot = self.swarm()
+            if snapshot is not None and snapshot is not self._followed and snapshot.best_phasors is not None:
+                self._drive_by(self._scale * snapshot.best_phasors)
+            self._followed = snapshot
 
     def _end_search(self) -> None:
-        with self._changed:
-            self._searches += 1  # what the one before finds from now on comes too late
-            if self._search is not None:
-                self._search.end()
-                self._search = None
+        if self._search is not None:
+            self._search.end()
+            self._search = None
 
     def _work(self) -> None:
+        """Follow the requests until the model is closed, in the worker thread."""
         try:
-            self._follow_all()
+            while self._follow_next():
+                pass
         finally:
-            # Not closed: an error that no scene explains. Its traceback goes to standard error.
             with self._changed:
-                if not self._closed:
-                    self._problem = "the simulation has failed; what went wrong stands on standard error"
-                self._done, self._choice = self.settings, None
+                if not self._closed:  # an error of the program, whose traceback goes to standard error
+                    self._problem = "the simulation has failed; the error is on standard error"
+                self._simulated, self._choice = self.settings, None
                 self._changed.notify_all()
 
-    def _follow_all(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._closed or self._choice is not None or self._behind(self.settings))
-                if self._closed:
-                    return
-                wanted, choice = self.settings, self._choice
-            try:
-                self._follow(wanted)
-                if choice is not None:
-                    self._take(*choice)
-                self._problem = ""
-            except SceneError as error:
-                self._problem = str(error)
-            with self._changed:
-                self._done = wanted
-                if self._choice is choice:
-                    self._choice = None
-                self._changed.notify_all()
+    def _follow_next(self) -> bool:
+        """Wait for a request and follow it; returns False once the model is closed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._closed or self._choice is not None or self._outdated(self.settings))
+            settings, choice = self.settings, self._choice
+            if self._closed:
+                return False
+        try:
+            self._update_responses(settings)
+            if choice is not None:
+                self._take(*choice)
+            self._problem = ""
+        except SceneError as error:
+            self._problem = str(error)
+        with self._changed:
+            self._simulated = settings
+            if self._choice is choice:
+                self._choice = None
+            self._changed.notify_all()
+        return True
 
-    def _follow(self, wanted: Settings) -> None:
-        """Simulate what the settings need."""
-        done = self._done
-        if (wanted.frequency, wanted.damping) != (done.frequency, done.damping):
-            self._end_search()
-            self._responses = self._simulated(changed_scene(self.scene, wanted.frequency, wanted.damping))
+    def _update_responses(self, settings: LiveSettings) -> None:
+        old = self._simulated
+        if (settings.frequency, settings.damping) != (old.frequency, old.damping):
+            with self._changed:
+                self._end_search()
+            self._responses = self._simulate(changed_scene(self.scene, settings.frequency, settings.damping))
         if isinstance(self._responses, SimulatedResponses):
-            self._reading = self._responses.read(wanted.drive)
+            self._reading = self._responses.read(settings.phasors)
 
-    def _simulated(self, scene: Scene, progress: Progress | None = None) -> UnitResponses | SimulatedResponses:
+    def _simulate(self, scene: Scene, progress: Progress | None = None) -> UnitResponses | SimulatedResponses:
         if scene.linear:
             return unit_responses(scene, self._device, self._path, progress)
         return simulated_responses(scene, self._device, self._path)
 
     def _take(self, choice: str, seconds: float) -> None:
+        """Take one of the CHOICES as the drive, or begin the search for it."""
         responses, actuators = self._responses, len(self.scene.actuators)
         if choice == "found" and actuators > 1:
             with self._changed:
-                found = partial(self._move_to, search=self._searches)
-                self._search = WatchedSearch(responses.scene, responses.energies, self._scale, seconds, found)
-            return
-        if choice == "scene":
-            drive = scene_phasors(self.scene)
+                self._search = WatchedSearch(responses.scene, responses.energies, self._scale, seconds)
+        elif choice == "scene":
+            self._drive_by(scene_phasors(self.scene))
         elif choice == "random":
             turns = np.exp(2j * math.pi * self._random.random(actuators))
-            drive = self._scale * self._random.random(actuators) * turns
+            self._drive_by(self._scale * self._random.random(actuators) * turns)
         elif choice == "exact":
             if not isinstance(responses, UnitResponses):
                 raise SceneError(f"exact best: {self.scene.nonlinear_table} is not linear in the drives")
-            drive = self._scale * responses.best_drive
+            self._drive_by(self._scale * responses.best_drive)
         else:
             references = reference_phasors(self.scene, responses.energies)
-            drive = references["equal" if choice == "equal" else "single"]
-            drive = drive * (self._scale / magnitude_unit(self.scene))
-        self._move_to(drive)
+            phasors = references["equal" if choice == "equal" else "single"]
+            self._drive_by(phasors * (self._scale / magnitude_unit(self.scene)))
 
-    def _move_to(self, drive: np.ndarray, search: int | None = None) -> None:
-        """Make a drive [N/m²] the one asked for, brought within the sliders' range where only ratios count.
-
-        search: the number of the one that found it; nothing happens if that has been ended.
-        """
-        largest = np.abs(drive).max()
+    def _drive_by(self, phasors: np.ndarray) -> None:
+        """Request a drive (actuators,) [N/m²], scaled into the sliders' range where only ratios count."""
+        largest = np.abs(phasors).max()
         if self.scene.linear and largest > self.ranges.magnitude:
-            drive = drive * (self.ranges.magnitude / largest)
-        magnitude, phase = polar(drive)
-        with self._changed:
-            if search is None or search == self._searches:
-                self._ask(magnitude=magnitude, phase=phase)
+            phasors = phasors * (self.ranges.magnitude / largest)
+        magnitude, phase = polar(phasors)
+        self._request(magnitude=magnitude, phase=phase)

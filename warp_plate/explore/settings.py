@@ -1,4 +1,4 @@
-"""What a live model can be asked for: drives, frequency, damping, and how far each goes."""
+"""What the user of the explorer can change, and how far."""
 
 from __future__ import annotations
 
@@ -10,18 +10,24 @@ import numpy as np
 from warp_plate.scene.effects import Damping
 from warp_plate.scene.model import Scene
 
-# How far the sliders go: frequencies as multiples of the scene's; damping as a multiple of the scene's, or where it has
-# none, a loss factor at its frequency; magnitudes as a multiple of the scene's largest.
-FREQUENCIES = (0.2, 2.0)
-DAMPINGS, LOSS_FACTOR = 5.0, 0.5
-MAGNITUDES = 2.0
-# A period has at least this many steps, where the scene fixes the step.
-STEPS_A_PERIOD = 4
+# Ends of the sliders: frequencies and magnitudes as multiples of the scene's; damping as a multiple of the scene's or,
+# if it has none, as a loss factor at its frequency.
+FREQUENCY_RANGE = (0.2, 2.0)
+MAGNITUDE_RANGE = 2.0
+DAMPING_RANGE, LOSS_FACTOR_RANGE = 5.0, 0.5
+# A period has at least so many time steps, if the scene fixes the step.
+MIN_STEPS_PER_PERIOD = 4
 
 
 @dataclass(frozen=True)
-class Ranges:
-    """Ends of the sliders: magnitude [N/m²] and damping [N·s/m³] start at 0; frequencies [Hz]."""
+class SliderRanges:
+    """Ends of the sliders.
+
+    Attributes:
+        magnitude: Largest magnitude of an actuator [N/m²]; the least is 0.
+        damping: Largest viscous damping [N·s/m³]; the least is 0.
+        frequency: Least and largest frequency of the drive [Hz].
+    """
 
     magnitude: float
     damping: float
@@ -29,8 +35,15 @@ class Ranges:
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What is asked for: frequency [Hz], damping [N·s/m³], (actuators,) magnitudes [N/m²] and phase lags [rad]."""
+class LiveSettings:
+    """Positions of the sliders.
+
+    Attributes:
+        frequency: Frequency of the drive [Hz].
+        damping: Viscous damping [N·s/m³].
+        magnitude: Magnitude of each actuator [N/m²].
+        phase: Phase lag of each actuator [rad].
+    """
 
     frequency: float
     damping: float
@@ -38,26 +51,33 @@ class Settings:
     phase: tuple[float, ...]
 
     @property
-    def drive(self) -> np.ndarray:
-        """(actuators,) phasors [N/m²]."""
+    def phasors(self) -> np.ndarray:
+        """(actuators,) complex amplitudes of the drive [N/m²]."""
         return np.array(self.magnitude) * np.exp(-1j * np.array(self.phase))
 
 
-def ranges_of(scene: Scene) -> Ranges:
-    """How far the sliders go."""
-    frequency, inertia = scene.drive.frequency, scene.plate.density * scene.plate.thickness
-    named = scene.effects.damping.viscous if scene.effects.damping else 0.0
-    damping = DAMPINGS * named or LOSS_FACTOR * scene.drive_angular_frequency * inertia
-    highest = FREQUENCIES[1] * frequency
+def slider_ranges(scene: Scene) -> SliderRanges:
+    """Return the ends of the sliders for a scene, within what its run can carry."""
+    frequency, surface_density = scene.drive.frequency, scene.plate.density * scene.plate.thickness
+    viscous = scene.effects.damping.viscous if scene.effects.damping else 0.0
+    damping = DAMPING_RANGE * viscous or LOSS_FACTOR_RANGE * scene.drive_angular_frequency * surface_density
+    highest = FREQUENCY_RANGE[1] * frequency
     if scene.grid.time_step is not None:
-        highest = max(frequency, min(highest, 1 / (STEPS_A_PERIOD * scene.grid.time_step)))
-    lowest = min(frequency, max(FREQUENCIES[0] * frequency, 1 / scene.window.end))
-    largest = max((abs(one.magnitude) for one in scene.actuators), default=0.0) or 1.0
-    return Ranges(MAGNITUDES * largest, damping, (lowest, highest))
+        highest = max(frequency, min(highest, 1 / (MIN_STEPS_PER_PERIOD * scene.grid.time_step)))
+    lowest = min(frequency, max(FREQUENCY_RANGE[0] * frequency, 1 / scene.window.end))
+    return SliderRanges(MAGNITUDE_RANGE * largest_magnitude(scene), damping, (lowest, highest))
+
+
+def largest_magnitude(scene: Scene) -> float:
+    """Return the largest magnitude of the scene's actuators [N/m²], or 1 if all are 0."""
+    return max((abs(actuator.magnitude) for actuator in scene.actuators), default=0.0) or 1.0
 
 
 def changed_scene(scene: Scene, frequency: float, damping: float) -> Scene:
-    """The scene at another frequency [Hz] and with other viscous damping [N·s/m³]; none is left out of the kernel."""
+    """Return the scene at another frequency [Hz] and with other viscous damping [N·s/m³].
+
+    A scene without damping stays without the effect if ``damping`` is 0.
+    """
     table = scene.effects.damping
     if table is not None:
         table = table.model_copy(update={"viscous": damping})
@@ -71,7 +91,7 @@ def changed_scene(scene: Scene, frequency: float, damping: float) -> Scene:
     )
 
 
-def polar(drive: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Magnitudes and phase lags, 0 ≤ φ < 2π."""
-    phase = np.where(drive == 0, 0.0, np.mod(-np.angle(drive), 2 * math.pi))
-    return tuple(np.abs(drive).tolist()), tuple(phase.tolist())
+def polar(phasors: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the magnitudes and the phase lags 0 ≤ φ < 2π of phasors."""
+    phase = np.where(phasors == 0, 0.0, np.mod(-np.angle(phasors), 2 * math.pi))
+    return tuple(np.abs(phasors).tolist()), tuple(phase.tolist())

@@ -1,4 +1,4 @@
-"""A particle swarm at work in a thread of its own, to be looked at while it searches."""
+"""A particle swarm in a thread of its own, to be looked at while it searches."""
 
 from __future__ import annotations
 
@@ -17,47 +17,38 @@ from warp_plate.problem.parametrization import paper_phasors, parametrization_of
 from warp_plate.result.live import SwarmSnapshot
 from warp_plate.scene.model import Scene
 
-# Told the best drive (actuators,) after each iteration that found a better one.
-Found = Callable[[np.ndarray], object]
-
 
 class WatchedSearch:
-    """The scene's swarm over ``energies``, (plates, actuators) drives → (plates, regions) energies.
+    """A search of the scene's swarm for the drive with the largest localization factor.
+
+    Design variables of the scene's own search are left to ``localize``: here they are always the drives.
 
     Args:
-        scale: magnitude of the first actuator [N/m²]; where the plate is linear only ratios count.
-        seconds: an iteration takes at least this long, so that it can be seen.
-        found: called in the search's thread.
+        scene: The scene, at the current frequency and damping.
+        energies: Function from phasors (plates, actuators) to energies (plates, regions) [J].
+        scale: Magnitude of the first actuator [N/m²]; only ratios count where the plate is linear.
+        seconds: Least duration of an iteration [s], so that it can be seen.
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        energies: Callable[[np.ndarray], np.ndarray],
-        scale: float,
-        seconds: float,
-        found: Found,
+        self, scene: Scene, energies: Callable[[np.ndarray], np.ndarray], scale: float, seconds: float
     ) -> None:
-        self._energies = energies
-        self._scale = scale
-        self._seconds = seconds
-        self._found = found
+        self._energies, self._scale, self._seconds = energies, scale, seconds
         self._factors = np.empty(0)
         self._best: list[float] = []
+        self._snapshot: SwarmSnapshot | None = None
         self._ended = threading.Event()
-        self._reading: SwarmSnapshot | None = None
-        # What is free in the scene's own search is for ``localize``: here it is always the drives.
         space = parametrization_of(with_paper_search(scene)).space
         swarm = Swarm(space, swarm_settings(scene.search, scene.search.seed))
         self._thread = threading.Thread(target=self._run, args=(swarm,), name="swarm", daemon=True)
         self._thread.start()
 
-    def read(self) -> SwarmSnapshot | None:
-        """The last iteration; None before the first one's end."""
-        return self._reading
+    def snapshot(self) -> SwarmSnapshot | None:
+        """Return the last iteration; None before the end of the first."""
+        return self._snapshot
 
     def end(self) -> None:
-        """Search no further; the last reading stays."""
+        """End the search after the current iteration; the last snapshot stays."""
         self._ended.set()
 
     def join(self) -> None:
@@ -65,26 +56,23 @@ class WatchedSearch:
         self._thread.join()
 
     def _run(self, swarm: Swarm) -> None:
-        minimize(swarm, self._losses, self._after)
-        if self._reading is not None:
-            self._publish(swarm, running=False)
+        minimize(swarm, self._losses, self._after_iteration)
+        if self._snapshot is not None:
+            self._take_snapshot(swarm, running=False)
 
     def _losses(self, positions: np.ndarray) -> np.ndarray:
         self._factors = localization_factor(self._energies(self._scale * paper_phasors(positions)))
         losses: np.ndarray = 1 - self._factors
         return losses
 
-    def _after(self, swarm: Swarm) -> bool:
-        better = not self._best or 1 - swarm.result.fbest > self._best[-1]
+    def _after_iteration(self, swarm: Swarm) -> bool:
         self._best.append(1 - swarm.result.fbest)
-        self._publish(swarm, running=True)
-        if better and self._reading is not None and self._reading.best_phasors is not None and not self._ended.is_set():
-            self._found(self._scale * self._reading.best_phasors)
+        self._take_snapshot(swarm, running=True)
         return self._ended.wait(self._seconds)
 
-    def _publish(self, swarm: Swarm, running: bool) -> None:
+    def _take_snapshot(self, swarm: Swarm, running: bool) -> None:
         best = swarm.result.xbest
-        self._reading = SwarmSnapshot(
+        self._snapshot = SwarmSnapshot(
             phasors=paper_phasors(swarm.positions),
             factors=self._factors,
             best=np.array([value if math.isfinite(value) else math.nan for value in self._best]),
