@@ -25,7 +25,8 @@ import numpy as np
 from warp_plate import Scene, SceneError
 from warp_plate.bench.machine import busy, describe_machine, describe_versions
 from warp_plate.cluster.evaluator import block_size
-from warp_plate.cluster.pool import WorkerPool, open_pool
+from warp_plate.cluster.opening import open_pool
+from warp_plate.cluster.pool import WorkerPool
 from warp_plate.cluster.scheduler import Task, run_tasks
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.problem import Problem, make_problem

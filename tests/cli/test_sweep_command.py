@@ -231,7 +231,7 @@ def test_the_device_beside_a_cluster_is_that_of_its_workers(panel, command, monk
         opened.append(device)
         yield InlinePool()
 
-    monkeypatch.setattr("warp_plate.cluster.pool.open_pool", open_pool)
+    monkeypatch.setattr("warp_plate.cluster.opening.open_pool", open_pool)
     away = ("--cluster", "tcp://far:8786", "--device", "cuda:99", "--no-pictures")
     searched = ("panel.toml", *away, "--evaluator", "direct", "--json")
     status, out, err = command.func("localize", *searched, "--no-estimate", "--no-spectrum", "--baselines")

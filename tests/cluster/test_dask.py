@@ -17,7 +17,8 @@ from test_workers import ATTEMPTS, assert_same, assert_same_result, doubled, ran
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, localize, resume
 from warp_plate.cluster import dask_pool
 from warp_plate.cluster.evaluator import BLOCK_NODE_STEPS, make_evaluator
-from warp_plate.cluster.pool import WorkersGone, open_pool
+from warp_plate.cluster.opening import open_pool
+from warp_plate.cluster.pool import WorkersGone
 from warp_plate.cluster.scheduler import Task, run_tasks
 
 pytest.importorskip("distributed")

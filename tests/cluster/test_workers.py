@@ -22,7 +22,8 @@ from warp_plate.cluster import evaluator as evaluators
 from warp_plate.cluster import tasks
 from warp_plate.cluster.evaluator import block_size, make_evaluator
 from warp_plate.cluster.local_pool import LocalPool
-from warp_plate.cluster.pool import WorkersGone, open_pool
+from warp_plate.cluster.opening import open_pool
+from warp_plate.cluster.pool import WorkersGone
 from warp_plate.cluster.scheduler import ATTEMPTS, Task, run_tasks
 from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.problem.scenario_losses import simulate_scenarios
@@ -414,7 +415,7 @@ def test_the_command_on_two_processes(tmp_path, scene, monkeypatch, capsys):
 
 SLEEPING = """
 import multiprocessing, time
-from warp_plate.cluster.pool import open_pool
+from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.scheduler import Task, run_tasks
 
 if __name__ == "__main__":

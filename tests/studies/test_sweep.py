@@ -17,7 +17,7 @@ from conftest import scene_of
 from inline_pool import InlinePool
 
 from warp_plate import SceneError, load_sweep, sweep
-from warp_plate.cluster.pool import open_pool
+from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.scheduler import ATTEMPTS
 from warp_plate.plate.modes import natural_modes
 from warp_plate.result.sweep import NOT_RUN, REFUSED, RUN, save_sweep

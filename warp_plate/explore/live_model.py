@@ -102,7 +102,7 @@ class LiveModel:
         if not math.isfinite(residual):
             return "the motion of this run grew without bound: drive less, or write a shorter grid.time_step"
         if residual > RESIDUAL_WARNING:
-            return f"not steady: {100 * residual:.2g} % of the motion at the end of the run is start-up motion, not shown"
+            return f"not steady: {100 * residual:.2g} % of the motion at the run's end is start-up motion, not shown"
         return ""
 
     def swarm(self) -> SwarmSnapshot | None:

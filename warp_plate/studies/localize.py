@@ -80,7 +80,7 @@ def localize(
         estimate: whether to estimate the errors of the localization factors.
         checkpoints: file that :func:`resume` can continue from.
         spectrum: whether to compute the localization factors over the range of a searched common frequency.
-        pool: workers that run the plates of the search, see ``cluster.pool.open_pool`` (default: this process).
+        pool: workers that run the plates of the search, see ``cluster.opening.open_pool`` (default: this process).
         baselines: whether to compare with drives that need no search; see :mod:`warp_plate.studies.baselines`.
 
     Raises:
