@@ -231,20 +231,20 @@ def test_processors_of_workers_are_kept_and_not_mixed_silently(plate, tmp_path):
     with pytest.raises(SceneError, match=r"the sweep began on cuda:0 \(A GPU\), which this machine does not have"):
         resume_sweep(half)
     with pytest.raises(SceneError, match=r"cuda:0 \(A GPU\) and continues on cuda:0 \(Another\).* --device cuda$"):
-        run_sweep(resume_sweep(half, ""), pool=Away("Another"))
+        run_sweep(resume_sweep(half, on_workers=True), pool=Away("Another"))
     without = InlinePool()
     without.device = "cuda:99"
     with pytest.raises(SceneError, match="device = 'cuda:99': not on this machine"):
         run_sweep(start, pool=without)
     kept = SweepFile(file, math.inf, resumes=True)
     with pytest.raises(Stop):
-        run_sweep(resume_sweep(half, ""), stop_after(3), kept, Away("Another"), lines.append)
+        run_sweep(resume_sweep(half, on_workers=True), stop_after(3), kept, Away("Another"), lines.append)
     (line,) = lines
     assert "continues on cuda:0 (Another)" in line
     full = run_sweep(resume_sweep(load_sweep(file), start.device))
     assert load_sweep(save_sweep(full, file)).devices_used == f"cuda:0 (A GPU), then cuda:0 (Another), then {here}"
     assert resume_sweep(full, "cuda:99") is full  # nothing is left to run
-    assert run_sweep(resume_sweep(half, ""), pool=Away()).devices_used == "cuda:0 (A GPU)"
+    assert run_sweep(resume_sweep(half, on_workers=True), pool=Away()).devices_used == "cuda:0 (A GPU)"
     assert run_sweep(start, pool=Killing(np.random.default_rng(0), 200.0)).devices_used == here
 
 

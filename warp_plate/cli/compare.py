@@ -68,13 +68,14 @@ def compare(
     from warp_plate.viz.plots.compare import draw_comparison
     from warp_plate.viz.plots.frame import save_plots
 
-    local = options.local_device(devices, cluster, device) or "auto"
+    local = options.local_device(devices, cluster, device)
+    on = "auto" if local is None else local
     with (
         output.scene_errors(scene),
         options.workers(devices, cluster, device) as pool,
         output.progress_bar("comparing", shown=not json) as show,
     ):
-        result = run(loaded, scene, names, seeds, local, path, evaluator, evaluations, show, pool)
+        result = run(loaded, scene, names, seeds, on, path, evaluator, evaluations, show, pool)
     files, missing = output.write_files(
         target,
         lambda path: save_comparison(result, path),

@@ -143,7 +143,8 @@ def localize(
             result = run_resume(checkpoint, local, *common)
         else:
             assert loaded is not None
-            result = run_localize(loaded, scene or "", local or "auto", seed, evaluator, path or "auto", *common)
+            on = "auto" if local is None else local
+            result = run_localize(loaded, scene or "", on, seed, evaluator, path or "auto", *common)
     files, missing = _write(result, target, pictures, file)
     if json:
         output.print_json(_as_json(result, files, file.path if result.interrupted and file.saved else None))

@@ -92,7 +92,7 @@ def sweep(
     request = SweepRequest(loaded, scene or "", vary, what, samples, seed, count, path)
     on_workers = devices is not None or cluster is not None
     with output.scene_errors(scene):
-        start = open_sweep(request, target, resume, "" if on_workers else device, output.log)
+        start = open_sweep(request, target, resume, device, on_workers, output.log)
     unfinished = target.with_suffix(".checkpoint.h5")
     file = SweepFile(unfinished, checkpoint_every, unfinished.exists(), output.log)
     # Devices that are named are used, also where another kind began.

@@ -43,7 +43,12 @@ class SweepRequest:
 
 
 def open_sweep(
-    request: SweepRequest, target: Path, resume: Path | None, device: str | None, log: Callable[[str], object]
+    request: SweepRequest,
+    target: Path,
+    resume: Path | None = None,
+    device: str | None = None,
+    on_workers: bool = False,
+    log: Callable[[str], object] = lambda line: None,
 ) -> Sweep:
     """Return the sweep to run for a request: the unfinished one of the same request, or a new one.
 
@@ -51,7 +56,8 @@ def open_sweep(
         target: file of the result; unfinished sweeps are beside it.
         resume: unfinished sweep to continue, or the result that it is to become; None: the one that the same request
             left, if it did.
-        device: device of the points; "" if workers run them; None for the default.
+        device: device of the points, or None for the default.
+        on_workers: whether workers of a pool run the points, which then report their devices.
         log: called with one line for each thing to know about a sweep that is continued.
 
     Raises:
@@ -70,24 +76,25 @@ def open_sweep(
         assert request.scene is not None
         plan, count = _plan(request, request.scene), MODES if request.count is None else request.count
         what, path = request.what or "localize", request.path or "auto"
-        sweep = start_sweep(request.scene, plan, what, device or "auto", path, request.source, count)
+        here = "auto" if on_workers or device is None else device
+        sweep = start_sweep(request.scene, plan, what, here, path, request.source, count)
     if request.count is not None and not any(output.axis for output in sweep.outputs.values()):
         raise SceneError(f"--count {request.count}: --what {sweep.what} has no modes to count; leave it out")
     check_replaceable(target, sweep)
     if file is None:
         return sweep
     log(f"{file}: {sweep.progress} done; {'nothing is left' if sweep.finished else 'continuing'}")
-    for line in provenance.changes(sweep, device if device and sweep.processor else None):
+    for line in provenance.changes(sweep, None if on_workers or not sweep.processor else device):
         log(f"{file}: {line}")
-    return resume_sweep(sweep, device)
+    return resume_sweep(sweep, device, on_workers)
 
 
-def resume_sweep(sweep: Sweep, device: str | None = None) -> Sweep:
+def resume_sweep(sweep: Sweep, device: str | None = None, on_workers: bool = False) -> Sweep:
     """Return an unfinished sweep as it continues.
 
     Args:
-        device: another device than it began on, which may round differently; "" if workers run its points; None for
-            one of the same kind.
+        device: another device than it began on, which may round differently (default: one of the same kind).
+        on_workers: whether workers of a pool run its points.
 
     Raises:
         SceneError: the device does not exist, or a file that the scene names is missing or has changed.
@@ -96,7 +103,7 @@ def resume_sweep(sweep: Sweep, device: str | None = None) -> Sweep:
     if sweep.finished:
         return sweep
     sweep = replace(sweep, versions=provenance.merged_versions(sweep.versions))
-    if device == "":
+    if on_workers:
         return sweep
     if device is None:
         device = provenance.same_device(sweep.device, sweep.processor, "sweep") if sweep.processor else "auto"
