@@ -53,7 +53,7 @@ def result(random):
     )  # fmt: skip
 
 
-def assert_equal(one, other, exact=True):
+def assert_equal(one, other):
     """Compare data classes field by field; phasors to round-off, for they are stored by magnitude and phase."""
     for name in (field.name for field in fields(one)):
         first, second = getattr(one, name), getattr(other, name)

@@ -181,48 +181,42 @@ class Datasets(Layout):
 
 
 @dataclass(frozen=True)
-class Group(Layout):
-    """An instance of the data class ``cls`` as a group."""
-
-    cls: type
-
-    def write(self, group: h5py.Group, name: str, value: Any, units: Units) -> None:
-        write_fields(group.create_group(name), value, units)
-
-    def read(self, group: h5py.Group, name: str, sizes: Sizes) -> Any:
-        return read_fields(self.cls, member(group, name), sizes)
-
-
-@dataclass(frozen=True)
 class Groups(Layout):
-    """A mapping, or if ``numbered`` a tuple, of instances of ``cls`` as a group of groups; no group if it is empty."""
+    """Instances of a data class as groups of their fields.
+
+    Attributes:
+        cls: The data class.
+        container: ``Mapping`` or ``tuple`` of instances, which is a group of groups, or absent if empty; None for one.
+    """
 
     cls: type
-    numbered: bool
+    container: type | None = None
 
     def write(self, group: h5py.Group, name: str, value: Any, units: Units) -> None:
-        for key, content in enumerate(value) if self.numbered else value.items():
-            Group(self.cls).write(group, f"{name}/{key}", content, units)
+        if self.container is None:
+            return write_fields(group.create_group(name), value, units)
+        for key, content in value.items() if self.container is Mapping else enumerate(value):
+            write_fields(group.create_group(f"{name}/{key}"), content, units)
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> Any:
+        if self.container is None:
+            return read_fields(self.cls, member(group, name), sizes)
         names = list(member(group, name)) if name in group else []
-        keys = [str(index) for index in range(len(names))] if self.numbered else names
-        found = {key: Group(self.cls).read(group, f"{name}/{key}", sizes) for key in keys}
-        return tuple(found.values()) if self.numbered else found
+        keys = names if self.container is Mapping else [str(index) for index in range(len(names))]
+        instances: dict[str, Any] = {
+            key: read_fields(self.cls, member(group, f"{name}/{key}"), sizes) for key in keys
+        }
+        return instances if self.container is Mapping else tuple(instances.values())
 
 
 class SearchState(Layout):
-    """The flat state of an optimizer as a group: arrays as datasets, the rest as JSON in the attribute ``numbers``.
-
-    The entry ``settings`` is left out, for the scene determines it.
-    """
+    """The flat state of an optimizer as a group: arrays as datasets, the rest as JSON in the attribute ``numbers``."""
 
     def write(self, group: h5py.Group, name: str, value: Mapping[str, Any], units: Units) -> None:
-        arrays = {key: content for key, content in value.items() if isinstance(content, np.ndarray)}
-        rest = {key: content for key, content in value.items() if key not in (*arrays, "settings")}
         state = group.create_group(name)
-        for key, content in arrays.items():
-            state[key] = content
+        rest: dict[str, Any] = {}
+        for key, content in value.items():
+            (state if isinstance(content, np.ndarray) else rest)[key] = content
         state.attrs["numbers"] = json.dumps(rest)
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> dict[str, Any]:
@@ -249,7 +243,7 @@ def _default_layout(kind: Any) -> Layout:
         return SceneText()
     if not classes:
         return Attribute(kind)
-    return Group(kind) if kind in classes else Groups(classes[0], get_origin(kind) is tuple)
+    return Groups(classes[0], get_origin(kind))
 
 
 def _conforms(value: Any, kind: Any) -> bool:
