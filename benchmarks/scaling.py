@@ -116,7 +116,7 @@ def measure(
     first = next(iter(pools))
     return {
         "plates": plates,
-        "plates_of_block": block_size(problems[HERE].drive_solver.node_steps_per_plate, kind),
+        "plates_of_block": block_size(plates, 1, problems[HERE].drive_solver.node_steps_per_plate, kind),
         "rows": rows,
         "speed_over_first": {name: float(rows[first]["seconds"]) / float(rows[name]["seconds"]) for name in pools},
         "shipping": {name: shipping(pool, problems[name]) for name, pool in pools.items()},
