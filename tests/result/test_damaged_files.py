@@ -63,7 +63,7 @@ def test_a_file_cut_short_is_refused(written, tmp_path):
 
 
 def test_a_changed_file_is_refused(kind, written, tmp_path, random):
-    """One bit, a byte, a block of zeros, two bytes exchanged, or bytes at the end."""
+    """Change one bit, a byte, a block of zeros, two bytes exchanged, or bytes at the end."""
     content, read = written[kind]
     path = tmp_path / "a.h5"
     seal = range(len(content) - SEAL_BYTES, len(content))
@@ -152,7 +152,7 @@ def small_disk(tmp_path):
 
 
 def test_a_full_disk_loses_nothing(small_disk, scene, monkeypatch, capsys):
-    """One line each for a checkpoint and a result that cannot be written; the last checkpoint stays and goes on."""
+    """Get one line each for a checkpoint and a result that cannot be written; the last checkpoint stays and goes on."""
     monkeypatch.chdir(small_disk)
     made = scene((9, 9), damping=88.5, search={"particles": 4, "iterations": 6})
     whole = localize(made, "panel.toml", "cpu", estimate=False)

@@ -1,4 +1,4 @@
-"""What a run leaves behind: one HDF5 file, and the plain data that it holds."""
+"""Results, checkpoints, comparisons and sweeps: data classes, their HDF5 files, and exports."""
 
 from warp_plate.result.model import Case, Result
 from warp_plate.result.store import load_result, save_result
