@@ -113,8 +113,8 @@ def test_sizes(device, path, name, scene, fitting_solver, random, phasors):
     areas, step = random_areas(random, size), 0.8 * make_scheme(scene(nodes, size, order=order)).limit
     times, points = (0.0, 30 * step, 0.8 * count * step), (random.uniform(0, 1, (3, 2)) * size).tolist()
     made = scene(
-        nodes, size, MIXED, 88.5, "centred", list(TOLERANCE)[index % 2], (count / 3 * step, count * step), areas, load, step,
-        frequency=0.03 / step, order=order,
+        nodes, size, MIXED, 88.5, "centred", list(TOLERANCE)[index % 2], (count / 3 * step, count * step),
+        areas, load, step, 0.03 / step, order,
     )  # fmt: skip
     drives = phasors(3, len(areas))
     exact = reference(made, drives)
