@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Effects:
+class KernelEffects:
     """Physics compiled into a kernel; what is off leaves no arithmetic behind.
 
     All but the first three fields belong to the moment form, see ``moment_form``.
@@ -38,4 +38,4 @@ class Effects:
     @property
     def plain(self) -> bool:
         """True for a uniform plate with clamped or supported edges, which needs no moment form."""
-        return self == Effects(self.damping, self.square_cells, self.order)
+        return self == KernelEffects(self.damping, self.square_cells, self.order)

@@ -24,22 +24,22 @@ from warp_plate.kernels import (
     temporal_blocking,
     wave,
 )
-from warp_plate.kernels.effects import Effects
+from warp_plate.kernels.effects import KernelEffects
 
 KERNELS = Path(__file__).parents[2] / "kernels"
 # Plates (nx, ny, stride) for a warp, for a block, for a block with sums in shared memory, and for no multiprocessor.
 SMALL, LARGE, LARGEST, HUGE = (27, 27, 32), (41, 43, 48), (97, 89, 112), (257, 129, 272)
 ALONE = ("material_damping", "tension", "foundation", "stretching", "oscillators", "moving_load")
-EVERYTHING = Effects(True, True, 2, terms=5, moments=True, **dict.fromkeys(ALONE, True))
+EVERYTHING = KernelEffects(True, True, 2, terms=5, moments=True, **dict.fromkeys(ALONE, True))
 FEW = [
-    (Effects(damping=True, square_cells=True), wp.float32),
-    (Effects(damping=True, order=4), wp.float32),
+    (KernelEffects(damping=True, square_cells=True), wp.float32),
+    (KernelEffects(damping=True, order=4), wp.float32),
     (EVERYTHING, wp.float64),
 ]
 PLAIN = itertools.product((False, True), ((False, 2), (True, 2), (True, 4)))
 REALS = (wp.float32, wp.float64)
-ALL = [(Effects(damping, *cells), real) for damping, cells in PLAIN for real in REALS]
-ALL += [(Effects(moments=True, **{name: True}), real) for name in ALONE for real in REALS]
+ALL = [(KernelEffects(damping, *cells), real) for damping, cells in PLAIN for real in REALS]
+ALL += [(KernelEffects(moments=True, **{name: True}), real) for name in ALONE for real in REALS]
 
 
 def cuda_kernels(effects, real):
@@ -140,7 +140,7 @@ def test_warp_places_tiles_where_the_kernels_expect_them():
 @pytest.mark.parametrize("real", REALS)
 def test_a_quarter_of_a_multiprocessor_has_room_for_its_warps(real):
     """It has 16384 registers, and a fourth of the warps of a block, rounded up."""
-    effects = Effects(moments=True, material_damping=True, tension=True)
+    effects = KernelEffects(moments=True, material_damping=True, tension=True)
     for nx, ny in itertools.product((9, 28, 33, 53, 81, 105, 113, 160), repeat=2):
         blocks = [moment_form_plan.plan_block(nx, ny, real, effects, 0, few) for few in (False, True)]
         assert all(plan.threads * plan.nodes >= nx * ny for plan in blocks)

@@ -7,7 +7,7 @@ import warp as wp
 
 from warp_plate import Scene
 from warp_plate.kernels import moment_form_cpu, moment_form_streaming, streaming
-from warp_plate.kernels.effects import Effects
+from warp_plate.kernels.effects import KernelEffects
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.solve.cpu import compiler_flags
@@ -38,7 +38,7 @@ def code_of(kernel, folder):
 
 @pytest.mark.parametrize("on", [True, False])
 def test_only_effects_that_are_on_are_in_the_code(on, tmp_path):
-    effects = Effects(terms=4, moments=True, **dict.fromkeys(MEMBERS, on))
+    effects = KernelEffects(terms=4, moments=True, **dict.fromkeys(MEMBERS, on))
     passes = moment_form_streaming.make_passes(effects, wp.float32)
     code = "".join(code_of(kernel, tmp_path / str(index)) for index, kernel in enumerate(passes))
     assert {effect: f").{member})" in code for effect, member in MEMBERS.items()} == dict.fromkeys(MEMBERS, on)
@@ -46,17 +46,18 @@ def test_only_effects_that_are_on_are_in_the_code(on, tmp_path):
 
 def test_a_plain_scene_takes_the_plain_kernels(tmp_path):
     specialized = specialize(discretize(Scene.load("paper")), find_device("cpu"))
-    assert specialized.effects == Effects(damping=True)
+    assert specialized.effects == KernelEffects(damping=True)
     assert specialized.effects.plain
     assert specialized.scheme.bending is None
     assert choose_path(specialized) == "resident"
-    codes = [code_of(streaming.make_update_nodes(Effects(on), wp.float32), tmp_path / str(on)) for on in (True, False)]
-    assert [").decay)" in code for code in codes] == [True, False]
+    for damping in (True, False):
+        kernel = streaming.make_update_nodes(KernelEffects(damping), wp.float32)
+        assert (").decay)" in code_of(kernel, tmp_path / str(damping))) == damping
 
 
 def test_each_part_of_the_key_is_off_by_default():
     """A scene with nothing but a plate compiles the smallest kernel."""
-    flags = [field.name for field in dataclasses.fields(Effects) if field.type in (bool, "bool")]
+    flags = [field.name for field in dataclasses.fields(KernelEffects) if field.type in (bool, "bool")]
     scene = Scene.load("paper").model_dump(exclude_none=True)
     scene["effects"], scene["grid"] = {}, {"nodes": (27, 27)}
     bare = Scene.model_validate(scene)
@@ -67,7 +68,7 @@ def test_each_part_of_the_key_is_off_by_default():
 
 def test_scenes_with_the_same_effects_share_kernels():
     kernels = [
-        moment_form_cpu.make_run_steps(Effects(moments=True, tension=True), wp.float32, 9, 16, compiler_flags())
+        moment_form_cpu.make_run_steps(KernelEffects(moments=True, tension=True), wp.float32, 9, 16, compiler_flags())
         for _ in range(2)
     ]
     assert kernels[0] is kernels[1]

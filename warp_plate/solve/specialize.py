@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels.effects import Effects
+from warp_plate.kernels.effects import KernelEffects
 from warp_plate.kernels.update import make_parameters
 from warp_plate.plate.designs import actuator_spaces
 from warp_plate.plate.discretization import Discretization
@@ -55,7 +55,7 @@ class Specialized:
     discretization: Discretization
     scene: Scene
     scheme: Scheme
-    effects: Effects
+    effects: KernelEffects
     real: type
     rows: int
     stride: int
@@ -193,7 +193,7 @@ def specialize(
         discretization=discretization,
         scene=scene,
         scheme=scheme,
-        effects=Effects(
+        effects=KernelEffects(
             damping=scene.effects.damping is not None or scheme.viscous > 0,
             square_cells=scheme.square_cells or scheme.order == 4,
             order=scheme.order,
