@@ -1,4 +1,4 @@
-"""``warp-plate accuracy``: its table, its JSON object, its picture, and what Ctrl-C and bad options do."""
+"""``warp-plate accuracy``: its table, JSON and picture, Ctrl-C, and invalid options."""
 
 import json
 import os
@@ -26,7 +26,6 @@ def command(command, tmp_path, monkeypatch):
     monkeypatch.setattr(family, "SIDES", (9, 13, 417))
     monkeypatch.setattr(family, "BASE_SIDE", 9)
     monkeypatch.setattr(report, "REFERENCE_ERROR", 2e-3)
-
     return partial(command, "accuracy")
 
 
@@ -34,25 +33,25 @@ def test_json_and_picture(command):
     pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
     status, out, err = command("paper-supported", "--device", "cpu", "--budget", "60", "--json", "--out", "a.json")
     assert (status, err) == (0, "")
-    answer = json.loads(out)
-    assert set(answer["reference"]) >= {"kind", "localization_factor", "bound", "uncertainty"}
-    assert answer["reference"]["localization_factor"] == pytest.approx(0.6223, abs=1e-3)
-    rows = answer["rows"]
+    record = json.loads(out)
+    assert set(record["reference"]) >= {"kind", "localization_factor", "bound", "uncertainty"}
+    assert record["reference"]["localization_factor"] == pytest.approx(0.6223, abs=1e-3)
+    rows = record["rows"]
     assert all(set(row) >= ROW_KEYS for row in rows)
     assert [row["as_written"] for row in rows].count(True) == 1
     kinds = {row["status"].partition(":")[0] for row in rows}
     assert kinds == {"ok", "refused", "skipped"}
     measured = [row for row in rows if row["status"] == "ok"]
     assert all(0 < row["error"] < 10 and row["seconds_per_plate"] > 0 for row in measured)
-    assert [one["tolerance"] for one in answer["recommended"]] == [0.1, 0.03, 0.01, 0.003, 0.001]
-    for one in answer["recommended"]:
-        if one["row"] is not None:
-            assert rows[one["row"]]["error"] <= one["tolerance"]
-    assert {"system", "devices"} <= set(answer["machine"])
-    assert "warp-lang" in answer["versions"]
-    files = answer.pop("files")
+    assert [entry["tolerance"] for entry in record["recommended"]] == [0.1, 0.03, 0.01, 0.003, 0.001]
+    for entry in record["recommended"]:
+        if entry["row"] is not None:
+            assert rows[entry["row"]]["error"] <= entry["tolerance"]
+    assert {"system", "devices"} <= set(record["machine"])
+    assert "warp-lang" in record["versions"]
+    files = record.pop("files")
     assert files == ["a.json", "a.png", "a.svg"]
-    assert json.loads(Path("a.json").read_text(encoding="utf-8")) == answer
+    assert json.loads(Path("a.json").read_text(encoding="utf-8")) == record
     assert Path("a.png").read_bytes().startswith(b"\x89PNG")
     assert "order 4, moments" in Path("a.svg").read_text(encoding="utf-8")
 
@@ -66,7 +65,7 @@ def test_table(command):
     assert max(map(len, out.splitlines())) <= 80
 
 
-def test_ctrl_c_keeps_what_is_measured(command, monkeypatch):
+def test_ctrl_c_keeps_the_measurements(command, monkeypatch):
     plain = report.measure
     calls = []
 
@@ -79,9 +78,9 @@ def test_ctrl_c_keeps_what_is_measured(command, monkeypatch):
     monkeypatch.setattr(report, "measure", stopped)
     status, out, err = command("paper", "--device", "cpu", "--json", "--no-pictures")
     assert (status, err) == (0, "")
-    answer = json.loads(out)
-    assert answer["interrupted"]
-    assert len(answer["rows"]) == 2
+    record = json.loads(out)
+    assert record["interrupted"]
+    assert len(record["rows"]) == 2
 
 
 @pytest.mark.parametrize(
@@ -96,8 +95,8 @@ def test_ctrl_c_keeps_what_is_measured(command, monkeypatch):
     ],
     ids=lambda part: "-".join(part) if isinstance(part, list) else "",
 )
-def test_bad_options(command, arguments, named):
-    """One line that names the option, status 2, nothing written."""
+def test_invalid_options(command, arguments, named):
+    """One line that names the option, status 2, and nothing written."""
     status, out, err = command(*arguments)
     assert (status, out) == (2, "")
     assert len(err.splitlines()) == 1
@@ -106,15 +105,15 @@ def test_bad_options(command, arguments, named):
 
 
 def row(**changes):
-    """A measured row as JSON has it."""
-    usual = {
+    """A measured row of the JSON record."""
+    defaults = {
         "order": 4, "load": "moments", "nodes": [13, 13], "time_step": 1e-4, "precision": "float32", "spacing": 0.01,
         "as_written": False, "status": "ok", "error": 0.01, "seconds_per_plate": 1e-3,
     }  # fmt: skip
-    return {**usual, **changes}
+    return {**defaults, **changes}
 
 
-def test_what_is_plotted():
+def test_which_rows_are_plotted():
     rows = [
         row(),
         row(time_step=5e-5),
@@ -134,8 +133,7 @@ def test_what_is_plotted():
     assert refused_points([row(status="refused: grid.time_step", nodes=[9, 9])], rows) == []
 
 
-def test_a_plot_that_cannot_be_is_told_of(tmp_path):
-    """The figures are kept; nothing is raised."""
+def test_a_plot_that_cannot_be_drawn_is_reported(tmp_path):
     pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
     reference = {"uncertainty": 1e-3}
     nothing = {"rows": [row(status="skipped: so", error=None)], "front": [], "reference": reference}

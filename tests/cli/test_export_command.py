@@ -1,4 +1,4 @@
-"""``warp-plate export``: what each format prints and writes, and what wrong options do; MATLAB's way to a result."""
+"""``warp-plate export``: what each format prints and writes, invalid options, and how MATLAB reads a result."""
 
 import json
 import re
@@ -18,7 +18,7 @@ RECORD = {"times": (0.002, 0.004), "points": ((0.1, 0.1),)}
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch, scene, command):
-    """The working folder with one search's result, run.h5, in it."""
+    """The working folder with the result of a search, run.h5."""
     monkeypatch.chdir(tmp_path)
     made = scene(damping=88.5, record=RECORD, search={"particles": 4, "iterations": 3})
     Path("panel.toml").write_text(dump_scene(made), encoding="utf-8")
@@ -36,18 +36,10 @@ def new_files():
 @pytest.mark.parametrize(
     ("to", "files", "words"),
     [
-        (
-            "pvd",
-            ["run-0000.vti", "run-0001.vti", "run.pvd"],
-            "wrote run.pvd and 2 .vti files beside it\nIt holds the 2",
-        ),
-        (
-            "vtkhdf",
-            ["run.vtkhdf"],
-            "wrote run.vtkhdf\nIt holds the 2 recorded times; --frames 60 takes so many of a period",
-        ),
+        ("pvd", ["run-0000.vti", "run-0001.vti", "run.pvd"], "and 2 .vti files beside it\nIt holds the 2"),
+        ("vtkhdf", ["run.vtkhdf"], "wrote run.vtkhdf\nIt holds the 2 recorded times; --frames 60"),
         ("traces-csv", ["run-traces.csv"], "wrote run-traces.csv\n"),
-        ("drive-wav", ["run-drive.wav"], "290 periods of 290 Hz in 48000 samples at 48000 Hz, which repeat without"),
+        ("drive-wav", ["run-drive.wav"], "290 periods of 290 Hz in 48000 samples at 48000 Hz, which repeat seamlessly"),
         ("drive-csv", ["run-drive.csv"], "Drive best: 290 periods"),
     ],
 )
@@ -60,25 +52,25 @@ def test_each_format(command, folder, to, files, words):
         Path(name).unlink()
     status, out, err = command("export", "run.h5", "--to", to, "--json")
     assert (status, err) == (0, "")
-    answer = json.loads(out)
-    assert sorted(answer["files"]) == files
-    assert (answer["result"], answer["to"]) == ("run.h5", to)
+    record = json.loads(out)
+    assert sorted(record["files"]) == files
+    assert (record["result"], record["to"]) == ("run.h5", to)
     if to in ("pvd", "vtkhdf"):
-        assert answer["fields"] == ["displacement_best", "displacement_equal", "displacement_single"]
-        assert (answer["times"], answer["recorded"]) == (2, True)
+        assert record["fields"] == ["displacement_best", "displacement_equal", "displacement_single"]
+        assert (record["times"], record["recorded"]) == (2, True)
 
 
 def test_options_of_a_drive(command, folder):
     options = "--case single --rate 8000 --duration 0.05 --full-scale 4 --encoding pcm16 --out s.wav --json"
     status, out, err = command("export", "run.h5", "--to", "drive-wav", *options.split())
     assert (status, err) == (0, "")
-    answer = json.loads(out)
+    record = json.loads(out)
     drive = load_result("run.h5").cases["single"].phasors
     rate, read = wavfile.read("s.wav")
-    assert (answer["case"], answer["rate"], answer["full_scale"]) == ("single", rate, 4.0)
-    assert read.shape == (answer["samples"], len(answer["channels"]))
-    assert answer["seconds"] == answer["samples"] / 8000 <= 0.05
-    assert answer["periods"] == pytest.approx(290 * answer["seconds"] - answer["seam_degrees"] / 360)
+    assert (record["case"], record["rate"], record["full_scale"]) == ("single", rate, 4.0)
+    assert read.shape == (record["samples"], len(record["channels"]))
+    assert record["seconds"] == record["samples"] / 8000 <= 0.05
+    assert record["periods"] == pytest.approx(290 * record["seconds"] - record["seam_degrees"] / 360)
     np.testing.assert_allclose(read[0] / 32767 * 4, drive.real, atol=1e-4)
     out = command("export", "run.h5", "--to", "drive-csv", "--rate", 8000, "--duration", 0.05)[1]
     assert re.search(r"which repeat with a phase jump of -?\d\.?\d* degrees\. 1\.0 stands for", out)
@@ -91,15 +83,15 @@ def test_one_case_of_a_series(command, folder):
 
 
 @pytest.mark.parametrize("to", ["pvd", "vtkhdf"])
-def test_a_motion_is_the_run_itself(command, folder, to):
-    """Frames of another run, whose displacements at the recorded time are those of the result."""
+def test_a_motion_repeats_the_run(command, folder, to):
+    """Displacements at the recorded time are those of the result."""
     options = ("--case", "best", "--case", "single", "--start", 0.002, "--end", 0.004, "--frames", 4, "--device", "cpu")
     assert "recorded times" not in command("export", "run.h5", "--to", to, *options)[1]
     status, out, err = command("export", "run.h5", "--to", to, *options, "--json")
     assert (status, err) == (0, "")
-    answer = json.loads(out)
-    assert (answer["times"], answer["recorded"]) == (4, False)
-    assert answer["fields"] == ["displacement_best", "displacement_single", "velocity_best", "velocity_single"]
+    record = json.loads(out)
+    assert (record["times"], record["recorded"]) == (4, False)
+    assert record["fields"] == ["displacement_best", "displacement_single", "velocity_best", "velocity_single"]
     recorded = load_result("run.h5")
     if to == "vtkhdf":
         with h5py.File("run.vtkhdf") as file:
@@ -110,17 +102,17 @@ def test_a_motion_is_the_run_itself(command, folder, to):
             assert np.abs(root["PointData/velocity_best"]).max() > 0
         np.testing.assert_array_equal(first, recorded.cases["single"].displacement[0])
     else:
-        assert len(answer["files"]) == 5
+        assert len(record["files"]) == 5
 
 
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        ("--to pvd --rate 3", "--rate 3: --to pvd does not read it; leave it out"),
-        ("--to drive-csv --encoding pcm16", "--encoding pcm16: --to drive-csv does not read it; leave it out"),
+        ("--to pvd --rate 3", "--rate 3: has no effect with --to pvd; leave it out"),
+        ("--to drive-csv --encoding pcm16", "--encoding pcm16: has no effect with --to drive-csv; leave it out"),
         ("--to pvd --case worst", "--case worst: run.h5 holds equal, single, best"),
-        ("--to drive-wav --case best --case single", "--case best single: a file plays one drive; name one case"),
-        ("--to traces-csv --frames 9", "--frames 9: --to traces-csv does not read it; leave it out"),
+        ("--to drive-wav --case best --case single", "--case best single: a file holds one drive; name one case"),
+        ("--to traces-csv --frames 9", "--frames 9: has no effect with --to traces-csv; leave it out"),
         ("--to pvd --device cpu", "--device cpu: nothing is run without --frames, --start or --end; leave it out"),
         ("--to pvd --frames 1", "--frames 1: must be at least 2"),
         ("--to vtkhdf --start 3", "run.h5: start = 3"),
@@ -131,14 +123,14 @@ def test_a_motion_is_the_run_itself(command, folder, to):
         ("", 'Command "export" parameter --to requires an argument'),
     ],
 )
-def test_wrong_options_are_told_in_one_line(command, folder, options, line):
+def test_invalid_options_are_one_line(command, folder, options, line):
     status, out, err = command("export", "run.h5", *options.split())
     assert (status, out, err.count("\n")) == (2, "", 1)
     assert err.startswith(f"warp-plate: {line}")
     assert new_files() == []
 
 
-def test_a_result_without_traces_is_named_with_the_key_to_add(command, folder, scene):
+def test_a_result_without_traces_names_the_key_to_add(command, folder, scene):
     Path("panel.toml").write_text(dump_scene(scene()), encoding="utf-8")
     command("simulate", "panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate", "--out", "bare.h5")
     status, _, err = command("export", "bare.h5", "--to", "traces-csv")
@@ -149,8 +141,8 @@ def test_a_result_without_traces_is_named_with_the_key_to_add(command, folder, s
     assert command("export", "nothing.h5", "--to", "pvd")[2].startswith("warp-plate: nothing.h5: no such file")
 
 
-def test_h5read_of_matlab_can_read_all_of_a_result(folder):
-    """Plain numbers in datasets, no compounds, enumerations or references; texts only as attributes, in UTF-8."""
+def test_matlab_s_h5read_can_read_all_of_a_result(folder):
+    """Datasets hold plain numbers (no compounds, enumerations or references), attributes text in UTF-8."""
 
     def visit(name, item):
         if isinstance(item, h5py.Dataset):
@@ -166,8 +158,8 @@ def test_h5read_of_matlab_can_read_all_of_a_result(folder):
         file.visititems(visit)
 
 
-def test_the_example_in_matlab_names_what_a_result_holds(folder):
-    """Each dataset and attribute that the guide's example reads is there, with the dimensions that it says."""
+def test_the_matlab_example_of_the_guide(folder):
+    """The datasets and attributes that it reads exist, with the dimensions that it states."""
     (example,) = re.findall(r"```matlab\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.S)
     assert len(example.splitlines()) == 10
     with h5py.File("run.h5") as file:

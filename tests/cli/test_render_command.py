@@ -1,4 +1,4 @@
-"""``warp-plate render``: every kind of file, and what is refused."""
+"""``warp-plate render``: every kind of file, and invalid options."""
 
 import json
 import subprocess
@@ -29,7 +29,7 @@ def searched(tmp_path_factory):
 
 @pytest.fixture
 def render(searched, tmp_path, monkeypatch, capsys):
-    """Runs the command in an empty folder; gives back its JSON object, or the line about what is wrong."""
+    """Run the command in an empty folder; return its JSON object, or its error."""
     monkeypatch.chdir(tmp_path)
 
     def run(*options):
@@ -51,7 +51,7 @@ def render(searched, tmp_path, monkeypatch, capsys):
 
 @pytest.fixture
 def drawing():
-    """Skips the test where nothing can be drawn off screen."""
+    """Skip the test if nothing can be drawn off screen."""
     if (problem := viz.missing_renderer()) is not None:
         pytest.skip(problem)
 
@@ -73,13 +73,13 @@ def test_a_picture_is_the_default(render, drawing, tmp_path):
 
 
 def test_movies_play_all_frames(render, drawing, tmp_path):
-    """As GIF and MP4: the frames differ, and paper stays white."""
+    """As GIF and MP4: the frames differ, and the background stays white."""
     if (problem := pictures.missing_movies()) is not None:
         pytest.skip(problem)
     import imageio_ffmpeg
 
-    told = render("--out", "a.gif", "--out", "a.mp4", "--frames", "6", "--rate", "12", "--case", "best")
-    assert told["files"] == ["a.gif", "a.mp4"]
+    record = render("--out", "a.gif", "--out", "a.mp4", "--frames", "6", "--rate", "12", "--case", "best")
+    assert record["files"] == ["a.gif", "a.mp4"]
     frames = list(frames_of(tmp_path / "a.gif"))
     assert len(frames) == 6
     assert all((one != other).any() for one, other in pairwise(frames))
@@ -98,7 +98,7 @@ def test_movies_play_all_frames(render, drawing, tmp_path):
 
 
 def test_pages_and_plans_need_no_window(render, monkeypatch, tmp_path):
-    """A browser or Matplotlib draws them: nothing of VTK's windows is asked for."""
+    """A browser or Matplotlib draws them, without VTK's windows."""
     monkeypatch.setattr(availability, "TRIAL", "raise SystemExit(1)")
     availability.working_window.cache_clear()
     try:
@@ -129,7 +129,7 @@ def test_a_plan_names_what_it_shows(searched, tmp_path):
             text = (tmp_path / "plan.svg").read_text(encoding="utf-8")
             assert words in text
             assert "localization factor" in text
-            # What is the same at all times has no time.
+            # What does not depend on time has no time.
             assert (", t = 0.0" in text) is (field == "displacement")
             assert ">clamped<" in text
 
@@ -141,7 +141,7 @@ def test_the_papers_figures(render, drawing, tmp_path):
     assert "svg" in (tmp_path / "panel-figure-3.svg").read_text(encoding="utf-8")[:400]
 
 
-def test_natural_shapes(render, tmp_path):
+def test_mode_shapes(render, tmp_path):
     render("--modes", "3", "--out", "modes.html")
     assert "displacement\\nover its largest" in (tmp_path / "modes.html").read_text(encoding="utf-8")
 
@@ -163,7 +163,7 @@ def test_natural_shapes(render, tmp_path):
         (["--start", "0.01", "--end", "7"], "start = 0.01, end = 7: must lie inside the run"),
     ],
 )
-def test_what_is_wrong_is_named(render, tmp_path, options, complaint):
+def test_invalid_options_are_named(render, tmp_path, options, complaint):
     out = [] if "--out" in options else ["--out", "a.html"]
     assert complaint in render(*options, *out)
     assert not list(tmp_path.iterdir())
@@ -177,17 +177,17 @@ def test_figures_of_the_paper_come_from_a_search(searched, tmp_path, capsys):
 
 
 def test_a_moment_is_the_frame_of_pictures(searched):
-    """--time: frames over the period from there on, or over the last one."""
+    """--time selects a frame of the period from there on, or of the last one."""
     from warp_plate.analysis.motion import motions
-    from warp_plate.cli.render import _frame, _span_around
+    from warp_plate.cli.render import span_around
 
     result = load_result(searched)
     period = 1 / result.scene.drive.frequency
-    assert _span_around(result, 0.004, None, None) == pytest.approx((0.004, 0.004 + period))
-    assert _span_around(result, 0.0119, None, None) == pytest.approx((0.012 - period, 0.012))
-    assert _span_around(result, None, 0.001, None) == (0.001, None)
-    shown = motions(result.scene, result.cases, _span_around(result, 0.0119, None, None), device="cpu")
-    moment = shown[0].times[_frame(shown, 0.0119, "displacement")]
+    assert span_around(result, 0.004, None, None) == pytest.approx((0.004, 0.004 + period))
+    assert span_around(result, 0.0119, None, None) == pytest.approx((0.012 - period, 0.012))
+    assert span_around(result, None, 0.001, None) == (0.001, None)
+    shown = motions(result.scene, result.cases, span_around(result, 0.0119, None, None), device="cpu")
+    moment = shown[0].times[frame_at(shown, 0.0119, "displacement")]
     assert moment == pytest.approx(0.0119, abs=period / 20)
 
 

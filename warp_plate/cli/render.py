@@ -76,10 +76,10 @@ def render(
             files += _paper_figures(loaded, result)
         if targets:
             _check_drawable(targets, plan)
-            start, end = _span_around(loaded, time, start, end)
+            start, end = span_around(loaded, time, start, end)
             options = MotionOptions(case or [], modes, start, end, frames, device)
             motions = select_motions(loaded, result, options, field, json)
-            frame = _frame(motions, time, field)
+            frame = frame_at(motions, time, field)
             style = PictureStyle(field, width, heights)
             for target in targets:
                 _draw(loaded, motions, target, style, frame, plan, playback_rate(rate, motions), json)
@@ -126,7 +126,7 @@ def _check_drawable(targets: list[Path], plan: bool) -> None:
             raise SceneError(problem)
 
 
-def _span_around(
+def span_around(
     result: Result, time: float | None, start: float | None, end: float | None
 ) -> tuple[float | None, float | None]:
     """Return the first and last time of the frames; if only a time is given, those of the period around it, which sets
@@ -142,7 +142,7 @@ def _span_around(
     return first, first + period
 
 
-def _frame(motions: list[Motion], time: float | None, field: str) -> int:
+def frame_at(motions: list[Motion], time: float | None, field: str) -> int:
     """Return the index of the frame to draw in pictures."""
     from warp_plate.viz.pictures import largest_frame
 
