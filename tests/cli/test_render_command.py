@@ -179,7 +179,7 @@ def test_figures_of_the_paper_come_from_a_search(searched, tmp_path, capsys):
 def test_a_moment_is_the_frame_of_pictures(searched):
     """--time selects a frame of the period from there on, or of the last one."""
     from warp_plate.analysis.motion import motions
-    from warp_plate.cli.render import span_around
+    from warp_plate.cli.render import frame_at, span_around
 
     result = load_result(searched)
     period = 1 / result.scene.drive.frequency
