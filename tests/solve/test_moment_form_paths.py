@@ -1,7 +1,7 @@
-"""The paths of all effects against ``reference.numpy_general``: random mixes of effects and edges on every device.
+"""The moment-form paths against ``reference.numpy_moment_form``: random mixes of effects and edges on every device.
 
-Tolerances are relative to the largest number of the run. Both sides round a few times ε a step, in another order;
-near the stability limit and with dampers a few hundred steps gather some hundred ε.
+Tolerances are relative to the largest number of the run. Both sides round a few times ε a step, in another order; near
+the stability limit and with dampers a few hundred steps gather some hundred ε.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ from warp_plate.reference.numpy_moment_form import run_moment_form
 from warp_plate.solve import moment_form, paths
 
 TOLERANCE = {"float32": 3e-4, "float64": 1e-11}
-# (nodes, sides) [m]: odd, even, oblong, and the smallest; cells are square in the first alone.
+# Nodes and sides [m]: odd, even, oblong, and the smallest; cells are square in the first alone.
 GRIDS = {
     "smallest": ((5, 5), (0.2, 0.2)),
     "odd": ((13, 11), (0.2, 0.18)),
@@ -24,28 +24,27 @@ GRIDS = {
     "wide": ((33, 7), (0.24, 0.06)),
     "high": ((6, 26), (0.05, 0.3)),
 }
-MIXES = 40
+MIXES = 30
 STEPS = 220
 
 
-def some_edge(random):
-    """One of the four kinds; springs from soft to nearly rigid, either of which may be absent."""
+def random_edge(random):
+    """Draw one of the four kinds; springs from soft to nearly rigid, either of which may be absent."""
     springs = {"translation": 10 ** random.uniform(2, 6), "rotation": 10 ** random.uniform(-3, 2)}
     if random.random() < 0.3:
         springs.pop(("translation", "rotation")[random.integers(2)])
     return ("clamped", "supported", "free", springs)[random.integers(4)]
 
 
-def some_area(random, size):
-    """A rectangle on the plate, of half its sides at most."""
-    low = random.uniform(0, 0.5, 2) * size
-    x0, y0 = low
-    x1, y1 = low + random.uniform(0.2, 0.5, 2) * size
+def random_area(random, size):
+    """Draw a rectangle on the plate, of half its sides at most."""
+    x0, y0 = random.uniform(0, 0.5, 2) * size
+    x1, y1 = (x0, y0) + random.uniform(0.2, 0.5, 2) * size
     return (x0, x1, y0, y1)
 
 
-def some_effects(random, size, stretching):
-    """Each effect with even chance, of the size that it has on panels like the paper's; never none at all."""
+def random_effects(random, size, stretching):
+    """Draw each effect with even chance, of the size that it has on panels like the paper's; never none at all."""
     effects = {
         "damping": {"viscous": random.uniform(0, 100), "scheme": ("centred", "backward")[random.integers(2)]},
         "material_damping": {"time": 10 ** random.uniform(-7, -5)},
@@ -59,7 +58,7 @@ def some_effects(random, size, stretching):
         },
         "layers": [
             {
-                "area": some_area(random, size),
+                "area": random_area(random, size),
                 "thickness": random.uniform(1e-4, 5e-4),
                 "young_modulus": random.uniform(0, 9e9),
                 "density": random.uniform(0, 3000),
@@ -69,7 +68,7 @@ def some_effects(random, size, stretching):
         ],
         "oscillators": [
             {
-                "area": some_area(random, size),
+                "area": random_area(random, size),
                 "mass": random.choice([0.0, 0.003]),
                 "stiffness": random.uniform(50, 500),
                 "damping": random.choice([0.0, 0.1]),
@@ -88,8 +87,8 @@ def some_effects(random, size, stretching):
     return {**kept, "stretching": {}} if stretching else kept
 
 
-def some_drive(random, end, frequency):
-    """The tables of a drive in time, one of the carriers or none, with or without bursts and squares."""
+def random_drive(random, end, frequency):
+    """Draw the [drive] table, with or without chirp, burst and squares, and the frequencies of three actuators."""
     drive = {"frequency": frequency}
     if random.random() < 0.4:
         drive["chirp"] = {"end_frequency": random.uniform(0.3, 1.5) * frequency, "duration": 0.7 * end}
@@ -97,29 +96,28 @@ def some_drive(random, end, frequency):
         drive["burst"] = {"start": 0.1 * end, "duration": 0.5 * end, "ramp": 0.1 * end}
     if random.random() < 0.4:
         drive["electrostatic"] = {"bias": random.choice([0.0, 2.0]), "gain": random.uniform(0.1, 2)}
-    own = random.choice([frequency, 0.7 * frequency, 2 * frequency], 3) if random.random() < 0.5 else [None] * 3
-    return drive, own
+    apart = random.random() < 0.5
+    return drive, random.choice([frequency, 0.7 * frequency, 2 * frequency], 3) if apart else [None] * 3
 
 
 @pytest.fixture
 def mix(scene, random):
-    """Draws a scene with a random mix of effects and edges on a grid, its step near the limit, and a few drives."""
+    """A factory of scenes with a random mix of effects and edges, a step near the limit, and a few drives."""
 
-    def draw(nodes, size, precision="float64", stretching=False, steps=STEPS, plates=2):
-        effects, edges = some_effects(random, size, stretching), [some_edge(random) for _ in range(4)]
-        areas = [some_area(random, size) for _ in range(3)]
-        load = ("overlap", "moments")[random.integers(2)]
+    def draw(nodes, size, precision="float64", stretching=False, plates=2):
+        effects, edges = random_effects(random, size, stretching), [random_edge(random) for _ in range(4)]
+        areas, load = [random_area(random, size) for _ in range(3)], ("overlap", "moments")[random.integers(2)]
         trial = scene(nodes, size, edges, actuators=areas, load=load, effects=effects)
         step = random.uniform(0.5, 0.9) * make_scheme(trial).limit
-        drive, own = some_drive(random, steps * step, random.uniform(0.005, 0.05) / step)
+        drive, frequencies = random_drive(random, STEPS * step, random.uniform(0.005, 0.05) / step)
         if stretching:
-            drive.pop("electrostatic", None)  # whose square would throw the plate out of all proportion
+            drive.pop("electrostatic", None)  # squares of these drives would be far too large
         made = scene(
-            nodes, size, edges, precision=precision, window=(steps / 3 * step, steps * step), actuators=areas,
+            nodes, size, edges, precision=precision, window=(STEPS / 3 * step, STEPS * step), actuators=areas,
             load=load, time_step=step, drive=drive, effects=effects,
         )  # fmt: skip
-        actuators = zip(made.model_dump()["actuators"], own, strict=True)
-        made = made.with_tables(actuators=[{**table, "frequency": one} for table, one in actuators])
+        actuators = zip(made.model_dump()["actuators"], frequencies, strict=True)
+        made = made.with_tables(actuators=[{**table, "frequency": own} for table, own in actuators])
         drives = random.normal(size=(plates, 3)) + 1j * random.normal(size=(plates, 3))
         return made, drives * bending_load(made) if stretching else drives
 
@@ -127,15 +125,15 @@ def mix(scene, random):
 
 
 def bending_load(scene):
-    """A pressure [N/m²] that throws the plate about its thickness far, so that stretching counts."""
-    quick = scene.model_copy(update={"grid": scene.grid.model_copy(update={"precision": "float64"})})
-    linear = quick.model_copy(update={"effects": quick.effects.model_copy(update={"stretching": None})})
+    """Return a pressure [N/m²] that deflects the plate by about its thickness, so that stretching counts."""
+    double = scene.model_copy(update={"grid": scene.grid.model_copy(update={"precision": "float64"})})
+    linear = double.model_copy(update={"effects": double.effects.model_copy(update={"stretching": None})})
     drive = np.ones((1, len(scene.actuators)), dtype=complex)
     return scene.plate.thickness / np.abs(run_moment_form(linear, drive).displacement).max()
 
 
 def check(run, scene, reference, points=()):
-    """Energies, displacements and traces of a run."""
+    """Compare energies, displacements and traces of a run."""
     tolerance, scheme = TOLERANCE[scene.grid.precision], make_scheme(scene)
     history = reference.displacement
     largest = np.abs(history).max(axis=(1, 2, 3))[:, None, None, None]
@@ -144,12 +142,12 @@ def check(run, scene, reference, points=()):
     steps = np.rint(run.times / scheme.time_step).astype(int)
     np.testing.assert_allclose(run.displacement / largest, history[:, steps] / largest, rtol=0, atol=tolerance)
     for trace, (x, y) in zip(run.trace.swapaxes(0, 1), points, strict=True):
-        expected = between_nodes(history[:, 1:], x / scheme.spacing[0], y / scheme.spacing[1])
+        expected = bilinear(history[:, 1:], x / scheme.spacing[0], y / scheme.spacing[1])
         np.testing.assert_allclose(trace / largest[:, 0, 0], expected / largest[:, 0, 0], rtol=0, atol=tolerance)
 
 
-def between_nodes(history, i, j):
-    """The displacement at i nodes from the left and j from below, linear between nodes."""
+def bilinear(history, i, j):
+    """Interpolate the displacement at i nodes from the left and j from below."""
     column, row = min(int(i), history.shape[-1] - 2), min(int(j), history.shape[-2] - 2)
     corner = history[..., row : row + 2, column : column + 2]
     return np.einsum("...yx,y,x->...", corner, [1 - j + row, j - row], [1 - i + column, i - column])
@@ -159,21 +157,20 @@ def between_nodes(history, i, j):
     "number", [n if n < 10 else pytest.param(n, marks=pytest.mark.slow) for n in range(MIXES)]
 )
 def test_random_mixes(device, path, number, mix, random):
-    """Every grid in both precisions, four times with other effects; every fourth mix stretches."""
+    """Every grid in both precisions, with other effects each time; every fourth mix stretches."""
     nodes, size = list(GRIDS.values())[number % len(GRIDS)]
     precision = ("float64", "float32")[number // len(GRIDS) % 2]
     made, drives = mix(nodes, size, precision, stretching=number % 4 == 3)
     times = np.sort(random.uniform(0, 1, 3)) * made.window.end
     points = [(0.0, 0.0), tuple(random.uniform(0, 1, 2) * size)]
     print(made.edges, made.effects, made.drive, made.actuators)
-    solver = PlateSolver(made, device, path)
-    reference = run_moment_form(made, drives)
+    solver, reference = PlateSolver(made, device, path), run_moment_form(made, drives)
     check(solver.run(drives, times), made, reference)
     check(solver.run(drives, times, points), made, reference, points)
 
 
 def all_effects(made):
-    """The scene with every effect, and stretching too, on edges of four kinds, under a burst of two frequencies."""
+    """Return a scene with every effect, on edges of four kinds, under a burst of two frequencies."""
     (x0, x1, y0, y1), size = made.actuators[0].area, made.plate.size
     effects = {
         "damping": {"viscous": 30.0},
@@ -191,51 +188,51 @@ def all_effects(made):
     }
     edges = {"left": "clamped", "bottom": "supported", "right": "free", "top": {"translation": 1e4, "rotation": 0.1}}
     tables = made.model_dump(exclude_none=True)
-    grid = {name: value for name, value in tables["grid"].items() if name != "time_step"}
+    tables["grid"].pop("time_step", None)
     tables["drive"]["burst"] = {"duration": made.window.end, "ramp": 1e-3}
     tables["actuators"][1]["frequency"] = 170.0
-    return made.with_tables(**{**tables, "edges": edges, "effects": effects, "grid": grid})
+    return made.with_tables(**{**tables, "edges": edges, "effects": effects})
 
 
 @pytest.fixture
-def full(scene):
-    """A scene with all effects at once, in a precision, and drives that stretch it."""
+def full(scene, random):
+    """A factory of scenes with all effects at once, and drives that stretch the plate."""
 
-    def make(precision, plates, random):
-        made = all_effects(scene((13, 11), (0.2, 0.18), precision=precision, window=(0.002, 0.006)))
+    def make(precision, plates, **grid):
+        made = all_effects(scene((13, 11), (0.2, 0.18), precision=precision, window=(0.002, 0.006), **grid))
         drives = random.normal(size=(plates, 3)) + 1j * random.normal(size=(plates, 3))
         return made, drives * bending_load(made)
 
     return make
 
 
-def same(one, other):
-    """Bit for bit."""
-    for field in dataclasses.fields(one):
-        if isinstance(getattr(one, field.name), np.ndarray):
-            np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name))
+def check_same(run, other):
+    """Compare all arrays of two runs bit for bit."""
+    for field in dataclasses.fields(run):
+        if isinstance(getattr(run, field.name), np.ndarray):
+            np.testing.assert_array_equal(getattr(run, field.name), getattr(other, field.name))
 
 
 @pytest.mark.parametrize("precision", TOLERANCE)
-def test_all_effects_at_once(device, path, precision, full, random):
-    made, drives = full(precision, 2, random)
+def test_all_effects_at_once(device, path, precision, full):
+    made, drives = full(precision, 2)
     reference = run_moment_form(made, drives)
     check(PlateSolver(made, device, path).run(drives, (0.003, 0.0055)), made, reference)
     assert np.abs(reference.displacement).max() > 0.3 * made.plate.thickness
 
 
-@pytest.mark.parametrize("held", [False, True])
-def test_the_kernel_of_blocks_on_cpu(held, mix, full, random, monkeypatch):
-    """A block of one thread runs anywhere: all numbers in memory, or all that can be in registers."""
-    made, drives = mix(*GRIDS["smallest"], stretching=True) if held else full("float64", 2, random)
+@pytest.mark.parametrize("in_registers", [False, True])
+def test_the_cuda_kernel_on_cpu(in_registers, mix, full, monkeypatch):
+    """A block of one thread runs anywhere: with all numbers in memory, or all that can be in registers."""
+    made, drives = mix(*GRIDS["smallest"], stretching=True) if in_registers else full("float64", 2)
 
     def one_thread(specialized):
         effects, (nx, ny) = specialized.effects, specialized.scheme.nodes
         material = moment_form_plan.material_planes(effects)
-        names = (*moment_form_plan.REGISTERS_FIRST, "membrane_curvature", *material) if held else ()
+        names = (*moment_form_plan.REGISTERS_FIRST, "membrane_curvature", *material) if in_registers else ()
         planes = moment_form_plan.workspace_planes(effects, names)
-        # One node beyond the plate.
-        return moment_form.block_path(specialized, moment_form_plan.BlockPlan(1, nx * ny + 1, names, planes, False, 64))
+        nodes = nx * ny + 1  # one beyond the plate
+        return moment_form.block_path(specialized, moment_form_plan.BlockPlan(1, nodes, names, planes, False, 64))
 
     monkeypatch.setitem(paths.MOMENT_FORM, "resident", one_thread)
     points = [tuple(np.multiply((0.3, 0.9), made.plate.size))]
@@ -244,18 +241,20 @@ def test_the_kernel_of_blocks_on_cpu(held, mix, full, random, monkeypatch):
 
 
 @pytest.mark.parametrize("precision", TOLERANCE)
-def test_a_plate_knows_nothing_of_its_batch(device, path, precision, full, random):
-    """Alone, among others, in chunks of any size, and beside a plate whose numbers are not finite: the same bits."""
-    made, drives = full(precision, 21, random)
+def test_a_plate_does_not_depend_on_its_batch(device, path, precision, full):
+    """Alone, among others, in chunks, after NaN in memory, and beside plates that are not finite: the same bits."""
+    made, drives = full(precision, 21)
     times = (0.0, 0.002, 0.0045, 0.006)
     solver = PlateSolver(made, device, path)
     together = solver.run(drives, times)
-    for plate in (0, 7, 20):
+    for plate in (0, 20):
         alone = solver.run(drives[plate : plate + 1], times)
         np.testing.assert_array_equal(alone.energy[0], together.energy[plate])
         np.testing.assert_array_equal(alone.displacement[0], together.displacement[plate])
-    for chunk in (1, 4, 16):
-        same(PlateSolver(made, device, path, chunk=chunk).run(drives, times), together)
+    check_same(PlateSolver(made, device, path, chunk=4).run(drives, times), together)
+    spoiled = solver.run(np.full_like(drives, np.nan), times)
+    assert not spoiled.finite.any()
+    check_same(solver.run(drives, times), together)
     drives[3], drives[18] = np.nan, 1e200 if precision == "float32" else 1e300
     mixed = solver.run(drives, times)
     good = np.isfinite(np.abs(drives)).all(axis=1) & (np.abs(drives).max(axis=1) < 1e100)
@@ -265,23 +264,10 @@ def test_a_plate_knows_nothing_of_its_batch(device, path, precision, full, rando
     np.testing.assert_array_equal(mixed.displacement[good], together.displacement[good])
 
 
-@pytest.mark.parametrize("precision", TOLERANCE)
-def test_numbers_left_in_memory_do_not_matter(device, path, precision, full, random):
-    """A run is the same, bit for bit, after one of the same solver that left NaN in every array that a run writes."""
-    made, drives = full(precision, 3, random)
-    solver = PlateSolver(made, device, path)
-    first = solver.run(drives, (0.003,))
-    spoiled = solver.run(np.full_like(drives, np.nan), (0.003,))
-    assert not np.isfinite(spoiled.displacement).any(axis=(1, 2, 3)).all()
-    assert not spoiled.finite.any()
-    same(solver.run(drives, (0.003,)), first)
-
-
 @pytest.mark.parametrize("load", ["overlap", "moments"])
-def test_traces_are_the_displacements(device, path, load, full, random):
+def test_traces_are_the_displacements(device, path, load, full):
     """At nodes, a trace holds at every step what the displacements of that step hold; points change from run to run."""
-    made, drives = full("float64", 2, random)
-    made = made.model_copy(update={"grid": made.grid.model_copy(update={"load": load})})
+    made, drives = full("float64", 2, load=load)
     solver, (nx, ny) = PlateSolver(made, device, path), made.grid.nodes
     step, steps = make_scheme(made).time_step, make_scheme(made).steps
     kept = np.arange(1, steps + 1, 50)
