@@ -15,14 +15,14 @@ from warp_plate.plate.scheme import make_scheme
 SUPPORTED = ("supported",) * 4
 NODES, SIZE = (13, 11), (0.2, 0.18)
 FREE = ("free",) * 4
-YOUNG, RATIO, THICKNESS, DENSITY = 1e9, 0.33, 5e-4, 0.5  # the tests' plate; density: per area
+YOUNG, RATIO, THICKNESS, DENSITY = 1e9, 0.33, 5e-4, 0.5  # of conftest's plate; density per area
 RIGIDITY = YOUNG * THICKNESS**3 / 12 / (1 - RATIO**2)
 ORTHOTROPIC = {"Dx": 0.02, "Dy": 0.008, "D1": 0.003, "Dxy": 0.004}
 LAYER = {"thickness": 3e-4, "young_modulus": 4e9, "density": 1800.0}
-# Halved spacings; the middle of the plate lies between two nodes, or on one.
+# Two grids, the second of half the spacing; the middle of the plate is between two nodes, or on one.
 BETWEEN_NODES = ((18, 15), (34, 29))
 ON_A_NODE = ((65, 57), (129, 113))
-# What holds the sides x = 0 and a of a plate whose other sides are supported: translation, rotation, effects.
+# Springs (translation, rotation) at x = 0 and a of a plate whose other sides are supported, and effects.
 LEVY = {
     "free": (0.0, 0.0, {}),
     "soft": (2e3, 0.05, {}),
@@ -38,14 +38,14 @@ LEVY = {
 
 @pytest.mark.parametrize("both", [False, True], ids=["one face", "both faces"])
 def test_layer_over_the_whole_plate_is_the_laminate(scene, both):
-    """As a plate of that mass and rigidity. One face: the parts' own rigidities and, as springs in series, their
-    stretching at the distance of their middles: D = D₁ + D₂ + d²/(1/A₁ + 1/A₂). Both: twice A₂d² instead."""
+    """A layer on one face has D = D₁ + D₂ + d²/(1/A₁ + 1/A₂), with the distance d of the middles and the stretching
+    stiffnesses A in series; on both faces the last term is 2A₂d². The mass is the sum."""
     plane, thin = 1 - RATIO**2, LAYER["thickness"]
     stretch, stretch_layer = YOUNG * THICKNESS / plane, LAYER["young_modulus"] * thin / plane
-    middle, own = (THICKNESS + thin) / 2, LAYER["young_modulus"] * thin**3 / 12 / plane
+    middle, bending = (THICKNESS + thin) / 2, LAYER["young_modulus"] * thin**3 / 12 / plane
     faces = 2 if both else 1
     lever = 2 * stretch_layer if both else stretch * stretch_layer / (stretch + stretch_layer)
-    rigidity = RIGIDITY + faces * own + lever * middle**2
+    rigidity = RIGIDITY + faces * bending + lever * middle**2
     mass = DENSITY + faces * LAYER["density"] * thin
     layered = scene(
         NODES, SIZE, SUPPORTED, 40.0, effects={"layers": [{"area": (0, SIZE[0], 0, SIZE[1]), "both": both, **LAYER}]}
@@ -63,8 +63,8 @@ def test_layer_over_the_whole_plate_is_the_laminate(scene, both):
     np.testing.assert_allclose(one.energy, other.energy, rtol=1e-9)
 
 
-def slowest(scene):
-    """Lowest natural frequency ω [rad/s] of the plate on its grid, as the paths step it."""
+def lowest_frequency(scene):
+    """Return the lowest natural frequency ω [rad/s] of the plate on its grid, as the paths step it."""
     stiffness, masses = system(scene, make_bending(scene))
     root = scipy.sparse.diags_array(1 / np.sqrt(masses))
     matrix = root @ stiffness @ root
@@ -72,8 +72,8 @@ def slowest(scene):
     return math.sqrt(value[0])
 
 
-def exact_strip(determinant, near):
-    """The root ω of a determinant nearest below or above ``near``, by its first change of sign outwards."""
+def root_near(determinant, near):
+    """Return the root ω of a determinant closest to ``near``, found by its first change of sign."""
     for part in np.linspace(0.0, 0.3, 301):
         low, high = near * (1 - part), near * (1 + part)
         if determinant(low) * determinant(high) < 0:
@@ -85,26 +85,26 @@ def exact_strip(determinant, near):
 def test_edges_on_springs_and_free_ones_by_levys_solution(scene, name):
     """u = X(x) sin(ky), k = π/b: D_x X⁗ − (2(D_1 + 2D_xy)k² + T_x) X″ + (D_y k⁴ + T_y k² + k_f − ρHω²) X = 0, even
     about the middle, and at x = a/2 the moment against the rotation and the shear against the translation:
-    D_x X″ − D_1k² X = −r X′, D_x X‴ − ((D_1 + 4D_xy)k² + T_x) X′ = t X. Second order: halving the spacing takes the
-    error down by some four."""
+    D_x X″ − D_1k² X = −r X′, D_x X‴ − ((D_1 + 4D_xy)k² + T_x) X′ = t X. Second order: halving the spacing divides the
+    error by about four."""
     translation, rotation, effects = LEVY[name]
     isotropic = {"Dx": RIGIDITY, "Dy": RIGIDITY, "D1": RATIO * RIGIDITY, "Dxy": (1 - RATIO) / 2 * RIGIDITY}
-    own = effects.get("orthotropic", isotropic)
-    pull, bed = effects.get("tension", {"x": 0.0, "y": 0.0}), effects.get("foundation", {"stiffness": 0.0})
+    plate = effects.get("orthotropic", isotropic)
+    tension, bed = effects.get("tension", {"x": 0.0, "y": 0.0}), effects.get("foundation", {"stiffness": 0.0})
     k, half = math.pi / SIZE[1], SIZE[0] / 2
-    middle = 2 * (own["D1"] + 2 * own["Dxy"]) * k**2 + pull["x"]
+    middle = 2 * (plate["D1"] + 2 * plate["Dxy"]) * k**2 + tension["x"]
 
     def determinant(omega):
-        rest = own["Dy"] * k**4 + pull["y"] * k**2 + bed["stiffness"] - DENSITY * omega**2
-        root = np.sqrt(complex(middle**2 - 4 * own["Dx"] * rest))
+        rest = plate["Dy"] * k**4 + tension["y"] * k**2 + bed["stiffness"] - DENSITY * omega**2
+        root = np.sqrt(complex(middle**2 - 4 * plate["Dx"] * rest))
         columns = []
         for square in (middle + root, middle - root):
-            s = np.sqrt(square / (2 * own["Dx"]))
+            s = np.sqrt(square / (2 * plate["Dx"]))
             even, odd = np.cosh(s * half), np.sinh(s * half)
             columns.append(
                 [
-                    (own["Dx"] * s**2 - own["D1"] * k**2) * even + rotation * s * odd,
-                    (own["Dx"] * s**3 - ((own["D1"] + 4 * own["Dxy"]) * k**2 + pull["x"]) * s) * odd
+                    (plate["Dx"] * s**2 - plate["D1"] * k**2) * even + rotation * s * odd,
+                    (plate["Dx"] * s**3 - ((plate["D1"] + 4 * plate["Dxy"]) * k**2 + tension["x"]) * s) * odd
                     - translation * even,
                 ]
             )
@@ -115,9 +115,9 @@ def test_edges_on_springs_and_free_ones_by_levys_solution(scene, name):
     # One node more along x, so that no cell is square.
     errors = []
     for count in (17, 33):
-        found = slowest(scene((count + 1, count), SIZE, edges, effects={"foundation": {"stiffness": 0.0}, **effects}))
-        errors.append(found / exact_strip(determinant, found) - 1)
-    print(errors)
+        tables = {"effects": {"foundation": {"stiffness": 0.0}, **effects}}
+        found = lowest_frequency(scene((count + 1, count), SIZE, edges, **tables))
+        errors.append(found / root_near(determinant, found) - 1)
     assert abs(errors[0]) < 0.01
     assert abs(errors[1]) < max(0.3 * abs(errors[0]), 1e-5)
 
@@ -126,9 +126,9 @@ def test_edges_on_springs_and_free_ones_by_levys_solution(scene, name):
     ("part", "grids"), [(0.5, BETWEEN_NODES), (0.5, ON_A_NODE), (0.25, ON_A_NODE), (0.615, ON_A_NODE)]
 )
 def test_layer_on_a_strip_of_the_plate_by_levys_solution(scene, part, grids):
-    """A strip 0 ... part·a of a supported plate thickened on both faces: X on both sides of the step has exponents of
-    its own, and at the step X, X′, the moment and the shear agree. Second order, whether the step lies between two
-    nodes, on one, or cuts a cell somewhere."""
+    """The strip 0 … part·a of a supported plate is thickened on both faces: X has other exponents on either side of the
+    step, where X, X′, moment and shear are continuous. Second order, whether the step is between two nodes, on one,
+    or elsewhere in a cell."""
     plane, thin = 1 - RATIO**2, LAYER["thickness"]
     lever = (THICKNESS + thin) / 2
     thick = RIGIDITY + 2 * LAYER["young_modulus"] / plane * (thin**3 / 12 + thin * lever**2)
@@ -136,7 +136,7 @@ def test_layer_on_a_strip_of_the_plate_by_levys_solution(scene, part, grids):
     sides = ((thick, DENSITY + 2 * LAYER["density"] * thin, cut), (RIGIDITY, DENSITY, SIZE[0] - cut))
 
     def determinant(omega):
-        """Rows X, X′, M, V at the step; columns sinh and sin from each supported side, x counted from there."""
+        """Rows X, X′, M, V at the step; columns sinh and sin from each supported side."""
         columns = []
         for sign, (rigidity, mass, wide) in zip((1, -1), sides, strict=True):
             turn = math.sqrt(mass / rigidity) * omega
@@ -157,16 +157,15 @@ def test_layer_on_a_strip_of_the_plate_by_levys_solution(scene, part, grids):
     errors = []
     for nodes in grids:
         layer = {"area": (0.0, cut, 0.0, SIZE[1]), "both": True, **LAYER}
-        found = slowest(scene(nodes, SIZE, SUPPORTED, effects={"layers": [layer]}))
-        errors.append(found / exact_strip(determinant, found) - 1)
-    print(errors)
+        found = lowest_frequency(scene(nodes, SIZE, SUPPORTED, effects={"layers": [layer]}))
+        errors.append(found / root_near(determinant, found) - 1)
     assert abs(errors[0]) < 0.01
     assert abs(errors[1]) < 0.3 * abs(errors[0])
 
 
 @pytest.mark.parametrize("cut", [0.05, 0.061])
 def test_a_layer_keeps_the_symmetry_of_a_square(scene, cut):
-    """x and y may change places: the mean over a cell that is cut both ways prefers neither."""
+    """Swapping x and y swaps the rigidities: the mean over a cell that is cut both ways prefers neither."""
     layer = {"area": (cut, 0.13, 0.04, 0.117), **LAYER}
     turned = {"area": (0.04, 0.117, cut, 0.13), **LAYER}
     one, other = (make_bending(scene((21, 21), effects={"layers": [made]})) for made in (layer, turned))
@@ -175,7 +174,7 @@ def test_a_layer_keeps_the_symmetry_of_a_square(scene, cut):
 
 
 def test_rigid_motions_of_a_free_plate_bend_nothing(scene):
-    """1, x and y, also with layers, orthotropic rigidities and edges on springs of zero."""
+    """Motions 1, x and y, with layers, orthotropic rigidities, and edges free or on springs of zero."""
     x, y = np.meshgrid(np.linspace(0, SIZE[0], NODES[0]), np.linspace(0, SIZE[1], NODES[1]))
     layer = {"area": (0.03, 0.09, 0.05, 0.18), **LAYER}
     for edges in (FREE, ({"translation": 0.0, "rotation": 0.0},) * 4):

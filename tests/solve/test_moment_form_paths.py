@@ -8,6 +8,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from test_paths import bilinear
 
 from warp_plate import PlateSolver, SceneError
 from warp_plate.kernels import moment_form_plan
@@ -146,13 +147,6 @@ def check(run, scene, reference, points=()):
         np.testing.assert_allclose(trace / largest[:, 0, 0], expected / largest[:, 0, 0], rtol=0, atol=tolerance)
 
 
-def bilinear(history, i, j):
-    """Interpolate the displacement at i nodes from the left and j from below."""
-    column, row = min(int(i), history.shape[-1] - 2), min(int(j), history.shape[-2] - 2)
-    corner = history[..., row : row + 2, column : column + 2]
-    return np.einsum("...yx,y,x->...", corner, [1 - j + row, j - row], [1 - i + column, i - column])
-
-
 @pytest.mark.parametrize(
     "number", [n if n < 10 else pytest.param(n, marks=pytest.mark.slow) for n in range(MIXES)]
 )
@@ -213,14 +207,6 @@ def check_same(run, other):
             np.testing.assert_array_equal(getattr(run, field.name), getattr(other, field.name))
 
 
-@pytest.mark.parametrize("precision", TOLERANCE)
-def test_all_effects_at_once(device, path, precision, full):
-    made, drives = full(precision, 2)
-    reference = run_moment_form(made, drives)
-    check(PlateSolver(made, device, path).run(drives, (0.003, 0.0055)), made, reference)
-    assert np.abs(reference.displacement).max() > 0.3 * made.plate.thickness
-
-
 @pytest.mark.parametrize("in_registers", [False, True])
 def test_the_cuda_kernel_on_cpu(in_registers, mix, full, monkeypatch):
     """A block of one thread runs anywhere: with all numbers in memory, or all that can be in registers."""
@@ -242,11 +228,13 @@ def test_the_cuda_kernel_on_cpu(in_registers, mix, full, monkeypatch):
 
 @pytest.mark.parametrize("precision", TOLERANCE)
 def test_a_plate_does_not_depend_on_its_batch(device, path, precision, full):
-    """Alone, among others, in chunks, after NaN in memory, and beside plates that are not finite: the same bits."""
+    """All effects at once; alone, among others, in chunks, after NaN, and beside plates that are not finite."""
     made, drives = full(precision, 21)
     times = (0.0, 0.002, 0.0045, 0.006)
-    solver = PlateSolver(made, device, path)
+    solver, reference = PlateSolver(made, device, path), run_moment_form(made, drives)
     together = solver.run(drives, times)
+    check(together, made, reference)
+    assert np.abs(reference.displacement).max() > 0.3 * made.plate.thickness
     for plate in (0, 20):
         alone = solver.run(drives[plate : plate + 1], times)
         np.testing.assert_array_equal(alone.energy[0], together.energy[plate])
@@ -262,20 +250,6 @@ def test_a_plate_does_not_depend_on_its_batch(device, path, precision, full):
     assert good.sum() == 19
     np.testing.assert_array_equal(mixed.energy[good], together.energy[good])
     np.testing.assert_array_equal(mixed.displacement[good], together.displacement[good])
-
-
-@pytest.mark.parametrize("load", ["overlap", "moments"])
-def test_traces_are_the_displacements(device, path, load, full):
-    """At nodes, a trace holds at every step what the displacements of that step hold; points change from run to run."""
-    made, drives = full("float64", 2, load=load)
-    solver, (nx, ny) = PlateSolver(made, device, path), made.grid.nodes
-    step, steps = make_scheme(made).time_step, make_scheme(made).steps
-    kept = np.arange(1, steps + 1, 50)
-    for row, column in ((0, nx - 1), (ny - 1, nx // 2), (ny // 2, 1)):
-        point = (column / (nx - 1) * made.plate.size[0], row / (ny - 1) * made.plate.size[1])
-        run = solver.run(drives, list(kept * step), [point])
-        shown = run.displacement[:, :, row, column]
-        np.testing.assert_allclose(run.trace[:, 0, kept - 1], shown, rtol=0, atol=1e-12 * np.abs(shown).max())
 
 
 def test_what_the_reference_refuses(scene):
