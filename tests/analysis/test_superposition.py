@@ -1,4 +1,4 @@
-"""Motion and energies under any drive, from unit responses: what a plate under that drive does."""
+"""Motion and energies under any drive from unit responses equal those of a run of that drive."""
 
 import math
 import threading
@@ -19,26 +19,23 @@ from warp_plate.analysis.superposition import (
 from warp_plate.plate.weights import localization_factor
 from warp_plate.result.live import QUADRANTS, SteadyMotion, quadrants
 
-# Damped so strongly that the motion is steady when the run ends, and not so strongly that low modes creep.
+# The motion is steady at the end of the run, and low modes are underdamped.
 DAMPING = 120.0
 
 
 @pytest.fixture
 def panel(scene):
-    """Three actuators, steady at the end."""
+    """A plate with three actuators whose motion is steady at the end."""
     return scene(damping=DAMPING, window=(0.08, 0.1))
 
 
 def times_of(scene, samples):
-    """The times that the live model looks at."""
+    """Return the times that the motion is fitted to."""
     return last_period(scene, PlateSolver(scene, "cpu").specialized.scheme.time_step, samples)
 
 
-# Motion -----------------------------------------------------------------------------------------------------
-
-
-def test_a_harmonic_motion_is_found_exactly(random, panel):
-    """Of fields A cos ωt − B sin ωt, and of their multiples, the amplitudes A + iB come back."""
+def test_harmonic_motion_is_fitted_exactly(random, panel):
+    """Fields A cos kωt − B sin kωt have the amplitudes A + iB."""
     orders = np.array([1, 3])
     amplitudes = random.normal(size=(2, 4, 5)) + 1j * random.normal(size=(2, 4, 5))
     times = np.array(times_of(panel, 32))
@@ -56,8 +53,8 @@ def test_a_harmonic_motion_is_found_exactly(random, panel):
     assert motion.peak() == pytest.approx(largest, rel=0.02)
 
 
-def test_a_drift_beside_the_motion_is_told_and_left_out(panel):
-    """A low mode that dies out slowly is a straight line over one period."""
+def test_drift_is_residual(panel):
+    """The slow decay of a low mode is a straight line over one period."""
     times = np.array(times_of(panel, 12))
     wave = np.cos(panel.drive_angular_frequency * times)
     run = PlateSolver(panel, "cpu").run(np.ones((1, 3)), times.tolist())
@@ -71,12 +68,9 @@ def test_peak_of_one_order_is_the_largest_amplitude():
     assert SteadyMotion(np.array([1]), np.array([[[3 + 4j, 1.0]]])).peak() == 5
 
 
-# Superposition ----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_any_drive_is_a_plate_that_was_run(precision, scene, phasors):
-    """Motion, localization factor, quadrants: to rounding of a run in float64, whose motion is steady to 1e-4."""
+def test_any_drive_equals_its_run(precision, scene, phasors):
+    """Energies agree to rounding with a run in float64, whose motion is steady to 1e-4."""
     made = scene(damping=DAMPING, window=(0.08, 0.1), precision=precision)
     responses = unit_responses(made, "cpu")
     drive = phasors(1, 3)
@@ -92,8 +86,8 @@ def test_any_drive_is_a_plate_that_was_run(precision, scene, phasors):
     np.testing.assert_allclose(shown, run.displacement[0], rtol=0, atol=1e-4 * np.abs(run.displacement).max())
 
 
-def test_a_motion_that_is_not_steady_is_superposed_exactly(scene, phasors):
-    """Undamped, start-up motion never ends; the part at the drive's frequency is linear in the drives all the same."""
+def test_unsteady_motion_is_superposed_exactly(scene, phasors):
+    """Start-up motion of an undamped plate persists; the part at the drive's frequency is linear in the drives."""
     made = scene(window=(0.004, 0.012))
     responses = unit_responses(made, "cpu")
     drive = phasors(1, 3)
@@ -104,8 +98,8 @@ def test_a_motion_that_is_not_steady_is_superposed_exactly(scene, phasors):
     assert shown.residual > 0.01
 
 
-def test_one_simulation_at_a_time(scene, monkeypatch):
-    """Also of two settings: the last swarm of a search that was ended, and what is shown now."""
+def test_simulations_do_not_overlap(scene, monkeypatch):
+    """Two settings in several threads: the last swarm of an ended search, and the current picture."""
     made = scene(nodes=(9, 9), window=(0.002, 0.004), effects={"stretching": {}})
     both = [simulated_responses(made, "cpu", "streaming") for _ in range(2)]
     real, running, most = PlateSolver.run, [], []
@@ -127,8 +121,7 @@ def test_one_simulation_at_a_time(scene, monkeypatch):
     assert most == [1, 1, 1]
 
 
-def test_quadrants_of_another_target(scene):
-    """The four quarters are summed beside the target, whatever it is, on any device path of the solver."""
+def test_quadrants_are_summed_beside_any_target(scene):
     made = scene(damping=DAMPING, target={"area": (0.05, 0.15, 0.02, 0.2)}, size=(0.2, 0.24))
     alone = PlateSolver(made, "cpu").run(np.ones((1, 3)))
     run = PlateSolver(made, "cpu", areas=quadrants(made.plate.size)).run(np.ones((1, 3)))

@@ -45,7 +45,7 @@ def panel(tmp_path, monkeypatch, scene):
 
 
 def by_name(found):
-    return {switch.name: switch for switch in found.switches}
+    return {switch.name: switch for switch in found.toggles}
 
 
 def numbers(scene, peak=0.0):
@@ -59,7 +59,7 @@ def test_json(command, panel):
     effects = {row["name"]: row for row in answer["effects"]}
     assert list(effects) == ["edges", *Effects.model_fields, "own_frequencies", *DRIVES]
     assert {name for name, row in effects.items() if row["on"]} == {"damping", "stretching"}
-    assert effects.pop("signal")["switched"] == "no typical value is known"
+    assert effects.pop("signal")["alternative"] == "no typical value is known"
     assert all(math.isfinite(row["price"]) for row in effects.values())
     assert answer["bare_step_seconds"] > 0
     assert len(answer["numbers"]) == 5
@@ -108,14 +108,14 @@ def test_fourth_order_says_why_effects_are_refused(scene):
     assert found["damping"].price is not None
     for name in ("edges", "tension", "layers", "stretching"):
         assert found[name].price is None
-        assert "grid.order = 4" in found[name].switched
+        assert "grid.order = 4" in found[name].alternative
 
 
 def test_a_step_too_long_for_the_other_state_is_replaced(scene):
     """Material damping lowers the limit below a step that is just right without it."""
     limit = PlateSolver(scene(), "cpu").specialized.scheme.limit
     switch = by_name(measure_influence(scene(time_step=limit), "cpu"))["material_damping"]
-    assert "with its own step of" in switch.switched
+    assert "with its own time step of" in switch.alternative
     assert switch.steps > 1
 
 
@@ -228,7 +228,7 @@ def test_too_long_a_step_is_told_with_the_cause(command, panel):
 def test_too_strong_a_drive_is_told_with_the_cause_and_its_unit(scene):
     """A linear plate at a stable step: nothing but the drive can do that."""
     for made, unit in ((scene(), "N/m²"), (scene(drive={"frequency": 290.0, "electrostatic": {"gain": 1.0}}), "V")):
-        assert f"drive it otherwise (magnitudes are in {unit}," in warning_texts(made, math.nan)[0]
+        assert f"(magnitudes are in {unit}," in warning_texts(made, math.nan)[0]
 
 
 @pytest.mark.parametrize("name", ["simulate", "localize"])

@@ -1,4 +1,4 @@
-"""What can be switched in a scene: each effect, left out or with a typical value, and what a bare plate is."""
+"""Scenes with one effect left out or added with a typical value, and without any effect."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ from warp_plate.scene.effects import (
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Area, Edges, ElasticEdge, Scene
 
-# Of both kinds of damping, at the drive's frequency: that of plastics and of glued joints is of this order.
+# Loss factor at the drive's frequency of both kinds of damping, typical of plastics and glued joints.
 LOSS_FACTOR = 0.02
-# A film that is glued on as an actuator (polyvinylidene fluoride): m, Pa, kg/m³.
+# A film of polyvinylidene fluoride, glued on as an actuator [m], [Pa], [kg/m³].
 FILM_THICKNESS, FILM_MODULUS, FILM_DENSITY = 110e-6, 2.5e9, 1780.0
-# The tables of the drive; and what a frequency becomes that is to be another one.
-DRIVES = ("burst", "chirp", "signal", "electrostatic")
-OTHER_FREQUENCY = 0.9
+# Tables of the drive, and a second frequency relative to the drive's.
+DRIVES, OTHER_FREQUENCY = ("burst", "chirp", "signal", "electrostatic"), 0.9
 
+# Returns the changed scene and a description of the change.
 Change = Callable[[Scene], tuple[Scene, str]]
 
 
 def names() -> list[str]:
-    """Of all that can be switched."""
+    """Return the names of all effects."""
     return ["edges", *Effects.model_fields, "own_frequencies", *DRIVES]
 
 
 def is_on(scene: Scene, name: str) -> bool:
-    """Whether a scene names an effect or a table of its drive; "edges" are one where a side is free or on springs."""
+    """Return whether a scene names an effect or a table of its drive; "edges" if a side is free or on springs."""
     if name == "edges":
         return any(edge not in ("clamped", "supported") for _, edge in scene.edges)
     if name == "own_frequencies":
@@ -52,48 +52,48 @@ def is_on(scene: Scene, name: str) -> bool:
 
 
 def bare_scene(scene: Scene) -> Scene:
-    """The scene's plate under a tone on its grid, with clamped or supported edges and no effect, at its own step."""
+    """Return the scene without effects: clamped or supported edges, a tone, and a time step that suits them."""
     tables = {"effects": Effects(), "drive": Drive(frequency=scene.drive.frequency)}
     tables["grid"] = scene.grid.model_copy(update={"time_step": None})
-    return _of_one_frequency(_clamped(scene)).model_copy(update=tables)
+    return _with_one_frequency(_clamped(scene)).model_copy(update=tables)
 
 
 def without(name: str) -> Change:
-    """Leaves an effect out."""
+    """Return the change that leaves an effect out."""
     if name == "edges":
-        return lambda scene: (_clamped(scene), "its free and springy edges clamped")
+        return lambda scene: (_clamped(scene), "free and elastic edges clamped")
     if name == "own_frequencies":
-        return lambda scene: (_of_one_frequency(scene), "all of the drive's frequency")
+        return lambda scene: (_with_one_frequency(scene), "all at the drive's frequency")
     empty = None if name in DRIVES else Effects.model_fields[name].default
     return lambda scene: (with_value(scene, name, empty), "left out")
 
 
 def with_value(scene: Scene, name: str, value: object) -> Scene:
-    """With another value of an effect or of a table of the drive, which is not checked."""
+    """Return the scene with another value, which is not checked, of an effect or of a table of the drive."""
     if name in DRIVES:
         return scene.model_copy(update={"drive": scene.drive.model_copy(update={name: value})})
     return scene.model_copy(update={"effects": scene.effects.model_copy(update={name: value})})
 
 
-def _of_one_frequency(scene: Scene) -> Scene:
-    actuators = tuple(one.model_copy(update={"frequency": None}) for one in scene.actuators)
+def _with_one_frequency(scene: Scene) -> Scene:
+    actuators = tuple(actuator.model_copy(update={"frequency": None}) for actuator in scene.actuators)
     return scene.model_copy(update={"actuators": actuators})
 
 
 def _clamped(scene: Scene) -> Scene:
-    held = {side: edge if edge in ("clamped", "supported") else "clamped" for side, edge in scene.edges}
-    return scene.model_copy(update={"edges": Edges.model_validate(held)})
+    edges = {side: edge if edge in ("clamped", "supported") else "clamped" for side, edge in scene.edges}
+    return scene.model_copy(update={"edges": Edges.model_validate(edges)})
 
 
 def rigidity(scene: Scene) -> float:
-    """EH³/12(1 − ν²) [N·m] of the plate as such."""
+    """Return the bending rigidity EH³/12(1 − ν²) [N·m] of the isotropic plate."""
     plate = scene.plate
     return plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
 
 
 def _springs(scene: Scene) -> tuple[Scene, str]:
-    side, stiff = min(scene.plate.size), rigidity(scene)
-    edge = ElasticEdge(translation=1000 * stiff / side**3, rotation=10 * stiff / side)
+    side, bending = min(scene.plate.size), rigidity(scene)
+    edge = ElasticEdge(translation=1000 * bending / side**3, rotation=10 * bending / side)
     edges = Edges(left=edge, bottom=edge, right=edge, top=edge)
     text = f"all edges on springs of {edge.translation:.2g} N/m² and {edge.rotation:.2g} N"
     return scene.model_copy(update={"edges": edges}), text + " (1000 D/L³ and 10 D/L)"
@@ -111,9 +111,9 @@ def _material_damping(scene: Scene) -> tuple[Scene, str]:
 
 
 def _tension(scene: Scene) -> tuple[Scene, str]:
-    pull = 0.1 * math.pi**2 * rigidity(scene) / min(scene.plate.size) ** 2
-    text = f"{pull:.2g} N/m along x and y (a tenth of π²D/L², which would buckle a supported strip if it pressed)"
-    return with_value(scene, "tension", Tension(x=pull, y=pull)), text
+    tension = 0.1 * math.pi**2 * rigidity(scene) / min(scene.plate.size) ** 2
+    text = f"{tension:.2g} N/m along x and y (a tenth of π²D/L², the buckling load of a supported strip)"
+    return with_value(scene, "tension", Tension(x=tension, y=tension)), text
 
 
 def _foundation(scene: Scene) -> tuple[Scene, str]:
@@ -121,9 +121,9 @@ def _foundation(scene: Scene) -> tuple[Scene, str]:
 
 
 def _orthotropic(scene: Scene) -> tuple[Scene, str]:
-    stiff, ratio = rigidity(scene), scene.plate.poisson_ratio
-    table = Orthotropic(Dx=1.1 * stiff, Dy=stiff, D1=ratio * stiff, Dxy=(1 - ratio) / 2 * stiff)
-    return with_value(scene, "orthotropic", table), "Dx a tenth above the isotropic plate's"
+    bending, ratio = rigidity(scene), scene.plate.poisson_ratio
+    table = Orthotropic(Dx=1.1 * bending, Dy=bending, D1=ratio * bending, Dxy=(1 - ratio) / 2 * bending)
+    return with_value(scene, "orthotropic", table), "Dx a tenth above that of the isotropic plate"
 
 
 def _variation(scene: Scene) -> tuple[Scene, str]:
@@ -132,10 +132,10 @@ def _variation(scene: Scene) -> tuple[Scene, str]:
 
 
 def film(scene: Scene) -> tuple[Layer, ...]:
-    """A piezoelectric film on one face under each actuator."""
+    """Return a piezoelectric film on one face under each actuator."""
     return tuple(
-        Layer(area=one.area, thickness=FILM_THICKNESS, young_modulus=FILM_MODULUS, density=FILM_DENSITY)
-        for one in scene.actuators
+        Layer(area=actuator.area, thickness=FILM_THICKNESS, young_modulus=FILM_MODULUS, density=FILM_DENSITY)
+        for actuator in scene.actuators
     )
 
 
@@ -149,12 +149,12 @@ def _oscillators(scene: Scene) -> tuple[Scene, str]:
     half = min(5e-3, (x1 - x0) / 2, (y1 - y0) / 2)
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
     finger = Oscillator(area=(x - half, x + half, y - half, y + half), mass=5e-3, stiffness=500.0, damping=2.0)
-    text = "a fingertip in the target's middle: 5 g, 500 N/m, 2 N·s/m (orders of magnitude of a light touch)"
+    text = "a fingertip in the middle of the target: 5 g, 500 N/m, 2 N·s/m (orders of magnitude of a light touch)"
     return with_value(scene, "oscillators", (finger,)), text
 
 
 def _middle_of_target(scene: Scene) -> Area:
-    """A square of at most a quarter of the target's area around its centre of area, on the plate."""
+    """Return a square of at most a quarter of the target's area around its centroid, on the plate."""
     weights = region_weights(scene)[REGIONS.index("target")]
     (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
     x = float(weights.sum(axis=0) @ np.linspace(0, width, nx) / weights.sum())
@@ -180,7 +180,7 @@ def _own_frequencies(scene: Scene) -> tuple[Scene, str]:
 
 def _burst(scene: Scene) -> tuple[Scene, str]:
     end, ramp = scene.window.end, scene.window.end / 10
-    return with_value(scene, "burst", Burst(duration=end, ramp=ramp)), f"over the whole run, ramps of {ramp:.2g} s"
+    return with_value(scene, "burst", Burst(duration=end, ramp=ramp)), f"over the whole run, with ramps of {ramp:.2g} s"
 
 
 def _chirp(scene: Scene) -> tuple[Scene, str]:
@@ -192,7 +192,7 @@ def _chirp(scene: Scene) -> tuple[Scene, str]:
 def _electrostatic(scene: Scene) -> tuple[Scene, str]:
     bias = max(abs(actuator.magnitude) for actuator in scene.actuators) or 1.0
     table = Electrostatic(bias=bias, gain=1 / (2 * bias))
-    return with_value(scene, "electrostatic", table), f"bias of {bias:.3g}, as large as the voltage; the tone as it is"
+    return with_value(scene, "electrostatic", table), f"bias of {bias:.3g}, as large as the voltage, with the same tone"
 
 
 TYPICAL_CHANGES: dict[str, Change] = {

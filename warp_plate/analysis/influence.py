@@ -1,4 +1,4 @@
-"""What each effect costs and changes in a scene."""
+"""Measured cost of each effect, and its influence on the result of a scene."""
 
 from __future__ import annotations
 
@@ -18,124 +18,115 @@ from warp_plate.scene.model import Scene
 from warp_plate.solve.peak import peak_of, sample_times
 from warp_plate.solve.solver import PlateSolver
 
-# The name of the bare plate among the timed ones.
-BARE = "bare"
-# Rounds in which all runs are timed in turn, so that a disturbance of the machine meets all alike.
+# Rounds in which all scenes are timed in turn, so that a disturbance affects all alike.
 ROUNDS = 7
-# Plates and node-steps of a timed run: a plate a thread on CPU, and on CUDA enough to fill it.
-CUDA_PLATES = 256
-TIMED_NODE_STEPS = {"cpu": 3e7, "cuda": 2e9}
-
-Told = Callable[[int, int, str], object]
+# Plates of a timed run on CUDA, on CPU one for each thread; node-steps of a timed run.
+CUDA_PLATES, TIMED_NODE_STEPS = 256, {"cpu": 3e7, "cuda": 2e9}
 
 
 @dataclass(frozen=True)
 class EffectToggle:
-    """One effect, and what switching it does.
+    """An effect, and the result of switching it off or on; None where the alternative is refused."""
 
-    on: whether the scene names it; price: what it adds to a step of a plate, in % of a step of the bare plate
-    (clamped or supported edges and no effects); spread: median distance of the timed rounds from it; steps: how many
-    times as many steps the plate takes with it as without; localization_factor, peak (largest displacement seen over
-    the run [m]): with it switched to the other state. All five are None where the other state is refused.
-    switched: what the other state is, or why it is refused.
-    """
-
-    name: str
-    on: bool
-    price: float | None
-    spread: float | None
-    steps: float | None
-    localization_factor: float | None
-    peak: float | None
-    switched: str
+    name: str  # key of the effect
+    on: bool  # True if the scene names the effect
+    price: float | None  # time that it adds to a step, in % of a step of the bare plate
+    deviation: float | None  # median absolute deviation of the price between rounds
+    steps: float | None  # factor by which it changes the number of steps
+    localization_factor: float | None  # localization factor of the alternative
+    peak: float | None  # largest displacement of the alternative during the run [m]
+    alternative: str  # description of the alternative, or why it is refused
 
 
 @dataclass(frozen=True)
 class Influence:
-    """localization_factor, peak [m]: of the scene as it is; bare_step: seconds a step of one bare plate; switches."""
+    """The results of a scene and of its alternatives."""
 
-    localization_factor: float
-    peak: float
-    bare_step: float
-    switches: tuple[EffectToggle, ...]
+    localization_factor: float  # localization factor of the scene
+    peak: float  # largest displacement during the run [m]
+    bare_step: float  # time of a step of a plate without effects, with clamped or supported edges [s]
+    toggles: tuple[EffectToggle, ...]  # one for each effect
 
 
-def measure_influence(scene: Scene, device: str = "auto", told: Told | None = None) -> Influence:
-    """Every effect on or off, its measured price, and the scene's own drive with it switched to the other state.
+def measure_influence(
+    scene: Scene, device: str = "auto", on_progress: Callable[[int, int, str], object] | None = None
+) -> Influence:
+    """Switch each effect off or on, and measure its cost and the results under the scene's own drive.
+
+    An effect that is off gets a typical value. If the scene's time step is too long for the alternative, the
+    alternative takes its own time step. Both are stated in ``EffectToggle.alternative``.
 
     Args:
-        scene: with a grid, not an accuracy.
-        told: called with (effects done, effects in all, name of the next).
-
-    An effect that is off gets a typical value, which ``EffectToggle.switched`` states. Where a time step that the scene
-    gives is too long for the other state, that state takes its own step and says so.
+        scene: A scene with a grid.
+        device: Device of all runs.
+        on_progress: Called with the number of finished effects, of all effects, and the name of the next.
 
     Raises:
         SceneError: see :class:`PlateSolver`.
     """
     effects = names()
-    solvers = {"": PlateSolver(scene, device)}
+    base = PlateSolver(scene, device)
     others: dict[str, tuple[PlateSolver | None, str]] = {}
     for index, name in enumerate(effects):
-        if told is not None:
-            told(index, len(effects), name)
-        others[name] = _other(scene, name, device)
-    solvers |= {name: solver for name, (solver, _) in others.items() if solver is not None}
-    found = {name: _run(solver) for name, solver in solvers.items()}
-    seconds = seconds_a_step({**solvers, BARE: PlateSolver(bare_scene(scene), device)}, device)
-    bare_step = float(np.median(seconds[BARE]))
-    made = []
-    for name in effects:
-        solver, text = others[name]
+        if on_progress is not None:
+            on_progress(index, len(effects), name)
+        others[name] = _alternative(scene, name, device)
+    solvers = {"": base} | {name: solver for name, (solver, _) in others.items() if solver is not None}
+    results = {name: _run(solver) for name, solver in solvers.items()}
+    seconds = seconds_a_step({**solvers, "bare": PlateSolver(bare_scene(scene), device)}, device, ROUNDS)
+    bare_step = float(np.median(seconds["bare"]))
+    toggles = []
+    for name, (solver, text) in others.items():
         on = is_on(scene, name)
         if solver is None:
-            made.append(EffectToggle(name, on, None, None, None, None, None, text))
+            toggles.append(EffectToggle(name, on, None, None, None, None, None, text))
             continue
         sign = 1 if on else -1
         prices = 100 * sign * (seconds[""] - seconds[name]) / bare_step
         price = float(np.median(prices))
-        spread = float(np.median(np.abs(prices - price)))
-        ratio = solvers[""].specialized.scheme.steps / solver.specialized.scheme.steps
-        made.append(EffectToggle(name, on, price, spread, ratio**sign, *found[name], text))
-    if told is not None:
-        told(len(effects), len(effects), "")
-    return Influence(*found[""], bare_step, tuple(made))
+        deviation = float(np.median(np.abs(prices - price)))
+        ratio = base.specialized.scheme.steps / solver.specialized.scheme.steps
+        toggles.append(EffectToggle(name, on, price, deviation, ratio**sign, *results[name], text))
+    if on_progress is not None:
+        on_progress(len(effects), len(effects), "")
+    return Influence(*results[""], bare_step, tuple(toggles))
 
 
-def _other(scene: Scene, name: str, device: str) -> tuple[PlateSolver | None, str]:
-    """The scene with one effect in the other state and what that is; or None and why it is refused."""
-    on = is_on(scene, name)
-    change = without(name) if on else TYPICAL_CHANGES.get(name)
+def _alternative(scene: Scene, name: str, device: str) -> tuple[PlateSolver | None, str]:
+    """Return the scene with one effect switched, and its description; or None and why it is refused."""
+    change = without(name) if is_on(scene, name) else TYPICAL_CHANGES.get(name)
     if change is None:
         return None, "no typical value is known"
     try:
         other, text = change(scene)
-    except SceneError as refusal:
-        return None, f"refused: {refusal}"
+    except SceneError as error:
+        return None, f"refused: {error}"
     try:
         return PlateSolver(other.with_tables(), device), text
-    except SceneError as refusal:
-        free = other.model_copy(update={"grid": other.grid.model_copy(update={"time_step": None})})
+    except SceneError as error:
         if other.grid.time_step is None:
-            return None, f"refused ({text}): {refusal}"
-        try:
-            solver = PlateSolver(free, device)
-        except SceneError as still:
-            return None, f"refused ({text}): {still}"
-        return solver, f"{text}; with its own step of {solver.specialized.scheme.time_step:.2g} s"
+            return None, f"refused ({text}): {error}"
+    grid = other.grid.model_copy(update={"time_step": None})
+    try:
+        solver = PlateSolver(other.model_copy(update={"grid": grid}), device)
+    except SceneError as error:
+        return None, f"refused ({text}): {error}"
+    return solver, f"{text}; with its own time step of {solver.specialized.scheme.time_step:.2g} s"
 
 
 def _run(solver: PlateSolver) -> tuple[float, float]:
-    """Localization factor under the scene's own drive, and the peak displacement [m]."""
+    """Return the localization factor under the scene's own drive, and the peak displacement [m]."""
     scene = solver.scene
     run = solver.run(scene_phasors(scene)[None], sample_times(scene))
     return float(localization_factor(run.energy)[0]), peak_of(run.displacement)
 
 
-def seconds_a_step(solvers: Mapping[str, PlateSolver], device: str, rounds: int = ROUNDS) -> dict[str, np.ndarray]:
-    """(rounds,) seconds of a step of one plate for each solver by name; all have one grid.
+def seconds_a_step(
+    solvers: Mapping[str, PlateSolver], device: str, rounds: int = ROUNDS
+) -> dict[str, np.ndarray]:
+    """Return (rounds,) times of a step of one plate [s] for each solver; all solvers have the same grid.
 
-    Runs are shortened and warm, in turn, and a run ends only when its energies have come back from the device.
+    Runs are shortened, warmed up and timed in turn, until their energies have come back from the device.
     """
     first = next(iter(solvers.values()))
     kind = "cuda" if first.device.is_cuda else "cpu"
@@ -144,25 +135,27 @@ def seconds_a_step(solvers: Mapping[str, PlateSolver], device: str, rounds: int 
     plates = max(1, min(plates, int(TIMED_NODE_STEPS[kind] / nodes / 20)))
     steps = max(20, TIMED_NODE_STEPS[kind] / nodes / plates)
     timed = {name: PlateSolver(_shortened(solver, steps), device) for name, solver in solvers.items()}
-    drives = np.ones((plates, len(first.scene.actuators)), dtype=complex)
+    phasors = np.ones((plates, len(first.scene.actuators)), dtype=complex)
     seconds: dict[str, list[float]] = {name: [] for name in timed}
-    for turn in range(rounds + 1):  # the first one warms up
+    for number in range(rounds + 1):  # the first round warms up
         for name, solver in timed.items():
             started = time.perf_counter()
-            solver.run(drives)
-            if turn:
+            solver.run(phasors)
+            if number:
                 taken = time.perf_counter() - started
                 seconds[name].append(taken / plates / solver.specialized.scheme.steps)
-    return {name: np.array(taken) for name, taken in seconds.items()}
+    return {name: np.array(times) for name, times in seconds.items()}
 
 
 def _shortened(solver: PlateSolver, steps: float) -> Scene:
-    """Its scene with the same step, cut to so many steps where it has more; what comes later acts at once."""
+    """Return the solver's scene cut to at most this number of steps, with all loads acting from the start."""
     scene, step = solver.scene, solver.specialized.scheme.time_step
     end = min(solver.specialized.scheme.steps, int(steps)) * step
-    grid = scene.grid.model_copy(update={"time_step": step})
-    window = scene.window.model_copy(update={"start": 0.0, "end": end})
     if scene.effects.moving_load is not None:
         middle = (scene.plate.size[0] / 2, scene.plate.size[1] / 2)
         scene = with_value(scene, "moving_load", MovingLoad(force=1.0, start=middle))
-    return with_value(scene, "burst", None).model_copy(update={"grid": grid, "window": window})
+    update = {
+        "grid": scene.grid.model_copy(update={"time_step": step}),
+        "window": scene.window.model_copy(update={"start": 0.0, "end": end}),
+    }
+    return with_value(scene, "burst", None).model_copy(update=update)

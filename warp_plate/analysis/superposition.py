@@ -1,7 +1,7 @@
-"""A plate's motion and energies under any drive, at once, from the responses to unit drives.
+"""Motion and energies of a plate under any drive.
 
-Where displacements are linear in the drives, 2M runs hold them all: with z as in ``solve.response``, the steady motion
-is Σ z_a · (motion under unit a), and energies are zᵀ matrix z. Where they are not, each drive is simulated.
+If displacements are linear in the drives, 2M runs suffice: with z as in ``solve.response``, the steady motion is
+Σ z_a · (motion under unit drive a), and energies are zᵀ matrix z. Otherwise each drive is simulated.
 """
 
 from __future__ import annotations
@@ -15,47 +15,43 @@ import numpy as np
 from warp_plate.optimize.quadratic import real_parts
 from warp_plate.result.live import DriveResponse, SteadyMotion, quadrants
 from warp_plate.scene.model import Scene
-from warp_plate.solve.response import Response, measure_response, unit_drives
+from warp_plate.solve.response import Response, in_float64, measure_response, unit_drives
 from warp_plate.solve.run import Run
 from warp_plate.solve.solver import PlateSolver, Progress
 
-# Displacements from which the motion is taken, and multiples of the drive's frequency: a linear plate moves at that
-# frequency alone, one that stretches at its multiples as well.
+# Displacements that a motion is fitted to, and multiples of the drive's frequency in it: a linear plate moves at that
+# frequency alone, a plate that stretches also at its multiples.
 LINEAR_SAMPLES, LINEAR_ORDERS = 12, np.arange(1, 2)
 SAMPLES, ORDERS = 32, np.arange(1, 6)
-# A search asks beside whoever draws, and an ended one may still be at its last swarm under other settings; but a solver
-# has one state, and all solvers on a device queue on the same stream, of which graphs are captured.
-_ONE_AT_A_TIME = threading.Lock()
+# A search runs beside the drawing thread, and a search that was ended may still finish a swarm under other settings.
+# Solvers have one state, and all solvers of a device share the stream whose graphs are captured.
+_SIMULATION = threading.Lock()
 
 
 @dataclass(frozen=True)
 class UnitResponses:
-    """Responses to 2M unit drives, 1 on each actuator alone and then −i on each.
+    """Responses to 2M unit drives: 1 on each actuator alone, then −i on each."""
 
-    scene: the one simulated; response: Gram matrices of ``regions``; amplitudes: (2M, ny, nx) complex [m per N/m²];
-    residual: see :class:`SteadyMotion`, the largest of the units.
-    """
+    scene: Scene  # scene
+    response: Response  # Gram matrices of the regions
+    regions: tuple[str, ...]  # names of the regions
+    amplitudes: np.ndarray  # (2M, ny, nx) complex displacements [m per N/m²]
+    residual: float  # largest ``SteadyMotion.residual`` of the unit drives
+    bound: float  # largest localization factor of any drive
+    best_drive: np.ndarray  # (actuators,) phasors of the drive that reaches it [N/m²]
 
-    scene: Scene
-    response: Response
-    regions: tuple[str, ...]
-    amplitudes: np.ndarray
-    residual: float
-    bound: float
-    best_drive: np.ndarray
+    def energies(self, phasors: np.ndarray) -> np.ndarray:
+        """Return (plates, regions) energies [J] of phasors (plates, actuators)."""
+        return self.response.energy(phasors)
 
-    def energies(self, drives: np.ndarray) -> np.ndarray:
-        """(plates, regions) energies [J] of drives (plates, actuators)."""
-        return self.response.energy(drives)
-
-    def read(self, drive: np.ndarray) -> DriveResponse:
-        """The plate under one drive (actuators,) [N/m²]."""
-        amplitude = np.tensordot(real_parts(drive[None])[0], self.amplitudes, 1)
+    def read(self, phasors: np.ndarray) -> DriveResponse:
+        """Return the response to one drive (actuators,) [N/m²]."""
+        amplitude = np.tensordot(real_parts(phasors[None])[0], self.amplitudes, 1)
         return DriveResponse(
             scene=self.scene,
-            phasors=drive,
+            phasors=phasors,
             motion=SteadyMotion(LINEAR_ORDERS, amplitude[None], self.residual),
-            energy=dict(zip(self.regions, self.energies(drive[None])[0].tolist(), strict=True)),
+            energy=dict(zip(self.regions, self.energies(phasors[None])[0].tolist(), strict=True)),
             bound=self.bound if math.isfinite(self.bound) else None,
         )
 
@@ -63,14 +59,12 @@ class UnitResponses:
 def unit_responses(
     scene: Scene, device: str = "auto", path: str = "auto", progress: Progress | None = None
 ) -> UnitResponses:
-    """Simulate the unit drives, in float64, for small differences of energies count.
+    """Simulate the unit drives, in float64 because small differences of energies matter.
 
     Raises:
         SceneError: see :class:`PlateSolver`.
     """
-    grid = scene.grid.model_copy(update={"precision": "float64"})
-    exact = scene.model_copy(update={"grid": grid})
-    solver = live_solver(exact, device, path)
+    solver = live_solver(in_float64(scene), device, path)
     response = measure_response(solver, progress)
     units = unit_drives(len(scene.actuators))[: 2 * len(scene.actuators)]
     times = last_period(scene, solver.specialized.scheme.time_step, LINEAR_SAMPLES)
@@ -88,43 +82,42 @@ def unit_responses(
 
 @dataclass(frozen=True)
 class SimulatedResponses:
-    """The same for a scene that is not linear in its drives: each is a run of its own, and no bound is claimed."""
+    """Responses of a scene that is not linear in its drives; each is a run, and no bound is known."""
 
-    scene: Scene
-    solver: PlateSolver
+    scene: Scene  # scene
+    solver: PlateSolver  # its solver
 
-    def energies(self, drives: np.ndarray) -> np.ndarray:
-        """(plates, regions) energies [J] of drives (plates, actuators)."""
-        with _ONE_AT_A_TIME:
-            return self.solver.run(drives).energy
+    def energies(self, phasors: np.ndarray) -> np.ndarray:
+        """Return (plates, regions) energies [J] of phasors (plates, actuators)."""
+        with _SIMULATION:
+            return self.solver.run(phasors).energy
 
-    def read(self, drive: np.ndarray) -> DriveResponse:
-        """The plate under one drive (actuators,) [N/m²]."""
+    def read(self, phasors: np.ndarray) -> DriveResponse:
+        """Return the response to one drive (actuators,) [N/m²]."""
         times = last_period(self.scene, self.solver.specialized.scheme.time_step, SAMPLES)
-        with _ONE_AT_A_TIME:
-            run = self.solver.run(drive[None], times)
+        with _SIMULATION:
+            run = self.solver.run(phasors[None], times)
         energy = dict(zip(run.regions, run.energy[0].tolist(), strict=True))
-        return DriveResponse(self.scene, drive, motions_of(run, self.scene, ORDERS)[0], energy, None)
+        return DriveResponse(self.scene, phasors, motions_of(run, self.scene, ORDERS)[0], energy, None)
 
 
 def simulated_responses(scene: Scene, device: str, path: str) -> SimulatedResponses:
-    """What simulates a scene drive by drive.
+    """Return an object that simulates a scene drive by drive.
 
     Raises:
         SceneError: see :class:`PlateSolver`.
     """
-    with _ONE_AT_A_TIME:
+    with _SIMULATION:
         return SimulatedResponses(scene, live_solver(scene, device, path))
 
 
 def live_solver(scene: Scene, device: str, path: str) -> PlateSolver:
-    """One that sums the energy of the plate's quadrants too."""
+    """Return a solver that also sums the energies of the plate's quadrants."""
     return PlateSolver(scene, device, path, areas=quadrants(scene.plate.size))
 
 
 def last_period(scene: Scene, time_step: float, samples: int) -> list[float]:
-    """Times [s] spread evenly over the last period of the drive in the run, or over so many steps where these last
-    longer."""
+    """Return times [s] spread evenly over the last period of the drive, at least a time step apart if possible."""
     end = math.floor(scene.window.end / time_step) * time_step
     span = min(max(1 / scene.drive.frequency, samples * time_step), end)
     times: list[float] = (end - span * np.arange(samples) / samples).tolist()
@@ -132,20 +125,20 @@ def last_period(scene: Scene, time_step: float, samples: int) -> list[float]:
 
 
 def motions_of(run: Run, scene: Scene, orders: np.ndarray) -> list[SteadyMotion]:
-    """The motion of each plate of a run at these multiples of the drive's frequency, by least squares over its times.
+    """Fit the motion of each plate of a run at these multiples of the drive's frequency, by least squares.
 
-    What drifts meanwhile, a low mode that dies out slowly, is fitted beside it by a straight line in time.
+    A straight line in time is fitted besides, which takes up the slow decay of low modes.
     """
     angles = scene.drive_angular_frequency * np.outer(run.times, orders)
     drift = np.stack([np.ones(run.times.size), run.times / run.times.max() - 1], axis=1)
     columns = np.concatenate([np.cos(angles), -np.sin(angles), drift], axis=1)
     fields = run.displacement
     parts = np.tensordot(np.linalg.pinv(columns), fields, (1, 1)).swapaxes(0, 1)[:, : 2 * orders.size]
-    left = fields - np.tensordot(columns[:, : 2 * orders.size], parts, (1, 1)).swapaxes(0, 1)
-    whole, rest = ((field**2).sum(axis=(1, 2, 3)) for field in (fields, left))
-    residual = np.sqrt(rest / np.where(whole > 0, whole, 1))
+    rest = fields - np.tensordot(columns[:, : 2 * orders.size], parts, (1, 1)).swapaxes(0, 1)
+    all_squares, rest_squares = ((field**2).sum(axis=(1, 2, 3)) for field in (fields, rest))
+    residuals = np.sqrt(rest_squares / np.where(all_squares > 0, all_squares, 1))
     real, imaginary = np.split(parts, 2, axis=1)  # (plates, orders, ny, nx)
     return [
-        SteadyMotion(orders, amplitudes, float(share))
-        for amplitudes, share in zip(real + 1j * imaginary, residual, strict=True)
+        SteadyMotion(orders, amplitudes, float(residual))
+        for amplitudes, residual in zip(real + 1j * imaginary, residuals, strict=True)
     ]

@@ -39,7 +39,7 @@ def effects(
                 "localization_factor": found.localization_factor,
                 "peak_displacement": found.peak,
                 "bare_step_seconds": found.bare_step,
-                "effects": [asdict(switch) for switch in found.switches],
+                "effects": [asdict(switch) for switch in found.toggles],
                 "numbers": [asdict(finding) for finding in findings],
                 "warnings": [finding.sentence for finding in findings if finding.exceeded],
             }
@@ -53,7 +53,7 @@ def _print(name: str, scene: Scene, found: Influence, findings: list[Finding]) -
     console.print(f"{scene.title or name}\n")
     made = output.table("effect", "now", "price of a step", "steps", "factor", "largest displacement (m)")
     made.add_row("the scene as it is", "", "", "", f"{found.localization_factor:.4f}", f"{found.peak:.3g}")
-    for switch in found.switches:
+    for switch in found.toggles:
         made.add_row(*_row(switch))
     console.print(made)
     console.print(
@@ -61,8 +61,8 @@ def _print(name: str, scene: Scene, found: Influence, findings: list[Finding]) -
         "measured. Steps: factor by which it changes the number of steps. Factor (localization) and displacement: with "
         "the effect switched over, under the scene's own drive:\n"
     )
-    for switch in found.switches:
-        console.print(f"{'without' if switch.on else 'with'} {_words(switch.name)}: {switch.switched}")
+    for switch in found.toggles:
+        console.print(f"{'without' if switch.on else 'with'} {_words(switch.name)}: {switch.alternative}")
     console.print()
     for finding in findings:
         console.print(f"{'! ' if finding.exceeded else '  '}{finding.sentence}")
@@ -74,7 +74,7 @@ def _row(switch: EffectToggle) -> list[str]:
         return [*start, "refused", "", "", ""]
     return [
         *start,
-        f"{switch.price:+.0f} ± {switch.spread:.0f} %",
+        f"{switch.price:+.0f} ± {switch.deviation:.0f} %",
         f"× {switch.steps:.3g}",
         f"{switch.localization_factor:.4f}",
         f"{switch.peak:.3g}",
