@@ -58,7 +58,8 @@ def test_frequencies_are_those_of_the_grid():
 def test_the_amplitude_up_to_which_stretching_is_stable(device, path):
     """Well below it a plate stays bounded; far above it grows, and its neighbours are not affected."""
     scene = scene_of(edges=("supported",) * 4, effects={"stretching": {}}, window=(0.0, 0.02), frequency=37.0)
-    solver, amplitude = PlateSolver(scene, device, path), check(scene, device).stretching_amplitude * scene.plate.thickness
+    solver = PlateSolver(scene, device, path)
+    amplitude = check(scene, device).stretching_amplitude * scene.plate.thickness
     drives = np.ones((3, 3))
     reach = np.abs(solver.run(1e-3 * drives, (0.005,)).displacement).max(axis=(1, 2, 3))[0]
     drives *= 1e-3 * 0.2 * amplitude / reach
