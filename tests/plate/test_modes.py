@@ -1,4 +1,4 @@
-"""Natural modes and static deflections of the discretised plate: published ones, Ritz's, and what the kernels do."""
+"""Natural modes and static deflections of the discretized plate: published, by Ritz's method, and of the kernels."""
 
 import csv
 import math
@@ -9,7 +9,6 @@ import pytest
 import scipy.sparse.linalg
 
 from warp_plate import PlateSolver, SceneError
-from warp_plate.plate import modes
 from warp_plate.plate.bending import make_bending, mass_matrix, oscillator_shares, system
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
@@ -30,80 +29,58 @@ def springs(translation, rotation):
     return {"translation": translation, "rotation": rotation}
 
 
+# Edges, and Poisson's ratio.
 SPRUNG = {
-    "unlike": ("free", springs(300.0, 0.0), springs(0.0, 0.1), springs(50.0, 1.0)),
-    "with held sides": (springs(1e3, 0.05), "clamped", "supported", springs(20.0, 0.0)),
-    "all alike": (springs(1e3, 0.05),) * 4,
-    "opposite": (springs(100.0, 0.3), "free", springs(100.0, 0.3), "free"),
-    "stiff": (springs(3e5, 30.0),) * 4,
-    "one rigid motion": (springs(0.0, 0.3), "supported", "free", "free"),
-    "held against turning": (springs(0.0, 1.0), springs(0.0, 1.0), "free", "free"),
-    "no springs": ("clamped", "free", "supported", "free"),
-    "cantilever": ("free", "free", "free", "clamped"),
-    "free": ("free",) * 4,
+    "unlike": (("free", springs(300.0, 0.0), springs(0.0, 0.1), springs(50.0, 1.0)), 0.45),
+    "with held sides": ((springs(1e3, 0.05), "clamped", "supported", springs(20.0, 0.0)), 0.1),
+    "opposite": ((springs(100.0, 0.3), "free", springs(100.0, 0.3), "free"), 0.45),
+    "one rigid motion": ((springs(0.0, 0.3), "supported", "free", "free"), 0.1),
+    "cantilever": (("free", "free", "free", "clamped"), 0.45),
+    "free": (("free",) * 4, 0.1),
 }
 
 
-def rows_of(name):
-    """The rows of a table in the data folder, without its comments and its head."""
+def table_rows(name):
     with open(DATA / name, encoding="utf-8") as lines:
         return list(csv.reader(line for line in lines if not line.startswith("#")))[1:]
 
 
 def with_ratio(scene, ratio):
-    """The scene with another Poisson's ratio."""
     return scene.model_copy(update={"plate": scene.plate.model_copy(update={"poisson_ratio": ratio})})
 
 
 def order_between(coarse, fine, cells):
-    """Powers of the spacing with which errors fall between two grids of so many cells."""
+    """Return the powers of the spacing with which errors fall between two grids."""
     return np.log(np.asarray(coarse) / fine) / np.log(cells[1] / cells[0])
 
 
-PUBLISHED = [(row[0], row[1:]) for row in rows_of("modes_square_plate.csv")]
-
-
-@pytest.mark.parametrize(("held", "published"), PUBLISHED)
+@pytest.mark.parametrize(("held", "published"), [(row[0], row[1:]) for row in table_rows("modes_square_plate.csv")])
 def test_published_frequencies(scene, held, published):
-    """All rows of the table: within 0.6 % with 51 × 51 nodes, and of second order between 27 and 51; rigid motions come
-    out as 0. The fifth of CCCC, three half-waves between clamped sides, is off by 0.606 % in second order, which is
-    what these differences have there; with so many nodes it takes the fourth, see the next test."""
+    """Within 0.6 % with 51 × 51 nodes, of second order, rigid motions at 0; of fourth order without free sides.
+
+    The fifth of CCCC, three half-waves between clamped sides, is off by 0.606 % in second order.
+    """
     sides, rigid = held[:4], int(held.split("_")[2]) if "_" in held else 0
-    errors = []
-    for nodes in (27, 51):
-        made = with_ratio(scene((nodes, nodes), (SIDE, SIDE), [NAMES[side] for side in sides]), 0.3)
+    published, edges, errors = np.array(published, dtype=float), [NAMES[side] for side in sides], []
+    for nodes, order in ((27, 2), (51, 2), *([] if "F" in sides else [(27, 4)])):
+        made = with_ratio(scene((nodes, nodes), (SIDE, SIDE), edges, order=order), 0.3)
         found = natural_modes(made, 6 + rigid).frequencies * 2 * math.pi * SIDE**2 / make_scheme(made).kappa
         assert found.size == 6 + rigid
         assert (found[:rigid] == 0).all()
         assert (found[rigid:] > 0).all()
-        errors.append(np.abs(found[rigid:] / np.array(published, dtype=float) - 1))
+        errors.append(np.abs(found[rigid:] / published - 1))
     assert errors[1].max() < (0.0061 if sides == "CCCC" else 0.006)
-    np.testing.assert_allclose(order_between(*errors, (26, 50)), 2, atol=0.06)
+    np.testing.assert_allclose(order_between(*errors[:2], (26, 50)), 2, atol=0.06)
+    assert all(error.max() < 3.5e-4 for error in errors[2:])
 
 
-@pytest.mark.parametrize(("held", "published"), [row for row in PUBLISHED if "F" not in row[0]])
-def test_published_frequencies_by_fourth_order(scene, held, published):
-    """All rows without free sides, CCCC too: within 0.035 % with 27 × 27 nodes and 0.003 % with 51 × 51."""
-    errors = []
-    for nodes in (27, 51):
-        made = with_ratio(scene((nodes, nodes), (SIDE, SIDE), [NAMES[side] for side in held], order=4), 0.3)
-        found = natural_modes(made, 6).frequencies * 2 * math.pi * SIDE**2 / make_scheme(made).kappa
-        errors.append(np.abs(found / np.array(published, dtype=float) - 1).max())
-    assert errors[0] < 3.5e-4
-    assert errors[1] < 3e-5
-
-
-@pytest.mark.parametrize("ratio", [0.1, 0.45])
 @pytest.mark.parametrize("name", SPRUNG)
-def test_frequencies_of_other_plates_by_ritz(scene, name, ratio):
-    """A rectangle with cells that are not square, other Poisson's ratios, and edges on springs between the limits: six
-    frequencies against Ritz's method, which knows no grid, within 0.7 % and of second order."""
-    errors = []
+def test_frequencies_of_other_plates_by_ritz(scene, name):
+    """Oblong cells, other Poisson's ratios, and edges on springs: within 0.7 % and of second order."""
+    (edges, ratio), errors = SPRUNG[name], []
+    exact = solve_modes(thin_plate(with_ratio(scene((9, 9), (0.26, 0.2), edges), ratio)), 26)
     for nodes in ((27, 23), (53, 45)):
-        made = with_ratio(scene(nodes, (0.26, 0.2), SPRUNG[name]), ratio)
-        if not errors:
-            exact = solve_modes(thin_plate(made), 26)
-        found = natural_modes(made, 6 + exact.rigid).frequencies
+        found = natural_modes(with_ratio(scene(nodes, (0.26, 0.2), edges), ratio), 6 + exact.rigid).frequencies
         assert (found[: exact.rigid] == 0).all()
         right = exact.angular_frequencies[exact.rigid : exact.rigid + 6] / (2 * math.pi)
         errors.append(np.abs(found[exact.rigid :] / right - 1))
@@ -120,14 +97,12 @@ def test_springs_between_their_limits(scene):
     np.testing.assert_allclose(found(springs(0.0, 0.0)), found("free"), rtol=1e-10)
     np.testing.assert_allclose(found(springs(1e10, 0.0)), found("supported"), rtol=1e-4)
     np.testing.assert_allclose(found(springs(1e10, 1e6)), found("clamped"), rtol=1e-4)
-    rising = np.array([found(springs(10.0**power, 10.0 ** (power - 4))) for power in range(8)])
+    rising = np.array([found("free"), *(found(springs(10.0**power, 10.0 ** (power - 4))) for power in range(0, 8, 2))])
     assert (np.diff(rising, axis=0) > 0).all()
-    assert (rising[0] > found("free")).all()
-    assert (rising[-1] < found("clamped")).all()
 
 
-@pytest.mark.parametrize(("held", "load", "coefficient"), rows_of("static_plate.csv"))
-def test_static_deflection(scene, device, path, held, load, coefficient):
+@pytest.mark.parametrize(("held", "load", "coefficient"), table_rows("static_plate.csv"))
+def test_static_deflection(scene, held, load, coefficient):
     """Ku = f meets the table, and so does a damped plate that has come to rest under a constant load.
 
     A point load is that of one node; the deflection under it converges as h² log h.
@@ -149,8 +124,8 @@ def test_static_deflection(scene, device, path, held, load, coefficient):
         solved[bending.moves] = scipy.sparse.linalg.spsolve(stiffness.tocsc(), pressed)
         unit = (SIDE**4 if uniform else (2 * half * SIDE) ** 2) / make_scheme(made).rigidity
         errors.append(abs(solved[middle] / unit / float(coefficient) - 1))
-        if (nodes == 51) == (path == "resident"):
-            run = PlateSolver(made, device, path).run([[1.0]], (made.window.end,))
+        if nodes == 27:
+            run = PlateSolver(made, "cpu").run([[1.0]], (made.window.end,))
             np.testing.assert_allclose(run.displacement[0, 0], solved, atol=5e-5 * solved.max())
     assert errors[1] < (0.004 if uniform else 0.007)
     assert order_between(*errors, (26, 50)) == pytest.approx(2 if uniform else 1.75, abs=0.1)
@@ -159,7 +134,6 @@ def test_static_deflection(scene, device, path, held, load, coefficient):
 MIXES = {
     "plain": {"edges": ("clamped", "supported", "clamped", "clamped")},
     "fourth order": {"edges": ("clamped", "supported", "supported", "clamped"), "order": 4, "load": "moments"},
-    "free and sprung": {"edges": ("clamped", springs(300.0, 0.05), "free", "supported")},
     "effects": {
         "edges": ("free", "supported", springs(0.0, 0.2), springs(50.0, 0.0)),
         "effects": {
@@ -175,38 +149,35 @@ MIXES = {
 
 @pytest.mark.parametrize("name", MIXES)
 def test_the_kernels_move_in_these_modes(scene, device, path, random, name):
-    """In a run, the share q = φᵀMu of each mode is an oscillator's of its frequency, whatever the others do:
+    """In a run, the share q = φᵀMu of each mode is an oscillator of its frequency, whatever the others do:
     q⁺ − 2q + q⁻ + (ωΔt)² q = Δt² φᵀf to rounding; and that rings at the stepped frequency."""
     made = scene((17, 15), (0.2, 0.18), window=(0.0, 0.012), **MIXES[name])
     scheme, found = make_scheme(made), natural_modes(made, 8)
-    step, (nx, ny) = scheme.time_step, scheme.nodes
-    np.testing.assert_allclose(
-        2 * np.sin(math.pi * found.stepped * step), 2 * math.pi * found.frequencies * step, rtol=1e-12
-    )
+    step, (hx, hy) = scheme.time_step, scheme.spacing
+    turn = 2 * math.pi * found.frequencies * step
+    np.testing.assert_allclose(2 * np.sin(math.pi * found.stepped * step), turn, rtol=1e-12)
     drive = random.normal(size=3) + 1j * random.normal(size=3)
     times = step * np.arange(scheme.steps + 1)
     moved = PlateSolver(made, device, path).run(drive[None], times).displacement[0].reshape(len(times), -1)
     shapes = found.shapes.reshape(8, -1)
     q = moved @ (mass_matrix(make_bending(made)) * shapes).T
-    cell = made.plate.size[0] / (nx - 1) * made.plate.size[1] / (ny - 1)
-    pressed = shapes @ patches(made).reshape(3, -1).T * cell
+    pressed = shapes @ patches(made).reshape(3, -1).T * hx * hy
     signals = make_signals(made, step, scheme.steps)
     wave = signals.wave @ signals.coefficients(drive[None])[0]
     before = np.concatenate([0 * q[:1], q[:-2]])
-    turned = (2 * math.pi * found.frequencies * step) ** 2 * q[:-1]
-    rest = q[1:] - 2 * q[:-1] + before + turned - step**2 * wave @ pressed.T
+    rest = q[1:] - 2 * q[:-1] + before + turn**2 * q[:-1] - step**2 * wave @ pressed.T
     assert len(q) > 50
-    assert (np.abs(rest).max(axis=0) < 1e-7 * np.abs(turned).max(axis=0)).all()
+    assert (np.abs(rest).max(axis=0) < 1e-7 * np.abs(turn**2 * q[:-1]).max(axis=0)).all()
 
 
-def test_modes_with_hung_masses(scene):
+def test_modes_with_attached_masses(scene):
     """A mass m on a spring k adds to the bare plate's modes those of 1 = G(ω) kmω²/(k − mω²), G = Σ (φᵀs)²/(ω_i² − ω²)
     over all of them, s the patch and φᵀMφ = 1; it moves k/(k − mω²) times as far as its patch."""
     mass, stiffness = 0.004, 60.0
-    hung = {"area": (0.05, 0.08, 0.04, 0.07), "mass": mass, "stiffness": stiffness, "damping": 0.1}
+    attached = {"area": (0.05, 0.08, 0.04, 0.07), "mass": mass, "stiffness": stiffness, "damping": 0.1}
     only_damped = {"area": (0.1, 0.13, 0.1, 0.13), "mass": 0.01, "damping": 0.1}
     bare = scene((11, 9), (0.2, 0.18))
-    made = scene((11, 9), (0.2, 0.18), effects={"oscillators": [only_damped, hung]})
+    made = scene((11, 9), (0.2, 0.18), effects={"oscillators": [only_damped, attached]})
     found, whole = natural_modes(made, 6), natural_modes(bare, 200)
     assert whole.frequencies.size == 9 * 7
     share = oscillator_shares(made)[1]
@@ -222,26 +193,25 @@ def test_modes_with_hung_masses(scene):
         assert np.abs(shape).max() == shape.max() == 1
 
 
-def test_a_mass_on_a_patch_that_rests(scene):
+def test_a_mass_on_a_patch_at_rest(scene):
     """It swings alone, and its motion is one."""
-    hung = {"area": (0.0, 0.001, 0.05, 0.1), "mass": 1e-3, "stiffness": 2.0}
-    found = natural_modes(scene((9, 9), effects={"oscillators": [hung]}), 1)
+    attached = {"area": (0.0, 0.001, 0.05, 0.1), "mass": 1e-3, "stiffness": 2.0}
+    found = natural_modes(scene((9, 9), effects={"oscillators": [attached]}), 1)
     assert found.frequencies[0] == pytest.approx(math.sqrt(2000.0) / (2 * math.pi), rel=1e-9)
     assert found.oscillators[0, 0] == pytest.approx(1)
     assert np.abs(found.shapes).max() < 1e-9
 
 
-def test_shapes_of_one_frequency_are_kept_apart(scene, monkeypatch):
-    """Square plates have pairs of modes; they come out along the sides, and the same from either way to solve."""
-    clamped = scene((21, 21))
-    found = natural_modes(clamped, 8)
+def test_shapes_of_one_frequency_are_kept_apart(scene):
+    """Square plates have pairs of modes; they come out along the sides."""
+    found = natural_modes(scene((21, 21)), 8)
     assert found.half_waves() == [(1, 1), (1, 2), (2, 1), (2, 2), None, None, (2, 3), (3, 2)]
     assert found.frequencies[1] == pytest.approx(found.frequencies[2], rel=1e-9)
     np.testing.assert_allclose(np.abs(found.shapes).max(axis=(1, 2)), 1)
-    monkeypatch.setattr(modes, "DENSE", 1000)
-    dense = natural_modes(clamped, 8)
-    np.testing.assert_allclose(dense.frequencies, found.frequencies, rtol=1e-9)
-    np.testing.assert_allclose(np.abs(dense.shapes), np.abs(found.shapes), atol=1e-5)
+    # All modes of the grid are computed in another way than a few.
+    dense = natural_modes(scene((21, 21)), 200)
+    np.testing.assert_allclose(dense.frequencies[:8], found.frequencies, rtol=1e-9)
+    np.testing.assert_allclose(np.abs(dense.shapes[:8]), np.abs(found.shapes), atol=1e-5)
 
 
 def test_rigid_motions(scene):
@@ -255,17 +225,15 @@ def test_rigid_motions(scene):
         np.testing.assert_allclose(shape * np.sign(shape[-1, -1]), right, atol=1e-6)
 
 
-def test_losses_and_stretching_change_nothing(scene):
-    """They are not in natural modes."""
+def test_losses_and_stretching_are_left_out(scene):
     lossy = {"damping": {"viscous": 50.0}, "material_damping": {"time": 1e-6}, "stretching": {}}
     bare, made = scene((13, 11), (0.2, 0.18)), scene((13, 11), (0.2, 0.18), effects=lossy)
     np.testing.assert_allclose(natural_modes(made, 5).frequencies, natural_modes(bare, 5).frequencies, rtol=1e-10)
 
 
-def test_what_is_refused(scene):
-    """No modes asked for; a scene that has no grid yet."""
-    with pytest.raises(SceneError, match="count = 0"):
-        natural_modes(scene(), 0)
+def test_refusals(scene):
     made = scene()
+    with pytest.raises(SceneError, match="count = 0"):
+        natural_modes(made, 0)
     with pytest.raises(SceneError, match=r"grid\.accuracy"):
         natural_modes(made.model_copy(update={"grid": made.grid.model_copy(update={"accuracy": 0.01})}), 3)

@@ -7,7 +7,7 @@ vᵀMv changes by 2Δt v̄ᵀM(v⁺ − v)/Δt, and K is symmetric, it says with
 
 for plate and oscillators together. The losses are C v̄ (viscous damping, centred), C v (backward), τK_b v (material)
 and, in each damper, d times the last half-step's difference of rates. All is computed from the displacements of all
-steps of a run. With stretching, E also has the potential ¼ B (uᵀLu)(u⁺ᵀLu⁺) of N = B uᵀLu, whose change is its work
+steps of a run. With stretching, E also has the potential ¼ B (uᵀLu)(u⁺ᵀLu⁺) of N = B uᵀLu, whose change is N's work
 only up to the square of the step.
 """
 
