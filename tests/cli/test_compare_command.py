@@ -198,3 +198,20 @@ def test_files_are_read_without_trust(made):
     path.write_bytes(content)
     with pytest.raises(SceneError, match="damaged"):
         load_comparison(path)
+
+
+@pytest.mark.parametrize("weight", [1.0, 1e9])
+def test_near_a_bound_is_relative_to_it(weight, scene):
+    """However small a displacement's loss is; a localization factor's is compared with one."""
+    from warp_plate.cli.compare import rows
+
+    search = {"magnitude": {"range": [0.0, 0.1]}, "objectives": [{"kind": "displacement", "weight": weight}]}
+    bound = -7.5e-8 * weight
+    trials = tuple(
+        Trial("ring", seed, np.array([9]), np.array([1.0]), np.array([bound * (1 - missing)]))
+        for seed, missing in enumerate((0.0, 9e-7, 2e-6, 0.1))
+    )
+    prepared = {"prepare": 0.0}
+    made = scene(search=search)
+    result = MethodComparison("s", made, "cpu", "response", 9, prepared, False, trials, bound, "attained", "known")
+    assert [(row["at_bound"], row["seeds"]) for row in rows(result)] == [(2, 4)]

@@ -1,5 +1,4 @@
-"""Bounds under limits: never passed by any drive that keeps them, tight where the relaxation is, and valid for any
-multipliers."""
+"""Bounds under limits: above every drive that keeps them, tight where the relaxation is, valid for any multipliers."""
 
 import math
 
@@ -13,11 +12,12 @@ from warp_plate.problem.bounds import MOST_ACTUATORS, AllowedDrives, bound_energ
 from warp_plate.problem.semidefinite import QuadraticLimits, least_majorant
 from warp_plate.solve.response import Response, measure_response
 
-INFINITE, FREE = math.inf, math.nan
+INFINITE, SEARCHED = math.inf, math.nan
+PLATE, TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
 
 def gram(random, actuators, rank=None):
-    """Matrices like those of a plate: 0 ⪯ target ⪯ plate."""
+    """Return matrices like those of a plate: 0 ⪯ target ⪯ plate."""
     count = 2 * actuators
     factor = random.normal(size=(count, rank or count))
     orthogonal, _ = np.linalg.qr(random.normal(size=(rank or count, rank or count)))
@@ -26,14 +26,14 @@ def gram(random, actuators, rank=None):
     return Response(np.array([matrices[name] for name in REGIONS]))
 
 
-def allowed(actuators, lower=-INFINITE, upper=INFINITE, phase=FREE, power=INFINITE, equal=False):
-    """Numbers or a list of one an actuator."""
+def allowed(actuators, lower=-INFINITE, upper=INFINITE, phase=SEARCHED, power=INFINITE, equal=False):
+    """Return a set of drives; each limit is a number, or one for each actuator."""
     arrays = (np.broadcast_to(np.asarray(value, float), actuators) for value in (lower, upper, phase))
     return AllowedDrives(*arrays, power, equal)
 
 
 def drawn(random, limits, count):
-    """Random drives that keep the limits, many of them at a limit."""
+    """Return random drives that keep the limits, many of them at a limit."""
     actuators = len(limits.phase)
     top = np.where(np.isfinite(limits.upper), limits.upper, 2.0)
     low = np.where(np.isfinite(limits.lower), limits.lower, -top)
@@ -52,40 +52,40 @@ def drawn(random, limits, count):
 
 CASES = {
     "none": {},
-    "first phase held": {"phase": [0.4, FREE, FREE]},
-    "all phases held": {"phase": [0.4, 1.0, 3.0]},
-    "held, no sign": {"phase": [0.4, 1.0, 3.0], "lower": 0.0},
+    "first phase fixed": {"phase": [0.4, SEARCHED, SEARCHED]},
+    "all phases fixed": {"phase": [0.4, 1.0, 3.0]},
+    "fixed, no sign": {"phase": [0.4, 1.0, 3.0], "lower": 0.0},
     "equal": {"equal": True, "lower": 0.0},
     "range": {"lower": 0.5, "upper": 1.0},
-    "own ranges": {"lower": [0.0, 0.3, 0.2], "upper": [1.0, 0.4, INFINITE]},
-    "one magnitude held": {"lower": [1.0, 0.2, 0.0], "upper": [1.0, 0.8, 1.0], "phase": [0.0, FREE, FREE]},
-    "magnitudes held": {"lower": [1.0, 0.5, 0.2], "upper": [1.0, 0.5, 0.2]},
+    "a range for each": {"lower": [0.0, 0.3, 0.2], "upper": [1.0, 0.4, INFINITE]},
+    "one magnitude fixed": {"lower": [1.0, 0.2, 0.0], "upper": [1.0, 0.8, 1.0], "phase": [0.0, SEARCHED, SEARCHED]},
+    "magnitudes fixed": {"lower": [1.0, 0.5, 0.2], "upper": [1.0, 0.5, 0.2]},
     "one off": {"lower": 0.0, "upper": [1.0, 0.0, 1.0], "equal": False},
     "power": {"lower": 0.5, "power": 1.2},
-    "all": {"lower": 0.2, "upper": 1.0, "power": 1.5, "phase": [0.0, FREE, FREE]},
+    "all": {"lower": 0.2, "upper": 1.0, "power": 1.5, "phase": [0.0, SEARCHED, SEARCHED]},
 }
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-def test_no_allowed_drive_passes_the_ratios_bound(random, case):
+def test_no_allowed_drive_exceeds_the_bound_of_the_ratio(random, case):
     limits = allowed(3, **case)
     for rank in (None, 2):
         response = gram(random, 3, rank)
         bound = bound_localization(response, limits)
         energy = response.energy(drawn(random, limits, 20_000))
-        moved = energy[:, REGIONS.index("plate")] > 1e-9 * energy.max()
+        moved = energy[:, PLATE] > 1e-9 * energy.max()
         best = localization_factor(energy[moved]).max()
         assert best <= bound.value + 1e-8, (case, rank)
         assert bound.value <= response.bound() * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("case", [*list(CASES.values())[5:], {"power": 1.0}], ids=str)
-def test_no_allowed_drive_passes_the_energys_bound(random, case):
+def test_no_allowed_drive_exceeds_the_bound_of_the_energy(random, case):
     limits, response = allowed(3, **case), gram(random, 3)
-    target, plate = (response.matrices[REGIONS.index(name)] for name in ("target", "plate"))
+    target, plate = response.matrices[[TARGET, PLATE]]
     energies = response.energy(drawn(random, limits, 20_000))
-    inside, rest = energies[:, REGIONS.index("target")], energies[:, REGIONS.index("plate")]
-    rest = rest - inside
+    inside = energies[:, TARGET]
+    rest = energies[:, PLATE] - inside
     bound = bound_energy(target, limits)
     if (np.isinf(limits.upper)).any() and math.isinf(limits.power):
         assert bound is None  # nothing limits it
@@ -98,10 +98,10 @@ def test_no_allowed_drive_passes_the_energys_bound(random, case):
 
 
 def test_equal_magnitudes_of_two_are_bounded_by_the_best_on_a_grid(random):
-    """Of two actuators with one phase held the relaxation is exact: the bound is the best of all phases."""
+    """For two actuators with one fixed phase the relaxation is exact: the bound is the best of all phases."""
     for _ in range(5):
         response = gram(random, 2)
-        bound = bound_localization(response, allowed(2, lower=0.0, phase=[0.0, FREE], equal=True))
+        bound = bound_localization(response, allowed(2, lower=0.0, phase=[0.0, SEARCHED], equal=True))
         turn = np.exp(-1j * np.linspace(0, 2 * np.pi, 20_001))
         best = localization_factor(response.energy(np.stack([np.ones_like(turn), turn], axis=1))).max()
         assert bound.value == pytest.approx(best, abs=1e-6)
@@ -109,10 +109,10 @@ def test_equal_magnitudes_of_two_are_bounded_by_the_best_on_a_grid(random):
 
 
 def test_three_actuators_of_a_plate_by_grid(scene):
-    """Equal magnitudes on a plate: its energies hardly know a common phase, and up to three are then bounded exactly,
-    up to what is left of the start."""
+    """On a plate a common phase hardly changes energies, and equal magnitudes of three are then bounded exactly, up to
+    what is left of the start."""
     response = measure_response(PlateSolver(scene(damping=88.5, window=(0.02, 0.03)), "cpu"))
-    bound = bound_localization(response, allowed(3, lower=0.0, phase=[0.0, FREE, FREE], equal=True))
+    bound = bound_localization(response, allowed(3, lower=0.0, phase=[0.0, SEARCHED, SEARCHED], equal=True))
     first, second = np.meshgrid(*[np.linspace(0, 2 * np.pi, 361)] * 2)
     drives = np.exp(-1j * np.stack([0 * first.ravel(), first.ravel(), second.ravel()], axis=1))
     best = localization_factor(response.energy(drives)).max()
@@ -121,10 +121,10 @@ def test_three_actuators_of_a_plate_by_grid(scene):
 
 
 def test_any_multipliers_bound_the_ratio(random):
-    """The duality itself, written out: for Σ d = 0 the largest eigenvalue of (A + diag d, B) is passed by no drive of
-    equal magnitudes, and none of them is below what is found as the least."""
+    """For Σ d = 0 no drive of equal magnitudes exceeds the largest eigenvalue of (A + diag d, B), and none of these is
+    below the bound."""
     response = gram(random, 3)
-    target, plate = (response.matrices[REGIONS.index(name)] for name in ("target", "plate"))
+    target, plate = response.matrices[[TARGET, PLATE]]
     limits = allowed(3, lower=0.5, upper=1.0, equal=True)
     bound = bound_localization(response, limits)
     best = localization_factor(response.energy(drawn(random, limits, 20_000))).max()
@@ -144,11 +144,11 @@ def test_a_power_limit_gives_the_eigenvalue(random):
 
 
 def test_a_limit_on_the_rest_gives_the_ratio(random):
-    """The most energy in the target for so much in the rest is that times LF / (1 − LF), to what rounding leaves of a
-    rest that nearly vanishes."""
+    """The most energy in the target for so much in the rest is that times LF / (1 − LF), up to the rounding of a rest
+    that nearly vanishes."""
     for draws in (random, *map(np.random.default_rng, (239, 364, 453))):
         response = gram(draws, 3)
-        target, plate = (response.matrices[REGIONS.index(name)] for name in ("target", "plate"))
+        target, plate = response.matrices[[TARGET, PLATE]]
         factor = response.bound()
         bound = bound_energy(target, allowed(3), [(plate - target, 0.7)])
         rounding = 1e-6 * max(1, 0.01 / (1 - factor))
@@ -171,7 +171,7 @@ def test_units_do_not_matter(random):
     assert tiny.value == pytest.approx(1e-20 * energy.value, rel=1e-6)
 
 
-def test_no_motion_and_no_limit_claim_nothing():
+def test_without_motion_or_limit_no_bound_is_claimed():
     still = Response(np.zeros((2, 4, 4)))
     assert bound_localization(still, allowed(2)) is None
     assert bound_localization(still, allowed(2, lower=0.0, upper=0.0)) is None
@@ -185,7 +185,7 @@ def test_many_actuators_keep_the_eigenvalue(random):
 
 
 def test_without_multipliers_there_is_no_bound():
-    """−z² ≤ 1 does not hold z² down."""
+    """−z² ≤ 1 does not limit z²."""
     value, slack = least_majorant(np.eye(1), QuadraticLimits(-np.ones((1, 1, 1)), np.ones(1), np.zeros(1, bool)))
     assert value == math.inf
     assert slack.size == 0
