@@ -1,12 +1,12 @@
-"""How much of a generation's time the host takes: everything around the plates' own steps.
+"""Measure how much of a generation's time the host takes: everything around the plates' own steps.
 
     python benchmarks/host_share.py [--device cuda:0] [--plates 20 1024 16384 131072] [--generations 9] [--out FILE]
 
 Searches the paper's scene and prints, for swarms of each size, the time of a whole generation, in which the device
-computes, how much of that the plates' steps are (the rest: loads, clearing, sums), and the parts of the time in which
-the device does not compute: the swarm's ask and tell, and what there is around the device's work: positions made into
-designs and loads, copies, statuses. Large swarms are cut into parts, and the host makes one ready while the device
-steps another. Medians; the first two generations, which find memory and compile, count for nothing.
+computes, and the part of it that the plates' steps take (the rest: loads, clearing, sums); and the parts of the time in
+which the device does not compute: the swarm's ask and tell, and the work around the device: designs made of positions,
+loads, copies, statuses. Large swarms are cut into parts, and the host prepares one while the device steps another.
+Prints medians; the first two generations, which allocate memory and compile, do not count.
 """
 
 from __future__ import annotations
@@ -31,10 +31,7 @@ PARTS = ("ask", "around the device", "tell")
 
 
 class DeviceTime:
-    """Seconds that the device has computed for a problem's plates since they were asked for last.
-
-    By events of the device, which nobody waits for while it works; the CPU counts the steps alone.
-    """
+    """The time that a device computes for a problem's plates, measured by its events; on a CPU the steps alone."""
 
     def __init__(self, problem: Problem) -> None:
         self._engine, self._device = problem.drive_solver.engine, problem.drive_solver.device
@@ -59,7 +56,7 @@ class DeviceTime:
             self._seconds += time.perf_counter() - began
 
     def taken(self) -> tuple[float, float]:
-        """Seconds of all that it computed, and of the steps among them; they are then forgotten."""
+        """Return the seconds of everything computed since the last call, and of the steps among them."""
         steps = self._seconds + sum(wp.get_event_elapsed_time(*marks) for marks in self._marks) / 1e3
         computed = sum(one.elapsed for one in wp.timing_end()) / 1e3 if self._device.is_cuda else steps
         self._seconds, self._marks = 0.0, []
@@ -68,7 +65,7 @@ class DeviceTime:
 
 
 def generations(problem: Problem, device: DeviceTime, plates: int, count: int) -> dict[str, object]:
-    """Medians over so many generations of a swarm of so many particles [s]."""
+    """Return medians over ``count`` generations of a swarm of ``plates`` particles [s]."""
     search = problem.scene.search.model_copy(update={"particles": plates, "iterations": count + FIRST})
     searcher = make_optimizer(search, problem.space, 0)
     taken: dict[str, list[float]] = {name: [] for name in ("whole", "device", "steps", *PARTS)}
@@ -95,7 +92,7 @@ def generations(problem: Problem, device: DeviceTime, plates: int, count: int) -
 def measure(
     scene: Scene, device: str, plates: tuple[int, ...] = PLATES, count: int = GENERATIONS
 ) -> list[dict[str, object]]:
-    """The rows of the table."""
+    """Return the rows of the table."""
     problem = make_problem(scene, device)
     device_time = DeviceTime(problem)
     return [generations(problem, device_time, each, count) for each in plates]

@@ -1,13 +1,13 @@
-"""How much faster a swarm is on more workers, and what it costs to ship a block of plates to them.
+"""Measure how much faster a swarm is on more workers, and what it costs to send them a block of plates.
 
     python benchmarks/scaling.py                                    # one and two Dask workers, 4096 plates
-    python benchmarks/scaling.py --devices cuda:0,cuda:1 --plates 131072     # a process each, and one alone; no Dask
+    python benchmarks/scaling.py --devices cuda:0,cuda:1 --nodes 53 --plates 32768   # a process each, and one alone
     python benchmarks/scaling.py --cluster local:1 local:4 --plates 16384 --out FILE
 
-Searches the paper's scene with a swarm of so many plates: in this process, and on each pool, a few generations of each
-in turn, so that a disturbance meets all alike. Medians; the first turns, in which workers start, count for nothing, nor
-does the first generation of each turn, which finds caches cold and the GPU in another process's hands. The losses must
-be the same to the last bit everywhere, or the program ends with an error.
+Searches the paper's scene with a swarm of so many plates in this process and on each pool, a few generations of each in
+turn, so that disturbances of the machine affect all alike. Prints medians. The first turns, in which workers start, do
+not count, nor does the first generation of each turn, which finds caches cold and the GPU in use by another process.
+The losses must be the same to the last bit everywhere, or the program ends with an error.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def shipping(pool: WorkerPool, problem: Problem) -> dict[str, object]:
 def measure(
     scene: Scene, device: str, pools: dict[str, WorkerPool], plates: int, generations: int
 ) -> dict[str, object]:
-    """A row for this process and for each pool, by its name, and how much faster each is than the first pool.
+    """Return a row for this process and for each pool, and how much faster each pool is than the first.
 
     Raises:
         RuntimeError: their losses are not the same.
@@ -123,12 +123,21 @@ def measure(
     }
 
 
+def paper_scene(nodes: int) -> Scene:
+    """Return the paper's scene on a finer grid, with the time step scaled by the square of the spacing."""
+    scene = Scene.load("paper")
+    ratio = (scene.grid.nodes[0] - 1) / (nodes - 1)
+    update = {"nodes": (nodes, nodes), "time_step": scene.grid.time_step * ratio**2}
+    return scene.model_copy(update={"grid": scene.grid.model_copy(update=update)})
+
+
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--devices", help="such as cuda:0,cuda:1: the first alone against all")
     parser.add_argument("--cluster", nargs="+", default=["local:1", "local:2"], help="the first against the others")
     parser.add_argument("--device", default="cpu", help="of this process and of the cluster's workers")
+    parser.add_argument("--nodes", type=int, default=27, help="nodes along each side; 27 as in the paper")
     parser.add_argument("--plates", type=int, default=PLATES)
     parser.add_argument("--generations", type=int, default=GENERATIONS)
     parser.add_argument("--out", type=Path)
@@ -146,7 +155,7 @@ def main() -> None:
                 name: opened.enter_context(open_pool(devices, cluster, given.device))
                 for name, (devices, cluster) in asked.items()
             }
-            found = measure(Scene.load("paper"), device, pools, given.plates, given.generations)
+            found = measure(paper_scene(given.nodes), device, pools, given.plates, given.generations)
             words = {name: pool.description for name, pool in pools.items()}
         machine = describe_machine([device])
     except SceneError as error:
