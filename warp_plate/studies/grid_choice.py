@@ -59,7 +59,7 @@ def estimate_error(
     device: str,
     reference: ReferenceStage | None = None,
 ) -> dict[str, Any]:
-    """Return the record "estimate" of ``Result.accuracy``: estimated errors of a run of the named drives.
+    """Estimate the errors of a run of the named drives; return them as entry "estimate" of ``Result.accuracy``.
 
     Args:
         solve_seconds: time that the result took [s], which limits the time for the estimate.
@@ -70,4 +70,4 @@ def estimate_error(
     """
     drives, factors = np.array(list(phasors.values())), localization_factor(run.energy)
     found = estimate(scene, drives, factors, solve_seconds, device, run.times, run.displacement, reference)
-    return {"cases": list(phasors), **found.as_json(), "line": found.line()}
+    return {"estimate": {"cases": list(phasors), **found.as_json(), "line": found.line()}}

@@ -224,46 +224,20 @@ def _initial_state(problem: Problem, seed: int) -> dict[str, Any]:
 def _run(start: Checkpoint, problem: Problem, options: _Options, reference: ReferenceStage | None = None) -> Result:
     """Run a search from a checkpoint, which may be that of iteration 0, and make its result."""
     end, problem, interrupted = _search_targets(start, problem, options)
-    first, scene, device = end.finished_searches[0], problem.scene, problem.drive_solver.device.alias
-    seconds, before = dict(end.seconds), problem.node_steps
+    first, seconds, before = end.finished_searches[0], dict(end.seconds), problem.node_steps
     started = time.perf_counter()
     evaluated = _evaluate_targets(problem, end.finished_searches)
     seconds["solve"] += time.perf_counter() - started
-    cases, node_steps = evaluated.cases, evaluated.node_steps
-    accuracy, robust = dict(end.accuracy), None
-    baselines: tuple[dict[str, Case], int] = ({}, 0)
-    spectrum: dict[str, np.ndarray] = {}
-    if problem.scenario_losses is not None and first.position is not None and not interrupted:
-        position = first.position
-        compared = _optional("robust", seconds, lambda: compare_with_nominal(problem, end, position), None)
-        if compared is not None:
-            robust, cases, node_steps = compared[0], {**cases, "nominal": compared[1]}, node_steps + compared[2]
-    if options.estimate:
-        known = reference if evaluated.scene is scene else None  # that of another plate does not help
-        found = _optional(
-            "estimate",
-            seconds,
-            lambda: estimate_error(evaluated.scene, evaluated.phasors, evaluated.run, seconds["solve"], device, known),
-            None,
-        )
-        accuracy |= {} if found is None else {"estimate": found}
-    compared_cases = {name: evaluated.cases[name] for name in ("equal", "single")}
-    if options.baselines:
-        baselines = _optional("baselines", seconds, lambda: baseline_cases(problem), baselines)
-        cases, node_steps = {**cases, **baselines[0]}, node_steps + baselines[1]
-        compared_cases |= baselines[0]
-    values, more = evaluate_objectives(problem, compared_cases)
-    if options.spectrum and not interrupted:
-        spectrum = _optional("spectrum", seconds, lambda: make_spectrum(problem, evaluated.cases["best"]), spectrum)
+    parts = _optional_parts(end, problem, evaluated, options, seconds, interrupted, reference)
+    node_steps = end.node_steps + problem.node_steps - before + evaluated.node_steps + parts.pop("node_steps")
     return Result(
         command="localize",
-        source=start.source,
-        scene=scene,
-        device=start.earlier_devices + provenance.devices_text(problem),
-        seed=start.seed,
+        source=end.source,
+        scene=problem.scene,
+        device=end.earlier_devices + provenance.devices_text(problem),
+        seed=end.seed,
         effects=problem.design_solver.effects,
-        path=problem.design_solver.describe_path(bool(scene.record.points)),
-        cases=cases,
+        path=problem.design_solver.describe_path(bool(problem.scene.record.points)),
         times=evaluated.run.times,
         trace_times=evaluated.run.trace_times,
         seconds=seconds,
@@ -271,32 +245,69 @@ def _run(start: Checkpoint, problem: Problem, options: _Options, reference: Refe
         bound_kind=first.bound_kind,
         history=first.history,
         objective_values=first.objective_values,
-        objective_values_by_case=values,
-        evaluator=start.evaluator,
+        evaluator=end.evaluator,
         interrupted=interrupted,
-        versions=start.versions,
-        node_steps=end.node_steps + problem.node_steps - before + node_steps + more,
+        versions=end.versions,
+        node_steps=node_steps,
         evaluations=sum(search.evaluations for search in end.finished_searches),
-        accuracy=accuracy,
         peak_displacement=evaluated.peak,
-        spectrum=spectrum,
-        target_searches=end.finished_searches if scene.targets else (),
-        robust=robust,
+        target_searches=end.finished_searches if problem.scene.targets else (),
         lost_plates=end.lost_plates,
+        **parts,
     )
 
 
-def _optional(name: str, seconds: dict[str, float], compute: Callable[[], T], default: T) -> T:
-    """Compute a part of a result and add its seconds; return the default on Ctrl-C or if the part is refused, so that
-    the result is not lost."""
-    started = time.perf_counter()
-    try:
-        found = compute()
-    except (KeyboardInterrupt, SceneError):
-        return default
-    if found:
-        seconds[name] = time.perf_counter() - started
-    return found
+def _optional_parts(
+    end: Checkpoint,
+    problem: Problem,
+    evaluated: EvaluatedCases,
+    options: _Options,
+    seconds: dict[str, float],
+    interrupted: bool,
+    reference: ReferenceStage | None,
+) -> dict[str, Any]:
+    """Compute the fields of a result that it can do without, their node-steps, and add their seconds.
+
+    A part is left out on Ctrl-C or if it is refused, so that the result is not lost.
+    """
+
+    def attempt(name: str, compute: Callable[[], T], default: T) -> T:
+        started = time.perf_counter()
+        try:
+            found = compute()
+        except (KeyboardInterrupt, SceneError):
+            return default
+        if found:
+            seconds[name] = time.perf_counter() - started
+        return found
+
+    cases, accuracy, robust, node_steps = dict(evaluated.cases), dict(end.accuracy), None, 0
+    position = end.finished_searches[0].position
+    if problem.scenario_losses is not None and position is not None and not interrupted:
+        compared = attempt("robust", lambda: compare_with_nominal(problem, end, position), None)
+        if compared is not None:
+            robust, cases["nominal"], node_steps = compared
+    if options.estimate:
+        known = reference if evaluated.scene is problem.scene else None  # that of another plate does not help
+        device, spent = problem.drive_solver.device.alias, seconds["solve"]
+        scene, phasors, run, nothing = evaluated.scene, evaluated.phasors, evaluated.run, dict[str, Any]()
+        accuracy |= attempt("estimate", lambda: estimate_error(scene, phasors, run, spent, device, known), nothing)
+    baselines: tuple[dict[str, Case], int] = ({}, 0)
+    if options.baselines:
+        baselines = attempt("baselines", lambda: baseline_cases(problem), baselines)
+    references = {name: evaluated.cases[name] for name in ("equal", "single")} | baselines[0]
+    values, more = evaluate_objectives(problem, references)
+    spectrum: dict[str, np.ndarray] = {}
+    if options.spectrum and not interrupted:
+        spectrum = attempt("spectrum", lambda: make_spectrum(problem, evaluated.cases["best"]), spectrum)
+    return {
+        "cases": cases | baselines[0],
+        "accuracy": accuracy,
+        "robust": robust,
+        "objective_values_by_case": values,
+        "spectrum": spectrum,
+        "node_steps": node_steps + baselines[1] + more,
+    }
 
 
 def _search_targets(

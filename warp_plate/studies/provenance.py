@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterator, Mapping
-from typing import Protocol
 
 import numpy as np
 import warp as wp
@@ -12,28 +11,11 @@ import warp as wp
 import warp_plate
 from warp_plate.plate.files import digests
 from warp_plate.problem.problem import Problem
+from warp_plate.result.checkpoint import Checkpoint
+from warp_plate.result.sweep import Sweep
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import device_aliases, find_device, processor_of
-
-
-class Resumable(Protocol):
-    """A checkpoint of a search or an unfinished sweep.
-
-    Attributes:
-        device, processor: Warp's alias of the device that it ran on, and the name of its processor.
-        versions: versions of the packages that it ran with.
-        files: SHA-256 digests of the files that its scene names, by key.
-    """
-
-    @property
-    def device(self) -> str: ...
-    @property
-    def processor(self) -> str: ...
-    @property
-    def versions(self) -> Mapping[str, str]: ...
-    @property
-    def files(self) -> Mapping[str, str]: ...
 
 
 def device_name(device: wp.Device) -> str:
@@ -89,7 +71,7 @@ def same_device(device: str, processor: str, study: str) -> str:
     )
 
 
-def check_files(scene: Scene, study: Resumable, what: str) -> None:
+def check_files(scene: Scene, study: Checkpoint | Sweep, what: str) -> None:
     """Check that the files that a scene names are still those that a study began with.
 
     Raises:
@@ -132,7 +114,7 @@ def check_unchanged(
             )
 
 
-def changes(study: Resumable, device: str | None) -> list[str]:
+def changes(study: Checkpoint | Sweep, device: str | None) -> list[str]:
     """Return a line for each change since a study began that may change the last digits of its result.
 
     Args:

@@ -64,9 +64,7 @@ def simulate(
     if estimate and run.finite.all():
         started = time.perf_counter()
         try:
-            accuracy["estimate"] = estimate_error(
-                scene, {"drive": phasors}, run, seconds["solve"], device, resolved.reference
-            )
+            accuracy |= estimate_error(scene, {"drive": phasors}, run, seconds["solve"], device, resolved.reference)
             seconds["estimate"] = time.perf_counter() - started
         except (KeyboardInterrupt, SceneError):  # the result is kept without an error estimate
             pass
