@@ -150,7 +150,7 @@ def test_slopes_are_differences_of_the_loss():
 
     problem = quadratic(space, gram_matrices(3), losses_of, lambda phasors: phasors / np.maximum(np.abs(phasors), 1.5))
     positions = draw(space, 5, 1)
-    losses, slopes = problem.losses_and_slopes(positions, np.ones(6), space.lower, space.upper)
+    losses, slopes = problem.losses_and_slopes(positions, space)
     np.testing.assert_allclose(losses, problem.losses(positions), rtol=1e-12)
     for column in range(6):
         step = 1e-5 * np.eye(6)[column]

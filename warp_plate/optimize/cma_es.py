@@ -78,8 +78,10 @@ class CovarianceSearch(Optimizer):
         self._cloud.tell(self._points, np.where(np.isfinite(losses), losses, worst))
         self._losses.append(losses)
 
-    def _own_state(self) -> dict[str, Any]:
-        return {"version": self._cma.__version__, "losses": np.concatenate([np.empty(0), *self._losses])}
+    def state(self) -> dict[str, Any]:
+        """Return the losses of all positions, with which the same search can be gone through again."""
+        losses = np.concatenate([np.empty(0), *self._losses])
+        return {**super().state(), "version": self._cma.__version__, "losses": losses}
 
     def _restore(self, state: Mapping[str, Any]) -> None:
         """Go through the same search again by its losses; nothing is evaluated."""

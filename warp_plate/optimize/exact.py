@@ -8,8 +8,6 @@ have, so that a first phase fixed at 0 costs nothing but what it must.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings
@@ -43,9 +41,6 @@ class ExactSearch(Optimizer):
 
     def _learn(self, losses: np.ndarray) -> None:
         """Learn nothing: the position is the best."""
-
-    def _own_state(self) -> dict[str, Any]:
-        return {}
 
 
 def best_position(space: SearchSpace, problem: Quadratic | None) -> np.ndarray:

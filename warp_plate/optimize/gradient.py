@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.optimize.optimizer import Optimizer, SearchSettings, as_shape
+from warp_plate.optimize.optimizer import Optimizer, SearchSettings
 from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.optimize.space import SearchSpace
 
@@ -26,7 +26,6 @@ FIRST_STEP = 0.2
 # this part of its scale.
 CONVERGED = 1e-14
 MOST_TRIES = 30
-ARRAYS = ("base", "loss", "slope", "inverse", "direction", "step", "tries", "restarts_left")
 
 
 class GradientSearch(Optimizer):
@@ -44,6 +43,7 @@ class GradientSearch(Optimizer):
     """
 
     FORMAT = "gradient 2"
+    STATE = ("random", "base", "loss", "slope", "inverse", "direction", "step", "tries", "restarts_left")
 
     def __init__(self, space: SearchSpace, problem: Quadratic, settings: SearchSettings) -> None:
         super().__init__(space, settings)
@@ -79,9 +79,7 @@ class GradientSearch(Optimizer):
     def _learn(self, losses: np.ndarray) -> None:
         """Advance the descents by the losses of the matrices, which fit the slopes to the last digit."""
         space = self.space
-        loss, slope = self.problem.losses_and_slopes(
-            space.from_unit(self._points, wrap=False), space.span, space.lower, space.upper
-        )
+        loss, slope = self.problem.losses_and_slopes(space.from_unit(self._points, wrap=False), space)
         slope = slope * space.span
         good = np.isfinite(loss) & np.isfinite(slope).all(axis=1)
         loss, slope = np.where(good, loss, np.inf), np.where(good[:, None], slope, 0.0)
@@ -155,13 +153,7 @@ class GradientSearch(Optimizer):
         self.restarts_left[rows] -= 1
         self._draw(rows[self.restarts_left[rows] >= 0])
 
-    def _own_state(self) -> dict[str, Any]:
-        return {"random": self.random.bit_generator.state, **{name: getattr(self, name).copy() for name in ARRAYS}}
-
     def _restore(self, state: Mapping[str, Any]) -> None:
         super()._restore(state)
-        for name in ARRAYS:
-            setattr(self, name, as_shape(state, name, getattr(self, name).shape))
-        self.random.bit_generator.state = state["random"]
         if self.asked:
             self._propose()

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from warp_plate.optimize.space import SearchSpace
 
-COLUMNS = ("best", "mean", "worst", "nonfinite", "evaluations")
+COLUMNS = ("best", "mean", "evaluations")
 # A search stalls when so many iterations lower the best loss by no more than this part of its size.
 STALL_TOLERANCE = 1e-6
 
@@ -60,14 +61,12 @@ class SearchResult:
         fbest: its loss; infinity before any finite loss.
         evaluations: number of losses.
         iterations: number of iterations.
-        nonfinite: number of losses that were infinite or not a number.
     """
 
     xbest: np.ndarray | None
     fbest: float
     evaluations: int
     iterations: int
-    nonfinite: int
 
 
 def tolerance_scale(loss: float, loss_scale: float) -> float:
@@ -92,6 +91,8 @@ class Optimizer(ABC):
     """
 
     FORMAT: ClassVar[str]
+    # Names of the attributes that a state keeps beside those of this class: arrays, numbers, and random generators.
+    STATE: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, space: SearchSpace, settings: SearchSettings) -> None:
         self.space, self.settings = space, settings
@@ -113,21 +114,15 @@ class Optimizer(ABC):
 
     @property
     def history(self) -> dict[str, np.ndarray]:
-        """Arrays with one entry for each iteration.
-
-        `evaluations` and `best` loss so far; of the iteration itself the `mean` and `worst` of its finite losses (NaN
-        if it has none) and `nonfinite`, the number of the others.
-        """
-        columns = np.array(self.rows, dtype=float).reshape(-1, len(COLUMNS)).T
-        history = dict(zip(COLUMNS, columns, strict=True))
-        return history | {name: history[name].astype(int) for name in ("nonfinite", "evaluations")}
+        """`evaluations`, `best` loss so far, and `mean` of an iteration's finite losses (NaN if it has none)."""
+        best, mean, evaluations = np.array(self.rows, dtype=float).reshape(-1, len(COLUMNS)).T
+        return {"evaluations": evaluations.astype(int), "best": best, "mean": mean}
 
     @property
     def result(self) -> SearchResult:
         """Best position so far, with counts."""
         best = self.best_position.copy() if math.isfinite(self.best_loss) else None
-        nonfinite = sum(int(row[COLUMNS.index("nonfinite")]) for row in self.rows)
-        return SearchResult(best, self.best_loss, self.evaluations, self.iterations, nonfinite)
+        return SearchResult(best, self.best_loss, self.evaluations, self.iterations)
 
     def stalled(self, since: int = 0) -> bool:
         """Return whether the last ``settings.stall`` iterations, all after iteration ``since``, made no progress."""
@@ -161,37 +156,27 @@ class Optimizer(ABC):
             raise ValueError(f"tell: losses of shape {values.shape}: must be ({len(self.positions)},)")
         finite = np.isfinite(values)
         values[~finite] = np.inf
-        self._record(values, finite)
+        best = int(np.argmin(values))
+        if values[best] < self.best_loss:
+            self.best_position, self.best_loss = np.array(self.positions[best]), float(values[best])
+        with np.errstate(over="ignore"):
+            mean = float(values[finite].mean()) if finite.any() else math.nan
+        self.rows.append([self.best_loss, mean, self.evaluations + len(values)])
         self._learn(values)
         self.asked = False
-
-    def _record(self, losses: np.ndarray, finite: np.ndarray) -> None:
-        """Record an iteration: losses (n,), infinite where ``finite`` (n,) is false."""
-        best = int(np.argmin(losses))
-        if losses[best] < self.best_loss:
-            self.best_position, self.best_loss = np.array(self.positions[best]), float(losses[best])
-        mean = worst = math.nan
-        known = losses if finite.all() else losses[finite]
-        if known.size:
-            with np.errstate(over="ignore"):
-                mean, worst = float(known.mean()), float(known.max())
-        self.rows.append([self.best_loss, mean, worst, len(losses) - known.size, self.evaluations + len(losses)])
 
     @abstractmethod
     def stop(self) -> dict[str, Any]:
         """Return the reasons to stop, with a number for each; empty to go on."""
 
     def state(self) -> dict[str, Any]:
-        """Return all that the search needs to go on: arrays, numbers, texts, and the state of its random generator."""
-        return {
-            "format": self.FORMAT,
-            "best_position": self.best_position.copy(),
-            "best_loss": self.best_loss,
-            "history": np.array(self.rows, dtype=float).reshape(-1, len(COLUMNS)),
-            "positions": self.positions.copy(),
-            "asked": self.asked,
-            **self._own_state(),
-        }
+        """Return all that the search needs to go on: arrays, numbers, texts, and states of random generators."""
+        history = np.array(self.rows, dtype=float).reshape(-1, len(COLUMNS))
+        state = {"format": self.FORMAT, "history": history, "positions": self.positions.copy(), "asked": self.asked}
+        for name in ("best_position", "best_loss", *self.STATE):
+            value = getattr(self, name)
+            state[name] = value.bit_generator.state if isinstance(value, np.random.Generator) else copy(value)
+        return state
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what :meth:`state` returned, to the last bit; ``self`` is new and has the same settings.
@@ -206,6 +191,19 @@ class Optimizer(ABC):
         except (KeyError, TypeError, OverflowError) as error:
             raise ValueError(f"search state: {error} is missing or of a wrong kind") from None
 
+    def _restore(self, state: Mapping[str, Any]) -> None:
+        self.rows = as_shape(state, "history", (-1, len(COLUMNS))).tolist()
+        self.positions = as_shape(state, "positions", (-1, self.space.dimension))
+        self.asked = bool(state["asked"])
+        for name in ("best_position", "best_loss", *self.STATE):
+            value = getattr(self, name)
+            if isinstance(value, np.random.Generator):
+                value.bit_generator.state = state[name]
+            elif isinstance(value, np.ndarray):
+                setattr(self, name, as_shape(state, name, value.shape))
+            else:
+                setattr(self, name, type(value)(state[name]))
+
     @abstractmethod
     def _propose(self) -> np.ndarray:
         """Return the next positions (n, dimension)."""
@@ -213,17 +211,6 @@ class Optimizer(ABC):
     @abstractmethod
     def _learn(self, losses: np.ndarray) -> None:
         """Take the losses (n,) of ``positions``, infinite where they were not finite; they are recorded already."""
-
-    @abstractmethod
-    def _own_state(self) -> dict[str, Any]:
-        """Return what :meth:`state` needs beside the record and the positions."""
-
-    def _restore(self, state: Mapping[str, Any]) -> None:
-        self.best_position = as_shape(state, "best_position", self.best_position.shape)
-        self.best_loss = float(state["best_loss"])
-        self.rows = as_shape(state, "history", (-1, len(COLUMNS))).tolist()
-        self.positions = as_shape(state, "positions", (-1, self.space.dimension))
-        self.asked = bool(state["asked"])
 
 
 def as_shape(state: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> np.ndarray:
@@ -241,12 +228,10 @@ def as_shape(state: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> np.
 def minimize(
     optimizer: Any, objective: Callable[[np.ndarray], ArrayLike], callback: Callable[[Any], object] | None = None
 ) -> Any:
-    """Run a search until its `stop()` names a reason or `callback(optimizer)` returns something true.
+    """Run an :class:`Optimizer`, or pycma's ``CMAEvolutionStrategy``, until it stops or the callback returns true.
 
-    Args:
-        optimizer: an :class:`Optimizer` or pycma's ``CMAEvolutionStrategy``.
-        objective: takes positions, shape (n, dimension), and returns their losses, shape (n,).
-        callback: called after each iteration; a search that it ended goes on when this function is called again.
+    ``objective`` takes positions, shape (n, dimension), and returns their losses, shape (n,); ``callback`` takes the
+    optimizer after each iteration. A search that it ended goes on when this function is called again.
 
     Returns:
         ``optimizer.result``.

@@ -27,13 +27,11 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.optimize.optimizer import STALL_TOLERANCE, Optimizer, SearchSettings, as_shape, tolerance_scale
+from warp_plate.optimize.optimizer import STALL_TOLERANCE, Optimizer, SearchSettings, tolerance_scale
 from warp_plate.optimize.space import SearchSpace
 
 # Largest velocity, so that the positions of a swarm that flies apart stay finite.
 LARGEST = 1e100
-ARRAYS = ("positions", "velocities", "personal_positions", "personal_losses")
-NUMBERS = ("improved_loss", "improved_at", "earlier_loss", "restarts", "restarted_at")
 
 
 @dataclass(frozen=True)
@@ -81,6 +79,10 @@ class Swarm(Optimizer):
     """
 
     FORMAT = "swarm 3"
+    STATE = (
+        "random", "velocities", "personal_positions", "personal_losses", "improved_loss", "improved_at",
+        "earlier_loss", "restarts", "restarted_at",
+    )  # fmt: skip
     settings: SwarmSettings
 
     def __init__(self, space: SearchSpace, settings: SwarmSettings) -> None:
@@ -182,18 +184,6 @@ class Swarm(Optimizer):
         limit = LARGEST if self.settings.velocity_limit is None else self.settings.velocity_limit
         np.clip(self.velocities, -limit, limit, out=self.velocities)
 
-    def _own_state(self) -> dict[str, Any]:
-        return {
-            "random": self.random.bit_generator.state,
-            **{name: getattr(self, name).copy() for name in ARRAYS},
-            **{name: getattr(self, name) for name in NUMBERS},
-        }
-
     def _restore(self, state: Mapping[str, Any]) -> None:
         super()._restore(state)
-        for name in ARRAYS:
-            setattr(self, name, as_shape(state, name, np.shape(getattr(self, name))))
-        for name in NUMBERS:
-            setattr(self, name, type(getattr(self, name))(state[name]))
-        self.random.bit_generator.state = state["random"]
         self.leader = int(np.argmin(self.personal_losses))

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.optimize.space import SearchSpace
+
 # The step of central differences, as a part of a number's own size: errors of h² and of rounding / h meet.
 STEP = 6e-6
 # Drives whose plate energy is below this part of the largest are combinations that cancel out: two actuators in one
@@ -48,17 +50,8 @@ class Quadratic:
         """Return the losses (n,) of positions (n, dimension)."""
         return self.losses_of(self.energies(self.phasors(positions)))
 
-    def losses_and_slopes(
-        self, positions: np.ndarray, spans: np.ndarray, lower: np.ndarray, upper: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the losses (n,) and ∂loss/∂x (n, dimension) of positions (n, dimension).
-
-        Args:
-            positions: where.
-            spans: (dimension,) typical sizes of the numbers.
-            lower: (dimension,) limits that no step of a difference passes.
-            upper: the same.
-        """
+    def losses_and_slopes(self, positions: np.ndarray, space: SearchSpace) -> tuple[np.ndarray, np.ndarray]:
+        """Return the losses (n,) and ∂loss/∂x (n, dimension) of positions (n, dimension) in a space."""
         with np.errstate(all="ignore"):  # what is no number there is no number here
             z = real_parts(self.phasors(positions))
             products = np.einsum("rab,pb->pra", self.matrices, z)
@@ -66,11 +59,11 @@ class Quadratic:
             losses = self.losses_of(energy)
             dloss_dz = 2 * np.einsum("pr,pra->pa", _slopes(self.losses_of, energy), products)
             slopes = np.empty(positions.shape)
-            for column, span in enumerate(spans):
+            for column, span in enumerate(space.span):
                 ends = []
                 for step in (STEP * span, -STEP * span):
                     moved = positions.copy()
-                    moved[:, column] = np.clip(moved[:, column] + step, lower[column], upper[column])
+                    moved[:, column] = np.clip(moved[:, column] + step, space.lower[column], space.upper[column])
                     ends.append((moved[:, column], real_parts(self.phasors(moved))))
                 (high, z_high), (low, z_low) = ends
                 slopes[:, column] = ((z_high - z_low) * dloss_dz).sum(axis=1) / (high - low)
