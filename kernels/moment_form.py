@@ -237,32 +237,28 @@ def make_update_node(effects, real):
     add_local_forces = make_add_local_forces(effects, real)
 
     @wp.func
-    def second_differences(f: Fields, m: Material, k: int, j: int, i: int):
-        """Return Mx_xx + My_yy + Mxy_xy."""
-        ny = f.u.shape[1]
-        nx = f.u.shape[2]
-        mx_c = f.mx[k, j, i]
-        my_c = f.my[k, j, i]
-        bending = f.mx[k, j, mirror(i - 1, nx)] + f.mx[k, j, mirror(i + 1, nx)] - real(2.0) * mx_c
-        bending += m.aspect * (f.my[k, mirror(j - 1, ny), i] + f.my[k, mirror(j + 1, ny), i] - real(2.0) * my_c)
-        # The four cells around the node; those beyond an edge are negative mirror images.
-        left = wp.max(i - 1, 0)
-        right = wp.min(i, nx - 2)
-        low = wp.max(j - 1, 0)
-        high = wp.min(j, ny - 2)
-        sign_left = wp.where(i == 0, real(1.0), real(-1.0))
-        sign_right = wp.where(i == nx - 1, real(-1.0), real(1.0))
-        sign_low = wp.where(j == 0, real(1.0), real(-1.0))
-        sign_high = wp.where(j == ny - 1, real(-1.0), real(1.0))
-        upper = sign_right * f.mxy[k, high, right] + sign_left * f.mxy[k, high, left]
-        lower = sign_right * f.mxy[k, low, right] + sign_left * f.mxy[k, low, left]
-        return bending + m.root_aspect * (sign_high * upper + sign_low * lower)
-
-    @wp.func
     def update_node(f: Fields, m: Material, window: wp.vec2i, n: int, k: int, j: int, i: int):
         inverse_mass = m.inverse_mass[j, i]
         if inverse_mass > real(0.0):
-            bending = second_differences(f, m, k, j, i)
+            ny = f.u.shape[1]
+            nx = f.u.shape[2]
+            mx_c = f.mx[k, j, i]
+            my_c = f.my[k, j, i]
+            bending = f.mx[k, j, mirror(i - 1, nx)] + f.mx[k, j, mirror(i + 1, nx)] - real(2.0) * mx_c
+            bending += m.aspect * (f.my[k, mirror(j - 1, ny), i] + f.my[k, mirror(j + 1, ny), i] - real(2.0) * my_c)
+            # The four cells around the node; those beyond an edge are negative mirror images.
+            left = wp.max(i - 1, 0)
+            right = wp.min(i, nx - 2)
+            low = wp.max(j - 1, 0)
+            high = wp.min(j, ny - 2)
+            sign_left = wp.where(i == 0, real(1.0), real(-1.0))
+            sign_right = wp.where(i == nx - 1, real(-1.0), real(1.0))
+            sign_low = wp.where(j == 0, real(1.0), real(-1.0))
+            sign_high = wp.where(j == ny - 1, real(-1.0), real(1.0))
+            upper = sign_right * f.mxy[k, high, right] + sign_left * f.mxy[k, high, left]
+            lower = sign_right * f.mxy[k, low, right] + sign_left * f.mxy[k, low, left]
+            bending += m.root_aspect * (sign_high * upper + sign_low * lower)
+
             u = f.u[k, j, i]
             load = real(0.0)
             for term in range(wp.static(effects.terms)):

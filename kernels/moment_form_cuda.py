@@ -14,16 +14,7 @@ import warp as wp
 from warp_plate.kernels.cuda import LANES, barrier, make_from_lane, opaque, shared_memory
 from warp_plate.kernels.fused import make_fused
 from warp_plate.kernels.moment_form import make_add_local_forces, make_moment, make_oscillator_force, make_structs
-from warp_plate.kernels.moment_form_edges import (
-    BOTTOM,
-    FLAG_BITS,
-    LEFT,
-    LOADED,
-    NODES_PER_WORD,
-    RIGHT,
-    TOP,
-    make_edges,
-)
+from warp_plate.kernels.moment_form_edges import BOTTOM, FLAG_BITS, LEFT, LOADED, NODES_PER_WORD, RIGHT, TOP, make_edges
 from warp_plate.kernels.moment_form_plan import MATERIAL_PLANES, material_planes, workspace_layout
 from warp_plate.kernels.update import make_parameters, make_update
 

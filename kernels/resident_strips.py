@@ -36,15 +36,15 @@ class StripPlan:
         columns: Columns per lane.
         rows: Rows per warp.
         warps: Warps of the block.
-        squares_shared: The sums of rate² are in shared memory, else in registers.
         registers: Most registers per thread.
+        squares_shared: The sums of rate² are in shared memory, else in registers.
     """
 
     columns: int
     rows: int
     warps: int
-    squares_shared: bool
     registers: int
+    squares_shared: bool = False
 
 
 # Rows per warp that were fastest on an H200, first choice first, by columns per lane.
@@ -66,7 +66,7 @@ def plan_strips(nx, ny, real):
         if needed <= registers and shared <= SHARED_BYTES:
             # More gains nothing, and fewer registers let more blocks share the multiprocessor.
             registers = registers if squares_shared else min(registers, 168 * words)
-            return StripPlan(columns, rows, warps, squares_shared, min(registers, THREAD_REGISTERS))
+            return StripPlan(columns, rows, warps, min(registers, THREAD_REGISTERS), squares_shared)
     return None
 
 

@@ -12,7 +12,6 @@ go through shared memory, in two buffers that take turns, so that a step has one
 of the two rows outside its strip by itself.
 """
 
-from dataclasses import dataclass
 from functools import cache
 
 import warp as wp
@@ -26,6 +25,7 @@ from warp_plate.kernels.cuda import (
     most_registers,
     shared_memory,
 )
+from warp_plate.kernels.resident_strips import StripPlan
 from warp_plate.kernels.stencil import make_symmetric_weighted_sum, make_weighted_sum
 from warp_plate.kernels.update import make_parameters, make_update
 
@@ -33,23 +33,6 @@ from warp_plate.kernels.update import make_parameters, make_update
 SPECIAL = 3
 # Rows of u that a strip needs from each neighbour.
 BORDER = 4
-
-
-@dataclass(frozen=True)
-class WideStripPlan:
-    """Distribution of a plate over a block.
-
-    Attributes:
-        columns: Columns per lane.
-        rows: Rows per warp.
-        warps: Warps of the block.
-        registers: Most registers per thread.
-    """
-
-    columns: int
-    rows: int
-    warps: int
-    registers: int
 
 
 def plan_strips(nx, ny, real):
@@ -66,7 +49,7 @@ def plan_strips(nx, ny, real):
         needed = words * columns * (3 * rows + 10 + 7) + 30
         shared = 4 * words * 2 * 2 * BORDER * columns * LANES * (warps + 2)
         if needed <= registers and shared <= SHARED_BYTES:
-            return WideStripPlan(columns, rows, warps, registers)
+            return StripPlan(columns, rows, warps, registers)
     return None
 
 
@@ -115,7 +98,6 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
     Strip = wp.types.matrix(shape=(rows, columns), dtype=real)
     Squares = wp.types.matrix(shape=(rows, columns) if summed else (1, 1), dtype=real)
     ColumnTaps = wp.types.matrix(shape=(columns, 5), dtype=real)
-    EdgeTaps = wp.types.matrix(shape=(SPECIAL, 5), dtype=real)
     # Row j, column c of a thread's part is at j·stride + c, an offset that the compiler knows.
     thread_part = make_thread_part(real, (rows - 1) * stride + columns)
 
@@ -141,31 +123,27 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
             )
         return sums
 
-    def make_sum_along_y(j):
-        """Make the sum along y for row j of a strip: near an edge, the first or the last warp has taps of its own."""
-        near_low, near_high = 0 <= j < SPECIAL, 0 <= last_row - j < SPECIAL
+    @wp.func
+    def sum_along_y_inside(a: Row, b: Row, c: Row, d: Row, e: Row, taps: Taps):
+        sums = Row()
+        for k in range(wp.static(columns)):
+            sums[k] = symmetric_weighted_sum(real(0.0), taps, a[k], b[k], c[k], d[k], e[k])
+        return sums
 
-        @wp.func
-        def sum_along_y(
-            a: Row, b: Row, c: Row, d: Row, e: Row, inside: Taps, low: EdgeTaps, high: EdgeTaps, warp: int
-        ):
-            sums = Row()
-            if wp.static(near_low or near_high):
-                taps = inside
-                if wp.static(near_low):
-                    if warp == 0:
-                        taps = low[wp.static(j)]
-                if wp.static(near_high):
-                    if warp == wp.static(warps - 1):
-                        taps = high[wp.static(last_row - j)]
-                for k in range(wp.static(columns)):
-                    sums[k] = weighted_sum(real(0.0), taps, a[k], b[k], c[k], d[k], e[k])
-            else:
-                for k in range(wp.static(columns)):
-                    sums[k] = symmetric_weighted_sum(real(0.0), inside, a[k], b[k], c[k], d[k], e[k])
-            return sums
+    @wp.func
+    def sum_along_y_at_edge(a: Row, b: Row, c: Row, d: Row, e: Row, taps: Taps):
+        sums = Row()
+        for k in range(wp.static(columns)):
+            sums[k] = weighted_sum(real(0.0), taps, a[k], b[k], c[k], d[k], e[k])
+        return sums
 
-        return sum_along_y
+    def near_low(j):
+        """Return whether row j of the first strip has taps of its own."""
+        return 0 <= j < SPECIAL
+
+    def near_high(j):
+        """Return whether row j of the last strip has taps of its own."""
+        return 0 <= last_row - j < SPECIAL
 
     @wp.kernel(
         module="unique",
@@ -261,21 +239,47 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
             for r in range(wp.static(rows + 4)):
                 # The curvature of row r − 2 of the strip; a single strip needs none outside it.
                 if wp.static(warps > 1 or 2 <= r < rows + 2):
-                    along_y = wp.static(make_sum_along_y(r - 2))(
-                        strip_u[r], strip_u[r + 1], strip_u[r + 2], strip_u[r + 3], strip_u[r + 4],
-                        taps_y.inside, taps_y.bend_low, taps_y.bend_high, warp,
-                    )
+                    along_y = Row()
+                    if wp.static(near_low(r - 2) or near_high(r - 2)):
+                        taps = taps_y.inside
+                        if wp.static(near_low(r - 2)):
+                            if warp == 0:
+                                taps = taps_y.bend_low[wp.static(r - 2)]
+                        if wp.static(near_high(r - 2)):
+                            if warp == wp.static(warps - 1):
+                                taps = taps_y.bend_high[wp.static(last_row - (r - 2))]
+                        along_y = sum_along_y_at_edge(
+                            strip_u[r], strip_u[r + 1], strip_u[r + 2], strip_u[r + 3], strip_u[r + 4], taps
+                        )
+                    else:
+                        along_y = sum_along_y_inside(
+                            strip_u[r], strip_u[r + 1], strip_u[r + 2], strip_u[r + 3], strip_u[r + 4], taps_y.inside
+                        )
                     curvature_row = add_along_x(along_y, strip_u[r + 2], bend_taps, lane)
                     for c in range(wp.static(columns)):
                         curvature[r, c] = curvature_row[c]
 
                 # With it, all that moves row r − 4 is known.
                 if wp.static(r >= 4):
-                    along_y = wp.static(make_sum_along_y(r - 4))(
-                        curvature[r - 4], curvature[r - 3], curvature[r - 2], curvature[r - 1], curvature[r],
-                        taps_y.inside, taps_y.move_low, taps_y.move_high, warp,
-                    )
-                    biharmonic = add_along_x(along_y, curvature[r - 2], move_taps, lane)
+                    across = Row()
+                    if wp.static(near_low(r - 4) or near_high(r - 4)):
+                        weights = taps_y.inside
+                        if wp.static(near_low(r - 4)):
+                            if warp == 0:
+                                weights = taps_y.move_low[wp.static(r - 4)]
+                        if wp.static(near_high(r - 4)):
+                            if warp == wp.static(warps - 1):
+                                weights = taps_y.move_high[wp.static(last_row - (r - 4))]
+                        across = sum_along_y_at_edge(
+                            curvature[r - 4], curvature[r - 3], curvature[r - 2], curvature[r - 1], curvature[r],
+                            weights,
+                        )
+                    else:
+                        across = sum_along_y_inside(
+                            curvature[r - 4], curvature[r - 3], curvature[r - 2], curvature[r - 1], curvature[r],
+                            taps_y.inside,
+                        )
+                    biharmonic = add_along_x(across, curvature[r - 2], move_taps, lane)
                     row_stiffness = stiffness
                     if wp.static(r == 4):
                         if warp == 0:
