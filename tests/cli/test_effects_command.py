@@ -1,4 +1,4 @@
-"""``warp-plate effects``, the warnings of ``simulate`` and ``localize``, and the presets that name effects."""
+"""``warp-plate effects``, the warnings of ``simulate`` and ``localize``, and the presets with effects."""
 
 import json
 import math
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import scene_of
 
 from warp_plate import PlateSolver, Scene
 from warp_plate.analysis import influence
@@ -20,78 +21,73 @@ from warp_plate.scene.effects import Damping, Effects
 from warp_plate.scene.search import Search
 from warp_plate.solve.specialize import effect_names
 
-NEW = {
+EFFECTS_OF_PRESETS = {
     "touch-panel": {"edges", "damping", "material_damping", "oscillators"},
     "cantilever-display": {"edges", "damping", "layers"},
     "composite-panel": {"damping", "material_damping", "orthotropic"},
     "large-amplitude": {"damping", "stretching"},
 }
+QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate")
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    """Short timed runs: what they show is not looked at."""
+    """Shorten timed runs, whose times are not checked."""
     monkeypatch.setattr(influence, "TIMED_NODE_STEPS", {"cpu": 1e4, "cuda": 1e6})
     monkeypatch.setattr(influence, "ROUNDS", 2)
 
 
 @pytest.fixture
-def panel(tmp_path, monkeypatch, scene):
+def panel(tmp_path, monkeypatch):
     """A small scene in a file of the working folder."""
     monkeypatch.chdir(tmp_path)
-    made = scene(damping=88.5, effects={"stretching": {}, "damping": {"viscous": 88.5}})
-    Path("panel.toml").write_text(dump_scene(made), encoding="utf-8")
-    return made
+    scene = scene_of(effects={"stretching": {}, "damping": {"viscous": 88.5}}, search={"iterations": 3})
+    Path("panel.toml").write_text(dump_scene(scene), encoding="utf-8")
+    return scene
 
 
 def by_name(found):
-    return {switch.name: switch for switch in found.toggles}
+    return {toggle.name: toggle for toggle in found.toggles}
 
 
-def numbers(scene, peak=0.0):
-    return {number.name: number for number in find_warnings(scene, peak)}
+def findings(scene, peak=0.0):
+    return {finding.name: finding for finding in find_warnings(scene, peak)}
 
 
-def test_json(command, panel):
+def test_json_and_table(command, panel):
     status, out, err = command("effects", "panel.toml", "--device", "cpu", "--json")
     assert (status, err) == (0, "")
-    answer = json.loads(out)
-    effects = {row["name"]: row for row in answer["effects"]}
+    record = json.loads(out)
+    effects = {row["name"]: row for row in record["effects"]}
     assert list(effects) == ["edges", *Effects.model_fields, "own_frequencies", *DRIVES]
     assert {name for name, row in effects.items() if row["on"]} == {"damping", "stretching"}
     assert effects.pop("signal")["alternative"] == "no typical value is known"
     assert all(math.isfinite(row["price"]) for row in effects.values())
-    assert answer["bare_step_seconds"] > 0
-    assert len(answer["numbers"]) == 5
-    assert answer["warnings"] == [number["sentence"] for number in answer["numbers"] if number["exceeded"]]
-
-
-def test_table(command, panel):
-    status, out, err = command("effects", "panel.toml", "--device", "cpu")
-    assert (status, err) == (0, "")
-    text = " ".join(out.split())
+    assert record["bare_step_seconds"] > 0
+    assert len(record["numbers"]) == 5
+    assert record["warnings"] == [number["sentence"] for number in record["numbers"] if number["exceeded"]]
+    text = " ".join(command("effects", "panel.toml", "--device", "cpu")[1].split())
     assert "without stretching: left out" in text
     assert "with oscillators: a fingertip" in text
-    for number in find_warnings(panel, 0.0)[1:]:
-        assert number.sentence in text
+    for finding in find_warnings(panel, 0.0)[1:]:
+        assert finding.sentence in text
 
 
 def test_influence_is_that_of_a_run_without_the_effect(panel):
-    """Switched off by hand: the same numbers."""
     effects = panel.effects.model_copy(update={"damping": None})
     run = PlateSolver(panel.model_copy(update={"effects": effects}), "cpu").run(scene_phasors(panel)[None])
-    switch = by_name(measure_influence(panel, "cpu"))["damping"]
-    assert switch.localization_factor == pytest.approx(run.energy[0, 1] / run.energy[0, 0], rel=1e-9)
+    toggle = by_name(measure_influence(panel, "cpu"))["damping"]
+    assert toggle.localization_factor == pytest.approx(run.energy[0, 1] / run.energy[0, 0], rel=1e-9)
 
 
-def test_a_strong_drive_stretches(scene):
-    """Without stretching, displacements are in proportion to the drive; with it, a plate driven to twice its thickness
-    moves less, and one driven weakly the same."""
-    made = scene(effects={"stretching": {}}, frequency=35.0)
+def test_stretching_matters_under_a_strong_drive():
+    """Without it displacements are proportional to the drive; with it a plate driven to twice its thickness moves less,
+    and a weakly driven one the same."""
+    scene = scene_of(effects={"stretching": {}}, frequency=35.0)
     weak, strong = (
         measure_influence(
-            made.model_copy(
-                update={"actuators": tuple(one.model_copy(update={"magnitude": pressure}) for one in made.actuators)}
+            scene.model_copy(
+                update={"actuators": tuple(one.model_copy(update={"magnitude": pressure}) for one in scene.actuators)}
             ),
             "cpu",
         )
@@ -103,71 +99,61 @@ def test_a_strong_drive_stretches(scene):
     assert strong.peak < 0.9 * linear
 
 
-def test_fourth_order_says_why_effects_are_refused(scene):
-    found = by_name(measure_influence(scene(order=4, damping=10.0), "cpu"))
+def test_fourth_order_says_why_effects_are_refused():
+    found = by_name(measure_influence(scene_of(order=4, damping=10.0), "cpu"))
     assert found["damping"].price is not None
     for name in ("edges", "tension", "layers", "stretching"):
         assert found[name].price is None
         assert "grid.order = 4" in found[name].alternative
 
 
-def test_a_step_too_long_for_the_other_state_is_replaced(scene):
-    """Material damping lowers the limit below a step that is just right without it."""
-    limit = PlateSolver(scene(), "cpu").specialized.scheme.limit
-    switch = by_name(measure_influence(scene(time_step=limit), "cpu"))["material_damping"]
-    assert "with its own time step of" in switch.alternative
-    assert switch.steps > 1
+def test_a_step_too_long_for_the_other_state_is_replaced():
+    """Material damping lowers the limit below a step that is just stable without it."""
+    limit = PlateSolver(scene_of(), "cpu").specialized.scheme.limit
+    toggle = by_name(measure_influence(scene_of(time_step=limit), "cpu"))["material_damping"]
+    assert "step of" in toggle.alternative
+    assert toggle.steps > 1
 
 
-def test_the_bare_plate_is_plain(scene):
-    made = scene(edges=("free", "supported", {"rotation": 1.0}, "clamped"), damping=3.0)
-    made = made.with_tables(drive={"frequency": 290.0, "burst": {"duration": 0.01}, "electrostatic": {"gain": 1.0}})
-    bare = bare_scene(made)
+def test_the_bare_plate_has_no_effects():
+    scene = scene_of(edges=("free", "supported", {"rotation": 1.0}, "clamped"), damping=3.0)
+    scene = scene.with_tables(drive={"frequency": 290.0, "burst": {"duration": 0.01}, "electrostatic": {"gain": 1.0}})
+    bare = bare_scene(scene)
     assert effect_names(bare) == ()
     assert (bare.edges.left, bare.edges.bottom, bare.edges.right) == ("clamped", "supported", "clamped")
     for name in ("edges", "burst", "electrostatic"):
-        assert is_on(made, name)
+        assert is_on(scene, name)
         assert not is_on(bare, name)
 
 
-def test_displacement_against_thickness(scene):
-    thickness = scene().plate.thickness
-    assert not numbers(scene(), 0.19 * thickness)["displacement / thickness"].exceeded
-    assert numbers(scene(), 0.21 * thickness)["displacement / thickness"].exceeded
-    assert numbers(scene(), math.nan)["displacement / thickness"].exceeded
-    named = numbers(scene(effects={"stretching": {}}), 3 * thickness)["displacement / thickness"]
-    assert named.value == pytest.approx(3)
-    assert not named.exceeded
-    assert any("[effects.stretching]" in sentence for sentence in warning_texts(scene(), thickness))
+def test_displacement_against_thickness():
+    scene, name = scene_of(), "displacement / thickness"
+    thickness = scene.plate.thickness
+    exceeded = {peak: findings(scene, peak * thickness)[name].exceeded for peak in (0.19, 0.21, math.nan)}
+    assert list(exceeded.values()) == [False, True, True]
+    with_stretching = findings(scene_of(effects={"stretching": {}}), 3 * thickness)[name]
+    assert (with_stretching.value, with_stretching.exceeded) == (pytest.approx(3), False)
+    assert any("[effects.stretching]" in sentence for sentence in warning_texts(scene, thickness))
 
 
-def test_wavelength_is_that_of_a_supported_plate_s_mode(scene):
-    """At the frequency of the mode (1, 1) of a supported square the straight wave is √2 times as long as a side."""
-    first = natural_modes(scene((61, 61), edges=("supported",) * 4), 1).frequencies[0]
-    found = numbers(scene((61, 61), frequency=first))
-    wave = math.sqrt(2) * 0.2
+def test_wavelengths_against_thickness_and_grid():
+    """At the frequency of the mode (1, 1) of a supported square a straight wave is √2 times as long as a side."""
+    first = natural_modes(scene_of((61, 61), edges=("supported",) * 4), 1).frequencies[0]
+    found, wave = findings(scene_of((61, 61), frequency=first)), math.sqrt(2) * 0.2
     assert found["wavelength / thickness"].value == pytest.approx(wave / 5e-4, rel=1e-3)
     assert found["points a wavelength"].value == pytest.approx(wave / (0.2 / 60), rel=1e-3)
+    assert findings(scene_of((9, 9)))["points a wavelength"].exceeded
+    assert not findings(scene_of((41, 41)))["points a wavelength"].exceeded
+    assert not findings(scene_of((15, 15)))["wavelength / thickness"].exceeded
+    high = scene_of((101, 101), frequency=60_000.0, window=(0.0, 1e-3))
+    assert findings(high)["wavelength / thickness"].exceeded
 
 
-def test_short_waves_and_coarse_grids_warn(scene):
-    assert numbers(scene((9, 9)))["points a wavelength"].exceeded
-    assert not numbers(scene((41, 41)))["points a wavelength"].exceeded
-    assert not numbers(scene((15, 15), order=2))["wavelength / thickness"].exceeded
-    high = scene((101, 101), frequency=60_000.0, window=(0.0, 1e-3))
-    assert numbers(high)["wavelength / thickness"].exceeded
-
-
-def test_added_mass(scene):
-    def layer(thickness, both):
-        return {
-            "area": (0.0, 0.1, 0.0, 0.2), "thickness": thickness, "young_modulus": 1e9, "density": 2000.0, "both": both,
-        }  # fmt: skip
-
-    thin = numbers(scene(effects={"layers": [layer(2e-5, False)]}))["added mass / plate's mass"]
-    thick = numbers(scene(effects={"layers": [layer(2e-5, True)]}))["added mass / plate's mass"]
-    assert (thin.value, thin.exceeded) == (pytest.approx(0.04), False)
-    assert (thick.value, thick.exceeded) == (pytest.approx(0.08), True)
+@pytest.mark.parametrize(("both", "value"), [(False, 0.04), (True, 0.08)])
+def test_added_mass(both, value):
+    layer = {"area": (0.0, 0.1, 0.0, 0.2), "thickness": 2e-5, "young_modulus": 1e9, "density": 2000.0, "both": both}
+    found = findings(scene_of(effects={"layers": [layer]}))["added mass / plate's mass"]
+    assert (found.value, found.exceeded) == (pytest.approx(value), both)
 
 
 @pytest.mark.parametrize(
@@ -178,79 +164,64 @@ def test_added_mass(scene):
         {"material_damping": {"time": 200 / (2 * math.pi * 290) ** 2}},
     ],
 )
-def test_start_up_motion_that_is_left(scene, effects):
-    """All three damp at 100 1/s: the plate weighs 0.5 kg/m² and the drive has 290 Hz."""
+def test_start_up_motion_that_is_left(effects):
+    """All three damp at 100 1/s: the plate has 0.5 kg/m² and the drive 290 Hz."""
     for start in (0.04, 0.05):
-        found = numbers(scene(effects=effects, window=(start, 0.1)))["start-up motion left"]
+        found = findings(scene_of(effects=effects, window=(start, 0.1)))["start-up motion left"]
         assert found.value == pytest.approx(math.exp(-100 * start))
         assert found.exceeded == (start == 0.04)
-    assert numbers(scene())["start-up motion left"].value == 1
+    assert findings(scene_of())["start-up motion left"].value == 1
 
 
 @pytest.mark.parametrize("name", ["simulate", "localize"])
-def test_a_plate_that_leaves_the_finite_numbers_is_told_with_the_cause(command, panel, name):
-    """Stretching that pulls harder than the step allows: a shorter step, as the sentence says, keeps it finite."""
-    options = ("panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate", "--json")
-    # So thin and light that magnitudes near one, which the search drives with, throw it far.
+def test_a_plate_that_becomes_non_finite_is_reported_with_the_cause(command, panel, name):
+    """Stretching that is too stiff for the step; a shorter step, as the warning advises, keeps the plate finite."""
+    # So thin and light that magnitudes of one, as in a search, throw it far.
     light = panel.plate.model_copy(update={"thickness": 1e-4, "density": 1.0})
-    damping = Damping(viscous=0.01)
-    made = panel.model_copy(
-        update={
-            "plate": light,
-            "effects": panel.effects.model_copy(update={"damping": damping}),
-            "search": Search(particles=2, iterations=2),
-        }
-    )
-    step, told = make_scheme(made).time_step, []
+    effects = panel.effects.model_copy(update={"damping": Damping(viscous=0.01)})
+    scene = panel.model_copy(update={"plate": light, "effects": effects, "search": Search(particles=2, iterations=2)})
+    step, warnings = make_scheme(scene).time_step, []
     for part in (1, 8):
-        grid = made.grid.model_copy(update={"time_step": step / part})
-        Path("panel.toml").write_text(dump_scene(made.model_copy(update={"grid": grid})), encoding="utf-8")
-        status, out, _ = command(name, *options)
+        grid = scene.grid.model_copy(update={"time_step": step / part})
+        Path("panel.toml").write_text(dump_scene(scene.model_copy(update={"grid": grid})), encoding="utf-8")
+        status, out, _ = command(name, "panel.toml", *QUICK, "--json")
         assert status == 0
-        grown = "has no energies, grew without bound by t = "
-        told.append([line for line in json.loads(out)["warnings"] if grown in line])
-    assert len(told[0]) == 1
-    assert f"the time step of {step:.3g} s allows" in told[0][0]
-    assert not told[1]
+        warnings.append([line for line in json.loads(out)["warnings"] if "grew without bound by t = " in line])
+    ((warning,), none) = warnings
+    assert f"{step:.3g} s" in warning
+    assert not none
 
 
-def test_too_long_a_step_is_told_with_the_cause(command, panel):
+def test_a_step_above_the_limit_is_reported_as_the_cause(command, panel):
     step = 3 * make_scheme(panel).limit
     text = dump_scene(panel.model_copy(update={"grid": panel.grid.model_copy(update={"time_step": step})}))
     Path("panel.toml").write_text(text, encoding="utf-8")
-    options = ("--device", "cpu", "--no-pictures", "--no-estimate", "--allow-unstable")
-    status, out, _ = command("simulate", "panel.toml", *options)
+    status, out, _ = command("simulate", "panel.toml", *QUICK, "--allow-unstable")
     assert status == 0
-    assert "! A plate has no energies, " in out
     assert f"the time step of {step:.6g} s is above the stability limit" in " ".join(out.split())
 
 
-def test_too_strong_a_drive_is_told_with_the_cause_and_its_unit(scene):
-    """A linear plate at a stable step: nothing but the drive can do that."""
-    for made, unit in ((scene(), "N/m²"), (scene(drive={"frequency": 290.0, "electrostatic": {"gain": 1.0}}), "V")):
-        assert f"(magnitudes are in {unit}," in warning_texts(made, math.nan)[0]
+def test_too_strong_a_drive_is_reported_with_its_unit():
+    """Nothing but the drive can make a linear plate at a stable step non-finite."""
+    volts = scene_of(drive={"frequency": 290.0, "electrostatic": {"gain": 1.0}})
+    for scene, unit in ((scene_of(), "N/m²"), (volts, "V")):
+        assert f"(magnitudes are in {unit}," in warning_texts(scene, math.nan)[0]
 
 
 @pytest.mark.parametrize("name", ["simulate", "localize"])
 def test_commands_print_warnings(command, panel, name):
-    options = ("panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate")
-    status, out, _ = command(name, *options, "--json")
-    assert status == 0
-    told = json.loads(out)["warnings"]
-    assert told
-    status, out, _ = command(name, *options)
-    assert status == 0
-    text = " ".join(out.split())
-    assert all(f"! {sentence}" in text for sentence in told)
+    warnings = json.loads(command(name, "panel.toml", *QUICK, "--json")[1])["warnings"]
+    assert warnings
+    text = " ".join(command(name, "panel.toml", *QUICK)[1].split())
+    assert all(f"! {sentence}" in text for sentence in warnings)
 
 
-@pytest.mark.parametrize("name", NEW)
-def test_presets_name_their_effects(name):
-    """They are steady, on a grid that is fine enough, at the step that the program chooses."""
+@pytest.mark.parametrize("name", EFFECTS_OF_PRESETS)
+def test_presets_with_effects_are_steady_and_well_resolved(name):
     scene = Scene.load(name)
-    assert {one for one in ("edges", *Effects.model_fields) if is_on(scene, one)} == NEW[name]
+    assert {effect for effect in ("edges", *Effects.model_fields) if is_on(scene, effect)} == EFFECTS_OF_PRESETS[name]
     assert scene.grid.time_step is None
-    found = numbers(scene)
+    found = findings(scene)
     for number in ("wavelength / thickness", "points a wavelength", "start-up motion left"):
         assert not found[number].exceeded
 
@@ -261,8 +232,8 @@ def test_the_large_amplitude_preset_stretches():
     linear = scene.model_copy(update={"effects": scene.effects.model_copy(update={"stretching": None})})
     times = scene.window.end - np.arange(16) / 16 / scene.drive.frequency
     peaks = [
-        np.abs(PlateSolver(one, "cpu").run(scene_phasors(one)[None], times.tolist()).displacement).max()
-        for one in (scene, linear)
+        np.abs(PlateSolver(made, "cpu").run(scene_phasors(made)[None], times.tolist()).displacement).max()
+        for made in (scene, linear)
     ]
     assert peaks[0] > scene.plate.thickness
     assert peaks[1] > 2 * peaks[0]

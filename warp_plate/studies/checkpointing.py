@@ -1,4 +1,4 @@
-"""When a search or a sweep is saved while it runs, and where."""
+"""Files that hold a search or a sweep while it runs."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class _Options:
-    """What a search reports, saves and computes beside its best drive; see :func:`localize`."""
+    """Options for what a search reports, saves and computes beside its best drive; see :func:`localize`."""
 
     on_progress: OnProgress | None
     checkpoints: CheckpointFile | None

@@ -1,4 +1,4 @@
-"""Where and with what a result was computed, and which changes a run that is resumed may have."""
+"""Devices and versions that a result depends on, and their changes between the parts of an interrupted run."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ Values = dict[str, float | np.ndarray]
 
 @dataclass(frozen=True)
 class QuantityOptions:
-    """How quantities are computed.
+    """Options of the computation.
 
     Attributes:
         device, path: see :class:`PlateSolver`.

@@ -1,4 +1,4 @@
-"""One plate under one drive, as a result."""
+"""Simulation of one plate under one drive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which file a sweep continues from, and which files its result may replace."""
+"""Files of a sweep: the unfinished one that it continues from, and those that its result may replace."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MODES = 6
 
 @dataclass(frozen=True)
 class SweepRequest:
-    """What a sweep is asked for, as the options of the command; None for what is left out.
+    """Options of a sweep as a user gives them; None for those left out.
 
     Attributes:
         scene: scene whose numbers are varied; ``source`` is its name.

@@ -1,4 +1,4 @@
-"""One point of a sweep: here, or on a worker of a pool."""
+"""Run single points of a sweep, in this process or on the workers of a pool."""
 
 from __future__ import annotations
 
