@@ -1,10 +1,6 @@
 """The benchmark of the host's share: its parts add up, and it changes no result; no test asserts a speed."""
 
-import json
-import sys
-
 import host_share
-import pytest
 
 from warp_plate.optimize.optimizer import minimize
 from warp_plate.problem.problem import make_problem
@@ -30,25 +26,3 @@ def test_the_clock_changes_no_bit(scene):
         found.append(minimize(search_optimizer(problem, 0), problem.losses).fbest)
         assert clock is None or clock.taken()[1] > 0
     assert found[0] == found[1]
-
-
-def test_the_table_and_the_file(monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(
-        host_share,
-        "measure",
-        lambda *_: [
-            {
-                "plates": 20,
-                "host_share": 0.25,
-                "seconds": {"whole": 4e-3, "device": 3e-3, "steps": 2e-3} | dict.fromkeys(host_share.PARTS, 25e-5),
-            }
-        ],
-    )
-    monkeypatch.setattr(sys, "argv", ["host_share.py", "--device", "cpu", "--out", str(tmp_path / "a.json")])
-    host_share.main()
-    assert "4.00 ms    3.00 ms    2.00 ms  25.0 %" in capsys.readouterr().out
-    record = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
-    assert set(record) == {"machine", "versions", "rows"}
-    monkeypatch.setattr(sys, "argv", ["host_share.py", "--device", "abacus"])
-    with pytest.raises(SystemExit):
-        host_share.main()

@@ -47,27 +47,21 @@ def test_edited_replaces_one_key():
         ("grid", "spacing", "0.01", "grid.spacing", "nodes, order, load, time_step, precision"),
         ("actuators", "magnitud", "1.0", "actuators[0].magnitud", "'magnitude'?"),
         ("plate", "size", "[200, 200, 200]", "plate.size = [200, 200, 200]: ", "list of 2 numbers"),
-        ("plate", "size", "[0.2, -0.2]", "plate.size[1] = -0.2", "greater than 0"),
         ("plate", "size", "[5e-4, 0.2]", "plate.thickness", "metres"),
         ("plate", "thickness", "0.0401", "plate.thickness", "thin"),
         ("plate", "thickness", "2020-01-01", "plate.thickness = 2020-01-01: ", "must be a number"),
         ("plate", "young_modulus", "999", "plate.young_modulus = 999", "1000"),
-        ("plate", "young_modulus", "2.1e14", "plate.young_modulus = 210000000000000.0", "1e+13 or less"),
         ("plate", "poisson_ratio", "0.5", "plate.poisson_ratio = 0.5", "less than 0.5"),
-        ("plate", "density", "7.85e6", "plate.density", "100000"),
         ("plate", "density", "nan", "plate.density", "finite"),
         ("plate", "density", "1" + 400 * "0", "plate.density", "number"),
         ("edges", "left", '"held"', "edges.left = 'held'", "'clamped', 'supported', 'free', or a table of springs"),
         ("grid", "nodes", "[27.5, 27]", "grid.nodes[0] = 27.5", "must be a whole number"),
         ("grid", "nodes", "[1e30, 27]", "grid.nodes[0] = 1e+30: ", "nearer to 0"),
-        ("grid", "nodes", "[4, 27]", "grid.nodes[0] = 4", "5"),
         ("grid", "nodes", "[27, 8194]", "grid.nodes[1]", "8193"),
-        ("grid", "order", "3", "grid.order = 3", "2"),
         ("grid", "load", '"point"', "grid.load = 'point'", "'overlap', 'nodes' or 'moments'"),
         ("grid", "time_step", "1e-31", "grid.time_step = 1e-31", "1e-30 to 1e+30"),
         ("grid", "accuracy", "0.01", "grid.accuracy: 0.01", "delete load, nodes, order, precision, time_step"),
         ("window", "end", "0.05", "window.end", "later than start = 0.05"),
-        ("window", "start", "-0.1", "window.start = -0.1", "0"),
         ("target", "area", "[0.0, 0.1, 0.0]", "target.area = [0.0, 0.1, 0.0]: ", "list of 4 numbers"),
         ("target", "area", "[0.0, 0.3, 0.0, 0.1]", "target.area", "off the plate"),
         ("target", "area", "[0.1, 0.1, 0.0, 0.1]", "target.area", "no inside"),
@@ -75,10 +69,8 @@ def test_edited_replaces_one_key():
         ("target", "polygon", "[[0.0, 0.0], [0.1, 0.1]]", "target.polygon = [[0.0, 0.0]", "at least 3 points [x, y]"),
         ("record", "times", "[0.0464, 0.2]", "record.times[1]", "window.end = 0.1"),
         ("record", "points", "[[0.1, 0.1], [0.1, 0.21]]", "record.points[1]", "off the plate"),
-        ("record", "points", "[0.1, 0.1]", "record.points[0] = 0.1: ", "list of 2 numbers"),
         ("effects.damping", "viscous", "-1", "effects.damping.viscous = -1", "0"),
         ("search", "seed", "1" + 30 * "0", "search.seed", "less than 9223372036854775808"),
-        ("search", "decay", "1.5", "search.decay = 1.5", "1"),
         ("search", "frequency", "{ range = [2, 1] }", "search.frequency.range", "smaller number first"),
         ("search", "frequency", "true", "search.frequency = true: ", "must be a table, [search.frequency]"),
         ("search", "phase", "{ actuators = 'a' }", "search.phase.actuators = 'a': ", "list of texts"),
@@ -90,9 +82,7 @@ def test_edited_replaces_one_key():
         ("search", "delay", "{ range = [0, 1], own = 1 }", "search.delay.own = 1: ", "must be true or false"),
         ("search", "robust", "{ gain = 0.1, quantile = 0.5 }", "search.robust.quantile = 0.5", "measure = 'quantile'"),
         ("actuators", "area", "[0.19, 0.21, 0.03, 0.04]", "actuators[0].area", "off the plate"),
-        ("actuators", "area", "[0.042, 0.03, 0.03, 0.042]", "actuators[0].area", "x0 < x1"),
         ("actuators", "area", "[0.03, 0.042, 0.03, nan]", "actuators[0].area[3]", "finite"),
-        ("actuators", "name", '""', "actuators[0].name = '': ", "1 or more characters"),
         ("actuators", "name", '"upper left"', "actuators[1].name: 'upper left'", "its own"),
         ("drive", "electrostatic", "{ gain = 0.0 }", "drive.electrostatic.gain = 0.0", "not be 0"),
         ("drive", "signal", '{ file = "../a.wav" }', "drive.signal.file: '../a.wav'", "without folders"),
@@ -220,15 +210,6 @@ def test_every_key_of_a_file_is_read():
             assert read == written
 
     check(Scene.parse(text, "").model_dump(), parse_toml(text, ""))
-
-
-def test_effects_are_compiled_only_if_named(scene):
-    for damping, scheme, effects in (
-        (None, "centred", ()),
-        (0.0, "centred", ("viscous damping (centred)",)),
-        (1.0, "backward", ("viscous damping (backward)",)),
-    ):
-        assert PlateSolver(scene(damping=damping, scheme=scheme), "cpu").effects == effects
 
 
 # TOML holds every character but surrogates, HDF5 every character but NUL.

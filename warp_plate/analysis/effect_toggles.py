@@ -70,9 +70,8 @@ def without(name: str) -> Change:
 
 def with_value(scene: Scene, name: str, value: object) -> Scene:
     """Return the scene with another value, which is not checked, of an effect or of a table of the drive."""
-    if name in DRIVES:
-        return scene.model_copy(update={"drive": scene.drive.model_copy(update={name: value})})
-    return scene.model_copy(update={"effects": scene.effects.model_copy(update={name: value})})
+    table = "drive" if name in DRIVES else "effects"
+    return scene.model_copy(update={table: getattr(scene, table).model_copy(update={name: value})})
 
 
 def _with_one_frequency(scene: Scene) -> Scene:
@@ -91,46 +90,6 @@ def rigidity(scene: Scene) -> float:
     return plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
 
 
-def _springs(scene: Scene) -> tuple[Scene, str]:
-    side, bending = min(scene.plate.size), rigidity(scene)
-    edge = ElasticEdge(translation=1000 * bending / side**3, rotation=10 * bending / side)
-    edges = Edges(left=edge, bottom=edge, right=edge, top=edge)
-    text = f"all edges on springs of {edge.translation:.2g} N/m² and {edge.rotation:.2g} N"
-    return scene.model_copy(update={"edges": edges}), text + " (1000 D/L³ and 10 D/L)"
-
-
-def _damping(scene: Scene) -> tuple[Scene, str]:
-    viscous = LOSS_FACTOR * scene.drive_angular_frequency * scene.plate.density * scene.plate.thickness
-    return with_value(scene, "damping", Damping(viscous=viscous)), f"{viscous:.2g} N·s/m³ (loss factor {LOSS_FACTOR:g})"
-
-
-def _material_damping(scene: Scene) -> tuple[Scene, str]:
-    retardation = LOSS_FACTOR / scene.drive_angular_frequency
-    text = f"{retardation:.2g} s (loss factor {LOSS_FACTOR:g} at the drive's frequency)"
-    return with_value(scene, "material_damping", MaterialDamping(time=retardation)), text
-
-
-def _tension(scene: Scene) -> tuple[Scene, str]:
-    tension = 0.1 * math.pi**2 * rigidity(scene) / min(scene.plate.size) ** 2
-    text = f"{tension:.2g} N/m along x and y (a tenth of π²D/L², the buckling load of a supported strip)"
-    return with_value(scene, "tension", Tension(x=tension, y=tension)), text
-
-
-def _foundation(scene: Scene) -> tuple[Scene, str]:
-    return with_value(scene, "foundation", Foundation(stiffness=1e7)), "1e7 N/m³ (10 mm of foam of 0.1 MPa)"
-
-
-def _orthotropic(scene: Scene) -> tuple[Scene, str]:
-    bending, ratio = rigidity(scene), scene.plate.poisson_ratio
-    table = Orthotropic(Dx=1.1 * bending, Dy=bending, D1=ratio * bending, Dxy=(1 - ratio) / 2 * bending)
-    return with_value(scene, "orthotropic", table), "Dx a tenth above that of the isotropic plate"
-
-
-def _variation(scene: Scene) -> tuple[Scene, str]:
-    varied = Variation(thickness=((0.95, 1.05),))
-    return with_value(scene, "variation", varied), "thickness from 0.95 at x = 0 to 1.05"
-
-
 def film(scene: Scene) -> tuple[Layer, ...]:
     """Return a piezoelectric film on one face under each actuator."""
     return tuple(
@@ -139,18 +98,52 @@ def film(scene: Scene) -> tuple[Layer, ...]:
     )
 
 
-def _layers(scene: Scene) -> tuple[Scene, str]:
-    text = "a piezoelectric film of 110 µm, 2.5 GPa, 1780 kg/m³ on each actuator"
-    return with_value(scene, "layers", film(scene)), text
+def _springs(scene: Scene) -> tuple[Scene, str]:
+    side, bending = min(scene.plate.size), rigidity(scene)
+    edge = ElasticEdge(translation=1000 * bending / side**3, rotation=10 * bending / side)
+    edges = Edges(left=edge, bottom=edge, right=edge, top=edge)
+    text = f"all edges on springs of {edge.translation:.2g} N/m² and {edge.rotation:.2g} N"
+    return scene.model_copy(update={"edges": edges}), text + " (1000 D/L³ and 10 D/L)"
 
 
-def _oscillators(scene: Scene) -> tuple[Scene, str]:
+def _two_frequencies(scene: Scene) -> tuple[Scene, str]:
+    if len(scene.actuators) == 1:
+        raise SceneError("one actuator has one frequency")
+    other, (*rest, last) = OTHER_FREQUENCY * scene.drive.frequency, scene.actuators
+    actuators = (*rest, last.model_copy(update={"frequency": other}))
+    return scene.model_copy(update={"actuators": actuators}), f"the last actuator at {other:.3g} Hz"
+
+
+def _damping(scene: Scene) -> tuple[Damping, str]:
+    viscous = LOSS_FACTOR * scene.drive_angular_frequency * scene.plate.density * scene.plate.thickness
+    return Damping(viscous=viscous), f"{viscous:.2g} N·s/m³ (loss factor {LOSS_FACTOR:g})"
+
+
+def _material_damping(scene: Scene) -> tuple[MaterialDamping, str]:
+    retardation = LOSS_FACTOR / scene.drive_angular_frequency
+    text = f"{retardation:.2g} s (loss factor {LOSS_FACTOR:g} at the drive's frequency)"
+    return MaterialDamping(time=retardation), text
+
+
+def _tension(scene: Scene) -> tuple[Tension, str]:
+    tension = 0.1 * math.pi**2 * rigidity(scene) / min(scene.plate.size) ** 2
+    text = f"{tension:.2g} N/m along x and y (a tenth of π²D/L², the buckling load of a supported strip)"
+    return Tension(x=tension, y=tension), text
+
+
+def _orthotropic(scene: Scene) -> tuple[Orthotropic, str]:
+    bending, ratio = rigidity(scene), scene.plate.poisson_ratio
+    table = Orthotropic(Dx=1.1 * bending, Dy=bending, D1=ratio * bending, Dxy=(1 - ratio) / 2 * bending)
+    return table, "Dx a tenth above that of the isotropic plate"
+
+
+def _oscillators(scene: Scene) -> tuple[tuple[Oscillator, ...], str]:
     x0, x1, y0, y1 = scene.target.area or _middle_of_target(scene)
     half = min(5e-3, (x1 - x0) / 2, (y1 - y0) / 2)
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
     finger = Oscillator(area=(x - half, x + half, y - half, y + half), mass=5e-3, stiffness=500.0, damping=2.0)
     text = "a fingertip in the middle of the target: 5 g, 500 N/m, 2 N·s/m (orders of magnitude of a light touch)"
-    return with_value(scene, "oscillators", (finger,)), text
+    return (finger,), text
 
 
 def _middle_of_target(scene: Scene) -> Area:
@@ -163,52 +156,56 @@ def _middle_of_target(scene: Scene) -> Area:
     return x - half, x + half, y - half, y + half
 
 
-def _moving_load(scene: Scene) -> tuple[Scene, str]:
+def _moving_load(scene: Scene) -> tuple[MovingLoad, str]:
     width, height = scene.plate.size
     speed = width / scene.window.end
     load = MovingLoad(force=1e-3, start=(0.0, height / 2), velocity=(speed, 0.0))
-    return with_value(scene, "moving_load", load), f"1 mN on a point that crosses the plate along x at {speed:.2g} m/s"
+    return load, f"1 mN on a point that crosses the plate along x at {speed:.2g} m/s"
 
 
-def _own_frequencies(scene: Scene) -> tuple[Scene, str]:
-    if len(scene.actuators) == 1:
-        raise SceneError("one actuator has one frequency")
-    other, (*rest, last) = OTHER_FREQUENCY * scene.drive.frequency, scene.actuators
-    actuators = (*rest, last.model_copy(update={"frequency": other}))
-    return scene.model_copy(update={"actuators": actuators}), f"the last actuator at {other:.3g} Hz"
-
-
-def _burst(scene: Scene) -> tuple[Scene, str]:
+def _burst(scene: Scene) -> tuple[Burst, str]:
     end, ramp = scene.window.end, scene.window.end / 10
-    return with_value(scene, "burst", Burst(duration=end, ramp=ramp)), f"over the whole run, with ramps of {ramp:.2g} s"
+    return Burst(duration=end, ramp=ramp), f"over the whole run, with ramps of {ramp:.2g} s"
 
 
-def _chirp(scene: Scene) -> tuple[Scene, str]:
+def _chirp(scene: Scene) -> tuple[Chirp, str]:
     other = OTHER_FREQUENCY * scene.drive.frequency
-    table = Chirp(end_frequency=other, duration=scene.window.end)
-    return with_value(scene, "chirp", table), f"from {scene.drive.frequency:g} to {other:.3g} Hz over the run"
+    text = f"from {scene.drive.frequency:g} to {other:.3g} Hz over the run"
+    return Chirp(end_frequency=other, duration=scene.window.end), text
 
 
-def _electrostatic(scene: Scene) -> tuple[Scene, str]:
+def _electrostatic(scene: Scene) -> tuple[Electrostatic, str]:
     bias = max(abs(actuator.magnitude) for actuator in scene.actuators) or 1.0
-    table = Electrostatic(bias=bias, gain=1 / (2 * bias))
-    return with_value(scene, "electrostatic", table), f"bias of {bias:.3g}, as large as the voltage, with the same tone"
+    text = f"bias of {bias:.3g}, as large as the voltage, with the same tone"
+    return Electrostatic(bias=bias, gain=1 / (2 * bias)), text
 
 
-TYPICAL_CHANGES: dict[str, Change] = {
-    "edges": _springs,
+# Typical values of the tables under [effects] and [drive], with descriptions.
+_TYPICAL_VALUES: dict[str, Callable[[Scene], tuple[object, str]]] = {
     "damping": _damping,
     "material_damping": _material_damping,
     "tension": _tension,
-    "foundation": _foundation,
+    "foundation": lambda scene: (Foundation(stiffness=1e7), "1e7 N/m³ (10 mm of foam of 0.1 MPa)"),
     "orthotropic": _orthotropic,
-    "variation": _variation,
-    "layers": _layers,
+    "variation": lambda scene: (Variation(thickness=((0.95, 1.05),)), "thickness from 0.95 at x = 0 to 1.05"),
+    "layers": lambda scene: (film(scene), "a piezoelectric film of 110 µm, 2.5 GPa, 1780 kg/m³ on each actuator"),
     "oscillators": _oscillators,
-    "stretching": lambda scene: (with_value(scene, "stretching", Stretching()), "named"),
+    "stretching": lambda scene: (Stretching(), "named"),
     "moving_load": _moving_load,
-    "own_frequencies": _own_frequencies,
     "burst": _burst,
     "chirp": _chirp,
     "electrostatic": _electrostatic,
 }
+
+
+def _adding(name: str) -> Change:
+    def change(scene: Scene) -> tuple[Scene, str]:
+        value, text = _TYPICAL_VALUES[name](scene)
+        return with_value(scene, name, value), text
+
+    return change
+
+
+# The changes that add an effect with a typical value.
+TYPICAL_CHANGES: dict[str, Change] = {"edges": _springs, "own_frequencies": _two_frequencies}
+TYPICAL_CHANGES |= {name: _adding(name) for name in _TYPICAL_VALUES}

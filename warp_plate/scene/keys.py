@@ -165,9 +165,9 @@ def _why_unknown(scene: Scene, key: str, known: list[str]) -> str:
     inside = [other for other in known if other.startswith((f"{key}.", f"{key}["))]
     if inside:
         return f"is not a single number; write {_listed(inside)}"
-    missing = _missing_table(scene, key)
-    if missing:
-        return f"the scene has no {missing} in the scene file to vary what is in it"
+    optional = _optional_table(scene, key)
+    if optional:
+        return f"the scene has no {optional}; write it in the scene file to vary what is in it"
     close = set(difflib.get_close_matches(key, known, n=4, cutoff=0.6))
     head, tail = re.split(r"[.\[]", key)[0], re.split(r"[.\]]", key)[-1]
     similar = (
@@ -179,19 +179,16 @@ def _why_unknown(scene: Scene, key: str, known: list[str]) -> str:
     return f"is not a key of this scene that holds a number; similar keys: {_listed(similar)}"
 
 
-def _missing_table(scene: Scene, key: str) -> str | None:
-    """Return the optional table or list that a key lies in and the scene lacks, with the advice to write it."""
+def _optional_table(scene: Scene, key: str) -> str | None:
+    """Return the optional table or list that a key lies in and the scene lacks; None if there is none."""
     value: Any = scene
-    parts = _parts(key)
-    for index, part in enumerate(parts[:-1]):
+    outer = ""
+    for part in _parts(key)[:-1]:
         if not isinstance(part, str) or not isinstance(value, BaseModel) or part not in type(value).model_fields:
             return None
-        value, name = getattr(value, part), ".".join(str(outer) for outer in parts[: index + 1])
-        if value is None:
-            return f"[{name}]; write that table"
-        if value == ():
-            of_tables = any(isinstance(inner, str) for inner in parts[index + 1 :])
-            return f"[[{name}]]; write such tables" if of_tables else f"list {name}; write it"
+        value, outer = getattr(value, part), f"{outer}.{part}" if outer else part
+        if value is None or value == ():
+            return outer
     return None
 
 
