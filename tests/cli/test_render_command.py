@@ -160,7 +160,7 @@ def test_mode_shapes(render, tmp_path):
         (["--modes", "2", "--field", "phase"], "--field phase: mode shapes have displacements only"),
         (["--time", "7"], "--time 7: must be from 0 to 0.012 s"),
         (["--time", "0.001", "--start", "0.01"], "--time 0.001: must lie between --start and --end, 0.01 and 0.012 s"),
-        (["--start", "0.01", "--end", "7"], "start = 0.01, end = 7: must lie inside the run"),
+        (["--start", "0.01", "--end", "7"], "start = 0.01, end = 7: must lie within the run"),
     ],
 )
 def test_invalid_options_are_named(render, tmp_path, options, complaint):
