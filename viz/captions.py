@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from warp_plate.result.crosstalk import target_cases
 from warp_plate.result.model import Case, Result
 from warp_plate.result.motion import Motion
+from warp_plate.result.targets import target_cases
 from warp_plate.scene.model import Scene
 
 CASE_LABELS = {

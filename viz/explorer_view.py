@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_plate.result.live import QUADRANTS, DriveResponse, SwarmSnapshot
+from warp_plate.result.motion import QUADRANTS, DriveResponse, SwarmSnapshot
 from warp_plate.viz.annotations import add_text, style_text
 from warp_plate.viz.captions import percent
 from warp_plate.viz.fields import DrawingScale, drawing_scale

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_plate.result.outlines import outlines
+from warp_plate.result.targets import outlines
 from warp_plate.scene.model import Area, Scene
 from warp_plate.viz.edge_styles import EDGE_STYLES, edges_by_kind
 from warp_plate.viz.fields import DrawingScale

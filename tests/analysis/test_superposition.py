@@ -17,7 +17,7 @@ from warp_plate.analysis.superposition import (
     unit_responses,
 )
 from warp_plate.plate.weights import localization_factor
-from warp_plate.result.live import QUADRANTS, SteadyMotion, quadrants
+from warp_plate.result.motion import QUADRANTS, SteadyMotion, quadrants
 
 # The motion is steady at the end of the run, and low modes are underdamped.
 DAMPING = 120.0

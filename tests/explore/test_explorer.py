@@ -8,7 +8,7 @@ import pytest
 from warp_plate import viz
 from warp_plate.explore import live_model
 from warp_plate.explore.live_model import LiveModel
-from warp_plate.result.live import DriveResponse, SteadyMotion, SwarmSnapshot
+from warp_plate.result.motion import DriveResponse, SteadyMotion, SwarmSnapshot
 from warp_plate.scene.dump import dump_scene
 from warp_plate.viz import explorer_page
 from warp_plate.viz.availability import off_screen

@@ -13,7 +13,7 @@ from warp_plate.plate.files import digests
 from warp_plate.plate.shapes import cells, clipped, cubics, polygon_weights
 from warp_plate.plate.weights import REGIONS, region_weights
 from warp_plate.reference import forced, series
-from warp_plate.result.outlines import outlines
+from warp_plate.result.targets import outlines
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.target import Target, area_within
 

@@ -13,7 +13,7 @@ from warp_plate.cli.main import main
 from warp_plate.problem.objectives import keeps_limit
 from warp_plate.problem.problem import make_problem
 from warp_plate.result.checkpoint import load_checkpoint
-from warp_plate.result.store import save_result
+from warp_plate.result.model import save_result
 from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.checkpointing import CheckpointFile
 from warp_plate.studies.localize import resume

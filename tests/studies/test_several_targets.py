@@ -14,7 +14,7 @@ from warp_plate.cli.output import warnings_of
 from warp_plate.problem import problem
 from warp_plate.result import save_result
 from warp_plate.result.checkpoint import load_checkpoint, save_checkpoint
-from warp_plate.result.crosstalk import best_drive_scenes, crosstalk, decibels, target_cases, target_regions
+from warp_plate.result.targets import best_drive_scenes, crosstalk, decibels, target_cases, target_regions
 from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.checkpointing import CheckpointFile
 from warp_plate.viz.plots.crosstalk import draw_crosstalk

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_plate.result.crosstalk import crosstalk, decibels, target_cases
 from warp_plate.result.model import Result
-from warp_plate.result.outlines import target_outlines
+from warp_plate.result.targets import crosstalk, decibels, target_cases, target_outlines
 from warp_plate.viz.annotations import INK, TARGET
 from warp_plate.viz.fields import drawing_scale
 from warp_plate.viz.plots.frame import figure

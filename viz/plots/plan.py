@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.result.motion import Motion
-from warp_plate.result.outlines import outlines
+from warp_plate.result.targets import outlines
 from warp_plate.scene.model import Area, Scene
 from warp_plate.viz.annotations import INK, TARGET
 from warp_plate.viz.captions import frame_caption

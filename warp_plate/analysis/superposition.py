@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_plate.optimize.quadratic import real_parts
-from warp_plate.result.live import DriveResponse, SteadyMotion, quadrants
+from warp_plate.result.motion import DriveResponse, SteadyMotion, quadrants
 from warp_plate.scene.model import Scene
 from warp_plate.solve.response import Response, in_float64, measure_response, unit_drives
 from warp_plate.solve.run import Run

@@ -232,7 +232,7 @@ def _as_json(result: Result, files: list[Path], checkpoint: Path | None) -> dict
 
 
 def _print(result: Result, console: Console) -> None:
-    from warp_plate.result.crosstalk import target_cases
+    from warp_plate.result.targets import target_cases
     from warp_plate.scene.vary import counted
 
     console.print(result.scene.title or result.source)

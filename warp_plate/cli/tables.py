@@ -98,7 +98,7 @@ def print_objectives(result: Result, console: Console) -> None:
 
 def crosstalk_table(result: Result) -> Table:
     """Return the crosstalk table: a row for each drive, a column for each target."""
-    from warp_plate.result.crosstalk import crosstalk, decibels, target_cases
+    from warp_plate.result.targets import crosstalk, decibels, target_cases
 
     names, shares = list(target_cases(result.scene)), crosstalk(result)
     relative = decibels(shares)
@@ -119,7 +119,7 @@ def crosstalk_table(result: Result) -> Table:
 def crosstalk_json(result: Result) -> dict[str, object] | None:
     """Return shares of the plate's kinetic energy, also in decibels relative to each drive's own target; None for a
     single target."""
-    from warp_plate.result.crosstalk import crosstalk, decibels, target_cases
+    from warp_plate.result.targets import crosstalk, decibels, target_cases
 
     cases = target_cases(result.scene)
     if not cases:

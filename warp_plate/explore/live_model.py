@@ -19,7 +19,7 @@ from warp_plate.explore.watched_search import WatchedSearch
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.parametrization import magnitude_unit
-from warp_plate.result.live import DriveResponse, SwarmSnapshot
+from warp_plate.result.motion import DriveResponse, SwarmSnapshot
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.solver import Progress

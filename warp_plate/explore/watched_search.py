@@ -14,7 +14,7 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import with_paper_search
 from warp_plate.problem.methods import swarm_settings
 from warp_plate.problem.parametrization import paper_phasors, parametrization_of
-from warp_plate.result.live import SwarmSnapshot
+from warp_plate.result.motion import SwarmSnapshot
 from warp_plate.scene.model import Scene
 
 

@@ -11,8 +11,8 @@ from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.parametrization import magnitude_unit
 from warp_plate.problem.problem import Energies, Problem
-from warp_plate.result.crosstalk import target_regions
 from warp_plate.result.model import Case
+from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.peak import run_with_peak

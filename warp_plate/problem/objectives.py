@@ -24,7 +24,7 @@ import numpy as np
 from warp_plate.plate.discretization import Discretization
 from warp_plate.plate.shapes import bounds, shape_weights
 from warp_plate.plate.weights import REGIONS, Region, localization_factor
-from warp_plate.result.crosstalk import target_regions
+from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.search import Objective
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -17,21 +16,13 @@ from pathlib import Path
 
 from warp_plate.scene.errors import SceneError
 
-SEAL = re.compile(rb"\nwarp-plate sha256 ([0-9a-f]{64}) of ([0-9]{20}) bytes\n")
-SEAL_BYTES = len("\nwarp-plate sha256  of  bytes\n") + 64 + 20
-BLOCK_BYTES = 2**20
-
 
 @contextmanager
 def atomic_path(path: Path, previous: Path | None = None) -> Iterator[Path]:
     """Yield a temporary path beside ``path`` whose content replaces ``path`` at the end, but not after an error.
 
     The new file is on the disk before any name changes, so that after a power failure one of the names holds a complete
-    file.
-
-    Args:
-        path: The file to write.
-        previous: New name of the file that is replaced (default: it is deleted).
+    file. The file that is replaced is deleted, or renamed to ``previous``.
 
     Raises:
         OSError: the folder is missing or cannot be written to, or the disk is full.
@@ -62,38 +53,32 @@ def atomic_path(path: Path, previous: Path | None = None) -> Iterator[Path]:
 
 
 @contextmanager
-def atomic_paths(*paths: Path) -> Iterator[list[Path]]:
+def atomic_paths(*paths: Path, previous: Path | None = None) -> Iterator[list[Path]]:
     """Yield temporary paths whose contents replace ``paths``, in this order, at the end, but not after an error.
 
-    Raises:
-        SceneError: a folder is missing or cannot be written to, or the disk is full; names the last path.
+    A SceneError that names the last path is raised if a file cannot be written; see :func:`atomic_path`.
     """
     try:
         with ExitStack() as stack:
             # The last one entered is the first one to leave.
-            temporaries = [stack.enter_context(atomic_path(path)) for path in reversed(paths)]
+            temporaries = [stack.enter_context(atomic_path(path, previous)) for path in reversed(paths)]
             yield temporaries[::-1]
     except OSError as error:
         raise SceneError(f"{paths[-1]}: cannot be written: {error.strerror or error}") from None
 
 
 def write_atomically(content: bytes, path: Path, previous: Path | None = None) -> None:
-    """Write a file atomically; see :func:`atomic_path`.
-
-    Raises:
-        SceneError: the file cannot be written.
-    """
-    try:
-        with atomic_path(path, previous) as temporary:
-            temporary.write_bytes(content)
-    except OSError as error:
-        reason = error.strerror or error
-        raise SceneError(f"{path}: cannot be written: {reason}; what was there before is kept") from None
+    """Write a file atomically, or raise a SceneError; see :func:`atomic_path`."""
+    with atomic_paths(path, previous=previous) as (temporary,):
+        temporary.write_bytes(content)
 
 
-def make_seal(content: bytes) -> bytes:
+def make_seal(content: bytes | memoryview) -> bytes:
     """Return the line to append to the content."""
     return b"\nwarp-plate sha256 %s of %020d bytes\n" % (hashlib.sha256(content).hexdigest().encode(), len(content))
+
+
+SEAL_BYTES = len(make_seal(b""))
 
 
 def check_seal(path: Path) -> None:
@@ -105,23 +90,12 @@ def check_seal(path: Path) -> None:
     """
     if path.exists() and not path.is_file():  # reading from a pipe may never end
         raise SceneError(f"{path}: is no file")
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        content_bytes = file.seek(0, os.SEEK_END) - SEAL_BYTES
-        if content_bytes < 0:
-            raise SceneError(f"{path}: damaged: too short to be a file of this program")
-        file.seek(content_bytes)
-        seal = SEAL.fullmatch(file.read())
-        if seal is None:
-            raise SceneError(
-                f"{path}: damaged: no checksum at its end; it was cut short, or changed or made by another program"
-            )
-        file.seek(0)
-        for start in range(0, content_bytes, BLOCK_BYTES):
-            block = file.read(min(BLOCK_BYTES, content_bytes - start))
-            digest.update(block)
-    if (digest.hexdigest().encode(), content_bytes) != (seal[1], int(seal[2])):
-        raise SceneError(f"{path}: damaged: its content does not have the checksum that stands at its end")
+    content = memoryview(path.read_bytes())
+    if content[-SEAL_BYTES:] != make_seal(content[:-SEAL_BYTES]):
+        raise SceneError(
+            f"{path}: damaged: its content does not have the checksum that should stand at its end; it was cut short, "
+            "or changed or made by another program"
+        )
 
 
 def is_intact(path: Path) -> bool:

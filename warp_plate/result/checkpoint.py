@@ -9,18 +9,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from warp_plate.result.atomic_io import is_intact
-from warp_plate.result.hdf5 import Dataset, SceneText, SearchState, read_fields, write_fields
+from warp_plate.result.hdf5 import Attribute, Dataset, FileFormat, SearchState, read_fields, write_fields
 from warp_plate.result.model import TargetSearch
-from warp_plate.result.safe_hdf5 import open_hdf5, save_hdf5
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-FORMAT = "warp-plate checkpoint 3"
+FORMAT = FileFormat("checkpoint", 3)
 ENDING = ".checkpoint.h5"
 PREVIOUS_ENDING = ".checkpoint.previous.h5"
 
@@ -60,7 +59,7 @@ class Checkpoint:
     processor: str
     earlier_devices: Annotated[str, "earlier"]
     path: str
-    evaluator: str
+    evaluator: Annotated[str, Attribute(Literal["direct", "response"])]
     seed: int
     accuracy: Mapping[str, Any]
     seconds: Mapping[str, float]
@@ -97,30 +96,17 @@ def previous_path(path: Path) -> Path:
 
 
 def save_checkpoint(checkpoint: Checkpoint, path: Path, keep_previous: bool = False) -> None:
-    """Write a checkpoint file atomically.
+    """Write a checkpoint file atomically, or raise a SceneError; the file that is there then stays.
 
-    Args:
-        checkpoint: The checkpoint.
-        path: The file.
-        keep_previous: If true, move the checkpoint that is there to :func:`previous_path`.
-
-    Raises:
-        SceneError: the file cannot be written; the one that is there stays.
+    With ``keep_previous`` the checkpoint that is there is moved to :func:`previous_path`.
     """
-    previous = previous_path(path) if keep_previous else None
-    save_hdf5(path, FORMAT, lambda file: write_fields(file, checkpoint), previous)
+    FORMAT.save(path, lambda file: write_fields(file, checkpoint), previous_path(path) if keep_previous else None)
 
 
 def load_checkpoint(path: str | Path) -> Checkpoint:
-    """Read a file that :func:`save_checkpoint` wrote.
-
-    Raises:
-        SceneError: the file is missing, damaged or not a checkpoint.
-    """
-    path = Path(path)
-    with open_hdf5(path, FORMAT, "checkpoint") as file:
-        scene = SceneText().read(file, "scene", {})
-        checkpoint = read_fields(Checkpoint, file, {"parts": 2 * len(scene.actuators)}, scene=scene)
+    """Read a checkpoint, or raise a SceneError if the file is missing, damaged or not a checkpoint."""
+    with FORMAT.open(path) as file:
+        checkpoint = read_fields(Checkpoint, file)
         _check(checkpoint)
         return checkpoint
 
@@ -128,10 +114,8 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
 def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
     """Read a checkpoint, or the previous one if the file is missing or damaged; return a sentence that says so.
 
-    An intact file of another kind is refused, for a result was named by mistake.
-
-    Raises:
-        SceneError: neither can be read; describes the fault of the first.
+    An intact file of another kind is refused, for a result was named by mistake. If neither file can be read, the
+    SceneError describes the fault of the first.
     """
     try:
         return load_checkpoint(path), None
@@ -148,14 +132,13 @@ def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
 
 def _check(checkpoint: Checkpoint) -> None:
     """Refuse a checkpoint whose parts contradict each other."""
-    scene, finished = checkpoint.scene, len(checkpoint.finished_searches)
-    if scene.grid.accuracy is not None:
-        raise SceneError("attribute scene has no grid")
-    if checkpoint.single_actuator >= len(scene.actuators):
-        raise SceneError(f"attribute single is {checkpoint.single_actuator}, of {len(scene.actuators)} actuators")
-    if checkpoint.evaluator not in ("direct", "response"):
-        raise SceneError(f"attribute evaluator is {checkpoint.evaluator!r}")
-    if checkpoint.matrices is not None and not scene.linear:
-        raise SceneError("matrices do not fit the scene, which is not linear")
-    if finished and (finished >= len(scene.targets) or scene.target != scene.targets[finished].unnamed):
-        raise SceneError(f"{finished} searches do not fit the scene's targets")
+    scene, single, finished = checkpoint.scene, checkpoint.single_actuator, len(checkpoint.finished_searches)
+    other_target = finished >= len(scene.targets) or scene.target != scene.targets[finished].unnamed
+    for wrong, message in (
+        (scene.grid.accuracy is not None, "attribute scene has no grid"),
+        (single >= len(scene.actuators), f"attribute single is {single}, of {len(scene.actuators)} actuators"),
+        (checkpoint.matrices is not None and not scene.linear, "matrices do not fit the scene, which is not linear"),
+        (finished and other_target, f"{finished} searches do not fit the scene's targets"),
+    ):
+        if wrong:
+            raise SceneError(message)

@@ -13,12 +13,12 @@ from typing import Annotated
 import h5py
 import numpy as np
 
-from warp_plate.result.hdf5 import ELSEWHERE, Attribute, Dataset, read_fields, write_fields
-from warp_plate.result.safe_hdf5 import member, open_hdf5, save_hdf5
+from warp_plate.result.hdf5 import ELSEWHERE, Attribute, Dataset, FileFormat, member, read_fields, write_fields
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-FORMAT = "warp-plate comparison 1"
+FORMAT = FileFormat("comparison", 1)
+METHODS = Attribute(tuple[str, ...])
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,7 @@ class Trial:
     method: Annotated[str, ELSEWHERE]
     seed: Annotated[int, ELSEWHERE]
     evaluations: Annotated[np.ndarray, Dataset("1", "positions tried so far, after each iteration", ("iterations",))]
-    seconds: Annotated[
-        np.ndarray,
-        Dataset("s", "time of the method and of its evaluations so far, after each iteration", ("iterations",)),
-    ]
+    seconds: Annotated[np.ndarray, Dataset("s", "time of the method and its evaluations so far", ("iterations",))]
     loss: Annotated[np.ndarray, Dataset("1", "smallest loss so far, after each iteration", ("iterations",))]
 
     @property
@@ -96,45 +93,26 @@ class MethodComparison:
         return [trial for trial in self.trials if trial.method == method]
 
 
-_METHODS = Attribute(tuple[str, ...])
-
-
 def save_comparison(comparison: MethodComparison, path: str | Path) -> Path:
-    """Write a comparison file atomically.
-
-    Raises:
-        SceneError: the folder is missing or cannot be written to, or the disk is full.
-    """
+    """Write a comparison file atomically, or raise a SceneError."""
 
     def write(file: h5py.File) -> None:
         write_fields(file, comparison)
-        _METHODS.write(file, "methods", comparison.methods, {})
+        METHODS.write(file, "methods", comparison.methods)
         for trial in comparison.trials:
             write_fields(file.create_group(f"trials/{trial.method}/{trial.seed}"), trial)
 
-    path = Path(path)
-    save_hdf5(path, FORMAT, write)
-    return path
+    return FORMAT.save(path, write)
 
 
 def load_comparison(path: str | Path) -> MethodComparison:
-    """Read a file that :func:`save_comparison` wrote.
-
-    Raises:
-        SceneError: the file is missing, damaged or not a comparison.
-    """
-    path = Path(path)
-    with open_hdf5(path, FORMAT, "comparison") as file:
-        trials = [trial for method in _METHODS.read(file, "methods", {}) for trial in _read_trials(file, method)]
+    """Read a comparison, or raise a SceneError if the file is missing, damaged or not a comparison."""
+    with FORMAT.open(path) as file:
+        trials = []
+        for method in METHODS.read(file, "methods", {}):
+            group = member(file, f"trials/{method}")
+            for seed in sorted(map(int, group)):
+                trials.append(read_fields(Trial, member(group, str(seed)), method=method, seed=seed))
+            if not len(group) or not all(len(trial.loss) for trial in trials):
+                raise SceneError(f"trials/{method} is empty or has a trial without iterations")
         return read_fields(MethodComparison, file, trials=tuple(trials))
-
-
-def _read_trials(file: h5py.File, method: str) -> list[Trial]:
-    """Return the trials of a method by increasing seed."""
-    group = member(file, f"trials/{method}")
-    trials = [
-        read_fields(Trial, member(group, str(seed)), method=method, seed=seed) for seed in sorted(map(int, group))
-    ]
-    if not trials or not all(len(trial.loss) for trial in trials):
-        raise SceneError(f"trials/{method} is empty or has a trial without iterations")
-    return trials

@@ -10,15 +10,19 @@ The annotation of a field says how it is stored:
     X | None                           absent if None
 
 Fields with another layout, all arrays among them, or with another name in the file say so in their annotation:
-``Annotated[np.ndarray, Dataset("s", "times of the traces", ("steps",)), "trace_times"]``. Reading is strict: a missing
-or unexpected value raises a SceneError that names it.
+``Annotated[np.ndarray, Dataset("s", "times of the traces", ("steps",)), "trace_times"]``.
+
+Files are written in one piece with a seal, and read without trust in their content: links, data in other files and
+datasets larger than their file are refused, and a missing or unexpected value raises a SceneError that names it.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType, UnionType
@@ -27,37 +31,80 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 import h5py
 import numpy as np
 
-from warp_plate.result.safe_hdf5 import full_path, member, read_array
+from warp_plate.result.atomic_io import check_seal, make_seal, write_atomically
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 T = TypeVar("T")
-# Units of datasets by placeholder, where they depend on the scene.
-Units = Mapping[str, str]
 # Lengths of named dimensions, as far as known.
 Sizes = dict[str, int]
 
 
-def write_fields(group: h5py.Group, value: Any, units: Units | None = None) -> None:
+@dataclass(frozen=True)
+class FileFormat:
+    """A kind of file, such as "result", with the version of its layout."""
+
+    kind: str
+    version: int
+
+    @property
+    def text(self) -> str:
+        """The file's attribute ``format``."""
+        return f"warp-plate {self.kind} {self.version}"
+
+    def save(self, path: str | Path, write: Callable[[h5py.File], None], previous: Path | None = None) -> Path:
+        """Write a file atomically and return its path; see :func:`atomic_path`.
+
+        Raises:
+            SceneError: the file cannot be written; the one that is there stays.
+        """
+        path = Path(path)
+        # Composed in memory, for HDF5 does not reliably report a full disk.
+        with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
+            file.attrs["format"] = self.text
+            write(file)
+            file.flush()
+            content: bytes = file.id.get_file_image()
+        write_atomically(content + make_seal(content), path, previous)
+        return path
+
+    @contextmanager
+    def open(self, path: str | Path) -> Iterator[h5py.File]:
+        """Yield a file opened for reading, once its seal and its attribute ``format`` are verified.
+
+        Raises:
+            SceneError: there is no such file, it is damaged or not of this kind, or reading it fails.
+        """
+        path = Path(path)
+        try:
+            check_seal(path)
+            with h5py.File(path, "r") as file:
+                if file.attrs.get("format") != self.text:
+                    raise SceneError(f"{path}: not a {self.kind} of warp-plate (no attribute format = {self.text!r})")
+                yield file
+        except FileNotFoundError:
+            raise SceneError(f"{path}: no such file") from None
+        except SceneError as error:
+            line = str(error)
+            raise SceneError(line if line.startswith(str(path)) else f"{path}: damaged: {line}") from None
+        except (OSError, LookupError, ValueError, RuntimeError, TypeError, ArithmeticError) as error:
+            reason = " ".join(str(error).split())
+            raise SceneError(f"{path}: damaged or not an HDF5 file of this program: {reason}") from None
+
+
+def write_fields(group: h5py.Group, value: Any) -> None:
     """Write the fields of a data class instance into a group, except those with the layout ``ELSEWHERE``."""
     for attribute, name, layout, _ in _fields(type(value)):
         content = getattr(value, attribute)
         if layout is not ELSEWHERE and content is not None:
-            layout.write(group, name, content, units or {})
+            layout.write(group, name, content)
 
 
 def read_fields(cls: type[T], group: h5py.Group, sizes: Sizes | None = None, **given: Any) -> T:
-    """Return an instance of a data class with the fields that :func:`write_fields` wrote.
+    """Return an instance of a data class with the fields ``given`` and those that :func:`write_fields` wrote.
 
-    Args:
-        cls: The data class.
-        group: The group.
-        sizes: Lengths of dimensions that layouts name; other names stand for the length that is read first.
-        given: Fields that are known already.
-
-    Raises:
-        SceneError: a field is missing or not as it should be.
+    Lengths of named dimensions that ``sizes`` does not hold are set by the scene, or else by the first dataset.
     """
     known = dict(sizes or {})
     for attribute, name, layout, optional in _fields(cls):
@@ -68,9 +115,9 @@ def read_fields(cls: type[T], group: h5py.Group, sizes: Sizes | None = None, **g
 
 
 class Layout:
-    """Form of a field in a group: ``write(group, name, value, units)`` and ``read(group, name, sizes)``."""
+    """Form of a field in a group."""
 
-    def write(self, group: h5py.Group, name: str, value: Any, units: Units) -> None:
+    def write(self, group: h5py.Group, name: str, value: Any) -> None:
         """Write the field's value."""
         raise NotImplementedError
 
@@ -85,19 +132,20 @@ ELSEWHERE = Layout()
 
 @dataclass(frozen=True)
 class Attribute(Layout):
-    """An attribute of the group, or of the dataset ``of`` in it, whose value has the annotation ``kind``."""
+    """An attribute with a value of an annotated kind, of the group or of the dataset before a slash in its name."""
 
     kind: Any
-    of: str = ""
 
-    def write(self, group: h5py.Group, name: str, value: Any, units: Units) -> None:
+    def write(self, group: h5py.Group, name: str, value: Any) -> None:
+        parent, _, key = name.rpartition("/")
         if get_origin(self.kind) in (Mapping, tuple):
-            value = json.dumps(dict(value) if isinstance(value, Mapping) else list(value))
-        (group[self.of] if self.of else group).attrs[name] = int(value) if isinstance(value, bool) else value
+            value = json.dumps(value, default=dict)
+        (group[parent] if parent else group).attrs[key] = int(value) if isinstance(value, bool) else value
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> Any:
-        item = member(group, self.of, h5py.Dataset) if self.of else group
-        value, path = item.attrs.get(name), f"attribute {full_path(item, name)}"
+        parent, _, key = name.rpartition("/")
+        path = _full_path(group, name)
+        value = (member(group, parent, h5py.Dataset) if parent else group).attrs.get(key)
         if value is None:
             raise SceneError(f"{path} is missing")
         if isinstance(value, np.generic):
@@ -107,38 +155,35 @@ class Attribute(Layout):
         if self.kind is bool and value in (0, 1):
             value = bool(value)
         if not _conforms(value, self.kind):
-            raise SceneError(f"{path} is not of the kind {getattr(self.kind, '__name__', self.kind)}")
+            raise SceneError(f"attribute {path} is not of the kind {getattr(self.kind, '__name__', self.kind)}")
         return tuple(value) if get_origin(self.kind) is tuple else value
 
 
 class SceneText(Layout):
     """A scene as an attribute of TOML text; the files that the scene names lie beside the HDF5 file."""
 
-    def write(self, group: h5py.Group, name: str, value: Scene, units: Units) -> None:
+    def write(self, group: h5py.Group, name: str, value: Scene) -> None:
         group.attrs[name] = dump_scene(value)
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> Scene:
-        path = group.file.filename
-        return Scene.parse(Attribute(str).read(group, name, sizes), f"{path}: its scene").in_folder(Path(path).parent)
+        path, text = group.file.filename, Attribute(str).read(group, name, sizes)
+        scene = Scene.parse(text, f"{path}: its scene").in_folder(Path(path).parent)
+        (nx, ny), actuators = scene.grid.nodes, len(scene.actuators)
+        sizes.update(actuators=actuators, parts=2 * actuators, nx=nx, ny=ny)
+        return scene
 
 
 @dataclass(frozen=True)
 class Dataset(Layout):
-    """A dataset of real numbers with the attributes ``units`` and ``long_name``; without a shape, a float.
-
-    Attributes:
-        units: Unit, or a placeholder that is replaced when writing.
-        long_name: Meaning, for people.
-        shape: Length of each dimension: a number, a name (see :func:`read_fields`), or None for any length.
-    """
+    """A dataset of real numbers with the attributes ``units`` and ``long_name``; without a shape, a float."""
 
     units: str
     long_name: str
-    shape: tuple[str | int | None, ...] = ()
+    shape: tuple[str | int | None, ...] = ()  # lengths, names of dimensions (see read_fields), or None for any length
 
-    def write(self, group: h5py.Group, name: str, value: Any, units: Units) -> None:
+    def write(self, group: h5py.Group, name: str, value: Any) -> None:
         group[name] = np.asarray(value)
-        group[name].attrs.update({"units": units.get(self.units, self.units), "long_name": self.long_name})
+        group[name].attrs.update({"units": self.units, "long_name": self.long_name})
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> Any:
         values = read_array(group, name, tuple(sizes.get(n) if isinstance(n, str) else n for n in self.shape))
@@ -147,72 +192,68 @@ class Dataset(Layout):
 
 
 @dataclass(frozen=True)
-class Datasets(Layout):
-    """A mapping of arrays or numbers, or of such mappings, as a group of datasets; no group if it is empty.
+class Columns(Layout):
+    """A mapping of arrays as a group of datasets, all of which must be there; no group if it is empty."""
 
-    Attributes:
-        entries: Layouts of the datasets by name, all of which must be there; or a function from the path of any dataset
-            in the group to its layout.
-    """
+    columns: Mapping[str, Dataset]
 
-    entries: Mapping[str, Dataset] | Callable[[str], Dataset]
+    def write(self, group: h5py.Group, name: str, value: Mapping[str, np.ndarray]) -> None:
+        for key, content in value.items():
+            self.columns[key].write(group, f"{name}/{key}", content)
 
-    def write(self, group: h5py.Group, name: str, value: Mapping[str, Any], units: Units) -> None:
-        for path, content in _leaves(value):
-            self._entry(path).write(group, f"{name}/{path}", content, units)
+    def read(self, group: h5py.Group, name: str, sizes: Sizes) -> dict[str, np.ndarray]:
+        known = dict(sizes)
+        columns = self.columns if name in group else {}
+        return {key: column.read(group, f"{name}/{key}", known) for key, column in columns.items()}
+
+
+@dataclass(frozen=True)
+class Numbers(Layout):
+    """A mapping of numbers, or of such mappings, as a group of datasets; no group if it is empty."""
+
+    layout: Callable[[str], Dataset]  # by the name of the dataset, or its path in the group
+
+    def write(self, group: h5py.Group, name: str, value: Mapping[str, Any], prefix: str = "") -> None:
+        for key, content in value.items():
+            if isinstance(content, Mapping):
+                self.write(group, f"{name}/{key}", content, f"{prefix}{key}/")
+            else:
+                self.layout(prefix + key).write(group, f"{name}/{key}", content)
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> dict[str, Any]:
-        if name not in group:
-            return {}
-        if isinstance(self.entries, Mapping):
-            return {key: entry.read(group, f"{name}/{key}", sizes) for key, entry in self.entries.items()}
-        return self._read_all(member(group, name), "", sizes)
-
-    def _read_all(self, group: h5py.Group, prefix: str, sizes: Sizes) -> dict[str, Any]:
-        return {
-            key: self._read_all(member(group, key), f"{prefix}{key}/", sizes)
-            if isinstance(member(group, key, h5py.HLObject), h5py.Group)
-            else self._entry(prefix + key).read(group, key, sizes)
-            for key in group
-        }
-
-    def _entry(self, path: str) -> Dataset:
-        return self.entries[path] if isinstance(self.entries, Mapping) else self.entries(path)
+        values, inner = {}, member(group, name) if name in group else {}
+        for key in inner:
+            layout = self if isinstance(member(inner, key, h5py.HLObject), h5py.Group) else self.layout(key)
+            values[key] = layout.read(inner, key, sizes)
+        return values
 
 
 @dataclass(frozen=True)
 class Groups(Layout):
-    """Instances of a data class as groups of their fields.
-
-    Attributes:
-        cls: The data class.
-        container: ``Mapping`` or ``tuple`` of instances, which is a group of groups, or absent if empty; None for one.
-    """
+    """An instance of a data class as a group of its fields; a container of instances as groups in a group."""
 
     cls: type
-    container: type | None = None
+    container: type | None = None  # Mapping or tuple, which is absent from the file if it is empty
 
-    def write(self, group: h5py.Group, name: str, value: Any, units: Units) -> None:
+    def write(self, group: h5py.Group, name: str, value: Any) -> None:
         if self.container is None:
-            return write_fields(group.create_group(name), value, units)
+            return write_fields(group.create_group(name), value)
         for key, content in value.items() if self.container is Mapping else enumerate(value):
-            write_fields(group.create_group(f"{name}/{key}"), content, units)
+            write_fields(group.create_group(f"{name}/{key}"), content)
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> Any:
         if self.container is None:
             return read_fields(self.cls, member(group, name), sizes)
         names = list(member(group, name)) if name in group else []
         keys = names if self.container is Mapping else [str(index) for index in range(len(names))]
-        instances: dict[str, Any] = {
-            key: read_fields(self.cls, member(group, f"{name}/{key}"), sizes) for key in keys
-        }
+        instances = {key: read_fields(self.cls, member(group, f"{name}/{key}"), sizes) for key in keys}
         return instances if self.container is Mapping else tuple(instances.values())
 
 
 class SearchState(Layout):
     """The flat state of an optimizer as a group: arrays as datasets, the rest as JSON in the attribute ``numbers``."""
 
-    def write(self, group: h5py.Group, name: str, value: Mapping[str, Any], units: Units) -> None:
+    def write(self, group: h5py.Group, name: str, value: Mapping[str, Any]) -> None:
         state = group.create_group(name)
         rest: dict[str, Any] = {}
         for key, content in value.items():
@@ -238,12 +279,10 @@ def _fields(cls: type) -> Iterator[tuple[str, str, Layout, bool]]:
 
 
 def _default_layout(kind: Any) -> Layout:
-    classes = [part for part in (kind, *get_args(kind)) if isinstance(part, type) and dataclasses.is_dataclass(part)]
     if kind is Scene:
         return SceneText()
-    if not classes:
-        return Attribute(kind)
-    return Groups(classes[0], get_origin(kind))
+    classes = [part for part in (kind, *get_args(kind)) if isinstance(part, type) and dataclasses.is_dataclass(part)]
+    return Groups(classes[0], get_origin(kind)) if classes else Attribute(kind)
 
 
 def _conforms(value: Any, kind: Any) -> bool:
@@ -260,10 +299,41 @@ def _conforms(value: Any, kind: Any) -> bool:
     return kind is Any or isinstance(value, (int, float) if kind is float else kind)
 
 
-def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the paths and values of nested mappings."""
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{prefix}{key}/")
-        else:
-            yield prefix + key, value
+def member(group: h5py.Group, name: str, kind: type = h5py.Group) -> Any:
+    """Return the group, or other kind of object, at a path in a group; refuse links, which may lead to other files."""
+    path, found = _full_path(group, name), group
+    for part in name.split("/"):
+        link = found.get(part, getlink=True) if isinstance(found, h5py.Group) else None
+        if link is None:
+            raise SceneError(f"{path} is missing")
+        if not isinstance(link, h5py.HardLink):
+            raise SceneError(f"{path} is a link, which this program does not follow")
+        found = found[part]
+    if not isinstance(found, kind):
+        raise SceneError(f"{path} is not a {kind.__name__.lower()}")
+    return found
+
+
+def read_array(
+    group: h5py.Group, name: str, shape: tuple[int | None, ...] | None = None, text: bool = False
+) -> np.ndarray:
+    """Return a dataset of real numbers, or of text, that is in the file itself.
+
+    Its shape must be ``shape``, where None stands for any length (default: any shape).
+    """
+    found, path = member(group, name, h5py.Dataset), _full_path(group, name)
+    if (h5py.check_string_dtype(found.dtype) is None) if text else (found.dtype.kind not in "fiu"):
+        raise SceneError(f"{path} is not a dataset of {'text' if text else 'real numbers'}")
+    if found.is_virtual or found.external:
+        raise SceneError(f"{path} is kept in another file, which this program does not read")
+    if math.prod(found.shape) * found.dtype.itemsize > found.file.id.get_filesize():
+        raise SceneError(f"{path} has shape {found.shape}, more than the file holds")
+    wanted = found.shape if shape is None else shape
+    if len(wanted) != found.ndim or any(a not in (None, b) for a, b in zip(wanted, found.shape, strict=True)):
+        raise SceneError(f"{path} has shape {found.shape} instead of {wanted} (None: any length)")
+    values: np.ndarray = (found.asstr() if text else found)[()]
+    return values
+
+
+def _full_path(item: h5py.HLObject, name: str) -> str:
+    return f"{item.name}/{name}".lstrip("/")

@@ -1,23 +1,41 @@
-"""Data classes of a result. Their fields also say how a result file stores them; see ``warp_plate.result.hdf5``."""
+"""Results and their files: one HDF5 file for each, readable by h5py, MATLAB's h5read and xarray; see docs/scene.md.
+
+The fields of the data classes say how the file stores them; see ``warp_plate.result.hdf5``. Beside them a file holds
+derived values for other programs: the positions of the nodes, the localization factors, and the crosstalk between
+several targets.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import h5py
 import numpy as np
 
 from warp_plate.plate.scene_overrides import scene_with
-from warp_plate.result.hdf5 import Attribute, Dataset, Datasets, Layout, Sizes, Units
+from warp_plate.result.hdf5 import (
+    Attribute,
+    Columns,
+    Dataset,
+    FileFormat,
+    Layout,
+    Numbers,
+    Sizes,
+    read_array,
+    read_fields,
+    write_fields,
+)
 from warp_plate.result.robust import RobustComparison
-from warp_plate.result.safe_hdf5 import read_array
+from warp_plate.result.targets import crosstalk
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import OBJECTIVE_UNITS, Objective
 
+FORMAT = FileFormat("result", 4)
 BoundKind = Literal["", "attained", "attained within limits", "bound only"]
 BOUND_DESCRIPTIONS: dict[BoundKind, str] = {
     "": "bound",
@@ -25,21 +43,19 @@ BOUND_DESCRIPTIONS: dict[BoundKind, str] = {
     "attained within limits": "bound of the drives that may be chosen",
     "bound only": "bound only: the drives that may be chosen need not reach it",
 }
-HISTORY = Datasets(
+HISTORY = Columns(
     {
         "evaluations": Dataset("1", "drives tried so far, after each iteration", ("iterations",)),
         "best": Dataset("1", "largest localization factor so far, after each iteration", ("iterations",)),
         "mean": Dataset("1", "mean localization factor of the iteration, after each iteration", ("iterations",)),
     }
 )
-SPECTRUM = Datasets(
+SPECTRUM = Columns(
     {
         "frequency": Dataset("Hz", "where the localization factors were taken", ("frequencies",)),
         "equal": Dataset("1", "localization factor of all actuators alike", ("frequencies",)),
         "single": Dataset("1", "localization factor of the best single actuator", ("frequencies",)),
-        "best": Dataset(
-            "1", "largest localization factor, which no drive that may be chosen passes", ("frequencies",)
-        ),
+        "best": Dataset("1", "largest localization factor that the drives may reach", ("frequencies",)),
         "resonances": Dataset("Hz", "natural frequencies of the plate", (None,)),
     }
 )
@@ -48,12 +64,12 @@ SPECTRUM = Datasets(
 class _Phasors(Layout):
     """Complex amplitudes as the datasets ``magnitude`` and ``phase``."""
 
-    magnitude = Dataset("drive", "drive magnitude of each actuator", ("actuators",))
+    magnitude = Dataset("", "drive magnitude of each actuator", ("actuators",))  # its unit depends on the scene
     phase = Dataset("rad", "drive phase lag of each actuator", ("actuators",))
 
-    def write(self, group: h5py.Group, name: str, value: np.ndarray, units: Units) -> None:
-        self.magnitude.write(group, "magnitude", np.abs(value), units)
-        self.phase.write(group, "phase", _phase_lag(value), units)
+    def write(self, group: h5py.Group, name: str, value: np.ndarray) -> None:
+        self.magnitude.write(group, "magnitude", np.abs(value))
+        self.phase.write(group, "phase", _phase_lag(value))
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> np.ndarray:
         magnitude = self.magnitude.read(group, "magnitude", sizes)
@@ -66,12 +82,12 @@ class _Energies(Layout):
 
     values = Dataset("J", "kinetic energy averaged over the window, for each region")
 
-    def write(self, group: h5py.Group, name: str, value: Mapping[str, float], units: Units) -> None:
-        self.values.write(group, name, np.array(list(value.values())), units)
+    def write(self, group: h5py.Group, name: str, value: Mapping[str, float]) -> None:
+        self.values.write(group, name, list(value.values()))
         group[name].attrs["regions"] = json.dumps(list(value))
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> dict[str, float]:
-        regions = Attribute(tuple[str, ...], of=name).read(group, "regions", sizes)
+        regions = Attribute(tuple[str, ...]).read(group, f"{name}/regions", sizes)
         if not {"plate", "target"} <= set(regions):
             raise SceneError(f"{group.name}/{name} has regions {regions}, without plate or target")
         return dict(zip(regions, read_array(group, name, (len(regions),)).tolist(), strict=True))
@@ -105,7 +121,7 @@ class Case:
     energy: Annotated[Mapping[str, float], _Energies()]
     displacement: Annotated[np.ndarray, Dataset("m", "displacement (times, y, x)", ("times", "ny", "nx"))]
     trace: Annotated[np.ndarray, Dataset("m", "displacement at the recorded points (points, steps)", (None, None))]
-    status: Annotated[str, Attribute(str, of="energy")] = "ok"
+    status: Annotated[str, "energy/status"] = "ok"
     frequency: Annotated[np.ndarray | None, Dataset("Hz", "frequency of each actuator", ("actuators",))] = None
     centre: Annotated[np.ndarray | None, Dataset("m", "x, y of the middle of each actuator", ("actuators", 2))] = None
     delay: Annotated[np.ndarray | None, Dataset("s", "start of each actuator's burst", ("actuators",))] = None
@@ -139,9 +155,8 @@ def _phase_lag(phasors: np.ndarray) -> np.ndarray:
 
 def case_scene(scene: Scene, case: Case) -> Scene:
     """Return the scene with a case's frequencies, positions and burst starts."""
-    if not case.per_actuator:
-        return scene
-    return scene_with(scene, None, None, case.frequency, case.centre, case.delay)
+    own = (case.frequency, case.centre, case.delay)
+    return scene_with(scene, None, None, *own) if case.per_actuator else scene
 
 
 @dataclass(frozen=True)
@@ -165,7 +180,7 @@ class TargetSearch:
     bound_kind: BoundKind
     evaluations: int
     history: Annotated[Mapping[str, np.ndarray], HISTORY]
-    objective_values: Annotated[Mapping[str, float], Datasets(_objective), "objectives"]
+    objective_values: Annotated[Mapping[str, float], Numbers(_objective), "objectives"]
 
 
 @dataclass(frozen=True)
@@ -221,9 +236,9 @@ class Result:
     bound: Annotated[float | None, Dataset("1", "largest that any drive can reach"), "localization_factor/bound"] = None
     bound_kind: BoundKind = ""
     history: Annotated[Mapping[str, np.ndarray], HISTORY] = field(default_factory=dict)
-    objective_values: Annotated[Mapping[str, float], Datasets(_objective), "objectives"] = field(default_factory=dict)
+    objective_values: Annotated[Mapping[str, float], Numbers(_objective), "objectives"] = field(default_factory=dict)
     objective_values_by_case: Annotated[
-        Mapping[str, Mapping[str, float]], Datasets(_objective), "objectives_of"
+        Mapping[str, Mapping[str, float]], Numbers(_objective), "objectives_of"
     ] = field(default_factory=dict)
     evaluator: str = "direct"
     path: str = ""
@@ -241,11 +256,7 @@ class Result:
         return case_scene(self.scene, case)
 
     def driven_scene(self, case: Case) -> Scene:
-        """Return the scene that ``simulate`` runs as a case: :meth:`case_scene` with the case's drive.
-
-        Raises:
-            SceneError: a magnitude is larger than a scene may have.
-        """
+        """Return the scene with a case's drive too; raise a SceneError if a magnitude is larger than it may be."""
         return scene_with(self.case_scene(case), case.magnitude, case.phase)
 
     @property
@@ -272,3 +283,41 @@ class Result:
     def y(self) -> np.ndarray:
         """(ny,) positions of the nodes along y [m]."""
         return np.linspace(0, self.scene.plate.size[1], self.scene.grid.nodes[1])
+
+
+def save_result(result: Result, path: str | Path) -> Path:
+    """Write a result file atomically, or raise a SceneError."""
+
+    def write(file: h5py.File) -> None:
+        scene, robust = result.scene, result.robust
+        write_fields(file, result)
+        for name, case in result.cases.items():
+            file[f"cases/{name}/magnitude"].attrs["units"] = scene.drive_unit.replace("²", "^2")
+            share = Dataset("1", "share of the plate's kinetic energy in the target")
+            share.write(file, f"localization_factor/{name}", case.localization_factor)
+        if robust is not None and not robust.localization:
+            for dataset in file["robust"].values():
+                dataset.attrs["units"] = "weighted"
+        file.attrs["title"] = scene.title
+        Dataset("m", "position of the nodes along x").write(file, "x", result.x)
+        Dataset("m", "position of the nodes along y").write(file, "y", result.y)
+        if result.bound is not None:
+            file["localization_factor/bound"].attrs["about"] = result.bound_description
+        if result.target_searches:
+            shares = Dataset("1", "share of the plate's energy in each target, by each's drive")
+            shares.write(file, "crosstalk", crosstalk(result))
+            file["crosstalk"].attrs["targets"] = json.dumps([target.name for target in scene.targets])
+
+    return FORMAT.save(path, write)
+
+
+def load_result(path: str | Path) -> Result:
+    """Read a file that :func:`save_result` wrote, or raise a SceneError if it is missing, damaged or not a result."""
+    with FORMAT.open(path) as file:
+        result = read_fields(Result, file)
+        if not result.cases:
+            raise SceneError("cases is missing or empty")
+        for name, case in result.cases.items():
+            if case.trace.size and case.trace.shape[1] != len(result.trace_times):
+                raise SceneError(f"cases/{name}/trace has other steps than trace_times")
+        return result

@@ -36,16 +36,15 @@ class RobustComparison:
     measure: str
     scenarios: int
     localization: bool
-    bound: Annotated[float | None, Dataset("value", "of the measure: no drive comes above it")]
-    searched: Annotated[np.ndarray, Dataset("value", f"measure {_ROWS} over the scenarios of the search", (2,))]
-    nominal_plate: Annotated[np.ndarray, Dataset("value", f"value {_ROWS} without scatter", (2,))]
-    validation: Annotated[np.ndarray, Dataset("value", f"value {_ROWS} in each fresh scenario", (2, None)), "fresh"]
+    bound: Annotated[float | None, Dataset("1", "of the measure: no drive comes above it")]
+    searched: Annotated[np.ndarray, Dataset("1", f"measure {_ROWS} over the scenarios of the search", (2,))]
+    nominal_plate: Annotated[np.ndarray, Dataset("1", f"value {_ROWS} without scatter", (2,))]
+    validation: Annotated[np.ndarray, Dataset("1", f"value {_ROWS} in each fresh scenario", (2, None)), "fresh"]
 
     @property
     def failed(self) -> np.ndarray:
         """(2,) numbers of validation scenarios in which the plate failed."""
-        failures: np.ndarray = np.count_nonzero(~np.isfinite(self.validation), axis=1)
-        return failures
+        return np.sum(~np.isfinite(self.validation), axis=1)
 
     def rows(self) -> Mapping[str, np.ndarray]:
         """Return the (2,) statistics to tabulate, by name; a plate that failed counts as −∞."""

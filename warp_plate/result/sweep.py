@@ -11,7 +11,7 @@ An unfinished sweep is the same file with points that are not run yet.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,14 +19,25 @@ from typing import Annotated, Any
 import h5py
 import numpy as np
 
-from warp_plate.result.hdf5 import ELSEWHERE, Attribute, Dataset, SceneText, read_fields, write_fields
-from warp_plate.result.safe_hdf5 import open_hdf5, read_array, save_hdf5
+from warp_plate.result.hdf5 import (
+    ELSEWHERE,
+    Attribute,
+    Dataset,
+    FileFormat,
+    SceneText,
+    read_array,
+    read_fields,
+    write_fields,
+)
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import label_of, numeric_keys, unit_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import MOST_POINTS, Plan, counted
 
-FORMAT = "warp-plate sweep 1"
+FORMAT = FileFormat("sweep", 1)
+KEYS = Attribute(tuple[str, ...])
+LOGARITHMIC = Attribute(tuple[bool, ...])
+OUTPUTS = Attribute(Mapping[str, Mapping[str, str | None]])
 NOT_RUN, RUN, REFUSED = 0, 1, 2
 
 
@@ -115,13 +126,11 @@ class Sweep:
     def keys_without_effect(self) -> tuple[str, ...]:
         """Keys that change no output to the last bit; of samples, where all keys change at once, all or none."""
         outputs, plan = [self.shaped(name) for name in self.outputs], self.plan
-        if plan.sampled:
-            return plan.keys if len(plan) > 1 and all(_is_constant(values, 0) for values in outputs) else ()
-        return tuple(
-            key
-            for axis, key in enumerate(plan.keys)
-            if plan.shape[axis] > 1 and all(_is_constant(values, axis) for values in outputs)
-        )
+        constant = [
+            length > 1 and all(np.array_equal(o, np.roll(o, 1, axis), equal_nan=True) for o in outputs)
+            for axis, length in enumerate(plan.shape)
+        ]
+        return tuple(key for axis, key in enumerate(plan.keys) if constant[0 if plan.sampled else axis])
 
     def refusal(self, point: int) -> str:
         """Return the varied numbers of a refused point and the reason, for people."""
@@ -136,27 +145,16 @@ class Sweep:
 
 
 def save_sweep(sweep: Sweep, path: str | Path) -> Path:
-    """Write a sweep file atomically.
-
-    Raises:
-        SceneError: the folder is missing or cannot be written to, or the disk is full.
-    """
-    path = Path(path)
-    save_hdf5(path, FORMAT, lambda file: _write(file, sweep))
-    return path
+    """Write a sweep file atomically, or raise a SceneError."""
+    return FORMAT.save(path, lambda file: _write(file, sweep))
 
 
 def load_sweep(path: str | Path) -> Sweep:
-    """Read a file that :func:`save_sweep` wrote.
-
-    Raises:
-        SceneError: the file is missing, damaged or not a sweep.
-    """
-    path = Path(path)
-    with open_hdf5(path, FORMAT, "sweep") as file:
+    """Read a sweep, or raise a SceneError if the file is missing, damaged or not a sweep."""
+    with FORMAT.open(path) as file:
         scene = SceneText().read(file, "scene", {})
         plan, count = _read_plan(file, scene), Attribute(int).read(file, "count", {})
-        outputs = {name: SweepOutput(**entry) for name, entry in _OUTPUTS.read(file, "outputs", {}).items()}
+        outputs = {name: SweepOutput(**entry) for name, entry in OUTPUTS.read(file, "outputs", {}).items()}
         values = {}
         for name, output in outputs.items():
             own = (count,) if output.axis else ()
@@ -171,22 +169,34 @@ def load_sweep(path: str | Path) -> Sweep:
         )
 
 
-_KEYS = Attribute(tuple[str, ...])
-_LOGARITHMIC = Attribute(tuple[bool, ...])
-_OUTPUTS = Attribute(Mapping[str, Mapping[str, str | None]])
+def _read_plan(file: h5py.File, scene: Scene) -> Plan:
+    keys, logarithmic = KEYS.read(file, "keys", {}), LOGARITHMIC.read(file, "logarithmic", {})
+    if not keys or not set(keys) <= set(numeric_keys(scene)) or len(logarithmic) != len(keys):
+        raise SceneError(f"keys {list(keys)} do not fit the scene")
+    sampled = "sample" in file
+    samples = len(read_array(file, "sample", (None,))) if sampled else None
+    plan = Plan(keys, tuple(read_array(file, key, (samples,)) for key in keys), logarithmic, sampled)
+    if not 1 <= len(plan) <= MOST_POINTS:
+        raise SceneError(f"the sweep has {len(plan)} points")
+    return plan
 
 
 def _write(file: h5py.File, sweep: Sweep) -> None:
     plan, scene = sweep.plan, sweep.scene
     write_fields(file, sweep)
     file.attrs["title"] = scene.title
-    _KEYS.write(file, "keys", plan.keys, {})
-    _LOGARITHMIC.write(file, "logarithmic", plan.logarithmic, {})
-    _OUTPUTS.write(file, "outputs", {name: asdict(output) for name, output in sweep.outputs.items()}, {})
-    Attribute(bool).write(file, "finished", sweep.finished, {})
-    axes = _write_plan(file, plan, scene)
+    KEYS.write(file, "keys", plan.keys)
+    LOGARITHMIC.write(file, "logarithmic", plan.logarithmic)
+    OUTPUTS.write(file, "outputs", {name: asdict(output) for name, output in sweep.outputs.items()})
+    Attribute(bool).write(file, "finished", sweep.finished)
+    axes = ["sample"] if plan.sampled else plan.keys
+    if plan.sampled:
+        _write_along(file, "sample", np.arange(len(plan)), "1", "number of the sample")
+    for key, values in zip(plan.keys, plan.coordinates, strict=True):
+        unit = unit_of(scene, key).replace("²", "^2").replace("³", "^3").replace("·", "*")
+        _write_along(file, key, values, unit, label_of(scene, key), axes if plan.sampled else ())
     for axis in dict.fromkeys(output.axis for output in sweep.outputs.values() if output.axis):
-        _write_axis(file, axis, np.arange(1, sweep.count + 1), "1", f"number of the {axis}")
+        _write_along(file, axis, np.arange(1, sweep.count + 1), "1", f"number of the {axis}")
     for name, output in sweep.outputs.items():
         own = [output.axis] if output.axis else []
         _write_along(file, name, sweep.shaped(name), output.unit, output.meaning, [*axes, *own])
@@ -201,46 +211,10 @@ def _write(file: h5py.File, sweep: Sweep) -> None:
             file[name].attrs["coordinates"] = " ".join(plan.keys)
 
 
-def _write_plan(file: h5py.File, plan: Plan, scene: Scene) -> Sequence[str]:
-    """Write the values of the varied keys; return the names of the dimensions of all outputs."""
-    if plan.sampled:
-        _write_axis(file, "sample", np.arange(len(plan)), "1", "number of the sample")
-    for key, values in zip(plan.keys, plan.coordinates, strict=True):
-        unit, meaning = _in_ascii(unit_of(scene, key)), label_of(scene, key)
-        if plan.sampled:
-            _write_along(file, key, values, unit, meaning, ["sample"])
-        else:
-            _write_axis(file, key, values, unit, meaning)
-    return ["sample"] if plan.sampled else plan.keys
-
-
-def _write_axis(file: h5py.File, name: str, values: np.ndarray, unit: str, meaning: str) -> None:
-    Dataset(unit, meaning).write(file, name, values, {})
-    file[name].make_scale(name)
-
-
-def _write_along(file: h5py.File, name: str, values: Any, unit: str, meaning: str, axes: Iterable[str]) -> None:
-    Dataset(unit, meaning).write(file, name, values, {})
+def _write_along(file: h5py.File, name: str, values: Any, unit: str, meaning: str, axes: Iterable[str] = ()) -> None:
+    """Write values along dimensions; without any, as a dimension itself."""
+    Dataset(unit, meaning).write(file, name, values)
+    if not axes:
+        file[name].make_scale(name)
     for index, axis in enumerate(axes):
         file[name].dims[index].attach_scale(file[axis])
-
-
-def _is_constant(values: np.ndarray, axis: int) -> bool:
-    """Return whether values are the same all along an axis."""
-    return np.array_equal(values, np.broadcast_to(values.take([0], axis), values.shape), equal_nan=True)
-
-
-def _in_ascii(unit: str) -> str:
-    return unit.replace("²", "^2").replace("³", "^3").replace("·", "*")
-
-
-def _read_plan(file: h5py.File, scene: Scene) -> Plan:
-    keys, logarithmic = _KEYS.read(file, "keys", {}), _LOGARITHMIC.read(file, "logarithmic", {})
-    if not keys or not set(keys) <= set(numeric_keys(scene)) or len(logarithmic) != len(keys):
-        raise SceneError(f"keys {list(keys)} do not fit the scene")
-    sampled = "sample" in file
-    samples = len(read_array(file, "sample", (None,))) if sampled else None
-    plan = Plan(keys, tuple(read_array(file, key, (samples,)) for key in keys), logarithmic, sampled)
-    if not 1 <= len(plan) <= MOST_POINTS:
-        raise SceneError(f"the sweep has {len(plan)} points")
-    return plan

@@ -21,8 +21,8 @@ from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, ev
 from warp_plate.problem.problem import EvaluatorName, Problem, make_problem
 from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.checkpoint import Checkpoint, load_newest
-from warp_plate.result.crosstalk import best_drive_scenes, target_cases, target_regions
 from warp_plate.result.model import Case, Result, TargetSearch
+from warp_plate.result.targets import best_drive_scenes, target_cases, target_regions
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.model import Scene

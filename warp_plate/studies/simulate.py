@@ -11,8 +11,8 @@ from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.problem.evaluate_cases import cases_from_run, reference_phasors
 from warp_plate.problem.parametrization import magnitude_unit
 from warp_plate.result import load_result
-from warp_plate.result.crosstalk import target_regions
 from warp_plate.result.model import Result
+from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.peak import run_with_peak

@@ -1,4 +1,4 @@
-"""Crosstalk between several targets: the energy in each of them under the drive found for each.
+"""Several targets of a scene: the energy in each of them under the drive found for each, and their outlines.
 
 A result whose scene has several targets holds the best drive for the first one as the case "best", and for another as
 "best NAME". The energies of all cases have a region "target NAME" for each target, beside "plate" and the case's own
@@ -9,12 +9,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_plate.result.model import Result
+from warp_plate.plate.shapes import read_mask
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.scene.target import NamedTarget
+from warp_plate.scene.target import NamedTarget, Target
+
+if TYPE_CHECKING:
+    from warp_plate.result.model import Result
+
+DISC_CORNERS = 96
+MASK_LEVEL = 0.5
 
 
 def target_regions(scene: Scene) -> dict[str, NamedTarget]:
@@ -30,16 +38,12 @@ def target_cases(scene: Scene) -> dict[str, str]:
 def best_drive_scenes(result: Result) -> dict[str, Scene]:
     """Return the scene that ``simulate`` runs as each best drive, by case; aimed at the drive's own target.
 
-    Raises:
-        SceneError: a magnitude is larger than a scene may have.
+    A SceneError is raised if a magnitude is larger than a scene may have.
     """
     scene = result.scene
     aimed = {name: scene.aimed_at(index) for index, name in enumerate(target_cases(scene).values())} or {"best": scene}
-    return {
-        name: replace(result, scene=aim).driven_scene(result.cases[name])
-        for name, aim in aimed.items()
-        if name in result.cases
-    }
+    found = [name for name in aimed if name in result.cases]
+    return {name: replace(result, scene=aimed[name]).driven_scene(result.cases[name]) for name in found}
 
 
 def crosstalk(result: Result) -> np.ndarray:
@@ -58,6 +62,31 @@ def crosstalk(result: Result) -> np.ndarray:
 def decibels(shares: np.ndarray) -> np.ndarray:
     """Return (drives, targets) fractions relative to each drive's own target [dB]; −∞ where nothing moves."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        own = np.diag(shares)[:, None]
-        levels: np.ndarray = 10 * (np.log10(np.maximum(shares, 0)) - np.log10(own))
+        levels: np.ndarray = 10 * (np.log10(np.maximum(shares, 0)) - np.log10(np.diag(shares)[:, None]))
     return levels
+
+
+def outlines(scene: Scene) -> list[np.ndarray]:
+    """Return closed outlines (points, 2) [m] of all targets of a scene."""
+    return [way for key, target in scene.targets_by_key.items() for way in target_outlines(scene, key, target)]
+
+
+def target_outlines(scene: Scene, key: str, target: Target) -> list[np.ndarray]:
+    """Return closed outlines (points, 2) [m] of one target.
+
+    Those of a mask are its contours at ``MASK_LEVEL``; none if its file is gone, as beside a moved result.
+    """
+    corners = target.corners(DISC_CORNERS)
+    if corners is not None:
+        return [np.concatenate([corners, corners[:1]])]
+    from contourpy import contour_generator
+
+    try:
+        values = read_mask(scene, key, target)
+    except SceneError:
+        return []
+    values = np.broadcast_to(values, (max(len(values), 2), max(values.shape[1], 2)))
+    x, y = (np.linspace(0, side, count) for side, count in zip(scene.plate.size, values.shape[::-1], strict=True))
+    # A rim of zeros at the place of the edge closes the contours that meet the edge.
+    padded = np.pad(x, 1, mode="edge"), np.pad(y, 1, mode="edge"), np.pad(values, 1)
+    return [np.asarray(way) for way in contour_generator(*padded).lines(MASK_LEVEL)]
