@@ -1,4 +1,4 @@
-"""How ``moment_form_cuda`` distributes a plate over the threads of a block, and where it keeps what."""
+"""Distribution of a plate over the threads of a block, and memory layout, for ``moment_form_cuda``."""
 
 from dataclasses import dataclass, replace
 
