@@ -30,33 +30,19 @@ DENSE = 400
 
 @dataclass(frozen=True)
 class Bending:
-    """Fields of the plate on its grid.
+    """Fields of the plate on its grid."""
 
-    Attributes:
-        spacing: (hx, hy) [m].
-        bend_xx: (ny, nx) Cxx above [N·m].
-        bend_xy: (ny, nx) Cxy [N·m].
-        bend_yy: (ny, nx) Cyy [N·m].
-        twist: (ny − 1, nx − 1) 4Dxy of the cells [N·m].
-        mass: (ny, nx) mass per area [kg/m²].
-        weight: (ny, nx) share of each node's cell on the plate: 1, ½ or ¼.
-        spring: (ny, nx) springs per area, of the bed and of elastic edges [N/m³].
-        moves: (ny, nx) true for nodes that move.
-        tension: Tension along x and y [N/m].
-        stretch: Resistance to stretching of the whole plate along x and y [N/m], see ``section``.
-    """
-
-    spacing: tuple[float, float]
-    bend_xx: np.ndarray
-    bend_xy: np.ndarray
-    bend_yy: np.ndarray
-    twist: np.ndarray
-    mass: np.ndarray
-    weight: np.ndarray
-    spring: np.ndarray
-    moves: np.ndarray
-    tension: tuple[float, float]
-    stretch: tuple[float, float]
+    spacing: tuple[float, float]  # (hx, hy) [m]
+    bend_xx: np.ndarray  # (ny, nx) Cxx above [N·m]
+    bend_xy: np.ndarray  # (ny, nx) Cxy [N·m]
+    bend_yy: np.ndarray  # (ny, nx) Cyy [N·m]
+    twist: np.ndarray  # (ny − 1, nx − 1) 4Dxy of the cells [N·m]
+    mass: np.ndarray  # (ny, nx) mass per area [kg/m²]
+    weight: np.ndarray  # (ny, nx) share of each node's cell on the plate: 1, ½ or ¼
+    spring: np.ndarray  # (ny, nx) springs per area, of the bed and of elastic edges [N/m³]
+    moves: np.ndarray  # (ny, nx) true for nodes that move
+    tension: tuple[float, float]  # Tension along x and y [N/m]
+    stretch: tuple[float, float]  # Resistance to stretching of the whole plate along x and y [N/m], see ``section``
 
     @property
     def stretch_ratio(self) -> float:

@@ -17,19 +17,12 @@ SLACK = 1e-9
 
 @dataclass(frozen=True)
 class Designs:
-    """Drives of plates and whatever else differs between them; None: as the scene has it.
+    """Drives of plates and whatever else differs between them; None: as the scene has it."""
 
-    Attributes:
-        drives: (plates, actuators) complex phasors Z [N/m², or V: ``Scene.drive_unit``].
-        frequency: (plates, actuators) [Hz].
-        centre: (plates, actuators, 2) x, y of the actuators' centres [m].
-        delay: (plates, actuators) start of the burst [s].
-    """
-
-    drives: np.ndarray
-    frequency: np.ndarray | None = None
-    centre: np.ndarray | None = None
-    delay: np.ndarray | None = None
+    drives: np.ndarray  # (plates, actuators) complex phasors Z [N/m², or V: ``Scene.drive_unit``]
+    frequency: np.ndarray | None = None  # (plates, actuators) [Hz]
+    centre: np.ndarray | None = None  # (plates, actuators, 2) x, y of the actuators' centres [m]
+    delay: np.ndarray | None = None  # (plates, actuators) start of the burst [s]
 
     def __len__(self) -> int:
         return len(self.drives)
@@ -46,21 +39,15 @@ class Designs:
 
 @dataclass(frozen=True)
 class PerPlate:
-    """What may differ between the plates of a solver beside their drives; the solver is compiled for it.
+    """What may differ between the plates of a solver beside their drives; the solver is compiled for it."""
 
-    Attributes:
-        frequency: Plates may differ in frequency.
-        delay: Plates may differ in the start of the burst.
-        centre: Plates may differ in the places of their actuators.
-        per_actuator: Frequency and delay differ from actuator to actuator, which takes two waves for each of them and
-            the moment form; else all actuators of a plate share them.
-        areas: (x0, x1, y0, y1) [m] of each actuator, within which it stays whole (default: the plate).
-    """
-
-    frequency: bool = False
-    delay: bool = False
-    centre: bool = False
+    frequency: bool = False  # Plates may differ in frequency
+    delay: bool = False  # Plates may differ in the start of the burst
+    centre: bool = False  # Plates may differ in the places of their actuators
+    # Frequency and delay differ from actuator to actuator, which takes two waves for each of them and the moment
+    # form; else all actuators of a plate share them
     per_actuator: bool = False
+    # (x0, x1, y0, y1) [m] of each actuator, within which it stays whole (default: the plate)
     areas: tuple[Area, ...] | None = None
 
 
@@ -107,17 +94,11 @@ def carriers_of(scene: Scene, per_plate: PerPlate) -> int:
 
 @dataclass(frozen=True)
 class PerPlateValues:
-    """Checked designs as the kernels take them; None for what all plates share.
+    """Checked designs as the kernels take them; None for what all plates share."""
 
-    Attributes:
-        frequency: (plates, carriers) [Hz].
-        delay: (plates, carriers) start of the burst [s].
-        edges: (plates, actuators, 4) x0, x1, y0, y1 of the actuators [m].
-    """
-
-    frequency: np.ndarray | None
-    delay: np.ndarray | None
-    edges: np.ndarray | None
+    frequency: np.ndarray | None  # (plates, carriers) [Hz]
+    delay: np.ndarray | None  # (plates, carriers) start of the burst [s]
+    edges: np.ndarray | None  # (plates, actuators, 4) x0, x1, y0, y1 of the actuators [m]
 
     def __getitem__(self, rows: slice) -> PerPlateValues:
         arrays = (self.frequency, self.delay, self.edges)

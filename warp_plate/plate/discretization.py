@@ -18,27 +18,16 @@ from warp_plate.scene.model import Scene
 
 @dataclass(frozen=True)
 class Discretization:
-    """A scene on its grid, in host memory and double precision; no device is involved.
+    """A scene on its grid, in host memory and double precision; no device is involved."""
 
-    Attributes:
-        scene: The scene, which has a grid.
-        per_plate: What may differ between the plates of a batch.
-        carriers: Number of carriers that each plate has of its own; 0 if all plates share the scene's.
-        scheme: Steps, coefficients, stability limit and, in moment form, the fields of the plate.
-        patches: (actuators, ny, nx) share of each node's cell that each actuator loads.
-        region_weights: (2, ny, nx) weights of the plate and of the target, in cells.
-        signals: Waves of the drive and how phasors mix them.
-        moving: Factors of the moving load; None without one.
-    """
-
-    scene: Scene
-    per_plate: PerPlate
-    carriers: int
-    scheme: Scheme
-    patches: np.ndarray
-    region_weights: np.ndarray
-    signals: Signals
-    moving: MovingWeights | None
+    scene: Scene  # The scene, which has a grid
+    per_plate: PerPlate  # What may differ between the plates of a batch
+    carriers: int  # Number of carriers that each plate has of its own; 0 if all plates share the scene's
+    scheme: Scheme  # Steps, coefficients, stability limit and, in moment form, the fields of the plate
+    patches: np.ndarray  # (actuators, ny, nx) share of each node's cell that each actuator loads
+    region_weights: np.ndarray  # (2, ny, nx) weights of the plate and of the target, in cells
+    signals: Signals  # Waves of the drive and how phasors mix them
+    moving: MovingWeights | None  # Factors of the moving load; None without one
 
     @cached_property
     def surface_density(self) -> np.ndarray:

@@ -52,11 +52,7 @@ def named_files(scene: Scene) -> dict[str, str]:
 
 
 def digests(scene: Scene) -> dict[str, str]:
-    """Return the SHA-256 of each file that a scene names, by key.
-
-    Raises:
-        SceneError: See :func:`read_beside`.
-    """
+    """Return the SHA-256 of each file that a scene names, by key."""
     files = named_files(scene)
     return {key: hashlib.sha256(read_beside(key, name, scene.folder)).hexdigest() for key, name in files.items()}
 

@@ -48,11 +48,7 @@ def refuse_beyond_memory(needed: float, what: str) -> None:
 
 
 def check_grid_memory(scene: Scene, moment_form: bool) -> None:
-    """Refuse a grid whose fields do not fit.
-
-    Raises:
-        SceneError: See :func:`refuse_beyond_memory`.
-    """
+    """Refuse a grid whose fields do not fit."""
     effects, nodes = scene.effects, math.prod(scene.grid.nodes)
     each = PLAIN + 16.0 * (len(scene.actuators) + CASES * len(scene.record.times))
     if moment_form:
@@ -65,11 +61,7 @@ def check_grid_memory(scene: Scene, moment_form: bool) -> None:
 
 
 def check_steps_memory(scene: Scene, steps: int) -> None:
-    """Refuse a run whose drives and traces do not fit.
-
-    Raises:
-        SceneError: See :func:`refuse_beyond_memory`.
-    """
+    """Refuse a run whose drives and traces do not fit."""
     frequencies = len({actuator.frequency for actuator in scene.actuators})
     terms = 2 * frequencies if scene.drive.electrostatic is None else 4 * frequencies + 2
     each = TERM * terms + POINT * CASES * len(scene.record.points)

@@ -38,19 +38,13 @@ PRODUCT, ABOVE = 0.8, 0.03
 
 @dataclass(frozen=True)
 class NaturalModes:
-    """The lowest modes of a scene's grid, by rising frequency.
+    """The lowest modes of a scene's grid, by rising frequency."""
 
-    Attributes:
-        frequencies: (count,) [Hz], 0 for rigid motions.
-        shapes: (count, ny, nx) displacements, edges included, the largest being 1.
-        oscillators: (count, oscillators) motion of the oscillators' masses in the same unit; NaN without a mass.
-        time_step: Time step of the scene [s].
-    """
-
-    frequencies: np.ndarray
-    shapes: np.ndarray
+    frequencies: np.ndarray  # (count,) [Hz], 0 for rigid motions
+    shapes: np.ndarray  # (count, ny, nx) displacements, edges included, the largest being 1
+    # (count, oscillators) motion of the oscillators' masses in the same unit; NaN without a mass
     oscillators: np.ndarray
-    time_step: float
+    time_step: float  # Time step of the scene [s]
 
     @property
     def stepped(self) -> np.ndarray:

@@ -23,17 +23,11 @@ POINT = 1e-3
 
 
 class MovingWeights(NamedTuple):
-    """Factors of a moving load.
+    """Factors of a moving load."""
 
-    Attributes:
-        wave: (steps,) [N/m²], the first one halved as in ``signals``.
-        along_x: (steps, nx) shares.
-        along_y: (steps, ny) shares.
-    """
-
-    wave: np.ndarray
-    along_x: np.ndarray
-    along_y: np.ndarray
+    wave: np.ndarray  # (steps,) [N/m²], the first one halved as in ``signals``
+    along_x: np.ndarray  # (steps, nx) shares
+    along_y: np.ndarray  # (steps, ny) shares
 
     @property
     def largest(self) -> float:

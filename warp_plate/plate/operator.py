@@ -53,13 +53,10 @@ class Taps:
     """Weights of each node's neighbours in both passes along one axis, in units of spacing² / DIVISOR.
 
     Neighbours go from −reach to reach = order/2; those beyond the edges have weight zero.
-
-    Attributes:
-        bend: (nodes, 2·reach + 1) weights of displacements in the curvature.
-        move: (nodes, 2·reach + 1) weights of curvatures in the force; zero for the edge nodes, which do not move.
     """
 
-    bend: np.ndarray
+    bend: np.ndarray  # (nodes, 2·reach + 1) weights of displacements in the curvature
+    # (nodes, 2·reach + 1) weights of curvatures in the force; zero for the edge nodes, which do not move
     move: np.ndarray
 
     @property

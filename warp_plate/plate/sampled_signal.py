@@ -39,19 +39,12 @@ _WIDTHS = {(1, 8): "u1", (1, 16): "<i2", (1, 24): "u1", (1, 32): "<i4", (3, 32):
 
 @dataclass(frozen=True)
 class Samples:
-    """A sampled signal.
+    """A sampled signal."""
 
-    Attributes:
-        values: (samples,) real, with the gain.
-        rate: Samples per second.
-        start: Time of the first sample [s].
-        repeat: Repeat the signal instead of silence after its end.
-    """
-
-    values: np.ndarray
-    rate: float
-    start: float
-    repeat: bool
+    values: np.ndarray  # (samples,) real, with the gain
+    rate: float  # Samples per second
+    start: float  # Time of the first sample [s]
+    repeat: bool  # Repeat the signal instead of silence after its end
 
     def analytic(self) -> np.ndarray:
         """Return (samples,) complex analytic signal, padded with silence unless it repeats."""

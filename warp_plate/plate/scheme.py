@@ -40,47 +40,26 @@ MOST_LOSS = 1e9
 
 @dataclass(frozen=True)
 class Scheme:
-    """The discretized plate.
+    """The discretized plate."""
 
-    Attributes:
-        nodes: (nx, ny), edges included.
-        spacing: (hx, hy) [m].
-        rigidity: D [N·m].
-        surface_density: ρH [kg/m²].
-        kappa: κ [m²/s].
-        time_step: Δt [s].
-        stability: Its limit, and what sets it.
-        steps: Number of steps of the whole run.
-        window: First and last + 1 of the steps whose half-step lies inside the scene's window.
-        decay: Factor of the velocity in a step.
-        gain: Factor of the force in a step.
-        angular_frequency: ω of the drive [rad/s].
-        order: Order of the differences in space.
-        taps_x: Differences along x with their edges, see ``operator``.
-        taps_y: Differences along y.
-        bending: Fields of the plate in moment form; None for a plain plate.
-        viscous: All viscous damping [N·s/m³].
-        backward: True if it is taken backward in time.
-    """
-
-    nodes: tuple[int, int]
-    spacing: tuple[float, float]
-    rigidity: float
-    surface_density: float
-    kappa: float
-    time_step: float
-    stability: StabilityLimit
-    steps: int
-    window: tuple[int, int]
-    decay: float
-    gain: float
-    angular_frequency: float
-    order: int
-    taps_x: Taps
-    taps_y: Taps
-    bending: Bending | None
-    viscous: float
-    backward: bool
+    nodes: tuple[int, int]  # (nx, ny), edges included
+    spacing: tuple[float, float]  # (hx, hy) [m]
+    rigidity: float  # D [N·m]
+    surface_density: float  # ρH [kg/m²]
+    kappa: float  # κ [m²/s]
+    time_step: float  # Δt [s]
+    stability: StabilityLimit  # Its limit, and what sets it
+    steps: int  # Number of steps of the whole run
+    window: tuple[int, int]  # First and last + 1 of the steps whose half-step lies inside the scene's window
+    decay: float  # Factor of the velocity in a step
+    gain: float  # Factor of the force in a step
+    angular_frequency: float  # ω of the drive [rad/s]
+    order: int  # Order of the differences in space
+    taps_x: Taps  # Differences along x with their edges, see ``operator``
+    taps_y: Taps  # Differences along y
+    bending: Bending | None  # Fields of the plate in moment form; None for a plain plate
+    viscous: float  # All viscous damping [N·s/m³]
+    backward: bool  # True if it is taken backward in time
 
     @property
     def limit(self) -> float:

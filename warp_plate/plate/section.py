@@ -34,23 +34,14 @@ Rigidities = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Section:
-    """Fields over the nodes.
+    """Fields over the nodes."""
 
-    Attributes:
-        bend_xx: (ny, nx) Dxx [N·m]: Mx = Dxx u_xx + Dxy u_yy.
-        bend_xy: (ny, nx) Dxy = D1 [N·m].
-        bend_yy: (ny, nx) Dyy [N·m].
-        twist: (ny, nx) torsional rigidity Dxy of Mxy = 2 Dxy u_xy [N·m].
-        mass: (ny, nx) mass per area [kg/m²].
-        stretch: Harmonic means over the plate of the stretching stiffness along x and y [N/m].
-    """
-
-    bend_xx: np.ndarray
-    bend_xy: np.ndarray
-    bend_yy: np.ndarray
-    twist: np.ndarray
-    mass: np.ndarray
-    stretch: tuple[float, float]
+    bend_xx: np.ndarray  # (ny, nx) Dxx [N·m]: Mx = Dxx u_xx + Dxy u_yy
+    bend_xy: np.ndarray  # (ny, nx) Dxy = D1 [N·m]
+    bend_yy: np.ndarray  # (ny, nx) Dyy [N·m]
+    twist: np.ndarray  # (ny, nx) torsional rigidity Dxy of Mxy = 2 Dxy u_xy [N·m]
+    mass: np.ndarray  # (ny, nx) mass per area [kg/m²]
+    stretch: tuple[float, float]  # Harmonic means over the plate of the stretching stiffness along x and y [N/m]
 
 
 @dataclass(frozen=True)
@@ -66,21 +57,13 @@ class _Laminates:
 
 @dataclass(frozen=True)
 class _Parts:
-    """The cells of the nodes along one axis, cut at the edges of layers.
+    """The cells of the nodes along one axis, cut at the edges of layers."""
 
-    Attributes:
-        middle: Middle of each part [m].
-        length: Length of each part [m].
-        share: Share of each part in its node's cell.
-        node: Node of each part.
-        first: First part of each node.
-    """
-
-    middle: np.ndarray
-    length: np.ndarray
-    share: np.ndarray
-    node: np.ndarray
-    first: np.ndarray
+    middle: np.ndarray  # Middle of each part [m]
+    length: np.ndarray  # Length of each part [m]
+    share: np.ndarray  # Share of each part in its node's cell
+    node: np.ndarray  # Node of each part
+    first: np.ndarray  # First part of each node
 
     def mean(self, values: np.ndarray, axis: int) -> np.ndarray:
         """Return the means over the nodes' cells along an axis."""
@@ -90,11 +73,7 @@ class _Parts:
 
 
 def make_section(scene: Scene) -> Section:
-    """Return the section of a scene's plate at the nodes of its grid.
-
-    Raises:
-        SceneError: See ``variation.factors_at_nodes``.
-    """
+    """Return the section of a scene's plate at the nodes of its grid."""
     plate, (nx, ny), layers = scene.plate, scene.grid.nodes, scene.effects.layers
     along_x = _parts(plate.size[0], nx, [place for layer in layers for place in layer.area[:2]])
     along_y = _parts(plate.size[1], ny, [place for layer in layers for place in layer.area[2:]])

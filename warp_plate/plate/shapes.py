@@ -31,21 +31,13 @@ ROUNDING = 1e-13
 
 @dataclass(frozen=True)
 class Axis:
-    """Basis functions φ of the nodes along one axis, as polynomials on intervals; lengths in spacings.
+    """Basis functions φ of the nodes along one axis, as polynomials on intervals; lengths in spacings."""
 
-    Attributes:
-        nodes: Number of nodes.
-        breaks: (intervals + 1,) ends of the intervals.
-        first: (intervals,) first node whose φ is not zero on the interval.
-        middle: (intervals,) origin of the polynomials.
-        powers: (nodes of an interval, degree + 1) their coefficients.
-    """
-
-    nodes: int
-    breaks: np.ndarray
-    first: np.ndarray
-    middle: np.ndarray
-    powers: np.ndarray
+    nodes: int  # Number of nodes
+    breaks: np.ndarray  # (intervals + 1,) ends of the intervals
+    first: np.ndarray  # (intervals,) first node whose φ is not zero on the interval
+    middle: np.ndarray  # (intervals,) origin of the polynomials
+    powers: np.ndarray  # (nodes of an interval, degree + 1) their coefficients
 
     def interval(self, at: np.ndarray) -> np.ndarray:
         """Return the interval that holds each point."""
@@ -106,11 +98,7 @@ def shape_weights(scene: Scene, key: str, target: Target, within: Area | None = 
 
 
 def bounds(scene: Scene, key: str, target: Target) -> Area:
-    """Return x0, x1, y0, y1 [m] of the smallest rectangle that holds a target.
-
-    Raises:
-        SceneError: See :func:`shape_weights`.
-    """
+    """Return x0, x1, y0, y1 [m] of the smallest rectangle that holds a target."""
     corners = target.corners(DISC_CORNERS)
     if corners is None:
         values = read_mask(scene, key, target)
@@ -173,11 +161,7 @@ def clipped(corners: np.ndarray, area: Area) -> np.ndarray:
 
 
 def read_mask(scene: Scene, key: str, target: Target) -> np.ndarray:
-    """Return (rows, columns) numbers of a target's mask.
-
-    Raises:
-        SceneError: See :func:`shape_weights`.
-    """
+    """Return (rows, columns) numbers of a target's mask."""
     name = target.mask or ""
     try:
         rows = number_rows(read_beside(f"{key}.mask", name, scene.folder))

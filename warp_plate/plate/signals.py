@@ -39,25 +39,15 @@ _Terms: TypeAlias = dict[_Key, tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class _Carrier:
-    """A carrier and the actuators that it drives.
+    """A carrier and the actuators that it drives."""
 
-    Attributes:
-        wave: (..., steps) complex.
-        actuators: (actuators,) one for those driven, else zero.
-        envelope: Envelope (..., steps) to a power, 1 or 2.
-        frequency: Frequency at t = 0 [Hz]; 0 for a file.
-        steady: True if its magnitude is one throughout.
-        start: Start of its burst [s]; 0 without one, or if plates differ in it.
-        number: From 1 on if it shares no wave with others.
-    """
-
-    wave: np.ndarray
-    actuators: np.ndarray
-    envelope: Callable[[int], np.ndarray]
-    frequency: float = 1.0
-    steady: bool = True
-    start: float = 0.0
-    number: int = 0
+    wave: np.ndarray  # (..., steps) complex
+    actuators: np.ndarray  # (actuators,) one for those driven, else zero
+    envelope: Callable[[int], np.ndarray]  # Envelope (..., steps) to a power, 1 or 2
+    frequency: float = 1.0  # Frequency at t = 0 [Hz]; 0 for a file
+    steady: bool = True  # True if its magnitude is one throughout
+    start: float = 0.0  # Start of its burst [s]; 0 without one, or if plates differ in it
+    number: int = 0  # From 1 on if it shares no wave with others
 
 
 @dataclass(frozen=True)
@@ -66,16 +56,11 @@ class Signals:
 
     The first step of the waves is halved: the plate is at rest at t = 0, when the load sets in, and half a step later
     its velocity is half of Δt·f/ρH. A whole first load would be an error of first order.
-
-    Attributes:
-        wave: (steps, terms), below two in size.
-        mixing: (terms, features, actuators) factors of the FEATURES in the coefficients.
-        linear: True if coefficients are linear in the phasors' real and imaginary parts.
     """
 
-    wave: np.ndarray
-    mixing: np.ndarray
-    linear: bool
+    wave: np.ndarray  # (steps, terms), below two in size
+    mixing: np.ndarray  # (terms, features, actuators) factors of the FEATURES in the coefficients
+    linear: bool  # True if coefficients are linear in the phasors' real and imaginary parts
 
     @property
     def terms(self) -> int:

@@ -54,21 +54,13 @@ Matrices: TypeAlias = "dict[str, scipy.sparse.sparray]"
 
 @dataclass(frozen=True)
 class StabilityLimit:
-    """The stability limit and the fastest motion, which sets it.
+    """The stability limit and the fastest motion, which sets it."""
 
-    Attributes:
-        time_step: Largest stable time step [s], at most 1 % below the true one and never above.
-        shares: Share of each stiffness and loss in the fastest motion; they add up to 1.
-        frequency: Frequency of the fastest motion without losses and steps in time [Hz].
-        formula: True if the limit comes from a formula, False if from the scene's own matrices.
-        place: (x, y) [m] where the fastest motion is largest; None by formula.
-    """
-
-    time_step: float
-    shares: Mapping[str, float]
-    frequency: float
-    formula: bool
-    place: tuple[float, float] | None = None
+    time_step: float  # Largest stable time step [s], at most 1 % below the true one and never above
+    shares: Mapping[str, float]  # Share of each stiffness and loss in the fastest motion; they add up to 1
+    frequency: float  # Frequency of the fastest motion without losses and steps in time [Hz]
+    formula: bool  # True if the limit comes from a formula, False if from the scene's own matrices
+    place: tuple[float, float] | None = None  # (x, y) [m] where the fastest motion is largest; None by formula
 
 
 def find_limit(scene: Scene, moment_form: bool = False) -> tuple[StabilityLimit, Bending | None]:

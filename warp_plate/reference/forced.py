@@ -38,15 +38,10 @@ COUNTS = (16, 24, 32, 40, 44, 48)
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of modes from rest under a unit force exp(iωt): Σ_j amplitudes_j exp(exponents_j t).
+    """Motion of modes from rest under a unit force exp(iωt): Σ_j amplitudes_j exp(exponents_j t)."""
 
-    Attributes:
-        exponents: (1,) of the drive, and twice (modes,) [1/s].
-        amplitudes: Thrice (modes,) [m³/N for modal forces in m].
-    """
-
-    exponents: tuple[np.ndarray, np.ndarray, np.ndarray]
-    amplitudes: tuple[np.ndarray, np.ndarray, np.ndarray]
+    exponents: tuple[np.ndarray, np.ndarray, np.ndarray]  # (1,) of the drive, and twice (modes,) [1/s]
+    amplitudes: tuple[np.ndarray, np.ndarray, np.ndarray]  # Thrice (modes,) [m³/N for modal forces in m]
 
     def at(self, times: np.ndarray, derivative: int = 0) -> np.ndarray:
         """Return (times, modes) complex values of a derivative at times [s]."""
@@ -153,21 +148,14 @@ def bound(matrices: np.ndarray) -> tuple[float, np.ndarray]:
 
 @dataclass(frozen=True)
 class Converged:
-    """Results of one number of functions.
+    """Results of one number of functions."""
 
-    Attributes:
-        functions: Number of functions in each direction.
-        angular_frequencies: First natural frequencies [rad/s].
-        localization_factors: (drives,)
-        bound: Largest localization factor of any drive.
-        error: Estimated error of both, the largest change from either of the two rows before, for one change alone may
-            be small by chance; NaN in the first two rows.
-    """
-
-    functions: int
-    angular_frequencies: np.ndarray
-    localization_factors: np.ndarray
-    bound: float
+    functions: int  # Number of functions in each direction
+    angular_frequencies: np.ndarray  # First natural frequencies [rad/s]
+    localization_factors: np.ndarray  # (drives,)
+    bound: float  # Largest localization factor of any drive
+    # Estimated error of both, the largest change from either of the two rows before, for one change alone may be
+    # small by chance; NaN in the first two rows
     error: float
 
 

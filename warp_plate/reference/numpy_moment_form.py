@@ -28,50 +28,29 @@ from warp_plate.scene.model import Scene
 
 @dataclass(frozen=True)
 class Matrices:
-    """A scene's plate as matrices over all nodes, row by row, edges included, in SI units.
+    """A scene's plate as matrices over all nodes, row by row, edges included, in SI units."""
 
-    Attributes:
-        mass: (nodes,) M [kg].
-        bending: K_b [N/m].
-        other: K_e [N/m].
-        viscous: (nodes,) C [N·s/m].
-        slopes: L, so that uᵀLu = ∫ u_x² + κu_y² dA.
-        retardation: τ [s].
-        berger: N for uᵀLu = 1 m² [N/m³].
-        shares: (oscillators, nodes) s_o.
-        springs: (oscillators,) k [N/m].
-        dampers: (oscillators,) d [N·s/m].
-        attached: (oscillators,) m [kg]; zero for a spring on the ground.
-        moves: (nodes,) true for nodes that move.
-    """
-
-    mass: np.ndarray
-    bending: scipy.sparse.csr_array
-    other: scipy.sparse.csr_array
-    viscous: np.ndarray
-    slopes: scipy.sparse.csr_array
-    retardation: float
-    berger: float
-    shares: np.ndarray
-    springs: np.ndarray
-    dampers: np.ndarray
-    attached: np.ndarray
-    moves: np.ndarray
+    mass: np.ndarray  # (nodes,) M [kg]
+    bending: scipy.sparse.csr_array  # K_b [N/m]
+    other: scipy.sparse.csr_array  # K_e [N/m]
+    viscous: np.ndarray  # (nodes,) C [N·s/m]
+    slopes: scipy.sparse.csr_array  # L, so that uᵀLu = ∫ u_x² + κu_y² dA
+    retardation: float  # τ [s]
+    berger: float  # N for uᵀLu = 1 m² [N/m³]
+    shares: np.ndarray  # (oscillators, nodes) s_o
+    springs: np.ndarray  # (oscillators,) k [N/m]
+    dampers: np.ndarray  # (oscillators,) d [N·s/m]
+    attached: np.ndarray  # (oscillators,) m [kg]; zero for a spring on the ground
+    moves: np.ndarray  # (nodes,) true for nodes that move
 
 
 @dataclass(frozen=True)
 class History:
-    """Motion of plates.
+    """Motion of plates."""
 
-    Attributes:
-        displacement: (plates, steps + 1, ny, nx) [m], from rest on.
-        attached: (plates, steps + 1, oscillators) displacement of the oscillators' masses [m].
-        energy: (plates, regions) kinetic energy averaged over the window [J].
-    """
-
-    displacement: np.ndarray
-    attached: np.ndarray
-    energy: np.ndarray
+    displacement: np.ndarray  # (plates, steps + 1, ny, nx) [m], from rest on
+    attached: np.ndarray  # (plates, steps + 1, oscillators) displacement of the oscillators' masses [m]
+    energy: np.ndarray  # (plates, regions) kinetic energy averaged over the window [J]
 
 
 def make_matrices(scene: Scene, scheme: Scheme) -> Matrices:

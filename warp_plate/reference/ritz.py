@@ -41,17 +41,11 @@ CONDITIONS = {"free": 0, "supported": 1, "clamped": 2}
 
 @dataclass(frozen=True)
 class Line:
-    """Orthonormal functions along one side: ∫ φ_i φ_j dx = δ_ij.
+    """Orthonormal functions along one side: ∫ φ_i φ_j dx = δ_ij."""
 
-    Attributes:
-        length: Length of the side [m].
-        coefficients: (functions, degree + 1) coefficients of Legendre polynomials in s = 2x/length − 1 [1/√m].
-        even: True if both ends are held alike, so that φ_i is even or odd about the middle as i is.
-    """
-
-    length: float
-    coefficients: np.ndarray
-    even: bool
+    length: float  # Length of the side [m]
+    coefficients: np.ndarray  # (functions, degree + 1) coefficients of Legendre polynomials in s = 2x/length − 1 [1/√m]
+    even: bool  # True if both ends are held alike, so that φ_i is even or odd about the middle as i is
 
     @property
     def functions(self) -> int:
@@ -82,21 +76,14 @@ class Line:
 
 @dataclass(frozen=True)
 class Modes:
-    """Natural modes of a plate, as many as there are functions, by rising frequency; only the lowest are accurate.
+    """Natural modes of a plate, as many as there are functions, by rising frequency; only the lowest are accurate."""
 
-    Attributes:
-        plate: The plate.
-        along_x: Functions of x.
-        along_y: Functions of y.
-        angular_frequencies: (modes,) ω [rad/s], zero for rigid motions.
-        vectors: (modes, functions of y, functions of x); the shapes Φ have ∫ Φ_m Φ_n dA = δ_mn (shapes in 1/m,
-            amplitudes in m²).
-    """
-
-    plate: ThinPlate
-    along_x: Line
-    along_y: Line
-    angular_frequencies: np.ndarray
+    plate: ThinPlate  # The plate
+    along_x: Line  # Functions of x
+    along_y: Line  # Functions of y
+    angular_frequencies: np.ndarray  # (modes,) ω [rad/s], zero for rigid motions
+    # (modes, functions of y, functions of x); the shapes Φ have ∫ Φ_m Φ_n dA = δ_mn (shapes in 1/m, amplitudes in
+    # m²)
     vectors: np.ndarray
 
     @property

@@ -13,23 +13,14 @@ Held = str | ElasticEdge
 
 @dataclass(frozen=True)
 class ThinPlate:
-    """A rectangular Kirchhoff-Love plate, ρH ü + c u̇ + D∇⁴u = f.
+    """A rectangular Kirchhoff-Love plate, ρH ü + c u̇ + D∇⁴u = f."""
 
-    Attributes:
-        size: (a, b) [m].
-        edges: Left, bottom, right and top edge, each one of EDGES or on springs.
-        rigidity: D = EH³ / 12(1 − ν²) [N·m].
-        poisson_ratio: ν, which matters only if an edge is free or on springs.
-        surface_density: ρH [kg/m²].
-        viscous: c [N·s/m³].
-    """
-
-    size: tuple[float, float]
-    edges: tuple[Held, Held, Held, Held]
-    rigidity: float
-    poisson_ratio: float
-    surface_density: float
-    viscous: float = 0.0
+    size: tuple[float, float]  # (a, b) [m]
+    edges: tuple[Held, Held, Held, Held]  # Left, bottom, right and top edge, each one of EDGES or on springs
+    rigidity: float  # D = EH³ / 12(1 − ν²) [N·m]
+    poisson_ratio: float  # ν, which matters only if an edge is free or on springs
+    surface_density: float  # ρH [kg/m²]
+    viscous: float = 0.0  # c [N·s/m³]
 
 
 def thin_plate(scene: Scene) -> ThinPlate:

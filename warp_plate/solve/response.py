@@ -21,13 +21,10 @@ from warp_plate.solve.solver import PlateSolver, Progress
 
 @dataclass(frozen=True)
 class Response:
-    """Energies as quadratic forms of the drives.
+    """Energies as quadratic forms of the drives."""
 
-    Attributes:
-        matrices: (regions, 2M, 2M) symmetric float64 matrices with energy = zᵀ matrix z [J per (N/m²)²]; the first
-            regions are REGIONS.
-    """
-
+    # (regions, 2M, 2M) symmetric float64 matrices with energy = zᵀ matrix z [J per (N/m²)²]; the first regions
+    # are REGIONS
     matrices: np.ndarray
 
     def energy(self, phasors: np.ndarray) -> np.ndarray:

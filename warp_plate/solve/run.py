@@ -12,30 +12,20 @@ from warp_plate.solve.status import OK
 
 @dataclass(frozen=True)
 class Run:
-    """What a batch of plates did.
+    """What a batch of plates did."""
 
-    Attributes:
-        energy: (plates, regions) kinetic energy ½∫ρH v² averaged over the window [J]; of a solver of displacements
-            the same with u in place of v [kg·m²]. NaN for a faulty plate.
-        regions: Names of the regions.
-        masses: (regions,) masses [kg].
-        displacement: (plates, times, ny, nx) [m].
-        times: (times,) times of the grid nearest to those asked for [s].
-        trace: (plates, points, steps) displacement [m].
-        trace_times: (steps,) [s].
-        node_steps: Nodes updated × steps × plates.
-        faults: Of each faulty plate, its fault (see ``solve.status``) and the time at which it was seen to grow without
-            bound [s], NaN if it was not.
-    """
-
+    # (plates, regions) kinetic energy ½∫ρH v² averaged over the window [J]; of a solver of displacements the same
+    # with u in place of v [kg·m²]. NaN for a faulty plate.
     energy: np.ndarray
-    regions: tuple[str, ...]
-    masses: np.ndarray
-    displacement: np.ndarray
-    times: np.ndarray
-    trace: np.ndarray
-    trace_times: np.ndarray
-    node_steps: int
+    regions: tuple[str, ...]  # Names of the regions
+    masses: np.ndarray  # (regions,) masses [kg]
+    displacement: np.ndarray  # (plates, times, ny, nx) [m]
+    times: np.ndarray  # (times,) times of the grid nearest to those asked for [s]
+    trace: np.ndarray  # (plates, points, steps) displacement [m]
+    trace_times: np.ndarray  # (steps,) [s]
+    node_steps: int  # Nodes updated × steps × plates
+    # Of each faulty plate, its fault (see ``solve.status``) and the time at which it was seen to grow without
+    # bound [s], NaN if it was not
     faults: dict[int, tuple[str, float]]
 
     @property

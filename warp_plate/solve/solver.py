@@ -183,9 +183,6 @@ class PlateSolver:
 
         Args:
             drives: See :meth:`run`.
-
-        Raises:
-            SceneError: See :meth:`run`; or this is a solver of displacements, which steps running sums of the load.
         """
         if self.specialized.quantity == "displacement":
             raise SceneError('setup: a solver with quantity = "displacement" cannot be stepped by hand; make another')

@@ -29,47 +29,26 @@ Quantity = Literal["velocity", "displacement"]
 
 @dataclass(frozen=True)
 class Specialized:
-    """A scene made ready for the kernels of one device; arrays have the layout of ``warp_plate.kernels``.
+    """A scene made ready for the kernels of one device; arrays have the layout of ``warp_plate.kernels``."""
 
-    Attributes:
-        discretization: The scene on its grid, on the host.
-        scene: The scene.
-        scheme: Its steps and coefficients.
-        effects: Compile key of the kernels.
-        real: ``wp.float32`` or ``wp.float64``.
-        rows: Rows of a field, ny + 2.
-        stride: Columns of a field, nx and padding.
-        device: Device of all arrays.
-        threads: Threads of the CPU to use.
-        regions: Names of the regions whose energy is summed.
-        parameters: Struct of the kernels' scalar coefficients.
-        support: (covered nodes, 2) row of the field and column of the nodes that are loaded.
-        patches: (actuators, covered nodes) load of each actuator per unit of its coefficient.
-        weights: (regions, rows, stride) float64 weights of the regions.
-        wave: (steps, terms) waves that all plates share; running sums of them if energies are of displacements.
-        share: (covered nodes,) load on a node whose whole cell is under a pressure of one.
-        quantity: "velocity" for kinetic energies; "displacement" for the same sums of displacements.
-        sizes: (terms,) powers of two that the wave was divided by.
-    """
-
-    discretization: Discretization
-    scene: Scene
-    scheme: Scheme
-    effects: KernelEffects
-    real: type
-    rows: int
-    stride: int
-    device: wp.Device
-    threads: int
-    regions: tuple[str, ...]
-    parameters: Any
-    support: wp.array
-    patches: wp.array
-    weights: wp.array
-    wave: wp.array
-    share: np.ndarray
-    quantity: Quantity
-    sizes: np.ndarray
+    discretization: Discretization  # The scene on its grid, on the host
+    scene: Scene  # The scene
+    scheme: Scheme  # Its steps and coefficients
+    effects: KernelEffects  # Compile key of the kernels
+    real: type  # ``wp.float32`` or ``wp.float64``
+    rows: int  # Rows of a field, ny + 2
+    stride: int  # Columns of a field, nx and padding
+    device: wp.Device  # Device of all arrays
+    threads: int  # Threads of the CPU to use
+    regions: tuple[str, ...]  # Names of the regions whose energy is summed
+    parameters: Any  # Struct of the kernels' scalar coefficients
+    support: wp.array  # (covered nodes, 2) row of the field and column of the nodes that are loaded
+    patches: wp.array  # (actuators, covered nodes) load of each actuator per unit of its coefficient
+    weights: wp.array  # (regions, rows, stride) float64 weights of the regions
+    wave: wp.array  # (steps, terms) waves that all plates share; running sums of them if energies are of displacements
+    share: np.ndarray  # (covered nodes,) load on a node whose whole cell is under a pressure of one
+    quantity: Quantity  # "velocity" for kinetic energies; "displacement" for the same sums of displacements
+    sizes: np.ndarray  # (terms,) powers of two that the wave was divided by
 
     @property
     def interior_nodes(self) -> int:
@@ -222,7 +201,7 @@ def _check_quantity(scene: Scene, quantity: str) -> None:
         raise SceneError(f"quantity = {quantity!r}: no such quantity; there are: {', '.join(get_args(Quantity))}")
     if quantity == "displacement" and not scene.linear:
         raise SceneError(
-            f"{scene.not_linear}: displacements are computed as the response to the load's running sums, which holds "
+            f"{scene.nonlinear_table}: displacements are computed as the response to the load's running sums, which holds "
             "for linear plates alone; delete it, or measure velocities"
         )
 

@@ -31,60 +31,33 @@ class HostBuffers:
 
 @dataclass
 class State:
-    """Arrays for up to ``capacity`` plates; fields are (capacity, rows, stride), zero outside the plate.
+    """Arrays for up to ``capacity`` plates; fields are (capacity, rows, stride), zero outside the plate."""
 
-    Attributes:
-        capacity: Largest number of plates.
-        coefficients: (capacity, terms, actuators) factors of the waves.
-        loads: (terms, capacity, rows, stride) load fields, see ``kernels.load``.
-        in_phase: First load field.
-        quadrature: Second load field.
-        moves: (5, capacity, rows, stride) the five fields below in one piece.
-        u: Displacement.
-        rate: Displacement gained in a step.
-        squares: Sum of rate² over the window.
-        u_next: Buffer that takes turns with u on streaming paths; curvature on the others.
-        rate_next: Buffer that takes turns with rate on streaming paths.
-        units: (capacity,) displacement [m] of a unit of u.
-        moving: (capacity,) strength of the moving load, in units of each plate's pressure.
-        nodes: (traced nodes, 2) row of the field and column.
-        inner_nodes: (traced nodes, 2) row of the plate and column.
-        trace: (capacity, traced nodes, steps) displacement of the traced nodes.
-        column_sums: (capacity, regions, stride) float64 scratch of the energies.
-        energy: (capacity, regions) float64 weighted sums of squares.
-        wave: (capacity, steps, terms) waves of the current run, which are one of the next two.
-        shared_wave: The scene's wave as that of all plates.
-        plate_waves: A wave for each plate.
-        along_x: (capacity, actuators, nx) weights of patches that move from plate to plate.
-        along_y: (capacity, actuators, ny) the same along y.
-        host: Buffers for what is copied to the device and back.
-        beside: Further arrays and recorded launches, kept by whoever makes them.
-    """
-
-    capacity: int
-    coefficients: wp.array
-    loads: wp.array
-    in_phase: wp.array
-    quadrature: wp.array
-    moves: wp.array
-    u: wp.array
-    rate: wp.array
-    squares: wp.array
-    u_next: wp.array
-    rate_next: wp.array
-    units: wp.array
-    moving: wp.array
-    nodes: wp.array
-    inner_nodes: wp.array
-    trace: wp.array
-    column_sums: wp.array
-    energy: wp.array
-    wave: wp.array
-    shared_wave: wp.array
-    plate_waves: wp.array
-    along_x: wp.array
-    along_y: wp.array
-    host: HostBuffers
+    capacity: int  # Largest number of plates
+    coefficients: wp.array  # (capacity, terms, actuators) factors of the waves
+    loads: wp.array  # (terms, capacity, rows, stride) load fields, see ``kernels.load``
+    in_phase: wp.array  # First load field
+    quadrature: wp.array  # Second load field
+    moves: wp.array  # (5, capacity, rows, stride) the five fields below in one piece
+    u: wp.array  # Displacement
+    rate: wp.array  # Displacement gained in a step
+    squares: wp.array  # Sum of rate² over the window
+    u_next: wp.array  # Buffer that takes turns with u on streaming paths; curvature on the others
+    rate_next: wp.array  # Buffer that takes turns with rate on streaming paths
+    units: wp.array  # (capacity,) displacement [m] of a unit of u
+    moving: wp.array  # (capacity,) strength of the moving load, in units of each plate's pressure
+    nodes: wp.array  # (traced nodes, 2) row of the field and column
+    inner_nodes: wp.array  # (traced nodes, 2) row of the plate and column
+    trace: wp.array  # (capacity, traced nodes, steps) displacement of the traced nodes
+    column_sums: wp.array  # (capacity, regions, stride) float64 scratch of the energies
+    energy: wp.array  # (capacity, regions) float64 weighted sums of squares
+    wave: wp.array  # (capacity, steps, terms) waves of the current run, which are one of the next two
+    shared_wave: wp.array  # The scene's wave as that of all plates
+    plate_waves: wp.array  # A wave for each plate
+    along_x: wp.array  # (capacity, actuators, nx) weights of patches that move from plate to plate
+    along_y: wp.array  # (capacity, actuators, ny) the same along y
+    host: HostBuffers  # Buffers for what is copied to the device and back
+    # Further arrays and recorded launches, kept by whoever makes them
     beside: dict[Hashable, Any] = dataclasses.field(default_factory=dict)
 
     @property
