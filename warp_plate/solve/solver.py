@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import cycle
 
 import numpy as np
@@ -288,23 +289,21 @@ class PlateSolver:
         states, size = self._states_for(plates, corners.reshape(-1, 2))
         queued: deque[tuple[slice, Callable[[np.ndarray], Faults]]] = deque()
 
+        def report(before: int, done: int) -> None:
+            progress(before + done, run.node_steps)
+
         def finish_oldest() -> None:
             part, finish_energies = queued.popleft()
             faults = finish_energies(run.energy[part])
             run.faults.update({part.start + plate: fault for plate, fault in faults.items()})
-            progress(part.stop * each, run.node_steps)
+            report(part.stop * each, 0)
 
         for first, state in zip(range(0, plates, size), cycle(states), strict=False):
             part = slice(first, min(first + size, plates))
             if len(queued) == len(states):
                 finish_oldest()
             batch = PlateBatch(self.engine, state, phasors[part], values[part], self._largest_rate)
-            self._advance(
-                batch,
-                snapshots,
-                run.displacement[part],
-                lambda done, before=first * each: progress(before + done, run.node_steps),
-            )
+            self._advance(batch, snapshots, run.displacement[part], partial(report, first * each))
             queued.append((part, batch.queue_energies()))
             if points:
                 run.trace[part] = batch.trace(shares)
@@ -332,7 +331,7 @@ class PlateSolver:
             size = min(size, room // turns)
         if not _have_room(held, turns, size):
             self.states.clear()  # frees the old arrays before new ones are allocated
-            nodes = wp.array(corners + np.array([1, 0], np.int32), dtype=int, device=self.device)
+            nodes: wp.array = wp.array(corners + np.array([1, 0], np.int32), dtype=int, device=self.device)
             self.states += [make_state(self.specialized, size, nodes) for _ in range(turns)]
         return self.states[:turns], size
 

@@ -209,10 +209,8 @@ def _check_quantity(scene: Scene, quantity: str) -> None:
 def _loaded_nodes(discretization: Discretization) -> np.ndarray:
     """Return (ny, nx), true at nodes that an actuator loads, or can load if actuators move from plate to plate."""
     scene, per_plate = discretization.scene, discretization.per_plate
-    loaded: np.ndarray = discretization.patches.any(axis=0)
-    if per_plate.centre:
-        loaded |= reachable_nodes(scene, actuator_spaces(scene, per_plate))
-    return loaded
+    loaded: np.ndarray = np.any(discretization.patches, axis=0)
+    return loaded | reachable_nodes(scene, actuator_spaces(scene, per_plate)) if per_plate.centre else loaded
 
 
 def _in_units_of_mass(
