@@ -37,8 +37,8 @@ COUNTS = (16, 24, 32, 40, 44, 48)
 
 
 @dataclass(frozen=True)
-class Motion:
-    """Motion of modes from rest under a unit force exp(iωt): Σ_j amplitudes_j exp(exponents_j t)."""
+class ModalMotion:
+    """ModalMotion of modes from rest under a unit force exp(iωt): Σ_j amplitudes_j exp(exponents_j t)."""
 
     exponents: tuple[np.ndarray, np.ndarray, np.ndarray]  # (1,) of the drive, and twice (modes,) [1/s]
     amplitudes: tuple[np.ndarray, np.ndarray, np.ndarray]  # Thrice (modes,) [m³/N for modal forces in m]
@@ -50,7 +50,7 @@ class Motion:
         return np.sum([a * s**derivative * np.exp(s * when) for s, a in parts], axis=0)
 
 
-def motion_from_rest(modes: Modes, frequency: float, longest: float) -> Motion:
+def motion_from_rest(modes: Modes, frequency: float, longest: float) -> ModalMotion:
     """Return the motion of all modes under exp(iωt), ω/2π = ``frequency`` [Hz], up to the time ``longest`` [s].
 
     Raises:
@@ -65,7 +65,7 @@ def motion_from_rest(modes: Modes, frequency: float, longest: float) -> Motion:
     # The slow one as a quotient: −γ + μ would cancel for strong damping.
     slow, fast = np.where(kept, -(natural**2) / (gamma + split), split - gamma), -gamma - split
     steady = _steady_amplitudes(modes, frequency)
-    return Motion(
+    return ModalMotion(
         exponents=(np.array([drive]), slow, fast),
         amplitudes=(steady, steady * (fast - drive) / (2 * split), steady * (drive - slow) / (2 * split)),
     )

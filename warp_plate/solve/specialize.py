@@ -201,7 +201,7 @@ def _check_quantity(scene: Scene, quantity: str) -> None:
         raise SceneError(f"quantity = {quantity!r}: no such quantity; there are: {', '.join(get_args(Quantity))}")
     if quantity == "displacement" and not scene.linear:
         raise SceneError(
-            f"{scene.nonlinear_table}: displacements are computed as the response to the load's running sums, which holds "
+            f"{scene.nonlinear_table}: displacements are computed as the response to the load's running sums, valid "
             "for linear plates alone; delete it, or measure velocities"
         )
 
