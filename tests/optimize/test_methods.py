@@ -142,7 +142,7 @@ def test_the_bound_is_reached(method, paper, actuators):
 
 
 def test_slopes_are_differences_of_the_loss():
-    """For a loss that adds a ratio, a root and a logarithm of energies."""
+    """The loss adds a ratio, a root and a logarithm of energies."""
     space = magnitudes_and_phases(3)
 
     def losses_of(energy):
@@ -174,7 +174,7 @@ def test_descents_stop_at_limits_that_bind():
 
 @pytest.mark.parametrize("method", SAMPLING)
 def test_known_minima(method):
-    """Of a sphere; of one number alone, within its limits and at one; and where the period of many valleys is cut."""
+    """A sphere; a single number, within its limits and at one; and many valleys, the lowest where the period is cut."""
 
     def best(space, objective, particles=40):
         optimizer = make_optimizer(Search(method=method, particles=particles, iterations=150), space, 5)
@@ -260,6 +260,20 @@ def test_budget_history_and_what_may_be_told(method):
     assert best[-1] == optimizer.result.fbest == problem.losses(optimizer.result.xbest[None])[0]
     if method not in ("exact", "gradient"):
         assert count > search.particles * (search.iterations - 8)
+
+
+def test_flat_losses():
+    """The first best position stays; descents stall; a new cloud has twice as many positions."""
+    seen = {}
+    for method, keys in (("pso", {}), ("gradient", {"stall": 3}), ("cma", {"restarts": 1, "iterations": 60})):
+        search, space, problem = case(method, **keys)
+        optimizer, seen[method] = make_optimizer(search, space, 0, problem), []
+        minimize(optimizer, lambda x, asked=seen[method]: asked.append(x) or np.ones(len(x)))
+        np.testing.assert_array_equal(optimizer.result.xbest, seen[method][0][0])
+    assert len(seen["gradient"]) == 4
+    sizes = list(map(len, seen["cma"]))
+    assert sizes[-1] == 2 * sizes[0] == 2 * max(8, 4 + int(3 * math.log(6)))
+    assert set(sizes) == {sizes[0], sizes[-1]}
 
 
 @settings(max_examples=20)

@@ -1,10 +1,9 @@
-"""Bounds under limits: above every drive that keeps them, tight where the relaxation is, valid for any multipliers."""
+"""Bounds under limits: above every drive that keeps them, tight where the relaxation is."""
 
 import math
 
 import numpy as np
 import pytest
-import scipy.linalg
 
 from warp_plate import PlateSolver
 from warp_plate.plate.weights import REGIONS, localization_factor
@@ -98,7 +97,7 @@ def test_no_allowed_drive_exceeds_the_bound_of_the_energy(random, case):
 
 
 def test_equal_magnitudes_of_two_are_bounded_by_the_best_on_a_grid(random):
-    """For two actuators with one fixed phase the relaxation is exact: the bound is the best of all phases."""
+    """The relaxation for two actuators with one fixed phase is exact: the bound is the best of all phases."""
     for _ in range(5):
         response = gram(random, 2)
         bound = bound_localization(response, allowed(2, lower=0.0, phase=[0.0, SEARCHED], equal=True))
@@ -118,22 +117,6 @@ def test_three_actuators_of_a_plate_by_grid(scene):
     best = localization_factor(response.energy(drives)).max()
     assert best <= bound.value <= best * 1.005
     assert bound.value < response.bound()
-
-
-def test_any_multipliers_bound_the_ratio(random):
-    """For Σ d = 0 no drive of equal magnitudes exceeds the largest eigenvalue of (A + diag d, B), and none of these is
-    below the bound."""
-    response = gram(random, 3)
-    target, plate = response.matrices[[TARGET, PLATE]]
-    limits = allowed(3, lower=0.5, upper=1.0, equal=True)
-    bound = bound_localization(response, limits)
-    best = localization_factor(response.energy(drawn(random, limits, 20_000))).max()
-    for _ in range(200):
-        multiplier = random.normal(size=3)
-        multiplier -= multiplier.mean()
-        lifted = target + np.diag(np.tile(multiplier, 2)) * random.uniform(0, 2)
-        other = scipy.linalg.eigh(lifted, plate, eigvals_only=True)[-1]
-        assert best <= bound.value <= other + 1e-9
 
 
 def test_a_power_limit_gives_the_eigenvalue(random):

@@ -20,6 +20,7 @@ SEARCHES = {
     "ranges": RANGE,
     "phases alone": {"phase": {}},
     "magnitudes alone": {"magnitude": {"range": (0.0, 1.0)}},
+    "one magnitude": {"magnitude": {"range": (0.2, 1.0), "actuators": ("1",)}},
     "some": {"magnitude": {"range": (0.2, 1.0), "actuators": ("1",)}, "phase": {"actuators": ("0", "2")}},
     "contrast": {"objectives": [{"kind": "contrast"}], **RANGE},
     "velocity": {**VELOCITY, **RANGE},
@@ -49,9 +50,7 @@ def pieces(scene):
 def draw_phasors(parametrization, random, count):
     space = parametrization.space
     shares = random.random((count, space.dimension))
-    return parametrization.designs(
-        space.initial_lower + (space.initial_upper - space.initial_lower) * shares
-    ).drives
+    return parametrization.designs(space.initial_lower + (space.initial_upper - space.initial_lower) * shares).drives
 
 
 @pytest.mark.parametrize("search", SEARCHES.values(), ids=SEARCHES)
@@ -77,6 +76,15 @@ def test_no_position_has_less_loss_and_every_drive_is_allowed(scene, random, sea
     assert (turned.real >= allowed.lower - 1e-12).all()
     assert (turned.real <= allowed.upper + 1e-12).all()
     assert ((np.abs(phasors) ** 2).sum(axis=1) <= allowed.power * (1 + 1e-12)).all()
+
+
+def test_a_limit_on_the_rest_alone_gives_the_ratio(scene):
+    """So much energy in the rest lets LF / (1 − LF) times as much into the target."""
+    search = {"objectives": [{"kind": "velocity", "rest_limit": 2e-4}]}
+    parametrization, objectives, response = pieces(scene((9, 9), damping=130.0, search=search))
+    rest, factor = objectives.masses[1] * 2e-4**2 / 2, response.bound()
+    speed = np.sqrt(2 * rest * factor / (1 - factor) / objectives.masses[0])
+    assert bound_loss(parametrization, objectives, response).value == pytest.approx(-speed, rel=1e-5)
 
 
 def test_the_drive_that_reaches_a_bound_may_lie_outside_the_range(scene, monkeypatch):

@@ -184,14 +184,14 @@ def test_no_drive_exceeds_the_limits(limits, values, tables, search):
 
 def test_where_only_ratios_matter_the_whole_drive_is_scaled_down():
     """So that a small amplifier costs no localization; a drive whose size matters is clipped actuator by actuator."""
-    position = np.array([[4.0, 0.5, 0.0, 0.0]])
+    position = np.array([[4.0, -0.9, 0.0, 0.0]])
     unlimited, small = (
         parametrized({"limits": limits}).designs(position).drives for limits in ({}, {"magnitude": 0.5})
     )
     assert np.allclose(small / small[0, 0], unlimited / unlimited[0, 0], rtol=1e-14)
     assert np.abs(small).max() == pytest.approx(0.5)
     clipped = parametrized({"limits": {"magnitude": 0.75}}, **STRETCHING).designs(position).drives
-    assert np.allclose(np.abs(clipped), [[0.75, 0.75, 0.5]])
+    assert np.allclose(clipped, [[0.75, 0.75, -0.75]])
 
 
 def test_designs_do_not_depend_on_how_a_batch_is_cut():

@@ -47,7 +47,7 @@ def test_known_matrices_are_not_measured_again(problem):
 
 
 def test_node_steps_and_seconds_are_those_of_all_solvers():
-    """One for drives, another for places, and a third in float64 for the Gram matrices of 3 actuators."""
+    """A solver for drives, another for places, and a third in float64 for the Gram matrices of 3 actuators."""
     plate = PlateSolver(scene_of(**SMALL), "cpu").node_steps_per_plate
     assert make_problem(scene_of(**SMALL, precision="float32"), "cpu").node_steps == 21 * plate
     places = make_problem(scene_of(**SMALL, search={"position": {}}), "cpu")

@@ -113,7 +113,7 @@ def test_searched_places_are_off_as_well_and_stay_on_the_plate(robust):
 
 @pytest.mark.parametrize("searched", [False, True])
 def test_actuators_are_off_by_their_offsets(device, path, robust, phasors, searched):
-    """Whether or not places are searched: a scene written out with its patches where they are moves the same."""
+    """A scene written out with its patches where they are moves the same, whether or not places are searched."""
     made = robust(tables={"position": {}} if searched else {}, place=0.01)
     scenario = draw_scenarios(made, 1, 4)[0]
     drives, centre = phasors(1, 3), np.array([[[0.05, 0.05], [0.1, 0.14], [0.11, 0.1]]])

@@ -14,7 +14,7 @@ Where the paper is read otherwise than printed, or leaves a choice:
 - The paper does not say whether U is one number for a particle or one for each component. It is one for each component.
 - Evaluating the first swarm is iteration 1: 80 iterations of 20 particles are 1600 evaluations.
 
-Beyond the paper: constriction (Clerc and Kennedy), a ring of neighbors (Kennedy and Mendes, IEEE CEC 2002, "lbest"),
+Beyond the paper: constriction (Clerc and Kennedy), a ring of neighbours (Kennedy and Mendes, IEEE CEC 2002, "lbest"),
 numbers that wrap, and restarts.
 """
 
@@ -44,7 +44,7 @@ class SwarmSettings(SearchSettings):
         cognitive: c1 of equation (7).
         social: c2 of equation (7).
         velocity_limit: largest size of a velocity component (default: no limit).
-        ring: whether G is the best of the particle and its two neighbors in a ring, not of all particles.
+        ring: whether G is the best of the particle and its two neighbours in a ring, not of all particles.
     """
 
     inertia: float = 0.4
@@ -157,7 +157,7 @@ class Swarm(Optimizer):
         pull = self.random.random((2, *self.positions.shape))
         pull *= np.reshape([settings.cognitive, settings.social], (2, 1, 1))
         self.velocities *= settings.inertia * settings.decay ** (self.iterations - self.restarted_at)
-        leaders = self._best_neighbors() if settings.ring else self.leader
+        leaders = self._best_neighbours() if settings.ring else self.leader
         way = np.empty_like(self.positions)
         for index, goal in enumerate((self.personal_positions, self.personal_positions[leaders])):
             np.subtract(goal, self.positions, out=way)
@@ -172,8 +172,8 @@ class Swarm(Optimizer):
             np.clip(numbers, lower, upper, out=numbers)
         space.wrap(self.positions)
 
-    def _best_neighbors(self) -> np.ndarray:
-        """Return for each particle the index of the best of itself and its neighbors on both sides; itself if equal."""
+    def _best_neighbours(self) -> np.ndarray:
+        """Return (particles,) the index of the best of a particle and its two neighbours; itself if equal."""
         itself, losses = np.arange(self.settings.particles), self.personal_losses
         best = itself
         for other in (np.roll(itself, 1), np.roll(itself, -1)):

@@ -76,7 +76,7 @@ class AllowedDrives:
 
     @property
     def at_any_scale(self) -> bool:
-        """Whether a multiple of any drive is allowed, so that limits say nothing about a ratio."""
+        """True if a multiple of any drive is allowed, so that limits say nothing about a ratio."""
         return not self.equal and not (self.lower > 0).any()
 
     def basis(self) -> np.ndarray:

@@ -48,10 +48,8 @@ class EvaluatedCases:
 def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -> EvaluatedCases:
     """Run the reference drives at the scene's own frequency and places, and the best position.
 
-    Args:
-        problem: of the search.
-        single: index of the best single actuator.
-        position: (dimension,) best position; None if there is none, and the best single actuator stands for it.
+    ``single`` is the index of the best single actuator; ``position`` (dimension,) is None if there is no best one, and
+    that actuator stands for it.
     """
     scene, parametrization = problem.scene, problem.parametrization
     singles = magnitude_unit(scene) * np.eye(len(scene.actuators), dtype=complex)

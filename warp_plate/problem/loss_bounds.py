@@ -24,13 +24,10 @@ def bound_loss(
     response: Response | None,
     displacement: Response | None = None,
 ) -> Bound | None:
-    """Return the bound of the loss; None where none is claimed.
+    """Return the bound of a search's loss; None where none is claimed.
 
-    Args:
-        parametrization: of the search.
-        objectives: of the search.
-        response: energies of all drives; None where they are not quadratic forms.
-        displacement: the same of ½ ∫ ρH u² dA, for objectives that need displacements.
+    ``response`` and ``displacement`` are the energies of all drives and those of ½ ∫ ρH u² dA, for objectives that need
+    displacements; None where they are not quadratic forms.
     """
     if response is None or not parametrization.quadratic:
         return None

@@ -61,7 +61,7 @@ class Objectives:
 
     @property
     def needs_displacement(self) -> bool:
-        """Whether :meth:`losses` needs energies of displacements too."""
+        """True if :meth:`losses` needs energies of displacements too."""
         return any(term.kind == "displacement" for term in self.terms)
 
     @property
@@ -71,18 +71,15 @@ class Objectives:
 
     @property
     def only_localization(self) -> bool:
-        """Whether the loss is 1 − LF."""
+        """True if the loss is 1 − LF."""
         return [(term.kind, term.weight) for term in self.terms] == [("localization", 1)]
 
     def losses(self, energy: np.ndarray, displacement_energy: np.ndarray | None = None) -> np.ndarray:
-        """Return the losses (plates,) of plates.
+        """Return losses (plates,) of energies (plates, regions) [J] of plate, target, and ``regions`` in their order.
 
-        They are not finite for a plate without energies, and NaN for one at rest whose localization, contrast or
-        uniformity counts.
-
-        Args:
-            energy: (plates, regions) energies [J] of plate, target, and ``regions`` in their order.
-            displacement_energy: the same of ½ ∫ ρH u² dA [J s²], for objectives that need displacements.
+        ``displacement_energy`` is the same of ½ ∫ ρH u² dA [J s²], for objectives that need displacements. Losses are
+        not finite for a plate without energies, and NaN for one at rest whose localization, contrast or uniformity
+        counts.
         """
         if self.only_localization:
             return 1 - localization_factor(energy)
@@ -97,7 +94,7 @@ class Objectives:
     def values(self, energy: np.ndarray, displacement_energy: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """Return values (plates,) by the objectives' kinds, in OBJECTIVE_UNITS, and their weighted "sum".
 
-        Velocity and displacement come with those "of the rest". Args: see :meth:`losses`.
+        Velocity and displacement come with those "of the rest". The arguments are those of :meth:`losses`.
         """
         values: dict[str, np.ndarray] = {}
         for term in self.terms:

@@ -45,12 +45,12 @@ class Parametrization:
 
     @property
     def only_drives(self) -> bool:
-        """Whether nothing but magnitudes and phases is searched."""
+        """True if nothing but magnitudes and phases is searched."""
         return all(variable.kind in ("magnitude", "phase") for variable in self.variables)
 
     @property
     def quadratic(self) -> bool:
-        """Whether every energy is a quadratic form of the phasors, so that Gram matrices hold for all positions."""
+        """True if every energy is a quadratic form of the phasors, so that Gram matrices hold for all positions."""
         return self.scene.linear and self.only_drives
 
     @cached_property

@@ -23,7 +23,7 @@ from warp_plate.cluster.pool import WorkerPool
 from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.optimize.space import SearchSpace
 from warp_plate.plate.designs import Designs, per_plate_of
-from warp_plate.plate.discretization import discretize
+from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.problem.bounds import Bound
 from warp_plate.problem.design_variables import has_design_tables, with_common_step
@@ -109,7 +109,7 @@ class Problem:
 
     @property
     def only_localization(self) -> bool:
-        """Whether losses are 1 − LF, or a measure of it."""
+        """True if losses are 1 − LF, or a measure of it."""
         return self.objectives.only_localization
 
     @property
@@ -236,7 +236,7 @@ class Problem:
 
     @property
     def _limited(self) -> bool:
-        """Whether some drives cannot be chosen."""
+        """True if some drives cannot be chosen."""
         return has_design_tables(self.scene) or self.scene.search.limits != Limits()
 
     def _displacement_energies(self, designs: Designs) -> np.ndarray | None:
@@ -279,13 +279,7 @@ def make_problem(
     name = evaluator or ("response" if scene.search.robust is not None and quadratic else "direct")
     grid = discretize(scene)
     objectives = make_objectives(grid)
-    design_grid = grid if parametrization.only_drives else discretize(scene, per_plate_of(scene))
-    options = {"areas": objectives.regions, "per_plate": design_grid.per_plate}
-    drives = make_evaluator(grid, device, path, pool, areas=objectives.regions)
-    designs = drives if parametrization.only_drives else make_evaluator(design_grid, device, path, pool, **options)
-    displacements = None
-    if objectives.needs_displacement:
-        displacements = make_evaluator(design_grid, device, path, pool, **options, quantity="displacement")
+    drives, designs, displacements = _make_evaluators(grid, parametrization, objectives, device, path, pool)
     seconds, node_steps = 0.0, 0
     if matrices is None and quadratic:
         matrices, seconds, node_steps = _measure_matrices([drives, displacements], objectives, path)
@@ -301,6 +295,26 @@ def make_problem(
         parametrization, objectives, drives, designs, displacements, responses[0], responses[1], name, path,
         (seconds, node_steps), pool, scenarios,
     )  # fmt: skip
+
+
+def _make_evaluators(
+    grid: Discretization,
+    parametrization: Parametrization,
+    objectives: Objectives,
+    device: str,
+    path: str,
+    pool: WorkerPool | None,
+) -> tuple[Evaluator, Evaluator, Evaluator | None]:
+    """Return the evaluators of drives, designs and displacements."""
+    drives = designs = make_evaluator(grid, device, path, pool, areas=objectives.regions)
+    if not parametrization.only_drives:
+        grid = discretize(grid.scene, per_plate_of(grid.scene))
+    options = {"areas": objectives.regions, "per_plate": grid.per_plate}
+    if not parametrization.only_drives:
+        designs = make_evaluator(grid, device, path, pool, **options)
+    if not objectives.needs_displacement:
+        return drives, designs, None
+    return drives, designs, make_evaluator(grid, device, path, pool, **options, quantity="displacement")
 
 
 def _why_not_quadratic(parametrization: Parametrization) -> str:

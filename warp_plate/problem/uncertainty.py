@@ -24,7 +24,7 @@ SCENE_BYTES, ACTUATOR_BYTES = 20_000.0, 2_000.0
 
 @dataclass(frozen=True)
 class Scenario:
-    """One panel.
+    """A panel within the tolerances.
 
     Attributes:
         scene: scene with the panel's stiffness, thickness, damping, oscillators and places of actuators.
@@ -54,12 +54,7 @@ def draw_scenarios(scene: Scene, count: int, seed: int, validation: bool = False
     """Draw scenarios of a scene with ``[search.robust]`` and a grid; the nominal scene is none of them.
 
     All have one time step: the scene's own where it is stable for each, else the one that the stiffest would choose.
-
-    Args:
-        scene: nominal scene.
-        count: number of scenarios.
-        seed: random seed.
-        validation: draw from another stream, which shares nothing with the first.
+    ``validation`` draws from another random stream.
 
     Raises:
         SceneError: a scenario is no plate, or has no stable run; they take more memory than there is.
