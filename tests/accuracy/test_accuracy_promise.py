@@ -70,7 +70,7 @@ def scene_called(name):
     "name", [pytest.param(name, marks=() if name == QUICK else pytest.mark.slow) for name in SCENES]
 )
 def test_chosen_grids_keep_their_accuracy(name):
-    """For the best single actuator, the best drive, equal drive and the bound."""
+    """The best single actuator, the best drive, equal drive and the bound have at most the error asked for."""
     scene = scene_called(name)
     choice = choose(scene, ASKED, "cpu")
     matrices = transient_matrices(solve_modes(thin_plate(scene), 40), scene)

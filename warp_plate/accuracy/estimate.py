@@ -147,15 +147,10 @@ def estimate(
     kept = np.isfinite(computed) & np.any(phasors != 0, axis=1) & scene.linear
     references = np.full(computed.shape, math.nan)
     if not kept.any():
-        return Estimate(
-            configuration_of(scene), computed, references, math.nan, references, "none", 0.0, None, references
-        )
+        nothing = (math.nan, references, "none", 0.0, None, references)
+        return Estimate(configuration_of(scene), computed, references, *nothing)
 
-    def wanted(matrices: np.ndarray) -> float:
-        difference = np.abs(computed[kept] / factors_of(matrices, phasors[kept]) - 1).max()
-        return min(max(GOOD_ENOUGH * float(difference), FINEST_WANTED), FIRST_WANTED)
-
-    stage = stage or refine_reference(scene, "auto", device, wanted, budget, Observed(only=phasors[kept]))
+    stage = stage or _reference_stage(scene, phasors[kept], computed[kept], device, budget)
     references[kept] = factors_of(stage.matrices, phasors[kept])
     differences = np.abs(computed / references - 1)
     largest = float(np.nanmax(differences))
@@ -174,6 +169,18 @@ def estimate(
         price=price,
         displacement_errors=displacement_errors,
     )
+
+
+def _reference_stage(
+    scene: Scene, phasors: np.ndarray, computed: np.ndarray, device: str, budget: float
+) -> ReferenceStage:
+    """Return a reference whose error is well below that of the computed localization factors, if the budget allows."""
+
+    def wanted(matrices: np.ndarray) -> float:
+        difference = np.abs(computed / factors_of(matrices, phasors) - 1).max()
+        return min(max(GOOD_ENOUGH * float(difference), FINEST_WANTED), FIRST_WANTED)
+
+    return refine_reference(scene, "auto", device, wanted, budget, Observed(only=phasors))
 
 
 def _displacement_errors(

@@ -76,7 +76,7 @@ class ReferenceSolution:
 
 @dataclass(frozen=True)
 class ReferenceStage:
-    """One refinement of a reference solution."""
+    """A refinement of a reference solution."""
 
     kind: Kind  # method
     size: int  # functions or nodes of a side

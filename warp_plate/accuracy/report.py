@@ -92,19 +92,7 @@ def measure_configurations(
         scene, configurations = scene.model_copy(update={"grid": Grid()}), []
     configurations += make_configurations(scene)
     context = MeasurementContext(scene, reference, device, path)
-    rows: list[AccuracyRow] = []
-    interrupted = False
-    try:
-        for configuration in configurations:
-            if on_progress is not None:
-                on_progress(len(rows), len(configurations), str(configuration or "the scene as written"))
-            left = budget - (time.perf_counter() - started)
-            first = sum(row.measured for row in rows) < FIRST_ROWS
-            rows.append(measure(context, configuration, math.inf if first else ROW_SHARE * left))
-    except KeyboardInterrupt:
-        if not rows:
-            raise
-        interrupted = True
+    rows, interrupted = _measure_rows(context, configurations, started + budget, on_progress)
     particles, iterations = scene.search.particles, scene.search.iterations
     return AccuracyReport(
         scene=source,
@@ -121,3 +109,25 @@ def measure_configurations(
         seconds=time.perf_counter() - started,
         interrupted=interrupted,
     )
+
+
+def _measure_rows(
+    context: MeasurementContext,
+    configurations: Sequence[Configuration | None],
+    deadline: float,
+    on_progress: Callable[[int, int, str], object] | None,
+) -> tuple[list[AccuracyRow], bool]:
+    """Return the rows that are measured before the deadline, or skipped, and whether Ctrl-C ended the measurement."""
+    rows: list[AccuracyRow] = []
+    try:
+        for configuration in configurations:
+            if on_progress is not None:
+                on_progress(len(rows), len(configurations), str(configuration or "the scene as written"))
+            first = sum(row.measured for row in rows) < FIRST_ROWS
+            seconds_left = math.inf if first else ROW_SHARE * (deadline - time.perf_counter())
+            rows.append(measure(context, configuration, seconds_left))
+    except KeyboardInterrupt:
+        if not rows:
+            raise
+        return rows, True
+    return rows, False

@@ -121,9 +121,7 @@ def _run(solver: PlateSolver) -> tuple[float, float]:
     return float(localization_factor(run.energy)[0]), peak_of(run.displacement)
 
 
-def seconds_a_step(
-    solvers: Mapping[str, PlateSolver], device: str, rounds: int = ROUNDS
-) -> dict[str, np.ndarray]:
+def seconds_a_step(solvers: Mapping[str, PlateSolver], device: str, rounds: int = ROUNDS) -> dict[str, np.ndarray]:
     """Return (rounds,) times of a step of one plate [s] for each solver; all solvers have the same grid.
 
     Runs are shortened, warmed up and timed in turn, until their energies have come back from the device.

@@ -12,6 +12,7 @@ import numpy as np
 
 from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.plate.modes import natural_modes
+from warp_plate.plate.scheme import Scheme
 from warp_plate.plate.section import make_section
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.result.model import Case, case_scene
@@ -57,17 +58,12 @@ def motions(
     end = scheme.steps * scheme.time_step
     field_bytes = 8 * math.prod(scheme.nodes) * len(cases)
     first, last = _common_span(scenes, span, end, frames or _default_frames(math.inf, field_bytes))
-    fastest = max(
-        one.drive.frequency if one.nonperiodic_key is None else highest_frequency(one) for one in scenes.values()
-    )
+    fastest = max(s.drive.frequency if s.nonperiodic_key is None else highest_frequency(s) for s in scenes.values())
     count = frames or _default_frames((last - first) * fastest, field_bytes)
     if count < 2 or 2 * count * field_bytes > MOST_BYTES:
         most = max(2, MOST_BYTES // (2 * field_bytes))
         raise SceneError(f"frames = {count}: must be from 2 to {most} for {len(cases)} plates of this grid")
-    wanted = np.linspace(first, last, count, endpoint=False) / scheme.time_step
-    steps = np.unique(np.clip(np.rint(wanted).astype(int), 0, scheme.steps - 1))
-    if len(steps) < 2:
-        raise SceneError(f"{first:g} ... {last:g} s: contains fewer than two steps of {scheme.time_step:g} s")
+    steps = _frame_steps(scheme, first, last, count)
     recorded = np.unique(np.concatenate([steps, steps + 1]))
     at, after = np.searchsorted(recorded, steps), np.searchsorted(recorded, steps + 1)
     times = (recorded * scheme.time_step).tolist()
@@ -86,6 +82,15 @@ def motions(
         )
         for name, case in cases.items()
     ]
+
+
+def _frame_steps(scheme: Scheme, first: float, last: float, count: int) -> np.ndarray:
+    """Return the time steps nearest to evenly spaced times from ``first`` to ``last`` [s], each once."""
+    wanted = np.linspace(first, last, count, endpoint=False) / scheme.time_step
+    steps = np.unique(np.clip(np.rint(wanted).astype(int), 0, scheme.steps - 1))
+    if len(steps) < 2:
+        raise SceneError(f"{first:g} ... {last:g} s: contains fewer than two steps of {scheme.time_step:g} s")
+    return steps
 
 
 def _common_span(

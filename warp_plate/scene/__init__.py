@@ -1,4 +1,4 @@
-"""What a user describes: the plate, its edges, the actuators, the target and the effects in play."""
+"""The input of a run as users describe it: the plate, its edges, the actuators, the target and the effects in play."""
 
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.load import preset_names, preset_text

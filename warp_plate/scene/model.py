@@ -214,11 +214,12 @@ class Scene(Table):
     @model_validator(mode="after")
     def _tables_fit_together(self) -> Scene:
         actuators, size = self.actuators, self.plate.size
-        areas = {f"actuators[{index}].area ({one.name!r})": one.area for index, one in enumerate(actuators)}
+        areas = {f"actuators[{i}].area ({actuator.name!r})": actuator.area for i, actuator in enumerate(actuators)}
         if self.search.position is not None and self.search.position.area is not None:
             areas["search.position.area"] = self.search.position.area
-        areas |= {f"effects.layers[{index}].area": one.area for index, one in enumerate(self.effects.layers)}
-        areas |= {f"effects.oscillators[{index}].area": one.area for index, one in enumerate(self.effects.oscillators)}
+        for name in ("layers", "oscillators"):
+            rows = getattr(self.effects, name)
+            areas |= {f"effects.{name}[{index}].area": row.area for index, row in enumerate(rows)}
         for key, area in areas.items():
             check_area(key, area, size)
         _check_names("actuators", [actuator.name for actuator in actuators])
@@ -229,7 +230,7 @@ class Scene(Table):
             raise ValueError("target: there are [[targets]] too, and it is none of them; write one of the two")
         for index, layer in enumerate(self.effects.layers):
             self.plate.check_thin(layer.thickness, f"effects.layers[{index}].thickness: ")
-        frequencies, delays = ([getattr(one, name) for one in actuators] for name in ("frequency", "delay"))
+        frequencies, delays = ([getattr(actuator, name) for actuator in actuators] for name in ("frequency", "delay"))
         check_drive(self.drive, frequencies, delays, self.window.end)
         self.search.check_limits([actuator.name for actuator in actuators])
         if self.search.robust is not None:

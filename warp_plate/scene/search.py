@@ -71,7 +71,7 @@ OBJECTIVE_UNITS = {"localization": "1", "contrast": "dB", "velocity": "m/s", "di
 
 
 class Objective(Table):
-    """One term of the weighted sum that is maximised.
+    """A term of the weighted sum that is maximised.
 
     "localization": fraction of the kinetic energy that lies in the target. "contrast": mean kinetic energy density of
     the target over that of the rest [dB]. "velocity", "displacement": RMS over target and window [m/s, m].

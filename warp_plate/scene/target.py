@@ -51,7 +51,7 @@ class Target(Table):
         value = getattr(self, self.shape)
         if self.shape == "polygon" and len(value) > 6:
             return f"polygon of {len(value)} corners"
-        numbers = [list(one) if isinstance(one, tuple) else one for one in value] if self.mask is None else value
+        numbers = value if self.mask is not None else [list(x) if isinstance(x, tuple) else x for x in value]
         return f"{self.shape} = {numbers!r}"
 
     def rectangle(self) -> Area:
@@ -99,7 +99,7 @@ class Target(Table):
 
 
 class NamedTarget(Target):
-    """One of several targets. Its name is part of the names of datasets, so it has no slash."""
+    """A target of several. Its name is part of the names of datasets, so it has no slash."""
 
     name: PartName
 

@@ -42,9 +42,7 @@ class VariedKey:
         if self.listed:
             values = np.array(self.listed)
         elif self.count is None:
-            raise SceneError(
-                f"--vary {self.key}: COUNT is missing; write {RANGE_FORMS}, or draw points with --samples"
-            )
+            raise SceneError(f"--vary {self.key}: COUNT is missing; write {RANGE_FORMS}, or draw points with --samples")
         else:
             values = (np.geomspace if self.logarithmic else np.linspace)(self.start, self.stop, self.count)
         if not self.integer:
