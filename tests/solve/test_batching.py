@@ -24,7 +24,7 @@ SCENES = {
 
 @pytest.mark.parametrize("name", SCENES)
 def test_single_steps_are_the_run(name, device, path, scene, phasors, fitting_solver):
-    """Displacements and energies to the last bit, with another run in between; velocities are their differences."""
+    """Displacements, and on CPU energies, to the last bit, with another run in between; velocities by differences."""
     made = scene(**SCENES[name], **({"window": (0.0005, 0.001)} if name == "large" else {"window": (0.001, 0.004)}))
     solver, drives = fitting_solver(made, device, path), phasors(3, 3)
     scheme = solver.discretization.scheme
@@ -44,9 +44,11 @@ def test_single_steps_are_the_run(name, device, path, scene, phasors, fitting_so
         np.testing.assert_allclose(solver.velocity, change, rtol=0, atol=2e-3 * np.abs(change).max())
         assert solver.time == pytest.approx(stop * dt)
     np.testing.assert_array_equal(np.stack(fields, axis=1), run.displacement)
-    np.testing.assert_array_equal(solver.energy, run.energy)
+    # A launch of CUDA adds its sum of squares in registers to the sum so far: steps by hand add in another order.
+    rounding = 0.0 if device == "cpu" else 1e-6
+    np.testing.assert_allclose(solver.energy, run.energy, rtol=rounding)
     solver.step(10)  # beyond the end
-    np.testing.assert_array_equal(solver.energy, run.energy)
+    np.testing.assert_allclose(solver.energy, run.energy, rtol=rounding)
 
 
 def test_energy_of_a_run_under_way(scene):
