@@ -85,7 +85,7 @@ def test_what_would_change_the_result_is_refused_by_name(options, named, command
     [
         ([], "needs a SCENE .* or --resume FILE"),
         (["--resume", "none.checkpoint.h5"], "none.checkpoint.h5: no such file"),
-        (["--resume", "panel.toml"], "panel.toml: damaged: no checksum at its end"),
+        (["--resume", "panel.toml"], "panel.toml: damaged: no valid checksum at its end"),
         (["--resume", "."], r"\.: "),
         (["--resume", "result.h5"], "result.h5: not a checkpoint of warp-plate"),
     ],

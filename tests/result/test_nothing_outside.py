@@ -66,15 +66,14 @@ finally:
 """
 
 
-@pytest.mark.parametrize("command", ["localize", "simulate"])
-def test_a_command_writes_its_own_files_and_no_others(command, tmp_path, scene):
+def test_a_command_writes_its_own_files_and_no_others(tmp_path, scene):
     """The result in this folder and Warp's own cache; no connection, no other process."""
     made = scene(damping=88.5, precision="float32", search={"particles": 3, "iterations": 2})
     (tmp_path / "panel.toml").write_text(dump_scene(made), encoding="utf-8")
     (tmp_path / "private.toml").write_text("secret", encoding="utf-8")
     wp.init()
     cache = Path(wp.config.kernel_cache_dir).resolve()
-    arguments = [sys.executable, "-c", WATCHED, command, "panel.toml", "--device", "cpu", "--no-pictures", "--json"]
+    arguments = [sys.executable, "-c", WATCHED, "localize", "panel.toml", "--device", "cpu", "--no-pictures", "--json"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
     answer = subprocess.run(arguments, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert answer.returncode == 0, answer.stderr
@@ -87,17 +86,14 @@ def test_a_command_writes_its_own_files_and_no_others(command, tmp_path, scene):
         if what == "write" and not of_warp and path != Path(os.devnull):
             assert path.parent == tmp_path, (what, name)
         assert path.name != "private.toml"
-    written = [*(["panel-localize.best.toml"] if command == "localize" else []), f"panel-{command}.h5"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == [*written, "panel.toml", "private.toml"]
+    names = ["panel-localize.best.toml", "panel-localize.h5", "panel.toml", "private.toml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
 
 
 @pytest.mark.parametrize(
     "file",
-    [
-        "../other/private.csv", "/etc/hosts.csv", "..\\\\other\\\\private.csv", "C:private.csv", "~/private.csv",
-        "file:///private.csv", "linked.csv", "private.csv\\u0000.wav", "*.csv", "$HOME.csv",
-    ],
-)  # fmt: skip
+    ["../other/private.csv", "/etc/hosts.csv", "..\\\\other\\\\private.csv", "linked.csv", "a.csv\\u0000.wav"],
+)
 def test_a_scene_names_no_file_outside_its_folder(file, tmp_path, scene, capsys, monkeypatch):
     mine, other = tmp_path / "mine", tmp_path / "other"
     mine.mkdir()

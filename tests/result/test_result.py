@@ -1,7 +1,7 @@
 """Result files: what is saved is loaded again, and other programs find it by the documented names."""
 
 import json
-from dataclasses import fields, replace
+from dataclasses import fields, is_dataclass, replace
 
 import h5py
 import numpy as np
@@ -34,6 +34,7 @@ def result(random):
         )
 
     history = {"evaluations": np.arange(20, 101, 20), "best": random.uniform(size=5), "mean": random.uniform(size=5)}
+    shorter = {name: values[:2] for name, values in history.items()}
     own = {"frequency": random.uniform(size=4), "centre": random.uniform(size=(4, 2)), "delay": random.uniform(size=4)}
     line = random.uniform(size=3)
     search = TargetSearch(random.normal(size=6), 3, 0.5, "bound only", 100, history, {"sum": 0.5})
@@ -47,30 +48,30 @@ def result(random):
         interrupted=True, versions={"numpy": np.__version__}, accuracy={"estimate": {"line": "±", "cases": [0.1]}},
         peak_displacement=1e-6,
         spectrum={"frequency": line, "equal": line, "single": line, "best": line, "resonances": np.array([90.0])},
-        target_searches=(search, replace(search, position=None, bound=None, bound_kind="")),
+        target_searches=(search, replace(search, position=None, bound=None, bound_kind="", history=shorter)),
         robust=RobustComparison("mean", 2, False, 0.75, line[:2], line[1:], random.uniform(size=(2, 7))),
         lost_plates={"killed": 3},
     )  # fmt: skip
 
 
 def assert_equal(one, other):
-    """Compare data classes field by field; phasors to round-off, for they are stored by magnitude and phase."""
-    for name in (field.name for field in fields(one)):
-        first, second = getattr(one, name), getattr(other, name)
-        if name == "phasors":
-            np.testing.assert_allclose(first, second, rtol=1e-14)
-        elif name in ("target_searches", "cases", "robust"):
-            pairs = {"cases": lambda value: [value[key] for key in sorted(value)], "robust": lambda value: [value]}
-            for a, b in zip(*(pairs.get(name, list)(value) for value in (first, second)), strict=True):
-                assert_equal(a, b) if a is not None else None
-        else:
-            np.testing.assert_equal(second, first, name)
-            assert getattr(first, "dtype", None) == getattr(second, "dtype", None)
+    """Compare nested data classes; phasors to round-off, for they are stored by magnitude and phase."""
+    if is_dataclass(one) and not isinstance(one, Scene):
+        for name in (field.name for field in fields(one)):
+            assert_equal(getattr(one, name), getattr(other, name))
+    elif isinstance(one, (dict, tuple)) and len(one):
+        assert len(one) == len(other)
+        for key in one if isinstance(one, dict) else range(len(one)):
+            assert_equal(one[key], other[key])
+    else:
+        rtol = 1e-14 if np.iscomplexobj(one) else 0
+        np.testing.assert_allclose(other, one, rtol) if isinstance(one, np.ndarray) else None
+        assert isinstance(one, np.ndarray) or one == other
+        assert getattr(one, "dtype", None) == getattr(other, "dtype", None)
 
 
 def test_a_result_is_loaded_as_it_was_saved(result, tmp_path):
     path = save_result(result, tmp_path / "run.h5")
-    assert path == tmp_path / "run.h5"
     assert_equal(result, load_result(path))
 
 
@@ -135,62 +136,47 @@ def refused(path, change):
     path.write_bytes(content + make_seal(content))
     with pytest.raises(SceneError) as caught:
         load_result(path)
-    line = str(caught.value)
+    (line,) = str(caught.value).splitlines()
     assert line.startswith(f"{path}: ")
-    assert "\n" not in line
     return line
 
 
-def replaced(name, values=None, **options):
-    """Return a change of a file that replaces or removes a member."""
-
+@pytest.mark.parametrize(
+    ("name", "values", "words"),
+    [
+        ("times", None, "times is missing"), ("cases", None, "cases is missing"),
+        ("cases/best/phase", None, "cases/best/phase is missing"), ("searches/0", None, "searches/0 is missing"),
+        ("spectrum/equal", None, "spectrum/equal is missing"), ("spectrum/equal", np.ones(2), "instead of (3,)"),
+        ("cases/best/energy", np.ones(3), "cases/best/energy"), ("cases/best/trace", np.ones((3, 10)), "best/trace"),
+        ("cases/best/centre", np.ones((4, 3)), "cases/best/centre has shape (4, 3) instead of (4, 2)"),
+        ("cases/best/magnitude", np.ones(5), "cases/best/magnitude has shape (5,) instead of (4,)"),
+        ("times", np.ones(3), "cases/best/displacement has shape (2, 27, 27) instead of (3, 27, 27)"),
+        ("times", np.ones((2, 1)), "times has shape"), ("peak_displacement", np.ones(2), "displacement has shape"),
+        ("times", np.array([b"text"]), "times is not a dataset of real numbers"),
+        ("objectives/sum", np.array(True), "objectives/sum is not a dataset of real numbers"),
+        ("times", {"shape": (10**12,), "dtype": float}, "more than the file holds"),
+        ("times", {"shape": (2,), "dtype": float, "external": [("secret.raw", 0, 16)]}, "kept in another file"),
+        ("robust", np.ones(2), "robust is not a group"), ("times", h5py.SoftLink("/trace_times"), "times is a link"),
+        *((name, h5py.ExternalLink("secret.h5", "data"), f"{name} is a link") for name in LINKED),
+    ],
+)  # fmt: skip
+def test_wrong_datasets_are_refused_by_name(result, tmp_path, name, values, words):
     def change(file):
         del file[name]
-        if isinstance(values, (h5py.SoftLink, h5py.ExternalLink)):
+        if isinstance(values, dict):
+            file.create_dataset(name, **values)
+        elif values is not None:
             file[name] = values
-        elif values is not None or options:
-            file.create_dataset(name, data=values, **options)
 
-    return change
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (replaced("times"), "times is missing"),
-        (replaced("cases"), "cases is missing"),
-        (replaced("cases/best/phase"), "cases/best/phase is missing"),
-        (replaced("searches/0"), "searches/0 is missing"),
-        (replaced("spectrum/equal"), "spectrum/equal is missing"),
-        (replaced("spectrum/equal", np.ones(2)), "spectrum/equal has shape (2,) instead of (3,)"),
-        (replaced("cases/best/energy", np.ones(3)), "cases/best/energy"),
-        (replaced("cases/best/trace", np.ones((3, 10))), "cases/best/trace"),
-        (replaced("cases/best/centre", np.ones((4, 3))), "cases/best/centre has shape (4, 3) instead of (4, 2)"),
-        (replaced("cases/best/magnitude", np.ones(5)), "cases/best/magnitude has shape (5,) instead of (4,)"),
-        (replaced("times", np.ones(3)), "cases/best/displacement has shape (2, 27, 27) instead of (3, 27, 27)"),
-        (replaced("times", np.ones((2, 1))), "times has shape"),
-        (replaced("peak_displacement", np.ones(2)), "peak_displacement has shape"),
-        (replaced("times", np.array([b"text"])), "times is not a dataset of real numbers"),
-        (replaced("times", np.ones(2, complex)), "times is not a dataset of real numbers"),
-        (replaced("objectives/sum", np.array(True)), "objectives/sum is not a dataset of real numbers"),
-        (replaced("times", shape=(10**12,), dtype=float), "more than the file holds"),
-        (replaced("times", shape=(2,), dtype=float, external=[("secret.raw", 0, 16)]), "times is kept in another file"),
-        (replaced("robust", np.ones(2)), "robust is not a group"),
-        (replaced("times", h5py.SoftLink("/trace_times")), "times is a link"),
-        *((replaced(name, h5py.ExternalLink("secret.h5", "data")), f"{name} is a link") for name in LINKED),
-    ],
-)
-def test_wrong_datasets_are_refused_by_name(result, tmp_path, change, words):
     assert words in refused(save_result(result, tmp_path / "run.h5"), change)
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("command", 7), ("command", None), ("interrupted", 2), ("seed", -1), ("seed", 1.5), ("seed", np.inf),
-        ("seed", "many"), ("bound_kind", "certain"), ("scene", "title = 3"), ("effects", "[1]"), ("effects", "{}"),
-        ("effects", "["), ("effects", 3), ("seconds", "[1]"), ("seconds", '{"a": "b"}'), ("seconds", "[" * 10**5),
-        ("format", "warp-plate result 3"),
+        ("command", 7), ("command", None), ("interrupted", 2), ("seed", -1), ("seed", 1.5), ("seed", "many"),
+        ("bound_kind", "certain"), ("scene", "title = 3"), ("effects", "[1]"), ("effects", "{}"), ("effects", "["),
+        ("effects", 3), ("seconds", '{"a": "b"}'), ("seconds", "[" * 10**5), ("format", "warp-plate result 3"),
     ],
 )  # fmt: skip
 def test_wrong_attributes_are_refused_in_one_line(result, tmp_path, name, value):

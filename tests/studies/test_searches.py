@@ -14,7 +14,7 @@ from warp_plate.analysis.motion import motions
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.result import save_result
-from warp_plate.result.export.drive_signals import make_drive_signal
+from warp_plate.result.export.time_series import make_drive_signal
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.model import Grid
 from warp_plate.solve.response import largest_ratio, measure_response

@@ -93,7 +93,7 @@ def export(
             files, record = _write_drive(loaded, cases[name], to, target, signal)
             record = {"case": name, **record}
         elif to == "traces-csv":
-            from warp_plate.result.export.traces import write_traces
+            from warp_plate.result.export.time_series import write_traces
 
             files, record = write_traces(loaded, cases, target), {}
         else:
@@ -162,7 +162,7 @@ def _write_drive(
     result: Result, case: Case, to: Format, target: Path, options: Mapping[str, Any]
 ) -> tuple[list[Path], dict[str, Any]]:
     """Write the drive of a case as audio or text; return files and record."""
-    from warp_plate.result.export.drive_signals import make_drive_signal, write_drive_csv, write_wav
+    from warp_plate.result.export.time_series import make_drive_signal, write_drive_csv, write_wav
 
     rate = RATE if options["rate"] is None else options["rate"]
     duration = DURATION if options["duration"] is None else options["duration"]

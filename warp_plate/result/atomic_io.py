@@ -92,10 +92,8 @@ def check_seal(path: Path) -> None:
         raise SceneError(f"{path}: is no file")
     content = memoryview(path.read_bytes())
     if content[-SEAL_BYTES:] != make_seal(content[:-SEAL_BYTES]):
-        raise SceneError(
-            f"{path}: damaged: its content does not have the checksum that should stand at its end; it was cut short, "
-            "or changed or made by another program"
-        )
+        reason = "it was cut short, or changed or made by another program"
+        raise SceneError(f"{path}: damaged: no valid checksum at its end; {reason}")
 
 
 def is_intact(path: Path) -> bool:

@@ -31,24 +31,15 @@ class Checkpoint:
     Attributes:
         scene_as_written: The scene as the user wrote it.
         scene: The scene with its grid, aimed at the target that is being searched.
-        source: Name of the scene, as given by the user.
         files: SHA-256 digests of the files that the scene names, by their keys.
-        device: Warp's name for the device.
-        processor: Model of the device's processor.
         earlier_devices: Other devices that the search ran on before, for people.
         path: Kernels that were asked for.
-        evaluator: See :class:`Result`.
-        seed: Random seed of the search.
-        accuracy: See :class:`Result`.
-        seconds: See :class:`Result`, so far.
-        versions: See :class:`Result`.
-        node_steps: See :class:`Result`, so far.
-        single_actuator: Index of the best single actuator.
         matrices: (regions, 2 actuators, 2 actuators) Gram matrices of the response; None if energies are no quadratic
             forms of what is searched.
         search_state: State of the optimizer; None if a single actuator leaves nothing to search.
         finished_searches: Searches for earlier targets, if the scene has several.
-        lost_plates: See :class:`Result`, so far.
+
+    Other attributes are those of :class:`Result`, so far.
     """
 
     scene_as_written: Annotated[Scene, "asked"]
@@ -106,9 +97,7 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path, keep_previous: bool = Fa
 def load_checkpoint(path: str | Path) -> Checkpoint:
     """Read a checkpoint, or raise a SceneError if the file is missing, damaged or not a checkpoint."""
     with FORMAT.open(path) as file:
-        checkpoint = read_fields(Checkpoint, file)
-        _check(checkpoint)
-        return checkpoint
+        return read_fields(Checkpoint, file)
 
 
 def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
@@ -128,17 +117,3 @@ def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
         except SceneError:
             raise error from None
         return checkpoint, f"{error}; going on from {previous}, {checkpoint.progress}"
-
-
-def _check(checkpoint: Checkpoint) -> None:
-    """Refuse a checkpoint whose parts contradict each other."""
-    scene, single, finished = checkpoint.scene, checkpoint.single_actuator, len(checkpoint.finished_searches)
-    other_target = finished >= len(scene.targets) or scene.target != scene.targets[finished].unnamed
-    for wrong, message in (
-        (scene.grid.accuracy is not None, "attribute scene has no grid"),
-        (single >= len(scene.actuators), f"attribute single is {single}, of {len(scene.actuators)} actuators"),
-        (checkpoint.matrices is not None and not scene.linear, "matrices do not fit the scene, which is not linear"),
-        (finished and other_target, f"{finished} searches do not fit the scene's targets"),
-    ):
-        if wrong:
-            raise SceneError(message)

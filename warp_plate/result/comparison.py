@@ -26,8 +26,6 @@ class Trial:
     """A run of one method from one seed.
 
     Attributes:
-        method: Name of the method.
-        seed: Random seed.
         evaluations: (iterations,) positions tried so far.
         seconds: (iterations,) time of the method and of its evaluations so far [s].
         loss: (iterations,) smallest loss so far.
@@ -50,21 +48,16 @@ class MethodComparison:
     """Trials of several methods on one scene.
 
     Attributes:
-        source: Name of the scene, as given by the user.
         scene: The scene, with the grid that was used.
-        device: Name of the device and its processor.
-        evaluator: "direct" or "response"; see :class:`Result`.
         budget: Number of evaluations that each trial may make.
         seconds: Wall time before any trial [s]: "prepare", which the Gram matrices took.
         localization: True if the loss is 1 − localization factor.
-        trials: The trials, in the order of the methods and their seeds.
         bound: Lower bound of the loss over all drives; None if unknown.
         bound_kind: "attained" or "bound only"; "" if there is no bound.
         bound_sentence: Description of the bound, for people.
         skipped: Reasons why methods were not tried, by method.
-        interrupted: True if Ctrl-C or the loss of all workers ended the comparison.
-        versions: Versions of the libraries that the numbers depend on, by name.
-        lost_plates: Number of plates that counted as worst because their workers failed, by reason.
+
+    Other attributes are those of :class:`Result`.
     """
 
     source: str

@@ -166,12 +166,7 @@ class TargetSearch:
     Attributes:
         position: (dimension,) best position in the search space; None if there is a single actuator or if no position
             has finite energies.
-        single_actuator: Index of the best single actuator.
-        bound: See :class:`Result`.
-        bound_kind: See :class:`Result`.
-        evaluations: Number of plates evaluated.
-        history: See :class:`Result`.
-        objective_values: See :class:`Result`.
+        bound: See :class:`Result`, also for the others.
     """
 
     position: Annotated[np.ndarray | None, Dataset("1", "best position in the search space", (None,))]
@@ -188,18 +183,12 @@ class Result:
     """Outcome of ``localize`` or ``simulate``, with all that is needed to run it again.
 
     Attributes:
-        command: "localize" or "simulate".
-        source: Name of the scene, as given by the user.
         scene: The scene, with the grid that was used.
         device: Name of the device and its processor.
-        seed: Random seed of the search.
         effects: Names of the effects in the compiled kernels.
-        times: (times,) times of the displacements [s].
-        trace_times: (steps,) times of the traces [s].
         cases: Cases by name: "equal", "single", "best" and others of ``localize``, "drive" of ``simulate``.
         seconds: Wall time by stage [s]: "compile", "solve" and others.
         node_steps: Number of node updates: nodes × steps × plates.
-        evaluations: Number of plates that the search evaluated.
         bound: Upper bound of the localization factor over all drives; None if unknown.
         bound_kind: Kind of the bound, a key of ``BOUND_DESCRIPTIONS``.
         history: (iterations,) values after each iteration: "evaluations", and "best" and "mean" localization factor or
@@ -210,7 +199,6 @@ class Result:
         evaluator: "direct" (a simulated plate for each drive) or "response" (Gram matrices).
         path: Description of the kernels that stepped the plates.
         interrupted: True if Ctrl-C ended the search.
-        versions: Versions of the libraries that the numbers depend on, by name.
         accuracy: Estimated errors ("estimate"), and the choice of the grid ("asked", "expected", "reason").
         peak_displacement: Largest displacement over the run of the main case [m]; None if unknown.
         spectrum: Localization factors "equal", "single" and "best" over the "frequency" [Hz], and the "resonances"
@@ -237,9 +225,9 @@ class Result:
     bound_kind: BoundKind = ""
     history: Annotated[Mapping[str, np.ndarray], HISTORY] = field(default_factory=dict)
     objective_values: Annotated[Mapping[str, float], Numbers(_objective), "objectives"] = field(default_factory=dict)
-    objective_values_by_case: Annotated[
-        Mapping[str, Mapping[str, float]], Numbers(_objective), "objectives_of"
-    ] = field(default_factory=dict)
+    objective_values_by_case: Annotated[Mapping[str, Mapping[str, float]], Numbers(_objective), "objectives_of"] = (
+        field(default_factory=dict)
+    )
     evaluator: str = "direct"
     path: str = ""
     interrupted: bool = False
@@ -252,7 +240,7 @@ class Result:
     lost_plates: Annotated[Mapping[str, int], "lost"] = field(default_factory=dict)
 
     def case_scene(self, case: Case) -> Scene:
-        """Return the scene with a case's frequencies, positions and burst starts."""
+        """Return :func:`case_scene` of the result's scene."""
         return case_scene(self.scene, case)
 
     def driven_scene(self, case: Case) -> Scene:

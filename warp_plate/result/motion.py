@@ -21,7 +21,6 @@ class Motion:
     """Motion of one plate, frame by frame.
 
     Attributes:
-        name: Name of the drive or mode.
         frequency: Frequency of the drive or mode [Hz].
         span: Start and end of the time span of the frames [s]. They divide it evenly, up to half a time step; the frame
             after the last one would lie at its end.
@@ -146,8 +145,6 @@ class SwarmSnapshot:
         factors: (particles,) localization factors.
         best: (iterations,) best localization factor after each iteration.
         best_phasors: (actuators,) best drive; None before the first finite one.
-        iterations: Number of iterations of the whole search.
-        running: True if the search continues.
     """
 
     phasors: np.ndarray

@@ -46,8 +46,6 @@ class SweepOutput:
     """A quantity that a sweep computes at every point.
 
     Attributes:
-        unit: Unit.
-        meaning: Description, for people.
         axis: Name of the output's own axis, such as "mode"; None if it is one number a point.
     """
 
@@ -61,22 +59,17 @@ class Sweep:
     """Outputs of a command at the points of a plan.
 
     Attributes:
-        source: Name of the scene, as given by the user.
         scene: The scene as written, before anything is varied.
         files: SHA-256 digests of the files that the scene names, by their keys.
-        plan: Keys that are varied, and their values.
         what: Name of the set of outputs, such as "localize".
         count: Length of the outputs' own axis.
         device: Device that points were run on last; "" until the first worker reports one.
         processor: Model of its processor; "" until the first worker reports one.
         earlier_devices: Other devices that points were run on before, for people.
-        path: Kernels that were asked for.
-        outputs: Outputs by name.
         values: (points,) or (points, count) values of each output; NaN where a point is not run or refused.
         status: (points,) ``NOT_RUN``, ``RUN`` or ``REFUSED``.
         reasons: Reasons why points were refused, by point.
         seconds: Wall time spent on points so far [s].
-        versions: Versions of the libraries that the numbers depend on, by name.
     """
 
     source: str

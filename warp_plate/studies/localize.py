@@ -66,7 +66,7 @@ def localize(
 ) -> Result:
     """Search the drive with the largest share of the plate's kinetic energy in the target.
 
-    A scene with several targets has one search after the other, and a best drive for each (see ``result.crosstalk``).
+    A scene with several targets has one search after the other, and a best drive for each (see ``result.targets``).
     The grid of a scene with ``grid.accuracy`` is chosen first, for the first target. Ctrl-C ends the search early; the
     result then holds the best drive so far and is marked as interrupted.
 

@@ -8,7 +8,7 @@ format specification" (temporal image data) in the VTK documentation.
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -24,7 +24,7 @@ from warp_plate.scene.model import Scene
 UNITS = {"displacement": "m", "velocity": "m/s", "target": "1", "actuators": "1"}
 
 
-def write_pvd(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray], path: str | Path) -> list[Path]:
+def write_pvd(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray], path: Path) -> list[Path]:
     """Write an index and beside it a VTI file for each time; return their paths, the index last.
 
     Args:
@@ -36,25 +36,23 @@ def write_pvd(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray],
     Raises:
         SceneError: there are no times, or a file cannot be written.
     """
-    path = Path(path)
-    moving, constant = _moving_fields(times, fields), _constant_fields(scene)
+    moving, constant = _single_precision_fields(scene, times, fields)
     digits = max(4, len(str(len(times) - 1)))
     parts = [path.with_name(f"{path.stem}-{index:0{digits}}.vti") for index in range(len(times))]
     with atomic_paths(*parts, path) as (*temporaries, index_file):
         for index, (time, temporary) in enumerate(zip(times.tolist(), temporaries, strict=True)):
             current = {name: field[index] for name, field in moving.items()}
-            temporary.write_text("\n".join(_vti_lines(scene, time, current | constant)), encoding="utf-8")
-        index_file.write_text("\n".join(_pvd_lines(times, parts)), encoding="utf-8")
+            temporary.write_text(_vti_text(scene, time, current | constant), encoding="utf-8")
+        index_file.write_text(_pvd_text(times, parts), encoding="utf-8")
     return [*parts, path]
 
 
-def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray], path: str | Path) -> list[Path]:
+def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray], path: Path) -> list[Path]:
     """Write all times into one .vtkhdf file, for ParaView 5.12 and later; return its path.
 
     Arguments and errors are those of :func:`write_pvd`.
     """
-    path = Path(path)
-    moving, constant = _moving_fields(times, fields), _constant_fields(scene)
+    moving, constant = _single_precision_fields(scene, times, fields)
     with atomic_paths(path) as (temporary,), h5py.File(temporary, "w") as file:
         root = file.create_group("VTKHDF")
         nx, ny = scene.grid.nodes
@@ -81,21 +79,19 @@ def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarra
     return [path]
 
 
-def _moving_fields(times: np.ndarray, fields: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the (times, ny, nx) fields in single precision."""
+def _single_precision_fields(
+    scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray]
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Return the (times, ny, nx) fields, and the (ny, nx) covered fractions of each node's cell, by name."""
     if not len(times):
         raise SceneError("holds no displacements; add record.times = [...] (seconds) to its scene and run it again")
-    return {name: field.astype("<f4") for name, field in fields.items()}
-
-
-def _constant_fields(scene: Scene) -> dict[str, np.ndarray]:
-    """Return the (ny, nx) covered fractions of each node's cell, by name."""
     areas = {str(index): actuator.area for index, actuator in enumerate(scene.actuators)}
     by_overlap = scene.model_copy(update={"grid": scene.grid.model_copy(update={"load": "overlap"})})
     weights = region_weights(by_overlap, areas)
     actuators = weights[len(REGIONS) :].sum(axis=0)
     shares = {"target": weights[REGIONS.index("target")], "actuators": np.minimum(actuators, 1)}
-    return {name: share.astype("<f4") for name, share in shares.items()}
+    moving, constant = ({name: field.astype("<f4") for name, field in part.items()} for part in (fields, shares))
+    return moving, constant
 
 
 def _unit(name: str) -> str:
@@ -107,29 +103,37 @@ def _spacing(scene: Scene) -> tuple[float, float, float]:
     return width / (nx - 1), height / (ny - 1), 1.0
 
 
-def _pvd_lines(times: np.ndarray, parts: list[Path]) -> Iterator[str]:
-    yield '<?xml version="1.0" encoding="UTF-8"?>'
-    yield '<VTKFile type="Collection" version="1.0" byte_order="LittleEndian">'
-    yield "<Collection>"
-    for time, part in zip(times.tolist(), parts, strict=True):
-        yield f'<DataSet timestep="{time!r}" part="0" file={quoteattr(part.name)}/>'
-    yield "</Collection>"
-    yield "</VTKFile>\n"
+def _pvd_text(times: np.ndarray, parts: list[Path]) -> str:
+    entries = "\n".join(
+        f'<DataSet timestep="{time!r}" part="0" file={quoteattr(part.name)}/>'
+        for time, part in zip(times.tolist(), parts, strict=True)
+    )
+    return f"""<?xml version="1.0" encoding="UTF-8"?>
+<VTKFile type="Collection" version="1.0" byte_order="LittleEndian">
+<Collection>
+{entries}
+</Collection>
+</VTKFile>
+"""
 
 
-def _vti_lines(scene: Scene, time: float, fields: Mapping[str, np.ndarray]) -> Iterator[str]:
-    """Yield the lines of image data at a time; fields: float32 (ny, nx) by name, the first one active."""
+def _vti_text(scene: Scene, time: float, fields: Mapping[str, np.ndarray]) -> str:
+    """Return image data at a time; fields: float32 (ny, nx) by name, the first one active."""
     nx, ny = scene.grid.nodes
-    extent = f"0 {nx - 1} 0 {ny - 1} 0 0"
-    spacing = " ".join(map(repr, _spacing(scene)))
-    yield '<?xml version="1.0" encoding="UTF-8"?>'
-    yield '<VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64">'
-    yield f'<ImageData WholeExtent="{extent}" Origin="0 0 0" Spacing="{spacing}">'
-    yield f'<FieldData><DataArray type="Float64" Name="TimeValue" NumberOfTuples="1">{time!r}</DataArray></FieldData>'
-    yield f'<Piece Extent="{extent}"><PointData Scalars={quoteattr(next(iter(fields)))}>'
+    extent, spacing = f"0 {nx - 1} 0 {ny - 1} 0 0", " ".join(map(repr, _spacing(scene)))
+    arrays = []
     for name, field in fields.items():
         data = field.tobytes()
         inline = base64.b64encode(len(data).to_bytes(8, "little") + data).decode()
-        yield f'<DataArray type="Float32" Name={quoteattr(name)} format="binary">{inline}'
-        yield f'<InformationKey name="UNITS_LABEL" location="vtkDataArray">{_unit(name)}</InformationKey></DataArray>'
-    yield "</PointData></Piece></ImageData></VTKFile>\n"
+        arrays.append(f'<DataArray type="Float32" Name={quoteattr(name)} format="binary">{inline}')
+        arrays.append(f'<InformationKey name="UNITS_LABEL" location="vtkDataArray">{_unit(name)}</InformationKey>')
+        arrays.append("</DataArray>")
+    text = "\n".join(arrays)
+    return f"""<?xml version="1.0" encoding="UTF-8"?>
+<VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64">
+<ImageData WholeExtent="{extent}" Origin="0 0 0" Spacing="{spacing}">
+<FieldData><DataArray type="Float64" Name="TimeValue" NumberOfTuples="1">{time!r}</DataArray></FieldData>
+<Piece Extent="{extent}"><PointData Scalars={quoteattr(next(iter(fields)))}>
+{text}
+</PointData></Piece></ImageData></VTKFile>
+"""

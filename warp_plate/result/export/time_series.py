@@ -1,13 +1,14 @@
-"""Drives as WAV or CSV files for an amplifier, with a channel for each actuator.
+"""Time series: traces as CSV, and drives as WAV or CSV for an amplifier, with a channel for each actuator.
 
-Channel k holds w_k cos(2πft − φ_k) divided by the full scale, so that 1.0 stands for the same pressure [N/m²] or
-voltage in every channel. It lasts a whole number of periods, so that it can be played in a loop.
+Channel k of a drive holds w_k cos(2πft − φ_k) divided by the full scale, so that 1.0 stands for the same pressure
+[N/m²] or voltage in every channel. It lasts a whole number of periods, so that it can be played in a loop.
 """
 
 from __future__ import annotations
 
+import csv
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -16,11 +17,12 @@ from typing import Literal
 import numpy as np
 
 from warp_plate.result.atomic_io import atomic_paths
-from warp_plate.result.export.traces import BLOCK, write_table
-from warp_plate.result.model import Case
+from warp_plate.result.model import Case, Result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
+# Number of rows that are composed at once.
+BLOCK = 2**16
 Encoding = Literal["float32", "pcm16"]
 # Code and bytes a sample of WAVE_FORMAT_IEEE_FLOAT and WAVE_FORMAT_PCM.
 FORMATS: dict[Encoding, tuple[int, int]] = {"float32": (3, 4), "pcm16": (1, 2)}
@@ -39,14 +41,8 @@ class DriveSignal:
     """Signals of all actuators over a whole number of periods.
 
     Attributes:
-        names: Names of the actuators.
         phasors: (actuators,) complex amplitudes relative to ``full_scale``.
         full_scale: What 1.0 stands for, in ``unit``.
-        unit: Unit of the drive.
-        frequency: Frequency [Hz].
-        rate: Sampling rate [1/s].
-        samples: Number of samples.
-        periods: Number of periods.
         seam: Phase jump [degrees] where the end meets the beginning; 0 if the periods are a whole number of samples.
     """
 
@@ -76,14 +72,9 @@ class DriveSignal:
 def make_drive_signal(
     scene: Scene, case: Case, rate: int, duration: float, full_scale: float | None = None
 ) -> DriveSignal:
-    """Return the signals of a case.
+    """Return the signals of a case at a rate [1/s] over at most a duration [s].
 
-    Args:
-        scene: Scene of the case.
-        case: The case.
-        rate: Sampling rate [1/s].
-        duration: Maximum duration [s].
-        full_scale: What 1.0 stands for, in the unit of the scene's drives (default: the drive's largest magnitude).
+    Full scale is in the unit of the scene's drives (default: the drive's largest magnitude).
 
     Raises:
         SceneError: the drive does not repeat, is zero or above the full scale; or there are too few samples, less than
@@ -128,18 +119,36 @@ def whole_periods(frequency: float, rate: int, duration: float) -> tuple[int, in
     return periods, samples, float(360 * (samples / period_samples - periods))
 
 
-def write_drive_csv(signal: DriveSignal, path: str | Path) -> list[Path]:
-    """Write a table of the time [s] and each actuator's signal, with the full scale in the header; return its path.
+def write_traces(result: Result, cases: Mapping[str, Case], path: Path) -> list[Path]:
+    """Write the time [s], and the displacement [m] of each case at each recorded point; return the path.
 
     Raises:
-        SceneError: the file cannot be written.
+        SceneError: the result holds no traces, or the file cannot be written.
     """
+    points = result.scene.record.points
+    if not points or not result.trace_times.size:
+        raise SceneError("holds no traces; add record.points = [[x, y], ...] (metres) to its scene and run it again")
+    columns = [f"{name} u(x={x!r} y={y!r}) [m]" for name in cases for x, y in points]
+    rows = np.column_stack([result.trace_times, *(case.trace.T for case in cases.values())])
+    return _write_table(path, ["time [s]", *columns], [rows])
+
+
+def write_drive_csv(signal: DriveSignal, path: Path) -> list[Path]:
+    """Write a table of the time [s] and each actuator's signal, with the full scale in the header; return its path."""
     heading = ["time [s]", *(f"{name} [1 = {signal.full_scale_text}]" for name in signal.names)]
-    write_table(Path(path), heading, signal.blocks())
-    return [Path(path)]
+    return _write_table(path, heading, signal.blocks())
 
 
-def write_wav(signal: DriveSignal, path: str | Path, encoding: Encoding = "float32") -> list[Path]:
+def _write_table(path: Path, heading: list[str], blocks: Iterable[np.ndarray]) -> list[Path]:
+    """Write blocks of rows as comma-separated UTF-8 text, the first column with 15 digits and the others with 9."""
+    with atomic_paths(path) as (temporary,), temporary.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerow(heading)
+        for block in blocks:
+            np.savetxt(file, block, fmt=["%.15g", *["%.9g"] * (block.shape[1] - 1)], delimiter=",")
+    return [path]
+
+
+def write_wav(signal: DriveSignal, path: Path, encoding: Encoding = "float32") -> list[Path]:
     """Write a WAV file with a channel for each actuator, without loudspeaker positions; return its path.
 
     Its comment (LIST INFO ICMT) names the channels, the frequency and the full scale.
@@ -154,7 +163,7 @@ def write_wav(signal: DriveSignal, path: str | Path, encoding: Encoding = "float
     if signal.rate * channels * size >= 2**32:
         raise SceneError(f"--rate {signal.rate}: too many for a WAV file of {channels} channels")
     head, length = _wav_head(signal, code, size), signal.samples * channels * size
-    with atomic_paths(Path(path)) as (temporary,), temporary.open("wb") as file:
+    with atomic_paths(path) as (temporary,), temporary.open("wb") as file:
         file.write(struct.pack("<4sI4s", b"RIFF", 4 + len(head) + 8 + length, b"WAVE"))
         file.write(head + struct.pack("<4sI", b"data", length))
         for block in signal.blocks():
@@ -162,7 +171,7 @@ def write_wav(signal: DriveSignal, path: str | Path, encoding: Encoding = "float
             integers = encoding == "pcm16"
             samples = np.rint(values * PCM16_FULL_SCALE).astype("<i2") if integers else values.astype("<f4")
             file.write(samples.tobytes())
-    return [Path(path)]
+    return [path]
 
 
 def _wav_head(signal: DriveSignal, code: int, size: int) -> bytes:
