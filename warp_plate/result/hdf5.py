@@ -246,7 +246,7 @@ class Groups(Layout):
             return read_fields(self.cls, member(group, name), sizes)
         names = list(member(group, name)) if name in group else []
         keys = names if self.container is Mapping else [str(index) for index in range(len(names))]
-        instances = {key: read_fields(self.cls, member(group, f"{name}/{key}"), sizes) for key in keys}
+        instances: dict[str, Any] = {key: read_fields(self.cls, member(group, f"{name}/{key}"), sizes) for key in keys}
         return instances if self.container is Mapping else tuple(instances.values())
 
 
