@@ -80,11 +80,12 @@ def test_no_position_has_less_loss_and_every_drive_is_allowed(scene, random, sea
 
 def test_a_limit_on_the_rest_alone_gives_the_ratio(scene):
     """So much energy in the rest lets LF / (1 − LF) times as much into the target."""
-    search = {"objectives": [{"kind": "velocity", "rest_limit": 2e-4}]}
+    wide = {"magnitude": {"range": (0.0, 100.0)}, "phase": {}}
+    search = {"objectives": [{"kind": "velocity", "rest_limit": 2e-4}], **wide}
     parametrization, objectives, response = pieces(scene((9, 9), damping=130.0, search=search))
     rest, factor = objectives.masses[1] * 2e-4**2 / 2, response.bound()
     speed = np.sqrt(2 * rest * factor / (1 - factor) / objectives.masses[0])
-    assert bound_loss(parametrization, objectives, response).value == pytest.approx(-speed, rel=1e-5)
+    assert bound_loss(parametrization, objectives, response).value == pytest.approx(-speed, rel=1e-3)
 
 
 def test_the_drive_that_reaches_a_bound_may_lie_outside_the_range(scene, monkeypatch):
