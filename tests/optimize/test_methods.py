@@ -199,25 +199,25 @@ def test_stopped_anywhere_goes_on_to_the_same_bits(method, tmp_path):
         losses = problem.losses(positions)
         return losses if method == "exact" else np.where(positions[:, 0] > 1.7, np.nan, losses)
 
-    def again(optimizer, turn):
-        with h5py.File(tmp_path / f"{turn}.h5", "w") as file:
-            SearchState().write(file, "search", optimizer.state(), {})
-        with h5py.File(tmp_path / f"{turn}.h5") as file:
+    def reloaded(optimizer):
+        with h5py.File(tmp_path / "state.h5", "w") as file:
+            SearchState().write(file, "search", optimizer.state())
+        with h5py.File(tmp_path / "state.h5") as file:
             return make_optimizer(search, space, 6, problem, SearchState().read(file, "search", {}))
 
-    whole, broken, turn = *(make_optimizer(search, space, 6, problem) for _ in range(2)), 0
+    whole, broken = (make_optimizer(search, space, 6, problem) for _ in range(2))
     while not whole.stop():
         assert not broken.stop()
-        broken, turn = again(broken, turn), turn + 1
+        broken = reloaded(broken)
         asked = whole.ask()
         np.testing.assert_array_equal(broken.ask(), asked)
-        broken, turn = again(broken, turn), turn + 1
+        broken = reloaded(broken)
         np.testing.assert_array_equal(broken.ask(), asked)
         for optimizer in (whole, broken):
             optimizer.tell(asked, objective(asked))
         np.testing.assert_equal(broken.state(), whole.state())
-        np.testing.assert_equal(broken.history, whole.history)
     assert broken.stop() == whole.stop()
+    np.testing.assert_equal(broken.history, whole.history)
     assert np.array_equal(broken.result.xbest, whole.result.xbest)
     assert len(whole.state()["history"]) == whole.iterations == len(whole.history["best"])
 
@@ -356,7 +356,7 @@ def displacement_problem(**objective):
     return make_problem(scene_of(nodes=(9, 9), damping=88.5, search=search), "cpu", evaluator="response")
 
 
-def run(objective, weight, resumed=False, **keys):
+def run(objective, weight, **keys):
     """Return all positions and losses of a search with this weight, and why it stopped."""
     problem = displacement_problem(**objective, weight=weight)
     search = problem.scene.search.model_copy(update={"particles": 8, "iterations": 150, **keys})
@@ -367,22 +367,17 @@ def run(objective, weight, resumed=False, **keys):
         losses.append(problem.losses(asked[-1]))
         losses[-1][0] = np.nan if len(asked) % 5 == 0 else losses[-1][0]
         optimizer.tell(asked[-1], losses[-1])
-        if resumed and len(asked) in (7, 40):
-            optimizer = make_optimizer(search, problem.space, 1, problem.quadratic, optimizer.state())
     return np.concatenate(asked), np.concatenate(losses), optimizer.stop()
 
 
 @pytest.mark.parametrize(
     ("objective", "keys"),
     [
-        (DISPLACEMENT, {"method": "pso", "stall": 5}),
         (LIMITED, {"method": "pso", "stall": 5, "restarts": 2}),
         (DISPLACEMENT, {"method": "ring", "stall": 5}),
-        (DISPLACEMENT, {"method": "cma", "iterations": 400}),
-        (LIMITED, {"method": "cma", "restarts": 1, "iterations": 300}),
+        (LIMITED, {"method": "cma", "restarts": 1, "iterations": 200}),
         (DISPLACEMENT, {"method": "cma", "stall": 5}),
-        (DISPLACEMENT, {"method": "gradient", "particles": 4, "restarts": 1}),
-        (DISPLACEMENT, {"method": "gradient", "stall": 3, "restarts": 2}),
+        (DISPLACEMENT, {"method": "gradient", "particles": 4, "stall": 3, "restarts": 1}),
     ],
 )
 def test_a_weight_changes_no_position(objective, keys):
@@ -390,12 +385,11 @@ def test_a_weight_changes_no_position(objective, keys):
     positions, losses, reasons = run(objective, 1.0, **keys)
     assert -1e-6 < np.nanmin(losses) < 0
     assert not {"iterations", "evaluations"} & reasons.keys() or "restarts" in keys  # it converges
-    for weight in (2.0**30, 2.0**-60):
-        others, weighted, last = run(objective, weight, resumed=weight > 1, **keys)
-        np.testing.assert_array_equal(others, positions)
-        within = losses < 0  # beyond a rest_limit losses are parts of that limit, without a weight
-        np.testing.assert_array_equal(weighted[within], weight * losses[within])
-        assert last.keys() == reasons.keys()
+    others, weighted, last = run(objective, 2.0**30, **keys)
+    np.testing.assert_array_equal(others, positions)
+    within = losses < 0  # beyond a rest_limit losses are parts of that limit, without a weight
+    np.testing.assert_array_equal(weighted[within], 2.0**30 * losses[within])
+    assert last.keys() == reasons.keys()
 
 
 def test_scales_of_losses():
@@ -405,3 +399,18 @@ def test_scales_of_losses():
     assert loss_scale([Objective(kind="contrast", weight=0.5), Objective(kind="uniformity", weight=2.0)]) == 2.5
     assert tolerance_scale(-7e-8, 0.0) == 7e-8
     assert tolerance_scale(-7e-8, 2.5) == 2.5
+
+
+def test_readings_of_the_paper_against_the_exact_bound():
+    """Inertia 0.4 finds the largest ratio for nine seeds of ten, the printed inertia of 4 for none."""
+    space, matrices = paper_space(6), gram_matrices()
+    problem = quadratic(space, matrices)
+
+    def missed(inertia):
+        swarms = [make_optimizer(Search(inertia=inertia), space, seed, problem) for seed in range(10)]
+        return np.array([bound_of(matrices) - 1 + minimize(swarm, problem.losses).fbest for swarm in swarms])
+
+    as_read = missed(0.4)
+    assert np.all(as_read > -1e-12)
+    assert np.count_nonzero(as_read < 0.002) >= 9
+    assert np.all(missed(4.0) > 0.002)
