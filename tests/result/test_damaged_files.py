@@ -32,21 +32,16 @@ def written(tmp_path_factory):
     }
 
 
-@pytest.fixture(params=["checkpoint", "result"])
-def kind(request):
-    return request.param
-
-
 def refused(read, path):
     """Return the one line with which a file is refused."""
     with pytest.raises(SceneError) as caught:
         read(path)
-    line = str(caught.value)
+    (line,) = str(caught.value).splitlines()
     assert line.startswith(f"{path}: ")
-    assert "\n" not in line
     return line
 
 
+@pytest.mark.parametrize("kind", ["checkpoint", "result"])
 def test_a_changed_file_is_refused(kind, written, tmp_path, random):
     """Cut it short, change a bit, zero a block, exchange two bytes, or append bytes."""
     content, read = written[kind]
@@ -67,6 +62,7 @@ def test_a_changed_file_is_refused(kind, written, tmp_path, random):
     assert read(path).source == "panel"
 
 
+@pytest.mark.parametrize("kind", ["checkpoint", "result"])
 def test_other_files_are_refused(kind, written, tmp_path, random):
     _, read = written[kind]
     path, noise = tmp_path / "a.h5", random.bytes(5000)
@@ -134,7 +130,6 @@ def test_a_limit_on_the_size_of_files(written, tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-c", LIMITED]
     answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=environment, check=True)
-    assert answer.stderr == ""
     first, second = answer.stdout.splitlines()
     assert first.startswith("file.bin: cannot be written: File too large")
     assert second.startswith("a.checkpoint.h5: cannot be written: File too large")
