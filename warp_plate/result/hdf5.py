@@ -54,11 +54,7 @@ class FileFormat:
         return f"warp-plate {self.kind} {self.version}"
 
     def save(self, path: str | Path, write: Callable[[h5py.File], None], previous: Path | None = None) -> Path:
-        """Write a file atomically and return its path; see :func:`atomic_path`.
-
-        Raises:
-            SceneError: the file cannot be written; the one that is there stays.
-        """
+        """Write a file atomically, or raise a SceneError; see :func:`atomic_path`."""
         path = Path(path)
         # Composed in memory, for HDF5 does not reliably report a full disk.
         with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
@@ -71,11 +67,7 @@ class FileFormat:
 
     @contextmanager
     def open(self, path: str | Path) -> Iterator[h5py.File]:
-        """Yield a file opened for reading, once its seal and its attribute ``format`` are verified.
-
-        Raises:
-            SceneError: there is no such file, it is damaged or not of this kind, or reading it fails.
-        """
+        """Yield a file opened for reading; raise a SceneError if it is missing, damaged or of another kind."""
         path = Path(path)
         try:
             check_seal(path)
@@ -115,14 +107,12 @@ def read_fields(cls: type[T], group: h5py.Group, sizes: Sizes | None = None, **g
 
 
 class Layout:
-    """Form of a field in a group."""
+    """Form of a field in a group; ``read`` raises a SceneError if the value is missing or not as it should be."""
 
     def write(self, group: h5py.Group, name: str, value: Any) -> None:
-        """Write the field's value."""
         raise NotImplementedError
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> Any:
-        """Return the field's value, or raise a SceneError if it is missing or not as it should be."""
         raise NotImplementedError
 
 

@@ -17,25 +17,14 @@ import h5py
 import numpy as np
 
 from warp_plate.plate.scene_overrides import scene_with
-from warp_plate.result.hdf5 import (
-    Attribute,
-    Columns,
-    Dataset,
-    FileFormat,
-    Layout,
-    Numbers,
-    Sizes,
-    read_array,
-    read_fields,
-    write_fields,
-)
+from warp_plate.result import hdf5
 from warp_plate.result.robust import RobustComparison
 from warp_plate.result.targets import crosstalk
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import OBJECTIVE_UNITS, Objective
 
-FORMAT = FileFormat("result", 4)
+FORMAT = hdf5.FileFormat("result", 4)
 BoundKind = Literal["", "attained", "attained within limits", "bound only"]
 BOUND_DESCRIPTIONS: dict[BoundKind, str] = {
     "": "bound",
@@ -43,62 +32,66 @@ BOUND_DESCRIPTIONS: dict[BoundKind, str] = {
     "attained within limits": "bound of the drives that may be chosen",
     "bound only": "bound only: the drives that may be chosen need not reach it",
 }
-HISTORY = Columns(
+HISTORY = hdf5.Columns(
     {
-        "evaluations": Dataset("1", "drives tried so far, after each iteration", ("iterations",)),
-        "best": Dataset("1", "largest localization factor so far, after each iteration", ("iterations",)),
-        "mean": Dataset("1", "mean localization factor of the iteration, after each iteration", ("iterations",)),
+        "evaluations": hdf5.Dataset("1", "drives tried so far, after each iteration", ("iterations",)),
+        "best": hdf5.Dataset("1", "largest localization factor so far, after each iteration", ("iterations",)),
+        "mean": hdf5.Dataset("1", "mean localization factor of the iteration, after each iteration", ("iterations",)),
     }
 )
-SPECTRUM = Columns(
+SPECTRUM = hdf5.Columns(
     {
-        "frequency": Dataset("Hz", "where the localization factors were taken", ("frequencies",)),
-        "equal": Dataset("1", "localization factor of all actuators alike", ("frequencies",)),
-        "single": Dataset("1", "localization factor of the best single actuator", ("frequencies",)),
-        "best": Dataset("1", "largest localization factor that the drives may reach", ("frequencies",)),
-        "resonances": Dataset("Hz", "natural frequencies of the plate", (None,)),
+        "frequency": hdf5.Dataset("Hz", "where the localization factors were taken", ("frequencies",)),
+        "equal": hdf5.Dataset("1", "localization factor of all actuators alike", ("frequencies",)),
+        "single": hdf5.Dataset("1", "localization factor of the best single actuator", ("frequencies",)),
+        "best": hdf5.Dataset("1", "largest localization factor that the drives may reach", ("frequencies",)),
+        "resonances": hdf5.Dataset("Hz", "natural frequencies of the plate", (None,)),
     }
 )
 
 
-class _Phasors(Layout):
+class _Phasors(hdf5.Layout):
     """Complex amplitudes as the datasets ``magnitude`` and ``phase``."""
 
-    magnitude = Dataset("", "drive magnitude of each actuator", ("actuators",))  # its unit depends on the scene
-    phase = Dataset("rad", "drive phase lag of each actuator", ("actuators",))
+    magnitude = hdf5.Dataset("", "drive magnitude of each actuator", ("actuators",))  # its unit depends on the scene
+    phase = hdf5.Dataset("rad", "drive phase lag of each actuator", ("actuators",))
 
     def write(self, group: h5py.Group, name: str, value: np.ndarray) -> None:
         self.magnitude.write(group, "magnitude", np.abs(value))
         self.phase.write(group, "phase", _phase_lag(value))
 
-    def read(self, group: h5py.Group, name: str, sizes: Sizes) -> np.ndarray:
+    def read(self, group: h5py.Group, name: str, sizes: hdf5.Sizes) -> np.ndarray:
         magnitude = self.magnitude.read(group, "magnitude", sizes)
         phasors: np.ndarray = magnitude * np.exp(-1j * self.phase.read(group, "phase", sizes))
         return phasors
 
 
-class _Energies(Layout):
+class _Energies(hdf5.Layout):
     """Energies by region as one dataset, with the names of the regions as JSON in its attribute ``regions``."""
 
-    values = Dataset("J", "kinetic energy averaged over the window, for each region")
+    values = hdf5.Dataset("J", "kinetic energy averaged over the window, for each region")
 
     def write(self, group: h5py.Group, name: str, value: Mapping[str, float]) -> None:
         self.values.write(group, name, list(value.values()))
         group[name].attrs["regions"] = json.dumps(list(value))
 
-    def read(self, group: h5py.Group, name: str, sizes: Sizes) -> dict[str, float]:
-        regions = Attribute(tuple[str, ...]).read(group, f"{name}/regions", sizes)
+    def read(self, group: h5py.Group, name: str, sizes: hdf5.Sizes) -> dict[str, float]:
+        regions = hdf5.Attribute(tuple[str, ...]).read(group, f"{name}/regions", sizes)
         if not {"plate", "target"} <= set(regions):
             raise SceneError(f"{group.name}/{name} has regions {regions}, without plate or target")
-        return dict(zip(regions, read_array(group, name, (len(regions),)).tolist(), strict=True))
+        return dict(zip(regions, hdf5.read_array(group, name, (len(regions),)).tolist(), strict=True))
 
 
-def _objective(path: str) -> Dataset:
+def _objective(path: str) -> hdf5.Dataset:
     """Return the layout of an objective's value, by KIND, or by CASE/KIND of other cases."""
     case, _, name = path.rpartition("/")
     meaning = {"sum": "sum of the objectives with their weights", "bound": "of that sum: no drive comes above it"}
     of_case = f", of the drive {case}" if case else ""
-    return Dataset(OBJECTIVE_UNITS.get(name.split()[0], "1"), meaning.get(name, name) + of_case)
+    return hdf5.Dataset(OBJECTIVE_UNITS.get(name.split()[0], "1"), meaning.get(name, name) + of_case)
+
+
+BOUND = hdf5.Dataset("1", "largest that any drive can reach")
+OBJECTIVES = hdf5.Numbers(_objective)
 
 
 @dataclass(frozen=True)
@@ -119,12 +112,12 @@ class Case:
 
     phasors: Annotated[np.ndarray, _Phasors()]
     energy: Annotated[Mapping[str, float], _Energies()]
-    displacement: Annotated[np.ndarray, Dataset("m", "displacement (times, y, x)", ("times", "ny", "nx"))]
-    trace: Annotated[np.ndarray, Dataset("m", "displacement at the recorded points (points, steps)", (None, None))]
+    displacement: Annotated[np.ndarray, hdf5.Dataset("m", "displacement (times, y, x)", ("times", "ny", "nx"))]
+    trace: Annotated[np.ndarray, hdf5.Dataset("m", "displacement at the recorded points (points, steps)", (None, None))]
     status: Annotated[str, "energy/status"] = "ok"
-    frequency: Annotated[np.ndarray | None, Dataset("Hz", "frequency of each actuator", ("actuators",))] = None
-    centre: Annotated[np.ndarray | None, Dataset("m", "x, y of the middle of each actuator", ("actuators", 2))] = None
-    delay: Annotated[np.ndarray | None, Dataset("s", "start of each actuator's burst", ("actuators",))] = None
+    frequency: Annotated[np.ndarray | None, hdf5.Dataset("Hz", "frequency of each actuator", ("actuators",))] = None
+    centre: Annotated[np.ndarray | None, hdf5.Dataset("m", "x, y of each actuator's middle", ("actuators", 2))] = None
+    delay: Annotated[np.ndarray | None, hdf5.Dataset("s", "start of each actuator's burst", ("actuators",))] = None
 
     @property
     def localization_factor(self) -> float:
@@ -169,13 +162,13 @@ class TargetSearch:
         bound: See :class:`Result`, also for the others.
     """
 
-    position: Annotated[np.ndarray | None, Dataset("1", "best position in the search space", (None,))]
+    position: Annotated[np.ndarray | None, hdf5.Dataset("1", "best position in the search space", (None,))]
     single_actuator: Annotated[int, "single"]
     bound: float | None
     bound_kind: BoundKind
     evaluations: int
     history: Annotated[Mapping[str, np.ndarray], HISTORY]
-    objective_values: Annotated[Mapping[str, float], Numbers(_objective), "objectives"]
+    objective_values: Annotated[Mapping[str, float], OBJECTIVES, "objectives"]
 
 
 @dataclass(frozen=True)
@@ -215,25 +208,25 @@ class Result:
     device: str
     seed: int
     effects: tuple[str, ...]
-    times: Annotated[np.ndarray, Dataset("s", "times of the displacements", ("times",))]
-    trace_times: Annotated[np.ndarray, Dataset("s", "times of the traces", (None,))]
+    times: Annotated[np.ndarray, hdf5.Dataset("s", "times of the displacements", ("times",))]
+    trace_times: Annotated[np.ndarray, hdf5.Dataset("s", "times of the traces", (None,))]
     cases: Mapping[str, Case]
     seconds: Mapping[str, float]
     node_steps: int
     evaluations: int = 0
-    bound: Annotated[float | None, Dataset("1", "largest that any drive can reach"), "localization_factor/bound"] = None
+    bound: Annotated[float | None, BOUND, "localization_factor/bound"] = None
     bound_kind: BoundKind = ""
     history: Annotated[Mapping[str, np.ndarray], HISTORY] = field(default_factory=dict)
-    objective_values: Annotated[Mapping[str, float], Numbers(_objective), "objectives"] = field(default_factory=dict)
-    objective_values_by_case: Annotated[Mapping[str, Mapping[str, float]], Numbers(_objective), "objectives_of"] = (
-        field(default_factory=dict)
+    objective_values: Annotated[Mapping[str, float], OBJECTIVES, "objectives"] = field(default_factory=dict)
+    objective_values_by_case: Annotated[Mapping[str, Mapping[str, float]], OBJECTIVES, "objectives_of"] = field(
+        default_factory=dict
     )
     evaluator: str = "direct"
     path: str = ""
     interrupted: bool = False
     versions: Mapping[str, str] = field(default_factory=dict)
     accuracy: Mapping[str, Any] = field(default_factory=dict)
-    peak_displacement: Annotated[float | None, Dataset("m", "largest displacement seen over the run")] = None
+    peak_displacement: Annotated[float | None, hdf5.Dataset("m", "largest displacement seen over the run")] = None
     spectrum: Annotated[Mapping[str, np.ndarray], SPECTRUM] = field(default_factory=dict)
     target_searches: Annotated[tuple[TargetSearch, ...], "searches"] = ()
     robust: RobustComparison | None = None
@@ -278,21 +271,21 @@ def save_result(result: Result, path: str | Path) -> Path:
 
     def write(file: h5py.File) -> None:
         scene, robust = result.scene, result.robust
-        write_fields(file, result)
+        hdf5.write_fields(file, result)
         for name, case in result.cases.items():
             file[f"cases/{name}/magnitude"].attrs["units"] = scene.drive_unit.replace("²", "^2")
-            share = Dataset("1", "share of the plate's kinetic energy in the target")
+            share = hdf5.Dataset("1", "share of the plate's kinetic energy in the target")
             share.write(file, f"localization_factor/{name}", case.localization_factor)
         if robust is not None and not robust.localization:
             for dataset in file["robust"].values():
                 dataset.attrs["units"] = "weighted"
         file.attrs["title"] = scene.title
-        Dataset("m", "position of the nodes along x").write(file, "x", result.x)
-        Dataset("m", "position of the nodes along y").write(file, "y", result.y)
+        hdf5.Dataset("m", "position of the nodes along x").write(file, "x", result.x)
+        hdf5.Dataset("m", "position of the nodes along y").write(file, "y", result.y)
         if result.bound is not None:
             file["localization_factor/bound"].attrs["about"] = result.bound_description
         if result.target_searches:
-            shares = Dataset("1", "share of the plate's energy in each target, by each's drive")
+            shares = hdf5.Dataset("1", "share of the plate's energy in each target, by each's drive")
             shares.write(file, "crosstalk", crosstalk(result))
             file["crosstalk"].attrs["targets"] = json.dumps([target.name for target in scene.targets])
 
@@ -302,7 +295,7 @@ def save_result(result: Result, path: str | Path) -> Path:
 def load_result(path: str | Path) -> Result:
     """Read a file that :func:`save_result` wrote, or raise a SceneError if it is missing, damaged or not a result."""
     with FORMAT.open(path) as file:
-        result = read_fields(Result, file)
+        result = hdf5.read_fields(Result, file)
         if not result.cases:
             raise SceneError("cases is missing or empty")
         for name, case in result.cases.items():

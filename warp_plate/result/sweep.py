@@ -19,25 +19,16 @@ from typing import Annotated, Any
 import h5py
 import numpy as np
 
-from warp_plate.result.hdf5 import (
-    ELSEWHERE,
-    Attribute,
-    Dataset,
-    FileFormat,
-    SceneText,
-    read_array,
-    read_fields,
-    write_fields,
-)
+from warp_plate.result import hdf5
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import label_of, numeric_keys, unit_of
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import MOST_POINTS, Plan, counted
 
-FORMAT = FileFormat("sweep", 1)
-KEYS = Attribute(tuple[str, ...])
-LOGARITHMIC = Attribute(tuple[bool, ...])
-OUTPUTS = Attribute(Mapping[str, Mapping[str, str | None]])
+FORMAT = hdf5.FileFormat("sweep", 1)
+KEYS = hdf5.Attribute(tuple[str, ...])
+LOGARITHMIC = hdf5.Attribute(tuple[bool, ...])
+OUTPUTS = hdf5.Attribute(Mapping[str, Mapping[str, str | None]])
 NOT_RUN, RUN, REFUSED = 0, 1, 2
 
 
@@ -75,17 +66,17 @@ class Sweep:
     source: str
     scene: Scene
     files: Mapping[str, str]
-    plan: Annotated[Plan, ELSEWHERE]
+    plan: Annotated[Plan, hdf5.ELSEWHERE]
     what: str
     count: int
     device: str
     processor: str
     earlier_devices: Annotated[str, "earlier"]
     path: str
-    outputs: Annotated[Mapping[str, SweepOutput], ELSEWHERE]
-    values: Annotated[Mapping[str, np.ndarray], ELSEWHERE]
-    status: Annotated[np.ndarray, ELSEWHERE]
-    reasons: Annotated[Mapping[int, str], ELSEWHERE]
+    outputs: Annotated[Mapping[str, SweepOutput], hdf5.ELSEWHERE]
+    values: Annotated[Mapping[str, np.ndarray], hdf5.ELSEWHERE]
+    status: Annotated[np.ndarray, hdf5.ELSEWHERE]
+    reasons: Annotated[Mapping[int, str], hdf5.ELSEWHERE]
     seconds: float
     versions: Mapping[str, str]
 
@@ -145,19 +136,19 @@ def save_sweep(sweep: Sweep, path: str | Path) -> Path:
 def load_sweep(path: str | Path) -> Sweep:
     """Read a sweep, or raise a SceneError if the file is missing, damaged or not a sweep."""
     with FORMAT.open(path) as file:
-        scene = SceneText().read(file, "scene", {})
-        plan, count = _read_plan(file, scene), Attribute(int).read(file, "count", {})
+        scene = hdf5.SceneText().read(file, "scene", {})
+        plan, count = _read_plan(file, scene), hdf5.Attribute(int).read(file, "count", {})
         outputs = {name: SweepOutput(**entry) for name, entry in OUTPUTS.read(file, "outputs", {}).items()}
         values = {}
         for name, output in outputs.items():
             own = (count,) if output.axis else ()
-            values[name] = read_array(file, name, (*plan.shape, *own)).reshape(len(plan), *own)
-        status = read_array(file, "status", plan.shape).ravel()
+            values[name] = hdf5.read_array(file, name, (*plan.shape, *own)).reshape(len(plan), *own)
+        status = hdf5.read_array(file, "status", plan.shape).ravel()
         if not np.isin(status, (NOT_RUN, RUN, REFUSED)).all():
             raise SceneError("status holds other numbers than 0, 1 and 2")
-        texts = read_array(file, "reason", plan.shape, text=True).ravel()
+        texts = hdf5.read_array(file, "reason", plan.shape, text=True).ravel()
         reasons = {point: str(texts[point]) for point in np.flatnonzero(status == REFUSED).tolist()}
-        return read_fields(
+        return hdf5.read_fields(
             Sweep, file, scene=scene, plan=plan, outputs=outputs, values=values, status=status, reasons=reasons
         )
 
@@ -167,8 +158,8 @@ def _read_plan(file: h5py.File, scene: Scene) -> Plan:
     if not keys or not set(keys) <= set(numeric_keys(scene)) or len(logarithmic) != len(keys):
         raise SceneError(f"keys {list(keys)} do not fit the scene")
     sampled = "sample" in file
-    samples = len(read_array(file, "sample", (None,))) if sampled else None
-    plan = Plan(keys, tuple(read_array(file, key, (samples,)) for key in keys), logarithmic, sampled)
+    samples = len(hdf5.read_array(file, "sample", (None,))) if sampled else None
+    plan = Plan(keys, tuple(hdf5.read_array(file, key, (samples,)) for key in keys), logarithmic, sampled)
     if not 1 <= len(plan) <= MOST_POINTS:
         raise SceneError(f"the sweep has {len(plan)} points")
     return plan
@@ -176,12 +167,12 @@ def _read_plan(file: h5py.File, scene: Scene) -> Plan:
 
 def _write(file: h5py.File, sweep: Sweep) -> None:
     plan, scene = sweep.plan, sweep.scene
-    write_fields(file, sweep)
+    hdf5.write_fields(file, sweep)
     file.attrs["title"] = scene.title
     KEYS.write(file, "keys", plan.keys)
     LOGARITHMIC.write(file, "logarithmic", plan.logarithmic)
     OUTPUTS.write(file, "outputs", {name: asdict(output) for name, output in sweep.outputs.items()})
-    Attribute(bool).write(file, "finished", sweep.finished)
+    hdf5.Attribute(bool).write(file, "finished", sweep.finished)
     axes = ["sample"] if plan.sampled else plan.keys
     if plan.sampled:
         _write_along(file, "sample", np.arange(len(plan)), "1", "number of the sample")
@@ -206,7 +197,7 @@ def _write(file: h5py.File, sweep: Sweep) -> None:
 
 def _write_along(file: h5py.File, name: str, values: Any, unit: str, meaning: str, axes: Iterable[str] = ()) -> None:
     """Write values along dimensions; without any, as a dimension itself."""
-    Dataset(unit, meaning).write(file, name, values)
+    hdf5.Dataset(unit, meaning).write(file, name, values)
     if not axes:
         file[name].make_scale(name)
     for index, axis in enumerate(axes):
