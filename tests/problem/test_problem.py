@@ -46,6 +46,22 @@ def test_known_matrices_are_not_measured_again(problem):
         make_problem(problem.scene, "cpu", matrices=problem.matrices[:1])
 
 
+def test_plates_have_the_places_of_their_positions():
+    problem = make_problem(scene_of(**SMALL, search={"position": {}, "phase": {}}), "cpu")
+    space = problem.space
+    asked = space.from_unit(np.random.default_rng(4).random((3, space.dimension)))
+    for position, loss in zip(asked, problem.losses(asked), strict=True):
+        scene = problem.parametrization.scene_of(position)
+        energy = PlateSolver(scene, "cpu").run(problem.parametrization.designs(position[None]).drives).energy
+        assert loss == pytest.approx(1 - localization_factor(energy)[0], rel=1e-9)
+
+
+def test_limits_of_drives_lower_the_bound():
+    problem = make_problem(scene_of(**SMALL, search={"limits": {"equal_magnitudes": True}}), "cpu")
+    assert problem.bound == 1 - problem.loss_bound.value < problem.response.bound()
+    assert problem.bound_kind in ("bound only", "attained within limits")
+
+
 def test_node_steps_and_seconds_are_those_of_all_solvers():
     """A solver for drives, another for places, and a third in float64 for the Gram matrices of 3 actuators."""
     plate = PlateSolver(scene_of(**SMALL), "cpu").node_steps_per_plate
