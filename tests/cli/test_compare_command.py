@@ -168,8 +168,8 @@ def test_ctrl_c_keeps_the_finished_trials(panel):
 @pytest.fixture
 def made(panel):
     """A comparison with trials of different length."""
-    first = Trial("pso", 5, np.array([8, 16, 24]), np.array([0.1, 0.2, 0.4]), np.array([0.9, 0.5, 0.4]))
-    second = Trial("pso", 6, np.array([8]), np.array([0.3]), np.array([0.7]))
+    first = Trial("pso", 9, np.array([8, 16, 24]), np.array([0.1, 0.2, 0.4]), np.array([0.9, 0.5, 0.4]))
+    second = Trial("pso", 10, np.array([8]), np.array([0.3]), np.array([0.7]))
     return MethodComparison("panel", panel, "cpu", "direct", 40, {"prepare": 0.5}, True, (first, second))
 
 
@@ -191,8 +191,8 @@ def test_the_picture_shows_a_bound_if_there_is_one(made):
 def test_files_are_read_without_trust(made):
     path = save_comparison(made, "c.h5")
     loaded = load_comparison(path)
-    assert (loaded.scene, loaded.seconds) == (made.scene, {"prepare": 0.5})
-    np.testing.assert_array_equal(loaded.trials[0].loss, made.trials[0].loss)
+    assert replace(loaded, trials=()) == replace(made, trials=())
+    np.testing.assert_equal([vars(trial) for trial in loaded.trials], [vars(trial) for trial in made.trials])
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)

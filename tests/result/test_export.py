@@ -199,9 +199,6 @@ def test_what_no_file_can_hold_or_the_result_lacks_is_refused(result, tmp_path):
         write_wav(many, tmp_path / "drive.wav")
     with pytest.raises(SceneError, match="--rate 2000000000"):
         write_wav(replace(signal, rate=2_000_000_000), tmp_path / "drive.wav")
-    bare = result.scene.model_copy(update={"record": result.scene.record.model_copy(update={"points": ()})})
-    with pytest.raises(SceneError, match=r"record\.points"):
-        write_traces(replace(result, scene=bare), result.cases, tmp_path / "traces.csv")
     for write in (write_pvd, write_vtkhdf):
         with pytest.raises(SceneError, match=r"record\.times"):
             write(result.scene, np.zeros(0), displacements(result), tmp_path / "run")

@@ -75,16 +75,6 @@ def test_a_result_is_loaded_as_it_was_saved(result, tmp_path):
     assert_equal(result, load_result(path))
 
 
-def test_a_simulation_has_neither_bound_nor_history_nor_records(result, tmp_path):
-    case = replace(result.cases["equal"], displacement=np.zeros((0, 27, 27)), trace=np.zeros((0, 11)))
-    names = ("command", "source", "scene", "device", "seed", "effects", "seconds", "node_steps")
-    simulation = Result(
-        **{name: getattr(result, name) for name in names}, cases={"drive": case}, times=np.zeros(0),
-        trace_times=np.zeros(0),
-    )  # fmt: skip
-    assert_equal(simulation, load_result(save_result(simulation, tmp_path / "run.h5")))
-
-
 def test_other_programs_find_the_documented_names_and_units(result, tmp_path):
     units = {}
 

@@ -14,7 +14,6 @@ import h5py
 import numpy as np
 
 from warp_plate.result.hdf5 import ELSEWHERE, Attribute, Dataset, FileFormat, member, read_fields, write_fields
-from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 FORMAT = FileFormat("comparison", 1)
@@ -106,6 +105,4 @@ def load_comparison(path: str | Path) -> MethodComparison:
             group = member(file, f"trials/{method}")
             for seed in sorted(map(int, group)):
                 trials.append(read_fields(Trial, member(group, str(seed)), method=method, seed=seed))
-            if not len(group) or not all(len(trial.loss) for trial in trials):
-                raise SceneError(f"trials/{method} is empty or has a trial without iterations")
         return read_fields(MethodComparison, file, trials=tuple(trials))

@@ -264,8 +264,8 @@ def _fields(cls: type) -> Iterator[tuple[str, str, Layout, bool]]:
         hint, *extras = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
         name = next((extra for extra in extras if isinstance(extra, str)), item.name)
-        layout = next((extra for extra in extras if isinstance(extra, Layout)), None)
-        yield item.name, name, layout or _default_layout(kinds[0]), NoneType in kinds
+        layout = next((extra for extra in extras if isinstance(extra, Layout)), _default_layout(kinds[0]))
+        yield item.name, name, layout, NoneType in kinds
 
 
 def _default_layout(kind: Any) -> Layout:

@@ -255,16 +255,6 @@ class Result:
         """The best drive found, or the drive that was simulated."""
         return self.cases.get("best") or next(iter(self.cases.values()))
 
-    @property
-    def x(self) -> np.ndarray:
-        """(nx,) positions of the nodes along x [m]."""
-        return np.linspace(0, self.scene.plate.size[0], self.scene.grid.nodes[0])
-
-    @property
-    def y(self) -> np.ndarray:
-        """(ny,) positions of the nodes along y [m]."""
-        return np.linspace(0, self.scene.plate.size[1], self.scene.grid.nodes[1])
-
 
 def save_result(result: Result, path: str | Path) -> Path:
     """Write a result file atomically, or raise a SceneError."""
@@ -280,8 +270,8 @@ def save_result(result: Result, path: str | Path) -> Path:
             for dataset in file["robust"].values():
                 dataset.attrs["units"] = "weighted"
         file.attrs["title"] = scene.title
-        hdf5.Dataset("m", "position of the nodes along x").write(file, "x", result.x)
-        hdf5.Dataset("m", "position of the nodes along y").write(file, "y", result.y)
+        for axis, side, count in zip("xy", scene.plate.size, scene.grid.nodes, strict=True):
+            hdf5.Dataset("m", f"position of the nodes along {axis}").write(file, axis, np.linspace(0, side, count))
         if result.bound is not None:
             file["localization_factor/bound"].attrs["about"] = result.bound_description
         if result.target_searches:

@@ -144,8 +144,6 @@ def load_sweep(path: str | Path) -> Sweep:
             own = (count,) if output.axis else ()
             values[name] = hdf5.read_array(file, name, (*plan.shape, *own)).reshape(len(plan), *own)
         status = hdf5.read_array(file, "status", plan.shape).ravel()
-        if not np.isin(status, (NOT_RUN, RUN, REFUSED)).all():
-            raise SceneError("status holds other numbers than 0, 1 and 2")
         texts = hdf5.read_array(file, "reason", plan.shape, text=True).ravel()
         reasons = {point: str(texts[point]) for point in np.flatnonzero(status == REFUSED).tolist()}
         return hdf5.read_fields(

@@ -72,13 +72,9 @@ class DriveSignal:
 def make_drive_signal(
     scene: Scene, case: Case, rate: int, duration: float, full_scale: float | None = None
 ) -> DriveSignal:
-    """Return the signals of a case at a rate [1/s] over at most a duration [s].
+    """Return the signals of a case at a rate [1/s] over at most a duration [s], or refuse what cannot be played.
 
     Full scale is in the unit of the scene's drives (default: the drive's largest magnitude).
-
-    Raises:
-        SceneError: the drive does not repeat, is zero or above the full scale; or there are too few samples, less than
-            a period, or more than a file holds.
     """
     if (key := scene.nonperiodic_key) is not None and key != "effects.moving_load":
         raise SceneError(f"{key}: only tones of drive.frequency are written, which this drive is not")
@@ -87,17 +83,12 @@ def make_drive_signal(
     if not largest > 0:
         raise SceneError("its drive is zero: there is nothing to play")
     if not largest <= full_scale < float("inf"):
-        raise SceneError(
-            f"--full-scale {full_scale:g}: must be at least the drive's largest magnitude, {largest!r} {unit}"
-        )
+        raise SceneError(f"--full-scale {full_scale:g}: must be at least the largest magnitude, {largest!r} {unit}")
     if rate <= 2 * frequency:
         raise SceneError(f"--rate {rate}: {frequency:g} Hz takes more than {2 * frequency:g} samples a second")
     if not 1 <= duration * frequency < float("inf"):
-        raise SceneError(
-            f"--duration {duration:g}: must be at least a period of {frequency:g} Hz, {1 / frequency:.3g} s"
-        )
-    sample_bytes = max(size for _, size in FORMATS.values())
-    if duration * rate * len(scene.actuators) * sample_bytes > MOST_BYTES:
+        raise SceneError(f"--duration {duration:g}: must be at least a period, {1 / frequency:.3g} s")
+    if duration * rate * len(scene.actuators) * FORMATS["float32"][1] > MOST_BYTES:
         raise SceneError(f"--duration {duration:g}: {len(scene.actuators)} channels take more than 4 GiB; write less")
     periods, samples, seam = whole_periods(frequency, rate, duration)
     names = tuple(actuator.name for actuator in scene.actuators)
@@ -120,11 +111,7 @@ def whole_periods(frequency: float, rate: int, duration: float) -> tuple[int, in
 
 
 def write_traces(result: Result, cases: Mapping[str, Case], path: Path) -> list[Path]:
-    """Write the time [s], and the displacement [m] of each case at each recorded point; return the path.
-
-    Raises:
-        SceneError: the result holds no traces, or the file cannot be written.
-    """
+    """Write the time [s], and the displacement [m] of each case at each recorded point; return the path."""
     points = result.scene.record.points
     if not points or not result.trace_times.size:
         raise SceneError("holds no traces; add record.points = [[x, y], ...] (metres) to its scene and run it again")
@@ -152,9 +139,6 @@ def write_wav(signal: DriveSignal, path: Path, encoding: Encoding = "float32") -
     """Write a WAV file with a channel for each actuator, without loudspeaker positions; return its path.
 
     Its comment (LIST INFO ICMT) names the channels, the frequency and the full scale.
-
-    Raises:
-        SceneError: there are too many actuators for a WAV file, or it cannot be written.
     """
     code, size = FORMATS[encoding]
     channels = len(signal.names)
@@ -168,9 +152,8 @@ def write_wav(signal: DriveSignal, path: Path, encoding: Encoding = "float32") -
         file.write(head + struct.pack("<4sI", b"data", length))
         for block in signal.blocks():
             values = block[:, 1:]
-            integers = encoding == "pcm16"
-            samples = np.rint(values * PCM16_FULL_SCALE).astype("<i2") if integers else values.astype("<f4")
-            file.write(samples.tobytes())
+            integers = np.rint(values * PCM16_FULL_SCALE).astype("<i2")
+            file.write((integers if encoding == "pcm16" else values.astype("<f4")).tobytes())
     return [path]
 
 
