@@ -40,7 +40,7 @@ def plant(tree, fault):
 
 def caught(tree, python, words):
     """Return the first test that fails, "" if all pass."""
-    command = [python, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", *words]
+    command = [python, "-m", "pytest", "-q", "-x", "-n", "0", *words]
     environment = {**os.environ, "PYTHONPATH": str(tree)}
     run = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, check=False)
     if run.returncode == 0:

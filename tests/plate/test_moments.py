@@ -8,7 +8,7 @@ import pytest
 
 from warp_plate import PlateSolver, Scene
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.weights import REGIONS, localization_factor, moments, patches, region_weights
+from warp_plate.plate.weights import REGIONS, localization_factor, moments, overlap, patches, region_weights
 from warp_plate.reference import forced
 from warp_plate.reference.ritz import solve_modes
 from warp_plate.reference.thin_plate import thin_plate
@@ -40,9 +40,10 @@ def test_moments_up_to_the_third_are_kept(nodes, random):
     )
     kept = [spacing * (positions / LENGTH) ** POWERS[:, None] @ moments(positions, *side) for side in sides]
     np.testing.assert_allclose(kept, [exact_moments(*side) for side in sides], rtol=0, atol=1e-14 * LENGTH)
-    np.testing.assert_array_equal(moments(positions, -0.1, 0.07), moments(positions, 0.0, 0.07))
-    np.testing.assert_array_equal(moments(positions, 0.11, 0.5), moments(positions, 0.11, LENGTH))
-    assert not moments(positions, 0.12, 0.12).any()
+    for weigh in (moments, overlap):
+        np.testing.assert_array_equal(weigh(positions, -0.1, 0.07), weigh(positions, 0.0, 0.07))
+        np.testing.assert_array_equal(weigh(positions, 0.11, 0.5), weigh(positions, 0.11, LENGTH))
+        assert not weigh(positions, 0.12, 0.12).any()
 
 
 def test_weights_are_those_of_four_points():

@@ -168,7 +168,7 @@ def test_chirp_of_two_starts(driven_scene, random):
     [
         (3.0, {}, (None, None, None), 5),
         (-2.0, {}, (None, 580.0, None), 7),  # 1; 290, 580 (of both), 1160
-        (3.0, {"burst": {"start": 0.05, "duration": 0.1, "ramp": 0.02}}, (None, None, None), 6),
+        (3.0, {"burst": {"start": 0.05, "duration": 0.1, "ramp": 0.02, "period": 0.13}}, (None, None, None), 6),
         (0.0, {"burst": {"start": 0.05, "duration": 0.1}}, (None, 580.0, None), 5),
         (3.0, {"chirp": {"end_frequency": 700.0, "duration": 0.2}}, (None, 580.0, None), 9),
         (3.0, {"chirp": {"end_frequency": 700.0, "duration": 0.2}, "burst": {"duration": 0.3}}, (None,) * 3, 6),
@@ -198,11 +198,12 @@ def test_electrostatic_terms_are_the_square(driven_scene, random, tmp_path, bias
     np.testing.assert_allclose(pressure(signals, phasors), wanted, atol=1e-9 if "burst" not in drive else 1e-4)
 
 
-def mean_square_over_square_mean(duration, start=0.0, ramp=0.0):
+def mean_square_over_square_mean(duration, start=0.0, ramp=0.0, period=np.inf):
     """Return (steps,) ratios for the envelope over each step, from many samples; one unless it changes within."""
     samples = 500
     times = TIMES[:, None] + TIME_STEP * ((np.arange(samples) + 0.5) / samples - 0.5)
     times = np.where(TIMES[:, None] == 0, np.abs(times), times) - start
+    times -= period * np.maximum(np.floor(times / period), 0) if period < np.inf else 0
     jumping = ((times >= 0) & (times <= duration)).astype(float)
     envelope = rise_and_fall(times, duration, ramp) if ramp else jumping
     mean = envelope.mean(axis=1)

@@ -226,6 +226,18 @@ def test_patches_are_those_of_the_scene(load, tables, burst_scene, draw, pairs):
             np.testing.assert_allclose(found[plate], expected, rtol=0, atol=1e-13 * np.abs(expected).max())
 
 
+def test_patches_within_areas(device, path, burst_scene):
+    """By moments a patch loads two nodes beyond it on each side, also where areas confine it."""
+    made = burst_scene(nodes=(17, 15), size=(0.2, 0.17), load="moments")
+    old = np.array([actuator.area for actuator in made.actuators])
+    areas = tuple(map(tuple, (old + 0.02 * np.array([-1, 1, -1, 1])).tolist()))
+    centre = (old[:, [0, 2]] + old[:, [1, 3]]) / 2 + 0.02 * np.array([[1, 1], [-1, 1], [1, -1]])
+    designs = Designs(np.array([[1.0, 0.5j, -0.7]]), centre=centre[None])
+    run = PlateSolver(made, device, path, per_plate=PerPlate(centre=True, areas=areas)).run(designs)
+    moved = PlateSolver(scene_of_plate(made, designs, 0), device, path).run(designs.drives)
+    np.testing.assert_allclose(run.energy, moved.energy, rtol=1e-11)
+
+
 DRIVES = {
     "tone": {"burst": None},
     "bursts": {"burst": {"duration": 0.002, "ramp": 0.0006, "period": 0.003}},
