@@ -5,11 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from warp_plate import PlateSolver
 from warp_plate.plate.weights import REGIONS, localization_factor
 from warp_plate.problem.bounds import MOST_ACTUATORS, AllowedDrives, bound_energy, bound_localization
 from warp_plate.problem.semidefinite import QuadraticLimits, least_majorant
-from warp_plate.solve.response import Response, measure_response
+from warp_plate.solve.response import Response
 
 INFINITE, SEARCHED = math.inf, math.nan
 PLATE, TARGET = REGIONS.index("plate"), REGIONS.index("target")
@@ -51,15 +50,14 @@ def drawn(random, limits, count):
 
 CASES = {
     "none": {},
-    "first phase fixed": {"phase": [0.4, SEARCHED, SEARCHED]},
     "all phases fixed": {"phase": [0.4, 1.0, 3.0]},
     "fixed, no sign": {"phase": [0.4, 1.0, 3.0], "lower": 0.0},
     "equal": {"equal": True, "lower": 0.0},
     "range": {"lower": 0.5, "upper": 1.0},
-    "a range for each": {"lower": [0.0, 0.3, 0.2], "upper": [1.0, 0.4, INFINITE]},
     "one magnitude fixed": {"lower": [1.0, 0.2, 0.0], "upper": [1.0, 0.8, 1.0], "phase": [0.0, SEARCHED, SEARCHED]},
     "magnitudes fixed": {"lower": [1.0, 0.5, 0.2], "upper": [1.0, 0.5, 0.2]},
     "one off": {"lower": 0.0, "upper": [1.0, 0.0, 1.0], "equal": False},
+    "one without end": {"lower": [0.0, 0.3, 0.2], "upper": [1.0, 0.4, INFINITE]},
     "power": {"lower": 0.5, "power": 1.2},
     "all": {"lower": 0.2, "upper": 1.0, "power": 1.5, "phase": [0.0, SEARCHED, SEARCHED]},
 }
@@ -71,18 +69,17 @@ def test_no_allowed_drive_exceeds_the_bound_of_the_ratio(random, case):
     for rank in (None, 2):
         response = gram(random, 3, rank)
         bound = bound_localization(response, limits)
-        energy = response.energy(drawn(random, limits, 20_000))
+        energy = response.energy(drawn(random, limits, 5000))
         moved = energy[:, PLATE] > 1e-9 * energy.max()
-        best = localization_factor(energy[moved]).max()
-        assert best <= bound.value + 1e-8, (case, rank)
+        assert localization_factor(energy[moved]).max() <= bound.value + 1e-8, rank
         assert bound.value <= response.bound() * (1 + 1e-9)
 
 
-@pytest.mark.parametrize("case", [*list(CASES.values())[5:], {"power": 1.0}], ids=str)
+@pytest.mark.parametrize("case", [*list(CASES.values())[4:], {"power": 3.0}], ids=str)
 def test_no_allowed_drive_exceeds_the_bound_of_the_energy(random, case):
     limits, response = allowed(3, **case), gram(random, 3)
     target, plate = response.matrices[[TARGET, PLATE]]
-    energies = response.energy(drawn(random, limits, 20_000))
+    energies = response.energy(drawn(random, limits, 5000))
     inside = energies[:, TARGET]
     rest = energies[:, PLATE] - inside
     bound = bound_energy(target, limits)
@@ -90,6 +87,8 @@ def test_no_allowed_drive_exceeds_the_bound_of_the_energy(random, case):
         assert bound is None  # nothing limits it
     else:
         assert inside.max() <= bound.value * (1 + 1e-9)
+    if case == {"power": 3.0}:
+        assert (bound.value, bound.kind) == (pytest.approx(3 * np.linalg.eigvalsh(target)[-1], rel=1e-8), "attained")
     most = float(np.median(rest))
     with_rest = bound_energy(target, limits, [(plate - target, most)])
     assert inside[rest <= most].max() <= with_rest.value * (1 + 1e-9)
@@ -105,25 +104,6 @@ def test_equal_magnitudes_of_two_are_bounded_by_the_best_on_a_grid(random):
         best = localization_factor(response.energy(np.stack([np.ones_like(turn), turn], axis=1))).max()
         assert bound.value == pytest.approx(best, abs=1e-6)
         assert bound.kind == "attained"
-
-
-def test_three_actuators_of_a_plate_by_grid(scene):
-    """On a plate a common phase hardly changes energies, and equal magnitudes of three are then bounded exactly, up to
-    what is left of the start."""
-    response = measure_response(PlateSolver(scene(damping=88.5, window=(0.02, 0.03)), "cpu"))
-    bound = bound_localization(response, allowed(3, lower=0.0, phase=[0.0, SEARCHED, SEARCHED], equal=True))
-    first, second = np.meshgrid(*[np.linspace(0, 2 * np.pi, 361)] * 2)
-    drives = np.exp(-1j * np.stack([0 * first.ravel(), first.ravel(), second.ravel()], axis=1))
-    best = localization_factor(response.energy(drives)).max()
-    assert best <= bound.value <= best * 1.005
-    assert bound.value < response.bound()
-
-
-def test_a_power_limit_gives_the_eigenvalue(random):
-    matrix = gram(random, 4).matrices[0]
-    bound = bound_energy(matrix, allowed(4, power=3.0))
-    assert bound.value == pytest.approx(3 * np.linalg.eigvalsh(matrix)[-1], rel=1e-8)
-    assert bound.kind == "attained"
 
 
 def test_a_limit_on_the_rest_gives_the_ratio(random):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from warp_plate import Scene, load_result, localize
-from warp_plate.cli.main import main
 from warp_plate.problem.evaluate_cases import evaluate_cases, reference_phasors
 from warp_plate.problem.objectives import keeps_limit
 from warp_plate.problem.problem import make_problem
@@ -56,6 +55,13 @@ def test_values_follow_from_the_energies_of_the_drive_found(scene):
     assert values["sum"] == pytest.approx(total, rel=1e-12)
     assert values["sum"] == pytest.approx(result.history["best"][-1], rel=1e-9)
     assert values["sum"] <= values["bound"]
+    figure = pytest.importorskip("matplotlib.figure")
+    from warp_plate.viz.plots.history import plot_history
+
+    axes = figure.Figure().add_subplot()
+    plot_history(axes, result)
+    (line,) = [line for line in axes.lines if line.get_label().startswith("bound")]
+    np.testing.assert_allclose(line.get_ydata(), -values["bound"])
 
 
 def test_references_are_all_actuators_and_the_best_single_one(scene):
@@ -72,36 +78,9 @@ def test_references_are_all_actuators_and_the_best_single_one(scene):
     assert reference_phasors(scene(), energies)["single"].tolist() == [0, 1, 0]
 
 
-def test_files_and_checkpoints_keep_them(panel):
-    targets = [{"name": "a", "disc": (0.06, 0.06, 0.04)}, {"name": "b", "area": (0.1, 0.2, 0.0, 0.2)}]
-    made = Scene.model_validate({**panel.model_dump(), "targets": targets, "target": {"disc": (0.06, 0.06, 0.04)}})
-    kept = CheckpointFile(Path("a.checkpoint.h5"), 0.0, False, lambda line: None)
-    result = localize(made, device="cpu", estimate=False, checkpoints=kept)
-    first, second = (search.objective_values for search in result.target_searches)
-    assert result.objective_values == first
-    assert first["sum"] != second["sum"]
-    again = load_result(save_result(result, Path("a.h5")))
-    assert again.objective_values == first
-    assert [search.objective_values for search in again.target_searches] == [first, second]
-    # The last checkpoint is of the search for the second target.
-    checkpoint = load_checkpoint(Path("a.checkpoint.h5"))
-    assert checkpoint.finished_searches[0].objective_values == first
-    resumed = resume(checkpoint, estimate=False)
-    assert [search.objective_values for search in resumed.target_searches] == [first, second]
-
-
-def test_a_robust_search_has_those_of_the_nominal_plate(scene):
-    search = {**SEARCH, "robust": {"young_modulus": 0.1, "scenarios": 4, "fresh": 2}}
-    result = localize(scene((9, 9), damping=88.5, search=search), device="cpu", estimate=False)
-    assert result.objective_values["sum"] == pytest.approx(result.robust.nominal_plate[0], rel=1e-9)
-    nominal = make_problem(scene((9, 9), damping=88.5, search=SEARCH), "cpu")
-    assert result.objective_values["bound"] == pytest.approx(-nominal.loss_bound.value, rel=1e-9)
-
-
-def test_the_command_shows_those_of_all_cases(panel, monkeypatch, capsys):
+def test_the_command_shows_those_of_all_cases(panel, monkeypatch, command):
     monkeypatch.setenv("COLUMNS", "60")  # where no number is cut all the same
-    main([*ONLY, "--baselines"])
-    out = capsys.readouterr().out
+    out = command(*ONLY, "--baselines")[1]
     result = load_result("panel-localize.h5")
     columns = [result.objective_values, *(result.objective_values_by_case[name] for name in CASES)]
     number = re.compile(r"-?\d+\.\d+(e[+-]\d+)?")
@@ -109,26 +88,22 @@ def test_the_command_shows_those_of_all_cases(panel, monkeypatch, capsys):
     for name in ("velocity", "velocity of the rest", "contrast", "sum", "bound"):
         known = [column[name] for column in columns if name in column]
         assert any(row[-len(known) :] == pytest.approx(known, rel=1e-3) for row in rows if len(row) >= len(known))
-    assert "…" not in out
     problem = make_problem(panel, "cpu")
-    for name in CASES:
-        phasors = result.cases[name].phasors[None]
-        evaluators = (problem.drive_evaluator, problem.displacement_evaluator)
-        values = problem.objectives.values(*(evaluator.run(phasors).energy for evaluator in evaluators))
-        expected = {kind: float(value[0]) for kind, value in values.items()}
+    phasors = np.array([result.cases[name].phasors for name in CASES])
+    evaluators = (problem.drive_evaluator, problem.displacement_evaluator)
+    values = problem.objectives.values(*(evaluator.run(phasors).energy for evaluator in evaluators))
+    for index, name in enumerate(CASES):
+        expected = {kind: float(value[index]) for kind, value in values.items()}
         assert result.objective_values_by_case[name] == pytest.approx(expected)
-    main([*ONLY, "--json"])
-    record = json.loads(capsys.readouterr().out)
+    record = json.loads(command(*ONLY, "--json")[1])
     assert record["objectives"] == pytest.approx(result.objective_values)
     assert record["bound_kind"] == "bound only"
 
 
-def test_a_limit_that_no_drive_keeps_leaves_no_bound(scene, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_a_limit_that_no_drive_keeps_leaves_no_bound(scene, panel, command):
     search = {**SEARCH, "magnitude": {"range": (1.0, 2.0)}, "objectives": [{"kind": "velocity", "rest_limit": 1e-7}]}
     Path("panel.toml").write_text(dump_scene(scene((9, 9), damping=88.5, search=search)), encoding="utf-8")
-    main(ONLY)
-    assert "! velocity of the rest (m/s)" in " ".join(capsys.readouterr().out.split())
+    assert "! velocity of the rest (m/s)" in " ".join(command(*ONLY)[1].split())
     values = load_result("panel-localize.h5").objective_values
     assert values["velocity of the rest"] > 1e-7
     assert "bound" not in values
@@ -152,12 +127,26 @@ def test_results_say_what_their_bound_is(tables, kind, scene):
     assert result.objective_values == {}
 
 
-def test_the_picture_of_the_search_has_the_bound(panel):
-    figure = pytest.importorskip("matplotlib.figure")
-    from warp_plate.viz.plots.history import plot_history
+def test_searches_for_several_targets_keep_them_in_files_and_checkpoints(panel):
+    targets = [{"name": "a", "disc": (0.06, 0.06, 0.04)}, {"name": "b", "area": (0.1, 0.2, 0.0, 0.2)}]
+    made = Scene.model_validate({**panel.model_dump(), "targets": targets, "target": {"disc": (0.06, 0.06, 0.04)}})
+    kept = CheckpointFile(Path("a.checkpoint.h5"), 0.0, False, lambda line: None)
+    result = localize(made, device="cpu", estimate=False, checkpoints=kept)
+    values = [search.objective_values for search in result.target_searches]
+    assert result.objective_values == values[0]
+    assert values[0]["sum"] != values[1]["sum"]
+    again = load_result(save_result(result, Path("a.h5")))
+    # The last checkpoint is of the search for the second target.
+    checkpoint = load_checkpoint(Path("a.checkpoint.h5"))
+    assert checkpoint.finished_searches[0].objective_values == values[0]
+    for other in (again, resume(checkpoint, estimate=False)):
+        assert other.objective_values == values[0]
+        assert [search.objective_values for search in other.target_searches] == values
 
-    result = localize(panel, device="cpu", estimate=False)
-    axes = figure.Figure().add_subplot()
-    plot_history(axes, result)
-    (line,) = [line for line in axes.lines if line.get_label().startswith("bound")]
-    np.testing.assert_allclose(line.get_ydata(), -result.objective_values["bound"])
+
+def test_a_robust_search_has_those_of_the_nominal_plate(scene):
+    search = {**SEARCH, "robust": {"young_modulus": 0.1, "scenarios": 4, "fresh": 2}}
+    result = localize(scene((9, 9), damping=88.5, search=search), device="cpu", estimate=False)
+    assert result.objective_values["sum"] == pytest.approx(result.robust.nominal_plate[0], rel=1e-9)
+    nominal = make_problem(scene((9, 9), damping=88.5, search=SEARCH), "cpu")
+    assert result.objective_values["bound"] == pytest.approx(-nominal.loss_bound.value, rel=1e-9)

@@ -17,6 +17,7 @@ from warp_plate.reference.numpy_plate import run_plate
 from warp_plate.scene.search import Objective
 
 KINDS = ("localization", "contrast", "velocity", "displacement", "uniformity")
+QUANTITIES = ("velocity", "displacement")
 PHASORS = np.array([[1, 1, 1], [1, 0, 0], [0.4 - 0.2j, -0.7j, 1.3]], dtype=complex)
 DISC = {"disc": (0.08, 0.07, 0.055)}
 
@@ -56,67 +57,32 @@ def energies_of(made, mean_squares, objectives):
 
 
 def test_values_are_those_of_recorded_displacements(motion):
-    """Root mean squares and densities straight from the fields at the nodes, weighted by the target's shares."""
-    made, velocity, displacement = motion
-    objectives = objectives_of(made)
-    values = objectives.values(*(energies_of(made, field, objectives) for field in (velocity, displacement)))
+    """Root mean squares and densities from the fields at the nodes, weighted by the target's shares; losses of them."""
+    made, *fields = motion
+    weights = dict(zip(KINDS, (0.5, 0.1, 2e3, 3e6, 0.25), strict=True))
+    terms = [{"kind": kind, "weight": weight} for kind, weight in weights.items()]
+    objectives = objectives_of(made.with_tables(search={"objectives": terms}))
+    energies = [energies_of(made, field, objectives) for field in fields]
+    values = objectives.values(*energies)
     plate, target = region_weights(made)
     rest = plate - target
-    for kind, field in (("velocity", velocity), ("displacement", displacement)):
+    for kind, field in zip(QUANTITIES, fields, strict=True):
         for name, share in ((kind, target), (f"{kind} of the rest", rest)):
             exact = np.sqrt((field * share).sum(axis=(1, 2)) / share.sum())
             np.testing.assert_allclose(values[name], exact, rtol=1e-12)
-    inside, outside = ((velocity * share).sum(axis=(1, 2)) / share.sum() for share in (target, rest))
-    np.testing.assert_allclose(values["contrast"], 10 * np.log10(inside / outside), rtol=1e-12)
-    share = (velocity * target).sum(axis=(1, 2)) / (velocity * plate).sum(axis=(1, 2))
-    np.testing.assert_allclose(values["localization"], share, rtol=1e-12)
+    inside, outside, whole = ((fields[0] * share).sum(axis=(1, 2)) for share in (target, rest, plate))
+    contrast = 10 * np.log10(inside / target.sum() / (outside / rest.sum()))
+    np.testing.assert_allclose(values["contrast"], contrast, rtol=1e-12)
+    np.testing.assert_allclose(values["localization"], inside / whole, rtol=1e-12)
     assert ((values["uniformity"] > 0.05) & (values["uniformity"] < 1)).all()
-
-
-@pytest.mark.parametrize("quantity", ["velocity", "displacement"])
-def test_solvers_give_the_same_energies(motion, quantity):
-    made, *fields = motion
-    objectives = objectives_of(made)
-    exact = energies_of(made, fields[quantity == "displacement"], objectives)
-    energy = PlateSolver(made, "cpu", areas=objectives.regions, quantity=quantity).run(PHASORS).energy
-    if quantity == "velocity":
-        np.testing.assert_allclose(energy, exact, rtol=1e-9)
-    values, expected = (objectives.values(each, each) for each in (energy, exact))
-    for kind in (quantity, f"{quantity} of the rest"):
-        np.testing.assert_allclose(values[kind], expected[kind], rtol=1e-6)
-
-
-def test_cells_cut_the_target(scene):
-    """They sum to the target, node by node, and have two nodes or more along a side."""
-    for target in (DISC, {"area": (0.02, 0.17, 0.05, 0.11)}, {"area": (0.0, 0.2, 0.0, 0.2)}):
-        made = scene_with(scene, "uniformity", target=target)
-        objectives = objectives_of(made)
-        np.testing.assert_allclose(sum(objectives.regions.values()), region_weights(made)[1], rtol=0, atol=1e-9)
-        assert objectives.cells.sum() == pytest.approx(objectives.areas[0], rel=1e-9)
-        assert 2 <= len(objectives.regions) <= MOST_CELLS**2
-    corner = scene_with(scene, "uniformity", target={"area": (0.0, 0.1, 0.0, 0.06)})
-    assert len(objectives_of(corner).regions) == 4 * 2
-
-
-def test_uniformity_by_hand():
-    """All cells alike: 1; half of them at rest: ½; one in four alone: ¼."""
-    cells = np.array([[1, 1, 1, 1], [2, 2, 0, 0], [0, 0, 0, 4], [3, 1, 0, 0], [0, 0, 0, 0]], dtype=float)
-    energy = np.column_stack([np.full(5, 10), cells.sum(axis=1), cells])
-    values = unit_objectives(Objective(kind="uniformity")).values(energy * 1e-300)["uniformity"]
-    np.testing.assert_allclose(values, [1, 0.5, 0.25, 16 / 10 / 4, math.nan], rtol=1e-12)
-
-
-@given(st.integers(0, 2**32))
-def test_uniformity_lies_between_0_and_1_and_does_not_depend_on_size(seed):
-    random = np.random.default_rng(seed)
-    areas = random.uniform(0.01, 1, 7)
-    objectives = Objectives((Objective(kind="uniformity"),), {}, np.ones(2), np.ones(2), areas)
-    energy = random.exponential(1, (5, 9)) ** 3
-    values = objectives.values(energy)["uniformity"]
-    assert ((values > 0) & (values <= 1 + 1e-12)).all()
-    np.testing.assert_allclose(objectives.values(energy * 1e-40)["uniformity"], values, rtol=1e-12)
-    energy[:, 2:] = areas
-    np.testing.assert_allclose(objectives.values(energy)["uniformity"], 1, rtol=1e-12)
+    total = sum(weights[kind] * values[kind] for kind in KINDS)
+    np.testing.assert_allclose(values["sum"], total, rtol=1e-14)
+    np.testing.assert_allclose(objectives.losses(*energies), -total, rtol=1e-14)
+    with pytest.raises(ValueError, match="needs energies of displacement"):
+        objectives.losses(energies[0])
+    runs = [PlateSolver(made, "cpu", areas=objectives.regions, quantity=each).run(PHASORS) for each in QUANTITIES]
+    for run, energy, tolerance in zip(runs, energies, (1e-9, 1e-6), strict=True):
+        np.testing.assert_allclose(run.energy, energy, rtol=tolerance)
 
 
 def test_localization_alone_is_the_papers_loss_to_the_last_bit(scene, random):
@@ -126,21 +92,6 @@ def test_localization_alone_is_the_papers_loss_to_the_last_bit(scene, random):
     assert (alone.losses(energy) == 1 - localization_factor(energy)).all()
     assert not doubled.only_localization
     np.testing.assert_allclose(doubled.losses(energy), -2 * localization_factor(energy), rtol=1e-15)
-
-
-def test_losses_are_weighted_sums(motion):
-    made, *fields = motion
-    weights = dict(zip(KINDS, (0.5, 0.1, 2e3, 3e6, 0.25), strict=True))
-    terms = [{"kind": kind, "weight": weight} for kind, weight in weights.items()]
-    objectives = objectives_of(made.with_tables(search={"objectives": terms}))
-    assert objectives.needs_displacement
-    energies = [energies_of(made, field, objectives) for field in fields]
-    values = objectives.values(*energies)
-    total = sum(weights[kind] * values[kind] for kind in KINDS)
-    np.testing.assert_allclose(values["sum"], total, rtol=1e-14)
-    np.testing.assert_allclose(objectives.losses(*energies), -total, rtol=1e-14)
-    with pytest.raises(ValueError, match="needs energies of displacement"):
-        objectives.losses(energies[0])
 
 
 @given(st.integers(0, 2**32))
@@ -212,3 +163,19 @@ def test_objectives_that_a_scene_cannot_have_are_refused(scene):
 def test_wrong_objectives_are_refused_in_one_line(lines, named):
     head, _, rest = PAPER.partition("[search]")
     assert refusal(head + lines + "\n\n" + rest[rest.index("[[actuators]]") :]).startswith(named)
+
+
+def test_uniformity_of_cells(scene):
+    """Cells sum to the target; all of them alike give 1, half of them at rest ½, one in four alone ¼."""
+    for target in (DISC, {"area": (0.02, 0.17, 0.05, 0.11)}):
+        made = scene_with(scene, "uniformity", target=target)
+        objectives = objectives_of(made)
+        np.testing.assert_allclose(sum(objectives.regions.values()), region_weights(made)[1], rtol=0, atol=1e-9)
+        assert objectives.cells.sum() == pytest.approx(objectives.areas[0], rel=1e-9)
+        assert 2 <= len(objectives.regions) <= MOST_CELLS**2
+    corner = scene_with(scene, "uniformity", target={"area": (0.0, 0.1, 0.0, 0.06)})
+    assert len(objectives_of(corner).regions) == 4 * 2
+    cells = np.array([[1, 1, 1, 1], [2, 2, 0, 0], [0, 0, 0, 4], [3, 1, 0, 0], [0, 0, 0, 0]], dtype=float)
+    energy = np.column_stack([np.full(5, 10), cells.sum(axis=1), cells])
+    values = unit_objectives(Objective(kind="uniformity")).values(energy * 1e-300)["uniformity"]
+    np.testing.assert_allclose(values, [1, 0.5, 0.25, 16 / 10 / 4, math.nan], rtol=1e-12)
