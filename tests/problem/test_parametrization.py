@@ -25,7 +25,6 @@ ALL = {
 BURST = {"frequency": 290.0, "burst": {"start": 0.001, "duration": 0.004}}
 CHIRP = {"frequency": 290.0, "chirp": {"end_frequency": 400.0, "duration": 0.01}}
 ELECTROSTATIC = {"frequency": 290.0, "electrostatic": {"gain": 1.0}}
-ELECTROSTATIC = {"frequency": 290.0, "electrostatic": {"gain": 1.0}}
 SIGNAL = {"frequency": 290.0, "signal": {"file": "a.csv", "rate": 2e4}}
 EQUAL = {"limits": {"equal_magnitudes": True}}
 STRETCHING = {"effects": {"stretching": {}}}
@@ -188,11 +187,6 @@ def test_the_time_step_fits_the_upper_end_of_the_range():
             {"frequency": {"range": [200.0, 6000.0]}},
             {"grid": {"nodes": (9, 9), "time_step": 1e-4}},
             ["search.frequency.range = ", "0.0001 s carries less than 5000 Hz"],
-        ),
-        (
-            {"frequency": {"range": [200.0, 3000.0]}},
-            {"grid": {"nodes": (9, 9), "time_step": 1e-4}, "drive": ELECTROSTATIC},
-            ["0.0001 s carries less than 2500 Hz"],  # the force has twice the voltage's frequency
         ),
         (
             {"frequency": {"range": [200.0, 3000.0]}},
