@@ -1,7 +1,6 @@
 """``warp-plate accuracy``: its table, JSON and picture, Ctrl-C, and invalid options."""
 
 import json
-import os
 from functools import partial
 from pathlib import Path
 
@@ -9,8 +8,7 @@ import pytest
 
 from warp_plate.accuracy import configurations as family
 from warp_plate.accuracy import report
-from warp_plate.viz.plots.accuracy import draw_accuracy, families, longest_steps, refused_points
-from warp_plate.viz.plots.frame import save_plots
+from warp_plate.viz.plots.accuracy import families, longest_steps, refused_points
 
 ROW_KEYS = {
     "order", "load", "nodes", "time_step", "precision", "localization_factor", "bound", "error", "seconds_per_plate",
@@ -83,27 +81,6 @@ def test_ctrl_c_keeps_the_measurements(command, monkeypatch):
     assert len(record["rows"]) == 2
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["paper", "--budget", "0"], "--budget"),
-        (["paper", "--budget", "nan"], "--budget"),
-        (["paper", "--out", "a.txt"], ".json"),
-        (["paper", "--out", "nowhere/a.json"], "nowhere"),
-        (["paper", "--device", "tpu"], "tpu"),
-        (["nosuch"], "nosuch"),
-    ],
-    ids=lambda part: "-".join(part) if isinstance(part, list) else "",
-)
-def test_invalid_options(command, arguments, named):
-    """One line that names the option, status 2, and nothing written."""
-    status, out, err = command(*arguments)
-    assert (status, out) == (2, "")
-    assert len(err.splitlines()) == 1
-    assert named in err
-    assert os.listdir() == []
-
-
 def row(**changes):
     """A measured row of the JSON record."""
     defaults = {
@@ -131,15 +108,3 @@ def test_which_rows_are_plotted():
     refused = row(status="refused: grid.time_step", time_step=2e-4, error=None)
     assert refused_points([*rows, refused], rows) == [pytest.approx(5e-4)]
     assert refused_points([row(status="refused: grid.time_step", nodes=[9, 9])], rows) == []
-
-
-def test_a_plot_that_cannot_be_drawn_is_reported(tmp_path):
-    pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
-    reference = {"uncertainty": 1e-3}
-    nothing = {"rows": [row(status="skipped: so", error=None)], "front": [], "reference": reference}
-    assert save_plots(draw_accuracy, nothing, tmp_path / "a.json") == ([], "no plot: nothing was measured")
-    record = {"rows": [row()], "front": [0], "reference": reference}
-    files, missing = save_plots(draw_accuracy, record, tmp_path / "absent" / "a.json")
-    assert files == []
-    assert "absent" in missing
-    assert draw_accuracy(record, tmp_path / "a.svg").exists()

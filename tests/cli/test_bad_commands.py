@@ -10,7 +10,6 @@ from conftest import scene_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from warp_plate import load_result
 from warp_plate.cli.output import LONGEST_ENDING
 from warp_plate.plate import memory
 from warp_plate.scene.dump import dump_scene
@@ -152,16 +151,6 @@ def test_any_words_make_one_line(words, folder, command):
     else:
         refused((status, out, err))
     assert files() == before
-
-
-@pytest.mark.parametrize("name", ["my panel.toml", "Größe ü.toml", "[red].toml", "-x.toml", "a\nb.toml", "x.y.toml"])
-def test_scenes_of_any_name(name, folder, command):
-    Path(name).write_text(Path("panel.toml").read_text(encoding="utf-8"), encoding="utf-8")
-    status, out, err = command("simulate", f"./{name}", *QUICK)
-    assert (status, err) == (0, "")
-    made = f"{Path(name).stem}-simulate.h5"
-    assert load_result(made).source == f"./{name}"
-    assert out.replace("\\n", "\n").count(f"wrote {made}") == 1
 
 
 def test_scenes_and_swarms_beyond_memory(folder, command, monkeypatch):

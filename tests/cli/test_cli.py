@@ -120,14 +120,6 @@ def test_the_table_of_the_paper(command, tmp_path, monkeypatch):
         assert text in " ".join(out.split())
 
 
-def test_other_scenes_have_no_published_values(command, panel):
-    for name in ("localize", "simulate"):
-        status, out, _ = command(name, "panel.toml", *QUICK)
-        assert status == 0
-        assert "localization factor" in out
-        assert "published" not in out
-
-
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
@@ -185,14 +177,6 @@ def test_init_writes_a_preset_and_never_overwrites(command, tmp_path, monkeypatc
     assert command("init", "paper-supported", "--out", "other.toml")[0] == 0
     assert Scene.load("other.toml") == Scene.load("paper-supported")
     assert all(name in command("init", "--help")[1] for name in preset_names())
-
-
-def test_pictures_or_a_word_on_what_is_missing(command, panel):
-    status, out, _ = command("simulate", "panel.toml", "--device", "cpu", "--no-estimate")
-    assert status == 0
-    pictures = [name for name in files() if name.endswith(".png")]
-    assert pictures or "install" in out
-    assert all(name in " ".join(out.split()) for name in pictures)
 
 
 def process(*arguments, **options):

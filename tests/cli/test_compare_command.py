@@ -1,7 +1,6 @@
 """``warp-plate compare``: equal budgets, the bound, its table, JSON, file and picture, and what Ctrl-C keeps."""
 
 import json
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from warp_plate.result.comparison import MethodComparison, Trial, load_compariso
 from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.compare import METHODS, compare
 from warp_plate.studies.localize import localize
-from warp_plate.viz.plots.compare import draw_comparison, loss_statistics
+from warp_plate.viz.plots.compare import loss_statistics
 
 NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
 SEARCH = {"particles": 8, "iterations": 30, "seed": 5}
@@ -130,24 +129,6 @@ def test_the_table_fits_in_80_columns(panel, command):
     assert max(map(len, out.splitlines())) <= 80
 
 
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (("--methods", "annealing"), "annealing"),
-        (("--seeds", "0"), "--seeds 0"),
-        (("--evaluations", "0"), "--evaluations 0"),
-        (("--evaluations", "7"), "--evaluations 7: must be at least search.particles = 8"),
-        (("--out", "c.json"), ".h5"),
-        (("--device", ""), "device = ''"),
-    ],
-)
-def test_bad_options_get_one_line(panel, command, arguments, word):
-    status, out, err = command("panel.toml", *arguments)
-    assert (status, out, len(err.splitlines())) == (2, "", 1)
-    assert word in err
-    assert not list(Path().glob("*.h5"))
-
-
 def test_ctrl_c_keeps_the_finished_trials(panel):
     """Three trials are kept if the fourth is interrupted; without any the interrupt is passed on."""
 
@@ -179,13 +160,6 @@ def test_statistics_hold_what_finished_trials_found(made):
     np.testing.assert_allclose(losses, [[0.7, 0.5, 0.4, 0.4], [0.8, 0.6, 0.55, 0.55], [0.9, 0.7, 0.7, 0.7]])
     seconds, _ = loss_statistics(made.trials, "seconds", 40)
     np.testing.assert_allclose(seconds, [0.2, 0.25, 0.35])
-
-
-def test_the_picture_shows_a_bound_if_there_is_one(made):
-    pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
-    assert "bound" not in draw_comparison(made, "without.svg").read_text(encoding="utf-8")
-    with_bound = replace(made, bound=0.3, bound_kind="bound only")
-    assert "bound only" in draw_comparison(with_bound, "with.svg").read_text(encoding="utf-8")
 
 
 def test_files_are_read_without_trust(made):

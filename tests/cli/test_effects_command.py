@@ -4,7 +4,6 @@ import json
 import math
 from pathlib import Path
 
-import numpy as np
 import pytest
 from conftest import scene_of
 
@@ -99,14 +98,6 @@ def test_stretching_matters_under_a_strong_drive():
     assert strong.peak < 0.9 * linear
 
 
-def test_fourth_order_says_why_effects_are_refused():
-    found = by_name(measure_influence(scene_of(order=4, damping=10.0), "cpu"))
-    assert found["damping"].price is not None
-    for name in ("edges", "tension", "layers", "stretching"):
-        assert found[name].price is None
-        assert "grid.order = 4" in found[name].alternative
-
-
 def test_a_step_too_long_for_the_other_state_is_replaced():
     """Material damping lowers the limit below a step that is just stable without it."""
     limit = PlateSolver(scene_of(), "cpu").specialized.scheme.limit
@@ -192,22 +183,6 @@ def test_a_plate_that_becomes_non_finite_is_reported_with_the_cause(command, pan
     assert not none
 
 
-def test_a_step_above_the_limit_is_reported_as_the_cause(command, panel):
-    step = 3 * make_scheme(panel).limit
-    text = dump_scene(panel.model_copy(update={"grid": panel.grid.model_copy(update={"time_step": step})}))
-    Path("panel.toml").write_text(text, encoding="utf-8")
-    status, out, _ = command("simulate", "panel.toml", *QUICK, "--allow-unstable")
-    assert status == 0
-    assert f"the time step of {step:.6g} s is above the stability limit" in " ".join(out.split())
-
-
-def test_too_strong_a_drive_is_reported_with_its_unit():
-    """Nothing but the drive can make a linear plate at a stable step non-finite."""
-    volts = scene_of(drive={"frequency": 290.0, "electrostatic": {"gain": 1.0}})
-    for scene, unit in ((scene_of(), "N/m²"), (volts, "V")):
-        assert f"(magnitudes are in {unit}," in warning_texts(scene, math.nan)[0]
-
-
 @pytest.mark.parametrize("name", ["simulate", "localize"])
 def test_commands_print_warnings(command, panel, name):
     warnings = json.loads(command(name, "panel.toml", *QUICK, "--json")[1])["warnings"]
@@ -224,16 +199,3 @@ def test_presets_with_effects_are_steady_and_well_resolved(name):
     found = findings(scene)
     for number in ("wavelength / thickness", "points a wavelength", "start-up motion left"):
         assert not found[number].exceeded
-
-
-def test_the_large_amplitude_preset_stretches():
-    """It moves by more than its thickness, and a linear plate would move more than twice as far."""
-    scene = Scene.load("large-amplitude")
-    linear = scene.model_copy(update={"effects": scene.effects.model_copy(update={"stretching": None})})
-    times = scene.window.end - np.arange(16) / 16 / scene.drive.frequency
-    peaks = [
-        np.abs(PlateSolver(made, "cpu").run(scene_phasors(made)[None], times.tolist()).displacement).max()
-        for made in (scene, linear)
-    ]
-    assert peaks[0] > scene.plate.thickness
-    assert peaks[1] > 2 * peaks[0]

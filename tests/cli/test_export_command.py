@@ -76,12 +76,6 @@ def test_options_of_a_drive(command, folder):
     assert re.search(r"which repeat with a phase jump of -?\d\.?\d* degrees\. 1\.0 stands for", out)
 
 
-def test_one_case_of_a_series(command, folder):
-    assert command("export", "run.h5", "--to", "vtkhdf", "--case", "equal")[0] == 0
-    with h5py.File("run.vtkhdf") as file:
-        assert set(file["VTKHDF/PointData"]) == {"displacement_equal", "target", "actuators"}
-
-
 @pytest.mark.parametrize("to", ["pvd", "vtkhdf"])
 def test_a_motion_repeats_the_run(command, folder, to):
     """Displacements at the recorded time are those of the result."""
@@ -128,17 +122,6 @@ def test_invalid_options_are_one_line(command, folder, options, line):
     assert (status, out, err.count("\n")) == (2, "", 1)
     assert err.startswith(f"warp-plate: {line}")
     assert new_files() == []
-
-
-def test_a_result_without_traces_names_the_key_to_add(command, folder, scene):
-    Path("panel.toml").write_text(dump_scene(scene()), encoding="utf-8")
-    command("simulate", "panel.toml", "--device", "cpu", "--no-pictures", "--no-estimate", "--out", "bare.h5")
-    status, _, err = command("export", "bare.h5", "--to", "traces-csv")
-    assert status == 2
-    line = "holds no traces; add record.points = [[x, y], ...] (metres) to its scene and run it again"
-    assert err == f"warp-plate: bare.h5: {line}\n"
-    assert command("export", "bare.h5", "--to", "drive-csv", "--json")[0] == 0
-    assert command("export", "nothing.h5", "--to", "pvd")[2].startswith("warp-plate: nothing.h5: no such file")
 
 
 def test_matlab_s_h5read_can_read_all_of_a_result(folder):

@@ -10,7 +10,7 @@ import pytest
 
 from warp_plate.plate.modes import natural_modes
 from warp_plate.scene.dump import dump_scene
-from warp_plate.viz.plots.modes import draw_modes, frequency_text, layout, nodal_field
+from warp_plate.viz.plots.modes import draw_modes, frequency_text, nodal_field
 
 NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
 EDGES = ("clamped", {"translation": 100.0, "rotation": 0.1}, "free", "supported")
@@ -87,24 +87,6 @@ def test_accuracy_chooses_the_grid(command, tmp_path, monkeypatch):
     assert record["nodes"] != [27, 27] or record["order"] == 4
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("panel.toml", "--count", 0), "--count 0: must be at least 1"),
-        (("panel.toml", "--out", "a.gif"), "--out a.gif: must end in .png, .svg or .pdf"),
-        (("panel.toml", "--out", "nowhere/a.png"), "--out nowhere/a.png: no such folder: nowhere"),
-        (("fine.toml",), "grid.nodes = [701, 701]: 491401 are too many"),
-        (("none.toml",), "none.toml: no such preset or file"),
-    ],
-)
-def test_invalid_input_is_one_line(command, panel, scene, arguments, message):
-    Path("fine.toml").write_text(dump_scene(scene((701, 701))), encoding="utf-8")
-    status, out, err = command(*arguments)
-    assert (status, out) == (2, "")
-    assert message in err
-    assert err.count("\n") == 1
-
-
 @pytest.mark.parametrize(("count", "ending"), [(1, ".pdf"), (7, ".svg")])
 def test_pictures_of_any_number(panel, tmp_path, count, ending):
     """Each mode has a title; the legend shows the kinds of edges and effects."""
@@ -118,11 +100,6 @@ def test_pictures_of_any_number(panel, tmp_path, count, ending):
             assert f"{number}: {frequency_text(frequency)}" in text
         for words in ("clamped", "supported", "on springs", "free", "nodal line", "layer", "oscillator"):
             assert f"<!-- {words} -->" in text
-
-
-def test_nothing_to_draw(panel, tmp_path):
-    with pytest.raises(ValueError, match="no shapes"):
-        draw_modes(panel, np.empty(0), np.empty((0, 15, 19)), tmp_path / "a.png")
 
 
 def test_nodal_field(scene):
@@ -139,19 +116,3 @@ def test_nodal_field(scene):
     assert signs[0] == -signs[1]
     assert np.nanmax(np.abs(field[np.isclose(y, 0.1)])) == 0
     assert np.isnan(field[:, [0, -1]]).all()
-
-
-def test_layout():
-    """All modes fit, no row is empty, and long plates are stacked."""
-    for count in range(1, 40):
-        for size in ((0.2, 0.2), (1.0, 0.1), (0.1, 1.0)):
-            rows, columns = layout(count, size)
-            assert (rows - 1) * columns < count <= rows * columns
-    assert layout(6, (0.2, 0.2)) == (2, 3)
-    assert layout(4, (1.0, 0.1)) == (4, 1)
-    assert layout(4, (0.1, 1.0)) == (1, 4)
-
-
-def test_frequency_text():
-    texts = {0.0: "rigid, 0 Hz", 7.4816: "7.482 Hz", 98.196: "98.20 Hz", 12345.6: "12346 Hz", 0.01234: "0.01234 Hz"}
-    assert {frequency: frequency_text(frequency) for frequency in texts} == texts

@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -115,25 +114,6 @@ def test_pages_and_plans_need_no_window(render, monkeypatch, tmp_path):
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_plan_names_what_it_shows(searched, tmp_path):
-    from matplotlib import rc_context
-
-    from warp_plate.analysis.motion import motions
-    from warp_plate.viz.plots.plan import draw_plan
-
-    result = load_result(searched)
-    shown = motions(result.scene, result.cases, device="cpu")
-    with rc_context({"svg.fonttype": "none"}):
-        for field, words in (("rms-velocity", "RMS velocity ["), ("displacement", "displacement [")):
-            draw_plan(result.scene, shown, tmp_path / "plan.svg", field, 0)
-            text = (tmp_path / "plan.svg").read_text(encoding="utf-8")
-            assert words in text
-            assert "localization factor" in text
-            # What does not depend on time has no time.
-            assert (", t = 0.0" in text) is (field == "displacement")
-            assert ">clamped<" in text
-
-
 def test_the_papers_figures(render, drawing, tmp_path):
     files = render("--figures", "paper")["files"]
     assert files == ["panel-figure-2.png", *(f"panel-figure-3.{form}" for form in ("png", "svg", "pdf"))]
@@ -169,13 +149,6 @@ def test_invalid_options_are_named(render, tmp_path, options, complaint):
     assert not list(tmp_path.iterdir())
 
 
-def test_figures_of_the_paper_come_from_a_search(searched, tmp_path, capsys):
-    other = save_result(replace(load_result(searched), history={}), tmp_path / "other.h5")
-    with pytest.raises(SystemExit):
-        main(["render", str(other), "--figures", "paper"])
-    assert "holds no search; make it with localize" in capsys.readouterr().err
-
-
 def test_a_moment_is_the_frame_of_pictures(searched):
     """--time selects a frame of the period from there on, or of the last one."""
     from warp_plate.analysis.motion import motions
@@ -205,9 +178,3 @@ def test_ctrl_c_keeps_the_files_that_are_done(searched, monkeypatch, tmp_path, c
         assert left.value.code == 130
         assert capsys.readouterr().err == f"warp-plate: {line}\n"
     assert [path.name for path in tmp_path.iterdir()] == ["a.html"]
-
-
-def test_without_a_driver_for_movies_only_they_are_missing(render, drawing, monkeypatch, tmp_path):
-    monkeypatch.setattr(pictures, "missing_movies", lambda: "MP4 cannot be written without imageio-ffmpeg: pip")
-    assert "without imageio-ffmpeg" in render("--out", "a.mp4")
-    assert render("--out", "a.png")["files"] == ["a.png"]

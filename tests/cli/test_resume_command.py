@@ -1,6 +1,5 @@
 """``warp-plate localize --resume``: what it accepts and refuses, and searches that were killed."""
 
-import inspect
 import json
 import os
 import re
@@ -17,10 +16,9 @@ from conftest import scene_of
 from test_resume import assert_same, stop_after
 
 from warp_plate import Scene, SceneError, load_result, localize, resume
-from warp_plate.cli.localize import localize as localize_command
 from warp_plate.result.checkpoint import load_newest, previous_path
 from warp_plate.scene.dump import dump_scene
-from warp_plate.studies.checkpointing import EVERY, CheckpointFile
+from warp_plate.studies.checkpointing import CheckpointFile
 
 ROOT = Path(__file__).parents[2]
 QUICK = ("--no-pictures", "--no-estimate")
@@ -78,23 +76,6 @@ def test_what_would_change_the_result_is_refused_by_name(options, named, command
     assert re.search(named, err), err
     assert left.read_bytes() == before
     assert not Path("panel-localize.h5").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        ([], "needs a SCENE .* or --resume FILE"),
-        (["--resume", "none.checkpoint.h5"], "none.checkpoint.h5: no such file"),
-        (["--resume", "panel.toml"], "panel.toml: damaged: no valid checksum at its end"),
-        (["--resume", "."], r"\.: "),
-        (["--resume", "result.h5"], "result.h5: not a checkpoint of warp-plate"),
-    ],
-)
-def test_a_scene_or_a_checkpoint_is_needed(options, named, command, panel):
-    command("simulate", "panel.toml", "--device", "cpu", *QUICK, "--out", "result.h5")
-    status, out, err = command("localize", "--no-pictures", *options)
-    assert (status, out, len(err.splitlines())) == (2, "", 1)
-    assert re.search(named, err), err
 
 
 def test_the_command_resumes(command, panel, left):
@@ -205,10 +186,6 @@ def test_a_result_that_cannot_be_written_leaves_the_checkpoint(command, panel, m
     assert err.endswith(f"warp-plate localize --resume {FILE}\n")
     assert command("localize", "--resume", FILE, *QUICK)[0] == 0
     assert load_result("panel-localize.h5").evaluations == 18
-
-
-def test_the_default_interval_is_that_of_the_library():
-    assert inspect.signature(localize_command).parameters["checkpoint_every"].default == EVERY
 
 
 def test_files_that_the_scene_names_must_be_the_same(command, panel):

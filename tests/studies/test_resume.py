@@ -139,15 +139,6 @@ def test_checkpoints_while_a_search_runs(every, expected, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_checkpoint_is_due_after_its_interval(tmp_path, monkeypatch):
-    now = [100.0]
-    monkeypatch.setattr("time.monotonic", lambda: now[0])
-    file = CheckpointFile(tmp_path / "a.checkpoint.h5", 4.0)
-    assert not file.due()
-    now[0] += 4.0
-    assert file.due()
-
-
 def test_files_of_other_searches_are_left_alone(tmp_path, stopped):
     """A previous checkpoint of another search, and a file that another process writes meanwhile."""
     checkpoint, lines = stopped(scene_of(**SEARCH), "cpu", on_progress=stop_after(2)), []
@@ -167,18 +158,3 @@ def test_files_of_other_searches_are_left_alone(tmp_path, stopped):
     assert len(lines) == 1
     file.remove()
     assert load_checkpoint(path).seed == 99
-
-
-@pytest.mark.parametrize(
-    "tables",
-    [
-        {"drive": {"frequency": 290.0, "burst": {"duration": 0.005, "ramp": 0.001}}},
-        {"drive": {"frequency": 290.0, "electrostatic": {"bias": 2.0, "gain": 0.5}}},
-        {"effects": {"moving_load": {"force": 0.1, "start": (0.05, 0.1), "velocity": (3.0, 0.0)}}},
-    ],
-    ids=["burst", "electrostatic", "moving load"],
-)
-def test_drives_of_every_kind(tables, stopped):
-    scene = scene_of(**{**SEARCH, **tables})
-    checkpoint = stopped(scene, "cpu", on_progress=stop_after(4))
-    assert_same(resume(checkpoint, estimate=False), localize(scene, "mine", "cpu", estimate=False))

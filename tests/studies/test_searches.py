@@ -157,15 +157,6 @@ def test_the_command_writes_the_scene_that_it_found(panel, command):
     assert not result.spectrum
 
 
-def test_an_invalid_search_is_refused_before_anything_runs(panel, command):
-    text, table = Path("panel.toml").read_text(encoding="utf-8"), "[search.position]"
-    Path("panel.toml").write_text(text.replace(table, f'{table}\nactuators = ["x"]'), encoding="utf-8")
-    status, _, err = command("localize", "panel.toml", "--device", "cpu")
-    assert status == 2
-    assert "panel.toml: search.position.actuators[0] = 'x'" in err
-    assert [path.name for path in Path().iterdir()] == ["panel.toml"]
-
-
 def test_motions_and_signals_use_the_frequency_and_positions_of_a_case(panel):
     result = localize(panel, device="cpu", estimate=False, spectrum=False)
     best = result.cases["best"]
@@ -189,13 +180,6 @@ def test_motions_and_signals_use_the_frequency_and_positions_of_a_case(panel):
     moved = [one != other for one, other in zip(outlines, page["outlines"], strict=True)]
     assert any(moved)  # those of the actuators
     assert not all(moved)
-
-
-def test_several_frequencies_are_not_a_file_to_play():
-    result = localize(searched("own frequencies"), device="cpu", estimate=False)
-    best = result.cases["best"]
-    with pytest.raises(SceneError, match=r"actuators\[\d\].frequency: only tones"):
-        make_drive_signal(result.case_scene(best), best, 48000, 1.0)
 
 
 def best_of_all_phases(response):

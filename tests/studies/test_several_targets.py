@@ -17,7 +17,6 @@ from warp_plate.result.checkpoint import load_checkpoint, save_checkpoint
 from warp_plate.result.targets import best_drive_scenes, crosstalk, decibels, target_cases, target_regions
 from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.checkpointing import CheckpointFile
-from warp_plate.viz.plots.crosstalk import draw_crosstalk
 
 TARGETS = (
     {"name": "disc", "disc": (0.06, 0.06, 0.03)},
@@ -133,14 +132,6 @@ def test_a_checkpoint_of_other_targets_is_refused(tmp_path):
         load_checkpoint(file.path)
 
 
-def test_one_actuator_leaves_no_choice_for_any_target():
-    scene = panel()
-    scene = scene.with_tables(actuators=[scene.actuators[0].model_dump()])
-    found = localize(scene, "mine", "cpu", estimate=False)
-    assert [search.position for search in found.target_searches] == [None] * 3
-    np.testing.assert_allclose(crosstalk(found), crosstalk(found)[[0, 0, 0]], rtol=1e-12)
-
-
 def test_files_keep_the_searches(found, tmp_path):
     again = load_result(save_result(found, tmp_path / "result.h5"))
     np.testing.assert_array_equal(crosstalk(again), crosstalk(found))
@@ -191,17 +182,3 @@ def test_positions_that_no_single_panel_can_have_are_warned_of(found):
     assert "Each of the 3 targets" in warning
     for other in (replace(found, scene=moved, command="simulate"), replace(found, scene=single_target(moved, 0))):
         assert warning not in warnings_of(other)
-
-
-def test_the_picture(found, tmp_path):
-    pytest.importorskip("matplotlib")
-    from PIL import Image
-
-    for result in (found, replace(found, cases={name: found.cases[name] for name in ("equal", "single", "best")})):
-        with Image.open(draw_crosstalk(result, tmp_path / "crosstalk.png")) as picture:
-            assert min(picture.size) > 300
-            # The drive's own share is green, and dashed outlines lie on the plates.
-            colours = np.asarray(picture.convert("RGB")).reshape(-1, 3).astype(int)
-        assert ((colours[:, 1] > colours[:, 0] + 30) & (colours[:, 1] > colours[:, 2] + 30)).mean() > 0.01
-    with pytest.raises(ValueError, match="one target only"):
-        draw_crosstalk(replace(found, scene=single_target(found.scene, 0)), tmp_path / "none.png")

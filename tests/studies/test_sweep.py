@@ -1,7 +1,6 @@
 """Sweeps: quantities as the commands find them, refused points, files, workers, and resuming."""
 
 import math
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -17,7 +16,6 @@ from conftest import scene_of
 from inline_pool import InlinePool
 
 from warp_plate import SceneError, load_sweep, sweep
-from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.scheduler import ATTEMPTS
 from warp_plate.plate.modes import natural_modes
 from warp_plate.result.sweep import NOT_RUN, REFUSED, RUN, save_sweep
@@ -116,13 +114,6 @@ def test_keys_without_effect(plate):
     assert sweep(plate, two, samples=3, device="cpu").keys_without_effect == ()
 
 
-def test_invalid_requests(plate):
-    with pytest.raises(SceneError, match="--what colours: must be one of localize"):
-        sweep(plate, ["drive.frequency=1,2"], "colours")
-    with pytest.raises(SceneError, match="--count 0"):
-        sweep(plate, ["drive.frequency=1,2"], "modes", count=0)
-
-
 @pytest.mark.parametrize("samples", [None, 7])
 def test_a_file_returns_what_was_saved(plate, tmp_path, samples):
     vary = ["plate.thickness=4e-4,5e-4,2e-3", "drive.frequency=log:200:300:2"]
@@ -156,15 +147,6 @@ def test_a_sweep_interrupted_anywhere_resumes_to_the_same(plate, tmp_path, rando
     assert found.finished
     assert_same(found, sweep(plate, plan, "simulate", device="cpu"))
     assert len(described) == len(set(described)) == len(plan)  # no point is run twice
-
-
-def test_points_do_not_depend_on_their_order(plate):
-    """The pending points are the first and the last; they give what all points in turn give."""
-    plan = plan_of(plate, "drive.frequency=200:300:4")
-    full = sweep(plate, plan, "localize", device="cpu")
-    status = np.array([NOT_RUN, RUN, RUN, NOT_RUN], dtype="i1")
-    values = {name: np.where(status == RUN, array, np.nan) for name, array in full.values.items()}
-    assert_same(run_sweep(replace(full, status=status, values=values)), full)
 
 
 class Killing(InlinePool):
@@ -265,20 +247,6 @@ def test_a_point_without_memory_is_given_up_and_others_run(plate, monkeypatch, e
     error = RuntimeError("a fault of the program")
     with pytest.raises(RuntimeError, match="a fault of the program"):
         sweep(plate, ["drive.frequency=200:300:3"], "check", device="cpu")
-
-
-def test_processes_give_the_same_after_one_is_killed(plate):
-    plan, progress = plan_of(plate, "drive.frequency=200:300:4", "plate.thickness=5e-4,0.1"), []
-    with open_pool("cpu,cpu", None) as pool:
-
-        def kill_one(done, total, note):
-            progress.append((done, total))
-            if done == 1:
-                os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
-
-        there = sweep(plate, plan, "simulate", device="cpu", on_progress=kill_one, pool=pool)
-    assert_same(there, sweep(plate, plan, "simulate", device="cpu"))
-    assert progress == [(done, len(plan)) for done in range(1, len(plan) + 1)]
 
 
 def test_a_killed_process_leaves_a_file_that_resumes(plate, tmp_path):
