@@ -1,6 +1,7 @@
 """``warp-plate compare``: equal budgets, the bound, its table, JSON, file and picture, and what Ctrl-C keeps."""
 
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 

@@ -81,11 +81,7 @@ def bench(
 
 
 def _integers(option: str, text: str | None, least: int, most: int) -> list[int] | None:
-    """Parse a comma-separated list of integers, '1,20' as [1, 20].
-
-    Raises:
-        SceneError: it is not such a list, or a number is not between ``least`` and ``most``.
-    """
+    """Parse a comma-separated list of integers, '1,20' as [1, 20]."""
     if text is None:
         return None
     parts = [part.strip() for part in text.split(",")]

@@ -121,11 +121,7 @@ def _target(out: Path | None, result: Path, to: Format) -> Path:
 
 
 def _check_options(to: Format, options: Mapping[str, object]) -> None:
-    """Check that the format takes all options that are given.
-
-    Raises:
-        SceneError: it does not.
-    """
+    """Check that the format takes all options that are given."""
     for name, value in options.items():
         if value is not None and name not in OPTIONS[to]:
             raise SceneError(f"--{name} {value}: has no effect with --to {to}; leave it out")

@@ -42,11 +42,7 @@ class MotionOptions:
 
 
 def select_motions(result: Result, file: Path, options: MotionOptions, field: str, quiet: bool) -> list[Motion]:
-    """Return the motions to show of a result, whose file is named in errors.
-
-    Raises:
-        SceneError: options contradict each other, or see ``motions`` and ``mode_motions``.
-    """
+    """Return the motions to show of a result, whose file is named in errors."""
     from warp_plate.analysis.motion import motions
 
     if options.frames is not None and options.frames < 2:
@@ -84,11 +80,7 @@ def _mode_shapes(result: Result, options: MotionOptions, field: str) -> list[Mot
 
 
 def select_cases(result: Result, file: Path, names: Sequence[str]) -> dict[str, Case]:
-    """Return the named cases of a result, or all if no name is given, in the order in which they are shown.
-
-    Raises:
-        SceneError: the result has no such case.
-    """
+    """Return the named cases of a result, or all if no name is given, in the order in which they are shown."""
     from warp_plate.viz.captions import ordered_cases
 
     known = ordered_cases(result)
@@ -99,11 +91,7 @@ def select_cases(result: Result, file: Path, names: Sequence[str]) -> dict[str, 
 
 
 def check_playback(rate: float | None, heights: float | None) -> None:
-    """Check ``--rate`` and ``--heights``.
-
-    Raises:
-        SceneError: one of them is out of range.
-    """
+    """Check ``--rate`` and ``--heights``."""
     if rate is not None and not RATES[0] <= rate <= RATES[1]:
         raise SceneError(f"--rate {rate:g}: must be from {RATES[0]} to {RATES[1]} frames a second")
     if heights is not None and not 0 < heights < float("inf"):

@@ -117,11 +117,7 @@ ShapeCount = Annotated[int, Parameter(help="Show this many natural mode shapes, 
 
 
 def workers(devices: str | None, cluster: str | None, device: str | None) -> AbstractContextManager[WorkerPool | None]:
-    """Open the pool of workers that the options ask for; see :func:`warp_plate.cluster.opening.open_pool`.
-
-    Raises:
-        SceneError: ``device`` and ``devices`` are both given, or see ``open_pool``.
-    """
+    """Open the pool of workers that the options ask for; see :func:`warp_plate.cluster.opening.open_pool`."""
     from warp_plate.cluster.opening import open_pool
 
     if devices is not None and device not in (None, "auto"):

@@ -109,11 +109,7 @@ def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int, str], 
 
 
 def load_scene(source: str, accuracy: str | None = None) -> Scene:
-    """Load a scene, with ``--accuracy`` in place of its grid if that is given.
-
-    Raises:
-        SceneError: see ``Scene.load`` and :func:`with_accuracy_option`.
-    """
+    """Load a scene, with ``--accuracy`` in place of its grid if that is given."""
     from warp_plate.scene import Scene
 
     scene = Scene.load(source)
@@ -121,11 +117,7 @@ def load_scene(source: str, accuracy: str | None = None) -> Scene:
 
 
 def with_accuracy_option(scene: Scene, accuracy: str) -> Scene:
-    """Return the scene with ``--accuracy``, such as 1% or 0.01, in place of its grid.
-
-    Raises:
-        SceneError: ``accuracy`` is not a number or not in range.
-    """
+    """Return the scene with ``--accuracy``, such as 1% or 0.01, in place of its grid."""
     text = accuracy.strip()
     try:
         return scene.with_accuracy(float(text.removesuffix("%")) / (100 if text.endswith("%") else 1))
@@ -135,11 +127,7 @@ def with_accuracy_option(scene: Scene, accuracy: str) -> Scene:
 
 @contextmanager
 def scene_errors(source: str | None) -> Iterator[None]:
-    """Prefix errors that begin with a key of the scene with the scene's file.
-
-    Raises:
-        SceneError: the prefixed error.
-    """
+    """Prefix errors that begin with a key of the scene with the scene's file."""
     from warp_plate.scene import Scene
 
     try:
@@ -156,9 +144,6 @@ def output_file(out: Path | None, source: str, command: str, endings: Sequence[s
 
     Args:
         source: the scene's name; empty for commands without a scene.
-
-    Raises:
-        SceneError: ``out`` has another ending, or see :func:`check_writable`.
     """
     path = out or Path(f"{Path(source).stem}-{command}{endings[0]}" if source else f"{command}{endings[0]}")
     if path.suffix not in endings:
@@ -168,11 +153,7 @@ def output_file(out: Path | None, source: str, command: str, endings: Sequence[s
 
 
 def check_writable(path: Path) -> None:
-    """Check that a file and those beside it (checkpoints, pictures, temporary files) can be written.
-
-    Raises:
-        SceneError: it is a folder, its folder is missing or read-only, or its name is invalid or too long.
-    """
+    """Check that a file and those beside it (checkpoints, pictures, temporary files) can be written."""
     problem: str | bool
     try:
         problem = "is a folder" if stat.S_ISDIR(path.stat().st_mode) else ""

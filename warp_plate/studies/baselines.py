@@ -35,21 +35,13 @@ REGULARISATION = 0.1
 
 
 def baseline_phasors(solver: PlateSolver) -> dict[str, np.ndarray]:
-    """Return the phasors (actuators,) of "time_reversal" and "inverse_filter", of largest magnitude one.
-
-    Raises:
-        SceneError: see :func:`check_baselines`.
-    """
+    """Return the phasors (actuators,) of "time_reversal" and "inverse_filter", of largest magnitude one."""
     transfer = transfer_functions(solver)
     return {"time_reversal": time_reversal(solver, transfer), "inverse_filter": inverse_filter(solver, transfer)}
 
 
 def baseline_cases(problem: Problem) -> tuple[dict[str, Case], int]:
-    """Simulate the baselines of a problem's scene; return their cases by name, and the node-steps.
-
-    Raises:
-        SceneError: see :func:`check_baselines`.
-    """
+    """Simulate the baselines of a problem's scene; return their cases by name, and the node-steps."""
     scene, plates = problem.scene, problem.drive_solver
     regions = problem.objectives.regions
     solver = PlateSolver(plates.discretization, plates.device.alias, problem.path, areas=regions)
@@ -59,11 +51,7 @@ def baseline_cases(problem: Problem) -> tuple[dict[str, Case], int]:
 
 
 def check_baselines(scene: Scene) -> None:
-    """Check that a scene has baselines: its drive has one frequency, and its motion is linear in the drives.
-
-    Raises:
-        SceneError: it has none.
-    """
+    """Check that a scene has baselines: its drive has one frequency, and its motion is linear in the drives."""
     reason = None
     if not scene.linear:
         reason = f"{scene.nonlinear_table} is not linear in the drives"
@@ -77,11 +65,7 @@ def check_baselines(scene: Scene) -> None:
 
 
 def transfer_functions(solver: PlateSolver) -> np.ndarray:
-    """Return the complex displacements (actuators, ny, nx) H [m per N/m²] in the last period, Re(H Z exp(iωt)).
-
-    Raises:
-        SceneError: see :func:`check_baselines`.
-    """
+    """Return the complex displacements (actuators, ny, nx) H [m per N/m²] in the last period, Re(H Z exp(iωt))."""
     scene = solver.scene
     check_baselines(scene)
     (frequency,) = carrier_frequencies(scene)

@@ -24,11 +24,7 @@ OnProgress = Callable[[int, int, float], object]
 
 
 def search_optimizer(problem: Problem, seed: int, state: Mapping[str, Any] | None = None) -> Optimizer | None:
-    """Return the optimizer of a problem, at its start or in a saved state; None if there is nothing to search.
-
-    Raises:
-        SceneError: see ``make_optimizer``, or the state does not fit the problem.
-    """
+    """Return the optimizer of a problem, at its start or in a saved state; None if there is nothing to search."""
     search, space = problem.scene.search, problem.space
     if not space.dimension:
         return None
@@ -52,10 +48,6 @@ def run_search(
         start: state of the search; ``problem`` is that of its scene.
         on_progress: called after each iteration.
         checkpoints: written at intervals, and when Ctrl-C or an error ends the search.
-
-    Raises:
-        SceneError: the checkpoint does not fit its scene.
-        WorkersGone: no worker is left.
     """
     if start.search_state is None:
         return None, False

@@ -39,9 +39,6 @@ def resolve_grid(scene: Scene, device: str, phasors: np.ndarray | None = None) -
 
     Args:
         phasors: (drives, actuators) drives whose errors count (default: those that ``choose`` takes).
-
-    Raises:
-        SceneError: no grid keeps the accuracy.
     """
     if scene.grid.accuracy is None:
         return ResolvedGrid(scene)
@@ -64,9 +61,6 @@ def estimate_error(
     Args:
         solve_seconds: time that the result took [s], which limits the time for the estimate.
         reference: reference solution of the scene, if it is known.
-
-    Raises:
-        SceneError: see :func:`warp_plate.accuracy.estimate.estimate`.
     """
     drives, factors = np.array(list(phasors.values())), localization_factor(run.energy)
     found = estimate(scene, drives, factors, solve_seconds, device, run.times, run.displacement, reference)

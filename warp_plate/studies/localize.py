@@ -176,9 +176,6 @@ def load_to_resume(
         device: device to continue on, or None.
         log: called with a line for each thing that may change the last digits of the result.
         options: values given again by their names in :class:`Checkpoint`, or None.
-
-    Raises:
-        SceneError: no checkpoint can be read, or the scene or an option is not that of its search.
     """
     checkpoint, remark = load_newest(file)
     if remark:
@@ -195,11 +192,7 @@ def load_to_resume(
 
 def save_best_scenes(result: Result, path: Path) -> list[Path]:
     """Write the scene that ``simulate`` runs as the best drive found, PATH.toml; of several targets one each, the
-    others as PATH.2.toml, PATH.3.toml, ...
-
-    Raises:
-        SceneError: a magnitude found is larger than scenes may have, or a file cannot be written.
-    """
+    others as PATH.2.toml, PATH.3.toml, ..."""
     files = []
     for number, scene in enumerate(best_drive_scenes(result).values(), 1):
         file = path if number == 1 else path.with_suffix(f".{number}.toml")
@@ -266,10 +259,8 @@ def _optional_parts(
     interrupted: bool,
     reference: ReferenceStage | None,
 ) -> dict[str, Any]:
-    """Compute the fields of a result that it can do without, their node-steps, and add their seconds.
-
-    A part is left out on Ctrl-C or if it is refused, so that the result is not lost.
-    """
+    """Compute the optional fields of a result and their node-steps, and add their seconds; a part that is refused or
+    interrupted is left out."""
 
     def attempt(name: str, compute: Callable[[], T], default: T) -> T:
         started = time.perf_counter()
@@ -313,12 +304,7 @@ def _optional_parts(
 def _search_targets(
     start: Checkpoint, problem: Problem, options: _Options
 ) -> tuple[Checkpoint, Problem, bool]:
-    """Search each target that is left, until Ctrl-C.
-
-    Returns:
-        The checkpoint at the end, with all finished searches; the problem of the first target; and whether Ctrl-C ended
-        the last search.
-    """
+    """Search the remaining targets; return the last checkpoint, the first target's problem, and whether Ctrl-C came."""
     count = max(len(problem.scene.targets), 1)
     while True:
         started, first_steps = time.perf_counter(), problem.node_steps

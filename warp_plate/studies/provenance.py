@@ -57,9 +57,6 @@ def same_device(device: str, processor: str, study: str) -> str:
 
     Args:
         study: "search" or "sweep", for the error.
-
-    Raises:
-        SceneError: there is none.
     """
     for alias in (device, *(alias for alias in device_aliases() if alias != device)):
         if alias in device_aliases() and processor_of(find_device(alias)) == processor:
@@ -72,11 +69,7 @@ def same_device(device: str, processor: str, study: str) -> str:
 
 
 def check_files(scene: Scene, study: Checkpoint | Sweep, what: str) -> None:
-    """Check that the files that a scene names are still those that a study began with.
-
-    Raises:
-        SceneError: one has changed or is missing.
-    """
+    """Check that the files that a scene names are still those that a study began with."""
     for key, digest in digests(scene).items():
         if study.files.get(key) != digest:
             raise SceneError(f"{key}: the file has changed since the {what} began")
@@ -92,9 +85,6 @@ def check_unchanged(
         options: by attribute name; None for those not given.
         scenes: the scene that is given, or None, and the original one.
         advice: what else the user can do, for errors.
-
-    Raises:
-        SceneError: one of them differs, which would change the result.
     """
     for option, value in options.items():
         before = getattr(study, option)
@@ -119,9 +109,6 @@ def changes(study: Checkpoint | Sweep, device: str | None) -> list[str]:
 
     Args:
         device: device that it continues on; None if that is not known yet or the same.
-
-    Raises:
-        SceneError: there is no such device.
     """
     lines = []
     if device is not None and (processor := processor_of(find_device(device))) != study.processor:

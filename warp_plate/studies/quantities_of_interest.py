@@ -155,11 +155,7 @@ def _best_position(problem: Problem) -> np.ndarray | None:
 
 
 def _check_finite(problem: Problem, phasors: np.ndarray) -> None:
-    """Check whether plates have no energies because of a fault rather than because they are at rest.
-
-    Raises:
-        SceneError: there is a fault.
-    """
+    """Check whether plates have no energies because of a fault rather than because they are at rest."""
     fault = problem.drive_solver.run(phasors[:1]).fault(0)
     if fault != "ok":
         raise SceneError(fault)

@@ -88,11 +88,7 @@ def simulate(
 
 
 def phasors_from_file(name: str, scene: Scene) -> np.ndarray:
-    """Return the phasors (actuators,) of the best drive in a result file, in the unit of the scene's drives.
-
-    Raises:
-        SceneError: the file is not a result, or its drive has another number of actuators or another unit.
-    """
+    """Return the phasors (actuators,) of the best drive in a result file, in the unit of the scene's drives."""
     if not name.endswith(".h5"):
         raise SceneError(f"--drive {name}: must be scene, equal, single or a result file (.h5)")
     result, actuators = load_result(Path(name)), len(scene.actuators)

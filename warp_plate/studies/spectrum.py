@@ -29,11 +29,7 @@ MODES, MOST_MODES = 16, 256
 
 def make_spectrum(problem: Problem, best: Case) -> dict[str, np.ndarray]:
     """Return ``Result.spectrum`` at the positions and delays of the best case; empty unless a common frequency of all
-    actuators is searched and the scene is linear in the drives.
-
-    Raises:
-        SceneError: see :func:`factors_over`.
-    """
+    actuators is searched and the scene is linear in the drives."""
     scene = problem.scene
     search = scene.search.frequency
     if search is None or search.own or search.actuators is not None or not scene.linear:
@@ -61,9 +57,6 @@ def factors_over(
     Returns:
         Arrays (n,) "equal"; "single", of the best single actuator at each frequency; and "best", an upper bound over
         the drives that the search may choose there.
-
-    Raises:
-        SceneError: see :class:`PlateSolver`; or the scene does not search a frequency, or is not linear in the drives.
     """
     exact, actuators = in_float64(scene), len(scene.actuators)
     solver = PlateSolver(exact, device, path, per_plate=per_plate_of(exact))

@@ -67,11 +67,7 @@ def sweep(
 def start_sweep(
     scene: Scene, plan: Plan, what: str, device: str = "auto", path: str = "auto", source: str = "", count: int = 6
 ) -> Sweep:
-    """Return a sweep without any finished point; see :func:`sweep` for the arguments.
-
-    Raises:
-        SceneError: there is no such quantity or device, or a file that the scene names is missing.
-    """
+    """Return a sweep without any finished point; see :func:`sweep` for the arguments."""
     if what not in QUANTITIES:
         raise SceneError(f"--what {what}: must be one of {', '.join(QUANTITIES)}")
     if not 1 <= count <= MOST_MODES:
@@ -116,11 +112,6 @@ def run_sweep(
         pool: see :func:`sweep`.
         on_device_change: called with one line if workers have another kind of processor than earlier points were run on
             (default: that is refused).
-
-    Raises:
-        SceneError: all points are refused, or workers differ from each other or from the earlier ones.
-        WorkersGone: no worker is left.
-        KeyboardInterrupt: Ctrl-C, after the file was written.
     """
     values = {name: array.copy() for name, array in start.values.items()}
     status, reasons, started = start.status.copy(), dict(start.reasons), time.perf_counter()
@@ -166,11 +157,7 @@ def run_sweep(
 
 
 def _check_processor(current: Sweep, result: PointResult, on_device_change: Callable[[str], object] | None) -> None:
-    """Report that a point was run on another kind of processor than those before it.
-
-    Raises:
-        SceneError: there is nothing to report it to.
-    """
+    """Report that a point was run on another kind of processor than those before it."""
     if current.processor in ("", result.processor):
         return
     before, now = f"{current.device} ({current.processor})", f"{result.device} ({result.processor})"

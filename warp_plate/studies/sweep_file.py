@@ -59,9 +59,6 @@ def open_sweep(
         device: device of the points, or None for the default.
         on_workers: whether workers of a pool run the points, which then report their devices.
         log: called with one line for each thing to know about a sweep that is continued.
-
-    Raises:
-        SceneError: the request is invalid, not that of the unfinished sweep, or its result would replace another file.
     """
     unfinished = target.with_suffix(ENDING)
     file = unfinished if unfinished.exists() else None
@@ -95,9 +92,6 @@ def resume_sweep(sweep: Sweep, device: str | None = None, on_workers: bool = Fal
     Args:
         device: another device than it began on, which may round differently (default: one of the same kind).
         on_workers: whether workers of a pool run its points.
-
-    Raises:
-        SceneError: the device does not exist, or a file that the scene names is missing or has changed.
     """
     provenance.check_files(sweep.scene, sweep, "sweep")
     if sweep.finished:
@@ -112,11 +106,7 @@ def resume_sweep(sweep: Sweep, device: str | None = None, on_workers: bool = Fal
 
 
 def save_finished(sweep: Sweep, path: Path, file: SweepFile) -> None:
-    """Save a finished sweep as its result and remove the unfinished file; on failure all points are in that file.
-
-    Raises:
-        SceneError: the result cannot be written, or would replace another file that was written meanwhile.
-    """
+    """Save a finished sweep as its result and remove the unfinished file; on failure all points are in that file."""
     try:
         check_replaceable(path, sweep)
         save_sweep(sweep, path)
@@ -127,11 +117,7 @@ def save_finished(sweep: Sweep, path: Path, file: SweepFile) -> None:
 
 
 def check_replaceable(path: Path, sweep: Sweep) -> None:
-    """Check that a result would replace no file other than an earlier result of the same sweep.
-
-    Raises:
-        SceneError: it would.
-    """
+    """Check that a result would replace no file other than an earlier result of the same sweep."""
     if not path.exists():
         return
     advice = f"name another file by --out, or delete {path}"
@@ -151,15 +137,7 @@ def check_replaceable(path: Path, sweep: Sweep) -> None:
 
 
 def _load_unfinished(file: Path, request: SweepRequest, resumed: bool) -> Sweep:
-    """Load an unfinished sweep for a request.
-
-    Args:
-        resumed: whether the file was named by the user, who may leave out what it holds; if not, defaults must be the
-            same.
-
-    Raises:
-        SceneError: it cannot be read, or is not that of the request.
-    """
+    """Load an unfinished sweep for a request."""
     advice = "start again without --resume" if resumed else f"name another file by --out, or delete {file}"
     try:
         sweep = load_sweep(file)

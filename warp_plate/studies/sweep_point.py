@@ -62,11 +62,7 @@ class PointResult(NamedTuple):
 
 
 def run_point(point: Point) -> PointResult:
-    """Run a point, whose number the caller fills in.
-
-    Raises:
-        SceneError: No such device.
-    """
+    """Run a point, whose number the caller fills in."""
     with TemporaryDirectory() as folder:
         scene, name = point.scene, point.options.device or "auto"
         if isinstance(scene, SceneSpec):
@@ -97,10 +93,6 @@ def run_on_pool(begun: Sweep, points: Sequence[int], pool: WorkerPool) -> Iterat
     """Yield points in the order in which a pool's workers finish them; one that fails in all attempts is given up.
 
     The quantities are those of one process to the last bit if the workers have its kind of processor.
-
-    Raises:
-        SceneError: Workers differ in processor or version, or have no such device.
-        WorkersGone: No worker is left.
     """
     expected: Mapping[str, str] = {"warp_plate": warp_plate.__version__, "warp": wp.config.version}
     arguments = _points(begun, points, SceneSpec.of(begun.scene), pool.device)

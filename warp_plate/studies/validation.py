@@ -27,9 +27,6 @@ def compare_with_nominal(
     Returns:
         The comparison, the case of the nominal drive, and the node-steps beside those of the problem; None if the
         nominal search found nothing or was interrupted.
-
-    Raises:
-        SceneError: a validation scenario is not a valid plate.
     """
     nominal = problem.nominal
     optimizer = search_optimizer(nominal, start.seed)
@@ -50,9 +47,6 @@ def validate(problem: Problem, robust: np.ndarray, nominal: np.ndarray) -> tuple
 
     Returns:
         The comparison, and the node-steps of the validation scenarios.
-
-    Raises:
-        SceneError: see ``draw_scenarios`` and ``simulate_scenarios``.
     """
     table, designs = problem.robust, problem.parametrization.designs(np.stack([robust, nominal]))
     losses, node_steps = [], 0
