@@ -274,6 +274,10 @@ def test_flat_losses():
     sizes = list(map(len, seen["cma"]))
     assert sizes[-1] == 2 * sizes[0] == 2 * max(8, 4 + int(3 * math.log(6)))
     assert set(sizes) == {sizes[0], sizes[-1]}
+    search, space, problem = case("gradient", stall=3)
+    descents = make_optimizer(search, space, 0, problem)
+    minimize(descents, lambda x: np.full(len(x), 1.0 if descents.iterations == 0 else 0.5))
+    assert descents.iterations == 5  # of which the second made progress
 
 
 @settings(max_examples=20)
