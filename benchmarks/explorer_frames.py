@@ -24,7 +24,7 @@ from peer_codes.machine import machine, versions
 from warp_plate import Scene
 from warp_plate.explore.live_model import LiveModel
 from warp_plate.scene.dump import dump_scene
-from warp_plate.viz.availability import off_screen
+from warp_plate.viz.availability import set_up_renderer
 from warp_plate.viz.explorer_page import FONT_SIZE, SIZE
 from warp_plate.viz.explorer_view import ROW_WEIGHTS, ExplorerView
 from warp_plate.viz.pictures import make_plotter
@@ -71,21 +71,21 @@ def paper(nodes: int) -> Scene:
 
 def drawn(model: LiveModel, showing: str) -> tuple[float, float]:
     """Return the pictures a second drawn off screen, and the processor time of one [s]."""
-    with off_screen():
-        plotter = make_plotter(SIZE, off_screen=True, shape=(2, 1), row_weights=list(ROW_WEIGHTS))
-        view = ExplorerView(plotter, model, FONT_SIZE)
-        plotter.show(auto_close=False, interactive=False)
-        if showing == "swarm":
-            model.choose("found")
-            model.wait()
-        times, used = [], time.process_time()
-        until = time.perf_counter() + SECONDS
-        while (started := time.perf_counter()) < until:
-            view.advance(0.02)
-            plotter.render()
-            times.append(time.perf_counter() - started)
-        used = time.process_time() - used
-        plotter.close()
+    set_up_renderer()
+    plotter = make_plotter(SIZE, off_screen=True, shape=(2, 1), row_weights=list(ROW_WEIGHTS))
+    view = ExplorerView(plotter, model, FONT_SIZE)
+    plotter.show(auto_close=False, interactive=False)
+    if showing == "swarm":
+        model.choose("found")
+        model.wait()
+    times, used = [], time.process_time()
+    until = time.perf_counter() + SECONDS
+    while (started := time.perf_counter()) < until:
+        view.advance(0.02)
+        plotter.render()
+        times.append(time.perf_counter() - started)
+    used = time.process_time() - used
+    plotter.close()
     return 1 / statistics.median(times), used / len(times)
 
 

@@ -154,6 +154,16 @@ def display():
 
 
 @pytest.fixture
+def drawing():
+    """Set VTK up to draw off screen; skips the test if it cannot."""
+    from warp_plate.viz.availability import missing_renderer, set_up_renderer
+
+    if (problem := missing_renderer()) is not None:
+        pytest.skip(problem)
+    set_up_renderer()
+
+
+@pytest.fixture
 def pairs():
     """All (device, path) pairs, see :func:`device_paths`."""
     return device_paths()

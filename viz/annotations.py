@@ -1,24 +1,94 @@
-"""Colour bar, legend and text of 3-D pictures."""
+"""Camera, colour bar, legend and texts of 3-D pictures."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from warp_plate.scene.model import Scene
-from warp_plate.viz.camera import axis_labels
-from warp_plate.viz.edge_styles import EDGE_STYLES, edges_by_kind
-from warp_plate.viz.fields import DrawingScale
+from warp_plate.viz.fields import TALLEST, DrawingScale
+from warp_plate.viz.styles import INK, legend_entries
 
 if TYPE_CHECKING:
     import pyvista
     from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
     from vtkmodules.vtkRenderingCore import vtkTextActor, vtkTextProperty
 
-INK, TARGET = "#1a1a1a", "#1b7837"
+# Azimuth and elevation of the camera [°]: the viewer stands in front of the lower left corner.
+AZIMUTH, ELEVATION = -127.5, 40.0
 # Width of colour bar and legend, and height of a line of the legend [font sizes].
 LEGEND_WIDTH, LINE_HEIGHT = 8.2, 1.35
 # Labels stand at quarters of a limit of two digits, which have at most four digits.
 LABEL_FORMAT = "%.4g"
+
+
+def look_at_plate(plotter: pyvista.Plotter, size: tuple[float, float], font_size: int, share: float = 1.0) -> None:
+    """Point the camera of the active subplot at a plate, the same for every field on it.
+
+    The plate with its largest heights and its axis labels fills the subplot below two lines of text.
+
+    Args:
+        size: lengths of the plate along x and y [m].
+        font_size: height of the text [pixels].
+        share: share of the subplot's width that is used, from the left.
+    """
+    pixels_wide, pixels_high = plotter.renderer.GetSize()
+    azimuth, elevation = np.radians([AZIMUTH, ELEVATION])
+    # Unit vectors of the picture: to its right, towards the viewer, and to its top.
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    towards = np.array([np.cos(elevation) * right[1], -np.cos(elevation) * right[0], np.sin(elevation)])
+    up = np.cross(towards, right)
+    tall = TALLEST * min(size)
+    corners = np.array([(x, y, z) for x in (0, size[0]) for y in (0, size[1]) for z in (-tall, tall)])
+    horizontal, vertical = corners @ right, corners @ up
+    # Extents to the left and to the right: position [m], and pixels that are needed beyond it.
+    label_x, label_y = axis_labels(size)
+    label_pixels = [0.56 * font_size * len(text) for text, _ in (label_x, label_y)]
+    lefts = [(horizontal.min(), 0.0), (label_y[1] @ right, label_pixels[1])]
+    rights = [(horizontal.max(), 0.0), (label_x[1] @ right, label_pixels[0])]
+    margin = 0.02 * pixels_wide
+    height = max(pixels_high * 0.96 - 3.4 * font_size, pixels_high / 4)
+    width = share * pixels_wide - 2 * margin
+    scale = max(  # metres per pixel
+        np.ptp(vertical) / height,
+        *((b - a) / (width - pixels_a - pixels_b) for a, pixels_a in lefts for b, pixels_b in rights),
+    )
+    first = max(margin + pixels - position / scale for position, pixels in lefts)
+    last = min(share * pixels_wide - margin - pixels - position / scale for position, pixels in rights)
+    centre_right = scale * (pixels_wide - first - last) / 2
+    centre_up = (vertical.max() + vertical.min()) / 2 + scale * 3.4 * font_size / 2
+    focus = centre_right * right + centre_up * up
+    camera = plotter.camera
+    camera.focal_point, camera.position, camera.up = tuple(focus), tuple(focus + 8 * max(size) * towards), (0, 0, 1)
+    camera.parallel_projection = True
+    camera.parallel_scale = float(scale * pixels_high / 2)
+    # The clipping range must hold for all heights to come, not only for the present ones.
+    far = 2 * tall
+    plotter.renderer.ResetCameraClippingRange(-far, size[0] + far, -far, size[1] + far, -far, far)
+
+
+def axis_labels(size: tuple[float, float]) -> tuple[tuple[str, np.ndarray], tuple[str, np.ndarray]]:
+    """Return the labels of x and y and their positions [m] beside the two edges nearest to the viewer."""
+    (width, height), away = size, 0.06 * min(size)
+    label_x = (f"x: 0 … {width:g} m", np.array([width / 2, -away, 0.0]))
+    return label_x, (f"y: 0 … {height:g} m", np.array([-away, height / 2, 0.0]))
+
+
+def add_axis_labels(plotter: pyvista.Plotter, size: tuple[float, float], font_size: int) -> None:
+    """Add name and length of x and y beside the two edges nearest to the viewer."""
+    from vtkmodules.vtkRenderingCore import vtkBillboardTextActor3D
+
+    for text, position in axis_labels(size):
+        actor = vtkBillboardTextActor3D()
+        actor.SetInput(text)
+        actor.SetPosition(*position)
+        style = actor.GetTextProperty()
+        style_text(style, font_size)
+        style.SetVerticalJustificationToTop()
+        if text.startswith("y"):
+            style.SetJustificationToRight()
+        plotter.renderer.AddViewProp(actor)
 
 
 def free_width(plotter: pyvista.Plotter, font_size: int) -> float:
@@ -56,13 +126,6 @@ def add_legend(plotter: pyvista.Plotter, scene: Scene, scale: DrawingScale, font
     return bar
 
 
-def legend_entries(scene: Scene) -> list[tuple[str, str]]:
-    """Return text and colour of every kind of outline."""
-    styles = [EDGE_STYLES[kind] for kind in edges_by_kind(scene)]
-    edges = [(f"{style.symbol} {style.label}", style.colour) for style in styles]
-    return [("□ target", TARGET), ("□ actuator", INK), *edges]
-
-
 def set_colour_bar(bar: vtkScalarBarActor, scale: DrawingScale) -> None:
     """Show another scale."""
     bar.SetLookupTable(lookup_table(scale))
@@ -90,22 +153,6 @@ def add_text(
     actor.SetPosition(*position)
     plotter.renderer.AddViewProp(actor)
     return actor
-
-
-def add_axis_labels(plotter: pyvista.Plotter, size: tuple[float, float], font_size: int) -> None:
-    """Add name and length of x and y beside the two edges nearest to the viewer."""
-    from vtkmodules.vtkRenderingCore import vtkBillboardTextActor3D
-
-    for text, position in axis_labels(size):
-        actor = vtkBillboardTextActor3D()
-        actor.SetInput(text)
-        actor.SetPosition(*position)
-        style = actor.GetTextProperty()
-        style_text(style, font_size)
-        style.SetVerticalJustificationToTop()
-        if text.startswith("y"):
-            style.SetJustificationToRight()
-        plotter.renderer.AddViewProp(actor)
 
 
 def style_text(text: vtkTextProperty, font_size: int, colour: str = INK, font: str = "DejaVuSans") -> None:

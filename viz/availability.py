@@ -14,8 +14,6 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
 X_WINDOW = "vtkXOpenGLRenderWindow"
@@ -28,7 +26,7 @@ PACKAGES = (
 TIMEOUT = 60.0
 _LOCK = threading.Lock()
 
-# Draws a triangle that fills the window; prints the class of the window, and whether the triangle can be seen.
+# Draws an empty white window; prints its class, and whether it is white.
 TRIAL = """
 try:
     import resource
@@ -36,19 +34,12 @@ try:
 except ImportError:
     pass
 import vtkmodules.vtkRenderingOpenGL2
-from vtkmodules.vtkFiltersSources import vtkRegularPolygonSource
-from vtkmodules.vtkRenderingCore import (
-    vtkActor, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow, vtkWindowToImageFilter)
-source, mapper, actor = vtkRegularPolygonSource(), vtkPolyDataMapper(), vtkActor()
-source.SetNumberOfSides(3)
-mapper.SetInputConnection(source.GetOutputPort())
-actor.SetMapper(mapper)
-actor.GetProperty().LightingOff()
+from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow, vtkWindowToImageFilter
 window, renderer, image = vtkRenderWindow(), vtkRenderer(), vtkWindowToImageFilter()
 window.SetOffScreenRendering(1)
 window.SetSize(32, 32)
 window.AddRenderer(renderer)
-renderer.AddActor(actor)
+renderer.SetBackground(1, 1, 1)
 window.Render()
 image.SetInput(window)
 image.Update()
@@ -65,17 +56,18 @@ def missing_renderer() -> str | None:
 
     The first call in a process takes about half a second.
     """
-    return _trial()[1]
+    with _LOCK:  # a trial at a time, whose result is cached
+        return working_window()[1]
 
 
 def missing_plots() -> str | None:
     """Return a sentence on what is missing for Matplotlib plots, or None."""
-    return _missing_module("matplotlib", "plots need Matplotlib")
+    return None if importlib.util.find_spec("matplotlib") else f"plots need Matplotlib: {EXTRA}"
 
 
 def missing_meshes() -> str | None:
     """Return a sentence on what is missing for pages, which need meshes but no renderer, or None."""
-    return _missing_module("pyvista", "drawing the plate needs PyVista") or missing_plots()
+    return missing_plots() if importlib.util.find_spec("pyvista") else f"drawing the plate needs PyVista: {EXTRA}"
 
 
 def missing_window() -> str | None:
@@ -101,51 +93,26 @@ def prepare() -> None:
     threading.Thread(target=import_libraries, name="trial drawing", daemon=True).start()
 
 
-@contextmanager
-def off_screen() -> Iterator[None]:
-    """Make VTK draw off screen, by the kind of window that the trial found to work and without warnings.
+def set_up_renderer() -> None:
+    """Make VTK of this process draw off screen, in the kind of window that the trial found to work, without warnings.
 
     Raises:
         DrawingUnavailable: see :func:`missing_renderer`.
     """
-    window, problem = _trial()
-    if problem is not None:
+    if (problem := missing_renderer()) is not None:
         raise DrawingUnavailable(problem)
-    settings = {"EGL_LOG_LEVEL": os.environ.get("EGL_LOG_LEVEL", "fatal")}
-    if window is not None:
-        settings[WINDOW_VARIABLE] = window
-    before = {name: os.environ.get(name) for name in settings}
-    os.environ.update(settings)
+    os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
+    if (window := working_window()[0]) is not None:
+        os.environ[WINDOW_VARIABLE] = window
     from vtkmodules.vtkCommonCore import vtkLogger
 
     # VTK warns of every library that it would have preferred, as of a missing X server.
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
-    try:
-        yield
-    finally:
-        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_INFO)
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-def _missing_module(module: str, need: str, extra: str = EXTRA) -> str | None:
-    return None if importlib.util.find_spec(module) else f"{need}: {extra}"
-
-
-def _trial() -> tuple[str | None, str | None]:
-    with _LOCK:
-        return working_window()
 
 
 @functools.cache
 def working_window() -> tuple[str | None, str | None]:
-    """Return the VTK class of a window that draws off screen (None: VTK's own choice), and None or why none does.
-
-    The result is cached, and tried only once at a time by :func:`missing_renderer` and :func:`off_screen`.
-    """
+    """Return the VTK class of a window that draws off screen (None: VTK's own choice), and None or why none does."""
     problem = missing_meshes()
     if problem is not None:
         return None, problem
@@ -166,13 +133,10 @@ def working_window() -> tuple[str | None, str | None]:
 def _window_classes() -> list[str | None]:
     """Return the VTK classes to try, the best first; None is VTK's own choice, the only one outside Linux."""
     chosen = os.environ.get(WINDOW_VARIABLE)
-    if chosen:
-        return [chosen]
-    if not sys.platform.startswith("linux"):
-        return [None]
-    without_display: list[str | None] = ["vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"]
+    if chosen or not sys.platform.startswith("linux"):
+        return [chosen or None]
     # With a display X comes first, as for a window on the screen: GLX and EGL clash in one process.
-    return [X_WINDOW, *without_display] if os.environ.get("DISPLAY") else without_display
+    return [*([X_WINDOW] if os.environ.get("DISPLAY") else []), "vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"]
 
 
 def _try_window(window: str | None) -> tuple[bool, str]:
@@ -180,16 +144,10 @@ def _try_window(window: str | None) -> tuple[bool, str]:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     if window is not None:
         environment[WINDOW_VARIABLE] = window
+    # In a session of its own, as Ctrl-C is meant for the command, not for its trial.
+    options = {"env": environment, "errors": "replace", "timeout": TIMEOUT, "start_new_session": True}
     try:
-        trial = subprocess.run(
-            [sys.executable, "-c", TRIAL],
-            env=environment,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=TIMEOUT,
-            start_new_session=True,  # Ctrl-C is meant for the command, not for its trial
-        )
+        trial = subprocess.run([sys.executable, "-c", TRIAL], capture_output=True, text=True, **options)
     except subprocess.TimeoutExpired:
         return False, f"no answer in {TIMEOUT:g} s"
     answer = trial.stdout.split()

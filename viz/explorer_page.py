@@ -17,8 +17,8 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -53,14 +53,13 @@ JPEG_QUALITY = 85
 # Loggers that report a browser that disconnects while a picture is on its way.
 LOGGERS = ("asyncio", "aiohttp.server", "wslink.protocol")
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]", "::1")
+BESIDE = "display: grid; grid-template-columns: 1fr 1fr; column-gap: 18px"
 
 
 def missing_page() -> str | None:
     """Return a sentence on what is missing for the page, or None."""
-    for module in ("trame", "trame_vtk", "trame_vuetify"):
-        if importlib.util.find_spec(module) is None:
-            return f"the explorer's page needs trame: {EXTRA}"
-    return None
+    modules = ("trame", "trame_vtk", "trame_vuetify")
+    return None if all(map(importlib.util.find_spec, modules)) else f"the explorer's page needs trame: {EXTRA}"
 
 
 def serve_page(model: LiveModel, host: str, port: int, on_ready: Callable[[str], object]) -> None:
@@ -74,7 +73,7 @@ def serve_page(model: LiveModel, host: str, port: int, on_ready: Callable[[str],
         DrawingUnavailable: VTK cannot draw here.
         OSError: the address is in use or not of this machine.
     """
-    from warp_plate.viz.availability import off_screen
+    from warp_plate.viz.availability import set_up_renderer
 
     with socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET):
         pass  # raises here what trame would only log
@@ -90,40 +89,36 @@ def serve_page(model: LiveModel, host: str, port: int, on_ready: Callable[[str],
             asyncio.get_running_loop().add_signal_handler(signal.SIGINT, lambda: task.cancel() if task else None)
         await ExplorerPage(model).serve(host, port, on_ready)
 
-    with off_screen(), suppress(asyncio.CancelledError, KeyboardInterrupt):
+    set_up_renderer()
+    with suppress(asyncio.CancelledError, KeyboardInterrupt):
         asyncio.run(run())
 
 
 class ExplorerPage:
     """A live model on a trame server; :meth:`serve` runs it until it is cancelled."""
 
-    def __init__(self, model: LiveModel, name: str = TITLE) -> None:
+    def __init__(self, model: LiveModel) -> None:
         from trame.app import get_server
 
         self.model = model
-        self.server = get_server(name, client_type="vue3")
+        self.server = get_server(TITLE, client_type="vue3")
         self.plotter = make_plotter(SIZE, off_screen=True, shape=(2, 1), row_weights=list(ROW_WEIGHTS))
+        self.view: ExplorerView | None = None
         self._size: tuple[int, ...] = ()
         self._fit()
         self._sent = self._taken = 0
         self._answered = asyncio.Event()
-        self._remote: Any = None
         self._build()
 
     async def serve(self, host: str, port: int, on_ready: Callable[[str], object]) -> None:
         """Answer browsers; for the arguments see :func:`serve_page`."""
         secret = secrets.token_urlsafe()
         self.server.controller.on_server_bind.add(lambda server: _answer_session(server, host, secret))
-        with _arguments(f"--authKey={secret}", "--nosignalhandlers"):  # one word, as the secret may begin with "-"
-            task = self.server.start(
-                port=port,
-                host=host,
-                exec_mode="task",
-                timeout=0,
-                open_browser=False,
-                show_connection_info=False,
-                disable_logging=True,
-            )
+        # trame reads the command line; the secret is in one word with its option, as it may begin with "-".
+        before, sys.argv = sys.argv, [sys.argv[0], f"--authKey={secret}", "--nosignalhandlers"]
+        quiet = {"open_browser": False, "show_connection_info": False, "disable_logging": True}
+        task = self.server.start(port=port, host=host, exec_mode="task", timeout=0, **quiet)
+        sys.argv = before
         while not self.server.running:
             if task.done():
                 task.result()
@@ -164,12 +159,12 @@ class ExplorerPage:
         size = tuple(self.plotter.render_window.GetSize())
         if size == self._size:
             return False
-        self._size = size
-        angle, playing = (self.view.angle, self.view.playing) if hasattr(self, "view") else (0.0, True)
+        self._size, before = size, self.view
         self.plotter.clear()
         font_size = max(9, round(FONT_SIZE * min(size[0] / SIZE[0], size[1] / SIZE[1])))
         self.view = ExplorerView(self.plotter, self.model, font_size)
-        self.view.angle, self.view.playing = angle, playing
+        if before is not None:
+            self.view.angle, self.view.playing = before.angle, before.playing
         self.plotter.disable_anti_aliasing()
         return True
 
@@ -189,83 +184,62 @@ class ExplorerPage:
     def _build(self) -> None:
         from trame.ui.vuetify3 import VAppLayout
         from trame.widgets import client, html, vtk
-        from trame.widgets import vuetify3 as vuetify
 
         state = self.server.state
-        state.trame__title = TITLE
-        state.picture = 0
-        state.choice = ""
+        state.trame__title, state.picture, state.choice = TITLE, 0, ""
         self._update(state)
+        quality = {"interactive_ratio": 1, "still_ratio": 1}
+        quality |= {"interactive_quality": JPEG_QUALITY, "still_quality": JPEG_QUALITY}
         with VAppLayout(self.server), html.Div(style="display: flex; height: 100vh; overflow: hidden"):
             with html.Div(style="flex: 1 1 0; min-width: 0; height: 100%", id="stage"):
-                self._remote = vtk.VtkRemoteView(
-                    self.plotter.render_window,
-                    interactive_ratio=1,
-                    still_ratio=1,
-                    interactive_quality=JPEG_QUALITY,
-                    still_quality=JPEG_QUALITY,
-                )
+                self._remote = vtk.VtkRemoteView(self.plotter.render_window, **quality)
             with html.Div(style="flex: 0 0 390px; overflow-y: auto; padding: 14px 22px; font-size: 15px"):
-                self._add_numbers(html)
-                self._add_buttons(html, vuetify)
-                self._add_sliders(html, vuetify)
+                self._add_numbers()
+                self._add_buttons()
+                self._add_sliders()
             client.ClientStateChange(value="picture", change=(self._take, "[picture]"))
 
-    def _add_numbers(self, html: Any) -> None:
+    def _add_numbers(self) -> None:
+        from trame.widgets import html
+
         self.server.state.title = self.model.scene.title or TITLE
         html.Div("{{ title }}", style="font-weight: 600; margin-bottom: 6px")
-        with html.Div(style="font-size: 17px"):
-            html.Div("Localization factor <b id='factor'>{{ factor }}</b>")
-            html.Div("Bound <b id='bound'>{{ bound }}</b>")
-        html.Div("Kinetic energy {{ energy }}; by quadrant:", id="energy", style="margin-top: 4px")
+        html.Div("Localization factor <b id='factor'>{{ factor }}</b>", style="font-size: 17px")
+        html.Div("Bound <b id='bound'>{{ bound }}</b>", style="font-size: 17px")
+        html.Div("Kinetic energy {{ energy }}; by quadrant:", style="margin-top: 4px")
         with html.Div(style="display: grid; grid-template-columns: 90px 90px; gap: 3px; margin: 4px 0"):
-            for name in ("upper left", "upper right", "lower left", "lower right"):
-                key = name.replace(" ", "_")
+            for key in ("upper_left", "upper_right", "lower_left", "lower_right"):
                 style = "border: 1px solid #999; padding: 2px 8px; text-align: right"
-                html.Div(f"{{{{ shares.{key} }}}}", id=key, title=name, style=style)
-        html.Div("{{ status }}", id="status", style="min-height: 3em; color: #b2182b; font-size: 13px")
+                html.Div(f"{{{{ shares.{key} }}}}", id=key, title=key.replace("_", " "), style=style)
+        html.Div("{{ status }}", style="min-height: 3em; color: #b2182b; font-size: 13px")
 
-    def _add_buttons(self, html: Any, vuetify: Any) -> None:
+    def _add_buttons(self) -> None:
+        from trame.widgets import html, vuetify3
+
         with html.Div(style="display: grid; grid-template-columns: 1fr 1fr 1fr; gap: 6px; margin-bottom: 8px"):
             style = {"size": "small", "style": "text-transform: none; letter-spacing: 0"}
             for choice, label in CHOICES.items():
-                colour = (f"choice === '{choice}' ? 'primary' : undefined",)
-                click = (self._choose, f"['{choice}']")
-                vuetify.VBtn(label, id=f"choose-{choice}", color=colour, click=click, **style)
-            vuetify.VBtn("{{ playing ? 'pause' : 'play' }}", id="pause", click=self._pause, **style)
+                colour, click = (f"choice === '{choice}' ? 'primary' : undefined",), (self._choose, f"['{choice}']")
+                vuetify3.VBtn(label, id=f"choose-{choice}", color=colour, click=click, **style)
+            vuetify3.VBtn("{{ playing ? 'pause' : 'play' }}", id="pause", click=self._pause, **style)
 
-    def _add_sliders(self, html: Any, vuetify: Any) -> None:
-        ranges, actuators = self.model.ranges, self.model.scene.actuators
+    def _add_sliders(self) -> None:
+        from trame.widgets import html
 
-        def add(label: str, key: str, ends: tuple[float, float], on_change: Callable[[float], object]) -> None:
-            with html.Div(id=f"slide-{key}"):
-                with html.Div(style="display: flex; justify-content: space-between; margin-top: 2px"):
-                    html.Span(label)
-                    html.Span(f"{{{{ Number({key}).toPrecision(4) }}}}", id=f"value-{key}")
-                vuetify.VSlider(
-                    v_model=(key,),
-                    min=ends[0],
-                    max=ends[1],
-                    step=0,
-                    hide_details=True,
-                    density="compact",
-                    color="primary",
-                    update_modelValue=(on_change, "[$event]"),
-                    raw_attrs=[f'aria-label="{label}"'],
-                )
-
-        pair = "display: grid; grid-template-columns: 1fr 1fr; column-gap: 18px"
-        with html.Div(style=pair):
-            add("frequency [Hz]", "frequency", ranges.frequency, self.model.set_frequency)
-            add("damping [N·s/m³]", "damping", (0.0, ranges.damping), self.model.set_damping)
+        model, actuators = self.model, self.model.scene.actuators
+        with html.Div(style=BESIDE):
+            _add_slider("frequency [Hz]", "frequency", model.ranges.frequency, model.set_frequency)
+            _add_slider("damping [N·s/m³]", "damping", (0.0, model.ranges.damping), model.set_damping)
         # Names are the user's texts: in the state, so that nothing in them is read as part of the page.
         self.server.state.names = [f"{number}  {actuator.name}" for number, actuator in enumerate(actuators, start=1)]
         for index in range(len(actuators)):
             html.Div(f"{{{{ names[{index}] }}}}", style="font-weight: 600; margin-top: 10px; overflow-wrap: anywhere")
-            with html.Div(style=pair):
-                unit, magnitude = self.model.scene.drive_unit, partial(self._set_actuator, index, "magnitude")
-                add(f"w [{unit}]", f"magnitude_{index}", (0.0, ranges.magnitude), magnitude)
-                add("φ [rad]", f"phase_{index}", (0.0, 2 * math.pi), partial(self._set_actuator, index, "phase"))
+            with html.Div(style=BESIDE):
+                for key, label, largest in (
+                    ("magnitude", f"w [{model.scene.drive_unit}]", model.ranges.magnitude),
+                    ("phase", "φ [rad]", 2 * math.pi),
+                ):
+                    _add_slider(label, f"{key}_{index}", (0.0, largest), partial(self._set_actuator, index, key))
 
     def _set_actuator(self, index: int, key: str, value: float) -> None:
         self.server.state.choice = ""
@@ -281,6 +255,19 @@ class ExplorerPage:
     def _take(self, picture: int) -> None:
         self._taken = max(self._taken, int(picture))
         self._answered.set()
+
+
+def _add_slider(label: str, key: str, ends: tuple[float, float], on_change: Callable[[float], object]) -> None:
+    """Add a slider of the state's ``key``, with its label and value above."""
+    from trame.widgets import html, vuetify3
+
+    with html.Div(id=f"slide-{key}"):
+        with html.Div(style="display: flex; justify-content: space-between; margin-top: 2px"):
+            html.Span(label)
+            html.Span(f"{{{{ Number({key}).toPrecision(4) }}}}", id=f"value-{key}")
+        look = {"hide_details": True, "density": "compact", "color": "primary", "raw_attrs": [f'aria-label="{label}"']}
+        change = (on_change, "[$event]")
+        vuetify3.VSlider(v_model=(key,), min=ends[0], max=ends[1], step=0, update_modelValue=change, **look)
 
 
 def _answer_session(server: Any, host: str, secret: str) -> None:
@@ -300,14 +287,3 @@ def _is_not_disconnection(record: logging.LogRecord) -> bool:
     """Return whether a log record reports anything but a browser that disconnected."""
     error = record.exc_info[1] if record.exc_info else None
     return not isinstance(error or sys.exc_info()[1], ConnectionError)
-
-
-@contextmanager
-def _arguments(*arguments: str) -> Iterator[None]:
-    """Replace the command line, which trame parses, by these arguments."""
-    before = sys.argv
-    sys.argv = [before[0], *arguments]
-    try:
-        yield
-    finally:
-        sys.argv = before

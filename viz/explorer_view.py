@@ -46,14 +46,12 @@ class ExplorerView:
 
     def __init__(self, plotter: pyvista.Plotter, model: LiveModel, font_size: int) -> None:
         self.model = model
-        self.playing = True
-        self.angle = 0.0
+        self.playing, self.angle = True, 0.0
         self._drawn_angle = math.nan
         self._reading = model.read()
-        self._scale = _fitting_scale(self._reading, None)
         plotter.subplot(0, 0)
-        field = self._reading.motion.at(0.0)
-        self.plate = add_plate(plotter, model.scene, field, self._scale, self._caption(), font_size)
+        field, scale = self._reading.motion.at(0.0), _fitting_scale(self._reading, None)
+        self.plate = add_plate(plotter, model.scene, field, scale, self._caption(), font_size)
         plotter.subplot(1, 0)
         self.search = SearchCharts(plotter, [actuator.name for actuator in model.scene.actuators], font_size)
         plotter.subplot(0, 0)
@@ -66,13 +64,11 @@ class ExplorerView:
         searched = self.search.show(self.model.swarm(), reading.bound)
         if reading is self._reading and self.angle == self._drawn_angle:
             return searched
-        self._drawn_angle = self.angle
         if reading is not self._reading:
-            self._reading = reading
-            scale = _fitting_scale(reading, self._scale)
-            if scale is not self._scale:
-                self._scale = scale
+            scale = _fitting_scale(reading, self.plate.scale)
+            if scale is not self.plate.scale:
                 self.plate.rescale(scale)
+        self._drawn_angle, self._reading = self.angle, reading
         self.plate.update(reading.motion.at(self.angle), text=self._caption())
         return True
 
@@ -139,10 +135,9 @@ class SearchCharts:
             mark.visible = best is not None
             if best is not None:
                 mark.update([best[index].real], [best[index].imag])
-        # Fit most particles, not the last stray one.
+        # Fit most particles, not the last stray one, at about the same scale along both axes.
         size = float(np.quantile(np.abs(swarm.phasors[:, 1:]), 0.9)) if self._particles else 0.0
         reach = next((step for step in REACHES if 1.1 * size < step), REACHES[-1])
-        # About the same scale along both axes.
         self.plane.x_range, self.plane.y_range = [-2 * reach, 2 * reach], [-reach, reach]
 
     def _set_visible(self, visible: bool) -> None:

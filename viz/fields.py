@@ -94,10 +94,9 @@ def drawing_scale(
     field: PlateField = DISPLACEMENT,
     values: Iterable[np.ndarray] | None = None,
 ) -> DrawingScale:
-    """Return a scale that suits all given arrays.
+    """Return a scale whose limit is the largest finite value, rounded up to two digits for short labels.
 
-    The limit is the largest finite value, rounded up to two digits for short labels. If nothing moves, it is a
-    millionth of the unit, and heights are true.
+    If nothing moves, the limit is a millionth of the unit, and heights are true.
 
     Args:
         displacements: arrays of any shape [m], drawn as heights.

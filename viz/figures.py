@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -34,20 +33,21 @@ def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
     Returns:
         The files written, and None or a sentence for each missing one, joined by "; ".
     """
-    jobs: list[tuple[Callable[[Result, Path], Path], str]] = []
-    if result.history:
-        jobs.append((draw_history, "history"))
-    if result.robust is not None and np.isfinite(result.robust.validation).any():
-        jobs.append((draw_robust, "robust"))
-    if result.spectrum:
-        jobs.append((draw_spectrum, "spectrum"))
-    if result.scene.targets and result.command == "localize":
-        jobs.append((draw_crosstalk, "crosstalk"))
+    compared = result.robust is not None and bool(np.isfinite(result.robust.validation).any())
+    several = bool(result.scene.targets) and result.command == "localize"
+    jobs = [
+        ("history", draw_history, bool(result.history)),
+        ("robust", draw_robust, compared),
+        ("spectrum", draw_spectrum, bool(result.spectrum)),
+        ("crosstalk", draw_crosstalk, several),
+        ("surfaces", draw_surfaces, bool(result.times.size)),
+    ]
     if result.times.size:
         prepare()
-        jobs.append((draw_surfaces, "surfaces"))
     written, problems = [], []
-    for draw, name in jobs:
+    for name, draw, held in jobs:
+        if not held:
+            continue
         path = Path(f"{stem}-{name}.png")
         problem = missing_renderer() if draw is draw_surfaces else missing_plots()
         if problem is None:

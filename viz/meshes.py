@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.result.targets import outlines
-from warp_plate.scene.model import Area, Scene
-from warp_plate.viz.edge_styles import EDGE_STYLES, edges_by_kind
+from warp_plate.scene.model import Scene
 from warp_plate.viz.fields import DrawingScale
+from warp_plate.viz.styles import edges_by_kind
 
 if TYPE_CHECKING:
     import pyvista
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 SCALARS = "colour"
 # About as many grid lines as the paper's 27 x 27 nodes have; of finer grids every second, third, … line is drawn.
 GRID_LINES = 26
-# Line width of a dashed edge, as a share of the mean length of the edges.
-DASH = 0.008
 
 
 @dataclass(frozen=True)
@@ -91,15 +89,22 @@ def plate_meshes(
     """Return the meshes of one field; for the arguments see :meth:`PlateMeshes.update`."""
     import pyvista
 
-    grid = _FlatGrid(scene.plate.size, (displacement.shape[1], displacement.shape[0]))
-    surface = pyvista.PolyData.from_regular_faces(grid.points, grid.triangles)
+    (width, height), grid = scene.plate.size, _FlatGrid(scene.plate.size, displacement.shape[::-1])
+    ends = {
+        "left": [(0, 0), (0, height)],
+        "bottom": [(0, 0), (width, 0)],
+        "right": [(width, 0), (width, height)],
+        "top": [(0, height), (width, height)],
+    }
+    areas = [actuator.area for actuator in scene.actuators]
+    surface = pyvista.PolyData.from_regular_faces(grid.points(), grid.triangles())
     surface.point_data[SCALARS] = np.zeros(displacement.size)
     meshes = PlateMeshes(
         surface=surface,
         grid_lines=grid.polylines(grid.inner_lines()),
-        edges={kind: grid.polylines(grid.edges(kind, names)) for kind, names in edges_by_kind(scene).items()},
-        target=grid.polylines([grid.path(outline) for outline in outlines(scene)]),
-        actuators=grid.polylines([grid.rectangle(actuator.area) for actuator in scene.actuators]),
+        edges={kind: grid.paths([ends[name] for name in names]) for kind, names in edges_by_kind(scene).items()},
+        target=grid.paths(outlines(scene)),
+        actuators=grid.paths([[(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)] for x0, x1, y0, y1 in areas]),
     )
     meshes.update(displacement, scale, values)
     return meshes
@@ -118,25 +123,19 @@ class _FlatGrid:
     """
 
     size: tuple[float, float]
-    nodes: tuple[int, int]
+    nodes: tuple[int, ...]
 
     @property
-    def x(self) -> np.ndarray:
-        return np.linspace(0, self.size[0], self.nodes[0])
+    def axes(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.linspace(0, self.size[0], self.nodes[0]), np.linspace(0, self.size[1], self.nodes[1])
 
-    @property
-    def y(self) -> np.ndarray:
-        return np.linspace(0, self.size[1], self.nodes[1])
-
-    @property
     def points(self) -> np.ndarray:
-        """(nodes, 3) positions of the nodes at rest, x fastest."""
-        x, y = np.meshgrid(self.x, self.y)
+        """Return (nodes, 3) positions of the nodes at rest, x fastest."""
+        x, y = np.meshgrid(*self.axes)
         return np.stack([x, y, np.zeros_like(x)], -1).reshape(-1, 3)
 
-    @property
     def triangles(self) -> np.ndarray:
-        """(triangles, 3) node indices, cell by cell, so that a renderer finds most nodes in its cache."""
+        """Return (triangles, 3) node indices, cell by cell, so that a renderer finds most nodes in its cache."""
         index = np.arange(math.prod(self.nodes)).reshape(self.nodes[::-1])
         corner, right, up, across = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
         lower, upper = np.stack([corner, right, across], -1), np.stack([corner, across, up], -1)
@@ -154,78 +153,36 @@ class _FlatGrid:
         share = np.unique(np.concatenate(shares))[:, None]
         return (1 - share) * ends[0] + share * ends[1]
 
-    def path(self, corners: np.ndarray) -> np.ndarray:
-        """Return the (points, 2) of a path through the given (corners, 2)."""
-        return np.concatenate([self.line(*ends) for ends in pairwise(corners)])
-
-    def rectangle(self, area: Area) -> np.ndarray:
-        """Return the (points, 2) of a closed path around a rectangle."""
-        x0, x1, y0, y1 = area
-        return self.path(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]))
-
-    def edges(self, kind: str, names: Sequence[str]) -> list[np.ndarray]:
-        """Return the edges of one kind as lines or dashes."""
-        width, height = self.size
-        ends = {
-            "left": ((0, 0), (0, height)),
-            "bottom": ((0, 0), (width, 0)),
-            "right": ((width, 0), (width, height)),
-            "top": ((0, height), (width, height)),
-        }
-        unit, lines = DASH * math.sqrt(width * height), []
-        for name in names:
-            start, end = (np.array(corner, dtype=float) for corner in ends[name])
-            for low, high in _dashes(EDGE_STYLES[kind].dashes, float(np.abs(end - start).max()), unit):
-                lines.append(self.line(start + low * (end - start), start + high * (end - start)))
-        return lines
-
     def inner_lines(self) -> list[np.ndarray]:
         """Return grid lines inside the plate, about GRID_LINES each way."""
         step_x, step_y = (max(1, round((n - 1) / GRID_LINES)) for n in self.nodes)
-        x, y = self.x, self.y
+        x, y = self.axes
         return [
             *(np.column_stack([x, np.full_like(x, at)]) for at in y[step_y:-1:step_y]),
             *(np.column_stack([np.full_like(y, at), y]) for at in x[step_x:-1:step_x]),
         ]
 
+    def paths(self, paths: Sequence[Sequence[Sequence[float]]] | Sequence[np.ndarray]) -> SurfacePolylines:
+        """Return a mesh of paths through (corners, 2) that can follow the surface."""
+        return self.polylines([np.concatenate([self.line(*ends) for ends in pairwise(path)]) for path in paths])
+
     def polylines(self, paths: Sequence[np.ndarray]) -> SurfacePolylines:
-        """Join (points, 2) paths into one mesh that can follow the surface."""
+        """Join (points, 2) paths, with a point at each crossing, into one mesh that can follow the surface."""
         import pyvista
 
         points = np.concatenate([np.empty((0, 2)), *paths])
-        starts = np.cumsum([0, *(len(path) for path in paths)])
-        cells = [
-            np.concatenate([[len(path)], np.arange(start, start + len(path))])
-            for path, start in zip(paths, starts[:-1], strict=True)
-        ]
+        starts = np.cumsum([0, *map(len, paths)])
+        cells = [[end - start, *range(start, end)] for start, end in pairwise(starts)]
         flat = np.column_stack([points, np.zeros(len(points))])
         mesh = pyvista.PolyData(flat, lines=np.concatenate(cells)) if cells else pyvista.PolyData()
         return SurfacePolylines(mesh, *self._barycentric(points))
 
     def _barycentric(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (points, 3) nodes of the triangles that hold the points, and (points, 3) weights."""
-        j, right = _cell(points[:, 0], self.x)
-        i, up = _cell(points[:, 1], self.y)
-        lower, row = right >= up, self.nodes[0]
+        position = np.clip(points / self.size, 0, 1) * (np.array(self.nodes) - 1)
+        cell = np.minimum(position.astype(int), np.array(self.nodes) - 2)
+        (j, i), (right, up), row = cell.T, (position - cell).T, self.nodes[0]
         corner, across = i * row + j, (i + 1) * row + j + 1
-        middle = np.where(lower, i * row + j + 1, (i + 1) * row + j)
+        middle = np.where(right >= up, i * row + j + 1, (i + 1) * row + j)
         larger, smaller = np.maximum(right, up), np.minimum(right, up)
         return np.stack([corner, middle, across], -1), np.stack([1 - larger, larger - smaller, smaller], -1)
-
-
-def _dashes(dashes: tuple[float, float] | None, length: float, unit: float) -> list[tuple[float, float]]:
-    """Return beginnings and ends of dashes along a line, as shares of its length; a solid line is one dash."""
-    if dashes is None:
-        return [(0.0, 1.0)]
-    dash, gap = (part * unit for part in dashes)
-    count = max(1, round((length + gap) / (dash + gap)))
-    pitch = 1 / (count - gap / (dash + gap))
-    share = pitch * dash / (dash + gap)
-    return [(index * pitch, min(index * pitch + share, 1.0)) for index in range(count)]
-
-
-def _cell(at: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the cells that hold positions along one axis, and the positions within the cells, 0 … 1."""
-    position = np.clip(at / nodes[-1], 0, 1) * (nodes.size - 1)
-    cell = np.minimum(position.astype(int), nodes.size - 2)
-    return cell, position - cell

@@ -17,22 +17,23 @@ from warp_plate.result.model import Case, Result
 from warp_plate.scene.model import Scene
 from warp_plate.viz.availability import missing_plots, missing_renderer
 from warp_plate.viz.captions import case_label, ordered_cases, percent
-from warp_plate.viz.edge_styles import EDGE_NAMES, EDGE_STYLES, edge_kind
 from warp_plate.viz.figures import draw_history, draw_surfaces
 from warp_plate.viz.plots.plan import draw_layout
+from warp_plate.viz.styles import EDGE_STYLES, edges_by_kind
+
+# Headings and rows.
+Table = tuple[Sequence[str], Sequence[Sequence[str]]]
 
 
 def scene_html(scene: Scene) -> str:
     """Return the settings of a scene, its actuators, and a picture of its layout."""
+    headings = ("actuator", "x, y (m)", f"magnitude ({scene.drive_unit})", "phase (rad)")
     rows = [
         (actuator.name, _area(actuator.area), f"{actuator.magnitude:g}", f"{actuator.phase:.4g}")
         for actuator in scene.actuators
     ]
-    tables = [
-        ((), _scene_rows(scene)),
-        (("actuator", "x, y (m)", f"magnitude ({scene.drive_unit})", "phase (rad)"), rows),
-    ]
     picture = _picture(lambda path: draw_layout(scene, path), missing_plots())
+    tables = [((), _scene_rows(scene)), (headings, rows)]
     return _html(scene.title or "Scene", tables, [], picture, "Layout of the plate")
 
 
@@ -65,8 +66,7 @@ def shown_case(result: Result) -> tuple[str, Case]:
 
 def result_picture(result: Result) -> bytes | str:
     """Return a PNG of the displacements of the shown case, or of the search's history; or why there is none."""
-    name, case = shown_case(result)
-    single = replace(result, cases={name: case})
+    single = replace(result, cases=dict([shown_case(result)]))
     problem = missing_renderer() if result.times.size else "the result holds nothing to draw"
     if problem is not None and result.history:
         return _picture(lambda path: draw_history(single, path), missing_plots())
@@ -78,40 +78,27 @@ def _picture(draw: Callable[[Path], object], problem: str | None) -> bytes | str
         return problem
     try:
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "picture.png"
+            path = Path(folder, "picture.png")
             draw(path)
             return path.read_bytes()
     except OSError as error:
         return f"no picture: {error}"
 
 
-def _html(
-    title: str,
-    tables: Sequence[tuple[Sequence[str], Sequence[Sequence[str]]]],
-    notes: Sequence[str],
-    picture: bytes | str,
-    alt: str,
-) -> str:
+def _html(title: str, tables: Sequence[Table], notes: Sequence[str], picture: bytes | str, alt: str) -> str:
     root = Element("div")
     SubElement(root, "strong").text = title
     columns = SubElement(root, "div", {"style": "display: flex; flex-wrap: wrap; gap: 2em; align-items: flex-start"})
     for headings, rows in tables:
         table = SubElement(columns, "table")
-        if headings:
-            line = SubElement(SubElement(table, "thead"), "tr")
-            for heading in headings:
-                SubElement(line, "th").text = heading
-        body = SubElement(table, "tbody")
-        for row in rows:
-            line = SubElement(body, "tr")
-            for index, text in enumerate(row):
+        for cell, texts in [("th", headings)] * bool(headings) + [("td", row) for row in rows]:
+            line = SubElement(table, "tr")
+            for index, text in enumerate(texts):
                 align = "right" if index and headings else "left"
-                SubElement(line, "td", {"style": f"text-align: {align}"}).text = text or "–"
-    for note in notes:
+                SubElement(line, cell, {"style": f"text-align: {align}"}).text = text or "–"
+    for note in [*notes, picture] if isinstance(picture, str) else notes:
         SubElement(root, "p").text = note
-    if isinstance(picture, str):
-        SubElement(root, "p").text = picture
-    else:
+    if isinstance(picture, bytes):
         source = f"data:image/png;base64,{base64.b64encode(picture).decode()}"
         SubElement(root, "img", {"src": source, "alt": alt, "style": "max-width: 100%"})
     return tostring(root, encoding="unicode")
@@ -119,7 +106,7 @@ def _html(
 
 def _scene_rows(scene: Scene) -> list[tuple[str, str]]:
     plate, grid = scene.plate, scene.grid
-    effects = [name.replace("_", " ") for name, value in scene.effects if value]
+    edges = {EDGE_STYLES[kind].label: names for kind, names in edges_by_kind(scene).items()}
     resolution = (
         f"for a relative error of {100 * grid.accuracy:g} %"
         if grid.accuracy is not None
@@ -129,21 +116,14 @@ def _scene_rows(scene: Scene) -> list[tuple[str, str]]:
     return [
         ("plate", f"{plate.size[0]:g} m × {plate.size[1]:g} m, {1000 * plate.thickness:g} mm thick"),
         ("material", f"E = {plate.young_modulus:g} Pa, ν = {plate.poisson_ratio:g}, ρ = {plate.density:g} kg/m³"),
-        ("edges", _edges(scene)),
+        ("edges", "; ".join(f"{label}: {', '.join(names)}" for label, names in edges.items())),
         ("grid", resolution),
         ("drive", f"{scene.drive.frequency:g} Hz"),
         ("energy averaged", f"{scene.window.start:g} … {scene.window.end:g} s"),
-        *((name, f"{_area(one.area)} m" if one.area is not None else one.description) for name, one in targets.items()),
-        ("effects", ", ".join(effects)),
+        *((name, f"{_area(t.area)} m" if t.area is not None else t.description) for name, t in targets.items()),
+        ("effects", ", ".join(name.replace("_", " ") for name, value in scene.effects if value)),
         ("search", f"{scene.search.particles} particles × {scene.search.iterations} iterations"),
     ]
-
-
-def _edges(scene: Scene) -> str:
-    labels = {name: EDGE_STYLES[edge_kind(getattr(scene.edges, name))].label for name in EDGE_NAMES}
-    if len(set(labels.values())) == 1:
-        return f"all {labels['left']}"
-    return ", ".join(f"{name} {label}" for name, label in labels.items())
 
 
 def _area(area: Sequence[float]) -> str:

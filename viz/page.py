@@ -18,13 +18,13 @@ import numpy as np
 
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
-from warp_plate.viz.annotations import LABEL_FORMAT, legend_entries, lookup_table
-from warp_plate.viz.camera import AZIMUTH, ELEVATION
+from warp_plate.viz.annotations import AZIMUTH, ELEVATION, LABEL_FORMAT, lookup_table
 from warp_plate.viz.captions import frame_caption
 from warp_plate.viz.fields import DISPLACEMENT, MODE, DrawingScale, PlateField, common_scale, field_of
-from warp_plate.viz.meshes import PlateMeshes, SurfacePolylines, plate_meshes
-from warp_plate.viz.scene3d import LineLayer, line_layers
+from warp_plate.viz.meshes import PlateMeshes, plate_meshes
+from warp_plate.viz.scene3d import line_layers
 from warp_plate.viz.side_by_side import rows_and_columns
+from warp_plate.viz.styles import legend_entries
 
 # Values are integers −PEAK … PEAK in the page; NAN stands for NaN.
 PEAK, NAN = 32767, -32768
@@ -79,16 +79,6 @@ def page_data(
     ny, nx = (thinned_nodes(nodes, values) for nodes in all_nodes)
     heights, colours = ([_resampled(array, (ny, nx), field) for array in arrays] for arrays in (heights, colours))
     meshes = plate_meshes(scene, heights[0][0], scale)
-    plates = [
-        {
-            "headings": [frame_caption(motion, frame, scene) for frame in range(len(motion.times))],
-            "heights": _integers(heights[index], peak),
-            # null: the heights are the colours, and the outlines those of the scene.
-            "colours": _integers(colours[index], scale.limit) if colours else None,
-            "outlines": _outlines(plate_meshes(motion.scene, heights[0][0], scale)) if motion.scene else None,
-        }
-        for index, motion in enumerate(motions)
-    ]
     return {
         **_scale_data(scale),
         "name": scene.title or "Plates in motion",
@@ -104,9 +94,18 @@ def page_data(
         "azimuth": AZIMUTH,
         "elevation": ELEVATION,
         "key": legend_entries(scene),
-        "triangles": _base64(meshes.surface.faces.reshape(-1, 4)[:, 1:].astype("<u4")),
+        "triangles": _base64(meshes.surface.faces.reshape(-1, 4)[:, 1:], "<u4"),
         "outlines": _outlines(meshes),
-        "plates": plates,
+        "plates": [
+            {
+                "headings": [frame_caption(motion, frame, scene) for frame in range(len(motion.times))],
+                "heights": _integers(heights[index], peak),
+                # null: the heights are the colours, and the outlines those of the scene.
+                "colours": _integers(colours[index], scale.limit) if colours else None,
+                "outlines": _outlines(plate_meshes(motion.scene, heights[0][0], scale)) if motion.scene else None,
+            }
+            for index, motion in enumerate(motions)
+        ],
     }
 
 
@@ -119,7 +118,7 @@ def _scale_data(scale: DrawingScale) -> dict[str, Any]:
         "ticks": [(LABEL_FORMAT % tick).replace("-", "−") for tick in np.linspace(high, low, 5)],
         "cyclic": scale.field.kind == "cyclic",
         "none": _rgb(scale.field.nan_colour),
-        "table": _base64(lookup_table(scale).values.astype(np.uint8)),
+        "table": _base64(lookup_table(scale).values, "u1"),
     }
 
 
@@ -136,38 +135,31 @@ def thinned_nodes(nodes: int, values: int) -> int:
 
 def _resampled(array: np.ndarray, nodes: tuple[int, int], field: PlateField) -> np.ndarray:
     """Return (frames, *nodes) of (frames, ny, nx): linear between nodes, but the nearest node for angles."""
-    for axis, count in zip((1, 2), nodes, strict=True):
-        at = np.linspace(0, array.shape[axis] - 1, count)
-        nearest = np.rint(at).astype(int)
-        if field.kind == "cyclic" or np.allclose(at, nearest):
-            array = array.take(nearest, axis)
-            continue
-        low = np.minimum(at.astype(int), array.shape[axis] - 2)
-        share = (at - low).reshape(-1, 1) if axis == 1 else at - low
-        array = array.take(low, axis) * (1 - share) + array.take(low + 1, axis) * share
-    return array
+    from scipy.ndimage import zoom
+
+    if array.shape[1:] == nodes:
+        return array
+    factors = np.divide(nodes, array.shape[1:])
+    return np.stack([zoom(frame, factors, order=0 if field.kind == "cyclic" else 1) for frame in array])
 
 
 def _outlines(meshes: PlateMeshes) -> list[dict[str, Any]]:
-    return [_outline(layer) for layer in sorted(line_layers(meshes), key=lambda layer: layer.depth_offset)]
+    return [
+        {
+            "points": _base64(layer.lines.mesh.points[:, :2], "<f4"),
+            "nodes": _base64(layer.lines.nodes, "<i4"),
+            "shares": _base64(layer.lines.weights, "<f4"),
+            "pieces": _base64(_segments(layer.lines.mesh.lines), "<i4"),
+            "colour": [*_rgb(layer.colour), layer.opacity],
+            "width": max(1.0, layer.width * FONT_SIZE),
+            "nearer": layer.depth_offset * DEPTH_STEP,
+        }
+        for layer in sorted(line_layers(meshes), key=lambda layer: layer.depth_offset)
+    ]
 
 
-def _outline(layer: LineLayer) -> dict[str, Any]:
-    lines = layer.lines
-    return {
-        "points": _base64(lines.mesh.points[:, :2].astype("<f4")),
-        "nodes": _base64(lines.nodes.astype("<i4")),
-        "shares": _base64(lines.weights.astype("<f4")),
-        "pieces": _base64(_segments(lines).astype("<i4")),
-        "colour": [*_rgb(layer.colour), layer.opacity],
-        "width": max(1.0, layer.width * FONT_SIZE),
-        "nearer": layer.depth_offset * DEPTH_STEP,
-    }
-
-
-def _segments(lines: SurfacePolylines) -> np.ndarray:
-    """Return the (segments, 2) point indices of all straight segments."""
-    cells = lines.mesh.lines
+def _segments(cells: np.ndarray) -> np.ndarray:
+    """Return the (segments, 2) point indices of polylines given as VTK cells: a count, then that many indices."""
     segments, at = [], 0
     while at < len(cells):
         points = cells[at + 1 : at + 1 + cells[at]]
@@ -180,7 +172,7 @@ def _integers(array: np.ndarray, limit: float) -> str:
     """Return values as integers, with the limit at PEAK."""
     finite = np.isfinite(array)
     shares = np.clip(np.where(finite, array, 0) / limit, -1, 1)
-    return _base64(np.where(finite, np.rint(PEAK * shares), NAN).astype("<i2"))
+    return _base64(np.where(finite, np.rint(PEAK * shares), NAN), "<i2")
 
 
 def _rgb(colour: str) -> list[float]:
@@ -188,5 +180,5 @@ def _rgb(colour: str) -> list[float]:
     return [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
 
 
-def _base64(array: np.ndarray) -> str:
-    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")
+def _base64(array: np.ndarray, kind: str) -> str:
+    return base64.b64encode(array.astype(kind).tobytes()).decode("ascii")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
 import math
-import subprocess
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from subprocess import PIPE, Popen
 from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +16,8 @@ import numpy as np
 
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
-from warp_plate.viz.annotations import TARGET, lookup_table
-from warp_plate.viz.availability import EXTRA, off_screen
-from warp_plate.viz.edge_styles import EDGE_STYLES
-from warp_plate.viz.fields import DrawingScale, field_of
+from warp_plate.viz.availability import EXTRA, set_up_renderer
+from warp_plate.viz.fields import field_of
 from warp_plate.viz.side_by_side import SideBySide, plate_subplots
 
 if TYPE_CHECKING:
@@ -35,8 +32,6 @@ ASPECT = 0.78
 LEAST_DURATION = 6.0
 # GIF counts hundredths of a second, and most viewers slow down frames shorter than this.
 SHORTEST_GIF_FRAME = 2
-# Colours from here on are white in a GIF.
-LIGHT = 247
 
 # Called after each frame with the numbers of frames done and in all.
 OnFrame = Callable[[int, int], object]
@@ -65,81 +60,70 @@ class PictureStyle:
 
 def missing_movies() -> str | None:
     """Return a sentence on what is missing for MP4 files, or None."""
-    if importlib.util.find_spec("imageio_ffmpeg") is None:
-        return f"MP4 files need imageio-ffmpeg: {EXTRA}"
-    return None
+    return None if importlib.util.find_spec("imageio_ffmpeg") else f"MP4 files need imageio-ffmpeg: {EXTRA}"
 
 
-def draw_picture(
-    scene: Scene, motions: Sequence[Motion], path: Path, style: PictureStyle, frame: int | None = None
-) -> None:
-    """Write one frame of all motions as a PNG (default: :func:`largest_frame`).
+def draw_picture(scene: Scene, motions: Sequence[Motion], path: Path, style: PictureStyle, frame: int) -> None:
+    """Write one frame of all motions as a PNG.
 
     Raises:
         DrawingUnavailable: VTK cannot draw here.
         OSError: the file cannot be written.
     """
-    frame = largest_frame(motions, style.quantity) if frame is None else frame
     with off_screen_plates(scene, motions, style) as (plates, take_picture):
         plates.show(frame)
         take_picture().save(path, format="PNG", compress_level=9)
 
 
-def draw_gif(
-    scene: Scene,
-    motions: Sequence[Motion],
-    path: Path,
-    style: PictureStyle,
-    rate: float,
-    on_frame: OnFrame | None = None,
+def draw_movie(
+    scene: Scene, motions: Sequence[Motion], path: Path, style: PictureStyle, rate: float, on_frame: OnFrame
 ) -> None:
-    """Write all frames as a GIF that repeats forever, at ``rate`` frames a second (50 at most).
-
-    Raises: see :func:`draw_picture`.
-    """
-    from PIL import Image
-
-    with off_screen_plates(scene, motions, style) as (plates, take_picture):
-        samples = []
-        for frame in range(0, plates.frames, max(1, plates.frames // 4)):
-            plates.show(frame)
-            samples.append(take_picture())
-        # One palette for all frames: with palettes of their own, colours would flicker.
-        palette = _palette(samples, plates.scale)
-        pictures = _all_frames(plates, take_picture, on_frame)
-        first, *rest = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    duration = 10 * max(SHORTEST_GIF_FRAME, round(100 / rate))
-    first.save(path, format="GIF", save_all=True, append_images=rest, duration=duration, loop=0, optimize=False)
-
-
-def draw_mp4(
-    scene: Scene,
-    motions: Sequence[Motion],
-    path: Path,
-    style: PictureStyle,
-    rate: float,
-    on_frame: OnFrame | None = None,
-) -> None:
-    """Write all frames as an MP4 (H.264) that every browser plays; short ones repeat for at least six seconds.
+    """Write all frames, as a GIF that repeats forever (at most 50 frames a second) if the path ends in .gif, else as an
+    MP4 (H.264) that every browser plays and that repeats its frames for at least six seconds.
 
     Raises:
         DrawingUnavailable: VTK cannot draw here.
         OSError: the file cannot be written.
         ImportError: see :func:`missing_movies`.
     """
+    with off_screen_plates(scene, motions, style) as (plates, take_picture):
+
+        def pictures() -> Iterator[Image.Image]:
+            for frame in range(plates.frames):
+                plates.show(frame)
+                yield take_picture()
+                on_frame(frame + 1, plates.frames)
+
+        if path.suffix.lower() == ".gif":
+            plates.show(largest_frame(motions, style.quantity))
+            _write_gif(path, pictures(), take_picture(), rate)
+        else:
+            _write_mp4(path, pictures(), take_picture().size, rate, math.ceil(LEAST_DURATION * rate / plates.frames))
+
+
+def _write_gif(path: Path, pictures: Iterator[Image.Image], sample: Image.Image, rate: float) -> None:
+    from PIL import Image
+
+    # One palette for all frames, as colours would flicker with several; this method keeps the background white.
+    palette = sample.quantize(method=Image.Quantize.MAXCOVERAGE)
+    first, *rest = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    duration = 10 * max(SHORTEST_GIF_FRAME, round(100 / rate))
+    first.save(path, format="GIF", save_all=True, append_images=rest, duration=duration, loop=0, optimize=False)
+
+
+def _write_mp4(path: Path, pictures: Iterator[Image.Image], size: tuple[int, int], rate: float, repeats: int) -> None:
     import imageio_ffmpeg
 
-    with off_screen_plates(scene, motions, style) as (plates, take_picture), TemporaryFile() as errors:
-        width, height = (side // 2 * 2 for side in take_picture().size)  # H.264 requires even sides
-        raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{rate:g}", "-i", "-"]
-        encoded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart", "-f", "mp4"]
-        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *raw, *encoded, str(path)]
-        repeats = math.ceil(LEAST_DURATION * rate / plates.frames)
-        kept: list[bytes] = []
-        encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=errors)
-        with contextlib.suppress(BrokenPipeError), encoder:
+    width, height = (side // 2 * 2 for side in size)  # H.264 requires even sides
+    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{rate:g}", "-i", "-"]
+    encoded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart", str(path)]
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *raw, *encoded]
+    kept: list[bytes] = []
+    with TemporaryFile() as errors:
+        encoder = Popen(command, stdin=PIPE, stderr=errors)
+        with suppress(BrokenPipeError), encoder:
             assert encoder.stdin is not None
-            for picture in _all_frames(plates, take_picture, on_frame):
+            for picture in pictures:
                 pixels = picture.crop((0, 0, width, height)).tobytes()
                 encoder.stdin.write(pixels)
                 kept += [pixels] * (repeats > 1)
@@ -187,19 +171,16 @@ def off_screen_plotter(size: tuple[int, int], **options: Any) -> Iterator[tuple[
     """
     from PIL import Image
 
-    with off_screen():
-        large = (round(SUPERSAMPLING * size[0]), round(SUPERSAMPLING * size[1]))
-        plotter = make_plotter(large, off_screen=True, **options)
+    set_up_renderer()
+    large = (round(SUPERSAMPLING * size[0]), round(SUPERSAMPLING * size[1]))
+    with closing(make_plotter(large, off_screen=True, **options)) as plotter:
 
         def take_picture() -> Image.Image:
             plotter.render()
             pixels = np.asarray(plotter.screenshot(return_img=True))
             return Image.fromarray(pixels).resize(size, Image.Resampling.LANCZOS)
 
-        try:
-            yield plotter, take_picture
-        finally:
-            plotter.close()
+        yield plotter, take_picture
 
 
 def make_plotter(size: tuple[int, int], **options: Any) -> pyvista.Plotter:
@@ -211,33 +192,3 @@ def make_plotter(size: tuple[int, int], **options: Any) -> pyvista.Plotter:
     # VTK's anti-aliasing breaks wide lines here and there.
     plotter.disable_anti_aliasing()
     return plotter
-
-
-def _palette(samples: Sequence[Image.Image], scale: DrawingScale) -> Image.Image:
-    """Return an image with 256 colours for all samples, half of them the colour map's, to avoid bands."""
-    from PIL import Image
-
-    sheet = Image.new("RGB", (samples[0].width, samples[0].height * len(samples)))
-    for index, sample in enumerate(samples):
-        sheet.paste(sample, (0, index * sample.height))
-    reserved = [*lookup_table(scale).values[::2, :3]]
-    for colour in (TARGET, *(style.colour for style in EDGE_STYLES.values())):
-        # Smoothed lines and letters blend into the white background.
-        line = np.array([int(colour[at : at + 2], 16) for at in (1, 3, 5)])
-        reserved += [line + (255 - line) * part / 4 for part in range(4)]
-    free = 256 - len(reserved)
-    others = np.reshape(sheet.quantize(free, method=Image.Quantize.MEDIANCUT).getpalette(), (-1, 3))
-    colours = np.concatenate([reserved, others[:free]])
-    # Keep the background white, not the mean of many light colours.
-    colours[colours.min(axis=1) >= LIGHT] = 255
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(colours.astype(np.uint8).tobytes())
-    return palette
-
-
-def _all_frames(plates: SideBySide, take_picture: TakePicture, on_frame: OnFrame | None) -> Iterator[Image.Image]:
-    for frame in range(plates.frames):
-        plates.show(frame)
-        yield take_picture()
-        if on_frame is not None:
-            on_frame(frame + 1, plates.frames)

@@ -8,27 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.scene.model import Scene
-from warp_plate.viz.annotations import (
-    INK,
-    TARGET,
-    add_axis_labels,
-    add_legend,
-    add_text,
-    free_width,
-    lookup_table,
-    set_colour_bar,
-)
-from warp_plate.viz.camera import look_at_plate
-from warp_plate.viz.edge_styles import EDGE_STYLES
+from warp_plate.viz import annotations
+from warp_plate.viz.annotations import lookup_table
 from warp_plate.viz.fields import DrawingScale
 from warp_plate.viz.meshes import SCALARS, PlateMeshes, SurfacePolylines, plate_meshes
+from warp_plate.viz.styles import EDGE_STYLES, GRID, INK, TARGET
 
 if TYPE_CHECKING:
     import pyvista
     from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
     from vtkmodules.vtkRenderingCore import vtkTextActor
-
-GRID = "#8a8a8a"
 
 
 @dataclass(frozen=True)
@@ -86,11 +75,10 @@ class PlateActors:
 
     def rescale(self, scale: DrawingScale) -> None:
         """Take another scale; a call of :meth:`update` must follow."""
-        if (scale.field, scale.clim, scale.unit) != (self.scale.field, self.scale.clim, self.scale.unit):
-            _set_colours(self.surface, scale)
-            if self.bar is not None:
-                set_colour_bar(self.bar, scale)
         self.scale = scale
+        _set_colours(self.surface, scale)
+        if self.bar is not None:
+            annotations.set_colour_bar(self.bar, scale)
         self.caption.SetInput(_with_heights(self.text, scale))
 
 
@@ -120,11 +108,15 @@ def add_plate(
     surface = plotter.add_mesh(meshes.surface, scalars=SCALARS, clim=scale.clim, lighting=False, show_scalar_bar=False)
     _set_colours(surface, scale)
     for layer in line_layers(meshes):
-        _add_lines(plotter, layer, font_size)
-    add_axis_labels(plotter, scene.plate.size, font_size)
-    drawn_bar = add_legend(plotter, scene, scale, font_size) if bar else None
-    above = add_text(plotter, _with_heights(text, scale), (0.03, 0.97), font_size)
-    look_at_plate(plotter, scene.plate.size, font_size, share=free_width(plotter, font_size) if bar else 1.0)
+        look = {"color": layer.colour, "line_width": layer.width * font_size, "opacity": layer.opacity}
+        actor = plotter.add_mesh(layer.lines.mesh, lighting=False, show_scalar_bar=False, **look)
+        actor.mapper.resolve = "polygon_offset"  # a global switch of VTK that the next line depends on
+        actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -layer.depth_offset)
+    annotations.add_axis_labels(plotter, scene.plate.size, font_size)
+    drawn_bar = annotations.add_legend(plotter, scene, scale, font_size) if bar else None
+    above = annotations.add_text(plotter, _with_heights(text, scale), (0.03, 0.97), font_size)
+    share = annotations.free_width(plotter, font_size) if bar else 1.0
+    annotations.look_at_plate(plotter, scene.plate.size, font_size, share)
     return PlateActors(meshes, scale, surface, above, drawn_bar, text)
 
 
@@ -151,17 +143,3 @@ def _set_colours(surface: pyvista.Actor, scale: DrawingScale) -> None:
     surface.mapper.scalar_range = scale.clim
     # Between 179° and −179° lies 180°, not 0°: interpolate colours of angles, not angles.
     surface.mapper.interpolate_before_map = scale.field.kind != "cyclic"
-
-
-def _add_lines(plotter: pyvista.Plotter, layer: LineLayer, font_size: int) -> None:
-    actor = plotter.add_mesh(
-        layer.lines.mesh,
-        color=layer.colour,
-        line_width=layer.width * font_size,
-        opacity=layer.opacity,
-        lighting=False,
-        show_scalar_bar=False,
-    )
-    # A global switch of VTK that the next line depends on.
-    actor.mapper.resolve = "polygon_offset"
-    actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -layer.depth_offset)

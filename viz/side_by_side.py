@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import LEGEND_WIDTH, add_legend, set_colour_bar
 from warp_plate.viz.captions import frame_caption
 from warp_plate.viz.fields import DrawingScale, common_scale, field_of
-from warp_plate.viz.scene3d import PlateActors, add_plate
+from warp_plate.viz.scene3d import add_plate
 
 if TYPE_CHECKING:
     import pyvista
@@ -36,56 +34,48 @@ class SideBySide:
     Attributes:
         plates: one for each motion.
         scale: common scale of all plates and frames.
+        frames: number of frames.
         frame: index of the shown frame.
     """
 
     def __init__(
-        self,
-        plotter: pyvista.Plotter,
-        scene: Scene,
-        motions: Sequence[Motion],
-        quantity: str = "displacement",
-        font_size: int = 20,
+        self, plotter: pyvista.Plotter, scene: Scene, motions: Sequence[Motion], quantity: str, font_size: int
     ) -> None:
         self.scene = scene
         self.motions = list(motions)
-        self.frame = 0
-        self.field = field_of(motions, quantity)
-        self.scale = common_scale(scene, motions, self.field)
-        self._values = [self.field.values(motion) for motion in motions]
-        self.plates: list[PlateActors] = []
+        self.frames, self.frame = len(motions[0].times), 0
+        self.scale = self._take_field(quantity)
+        self.plates = []
         _, columns = rows_and_columns(len(motions))
-        for index, motion in enumerate(motions):
+        for index, (motion, values) in enumerate(zip(motions, self._values, strict=True)):
             plotter.subplot(*divmod(index, columns))
-            field, text = motion.displacement[0], frame_caption(motion, 0, scene)
-            placed = motion.scene or scene
-            values = self._frame_values(index)
-            self.plates.append(add_plate(plotter, placed, field, self.scale, text, font_size, bar=False, values=values))
+            text, placed = frame_caption(motion, 0, scene), motion.scene or scene
+            field = motion.displacement[0]
+            self.plates.append(add_plate(plotter, placed, field, self.scale, text, font_size, False, values[0]))
         plotter.subplot(0, columns)
         self._bar = add_legend(plotter, scene, self.scale, font_size)
-
-    @property
-    def frames(self) -> int:
-        """Number of frames."""
-        return len(self.motions[0].times)
 
     def show(self, frame: int) -> None:
         """Move all plates to a frame, counted modulo the number of frames."""
         self.frame = frame % self.frames
-        for index, (motion, plate) in enumerate(zip(self.motions, self.plates, strict=True)):
+        for motion, values, plate in zip(self.motions, self._values, self.plates, strict=True):
             text = frame_caption(motion, self.frame, self.scene)
-            plate.update(motion.displacement[self.frame], self._frame_values(index), text)
+            # Some fields are constant in time, with a single frame.
+            plate.update(motion.displacement[self.frame], values[self.frame % len(values)], text)
 
     def colour_by(self, quantity: str) -> None:
         """Show another field in colour at the same frame and heights."""
-        self.field = field_of(self.motions, quantity)
-        self._values = [self.field.values(motion) for motion in self.motions]
-        scale = common_scale(self.scene, self.motions, self.field)
-        self._rescale(replace(scale, warp_factor=self.scale.warp_factor))
+        self._rescale(replace(self._take_field(quantity), warp_factor=self.scale.warp_factor))
 
     def exaggerate(self, warp_factor: float) -> None:
         """Exaggerate heights by this factor, rounded to three digits."""
         self._rescale(replace(self.scale, warp_factor=float(f"{warp_factor:.3g}")))
+
+    def _take_field(self, quantity: str) -> DrawingScale:
+        """Read a field of all motions and return its scale."""
+        field = field_of(self.motions, quantity)
+        self._values = [field.values(motion) for motion in self.motions]
+        return common_scale(self.scene, self.motions, field)
 
     def _rescale(self, scale: DrawingScale) -> None:
         self.scale = scale
@@ -93,11 +83,6 @@ class SideBySide:
         for plate in self.plates:
             plate.rescale(scale)
         self.show(self.frame)
-
-    def _frame_values(self, index: int) -> np.ndarray:
-        """Return (ny, nx) values of one plate at the shown frame; some fields have only one frame."""
-        values = self._values[index]
-        return values[self.frame % len(values)]
 
 
 def rows_and_columns(plates: int) -> tuple[int, int]:
@@ -109,7 +94,5 @@ def rows_and_columns(plates: int) -> tuple[int, int]:
 def plate_subplots(plates: int, width: int, font_size: int) -> dict[str, Any]:
     """Return shape and column widths [pixels] of a PyVista plotter for plates of this width, and their legend."""
     rows, columns = rows_and_columns(plates)
-    return {
-        "shape": (rows, columns + 1),
-        "col_weights": [width] * columns + [round(LEGEND_WIDTH * font_size)],
-    }
+    widths = [width] * columns + [round(LEGEND_WIDTH * font_size)]
+    return {"shape": (rows, columns + 1), "col_weights": widths}

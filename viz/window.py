@@ -13,16 +13,16 @@ import numpy as np
 
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
-from warp_plate.viz.annotations import INK, LEGEND_WIDTH, add_text, style_text
-from warp_plate.viz.camera import look_at_plate
+from warp_plate.viz.annotations import LEGEND_WIDTH, add_text, look_at_plate, style_text
 from warp_plate.viz.captions import case_label
 from warp_plate.viz.fields import FIELDS
 from warp_plate.viz.pictures import make_plotter
 from warp_plate.viz.side_by_side import SideBySide, plate_subplots, rows_and_columns
+from warp_plate.viz.styles import INK
 
 if TYPE_CHECKING:
     import pyvista
-    from vtkmodules.vtkInteractionWidgets import vtkButtonWidget, vtkSliderRepresentation2D
+    from vtkmodules.vtkInteractionWidgets import vtkButtonWidget
 
 # All lengths in pixels: largest window, width of a plate, height of the strip of controls, button and its column.
 MOST_WIDE, MOST_HIGH, PLATE, STRIP, BUTTON, COLUMN = 1500, 900, 620, 150, 18, 172
@@ -65,29 +65,26 @@ class ViewerWindow:
     def __init__(
         self, plotter: pyvista.Plotter, scene: Scene, motions: Sequence[Motion], quantity: str, stem: Path, rate: float
     ) -> None:
-        self.plotter = plotter
-        self.scene = scene
-        self.stem = stem
-        self.rate = rate
-        self.quantity = quantity
-        self.shown = ALL
+        self.plotter, self.scene, self.stem, self.rate, self.quantity = plotter, scene, stem, rate, quantity
         self.plates = SideBySide(plotter, scene, motions, quantity, FONT_SIZE)
+        self.names, self.shown, self.playing = [motion.name for motion in motions], ALL, False
         self._warp_factor = self.plates.scale.warp_factor
         self._modes = motions[0].localization_factor is None
         count = self.plates.frames
         self._moments = np.arange(count) / count if self._modes else motions[0].times  # modes: in periods
         self._position, self._clock = 0.0, time.perf_counter()
-        rows, columns = rows_and_columns(len(motions))
-        places = [divmod(place, columns) for place in range(rows * columns)]
+        rows, self._columns = rows_and_columns(len(motions))
+        places = [divmod(place, self._columns) for place in range(rows * self._columns)]
         self._renderers = [plotter.renderers[int(plotter.renderers.loc_to_index(place))] for place in places]
         self._viewports = [renderer.GetViewport() for renderer in self._renderers]
         self._add_controls(rows)
         self._bind_keys()
         plotter.subplot(0, 0)
         self.keys = add_text(plotter, KEYS, (0.03, 0.8), FONT_SIZE)
-        style_text(self.keys.GetTextProperty(), FONT_SIZE - 2, font="DejaVuSansMono")
-        self.keys.GetTextProperty().SetBackgroundColor(1, 1, 1)
-        self.keys.GetTextProperty().SetBackgroundOpacity(0.9)
+        style = self.keys.GetTextProperty()
+        style_text(style, FONT_SIZE - 2, font="DejaVuSansMono")
+        style.SetBackgroundColor(1, 1, 1)
+        style.SetBackgroundOpacity(0.9)
         self.keys.VisibilityOff()
         self.playing = True
 
@@ -104,8 +101,7 @@ class ViewerWindow:
         """Show a frame, counted modulo the number of frames."""
         self._position = frame % self.plates.frames
         self.plates.show(int(self._position))
-        self.sliders["time"].SetValue(self._moments[self.plates.frame])
-        self.plotter.render()
+        self._update("time", self._moments[self.plates.frame])
 
     def play(self, playing: bool) -> None:
         """Start or stop."""
@@ -121,14 +117,12 @@ class ViewerWindow:
     def set_rate(self, rate: float) -> None:
         """Set the frames a second."""
         self.rate = min(max(rate, 1.0), FASTEST)
-        self.sliders["rate"].SetValue(self.rate)
-        self.plotter.render()
+        self._update("rate", self.rate)
 
     def exaggerate(self, warp_factor: float) -> None:
         """Exaggerate heights by this factor."""
         self.plates.exaggerate(max(warp_factor, 1e-3 * self._warp_factor))
-        self.sliders["heights"].SetValue(self.plates.scale.warp_factor / self._warp_factor)
-        self.plotter.render()
+        self._update("heights", self.plates.scale.warp_factor / self._warp_factor)
 
     def colour_by(self, quantity: str) -> None:
         """Show another field in colour."""
@@ -141,23 +135,21 @@ class ViewerWindow:
         """Enlarge one motion to the whole window, or show ALL side by side; colours stay the same."""
         self.shown = name
         left, bottom, right, top = np.transpose(self._viewports)
-        whole = (left.min(), bottom.min(), right.max(), top.max())
-        names = [motion.name for motion in self.plates.motions]
+        window = (left.min(), bottom.min(), right.max(), top.max())
         for index, (renderer, viewport) in enumerate(zip(self._renderers, self._viewports, strict=True)):
-            alone = names[index : index + 1] == [name]
-            renderer.SetViewport(*(whole if alone else viewport))
+            alone = self.names[index : index + 1] == [name]
+            renderer.SetViewport(*(window if alone else viewport))
             renderer.SetDraw(alone or name == ALL)
             renderer.SetInteractive(alone or name == ALL)
             renderer.RemoveViewProp(self.keys)
-        self._renderers[names.index(name) if name != ALL else 0].AddViewProp(self.keys)
+        self._renderers[self.names.index(name) if name != ALL else 0].AddViewProp(self.keys)
         _check(self.case_buttons, name)
         self.reset_view()
 
     def reset_view(self) -> None:
         """Point all cameras as at first."""
-        columns = rows_and_columns(len(self.plates.plates))[1]
-        for index in range(len(self.plates.plates)):
-            self.plotter.subplot(*divmod(index, columns))
+        for index in range(len(self.names)):
+            self.plotter.subplot(*divmod(index, self._columns))
             look_at_plate(self.plotter, self.scene.plate.size, FONT_SIZE)
         self.plotter.render()
 
@@ -179,74 +171,60 @@ class ViewerWindow:
         self.keys.SetVisibility(not self.keys.GetVisibility())
         self.plotter.render()
 
+    def _update(self, slider: str, value: float) -> None:
+        self.sliders[slider].SetValue(value)
+        self.plotter.render()
+
     def _add_controls(self, row: int) -> None:
-        """Fill the strip below the plates; PyVista calls each slider's callback once."""
+        """Fill the strip below the plates; PyVista calls each slider's callback once, before it is in ``sliders``."""
         plotter, moments = self.plotter, self._moments
         plotter.subplot(row, 0)
         plotter.renderer.InteractiveOff()
-        self.sliders: dict[str, vtkSliderRepresentation2D] = {}
         self.status = add_text(plotter, "h: list of keys", (0.013, 0.14), FONT_SIZE, "#08519c")
-        self.play_button = plotter.add_checkbox_button_widget(
-            self.play, value=True, position=(20, 64), size=BUTTON, border_size=2, color_on="#08519c", color_off="white"
-        )
-        self._add_label("play", 20, 64)
+        self.play_button = self._add_button("play", 20, 64, plotter.add_checkbox_button_widget, self.play, True)
         fields = {} if self._modes else {name: name.replace("-", " ") for name in FIELDS}
         self.field_buttons = self._add_buttons(fields, 64, COLUMN, self.colour_by, self.quantity)
-        names = [motion.name for motion in self.plates.motions]
-        cases = {name: case_label(name, self.scene) for name in names} | {ALL: "side by side"} if len(names) > 1 else {}
-        self.case_buttons = self._add_buttons(cases, 34, 0, self.show_only, ALL)
-        self.playing, label = False, "time [periods]" if self._modes else "time [s]"
-        self._add_slider("time", label, (moments[0], moments[-1]), moments[0], (0.02, 0.42), self._on_time)
-        self._add_slider("rate", "frames per second", (1.0, FASTEST), self.rate, (0.48, 0.70), self._on_rate)
-        self._add_slider("heights", "heights, 1 at first", (0.0, 4.0), 1.0, (0.76, 0.98), self._on_heights)
-
-    def _add_slider(
-        self,
-        key: str,
-        title: str,
-        ends: tuple[float, float],
-        value: float,
-        position: tuple[float, float],
-        callback: Callable[[float], None],
-    ) -> None:
-        left, right = position
-        slider = self.plotter.add_slider_widget(
-            callback, ends, value=value, pointa=(left, 0.70), pointb=(right, 0.70), style="modern", fmt="%.4g",
-            interaction_event="always", slider_width=0.12, tube_width=0.03, color=INK,
-        )  # fmt: skip
-        bar = self.sliders[key] = slider.GetRepresentation()
-        bar.SetLabelHeight(0.11)
-        bar.SetSliderLength(0.006)
-        bar.SetEndCapLength(0.0)
-        style_text(bar.GetLabelProperty(), FONT_SIZE)
-        add_text(self.plotter, title, (left, 1.0), FONT_SIZE)
+        cases = {name: case_label(name, self.scene) for name in self.names} | {ALL: "side by side"}
+        self.case_buttons = self._add_buttons(cases if len(self.names) > 1 else {}, 34, 0, self.show_only, ALL)
+        self.sliders: dict[str, Any] = {}
+        for key, title, ends, value, left, right, callback in (
+            ("time", "time [periods]" if self._modes else "time [s]", moments[[0, -1]], 0.0, 0.02, 0.42, self._on_time),
+            ("rate", "frames per second", (1.0, FASTEST), self.rate, 0.48, 0.70, partial(setattr, self, "rate")),
+            ("heights", "heights, 1 at first", (0.0, 4.0), 1.0, 0.76, 0.98, self._on_heights),
+        ):
+            slider = plotter.add_slider_widget(
+                callback, ends, value=max(value, ends[0]), pointa=(left, 0.70), pointb=(right, 0.70), style="modern",
+                fmt="%.4g", interaction_event="always", slider_width=0.12, tube_width=0.03, color=INK,
+            )  # fmt: skip
+            bar = self.sliders[key] = slider.GetRepresentation()
+            bar.SetLabelHeight(0.11)
+            bar.SetSliderLength(0.006)
+            bar.SetEndCapLength(0.0)
+            style_text(bar.GetLabelProperty(), FONT_SIZE)
+            add_text(plotter, title, (left, 1.0), FONT_SIZE)
 
     def _add_buttons(
         self, labels: dict[str, str], y: int, left: int, callback: Callable[[str], None], chosen: str
     ) -> dict[str, vtkButtonWidget]:
         """Add a row of radio buttons."""
         column = min(COLUMN, (self.plotter.window_size[0] - left) // max(1, len(labels)))
-        buttons = {}
-        for index, (name, label) in enumerate(labels.items()):
-            x = left + index * column + 20
-            buttons[name] = self.plotter.add_radio_button_widget(
-                partial(callback, name), f"row {y}", value=name == chosen, position=(x, y),
-                size=BUTTON, border_size=4, color_on="#08519c", color_off="#c4c4c4",
-            )  # fmt: skip
-            self._add_label(label, x, y)
-        return buttons
+        add = partial(self.plotter.add_radio_button_widget, radio_button_group=f"row {y}")
+        return {
+            name: self._add_button(label, left + index * column + 20, y, add, partial(callback, name), name == chosen)
+            for index, (name, label) in enumerate(labels.items())
+        }
 
-    def _add_label(self, label: str, x: int, y: int) -> None:
-        text = self.plotter.add_text(label, position=(x + 1.5 * BUTTON, y))
-        style_text(text.prop, FONT_SIZE)
+    def _add_button(
+        self, label: str, x: int, y: int, add: Callable[..., Any], callback: Callable[..., None], value: bool
+    ) -> vtkButtonWidget:
+        style_text(self.plotter.add_text(label, position=(x + 1.5 * BUTTON, y)).prop, FONT_SIZE)
+        look = {"size": BUTTON, "border_size": 4, "color_on": "#08519c", "color_off": "#c4c4c4"}
+        return add(callback=callback, value=value, position=(x, y), **look)
 
     def _on_time(self, moment: float) -> None:
-        if "time" in self.sliders:  # not PyVista's first call
+        if "time" in self.sliders:
             self.play(False)
             self.go(int(np.abs(self._moments - moment).argmin()))
-
-    def _on_rate(self, rate: float) -> None:
-        self.rate = rate
 
     def _on_heights(self, ratio: float) -> None:
         if "heights" in self.sliders:
@@ -281,14 +259,10 @@ def window_plotter(plates: int, **options: object) -> pyvista.Plotter:
     rows, columns = rows_and_columns(plates)
     most_wide = (MOST_WIDE - LEGEND_WIDTH * FONT_SIZE) / columns
     width = round(min(PLATE * (1.6 if plates == 1 else 1), most_wide, (MOST_HIGH - STRIP) / rows / ASPECT))
-    subplots = plate_subplots(plates, width, FONT_SIZE)
     # A drive shown alone takes the whole row.
     height = max(round(width * ASPECT), LEAST_HIGH if rows == 1 else 0)
-    subplots |= {
-        "shape": (rows + 1, columns + 1),
-        "row_weights": [height] * rows + [STRIP],
-        "groups": [(rows, np.s_[:])],
-    }
+    strip = {"shape": (rows + 1, columns + 1), "row_weights": [height] * rows + [STRIP], "groups": [(rows, np.s_[:])]}
+    subplots = plate_subplots(plates, width, FONT_SIZE) | strip
     size = (sum(subplots["col_weights"]), rows * height + STRIP)
     return make_plotter(size, title="warp-plate view", **subplots, **options)
 

@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from warp_plate import viz
 from warp_plate.cli.main import main
 from warp_plate.result import load_result, save_result
 from warp_plate.studies.localize import localize
@@ -46,13 +45,6 @@ def render(searched, tmp_path, monkeypatch, capsys):
         return err
 
     return run
-
-
-@pytest.fixture
-def drawing():
-    """Skip the test if nothing can be drawn off screen."""
-    if (problem := viz.missing_renderer()) is not None:
-        pytest.skip(problem)
 
 
 def frames_of(path):

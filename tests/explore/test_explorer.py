@@ -11,7 +11,6 @@ from warp_plate.explore.live_model import LiveModel
 from warp_plate.result.motion import DriveResponse, SteadyMotion, SwarmSnapshot
 from warp_plate.scene.dump import dump_scene
 from warp_plate.viz import explorer_page
-from warp_plate.viz.availability import off_screen
 from warp_plate.viz.explorer_view import LEAST_SHARE, PERIOD, ExplorerView, factor_text, share_texts
 from warp_plate.viz.pictures import make_plotter
 
@@ -26,15 +25,12 @@ def model(scene):
 
 
 @pytest.fixture
-def view(model):
-    if (problem := viz.missing_renderer()) is not None:
-        pytest.skip(problem)
-    with off_screen():
-        plotter = make_plotter((900, 800), off_screen=True, shape=(2, 1))
-        made = ExplorerView(plotter, model, 16)
-        made.plotter = plotter
-        yield made
-        plotter.close()
+def view(model, drawing):
+    plotter = make_plotter((900, 800), off_screen=True, shape=(2, 1))
+    made = ExplorerView(plotter, model, 16)
+    made.plotter = plotter
+    yield made
+    plotter.close()
 
 
 def points(chart_plot):

@@ -48,13 +48,6 @@ def result():
 
 
 @pytest.fixture
-def drawing():
-    """Skip the test if nothing can be drawn off screen."""
-    if (problem := viz.missing_renderer()) is not None:
-        pytest.skip(problem)
-
-
-@pytest.fixture
 def new_trial():
     """Repeat the trial drawing in this test and in the next."""
     availability.working_window.cache_clear()
@@ -71,20 +64,18 @@ def pixels(path):
 def test_surfaces_show_every_case_and_time(result, drawing, tmp_path):
     assert viz.draw_surfaces(result, tmp_path / "figure.png") == tmp_path / "figure.png"
     picture = pixels(tmp_path / "figure.png")
-    height, width = picture.shape[:2]
-    assert width == pytest.approx(1600, abs=50)
-    red, blue = (picture[..., one] - picture[..., other] for one, other in ((0, 2), (2, 0)))
-    for row in np.split(np.arange(height), 3):
+    assert picture.shape[1] == pytest.approx(1600, abs=50)
+    red = picture[..., 0] - picture[..., 2]
+    for row in np.split(np.arange(len(picture)), 3):
         for left in (0, 710):
             panel = np.ix_(row, np.arange(left, left + 710))
             # Each row has limits of its own, so that both colours show in spite of amplitudes that differ.
             assert (red[panel] > 100).sum() > 1000
-            assert (blue[panel] > 100).sum() > 1000
+            assert (red[panel] < -100).sum() > 1000
             assert (picture[panel][:70].max(axis=-1) < 100).sum() > 500
             # Nothing is cut off at the sides.
             assert (picture[panel][70:, :5] > 250).all()
-    assert (picture[:3] > 250).all()
-    assert (picture[-3:] > 250).all()
+    assert (picture[[0, 1, 2, -3, -2, -1]] > 250).all()
 
 
 def test_columns_are_evenly_spaced_times():
@@ -123,8 +114,6 @@ def test_all_pictures_that_a_result_holds(result, drawing, tmp_path):
     assert problem is None
     assert sorted(written) == sorted(tmp_path.iterdir())
     assert {path.name for path in written} == {"paper-surfaces.png", "paper-history.png"}
-    simulation = replace(result, cases={"drive": result.cases["equal"]}, history={})
-    assert viz.draw_all(simulation, tmp_path / "run") == ([tmp_path / "run-surfaces.png"], None)
     empty = replace(result, history={}, times=np.zeros(0))
     assert viz.draw_all(empty, tmp_path / "empty") == ([], None)
     with pytest.raises(ValueError, match="no displacement"):
@@ -151,15 +140,15 @@ def test_if_vtk_crashes_only_surfaces_are_missing(result, monkeypatch, new_trial
 
 
 @pytest.mark.parametrize(
-    ("trial", "timeout", "reason"),
+    ("trial", "reason"),
     [
-        ("raise ImportError('libXrender.so.1: cannot open')", 60.0, "libXrender.so.1"),
-        ("import time; time.sleep(600)", 0.2, "cannot be drawn"),
+        ("raise ImportError('libXrender.so.1: cannot open')", "libXrender.so.1"),
+        ("import time; time.sleep(600)", "cannot be drawn"),
     ],
 )
-def test_failed_trials_are_reported(monkeypatch, new_trial, trial, timeout, reason):
+def test_failed_trials_are_reported(monkeypatch, new_trial, trial, reason):
     monkeypatch.setattr(availability, "TRIAL", trial)
-    monkeypatch.setattr(availability, "TIMEOUT", timeout)
+    monkeypatch.setattr(availability, "TIMEOUT", 1.0)
     assert reason in viz.missing_renderer()
 
 
@@ -174,28 +163,24 @@ def test_missing_packages_are_named(result, monkeypatch, new_trial, tmp_path):
 
 def run_python(code):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    return run.returncode, run.stdout.strip(), run.stderr
 
 
-def test_off_screen_drawing_is_quiet_and_restores_the_environment(drawing):
+def test_off_screen_drawing_is_quiet(drawing):
     code = """
-import os
+from warp_plate.viz.availability import set_up_renderer
+set_up_renderer()
 import pyvista
-from warp_plate.viz.availability import off_screen
-before = dict(os.environ)
-with off_screen():
-    plotter = pyvista.Plotter(off_screen=True, window_size=[64, 64])
-    plotter.add_mesh(pyvista.Sphere())
-    assert plotter.screenshot(return_img=True).std() > 0
-    plotter.close()
-assert dict(os.environ) == before
+plotter = pyvista.Plotter(off_screen=True, window_size=[64, 64])
+plotter.add_mesh(pyvista.Sphere())
+print(plotter.screenshot(return_img=True).std() > 0)
+plotter.close()
 """
-    run = run_python(code)
-    assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
+    assert run_python(code) == (0, "True", "")
 
 
 def test_importing_loads_neither_drawing_libraries_nor_the_solver():
     heavy = {"pyvista", "vtkmodules", "matplotlib", "PIL", "warp", "IPython"}
     code = f"import sys, warp_plate.viz, warp_plate.viz.notebook; print(sorted({heavy!r} & set(sys.modules)))"
-    run = run_python(code)
-    assert run.stdout.strip() == "[]", run.stderr
+    assert run_python(code) == (0, "[]", "")

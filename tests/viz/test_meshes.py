@@ -7,16 +7,17 @@ import pytest
 
 from warp_plate.scene import Scene
 from warp_plate.viz.captions import caption
-from warp_plate.viz.edge_styles import EDGE_STYLES, edges_by_kind
 from warp_plate.viz.fields import FIELDS, DrawingScale, drawing_scale
 from warp_plate.viz.meshes import SCALARS, plate_meshes
+from warp_plate.viz.styles import edges_by_kind
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
 
+PAPER = Scene.load("paper")
 
-@pytest.fixture
-def paper():
-    return Scene.load("paper")
+
+def meshes_of(field, scene=PAPER):
+    return plate_meshes(scene, field, drawing_scale([field], scene.plate.size))
 
 
 def segments(lines):
@@ -28,19 +29,9 @@ def segments(lines):
     return np.array(pieces)
 
 
-# Scales -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("largest", "unit", "end"),
-    [
-        (2.31e-13, "nm", 0.00024),
-        (2.27e-7, "nm", 230),
-        (9.95e-7, "µm", 1),
-        (-3.2e-4, "µm", 320),
-        (5e-3, "mm", 5),
-        (2e3, "m", 2000),
-    ],
+    [(2.31e-13, "nm", 0.00024), (2.27e-7, "nm", 230), (9.95e-7, "µm", 1), (-5e-3, "mm", 5), (2e3, "m", 2000)],
 )
 def test_displacement_scales_are_symmetric_with_a_short_limit(largest, unit, end):
     scale = drawing_scale([np.array([[0.0, largest / 50]]), np.array([[0.0, largest]])], (0.2, 0.3))
@@ -52,22 +43,22 @@ def test_displacement_scales_are_symmetric_with_a_short_limit(largest, unit, end
 
 
 def test_units_of_other_fields():
-    energy, speed = FIELDS["energy"], FIELDS["rms-velocity"]
-    field = [np.array([1e-7])]
-    assert drawing_scale(field, (1, 1), energy, [np.array([4.2e-11])]).unit == "pJ/m²"
-    assert drawing_scale(field, (1, 1), energy, [np.array([4.2e-8])]).title == "kinetic energy\ndensity\n[nJ/m²]"
-    assert drawing_scale(field, (1, 1), speed, [np.array([3.9e-4])]).clim == (0.0, pytest.approx(390))
-    assert drawing_scale(field, (1, 1), speed, [np.array([5.0])]).unit == "m/s"
-    assert drawing_scale(field, (1, 1), FIELDS["phase"]).clim == (-180.0, 180.0)
+    def scale(name, largest):
+        return drawing_scale([np.array([1e-7])], (1, 1), FIELDS[name], [np.array([largest])])
+
+    assert scale("energy", 4.2e-11).unit == "pJ/m²"
+    assert scale("energy", 4.2e-8).title == "kinetic energy\ndensity\n[nJ/m²]"
+    assert scale("rms-velocity", 3.9e-4).clim == (0.0, pytest.approx(390))
+    assert scale("rms-velocity", 5.0).unit == "m/s"
+    assert scale("phase", 1.0).clim == (-180.0, 180.0)
 
 
-def test_plates_at_rest_and_plates_that_are_not_finite_can_be_drawn(paper):
+def test_plates_at_rest_and_plates_that_are_not_finite_can_be_drawn():
     assert drawing_scale([np.zeros((5, 5))], (0.2, 0.2)) == DrawingScale(1e-6, 1.0, "µm", 1e6)
     field = np.full((27, 27), 1.9e-7)
     field[3, 4], field[5, 6] = np.inf, np.nan
-    scale = drawing_scale([field], (0.2, 0.2))
-    assert scale.limit == pytest.approx(1.9e-7)
-    heights = plate_meshes(paper, field, scale).surface.points[:, 2].reshape(27, 27)
+    assert drawing_scale([field], (0.2, 0.2)).limit == pytest.approx(1.9e-7)
+    heights = meshes_of(field).surface.points[:, 2].reshape(27, 27)
     assert np.isfinite(heights).all()
     assert heights[3, 4] == heights[5, 6] == 0
 
@@ -78,29 +69,22 @@ def test_captions():
     assert "not defined" in caption("given drive", 0.0464, float("nan"))
 
 
-# Meshes -----------------------------------------------------------------------------------------------------
-
-
-def test_nodes_stand_at_the_warp_factor_times_their_displacement(paper, random):
+def test_nodes_stand_at_the_warp_factor_times_their_displacement(random):
     field = random.normal(size=(9, 13)) * 1e-7
-    scale = drawing_scale([field], paper.plate.size)
-    surface = plate_meshes(paper, field, scale).surface
+    surface, factor = meshes_of(field).surface, drawing_scale([field], PAPER.plate.size).warp_factor
     x, y = np.meshgrid(np.linspace(0, 0.2, 13), np.linspace(0, 0.2, 9))
-    expected = np.column_stack([x.ravel(), y.ravel(), scale.warp_factor * field.ravel()])
-    np.testing.assert_allclose(surface.points, expected, atol=1e-7)
+    np.testing.assert_allclose(surface.points, np.column_stack([x.flat, y.flat, factor * field.ravel()]), atol=1e-7)
     np.testing.assert_allclose(surface.point_data[SCALARS], field.ravel() * 1e9, rtol=1e-12)
     # Two triangles per cell cover the plate once.
     assert surface.n_cells == 2 * 8 * 12
-    flat = surface.copy()
-    flat.points[:, 2] = 0
-    assert flat.area == pytest.approx(0.04)
+    surface.points[:, 2] = 0
+    assert surface.area == pytest.approx(0.04)
 
 
-def test_polylines_lie_on_the_warped_surface(paper, random):
+def test_polylines_lie_on_the_warped_surface(random):
     from matplotlib.tri import LinearTriInterpolator, Triangulation
 
-    field = random.normal(size=(11, 14)) * 1e-7
-    meshes = plate_meshes(paper, field, drawing_scale([field], paper.plate.size))
+    meshes = meshes_of(random.normal(size=(11, 14)) * 1e-7)
     points = meshes.surface.points.astype(float)
     triangles = Triangulation(points[:, 0], points[:, 1], meshes.surface.faces.reshape(-1, 4)[:, 1:])
     height = LinearTriInterpolator(triangles, points[:, 2])
@@ -112,32 +96,24 @@ def test_polylines_lie_on_the_warped_surface(paper, random):
         np.testing.assert_allclose(on_line[:, 2], height(*inside.T).filled(np.nan), atol=2e-6)
 
 
-def test_outlines_follow_edges_target_and_actuators(paper):
-    field = np.zeros((27, 27))
-    meshes = plate_meshes(paper, field, drawing_scale([field], paper.plate.size))
-    drawn = {"clamped": meshes.edges["clamped"], "target": meshes.target, "actuators": meshes.actuators}
-    lengths = {
-        name: np.hypot(*np.diff(segments(lines.mesh), axis=1)[:, 0, :2].T).sum() for name, lines in drawn.items()
-    }
-    assert lengths == pytest.approx({"clamped": 0.8, "target": 0.4, "actuators": 4 * 4 * 0.012}, rel=1e-5)
-    for x0, x1, y0, y1 in (actuator.area for actuator in paper.actuators):
-        for corner in ((x0, y0), (x0, y1), (x1, y0), (x1, y1)):
+def test_outlines_follow_target_and_actuators():
+    meshes = meshes_of(np.zeros((27, 27)))
+    lengths = [
+        np.hypot(*np.diff(segments(lines.mesh), axis=1)[:, 0, :2].T).sum()
+        for lines in (meshes.edges["clamped"], meshes.target, meshes.actuators)
+    ]
+    assert lengths == pytest.approx([0.8, 0.4, 4 * 4 * 0.012], rel=1e-5)
+    for x0, x1, y0, y1 in (actuator.area for actuator in PAPER.actuators):
+        for corner in itertools.product((x0, x1), (y0, y1)):
             assert np.hypot(*(meshes.actuators.mesh.points[:, :2] - corner).T).min() < 1e-7
 
 
 def test_edges_are_drawn_by_their_support(scene):
-    supports = ("clamped", "free", {"translation": 1e6, "rotation": 1.0}, "supported")
-    mixed = scene(edges=supports)
+    mixed = scene(edges=("clamped", "free", {"translation": 1e6, "rotation": 1.0}, "supported"))
     assert edges_by_kind(mixed) == {"clamped": ["left"], "supported": ["top"], "springs": ["right"], "free": ["bottom"]}
-    field = np.zeros((9, 11))
-    edges = plate_meshes(mixed, field, drawing_scale([field], mixed.plate.size)).edges
+    edges = meshes_of(np.zeros((9, 11)), mixed).edges
     places = {"clamped": (0, 0), "supported": (1, 0.2), "springs": (0, 0.2), "free": (1, 0)}
     for kind, (axis, position) in places.items():
         points = edges[kind].mesh.points
         np.testing.assert_allclose(points[:, axis], position, atol=1e-7)
-        along = points[:, 1 - axis]
-        assert (along.min(), along.max()) == (pytest.approx(0, abs=1e-7), pytest.approx(0.2, abs=1e-6))
-        # Dashes are lines of their own with gaps in between.
-        drawn = sum(np.ptp(along[cell.point_ids]) for cell in edges[kind].mesh.cell)
-        dashes = EDGE_STYLES[kind].dashes
-        assert drawn / 0.2 == pytest.approx(1.0 if dashes is None else dashes[0] / sum(dashes), abs=0.03)
+        assert np.ptp(points[:, 1 - axis]) == pytest.approx(0.2)

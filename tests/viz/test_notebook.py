@@ -86,7 +86,7 @@ def test_the_layout_is_drawn(scene):
             "oscillators": [{"area": areas["oscillators"], "stiffness": 3.0}],
         },
     )
-    assert ["edges", "left clamped, bottom on springs, right free, top supported"] in rows_of(scene_html(made))
+    assert ["edges", "clamped: left; supported: top; on springs: bottom; free: right"] in rows_of(scene_html(made))
     picture = picture_of(scene_html(made))
     red, green, blue = np.moveaxis(picture, -1, 0)
     drawn = {"green": (green - red > 60), "purple": (blue - green > 15) & (red > green), "orange": (red - blue > 150)}

@@ -8,9 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from warp_plate import viz
 from warp_plate.result.motion import Motion
-from warp_plate.viz.availability import off_screen
 from warp_plate.viz.pictures import make_plotter
 from warp_plate.viz.side_by_side import SideBySide, plate_subplots
 
@@ -34,32 +32,21 @@ def travelling_wave(name, size, mode=False):
     return Motion(name, 200.0, (0.0, 0.005), times, np.cos(turn) * hill, -1257 * np.sin(turn) * hill, mass, share)
 
 
-@pytest.fixture
-def drawn(scene, verify_image_cache):
-    """A function that draws motions, and compares the picture with the stored one."""
-    if (problem := viz.missing_renderer()) is not None:
-        verify_image_cache.skip = True
-        pytest.skip(problem)
+DRIVES = [travelling_wave("single", 1e-7), travelling_wave("best", 2e-7)]
+
+
+@pytest.mark.parametrize(
+    ("motions", "quantity", "supports"),
+    [
+        *((DRIVES, quantity, EDGES[:1] * 4) for quantity in ("displacement", "energy", "rms-velocity", "phase")),
+        (DRIVES[1:], "displacement", EDGES),
+        ([travelling_wave("mode 1, 200 Hz", 1.0, mode=True)], "displacement", EDGES[:1] * 4),
+    ],
+    ids=["displacement", "energy", "rms-velocity", "phase", "edges", "mode"],
+)
+def test_picture(drawing, scene, verify_image_cache, motions, quantity, supports):
     verify_image_cache.error_value = verify_image_cache.warning_value = TOLERANCE
-
-    def draw(motions, quantity="displacement", frame=1, **options):
-        with off_screen():
-            columns = plate_subplots(len(motions), WIDTH, FONT_SIZE)
-            plotter = make_plotter((sum(columns["col_weights"]), HEIGHT), off_screen=True, **columns)
-            SideBySide(plotter, scene(**options), motions, quantity, FONT_SIZE).show(frame)
-            plotter.show()
-
-    return draw
-
-
-@pytest.mark.parametrize("quantity", ["displacement", "energy", "rms-velocity", "phase"])
-def test_two_drives(drawn, quantity):
-    drawn([travelling_wave("single", 1e-7), travelling_wave("best", 2e-7)], quantity)
-
-
-def test_sides_of_every_kind(drawn):
-    drawn([travelling_wave("best", 2e-7)], edges=EDGES)
-
-
-def test_a_natural_shape(drawn):
-    drawn([travelling_wave("mode 1, 200 Hz", 1.0, mode=True)])
+    columns = plate_subplots(len(motions), WIDTH, FONT_SIZE)
+    plotter = make_plotter((sum(columns["col_weights"]), HEIGHT), off_screen=True, **columns)
+    SideBySide(plotter, scene(edges=supports), motions, quantity, FONT_SIZE).show(1)
+    plotter.show()

@@ -6,10 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from warp_plate import viz
 from warp_plate.result.motion import Motion
 from warp_plate.scene.target import NamedTarget
-from warp_plate.viz.availability import off_screen
 from warp_plate.viz.captions import case_label, frame_caption, ordered_cases
 from warp_plate.viz.fields import FIELDS, common_scale
 from warp_plate.viz.meshes import SCALARS
@@ -32,13 +30,7 @@ def standing_wave(name, size, mode=False):
     return Motion(name, 200.0, (0.09, 0.095), times, field, velocity, np.full((9, 11), 0.5), factor)
 
 
-@pytest.fixture
-def drawing():
-    """Skip the test if nothing can be drawn off screen."""
-    if (problem := viz.missing_renderer()) is not None:
-        pytest.skip(problem)
-    with off_screen():
-        yield
+PAIR = [standing_wave("equal", 1e-7), standing_wave("best", 3e-7)]
 
 
 @pytest.fixture
@@ -46,7 +38,7 @@ def side_by_side(scene, drawing):
     """A factory of plates in a plotter, which is closed at the end; returns both."""
     plotters = []
 
-    def make(motions, quantity="displacement"):
+    def make(motions=PAIR, quantity="displacement"):
         plotters.append(make_plotter((600, 200), off_screen=True, **plate_subplots(len(motions), 200, 8)))
         return SideBySide(plotters[-1], scene(), motions, quantity, 8), plotters[-1]
 
@@ -55,16 +47,12 @@ def side_by_side(scene, drawing):
         plotter.close()
 
 
-@pytest.mark.parametrize("name", list(FIELDS))
+@pytest.mark.parametrize("name", [name for name in FIELDS if name != "phase"])
 def test_limits_hold_for_all_plates_and_frames(scene, name):
-    motions = [standing_wave("equal", 1e-7), standing_wave("best", 3e-7)]
     field = FIELDS[name]
-    scale = common_scale(scene(), motions, field)
+    scale = common_scale(scene(), PAIR, field)
     low, high = scale.clim
-    if field.kind == "cyclic":
-        assert (low, high, scale.unit) == (-180.0, 180.0, "°")
-        return
-    largest = np.nanmax(np.abs([field.values(motion) for motion in motions])) * scale.unit_factor
+    largest = np.nanmax(np.abs([field.values(motion) for motion in PAIR])) * scale.unit_factor
     assert low == (-high if field.kind == "signed" else 0)
     assert largest <= high < 1.1 * largest
     assert scale.unit.endswith(field.unit)
@@ -72,8 +60,7 @@ def test_limits_hold_for_all_plates_and_frames(scene, name):
 
 
 def test_the_default_picture_is_at_the_largest_value():
-    motion = standing_wave("best", 1e-7)
-    frames = {name: largest_frame([motion], name) for name in ("displacement", "velocity", "energy", "rms-velocity")}
+    frames = {name: largest_frame(PAIR, name) for name in ("displacement", "velocity", "energy", "rms-velocity")}
     assert frames == {"displacement": 0, "velocity": 2, "energy": 2, "rms-velocity": 0}
 
 
@@ -85,83 +72,67 @@ def test_cases_are_labelled_and_ordered(scene):
     assert labels == ["equal drive", "best drive for a", "best drive for b", "mine"]
     assert case_label("best", single) == "best drive found"
     assert frame_caption(standing_wave("best b", 1e-7), 0, several).startswith("best drive for b, t = ")
-    names = ("best", "best b", "equal", "mine", "single")
-    for made, order in ((single, "equal single best best b mine"), (several, "equal single best best b mine")):
-        result = SimpleNamespace(cases=dict.fromkeys(names), scene=made)
-        assert " ".join(ordered_cases(result)) == order
+    for made in (single, several):
+        cases = dict.fromkeys(("best", "best b", "equal", "mine", "single"))
+        assert " ".join(ordered_cases(SimpleNamespace(cases=cases, scene=made))) == "equal single best best b mine"
     assert [rows_and_columns(count) for count in (1, 3, 4, 7)] == [(1, 1), (1, 3), (2, 3), (3, 3)]
 
 
 def test_plates_move_in_place(side_by_side):
-    motions = [standing_wave("equal", 1e-7), standing_wave("best", 3e-7)]
-    plates, _ = side_by_side(motions)
+    plates, plotter = side_by_side()
     surfaces = [plate.meshes.surface for plate in plates.plates]
     for frame in (0, 3, FRAMES + 1):
         plates.show(frame)
-        for motion, plate, surface in zip(motions, plates.plates, surfaces, strict=True):
+        for motion, plate, surface in zip(PAIR, plates.plates, surfaces, strict=True):
             field = motion.displacement[frame % FRAMES].ravel()
-            heights = plates.scale.warp_factor * field
             assert plate.meshes.surface is surface
-            np.testing.assert_allclose(surface.points[:, 2], heights, atol=1e-8)
+            np.testing.assert_allclose(surface.points[:, 2], plates.scale.warp_factor * field, atol=1e-8)
             np.testing.assert_allclose(surface.point_data[SCALARS], 1e9 * field, rtol=1e-6, atol=1e-6)
-            for lines in plate.meshes.polylines:
-                expected = (heights[lines.nodes] * lines.weights).sum(axis=1)
-                np.testing.assert_allclose(lines.mesh.points[:, 2], expected, atol=1e-8)
     assert np.ptp([plate.surface.mapper.scalar_range for plate in plates.plates], axis=0).tolist() == [0, 0]
-
-
-def test_all_outlines_are_drawn_above_the_surface(side_by_side):
-    plates, plotter = side_by_side([standing_wave("best", 3e-7)])
-    actors = [actor for actor in plotter.renderers[0].actors.values() if isinstance(actor, pyvista.Actor)]
-    drawn = {id(actor.mapper.dataset): actor for actor in actors}
-    meshes = plates.plates[0].meshes
+    # All outlines are drawn above the surface.
+    actors = [actor for actor in plotter.renderers[1].actors.values() if isinstance(actor, pyvista.Actor)]
+    drawn, meshes = {id(actor.mapper.dataset): actor for actor in actors}, plates.plates[1].meshes
     for lines in meshes.polylines:
-        actor = drawn[id(lines.mesh)]
-        assert not actor.prop.lighting
-        assert actor.mapper.resolve == "polygon_offset"
+        assert not drawn[id(lines.mesh)].prop.lighting
+        assert drawn[id(lines.mesh)].mapper.resolve == "polygon_offset"
     colours = [drawn[id(lines.mesh)].prop.color.hex_rgb for lines in (meshes.target, meshes.actuators)]
     assert colours == ["#1b7837", "#1a1a1a"]
 
 
 def test_captions_and_heights_follow(side_by_side):
-    plates, _ = side_by_side([standing_wave("best", 3e-7)])
+    plates, _ = side_by_side()
     plates.show(3)
-    text = plates.plates[0].caption.GetInput()
-    assert "best drive found, t = 0.0919 s" in text
-    assert "localization factor 25.00 %" in text
-    assert f"heights × {plates.scale.warp_factor:.15g}" in text
+    plate = plates.plates[1]
+    heights = f"heights × {plates.scale.warp_factor:.15g}"
+    assert plate.caption.GetInput() == f"best drive found, t = 0.0919 s\nlocalization factor 25.00 %, {heights}"
     plates.exaggerate(12345.0)
-    assert plates.plates[0].caption.GetInput().endswith("heights × 12300")
-    largest = np.abs(plates.plates[0].meshes.surface.points[:, 2]).max()
-    assert largest == pytest.approx(12300 * np.abs(plates.motions[0].displacement[3]).max(), rel=1e-5)
+    assert plate.caption.GetInput().endswith("heights × 12300")
+    largest = np.abs(plate.meshes.surface.points[:, 2]).max()
+    assert largest == pytest.approx(12300 * np.abs(plates.motions[1].displacement[3]).max(), rel=1e-5)
 
 
-@pytest.mark.parametrize("name", [name for name in FIELDS if name != "displacement"])
-def test_another_field_changes_colours_and_bar_but_not_heights(side_by_side, name):
-    motions = [standing_wave("equal", 1e-7), standing_wave("best", 3e-7)]
-    plates, plotter = side_by_side(motions)
+def test_another_field_changes_colours_and_bar_but_not_heights(side_by_side):
+    plates, plotter = side_by_side()
     plates.show(2)
-    before = plates.plates[0].meshes.surface.points[:, 2].copy()
-    plates.colour_by(name)
-    plate, field = plates.plates[0], FIELDS[name]
-    np.testing.assert_array_equal(plate.meshes.surface.points[:, 2], before)
-    values = field.values(motions[0])
-    expected = values[2 % len(values)].ravel() * plates.scale.unit_factor
-    np.testing.assert_allclose(plate.meshes.surface.point_data[SCALARS], expected)
-    assert plate.surface.mapper.scalar_range == pytest.approx(plates.scale.clim)
-    assert not plate.surface.prop.lighting
+    plate = plates.plates[0]
+    before = plate.meshes.surface.points[:, 2].copy()
     props = plotter.renderers[2].GetViewProps()
-    drawn = map(props.GetItemAsObject, range(props.GetNumberOfItems()))
-    (bar,) = [prop for prop in drawn if prop.IsA("vtkScalarBarActor")]
-    assert bar.GetTitle() == plates.scale.title
-    assert bar.GetLookupTable().GetTableRange() == pytest.approx(plates.scale.clim)
-
-
-def test_phases_are_a_circle_of_colours(side_by_side):
-    """Colours of −180° and 180° agree, no other colour lies between them, and NaN is grey."""
-    plates, _ = side_by_side([standing_wave("best", 3e-7)], "phase")
-    assert not plates.plates[0].surface.mapper.interpolate_before_map
-    table = plates.plates[0].surface.mapper.lookup_table
+    (bar,) = [
+        prop for prop in map(props.GetItemAsObject, range(props.GetNumberOfItems())) if prop.IsA("vtkScalarBarActor")
+    ]
+    for name in ("velocity", "energy", "rms-velocity", "phase"):
+        plates.colour_by(name)
+        np.testing.assert_array_equal(plate.meshes.surface.points[:, 2], before)
+        values = FIELDS[name].values(PAIR[0])
+        expected = values[2 % len(values)].ravel() * plates.scale.unit_factor
+        np.testing.assert_allclose(plate.meshes.surface.point_data[SCALARS], expected)
+        assert plate.surface.mapper.scalar_range == pytest.approx(plates.scale.clim)
+        assert not plate.surface.prop.lighting
+        assert bar.GetTitle() == plates.scale.title
+        assert bar.GetLookupTable().GetTableRange() == pytest.approx(plates.scale.clim)
+    # Phases are a circle of colours: those of −180° and 180° agree, no other lies between them, and NaN is grey.
+    assert not plate.surface.mapper.interpolate_before_map
+    table = plate.surface.mapper.lookup_table
     first, last, middle = (np.array(table.map_value(angle)) for angle in (-180.0, 180.0, 0.0))
     assert np.abs(first - last).max() < 0.02
     assert np.abs(first - middle)[:3].max() > 0.5

@@ -11,12 +11,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from warp_plate import viz
 from warp_plate.analysis.motion import mode_motions, motions
 from warp_plate.result import save_result
 from warp_plate.studies.simulate import simulate
-from warp_plate.viz.availability import missing_window, off_screen
-from warp_plate.viz.fields import FIELDS
+from warp_plate.viz.availability import missing_window
 from warp_plate.viz.meshes import SCALARS
 from warp_plate.viz.window import ALL, FASTEST, ViewerWindow, window_plotter
 
@@ -34,15 +32,12 @@ def result(scene):
 
 
 @pytest.fixture
-def window(result, tmp_path):
+def window(result, drawing, tmp_path):
     """A window off screen without a timer."""
-    if (problem := viz.missing_renderer()) is not None:
-        pytest.skip(problem)
     shown = motions(result.scene, result.cases, device="cpu")
-    with off_screen():
-        plotter = window_plotter(len(shown), off_screen=True)
-        yield ViewerWindow(plotter, result.scene, shown, "displacement", tmp_path / "shot", 30.0)
-        plotter.close()
+    plotter = window_plotter(len(shown), off_screen=True)
+    yield ViewerWindow(plotter, result.scene, shown, "displacement", tmp_path / "shot", 30.0)
+    plotter.close()
 
 
 def test_frames_follow_the_clock(window, monkeypatch):
@@ -56,12 +51,10 @@ def test_frames_follow_the_clock(window, monkeypatch):
         assert window.plates.frame == frame % window.plates.frames
     window.step(-window.plates.frame - 1)
     last = window.plates.frames - 1
-    assert (window.playing, window.plates.frame) == (False, last)
     clock[0] += 7.0
     window.tick()
-    assert window.plates.frame == last
-    time_slider = window.sliders["time"]
-    assert time_slider.GetValue() == pytest.approx(window.plates.motions[0].times[last])
+    assert (window.playing, window.plates.frame) == (False, last)
+    assert window.sliders["time"].GetValue() == pytest.approx(window.plates.motions[0].times[last])
 
 
 def test_heights_and_rate_have_limits(window):
@@ -73,14 +66,12 @@ def test_heights_and_rate_have_limits(window):
     np.testing.assert_allclose(heights, window.plates.scale.warp_factor * field.ravel(), atol=1e-7)
     window.exaggerate(0.0)
     assert window.plates.scale.warp_factor > 0
-    rates = []
-    for rate in (1000.0, 0.0):
+    for rate, limited in ((1000.0, FASTEST), (0.0, 1.0)):
         window.set_rate(rate)
-        rates.append(window.rate)
-    assert rates == [FASTEST, 1.0]
+        assert window.rate == limited
 
 
-def test_one_drive_fills_the_window_and_all_come_back(window):
+def test_one_drive_fills_the_window_and_all_come_back(window, tmp_path):
     renderers = [window.plotter.renderers[index] for index in range(3)]
     viewports, camera = [renderer.GetViewport() for renderer in renderers], renderers[1].camera
     position, scale = camera.position, camera.parallel_scale
@@ -89,18 +80,14 @@ def test_one_drive_fills_the_window_and_all_come_back(window):
     assert [renderer.GetDraw() for renderer in renderers] == [0, 1, 0]
     assert renderers[1].GetViewport()[::2] == pytest.approx((viewports[0][0], viewports[2][2]))
     phase = window.plates.motions[1].phase * 180 / math.pi
-    plate = window.plates.plates[1]
-    np.testing.assert_allclose(plate.meshes.surface.point_data[SCALARS], phase.ravel())
-    assert window.plates.field is FIELDS["phase"]
+    np.testing.assert_allclose(window.plates.plates[1].meshes.surface.point_data[SCALARS], phase.ravel())
     camera.azimuth += 40
     window.show_only(ALL)
     assert [renderer.GetDraw() for renderer in renderers] == [1, 1, 1]
     assert [renderer.GetViewport() for renderer in renderers] == viewports
     assert camera.position == pytest.approx(position)
     assert camera.parallel_scale == pytest.approx(scale)
-
-
-def test_screenshots_are_numbered(window, tmp_path):
+    # Screenshots are numbered.
     assert [window.screenshot().name for _ in range(2)] == ["shot-1.png", "shot-2.png"]
     assert (tmp_path / "shot-2.png").read_bytes().startswith(b"\x89PNG")
     window.stem = tmp_path / "nowhere" / "shot"
@@ -108,17 +95,14 @@ def test_screenshots_are_numbered(window, tmp_path):
     assert "cannot be written" in window.status.GetInput()
 
 
-def test_modes_have_periods_instead_of_times_and_no_fields(scene, tmp_path):
-    if (problem := viz.missing_renderer()) is not None:
-        pytest.skip(problem)
-    with off_screen():
-        plotter = window_plotter(4, off_screen=True)
-        modes = mode_motions(scene(), [1, 2, 3, 4])
-        window = ViewerWindow(plotter, scene(), modes, "displacement", tmp_path / "x", 30.0)
-        window.go(15)
-        assert window.sliders["time"].GetValue() == 0.25
-        assert (len(window.plates.plates), list(window.field_buttons), len(window.case_buttons)) == (4, [], 5)
-        plotter.close()
+def test_modes_have_periods_instead_of_times_and_no_fields(scene, drawing, tmp_path):
+    plotter = window_plotter(4, off_screen=True)
+    modes = mode_motions(scene(), [1, 2, 3, 4])
+    window = ViewerWindow(plotter, scene(), modes, "displacement", tmp_path / "x", 30.0)
+    window.go(15)
+    assert window.sliders["time"].GetValue() == 0.25
+    assert (len(window.plates.plates), list(window.field_buttons), len(window.case_buttons)) == (4, [], 5)
+    plotter.close()
 
 
 # The command ------------------------------------------------------------------------------------------------

@@ -18,8 +18,8 @@ FAMILIES = {
     (4, "moments"): ("#08519c", "D", "order 4, moments"),
 }
 OTHER = ("#762a83", "v")
-# Load of the families whose grids are written beside their marks, by order.
-NUMBERED_LOADS = {2: "overlap", 4: "moments"}
+# Families whose grids are written beside their marks.
+NUMBERED = ((2, "overlap"), (4, "moments"))
 FRONT_COLOUR, TOLERANCE_COLOUR, REFUSED_COLOUR = "#a6d9a0", "#b0b0b0", "#b2182b"
 TOLERANCES = (0.1, 0.03, 0.01, 0.003, 0.001)
 # Height of the marks of refused configurations over the largest error.
@@ -40,18 +40,21 @@ def draw_accuracy(record: Mapping[str, Any], path: str | Path) -> Path:
     front = [record["rows"][index] for index in record["front"]]
     with figure(path, (7.0, 5.2)) as made:
         axes = made.subplots()
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+        axes.set(xscale="log", yscale="log")
         look = {"drawstyle": "steps-post", "color": FRONT_COLOUR, "linewidth": 4.5, "solid_capstyle": "round"}
         axes.plot(*_points(front), **look, zorder=1, label="best for its time")
-        for (order, load), precision in families(rows):
-            _plot_family(axes, rows, order, load, precision)
-        _write_grids(axes, rows, front)
+        for family in families(rows):
+            _plot_family(axes, [row for row in rows if not row["as_written"] and _family(row) == family], front)
         as_written = [row for row in rows if row["as_written"]]
         if as_written:
             star = {"marker": "*", "markersize": 13, "color": "#111111", "markeredgecolor": "white"}
             axes.plot(*_points(as_written), linestyle="", **star, zorder=4, label="the scene as written")
-        _plot_refused(axes, record["rows"], rows)
+        refused = refused_points(record["rows"], rows)
+        if refused:
+            height = REFUSED_HEIGHT * max(row["error"] for row in rows)
+            axes.axhline(height, color=REFUSED_COLOUR, linewidth=0.6, alpha=0.4)
+            cross = {"marker": "x", "color": REFUSED_COLOUR, "markersize": 6, "zorder": 4}
+            axes.plot(refused, [height] * len(refused), linestyle="", label="refused: Δt above the limit", **cross)
         _annotate(axes, record, rows)
         made.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
     return Path(path)
@@ -60,7 +63,7 @@ def draw_accuracy(record: Mapping[str, Any], path: str | Path) -> Path:
 def families(rows: Sequence[Row]) -> list[tuple[tuple[int, str], str]]:
     """Return the measured ((order, load), precision), in the order of FAMILIES."""
     known = list(FAMILIES)
-    measured = {((row["order"], row["load"]), row["precision"]) for row in rows if not row["as_written"]}
+    measured = {_family(row) for row in rows if not row["as_written"]}
     return sorted(measured, key=lambda family: (known.index(family[0]) if family[0] in known else len(known), family))
 
 
@@ -77,24 +80,25 @@ def refused_points(all_rows: Sequence[Row], measured: Sequence[Row]) -> list[flo
     """Return the seconds per plate that each refused or unstable row would take, from its grid's measured row."""
     points = []
     for row in all_rows:
-        if row["status"].partition(":")[0] not in ("refused", "unstable") or not row["time_step"]:
-            continue
-        keys = ("order", "load", "precision")
-        same_grid = [other for other in measured if tuple(other["nodes"]) == tuple(row["nodes"])]
-        for other in same_grid:
-            if not other["as_written"] and all(other[key] == row[key] for key in keys):
-                points.append(other["seconds_per_plate"] * other["time_step"] / row["time_step"])
-                break
+        if row["status"].partition(":")[0] in ("refused", "unstable") and row["time_step"]:
+            key = (_family(row), list(row["nodes"]))
+            same = [it for it in measured if not it["as_written"] and (_family(it), list(it["nodes"])) == key]
+            points += [it["seconds_per_plate"] * it["time_step"] / row["time_step"] for it in same[:1]]
     return points
+
+
+def _family(row: Row) -> tuple[tuple[int, str], str]:
+    return (row["order"], row["load"]), row["precision"]
 
 
 def _points(rows: Sequence[Row]) -> tuple[list[float], list[float]]:
     return [row["seconds_per_plate"] for row in rows], [row["error"] for row in rows]
 
 
-def _plot_family(axes: Axes, rows: Sequence[Row], order: int, load: str, precision: str) -> None:
-    family = {"order": order, "load": load, "precision": precision, "as_written": False}
-    line, others = longest_steps([row for row in rows if _belongs(row, family)])
+def _plot_family(axes: Axes, rows: Sequence[Row], front: Sequence[Row]) -> None:
+    """Plot one family; write the nodes beside float32 marks, of order 4 those on the front, else errors below 10 %."""
+    line, others = longest_steps(rows)
+    (order, load), precision = _family(rows[0])
     colour, marker, name = FAMILIES.get((order, load), (*OTHER, f"order {order}, {load}"))
     single = precision == "float32"
     look = {"color": colour, "marker": marker, "markerfacecolor": colour if single else "white", "zorder": 3}
@@ -102,37 +106,10 @@ def _plot_family(axes: Axes, rows: Sequence[Row], order: int, load: str, precisi
     axes.plot(*_points(line), linestyle=style, linewidth=1.2, markersize=5, label=label, **look)
     if others:
         axes.plot(*_points(others), linestyle="", markersize=3, label=f"{name}, ½ and ¼ of Δt", **look)
-
-
-def _write_grids(axes: Axes, rows: Sequence[Row], front: Sequence[Row]) -> None:
-    """Write the nodes beside float32 marks: of order 4 on the front, of order 2 with an error below a tenth."""
-    for order, load in NUMBERED_LOADS.items():
-        family = {"order": order, "load": load, "precision": "float32", "as_written": False}
-        for row in longest_steps([row for row in rows if _belongs(row, family)])[0]:
-            if row in front if order == 4 else row["error"] < 0.1:
-                axes.annotate(
-                    "×".join(map(str, row["nodes"])),
-                    (row["seconds_per_plate"], row["error"]),
-                    (-5, -5),
-                    textcoords="offset points",
-                    fontsize=6.5,
-                    color=FAMILIES[order, load][0],
-                    ha="right",
-                    va="top",
-                )
-
-
-def _belongs(row: Row, family: Mapping[str, Any]) -> bool:
-    return all(row[key] == value for key, value in family.items())
-
-
-def _plot_refused(axes: Axes, all_rows: Sequence[Row], rows: Sequence[Row]) -> None:
-    points = refused_points(all_rows, rows)
-    if points:
-        height = REFUSED_HEIGHT * max(row["error"] for row in rows)
-        axes.axhline(height, color=REFUSED_COLOUR, linewidth=0.6, alpha=0.4)
-        cross = {"marker": "x", "color": REFUSED_COLOUR, "markersize": 6, "zorder": 4}
-        axes.plot(points, [height] * len(points), linestyle="", label="refused: Δt above the limit", **cross)
+    text = {"textcoords": "offset points", "fontsize": 6.5, "color": colour, "ha": "right", "va": "top"}
+    for row in line if single and (order, load) in NUMBERED else ():
+        if row in front if order == 4 else row["error"] < 0.1:
+            axes.annotate("×".join(map(str, row["nodes"])), (row["seconds_per_plate"], row["error"]), (-5, -5), **text)
 
 
 def _annotate(axes: Axes, record: Mapping[str, Any], rows: Sequence[Row]) -> None:
@@ -142,13 +119,12 @@ def _annotate(axes: Axes, record: Mapping[str, Any], rows: Sequence[Row]) -> Non
     for tolerance in TOLERANCES:
         if tolerance > smallest:
             axes.axhline(tolerance, color=TOLERANCE_COLOUR, linewidth=0.5, zorder=0)
-            axes.annotate(f"{100 * tolerance:g} %", (1, tolerance), (3, 0), xycoords=("axes fraction", "data"),
-                          textcoords="offset points", fontsize=7, color="#808080", va="center")  # fmt: skip
+            place = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "va": "center"}
+            axes.annotate(f"{100 * tolerance:g} %", (1, tolerance), (3, 0), **place, fontsize=7, color="#808080")
     uncertainty = record["reference"]["uncertainty"]
     if uncertainty > smallest / 3:
         axes.axhspan(smallest / 3, uncertainty, color="#eeeeee", zorder=0, label="uncertainty of the reference")
-    axes.set_xlabel("seconds per plate")
-    axes.set_ylabel("relative error of localization factors")
+    axes.set(xlabel="seconds per plate", ylabel="relative error of localization factors")
     axes.xaxis.set_major_locator(LogLocator())
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_minor_formatter(NullFormatter())

@@ -14,8 +14,7 @@ if TYPE_CHECKING:
 
 # One colour for each device; float32 lines are solid, float64 lines dashed.
 COLOURS = ("#08519c", "#b2182b", "#1b7837", "#762a83", "#b35806", "#4d4d4d")
-STYLES = {"float32": "-", "float64": "--"}
-MARKERS = {"float32": "o", "float64": "s"}
+STYLES = {"float32": "o-", "float64": "s--"}
 # Least memory traffic of a node and step with one launch a step: displacement and rate in float32, read and written.
 BYTES_PER_NODE_STEP = 16
 
@@ -23,9 +22,8 @@ BYTES_PER_NODE_STEP = 16
 def draw_bench(record: Mapping[str, Any], path: str | Path) -> Path:
     """Plot the object that ``warp-plate bench --json`` prints.
 
-    The left plot is over the number of plates, for the size with most measurements. The right plot is over the nodes
-    per side, at the fastest number of plates for each size; a dotted line is the lower limit of any method with one
-    launch a step, by the copy bandwidth of the device.
+    Left: over the number of plates, for the size with most measurements. Right: over the nodes per side, at the fastest
+    number of plates; dotted is the limit of methods with one launch a step, by the copy bandwidth of the device.
 
     Raises:
         ValueError: nothing was measured.
@@ -38,15 +36,13 @@ def draw_bench(record: Mapping[str, Any], path: str | Path) -> Path:
         size = commonest_size(rows)
         devices = sorted({row["device"] for row in rows})
         _plot(left, [row for row in rows if row["nodes"] == size], "plates", devices)
-        left.set_xlabel(f"plates of {size} × {size} nodes")
-        left.set_ylabel("ns per node and step")
+        left.set(xlabel=f"plates of {size} × {size} nodes", ylabel="ns per node and step")
         _plot(right, fastest_of_each_size(rows), "nodes", devices)
         right.set_xlabel("nodes per side")
         for index, device in enumerate(devices):
             limit = 1e9 * BYTES_PER_NODE_STEP / record["limits"][device]["copy_bytes_per_second"]
             label = f"{device}, {BYTES_PER_NODE_STEP} B at copy bandwidth"
             right.axhline(limit, color=COLOURS[index % len(COLOURS)], linewidth=1.0, linestyle=":", label=label)
-        # The right plot has every line of the left one, and the limits.
         made.legend(*right.get_legend_handles_labels(), loc="outside right upper")
     return Path(path)
 
@@ -69,18 +65,13 @@ def _plot(axes: Axes, rows: Sequence[Mapping[str, Any]], key: str, devices: Sequ
     """Plot a line over ``key`` ("plates" or "nodes") for each device and precision."""
     from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
 
-    for index, device in enumerate(devices):
-        for precision, style in STYLES.items():
-            points = sorted(
-                (row[key], row["nanoseconds_per_node_step"])
-                for row in rows
-                if (row["device"], row["precision"]) == (device, precision)
-            )
-            if points:
-                look = {"color": COLOURS[index % len(COLOURS)], "marker": MARKERS[precision], "markersize": 3.5}
-                axes.plot(*zip(*points, strict=True), style, **look, linewidth=1.3, label=f"{device}, {precision}")
-    axes.set_xscale("log")
-    axes.set_yscale("log")
+    lines: dict[tuple[str, str], list[tuple[int, float]]] = {}
+    for row in rows:
+        lines.setdefault((row["device"], row["precision"]), []).append((row[key], row["nanoseconds_per_node_step"]))
+    for (device, precision), points in sorted(lines.items()):
+        look = {"color": COLOURS[devices.index(device) % len(COLOURS)], "markersize": 3.5, "linewidth": 1.3}
+        axes.plot(*zip(*sorted(points), strict=True), STYLES[precision], **look, label=f"{device}, {precision}")
+    axes.set(xscale="log", yscale="log")
     measured = FixedLocator(sorted({row[key] for row in rows}))
     for axis, locator in ((axes.xaxis, measured), (axes.yaxis, LogLocator(subs=(1, 2, 5)))):
         axis.set_major_locator(locator)

@@ -16,15 +16,8 @@ if TYPE_CHECKING:
 
     from warp_plate.result.comparison import MethodComparison, Trial
 
-COLOURS = {
-    "pso": "#4d4d4d",
-    "constriction": "#d95f02",
-    "ring": "#1b7837",
-    "cma": "#762a83",
-    "gradient": "#08519c",
-    "exact": "#b2182b",
-}
-BOUND_COLOUR = "#111111"
+COLOURS = {"pso": "#4d4d4d", "constriction": "#d95f02", "ring": "#1b7837"}
+COLOURS |= {"cma": "#762a83", "gradient": "#08519c", "exact": "#b2182b"}
 BOUND_LABELS = {"attained": "bound: no method can pass", "bound only": "bound only: may not be reached"}
 # Smallest distance from the bound that is drawn; smaller ones are rounding errors.
 SMALLEST_DISTANCE = 1e-12
@@ -84,7 +77,7 @@ def _plot(column: Sequence[Axes], comparison: MethodComparison, clock: str) -> N
             _plot_method(column[1], method, clocks, np.maximum(losses - comparison.bound, SMALLEST_DISTANCE))
     if comparison.bound is not None:
         bound, label = offset + sign * comparison.bound, BOUND_LABELS[comparison.bound_kind]
-        column[0].axhline(bound, color=BOUND_COLOUR, linewidth=1.0, linestyle="--", label=label)
+        column[0].axhline(bound, color="#111111", linewidth=1.0, linestyle="--", label=label)
         column[1].set_yscale("log")
     for axes in column:
         axes.set_xscale("log")

@@ -11,14 +11,13 @@ import numpy as np
 
 from warp_plate.result.model import Result
 from warp_plate.result.targets import crosstalk, decibels, target_cases, target_outlines
-from warp_plate.viz.annotations import INK, TARGET
 from warp_plate.viz.fields import drawing_scale
 from warp_plate.viz.plots.frame import figure
 from warp_plate.viz.plots.plan import draw_edges, draw_field, draw_outline, drawn_size
+from warp_plate.viz.styles import INK, TARGET
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import SubFigure
 
 # All lengths in inches: cell of the table, longer side of a plate, note below the plates, letter, line of text.
 CELL, PLATE, NOTE, LETTER, LINE = (0.9, 0.42), 1.9, (3.0, 0.4), 0.07, 0.13
@@ -53,7 +52,9 @@ def draw_crosstalk(result: Result, path: str | Path) -> Path:
                 axes.set_title(titles[target], fontsize=8)
             for axes in panels.flat[len(drawn) :]:
                 axes.set_axis_off()
-            _write_note(below, result)
+            size = "{:g} m × {:g} m".format(*result.scene.plate.size)
+            note = f"displacement of the plate, {size}:\nred up, blue down, each in its own scale"
+            below.supxlabel(note, fontsize=8)
     return Path(path)
 
 
@@ -71,8 +72,7 @@ def _draw_table(axes: Axes, names: list[str], shares: np.ndarray) -> None:
     axes.tick_params(length=0)
     axes.xaxis.tick_top()
     axes.xaxis.set_label_position("top")
-    axes.set_xlabel("share of the plate's kinetic energy in")
-    axes.set_ylabel("under the drive for")
+    axes.set(xlabel="share of the plate's kinetic energy in", ylabel="under the drive for")
     axes.spines[:].set_visible(False)
 
 
@@ -88,12 +88,6 @@ def _draw_plate(axes: Axes, result: Result, name: str, case: str) -> None:
         for outline in target_outlines(scene, key, target):
             axes.plot(*outline.T, color=TARGET, clip_on=False, zorder=4, **style)
     draw_edges(axes, scene)
-
-
-def _write_note(figure: SubFigure, result: Result) -> None:
-    width, height = result.scene.plate.size
-    note = f"displacement of the plate, {width:g} m × {height:g} m:\nred up, blue down, each in its own scale"
-    figure.supxlabel(note, fontsize=8)
 
 
 def _wrapped(text: str, width: float) -> str:

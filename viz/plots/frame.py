@@ -26,11 +26,7 @@ FEW_DECADES, FEWEST_DECADES = 2.0, 1.0
 
 @contextmanager
 def figure(
-    path: str | Path,
-    size: tuple[float, float] | None = None,
-    font_size: float = 9,
-    dpi: float = 200,
-    box: bool = False,
+    path: str | Path, size: tuple[float, float] | None = None, font_size: float = 9, dpi: float = 200, box: bool = False
 ) -> Iterator[Figure]:
     """Yield an empty figure and save it as PNG, SVG or PDF on leaving.
 
@@ -60,15 +56,14 @@ def save_plots(draw: Callable[[Any, Path], object], data: object, path: Path) ->
     Returns:
         The files written, and a sentence on why some are missing, or None.
     """
-    problem = missing_plots()
-    if problem is not None:
+    if (problem := missing_plots()) is not None:
         return [], problem
     written = []
     try:
-        for ending in (".png", ".svg"):
-            with atomic_path(path.with_suffix(ending)) as temporary:
+        for target in (path.with_suffix(".png"), path.with_suffix(".svg")):
+            with atomic_path(target) as temporary:
                 draw(data, temporary)
-            written.append(path.with_suffix(ending))
+            written.append(target)
     except (ValueError, OSError) as error:
         return written, f"no plot: {error}"
     return written, None

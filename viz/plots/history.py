@@ -61,9 +61,8 @@ def plot_history(axes: Axes, result: Result) -> None:
         label = f"published: {PUBLISHED_LOSS:g}"
         axes.axhline(PUBLISHED_LOSS, color="#8a8a8a", linewidth=1.0, linestyle=":", label=label)
     axes.set_title(first_target_note(result.scene), fontsize=9, wrap=True)
-    axes.set_xlabel("iteration")
-    axes.set_ylabel("loss (1 − localization factor)" if localization else "loss (− weighted sum of objectives)")
-    axes.set_xlim((1, best.size) if best.size > 1 else (0, 2))
+    loss = "loss (1 − localization factor)" if localization else "loss (− weighted sum of objectives)"
+    axes.set(xlabel="iteration", ylabel=loss, xlim=(1, best.size) if best.size > 1 else (0, 2))
     axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
     axes.legend()
 

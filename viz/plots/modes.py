@@ -11,14 +11,14 @@ import numpy as np
 
 from warp_plate.scene.model import Scene
 from warp_plate.viz.plots.frame import figure
-from warp_plate.viz.plots.plan import draw_edges, draw_outline, drawn_size, edge_handles
+from warp_plate.viz.plots.plan import draw_edges, draw_outline, drawn_size, edge_handles, line_handle
+from warp_plate.viz.styles import INK
+from warp_plate.viz.styles import TARGET as PATCH
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 CMAP = "RdBu_r"
-INK, PATCH = "#1a1a1a", "#1b7837"
 # Longer side of a plate [inch]; most plates in a row.
 LENGTH, MOST_COLUMNS = 1.9, 6
 # Relative to the largest displacement: rounding errors, and the height of spots of the other sign without a meaning.
@@ -52,7 +52,12 @@ def draw_modes(scene: Scene, frequencies: np.ndarray, shapes: np.ndarray, path: 
             axes.set_axis_off()
         bar = made.colorbar(mesh, ax=panels, shrink=min(1.0, 1.2 / rows + 0.2), aspect=18, pad=0.02)
         bar.set_label("displacement over its largest")
-        _add_legend(made, scene)
+        handles = [*edge_handles(scene), line_handle(INK, "nodal line", 0.9)]
+        if scene.effects.layers:
+            handles.append(line_handle(PATCH, "layer", 0.9))
+        if scene.effects.oscillators:
+            handles.append(line_handle(PATCH, "oscillator", 0.9, ":"))
+        made.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=7)
     return Path(path)
 
 
@@ -74,8 +79,7 @@ def frequency_text(frequency: float) -> str:
 
 def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray) -> object:
     width, height = scene.plate.size
-    ny, nx = shape.shape
-    x, y = np.linspace(0, width, nx), np.linspace(0, height, ny)
+    x, y = np.linspace(0, width, shape.shape[1]), np.linspace(0, height, shape.shape[0])
     mesh = axes.pcolormesh(x, y, shape, cmap=CMAP, vmin=-1, vmax=1, shading="gouraud", rasterized=True)
     fine_x, fine_y, field = nodal_field(scene, shape)
     if np.nanmin(field) < 0 < np.nanmax(field):
@@ -98,11 +102,10 @@ def nodal_field(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray
     from scipy.interpolate import RectBivariateSpline
     from scipy.ndimage import label, maximum
 
-    ny, nx = shape.shape
+    (ny, nx), (width, height) = shape.shape, scene.plate.size
     refine_x, refine_y = (math.ceil(FINE / (nodes - 1)) for nodes in (nx, ny))
-    x, y = (np.linspace(0, side, nodes) for side, nodes in zip(scene.plate.size, (nx, ny), strict=True))
-    fine_x = np.linspace(0, scene.plate.size[0], (nx - 1) * refine_x + 1)
-    fine_y = np.linspace(0, scene.plate.size[1], (ny - 1) * refine_y + 1)
+    x, y = np.linspace(0, width, nx), np.linspace(0, height, ny)
+    fine_x, fine_y = (np.linspace(0, width, (nx - 1) * refine_x + 1), np.linspace(0, height, (ny - 1) * refine_y + 1))
     # Rounding errors on a nodal line along grid nodes would make the contour jump from side to side.
     clean = np.where(np.abs(shape) < ROUNDING, 0.0, shape)
     field = RectBivariateSpline(y, x, clean)(fine_y, fine_x)
@@ -111,24 +114,9 @@ def nodal_field(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray
         spots, count = label(sign * field > 0)
         heights = maximum(sign * field, spots, range(1, count + 1))
         field[np.isin(spots, 1 + np.flatnonzero(np.asarray(heights) < FLAT))] = math.nan
-    strips = {
-        "left": np.s_[:, :refine_x],
-        "right": np.s_[:, -refine_x:],
-        "bottom": np.s_[:refine_y],
-        "top": np.s_[-refine_y:],
-    }
+    strips = {"left": np.s_[:, :refine_x], "right": np.s_[:, -refine_x:]}
+    strips |= {"bottom": np.s_[:refine_y], "top": np.s_[-refine_y:]}
     for edge, strip in strips.items():
         if getattr(scene.edges, edge) in ("clamped", "supported"):
             field[strip] = math.nan
     return fine_x, fine_y, field
-
-
-def _add_legend(figure: Figure, scene: Scene) -> None:
-    from matplotlib.lines import Line2D
-
-    handles = [*edge_handles(scene), Line2D([], [], color=INK, linewidth=0.9, label="nodal line")]
-    if scene.effects.layers:
-        handles.append(Line2D([], [], color=PATCH, linewidth=0.9, label="layer"))
-    if scene.effects.oscillators:
-        handles.append(Line2D([], [], color=PATCH, linewidth=0.9, linestyle=":", label="oscillator"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=7)

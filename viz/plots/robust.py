@@ -49,7 +49,7 @@ def _plot_histograms(axes: Axes, compared: RobustComparison) -> None:
 
 
 def _plot_cumulative(axes: Axes, compared: RobustComparison) -> None:
-    count = compared.validation.shape[1]
+    count, look = compared.validation.shape[1], {"fontsize": 7, "color": "#808080", "ha": "right"}
     fraction = np.arange(1, count + 1) / count
     for name, values, tail in zip(DRIVES, compared.validation, mean_of_worst(compared.validation), strict=True):
         colour = COLOURS[name]
@@ -65,9 +65,7 @@ def _plot_cumulative(axes: Axes, compared: RobustComparison) -> None:
             axes.axvline(tail, 0, 0.12, color=colour, linewidth=2.2, label=f"{name}, mean of worst 5 %: {tail:.4f}")
     for level, label in ((TAIL, "worst 5 %"), (0.5, "half")):
         axes.axhline(level, color="#b0b0b0", linewidth=0.6, zorder=0)
-        axes.annotate(label, (1, level), (-2, 2), xycoords=("axes fraction", "data"), textcoords="offset points",
-                      fontsize=7, color="#808080", ha="right")  # fmt: skip
-    axes.set_ylim(0, 1.02)
-    axes.set_ylabel("fraction of panels below")
-    axes.set_xlabel("localization factor" if compared.localization else "weighted sum of the objectives")
+        axes.text(0.99, level + 0.01, label, transform=axes.get_yaxis_transform(), **look)
+    quantity = "localization factor" if compared.localization else "weighted sum of the objectives"
+    axes.set(ylim=(0, 1.02), ylabel="fraction of panels below", xlabel=quantity)
     axes.legend(fontsize=8, loc="upper left")

@@ -28,15 +28,13 @@ def draw_spectrum(result: Result, path: str | Path) -> Path:
         for name, (colour, width) in CURVES.items():
             axes.plot(spectrum["frequency"], spectrum[name], color=colour, linewidth=width, label=labels[name])
         axes.set_title(first_target_note(result.scene), fontsize=9, wrap=True)
-        axes.set_ylim(0, 1.05)
-        axes.set_xlim(spectrum["frequency"][0], spectrum["frequency"][-1])
+        axes.set(ylim=(0, 1.05), xlim=spectrum["frequency"][[0, -1]])
         # Short ticks, so that many of them hide no curve.
         axes.vlines(spectrum["resonances"], 0, 0.05, color=RESONANCE, linewidth=0.9, label="natural frequency")
         if case.frequency is not None:
             point = (case.frequency[0], case.localization_factor)
             axes.plot(*point, "o", color=BEST, markersize=5, clip_on=False, label="best of the search", zorder=4)
-        axes.set_xlabel("frequency [Hz]")
-        axes.set_ylabel("localization factor")
+        axes.set(xlabel="frequency [Hz]", ylabel="localization factor")
         made.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8)
     return Path(path)
 

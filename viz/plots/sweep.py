@@ -30,8 +30,6 @@ CONTOURS = 8
 MARKERS = (("o", 3), ("o", 6), ("x", 4), ("+", 6), ("s", 5), ("D", 7), ("^", 5), ("v", 6))
 # Powers of ten that tick labels may have; any other power is written once, with the unit.
 PLAIN_POWERS = range(-1, 4)
-# Width and height of a map, a small map and a panel of points [inch].
-MAP_SIZE, SMALL_SIZE, POINTS_SIZE = (3.9, 3.0), (2.5, 2.2), (2.6, 2.4)
 
 
 def draw_sweep(sweep: Sweep, path: str | Path) -> Path:
@@ -41,16 +39,9 @@ def draw_sweep(sweep: Sweep, path: str | Path) -> Path:
     longest keys for each combination of the others; for samples all outputs are points over each key.
     """
     keys, sampled = len(sweep.plan.keys), sweep.plan.sampled
+    draw = _draw_points if sampled else {1: _draw_lines, 2: _draw_maps}.get(keys, _draw_small_maps)
     with figure(path, box=keys > 1 and not sampled) as made:
-        if sampled:
-            note = _draw_points(made, sweep)
-        elif keys == 1:
-            note = _draw_lines(made, sweep)
-        elif keys == 2:
-            note = _draw_maps(made, sweep)
-        else:
-            note = _draw_small_maps(made, sweep)
-        title = sweep.scene.title or sweep.source
+        note, title = draw(made, sweep), sweep.scene.title or sweep.source
         made.suptitle(f"{title}: {note}" if note else title, fontsize=9)
     return Path(path)
 
@@ -71,7 +62,7 @@ def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
     at = np.log(values) if logarithmic else values
     if len(at) == 1:
         half = 0.5 if logarithmic else 0.5 * abs(float(at[0])) or 0.5
-        edges = np.array([at[0] - half, at[0] + half])
+        edges = at[0] + np.array([-half, half])
     else:
         middle = (at[1:] + at[:-1]) / 2
         edges = np.concatenate([[2 * at[0] - middle[0]], middle, [2 * at[-1] - middle[-1]]])
@@ -89,16 +80,14 @@ def _draw_lines(figure: Figure, sweep: Sweep) -> str:
         label, names = _common_words(list(lines))
         for rank, (name, values) in enumerate(zip(names, lines.values(), strict=True)):
             # Every other line is dashed and on top, so that both of two coinciding neighbours can be seen.
-            style = {"linewidth": 2.2 if rank else 1.2, "zorder": 3 - 0.1 * rank}
-            if rank % 2:
-                style = {"linewidth": 1.6, "zorder": 3.5 - 0.1 * rank, "linestyle": (0, (3, 2))}
+            dashed = {"linewidth": 1.6, "zorder": 3.5 - 0.1 * rank, "linestyle": (0, (3, 2))}
+            style = dashed if rank % 2 else {"linewidth": 2.2 if rank else 1.2, "zorder": 3 - 0.1 * rank}
             colour, marker = COLOURS[rank % len(COLOURS)], "." if len(x) <= 30 else None
             axes.plot(x, values[order], label=name, color=colour, marker=marker, **style)
         for index in np.flatnonzero(refused):
             axes.axvspan(edges[index], edges[index + 1], color=REFUSED_COLOUR, linewidth=0, zorder=0)
         _set_axis(axes.yaxis, label, unit)
-        if logarithmic:
-            axes.set_xscale("log")
+        axes.set_xscale("log" if logarithmic else "linear")
         if len(lines) > 1:
             axes.legend(fontsize=8, ncols=min(len(lines), 6), loc="lower center", bbox_to_anchor=(0.5, 1))
     _set_axis(rows[-1].xaxis, *_label_and_unit(sweep, 0), 6)
@@ -108,7 +97,7 @@ def _draw_lines(figure: Figure, sweep: Sweep) -> str:
 def _draw_maps(figure: Figure, sweep: Sweep) -> str:
     maps = curves(sweep)
     columns = min(2, len(maps))
-    figure.set_size_inches(MAP_SIZE[0] * columns, 0.3 + MAP_SIZE[1] * math.ceil(len(maps) / columns))
+    figure.set_size_inches(3.9 * columns, 0.3 + 3.0 * math.ceil(len(maps) / columns))
     panels = _map_panels(figure, len(maps), columns)
     for axes, (label, (unit, values)) in zip(panels, maps.items(), strict=True):
         field = values.reshape(sweep.plan.shape)
@@ -126,15 +115,13 @@ def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
     places = list(np.ndindex(*field.shape[:-2]))
     shown = [places[index] for index in np.unique(np.linspace(0, len(places) - 1, MOST_MAPS).astype(int))]
     columns = field.shape[-3] if field.shape[-3] <= 5 and len(shown) == len(places) else min(5, len(shown))
-    figure.set_size_inches(0.9 + SMALL_SIZE[0] * columns, 0.6 + SMALL_SIZE[1] * math.ceil(len(shown) / columns))
+    figure.set_size_inches(0.9 + 2.5 * columns, 0.6 + 2.2 * math.ceil(len(shown) / columns))
     panels = _map_panels(figure, len(shown), columns)
     for axes, place in zip(panels, shown, strict=True):
         mesh = _draw_map(axes, sweep, field[place], (first, second), _limits(values))
-        held = (
-            f"{_with_unit(*_label_and_unit(sweep, key))}: {plan.coordinates[key][step]:.4g}"
-            for key, step in zip(others, place, strict=True)
-        )
-        axes.set_title("\n".join(held), fontsize=7)
+        names = [f"{_with_unit(*_label_and_unit(sweep, key))}: " for key in others]
+        held = (plan.coordinates[key][step] for key, step in zip(others, place, strict=True))
+        axes.set_title("\n".join(f"{name}{value:.4g}" for name, value in zip(names, held, strict=True)), fontsize=7)
     _label_maps(panels, sweep, columns, (first, second), 4, size=8)
     figure.colorbar(mesh, ax=panels, shrink=0.8).set_label(_with_unit(label, unit))
     some = f"{len(shown)} of {len(places)} maps; " if len(shown) < len(places) else ""
@@ -144,7 +131,7 @@ def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
 def _draw_points(figure: Figure, sweep: Sweep) -> str:
     groups, plan = _by_unit(sweep), sweep.plan
     rows, columns = len(groups), len(plan.keys)
-    figure.set_size_inches(0.8 + POINTS_SIZE[0] * columns, 0.9 + POINTS_SIZE[1] * rows)
+    figure.set_size_inches(0.8 + 2.6 * columns, 0.9 + 2.4 * rows)
     grid = figure.subplots(rows, columns, sharex="col", sharey="row", squeeze=False)
     refused = sweep.status == REFUSED
     shrink = 1.0 if len(plan) <= 200 else 0.6
@@ -157,8 +144,7 @@ def _draw_points(figure: Figure, sweep: Sweep) -> str:
                 axes.plot(x, values, label=name, fillstyle="none" if rank else "full", markeredgewidth=0.8, **style)
             # Refused points have no value: ticks at the lower edge.
             axes.plot(x[refused], np.zeros(refused.sum()), "|", color="#8a8a8a", transform=axes.get_xaxis_transform())
-            if logarithmic:
-                axes.set_xscale("log")
+            axes.set_xscale("log" if logarithmic else "linear")
         _set_axis(row[0].yaxis, label, unit)
         if len(lines) > 1:
             row[-1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
@@ -191,9 +177,9 @@ def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int]
     from matplotlib.ticker import MaxNLocator
 
     x, y = (sweep.plan.coordinates[key] for key in keys)
-    logarithmic = [sweep.plan.logarithmic[key] for key in keys]
-    axes.set_facecolor(REFUSED_COLOUR)
-    edges = (cell_edges(values, log) for values, log in zip((x, y), logarithmic, strict=True))
+    log_x, log_y = (sweep.plan.logarithmic[key] for key in keys)
+    axes.set(facecolor=REFUSED_COLOUR, xscale="log" if log_x else "linear", yscale="log" if log_y else "linear")
+    edges = cell_edges(x, log_x), cell_edges(y, log_y)
     mesh = axes.pcolormesh(*edges, field.T, cmap=CMAP, vmin=limits[0], vmax=limits[1], rasterized=True)
     finite = field[np.isfinite(field)]
     constant = not finite.size or np.ptp(finite) <= 1e-6 * np.abs(finite).max()
@@ -205,20 +191,13 @@ def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int]
         if levels.size:
             lines = axes.contour(x, y, field.T, levels=levels, colors="white", linewidths=0.7)
             axes.clabel(lines, fontsize=6, fmt="%.3g")
-    for log, set_scale in zip(logarithmic, (axes.set_xscale, axes.set_yscale), strict=True):
-        if log:
-            set_scale("log")
     return mesh
 
 
 def _limits(values: np.ndarray) -> tuple[float, float]:
-    """Return the smallest and largest finite value, or two limits around a constant."""
-    if not np.isfinite(values).any():
-        return 0.0, 1.0
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    largest = max(abs(low), abs(high))
-    margin = 0.02 * largest or 1.0
-    return (low, high) if high - low > 1e-9 * largest else (low - margin, high + margin)
+    """Return the smallest and largest finite value; Matplotlib itself widens limits that coincide."""
+    finite = values[np.isfinite(values)]
+    return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
 
 
 def _label_and_unit(sweep: Sweep, key: int) -> tuple[str, str]:

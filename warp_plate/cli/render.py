@@ -166,7 +166,7 @@ def _draw(
 ) -> None:
     from warp_plate.result.atomic_io import atomic_paths
     from warp_plate.viz.page import write_page
-    from warp_plate.viz.pictures import draw_gif, draw_mp4, draw_picture
+    from warp_plate.viz.pictures import draw_movie, draw_picture
     from warp_plate.viz.plots.plan import draw_plan
 
     ending = target.suffix.lower()
@@ -184,10 +184,8 @@ def _draw(
             draw_picture(result.scene, motions, path, style, frame)
         elif ending == ".html":
             write_page(result.scene, motions, path, style.quantity, rate, style.heights)
-        elif ending == ".gif":
-            draw_gif(result.scene, motions, path, style, rate, on_progress)
         else:
-            draw_mp4(result.scene, motions, path, style, rate, on_progress)
+            draw_movie(result.scene, motions, path, style, rate, on_progress)
 
 
 def _paper_figures(result: Result, name: Path) -> list[Path]:
