@@ -21,7 +21,6 @@ from warp_plate.cli.options import failure_lines
 from warp_plate.cluster import evaluator as evaluators
 from warp_plate.cluster import scheduler, tasks
 from warp_plate.cluster.evaluator import block_size, make_evaluator
-from warp_plate.cluster.local_pool import LocalPool
 from warp_plate.cluster.opening import open_pool
 from warp_plate.cluster.pool import WorkersGone
 from warp_plate.cluster.scheduler import ATTEMPTS, Task, run_tasks
@@ -71,8 +70,8 @@ def assert_same(found, run):
 
 SCENES = {
     "float32": {"precision": "float32", "damping": 20.0},
-    "fourth order": {"damping": 20.0, "order": 4, "load": "moments"},
     "stretching": {"effects": {"stretching": {}, "damping": {"viscous": 20.0}}},
+    "signal": {"damping": 20.0, "drive": {"frequency": 290.0, "signal": {"file": "pulse.csv"}}},
     "designs": {
         "precision": "float32",
         "drive": {"frequency": 290.0, "burst": {"duration": 2e-3, "ramp": 5e-4}},
@@ -82,30 +81,24 @@ SCENES = {
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_workers_give_the_bits_of_one_process(name, pool, scene, random):
-    """Also of a plate that fails, by its number in the batch."""
-    made = scene((9, 9), window=(0.002, 0.004), **SCENES[name])
+def test_workers_give_the_bits_of_one_process(name, pool, scene, random, tmp_path):
+    """Also of a plate that fails, by its number in the batch, and of a signal in a file that workers cannot read."""
+    (tmp_path / "pulse.csv").write_text("time,value\n0,0\n0.002,1\n0.004,0\n", encoding="utf-8")
+    made = scene((9, 9), window=(0.002, 0.004), **SCENES[name]).in_folder(tmp_path)
     options = {"per_plate": per_plate_of(made), "areas": {"left": (0, 0.1, 0, 0.2)}}
+    if name == "signal":
+        options["quantity"] = "displacement"
     designs = random_designs(made, random)
     designs.drives[70] = np.nan
-    expected = PlateSolver(made, "cpu", **options).run(designs)
+    solver = PlateSolver(made, "cpu", **options)
+    expected, none = solver.run(designs), solver.run(designs[:0])
     evaluator = make_evaluator(made, "cpu", pool=pool, **options)
+    (tmp_path / "pulse.csv").unlink()
     assert expected.faults.keys() == {70}
     assert_same(evaluator.run(designs), expected)
-    assert_same(evaluator.run(designs[:0]), PlateSolver(made, "cpu", **options).run(designs[:0]))
+    assert_same(evaluator.run(designs[:0]), none)
     assert evaluator.node_steps == expected.node_steps
     assert not evaluator.lost
-
-
-def test_displacements_and_files_that_a_scene_names(tmp_path, pool, scene, random):
-    (tmp_path / "pulse.csv").write_text("time,value\n0,0\n0.002,1\n0.004,0\n", encoding="utf-8")
-    drive = {"frequency": 290.0, "signal": {"file": "pulse.csv"}}
-    made = scene((9, 9), window=(0.002, 0.004), damping=20.0, drive=drive).in_folder(tmp_path)
-    phasors = random_phasors(random)
-    evaluator = make_evaluator(made, "cpu", pool=pool, quantity="displacement")
-    expected = PlateSolver(made, "cpu", quantity="displacement").run(phasors)
-    (tmp_path / "pulse.csv").unlink()
-    assert_same(evaluator.run(phasors), expected)
 
 
 def test_a_refused_design_is_named_by_its_number_in_the_batch(scene, random):
@@ -120,13 +113,10 @@ def test_a_refused_design_is_named_by_its_number_in_the_batch(scene, random):
 @pytest.mark.parametrize(
     ("plates", "workers", "node_steps", "kind", "size"),
     [
-        (4096, 2, 781250, "cpu", 1024),  # of the paper's scene: 0.1 s of a core
         (2048, 2, 781250, "cpu", 512),  # two for each worker
         (300, 4, 781250, "cpu", 128),  # not less than is worth sending
         (131072, 2, 781250, "cuda", 32768),
-        (131072, 1, 781250, "cuda", 32768),
         (4224, 2, 781250, "cuda", 2112),  # fills an H200 once
-        (1000, 2, 10**11, "cuda", 64),
         (1, 3, 1, "cpu", 10**8),
     ],
 )
@@ -183,9 +173,8 @@ def test_tasks_of_any_function(pool):
         break
     with pytest.raises(SceneError, match="a worker: value = 13: no"):
         list(run_tasks(pool, [Task(doubled, at) for at in range(16)]))
-    outcomes = list(run_tasks(pool, [Task(doubled, at, at) for at in range(100, 120)]))
-    assert sorted(task.key for task, _ in outcomes) == list(range(100, 120))
-    assert all(outcome.value == 2 * task.key for task, outcome in outcomes)
+    outcomes = run_tasks(pool, [Task(doubled, at, at) for at in range(100, 110)])
+    assert {task.key: outcome.value for task, outcome in outcomes} == {at: 2 * at for at in range(100, 110)}
 
 
 @pytest.mark.parametrize(
@@ -196,18 +185,15 @@ def test_tasks_of_any_function(pool):
         ("cpu", "local:2", "--devices, --cluster: give one of them"),
         (None, "local:0", "--cluster local:0: must be local:COUNT"),
         (None, "missing.json", "--cluster missing.json: no such file"),
+        (None, "local:2", r"pip install 'warp-plate\[cluster\]'"),
     ],
 )
-def test_pools_that_cannot_be(devices, cluster, line):
-    if cluster is not None and devices is None:
+def test_pools_that_cannot_be(devices, cluster, line, monkeypatch):
+    if "pip" in line:
+        monkeypatch.setitem(sys.modules, "distributed", None)
+    elif devices is None:
         pytest.importorskip("distributed")
     with pytest.raises(SceneError, match=line), open_pool(devices, cluster):
-        pass
-
-
-def test_without_dask_a_line_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(SceneError, match=r"pip install 'warp-plate\[cluster\]'"), open_pool(None, "local:2"):
         pass
 
 
@@ -227,37 +213,28 @@ def test_workers_must_be_alike(scene, monkeypatch):
             make_evaluator(scene((9, 9)), "cpu", pool=InlinePool()).run([[1, 1, 1]])
 
 
-def test_a_solver_that_a_worker_cannot_make_is_one_line(scene):
-    with pytest.raises(SceneError, match="a worker: device = 'cuda:99': not on this machine"):
-        make_evaluator(scene((9, 9)), "cpu", pool=InlinePool("cuda:99")).run([[1, 1, 1]])
-
-
 # What happens to workers.
 
 
-def kill_some_worker(random):
-    children = multiprocessing.active_children()
-    if children:
-        os.kill(children[random.integers(len(children))].pid, signal.SIGKILL)
-
-
 @POSIX
-@pytest.mark.parametrize("kills", [2, pytest.param(20, marks=pytest.mark.slow)])
-def test_workers_that_are_killed_cost_no_plate(kills, scene, random):
+def test_workers_that_are_killed_cost_no_plate(scene, random):
     """At random moments of their work or of their start."""
-    made, phasors = scene((9, 9), window=(0.002, 0.05), damping=20.0), random_phasors(random, 1000)
+    made, phasors = scene((9, 9), window=(0.002, 0.02), damping=20.0), random_phasors(random, 1000)
     expected = PlateSolver(made, "cpu").run(phasors)
     lines = []
+
+    def kill_some_worker():
+        if children := multiprocessing.active_children():
+            os.kill(children[random.integers(len(children))].pid, signal.SIGKILL)
+
     with open_pool("cpu,cpu", None, log=lines.append) as pool:
         evaluator = make_evaluator(made, "cpu", pool=pool)
         evaluator.run(phasors[:1])
-        for _ in range(kills):
-            killer = threading.Timer(random.uniform(0, 0.3), kill_some_worker, (random,))
-            killer.start()
-            found = evaluator.run(phasors)
-            killer.join()
-            assert_same(found, expected)
-        kill_some_worker(random)  # of a pool that has nothing to do
+        killer = threading.Timer(random.uniform(0, 0.1), kill_some_worker)
+        killer.start()
+        assert_same(evaluator.run(phasors), expected)
+        killer.join()
+        kill_some_worker()  # of a pool that has nothing to do
         time.sleep(0.2)
         assert_same(evaluator.run(phasors), expected)
     assert not evaluator.lost
@@ -295,11 +272,10 @@ def test_an_error_of_the_program_is_tried_again_and_named(monkeypatch):
     before = set(multiprocessing.active_children())
     with open_pool("cpu", None, log=lines.append) as pool:
         (first,) = set(multiprocessing.active_children()) - before
-        found = {task.key: outcome for task, outcome in run_tasks(pool, [Task(doubled, at, at) for at in (16, 17, 18)])}
+        found = {task.key: outcome for task, outcome in run_tasks(pool, [Task(doubled, at, at) for at in (16, 17)])}
         assert first not in multiprocessing.active_children()
     line = "RuntimeError: CUDA error 700: an illegal memory access"
-    assert found[17].failure == f"given up after 2 attempts: {line}"
-    assert (found[16].value, found[18].value) == (32, 36)
+    assert (found[16].value, found[17].failure) == (32, f"given up after 2 attempts: {line}")
     assert any(told.endswith(f"again: {line}") for told in lines)
 
 
@@ -371,7 +347,6 @@ def test_lost_plates_are_in_the_result(tmp_path, scene):
 
 @pytest.mark.parametrize("error", [WorkersGone, RuntimeError])
 def test_a_search_whose_workers_are_gone_can_go_on(error, tmp_path, scene):
-    """Whatever it was that ended it."""
     made, path = small_search(scene), tmp_path / "panel.checkpoint.h5"
     expected = localize(made, device="cpu", estimate=False)
     with pytest.raises(error, match="of a test"):
@@ -379,16 +354,6 @@ def test_a_search_whose_workers_are_gone_can_go_on(error, tmp_path, scene):
     begun = load_checkpoint(path)
     assert 0 < begun.iterations < 4
     assert_same_result(resume(begun, "cpu", estimate=False, pool=InlinePool()), expected)
-
-
-def test_workers_that_cannot_start_are_one_line(scene, monkeypatch):
-    monkeypatch.setattr("warp_plate.cluster.local_pool._start_worker", os._exit)
-    pool = LocalPool(["cpu"])
-    try:
-        with pytest.raises(SceneError, match=f"a worker: given up after {ATTEMPTS} attempts: its worker ended"):
-            make_evaluator(scene((9, 9)), "cpu", pool=pool).run([[1, 1, 1]])
-    finally:
-        pool.close()
 
 
 # The command.
@@ -474,3 +439,19 @@ def test_ctrl_c_ends_a_command_with_workers_by_its_best(tmp_path, scene):
     assert errors.startswith("warp-plate: interrupted after ")
     assert errors.count("\n") == 1
     assert load_result(tmp_path / "panel-localize.h5").interrupted
+
+
+def test_workers_must_be_alike_and_have_their_device(scene, monkeypatch):
+    """Their kind and versions must agree; their processors may differ."""
+    with pytest.raises(SceneError, match="a worker: device = 'cuda:99': not on this machine"):
+        make_evaluator(scene((9, 9)), "cpu", pool=InlinePool("cuda:99")).run([[1, 1, 1]])
+    evaluator = make_evaluator(scene((9, 9)), "cpu", pool=InlinePool())
+    real = tasks.worker_identity
+    evaluator.run([[1, 1, 1]])
+    monkeypatch.setattr(tasks, "worker_identity", lambda device: {**real(device), "processor": "0.0"})
+    evaluator.run([[1, 1, 1]])
+    for name in ("warp", "warp_plate"):
+        monkeypatch.setattr(tasks, "worker_identity", lambda device, name=name: {**real(device), name: "0.0"})
+        for made in (evaluator, make_evaluator(scene((9, 9)), "cpu", pool=InlinePool())):
+            with pytest.raises(SceneError, match=f"workers: {name} is 0.0 on one"):
+                made.run([[1, 1, 1]])
