@@ -41,16 +41,13 @@ def test_transfer_functions_agree_with_traces(solver, phasors):
     np.testing.assert_allclose(run.trace[0, 0, late], steady.real, atol=2e-3 * scale)
 
 
-def test_time_reversal_moves_the_middle_of_the_target_most(solver, phasors):
-    """No drive of the same power moves that point more (Cauchy-Schwarz)."""
-    drive = time_reversal(solver, transfer_functions(solver))
-    others = phasors(50, 3)
-    others *= np.linalg.norm(drive) / np.linalg.norm(others, axis=1, keepdims=True)
+def test_time_reversal_moves_the_middle_of_the_target_most(solver):
+    """No drive of the same power moves that point more: the Cauchy-Schwarz inequality becomes an equality."""
+    transfer = transfer_functions(solver)
+    ny, nx = transfer.shape[1:]
     # The target is the lower left quarter, and its middle the node a quarter of the way along both sides.
-    point = tuple(side / 4 for side in solver.scene.plate.size)
-    traces = solver.run(np.concatenate([drive[None], others]), points=[point]).trace[:, 0]
-    swing = np.abs(traces[:, -40:]).max(axis=1)
-    assert swing[0] >= 0.999 * swing[1:].max()
+    middle, drive = transfer[:, (ny - 1) // 4, (nx - 1) // 4], time_reversal(solver, transfer)
+    assert abs(middle @ drive) == pytest.approx(np.linalg.norm(middle) * np.linalg.norm(drive), rel=1e-9)
     assert np.abs(drive).max() == pytest.approx(1)
 
 
