@@ -34,7 +34,7 @@ def scenes(checkout, folder):
         for key, value in FEW.items():
             text = re.sub(rf"(?m)^{key} = .*$", f"{key} = {value}", text)
         (folder / path.name).write_text(text, encoding="utf-8")
-    return sorted(folder.glob("*.toml"))
+    return sorted(folder / path.name for path in [*presets, *examples] if path.suffix == ".toml")
 
 
 def commands(folder, paths):
@@ -70,6 +70,7 @@ def datasets(path):
     found = {}
 
     def visit(name, item):
+        name = name.replace("history ", "history/")  # as results of formats 3 and 4 name the same
         if isinstance(item, h5py.Dataset):
             found[name] = item[()]
         numbers = {key: value for key, value in item.attrs.items() if np.asarray(value).dtype.kind in "biufc"}
