@@ -8,7 +8,6 @@ import pytest
 
 from warp_plate.accuracy import configurations as family
 from warp_plate.accuracy import report
-from warp_plate.viz.plots.accuracy import families, longest_steps, refused_points
 
 ROW_KEYS = {
     "order", "load", "nodes", "time_step", "precision", "localization_factor", "bound", "error", "seconds_per_plate",
@@ -79,32 +78,3 @@ def test_ctrl_c_keeps_the_measurements(command, monkeypatch):
     record = json.loads(out)
     assert record["interrupted"]
     assert len(record["rows"]) == 2
-
-
-def row(**changes):
-    """A measured row of the JSON record."""
-    defaults = {
-        "order": 4, "load": "moments", "nodes": [13, 13], "time_step": 1e-4, "precision": "float32", "spacing": 0.01,
-        "as_written": False, "status": "ok", "error": 0.01, "seconds_per_plate": 1e-3,
-    }  # fmt: skip
-    return {**defaults, **changes}
-
-
-def test_which_rows_are_plotted():
-    rows = [
-        row(),
-        row(time_step=5e-5),
-        row(nodes=[27, 27], spacing=0.005, time_step=2e-5),
-        row(order=2, load="overlap"),
-        row(order=2, load="overlap", precision="float64"),
-        row(as_written=True, load="nodes", order=2),
-    ]
-    assert families(rows) == [
-        ((2, "overlap"), "float32"), ((2, "overlap"), "float64"), ((4, "moments"), "float32"),
-    ]  # fmt: skip
-    line, others = longest_steps(rows[:3])
-    assert line == [rows[0], rows[2]]
-    assert others == [rows[1]]
-    refused = row(status="refused: grid.time_step", time_step=2e-4, error=None)
-    assert refused_points([*rows, refused], rows) == [pytest.approx(5e-4)]
-    assert refused_points([row(status="refused: grid.time_step", nodes=[9, 9])], rows) == []

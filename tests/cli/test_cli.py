@@ -20,7 +20,6 @@ from warp_plate.scene.dump import dump_scene
 ROOT = Path(__file__).parents[2]
 QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate")
 SMALL = {"search": {"particles": 6, "iterations": 5}, "record": {"points": ((0.1, 0.1),)}}
-SIMULATE_KEYS = ["localization_factor", "energy", "peak_displacement", "node_steps", "seconds", "effects"]
 
 
 @pytest.fixture
@@ -71,24 +70,15 @@ def test_localize_json_and_result_file(command, panel):
     assert other["history"] != record["history"]
 
 
-def test_simulate_json(command, panel):
-    status, out, err = command("simulate", "panel.toml", "--json", "--device", "cpu", "--no-pictures")
-    assert (status, err) == (0, "")
-    record = json.loads(out)
-    assert [key for key in record if key in SIMULATE_KEYS] == SIMULATE_KEYS
-    assert set(record["energy"]) == {"plate", "target"}
-    assert record["localization_factor"] == pytest.approx(record["energy"]["target"] / record["energy"]["plate"])
-    assert record["peak_displacement"] > 0
-    assert set(record["seconds"]) == {"compile", "solve", "estimate"}
-    assert files() == ["panel-simulate.h5", "panel.toml"]
-
-
 def test_simulate_every_kind_of_drive(command, panel):
     """A result file stands for its best drive, or the only one; a second run replaces the first one's result."""
     factors = json.loads(command("localize", "panel.toml", "--json", *QUICK)[1])["localization_factor"]
     for drive, name in (("equal", "equal"), ("single", "single"), ("panel-localize.h5", "best"), ("again.h5", "best")):
         _, out, _ = command("simulate", "panel.toml", "--drive", drive, "--out", "again.h5", "--json", *QUICK)
-        assert json.loads(out)["localization_factor"] == pytest.approx(factors[name], rel=1e-9)
+        record = json.loads(out)
+        assert record["localization_factor"] == pytest.approx(factors[name], rel=1e-9)
+        assert record["localization_factor"] == pytest.approx(record["energy"]["target"] / record["energy"]["plate"])
+        assert record["peak_displacement"] > 0
     assert files() == ["again.h5", "panel-localize.best.toml", "panel-localize.h5", "panel.toml"]
 
 
@@ -126,18 +116,10 @@ def test_the_table_of_the_paper(command, tmp_path, monkeypatch):
         (["localize"], "SCENE"),
         (["frobnicate"], "frobnicate"),
         (["localize", "papers", "--json"], "papers: no such preset or file"),
-        (["localize", "panel.toml", "--device", "gpu"], "device = 'gpu'"),
-        (["localize", "panel.toml", "--path", "fast"], "path"),
-        (["localize", "panel.toml", "--seed", "-1"], "seed"),
         (["localize", "panel.toml", "--speed", "9"], "--speed"),
-        (["localize", "panel.toml", "--out", "found.txt"], "--out found.txt: must end in .h5"),
-        (["localize", "panel.toml", "--out", "no/found.h5"], "--out no/found.h5: no such folder"),
-        (["localize", "panel.toml", "--out", "folder.h5"], "folder.h5"),
         (["localize", "wrong.toml"], "wrong.toml: plate.densty: unknown key; did you mean 'density'?"),
         *(([name, "fast.toml"], "fast.toml: grid.time_step = 1") for name in ("localize", "simulate", "effects")),
-        (["simulate", "panel.toml", "--drive", "best"], "--drive best"),
         (["simulate", "panel.toml", "--drive", "none.h5"], "none.h5: no such file"),
-        (["simulate", "panel.toml", "--drive", "text.h5"], "text.h5"),
         (["simulate", "panel.toml", "--drive", "two.h5"], "--drive two.h5: holds 2 actuators"),
         (["init", "papers"], "cantilever-display, composite-panel, "),
         (["init", "paper", "--out", "no/paper.toml"], "no/paper.toml: cannot be written"),
@@ -148,8 +130,6 @@ def test_errors_are_one_line_and_status_2(arguments, named, command, panel):
     Path("wrong.toml").write_text(dump_scene(panel).replace("density", "densty"), encoding="utf-8")
     fast = panel.model_copy(update={"grid": panel.grid.model_copy(update={"time_step": 1.0})})
     Path("fast.toml").write_text(dump_scene(fast), encoding="utf-8")
-    Path("text.h5").write_text("no HDF5 at all", encoding="utf-8")
-    Path("folder.h5").mkdir()
     if "two.h5" in arguments:
         two = scene_of(actuators=[actuator.area for actuator in panel.actuators[:2]])
         Path("two.toml").write_text(dump_scene(two), encoding="utf-8")

@@ -79,25 +79,6 @@ def test_influence_is_that_of_a_run_without_the_effect(panel):
     assert toggle.localization_factor == pytest.approx(run.energy[0, 1] / run.energy[0, 0], rel=1e-9)
 
 
-def test_stretching_matters_under_a_strong_drive():
-    """Without it displacements are proportional to the drive; with it a plate driven to twice its thickness moves less,
-    and a weakly driven one the same."""
-    scene = scene_of(effects={"stretching": {}}, frequency=35.0)
-    weak, strong = (
-        measure_influence(
-            scene.model_copy(
-                update={"actuators": tuple(one.model_copy(update={"magnitude": pressure}) for one in scene.actuators)}
-            ),
-            "cpu",
-        )
-        for pressure in (1e-6, 30.0)
-    )
-    assert by_name(weak)["stretching"].peak == pytest.approx(weak.peak, rel=1e-6)
-    linear = by_name(strong)["stretching"].peak
-    assert linear == pytest.approx(30.0 / 1e-6 * weak.peak, rel=1e-6)
-    assert strong.peak < 0.9 * linear
-
-
 def test_a_step_too_long_for_the_other_state_is_replaced():
     """Material damping lowers the limit below a step that is just stable without it."""
     limit = PlateSolver(scene_of(), "cpu").specialized.scheme.limit

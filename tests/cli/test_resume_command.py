@@ -56,12 +56,8 @@ def left(panel):
         (["--evaluator", "response"], "--evaluator response: the search in .* began with direct"),
         (["--path", "streaming"], "--path streaming: the search in .* began with auto"),
         (["--accuracy", "1%"], "--accuracy: grid.accuracy = 0.01: the search in .* began with None"),
-        (["panel.toml", "--accuracy", "1%"], "panel.toml: grid.accuracy = 0.01"),
         (["thicker.toml"], "thicker.toml: plate.thickness = 0.001: the search in .* began with 0.0005"),
         (["moved.toml"], r"moved.toml: actuators\[1\].area = "),
-        (["--checkpoint-every", "-1"], "checkpoint-every = -1: must be a number of seconds"),
-        (["--checkpoint-every", "nan"], "checkpoint-every = nan: must be"),
-        (["--device", "cuda:9"], "device = 'cuda:9': not on this machine"),
     ],
 )
 def test_what_would_change_the_result_is_refused_by_name(options, named, command, panel, left):
@@ -110,24 +106,6 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(command, panel, left):
     status, _, err = command("localize", "--resume", left, *QUICK)
     assert (status, len(err.splitlines())) == (2, 1)
     assert err.startswith("warp-plate: panel-localize.checkpoint.h5: damaged: ")
-
-
-def test_a_result_named_as_the_checkpoint_is_refused(command, panel, left):
-    """It is intact, so the previous checkpoint is not what was meant."""
-    previous_path(left).write_bytes(left.read_bytes())
-    shortened(panel, 2)
-    command(*COMMAND, "--out", "full.h5")
-    Path("full.h5").replace("panel-localize.h5")
-    status, _, err = command("localize", "--resume", "panel-localize.h5", *QUICK)
-    assert (status, len(err.splitlines())) == (2, 1)
-    assert "not a checkpoint of warp-plate" in err
-
-
-def test_an_unfinished_search_is_named_before_it_is_replaced(command, panel, left):
-    shortened(panel, 2)
-    status, _, err = command(*COMMAND)
-    assert (status, len(err.splitlines())) == (0, 1)
-    assert "panel-localize.checkpoint.h5 holds an unfinished search" in err
 
 
 def modified(file):

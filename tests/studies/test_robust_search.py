@@ -14,7 +14,6 @@ from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.checkpointing import CheckpointFile
 from warp_plate.studies.compare import compare
 from warp_plate.studies.localize import localize, resume
-from warp_plate.viz.plots.robust import draw_robust
 
 TOLERANCES = {"young_modulus": 0.15, "gain": 0.1, "place": 0.004, "scenarios": 16, "fresh": 60}
 VALUES = ("validation", "searched", "nominal_plate")
@@ -101,18 +100,13 @@ def test_an_interrupted_search_resumes_bit_identically(tmp_path):
     assert full.node_steps == again.node_steps
 
 
-def test_results_keep_the_comparison_and_draw_it(tmp_path):
+def test_results_keep_the_comparison(tmp_path):
     result = localize(robust(fresh=5, scenarios=2), device="cpu", estimate=False)
     read = load_result(save_result(result, tmp_path / "result.h5")).robust
     for name in ("measure", "scenarios", "localization", "bound"):
         assert getattr(read, name) == getattr(result.robust, name)
     for name in VALUES:
         np.testing.assert_array_equal(getattr(read, name), getattr(result.robust, name))
-    assert draw_robust(result, tmp_path / "robust.svg").read_text(encoding="utf-8").startswith("<?xml")
-    other = localize(robust().with_tables(search={"iterations": 2}), device="cpu", estimate=False)
-    assert other.robust is None
-    with pytest.raises(ValueError, match="no robust drive"):
-        draw_robust(other, tmp_path / "none.svg")
 
 
 def test_the_command_shows_both_drives(tmp_path, command):

@@ -233,13 +233,6 @@ def test_the_spectrum_of_a_search(by_frequency, tmp_path):
     loaded = load_result(save_result(by_frequency, tmp_path / "one.h5"))
     for name, values in spectrum.items():
         np.testing.assert_array_equal(loaded.spectrum[name], values)
-    pytest.importorskip("matplotlib")
-    from warp_plate.viz.plots.spectrum import draw_spectrum
-
-    assert draw_spectrum(by_frequency, tmp_path / "spectrum.svg").read_text(encoding="utf-8").startswith("<?xml")
-    with pytest.raises(ValueError, match="no spectrum"):
-        draw_spectrum(replace(by_frequency, spectrum={}), tmp_path / "none.svg")
-    assert not (tmp_path / "none.svg").exists()
 
 
 def test_no_spectrum_if_drives_do_not_superpose_or_frequencies_differ():

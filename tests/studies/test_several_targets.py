@@ -10,7 +10,6 @@ import pytest
 from conftest import scene_of
 
 from warp_plate import PlateSolver, Scene, SceneError, load_result, localize, resume
-from warp_plate.cli.output import warnings_of
 from warp_plate.problem import problem
 from warp_plate.result import save_result
 from warp_plate.result.checkpoint import load_checkpoint, save_checkpoint
@@ -77,7 +76,7 @@ def test_crosstalk_is_the_share_of_each_target_under_each_drive(found):
     np.testing.assert_allclose(decibels(shares), 10 * np.log10(shares / np.diag(shares)[:, None]), atol=1e-12)
 
 
-@pytest.mark.parametrize(("kind", "measured"), [("localization", 1), ("uniformity", 3), ("displacement", 2)])
+@pytest.mark.parametrize(("kind", "measured"), [("uniformity", 3), ("displacement", 2)])
 def test_gram_matrices_are_measured_once(kind, measured, monkeypatch):
     """Once more for displacements; for each target if an objective has further regions."""
     measure, calls = problem.measure_response, []
@@ -99,7 +98,7 @@ def stop_at(count):
     return on_progress
 
 
-@pytest.mark.parametrize(("count", "index", "iterations"), [(9, 0, 9), (10, 1, 1), (25, 2, 7)])
+@pytest.mark.parametrize(("count", "index", "iterations"), [(9, 0, 9), (25, 2, 7)])
 def test_an_interrupted_search_resumes_bit_identically(count, index, iterations, found, tmp_path):
     file = CheckpointFile(tmp_path / "one.checkpoint.h5", np.inf)
     left = localize(panel(), "mine", "cpu", on_progress=stop_at(count), estimate=False, checkpoints=file)
@@ -174,11 +173,3 @@ def test_the_commands(command, tmp_path, monkeypatch):
     energy = json.loads(command("simulate", *QUICK, "--json")[1])["energy"]
     assert list(energy) == ["plate", "target", "target disc", "target left", "target three corners"]
     assert energy["target"] == energy["target disc"]
-
-
-def test_positions_that_no_single_panel_can_have_are_warned_of(found):
-    moved = found.scene.with_tables(search={**SEARCH, "position": {}})
-    (warning,) = set(warnings_of(replace(found, scene=moved))) - set(warnings_of(found))
-    assert "Each of the 3 targets" in warning
-    for other in (replace(found, scene=moved, command="simulate"), replace(found, scene=single_target(moved, 0))):
-        assert warning not in warnings_of(other)
