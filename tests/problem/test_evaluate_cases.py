@@ -122,9 +122,7 @@ def test_a_limit_that_no_drive_keeps_leaves_no_bound(scene, panel, command):
 def test_results_say_what_their_bound_is(tables, kind, scene):
     made = scene((9, 9), damping=88.5, search={"particles": 4, "iterations": 2, **tables})
     result = localize(made, device="cpu", estimate=False, spectrum=False)
-    assert result.bound_kind == kind
-    assert (result.bound is None) == (kind == "")
-    assert result.objective_values == {}
+    assert (result.bound_kind, result.bound is None, result.objective_values) == (kind, kind == "", {})
 
 
 def test_searches_for_several_targets_keep_them_in_files_and_checkpoints(panel):

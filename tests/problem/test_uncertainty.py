@@ -120,10 +120,8 @@ BAD = {
     "search.robust.damping: 0.1 of no damping": {"damping": 0.1},
     "search.robust.without_oscillators: 0.5": {"without_oscillators": 0.5},
     "search.robust.gain = 1.0": {"gain": 1.0},
-    "search.robust.place = -0.1": {"place": -0.1},
     "search.robust.measure = 'best'": {"gain": 0.1, "measure": "best"},
     "search.robust.quantile = 1.0": {"gain": 0.1, "quantile": 1.0},
-    "search.robust.scenarios = 0": {"gain": 0.1, "scenarios": 0},
 }
 
 
