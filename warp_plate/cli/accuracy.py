@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_format
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,21 +52,15 @@ def accuracy(
     loaded = output.load_scene(scene)
     from warp_plate.accuracy.report import measure_configurations
     from warp_plate.bench.machine import describe_machine, describe_versions
-    from warp_plate.result.atomic_io import write_atomically
     from warp_plate.solve.devices import find_device
     from warp_plate.viz.plots.accuracy import draw_accuracy
-    from warp_plate.viz.plots.frame import save_plots
 
     name = find_device(device).alias
     machine = describe_machine([name])
     with output.scene_errors(scene), output.progress_bar("measuring", shown=not json) as show:
         report = measure_configurations(loaded, scene, name, path, budget, show)
     record = {**report.as_json(), "machine": vars(machine), "versions": describe_versions()}
-    files, missing = output.write_files(
-        target,
-        lambda path: write_atomically(f"{json_format.dumps(record, indent=1)}\n".encode(), path),
-        (lambda path: save_plots(draw_accuracy, record, path)) if pictures else None,
-    )
+    files, missing = output.write_measurements(target, record, draw_accuracy, pictures)
     if json:
         output.print_json({**record, "files": [str(file) for file in files]})
         return

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_format
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -56,9 +55,7 @@ def bench(
     from warp_plate.bench.cases import all_devices, make_cases
     from warp_plate.bench.machine import busy
     from warp_plate.bench.measure import FULL, QUICK, measure_all
-    from warp_plate.result.atomic_io import write_atomically
     from warp_plate.viz.plots.bench import draw_bench
-    from warp_plate.viz.plots.frame import save_plots
 
     devices = all_devices() if device == "all" else [name.strip() for name in device.split(",")]
     precisions = [precision] if precision else ["float32"] if quick else ["float32", "float64"]
@@ -68,11 +65,7 @@ def bench(
     with output.progress_bar("measuring", shown=not json) as show:
         report = measure_all(cases, QUICK if quick else FULL, lambda done, case: show(done, len(cases), str(case)))
     record = report.as_json()
-    files, missing = output.write_files(
-        target,
-        lambda path: write_atomically(f"{json_format.dumps(record, indent=1)}\n".encode(), path),
-        (lambda path: save_plots(draw_bench, record, path)) if pictures else None,
-    )
+    files, missing = output.write_measurements(target, record, draw_bench, pictures)
     if json:
         output.print_json({**record, "files": [str(file) for file in files]})
         return

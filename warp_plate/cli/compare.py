@@ -66,7 +66,6 @@ def compare(
     from warp_plate.result.comparison import save_comparison
     from warp_plate.studies.compare import compare as run
     from warp_plate.viz.plots.compare import draw_comparison
-    from warp_plate.viz.plots.frame import save_plots
 
     local = options.local_device(devices, cluster, device)
     on = "auto" if local is None else local
@@ -76,10 +75,8 @@ def compare(
         output.progress_bar("comparing", shown=not json) as show,
     ):
         result = run(loaded, scene, names, seeds, on, path, evaluator, evaluations, show, pool)
-    files, missing = output.write_files(
-        target,
-        lambda path: save_comparison(result, path),
-        (lambda path: save_plots(draw_comparison, result, path)) if pictures else None,
+    files, missing = output.write_plotted(
+        target, lambda path: save_comparison(result, path), draw_comparison, result, pictures
     )
     if json:
         output.print_json(as_json(result, files))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -160,14 +159,6 @@ def _result_beside(checkpoint: Path) -> Path:
     return checkpoint.parent / (stem.removesuffix(".checkpoint") + (".h5" if named else "-localize.h5"))
 
 
-def _how_to_resume(file: CheckpointFile) -> str:
-    """Return how far the search is, and the command that resumes it; "" without a checkpoint."""
-    if file.saved is None:
-        return ""
-    command = f"warp-plate localize --resume {shlex.quote(str(file.path))}"
-    return f" after {file.saved.progress}; resume with: {command}"
-
-
 @contextmanager
 def _resumable(file: CheckpointFile) -> Iterator[None]:
     """Add how to resume the search to errors and Ctrl-C."""
@@ -176,9 +167,9 @@ def _resumable(file: CheckpointFile) -> Iterator[None]:
     except SceneError as error:
         if file.saved is None:
             raise
-        raise SceneError(f"{error}; there is a checkpoint{_how_to_resume(file)}") from None
+        raise SceneError(f"{error}; there is a checkpoint{output.how_to_resume(file, 'localize')}") from None
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(_how_to_resume(file)) from None
+        raise KeyboardInterrupt(output.how_to_resume(file, "localize")) from None
 
 
 def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile) -> output.Drawn:
@@ -195,7 +186,7 @@ def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile) -
     if not result.interrupted:
         file.remove()
     elif file.saved is not None:
-        output.log(f"interrupted{_how_to_resume(file)}")
+        output.log(f"interrupted{output.how_to_resume(file, 'localize')}")
     return files, missing
 
 
@@ -253,9 +244,7 @@ def _print(result: Result, console: Console) -> None:
     if result.source == "paper":
         console.print(NOT_REPRODUCED)
     unit, verb = EVALUATIONS[result.evaluator]
-    console.print(f"{counted(result.evaluations, unit)} {verb}, in all {output.cost_text(result)}")
-    output.print_accuracy(result, console)
-    output.print_warnings(result, console)
+    output.print_cost(result, console, f"{counted(result.evaluations, unit)} {verb}, in all ")
 
 
 def _print_factors(result: Result, console: Console) -> None:

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import re
+import shlex
 import stat
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,6 +26,7 @@ LONGEST_ENDING = ".checkpoint.h5.12345678.part.h5"
 if TYPE_CHECKING:
     from warp_plate.result.model import Result
     from warp_plate.scene.model import Scene
+    from warp_plate.studies.checkpointing import StudyFile
 
 # Draws pictures beside a file; returns their paths and, if some are missing, the reason.
 Drawn = tuple[list[Path], str | None]
@@ -40,6 +42,13 @@ class _PlainConsole(Console):
 def console() -> Console:
     """Return a console on standard output, wrapped to the terminal's width and without colours in a file."""
     return _PlainConsole(highlight=False, markup=False, emoji=False)
+
+
+def how_to_resume(file: StudyFile[Any], command: str) -> str:
+    """Return how far an unfinished study is, and the command that resumes it; "" if nothing was saved."""
+    if file.saved is None:
+        return ""
+    return f" after {file.saved.progress}; resume with: warp-plate {command} --resume {shlex.quote(str(file.path))}"
 
 
 def log(line: str) -> None:
@@ -168,31 +177,29 @@ def check_writable(path: Path) -> None:
 
 def _name_too_long(path: Path) -> str:
     """Return why the longest name beside a file is too long, or "". Only the system knows the limit."""
+    added = len(LONGEST_ENDING) + 1 - len(path.suffix)
     try:
         path.with_name(f".{path.stem}{LONGEST_ENDING}").stat()
     except FileNotFoundError:
-        return ""
+        pass
     except OSError as error:
-        added = len(LONGEST_ENDING) + 1 - len(path.suffix)
         return f"{error.strerror}: the names of the files beside it are {added} bytes longer"
     return ""
 
 
-def cost_text(result: Result) -> str:
-    """Return a sentence about where a result was computed, its cost, and the effects in the compiled kernels."""
-    return (
-        f"{result.node_steps:.3g} node-steps on {result.device}, {result.path}: {result.seconds['solve']:.2f} s "
+def print_cost(result: Result, console: Console, start: str = "") -> None:
+    """Print where a result was computed, its cost and accuracy, the effects in the compiled kernels, and warnings."""
+    console.print(
+        f"{start}{result.node_steps:.3g} node-steps on {result.device}, {result.path}: {result.seconds['solve']:.2f} s "
         f"solving after {result.seconds['compile']:.2f} s compiling or loading kernels. Effects compiled in: "
         f"{', '.join(result.effects) or 'none'}."
     )
-
-
-def print_accuracy(result: Result, console: Console) -> None:
-    """Print why the grid was chosen, if it was, and the estimated error of the result."""
     if "reason" in result.accuracy:
         console.print(f"grid chosen for {result.accuracy['reason']}")
     if "estimate" in result.accuracy:
         console.print(result.accuracy["estimate"]["line"])
+    for sentence in warnings_of(result):
+        console.print(f"! {sentence}")
 
 
 def warnings_of(result: Result) -> list[str]:
@@ -211,18 +218,29 @@ def warnings_of(result: Result) -> list[str]:
     return found + warning_texts(result.case_scene(result.main_case), result.peak_displacement)
 
 
-def print_warnings(result: Result, console: Console) -> None:
-    """Print a line for each of ``warnings_of``."""
-    for sentence in warnings_of(result):
-        console.print(f"! {sentence}")
-
-
 def prepare_pictures(pictures: bool) -> None:
     """Start loading what drawing needs while the command runs."""
     if pictures:
         from warp_plate.viz import prepare
 
         prepare()
+
+
+def write_plotted(
+    path: Path, save: Callable[[Path], object], draw: Callable[..., Path], data: Any, pictures: bool
+) -> Drawn:
+    """Save a file and, if there shall be pictures, draw its data by a plot function; see :func:`write_files`."""
+    from warp_plate.viz.plots.frame import save_plots
+
+    return write_files(path, save, (lambda path: save_plots(draw, data, path)) if pictures else None)
+
+
+def write_measurements(path: Path, record: Mapping[str, object], draw: Callable[..., Path], pictures: bool) -> Drawn:
+    """Save measurements as a JSON file with their plots."""
+    from warp_plate.result.atomic_io import write_atomically
+
+    text = f"{json.dumps(record, indent=1)}\n"
+    return write_plotted(path, lambda path: write_atomically(text.encode(), path), draw, record, pictures)
 
 
 def write_files(path: Path, save: Callable[[Path], object], draw: Callable[[Path], Drawn] | None) -> Drawn:
@@ -251,10 +269,7 @@ def write_files(path: Path, save: Callable[[Path], object], draw: Callable[[Path
 def write_result(result: Result, path: Path, pictures: bool) -> Drawn:
     """Save a result and draw its pictures; see :func:`write_files`."""
     from warp_plate.result import save_result
+    from warp_plate.viz import draw_all
 
-    def draw(path: Path) -> Drawn:
-        from warp_plate.viz import draw_all
-
-        return draw_all(result, path.with_suffix(""))
-
-    return write_files(path, lambda path: save_result(result, path), draw if pictures else None)
+    draw = (lambda path: draw_all(result, path.with_suffix(""))) if pictures else None
+    return write_files(path, lambda path: save_result(result, path), draw)

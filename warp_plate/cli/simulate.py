@@ -87,6 +87,4 @@ def _print(result: Result, console: Console) -> None:
         made.add_row(label, output.number_text(energy, ".4g", " J"))
     made.add_row("largest displacement during the run", output.number_text(result.peak_displacement, ".4g", " m"))
     console.print(made)
-    console.print(output.cost_text(result))
-    output.print_accuracy(result, console)
-    output.print_warnings(result, console)
+    output.print_cost(result, console)

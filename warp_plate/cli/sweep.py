@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -101,9 +100,9 @@ def sweep(
         with options.workers(devices, cluster, device) as pool:
             result = _run(start, file, pool, on_device_change, not json)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(_how_to_resume(file)) from None
+        raise KeyboardInterrupt(output.how_to_resume(file, "sweep")) from None
     except SceneError as error:
-        raise SceneError(f"{error}{_how_to_resume(file)}") from None
+        raise SceneError(f"{error}{output.how_to_resume(file, 'sweep')}") from None
     files, missing = _write(result, target, pictures, file)
     if json:
         output.print_json(as_json(result, files))
@@ -128,26 +127,16 @@ def _run(
         return run_sweep(start, on_progress, file, pool, on_device_change)
 
 
-def _how_to_resume(file: SweepFile) -> str:
-    """Return how far the sweep is, and the command that resumes it; "" if nothing was saved."""
-    if file.saved is None:
-        return ""
-    return f" after {file.saved.progress}; resume with: warp-plate sweep --resume {shlex.quote(str(file.path))}"
-
-
 def _write(result: Sweep, target: Path, pictures: bool, file: SweepFile) -> output.Drawn:
     from warp_plate.studies.sweep_file import save_finished
-    from warp_plate.viz.plots.frame import save_plots
     from warp_plate.viz.plots.sweep import draw_sweep
 
     try:
-        return output.write_files(
-            target,
-            lambda path: save_finished(result, path, file),
-            (lambda path: save_plots(draw_sweep, result, path)) if pictures else None,
+        return output.write_plotted(
+            target, lambda path: save_finished(result, path, file), draw_sweep, result, pictures
         )
     except SceneError as error:
-        raise SceneError(f"{error}; the sweep is kept{_how_to_resume(file)}") from None
+        raise SceneError(f"{error}; the sweep is kept{output.how_to_resume(file, 'sweep')}") from None
 
 
 def as_json(result: Sweep, files: list[Path]) -> dict[str, object]:

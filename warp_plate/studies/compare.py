@@ -145,9 +145,7 @@ def _run_trials(
     return trials, False, {}
 
 
-def _run_trial(
-    method: str, seed: int, problem: Problem, budget: int, on_progress: Callable[[int], None]
-) -> Trial:
+def _run_trial(method: str, seed: int, problem: Problem, budget: int, on_progress: Callable[[int], None]) -> Trial:
     """Run one method from one seed until it stops or has used up its evaluations."""
     evaluated, rows, best = 0, [], np.inf
     started = time.perf_counter()

@@ -301,9 +301,7 @@ def _optional_parts(
     }
 
 
-def _search_targets(
-    start: Checkpoint, problem: Problem, options: _Options
-) -> tuple[Checkpoint, Problem, bool]:
+def _search_targets(start: Checkpoint, problem: Problem, options: _Options) -> tuple[Checkpoint, Problem, bool]:
     """Search the remaining targets; return the last checkpoint, the first target's problem, and whether Ctrl-C came."""
     count = max(len(problem.scene.targets), 1)
     while True:
