@@ -77,10 +77,15 @@ def export(
     out
         The file to write (default: RESULT with another ending, in this folder).
     """
-    target = _target(out, result, to)
+    target = out or Path(f"{result.stem}{ENDINGS[to]}")
+    if target.suffix != (ending := Path(f"x{ENDINGS[to]}").suffix):
+        raise SceneError(f"--out {target}: must end in {ending}")
+    output.check_writable(target)
     series = {"start": start, "end": end, "frames": frames, "device": device}
     signal = {"rate": rate, "duration": duration, "full-scale": full_scale, "encoding": encoding}
-    _check_options(to, {**series, **signal})
+    for name, value in {**series, **signal}.items():
+        if value is not None and name not in OPTIONS[to]:
+            raise SceneError(f"--{name} {value}: has no effect with --to {to}; leave it out")
     if device is not None and start is end is frames is None:
         raise SceneError(f"--device {device}: nothing is run without --frames, --start or --end; leave it out")
     from warp_plate.result import load_result
@@ -89,7 +94,9 @@ def export(
     cases = select_cases(loaded, result, case or [])
     try:
         if to == "drive-wav" or to == "drive-csv":
-            name = _drive_case(cases, case)
+            if case and len(cases) > 1:
+                raise SceneError(f"--case {' '.join(case)}: a file holds one drive; name one case")
+            name = "best" if "best" in cases else next(iter(cases))
             files, record = _write_drive(loaded, cases[name], to, target, signal)
             record = {"case": name, **record}
         elif to == "traces-csv":
@@ -111,22 +118,6 @@ def export(
     _print_remarks(to, record)
 
 
-def _target(out: Path | None, result: Path, to: Format) -> Path:
-    path = out or Path(f"{result.stem}{ENDINGS[to]}")
-    ending = Path(f"x{ENDINGS[to]}").suffix
-    if path.suffix != ending:
-        raise SceneError(f"--out {path}: must end in {ending}")
-    output.check_writable(path)
-    return path
-
-
-def _check_options(to: Format, options: Mapping[str, object]) -> None:
-    """Check that the format takes all options that are given."""
-    for name, value in options.items():
-        if value is not None and name not in OPTIONS[to]:
-            raise SceneError(f"--{name} {value}: has no effect with --to {to}; leave it out")
-
-
 def _write_series(
     result: Result, file: Path, options: MotionOptions, to: Format, target: Path, quiet: bool
 ) -> tuple[list[Path], dict[str, Any]]:
@@ -145,13 +136,6 @@ def _write_series(
     scene = result.case_scene(result.cases[options.cases[0]])
     files = (write_pvd if to == "pvd" else write_vtkhdf)(scene, times, fields, target)
     return files, {"times": len(times), "recorded": recorded, "fields": list(fields)}
-
-
-def _drive_case(cases: Mapping[str, Case], named: list[str] | None) -> str:
-    """Return the case whose drive is written."""
-    if named and len(cases) > 1:
-        raise SceneError(f"--case {' '.join(named)}: a file holds one drive; name one case")
-    return "best" if "best" in cases else next(iter(cases))
 
 
 def _write_drive(

@@ -12,11 +12,8 @@ from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from rich.console import Console
 
-    from warp_plate.cluster.pool import WorkerPool
     from warp_plate.result.sweep import Sweep
     from warp_plate.studies.checkpointing import SweepFile
 
@@ -86,6 +83,7 @@ def sweep(
     target = output.output_file(out or beside, scene or "", "sweep")
     loaded = None if scene is None else output.load_scene(scene)
     from warp_plate.studies.checkpointing import SweepFile
+    from warp_plate.studies.sweep import run_sweep
     from warp_plate.studies.sweep_file import SweepRequest, open_sweep
 
     request = SweepRequest(loaded, scene or "", vary, what, samples, seed, count, path)
@@ -97,8 +95,13 @@ def sweep(
     # Devices that are named are used, also where another kind began.
     on_device_change = None if devices is None and device is None else output.log
     try:
-        with options.workers(devices, cluster, device) as pool:
-            result = _run(start, file, pool, on_device_change, not json)
+        with options.workers(devices, cluster, device) as pool, output.progress_bar("sweeping", not json) as show:
+            show(len(start.plan) - len(start.pending), len(start.plan), start.progress)
+
+            def on_progress(done: int, total: int, note: str) -> None:
+                show(done, total, f"{done} of {total}: {note}")
+
+            result = run_sweep(start, on_progress, file, pool, on_device_change)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(output.how_to_resume(file, "sweep")) from None
     except SceneError as error:
@@ -109,22 +112,6 @@ def sweep(
         return
     _print(result, output.console())
     output.print_files(files, missing)
-
-
-def _run(
-    start: Sweep, file: SweepFile, pool: WorkerPool | None, on_device_change: Callable[[str], None] | None, shown: bool
-) -> Sweep:
-    """Run the sweep with a progress bar."""
-    from warp_plate.studies.sweep import run_sweep
-
-    with output.progress_bar("sweeping", shown) as show:
-        total = len(start.plan)
-        show(total - len(start.pending), total, start.progress)
-
-        def on_progress(done: int, total: int, note: str) -> None:
-            show(done, total, f"{done} of {total}: {note}")
-
-        return run_sweep(start, on_progress, file, pool, on_device_change)
 
 
 def _write(result: Sweep, target: Path, pictures: bool, file: SweepFile) -> output.Drawn:

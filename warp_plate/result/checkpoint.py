@@ -116,4 +116,4 @@ def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
             checkpoint = load_checkpoint(previous)
         except SceneError:
             raise error from None
-        return checkpoint, f"{error}; going on from {previous}, {checkpoint.progress}"
+        return checkpoint, f"{error}; continuing from {previous}, {checkpoint.progress}"

@@ -307,7 +307,11 @@ def _search_targets(start: Checkpoint, problem: Problem, options: _Options) -> t
     while True:
         started, first_steps = time.perf_counter(), problem.node_steps
         done = len(start.finished_searches)
-        on_progress = _over_targets(options.on_progress, done, count)
+
+        def on_progress(iterations: int, total: int, best: float, done: int = done) -> None:
+            if options.on_progress is not None:
+                options.on_progress(done * total + iterations, count * total, best)
+
         optimizer, interrupted = run_search(start, problem, on_progress, options.checkpoints)
         position = None if optimizer is None else optimizer.result.xbest
         search = TargetSearch(
@@ -334,13 +338,6 @@ def _search_targets(start: Checkpoint, problem: Problem, options: _Options) -> t
         start = replace(start, seconds={**start.seconds, "solve": seconds})
         if last:
             return start, _with_target(problem, 0) if count > 1 else problem, interrupted
-
-
-def _over_targets(on_progress: OnProgress | None, done: int, count: int) -> OnProgress | None:
-    """Return a callback for one of several searches that reports the iterations of all."""
-    if on_progress is None or count == 1:
-        return on_progress
-    return lambda iterations, total, best: on_progress(done * total + iterations, count * total, best)
 
 
 def _next_problem(problem: Problem, index: int, start: Checkpoint) -> Problem:

@@ -152,7 +152,8 @@ def run_sweep(
         save()
         raise
     if (status == REFUSED).all():
-        raise SceneError(_all_refused(now()))
+        more = f" (and {counted(total - 1, 'point')} more)" if total > 1 else ""
+        raise SceneError(f"all points are refused; {now().refusal(0)}{more}")
     return now()
 
 
@@ -169,11 +170,6 @@ def _check_processor(current: Sweep, result: PointResult, on_device_change: Call
             f"continue anyway, --device {kind}"
         )
     on_device_change(f"{change}: the result may differ")
-
-
-def _all_refused(sweep: Sweep) -> str:
-    more = f" (and {counted(len(sweep.plan) - 1, 'point')} more)" if len(sweep.plan) > 1 else ""
-    return f"all points are refused; {sweep.refusal(0)}{more}"
 
 
 def _describe(result: PointResult, sweep: Sweep) -> str:
