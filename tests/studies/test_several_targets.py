@@ -1,7 +1,6 @@
 """A drive for each of several targets: searches, crosstalk, files, tables, pictures and checkpoints."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -9,10 +8,10 @@ import numpy as np
 import pytest
 from conftest import scene_of
 
-from warp_plate import PlateSolver, Scene, SceneError, load_result, localize, resume
+from warp_plate import PlateSolver, Scene, load_result, localize, resume
 from warp_plate.problem import problem
 from warp_plate.result import save_result
-from warp_plate.result.checkpoint import load_checkpoint, save_checkpoint
+from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.result.targets import best_drive_scenes, crosstalk, decibels, target_cases, target_regions
 from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.checkpointing import CheckpointFile
@@ -120,15 +119,6 @@ def test_an_interrupted_search_resumes_bit_identically(count, index, iterations,
             other.bound, other.single_actuator, other.evaluations,
         )  # fmt: skip
         np.testing.assert_array_equal(one.position, other.position)
-
-
-def test_a_checkpoint_of_other_targets_is_refused(tmp_path):
-    file = CheckpointFile(tmp_path / "one.checkpoint.h5", np.inf)
-    localize(panel(), "mine", "cpu", on_progress=stop_at(12), estimate=False, checkpoints=file)
-    checkpoint = load_checkpoint(file.path)
-    save_checkpoint(replace(checkpoint, scene=checkpoint.scene.aimed_at(0)), file.path)
-    with pytest.raises(SceneError, match="targets"):
-        load_checkpoint(file.path)
 
 
 def test_files_keep_the_searches(found, tmp_path):
