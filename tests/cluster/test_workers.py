@@ -1,6 +1,5 @@
 """Plates on processes of this machine: the same bits as in one process, whatever happens to the workers."""
 
-import json
 import multiprocessing
 import os
 import signal
@@ -16,7 +15,6 @@ import pytest
 from inline_pool import InlinePool
 
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, load_result, localize, resume
-from warp_plate.cli.main import main
 from warp_plate.cli.options import failure_lines
 from warp_plate.cluster import evaluator as evaluators
 from warp_plate.cluster import scheduler, tasks
@@ -69,7 +67,6 @@ def assert_same(found, run):
 
 
 SCENES = {
-    "float32": {"precision": "float32", "damping": 20.0},
     "stretching": {"effects": {"stretching": {}, "damping": {"viscous": 20.0}}},
     "signal": {"damping": 20.0, "drive": {"frequency": 290.0, "signal": {"file": "pulse.csv"}}},
     "designs": {
@@ -276,7 +273,7 @@ def test_an_error_of_the_program_is_tried_again_and_named(pool, monkeypatch):
 
 @pytest.mark.parametrize("room", [20, 0])
 def test_a_block_is_halved_until_memory_holds_it(room, scene, random):
-    """Where not even one plate has room, they are given up by name."""
+    """Plates are given up by name if not even one has room."""
     made, phasors = scene((9, 9), damping=20.0), random_phasors(random)
     evaluator = make_evaluator(made, "cpu", pool=Failing(room=room))
     found = evaluator.run(phasors)
@@ -345,27 +342,6 @@ def test_a_search_whose_workers_are_gone_can_go_on(error, tmp_path, scene):
 # The command.
 
 
-def panel_in(folder, scene, **search):
-    (folder / "panel.toml").write_text(dump_scene(small_search(scene, **search)), encoding="utf-8")
-
-
-def test_the_command_on_two_processes(tmp_path, scene, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    panel_in(tmp_path, scene)
-    common = ["localize", "panel.toml", "--no-pictures", "--no-estimate", "--json"]
-    found = []
-    for options in (["--device", "cpu", "--out", "one.h5"], ["--devices", "cpu,cpu", "--out", "two.h5"]):
-        main([*common, *options])
-        found.append(json.loads(capsys.readouterr().out))
-    one, two = found
-    assert two["device"].endswith("plates of the search on 2 processes (cpu, cpu)")
-    assert {name for name in one if one[name] != two[name]} <= {"device", "files", "seconds"}
-    with pytest.raises(SystemExit) as left:
-        main([*common, "--devices", "cpu,cpu", "--device", "cpu"])
-    assert left.value.code == 2
-    assert "--device cpu: --devices cpu,cpu already says where plates run" in capsys.readouterr().err
-
-
 SLEEPING = """
 import multiprocessing, time
 from warp_plate.cluster.opening import open_pool
@@ -409,9 +385,13 @@ def test_workers_end_with_the_program(tmp_path):
 
 
 @POSIX
-def test_ctrl_c_ends_a_command_with_workers_by_its_best(tmp_path, scene):
+def test_ctrl_c_ends_a_command_with_workers_by_its_best(tmp_path, scene, command):
     """As a terminal sends it, to all processes of the command."""
-    panel_in(tmp_path, scene, iterations=10**6)
+    file = tmp_path / "panel.toml"
+    file.write_text(dump_scene(small_search(scene, iterations=10**6)), encoding="utf-8")
+    refused = command("localize", file, "--devices", "cpu,cpu", "--device", "cpu")
+    assert refused[0] == 2
+    assert "--device cpu: --devices cpu,cpu already says where plates run" in refused[2]
     options = ["--devices", "cpu,cpu", "--no-pictures", "--no-estimate", "--checkpoint-every", "0"]
     process = started(tmp_path, "-m", "warp_plate", "localize", "panel.toml", *options, stderr=subprocess.PIPE)
     while not (tmp_path / "panel-localize.checkpoint.h5").exists() and process.poll() is None:
@@ -421,7 +401,9 @@ def test_ctrl_c_ends_a_command_with_workers_by_its_best(tmp_path, scene):
     assert process.returncode == 0
     assert errors.startswith("warp-plate: interrupted after ")
     assert errors.count("\n") == 1
-    assert load_result(tmp_path / "panel-localize.h5").interrupted
+    result = load_result(tmp_path / "panel-localize.h5")
+    assert result.interrupted
+    assert result.device.endswith("plates of the search on 2 processes (cpu, cpu)")
 
 
 def test_workers_must_be_alike_and_have_their_device(scene, monkeypatch):

@@ -65,7 +65,7 @@ def test_values_follow_from_the_energies_of_the_drive_found(scene):
 
 
 def test_references_are_all_actuators_and_the_best_single_one(scene):
-    """Which also stands for the best drive where there is none."""
+    """The best single one also stands for the best drive where there is none."""
     cases = evaluate_cases(make_problem(scene((9, 9)), "cpu"), 2, None).cases
     assert {name: case.phasors.tolist() for name, case in cases.items()} == {
         "equal": [1, 1, 1], "single": [0, 0, 1], "best": [0, 0, 1],
