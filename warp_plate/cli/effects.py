@@ -72,13 +72,8 @@ def _row(switch: EffectToggle) -> list[str]:
     start = [_words(switch.name), "on" if switch.on else "off"]
     if switch.price is None:
         return [*start, "refused", "", "", ""]
-    return [
-        *start,
-        f"{switch.price:+.0f} ± {switch.deviation:.0f} %",
-        f"× {switch.steps:.3g}",
-        f"{switch.localization_factor:.4f}",
-        f"{switch.peak:.3g}",
-    ]
+    price = f"{switch.price:+.0f} ± {switch.deviation:.0f} %"
+    return [*start, price, f"× {switch.steps:.3g}", f"{switch.localization_factor:.4f}", f"{switch.peak:.3g}"]
 
 
 def _words(name: str) -> str:

@@ -81,11 +81,7 @@ def transfer_functions(solver: PlateSolver) -> np.ndarray:
 
 
 def time_reversal(solver: PlateSolver, transfer: np.ndarray) -> np.ndarray:
-    """Return the phasors (actuators,) that focus on the centroid of the target.
-
-    Args:
-        transfer: (actuators, ny, nx) transfer functions.
-    """
+    """Return the phasors (actuators,) that focus on the centroid of the target, from (actuators, ny, nx) H."""
     scene = solver.scene
     target = solver.discretization.region_weights[REGIONS.index("target")]
     (width, height), (ny, nx) = scene.plate.size, target.shape
@@ -97,11 +93,7 @@ def time_reversal(solver: PlateSolver, transfer: np.ndarray) -> np.ndarray:
 
 
 def inverse_filter(solver: PlateSolver, transfer: np.ndarray) -> np.ndarray:
-    """Return the phasors (actuators,) whose motion is closest to one in the target and zero elsewhere.
-
-    Args:
-        transfer: (actuators, ny, nx) transfer functions.
-    """
+    """Return the phasors (actuators,) whose motion is closest to one in the target and zero elsewhere."""
     weights = solver.discretization.region_weights
     plate, target = (weights[REGIONS.index(name)] for name in ("plate", "target"))
     weight = np.sqrt(np.maximum(plate, 0)).ravel()

@@ -53,11 +53,7 @@ def merged_versions(earlier: Mapping[str, str]) -> dict[str, str]:
 
 
 def same_device(device: str, processor: str, study: str) -> str:
-    """Return the alias of a device on this machine with the same kind of processor.
-
-    Args:
-        study: "search" or "sweep", for the error.
-    """
+    """Return the alias of a device on this machine with the same kind of processor; ``study``: "search" or "sweep"."""
     for alias in (device, *(alias for alias in device_aliases() if alias != device)):
         if alias in device_aliases() and processor_of(find_device(alias)) == processor:
             return alias
