@@ -25,11 +25,10 @@ OnProgress = Callable[[int, int, float], object]
 
 def search_optimizer(problem: Problem, seed: int, state: Mapping[str, Any] | None = None) -> Optimizer | None:
     """Return the optimizer of a problem, at its start or in a saved state; None if there is nothing to search."""
-    search, space = problem.scene.search, problem.space
-    if not space.dimension:
+    if not problem.space.dimension:
         return None
     try:
-        return make_optimizer(search, space, seed, problem.quadratic, state)
+        return make_optimizer(problem.scene.search, problem.space, seed, problem.quadratic, state)
     except SceneError:
         raise
     except ValueError as error:
@@ -44,10 +43,8 @@ def run_search(
 ) -> tuple[Optimizer | None, bool]:
     """Run a search; return its optimizer, None if there is nothing to search, and whether Ctrl-C ended it.
 
-    Args:
-        start: state of the search; ``problem`` is that of its scene.
-        on_progress: called after each iteration.
-        checkpoints: written at intervals, and when Ctrl-C or an error ends the search.
+    ``problem`` is that of the checkpoint's scene. Checkpoints are written at intervals, and when Ctrl-C or an error
+    ends the search.
     """
     if start.search_state is None:
         return None, False

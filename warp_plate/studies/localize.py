@@ -173,7 +173,6 @@ def load_to_resume(
 
     Args:
         scene: scene as given again, or None; files that it names are looked for in its folder.
-        device: device to continue on, or None.
         log: called with a line for each thing that may change the last digits of the result.
         options: values given again by their names in :class:`Checkpoint`, or None.
     """

@@ -101,11 +101,8 @@ def check_unchanged(
 
 
 def changes(study: Checkpoint | Sweep, device: str | None) -> list[str]:
-    """Return a line for each change since a study began that may change the last digits of its result.
-
-    Args:
-        device: device that it continues on; None if that is not known yet or the same.
-    """
+    """Return a line for each change since a study began, also of the device (None: unknown or the same), that may
+    change the last digits of its result."""
     lines = []
     if device is not None and (processor := processor_of(find_device(device))) != study.processor:
         lines.append(

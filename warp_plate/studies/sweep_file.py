@@ -21,16 +21,7 @@ MODES = 6
 
 @dataclass(frozen=True)
 class SweepRequest:
-    """Options of a sweep as a user gives them; None for those left out.
-
-    Attributes:
-        scene: scene whose numbers are varied; ``source`` is its name.
-        vary: strings as for ``--vary``.
-        what: a key of QUANTITIES.
-        samples, seed: see :func:`warp_plate.studies.sweep.sweep`.
-        count: number of modes.
-        path: see :class:`PlateSolver`.
-    """
+    """Arguments of :func:`warp_plate.studies.sweep.sweep` as a user gives them; None for those left out."""
 
     scene: Scene | None
     source: str
@@ -87,12 +78,8 @@ def open_sweep(
 
 
 def resume_sweep(sweep: Sweep, device: str | None = None, on_workers: bool = False) -> Sweep:
-    """Return an unfinished sweep as it continues.
-
-    Args:
-        device: another device than it began on, which may round differently (default: one of the same kind).
-        on_workers: whether workers of a pool run its points.
-    """
+    """Return an unfinished sweep as it continues on workers of a pool, on another device, which may round differently,
+    or by default on one of the kind that it began on."""
     provenance.check_files(sweep.scene, sweep, "sweep")
     if sweep.finished:
         return sweep
