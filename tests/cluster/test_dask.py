@@ -26,7 +26,7 @@ psutil = pytest.importorskip("psutil")  # which Dask needs as well
 
 @pytest.fixture(scope="module")
 def lines():
-    """What was logged as the pool was opened."""
+    """Lines logged as the pool was opened."""
     return []
 
 
