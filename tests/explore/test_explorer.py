@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from warp_plate import viz
 from warp_plate.explore import live_model
 from warp_plate.explore.live_model import LiveModel
 from warp_plate.result.motion import DriveResponse, SteadyMotion, SwarmSnapshot
@@ -69,7 +68,7 @@ def test_a_paused_plate_changes_only_with_the_model(view, model):
         assert not view.advance(0.2)
 
 
-def test_the_scale_is_kept_while_it_suits(view, model):
+def test_caption_and_scale_follow(view, model):
     """Half the drive is drawn half as high in the same scale; twice the drive needs another one."""
     view.angle = 0.7
     view.advance(0)
@@ -88,17 +87,12 @@ def test_the_scale_is_kept_while_it_suits(view, model):
     assert limit >= peak > first.limit
     limit, peak = drive(0.1 * LEAST_SHARE)
     assert LEAST_SHARE * limit <= peak <= limit
-
-
-def test_the_caption_follows(view, model):
     model.set_frequency(250.0)
     model.choose("exact")
     model.wait()
-    assert model.status() == ""
     view.advance(0)
-    text = view.plate.caption.GetInput()
-    assert "250 Hz" in text
-    bound = f"{100 * model.read().bound:.2f} %"
+    text, bound = view.plate.caption.GetInput(), f"{100 * model.read().bound:.2f} %"
+    assert text.startswith("250 Hz")
     assert f"localization factor {bound}, bound {bound}" in text
 
 
@@ -147,35 +141,18 @@ def test_the_buttons_are_the_choices_of_the_model():
     assert tuple(explorer_page.CHOICES) == live_model.CHOICES
 
 
-# Command ----------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def refused(tmp_path, monkeypatch, command, scene):
-    """A function that returns the line with which the command is refused."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "panel.toml").write_text(dump_scene(scene(damping=120.0)), encoding="utf-8")
-
-    def run(*options):
-        status, out, err = command("explore", "panel.toml", *options)
-        assert (status, out, err.count("\n")) == (2, "", 1)
-        return err
-
-    return run
-
-
-def test_missing_libraries_are_named(refused, monkeypatch):
-    monkeypatch.setattr(explorer_page.importlib.util, "find_spec", lambda name: None)
-    for options in ((), ("--web",)):
-        assert "pip install 'warp-plate[web]'" in refused(*options)
-
-
-@pytest.mark.parametrize("port", [-1, 65536])
-def test_a_port_out_of_range(refused, port):
-    assert f"--port {port}" in refused("--port", port)
-
-
-def test_a_missing_device(refused):
-    if explorer_page.missing_page() or viz.missing_renderer():
+def test_refusals_name_the_library_the_port_or_the_device(tmp_path, monkeypatch, command, scene, drawing):
+    path = tmp_path / "panel.toml"
+    path.write_text(dump_scene(scene(damping=120.0)), encoding="utf-8")
+    if explorer_page.missing_page():
         pytest.skip("the page cannot be served here")
-    assert "cuda:99" in refused("--web", "--device", "cuda:99")
+    cases = [
+        ("cuda:99", "--web", "--device", "cuda:99"),
+        ("--port -1", "--port", -1),
+        ("--port 65536", "--port", 65536),
+    ]
+    for words, *options in [*cases, ("pip install 'warp-plate[web]'",)]:
+        if not options:
+            monkeypatch.setattr(explorer_page.importlib.util, "find_spec", lambda name: None)
+        status, out, err = command("explore", path, *options)
+        assert (status, out, err.count("\n"), words in err) == (2, "", 1, True)

@@ -26,15 +26,8 @@ def panel(scene):
 
 
 @pytest.fixture
-def film(scene):
-    """Large displacements, which are not linear in the drives."""
-    effects = {"stretching": {}, "damping": {"viscous": DAMPING}}
-    return scene(frequency=60.0, window=(0.08, 0.1), effects=effects, search=SEARCH)
-
-
-@pytest.fixture
 def live():
-    """Makes live models on the CPU and ends their threads."""
+    """A factory of live models on the CPU, which are closed at the end."""
     made = []
 
     def make(scene):
@@ -61,25 +54,25 @@ def chosen(model, choice):
     return model.read()
 
 
-def test_sliders_move_the_reading(panel, live):
-    """Without a simulation; the lag is φ as in cos(ωt − φ)."""
+def test_sliders_move_the_reading_without_a_simulation(panel, live):
     model = live(panel)
     model.set_actuator(1, magnitude=2.0)
     model.set_actuator(1, phase=math.pi / 2)
     assert not model.busy()
+    # The lag is φ as in cos(ωt − φ).
     np.testing.assert_allclose(model.read().phasors, [1, -2j, 1], atol=1e-15)
 
 
-@pytest.mark.parametrize(("frequency", "damping"), [(240.0, DAMPING), (290.0, 500.0), (290.0, 0.0)])
-def test_frequency_and_damping_are_simulated_again(frequency, damping, panel, live):
+def test_frequency_and_damping_are_simulated_again(panel, live):
     model = live(panel)
-    model.set_frequency(frequency)
-    model.set_damping(damping)
-    model.wait()
-    reading = model.read()
-    run = PlateSolver(changed_scene(panel, frequency, damping), "cpu").run(np.ones((1, 3)))
-    assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
-    assert (reading.scene.drive.frequency, reading.scene.effects.damping.viscous) == (frequency, damping)
+    for frequency, damping in ((240.0, DAMPING), (290.0, 500.0), (290.0, 0.0)):
+        model.set_frequency(frequency)
+        model.set_damping(damping)
+        model.wait()
+        reading = model.read()
+        run = PlateSolver(changed_scene(panel, frequency, damping), "cpu").run(np.ones((1, 3)))
+        assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
+        assert (reading.scene.drive.frequency, reading.scene.effects.damping.viscous) == (frequency, damping)
 
 
 def test_a_reading_does_not_wait_for_a_simulation(panel, live, monkeypatch):
@@ -104,15 +97,10 @@ def test_a_reading_does_not_wait_for_a_simulation(panel, live, monkeypatch):
     assert not model.busy()
 
 
-def test_damping_where_the_scene_has_none(scene, live):
-    model = live(scene())
-    model.set_damping(100.0)
-    model.wait()
-    assert model.read().scene.effects.damping.viscous == 100.0
-
-
 def test_what_cannot_be_simulated_is_reported_and_the_rest_goes_on(scene, live):
-    """A step that a stronger damping, taken backward, makes unstable."""
+    """A damping that makes the given step, taken backward, unstable."""
+    with pytest.raises(SceneError, match="above the stability limit"):
+        live(scene(time_step=1e-3))
     model = live(scene(damping=10.0, scheme="backward", time_step=1.2e-4))
     before = model.read()
     model.set_damping(1e5)
@@ -125,8 +113,7 @@ def test_what_cannot_be_simulated_is_reported_and_the_rest_goes_on(scene, live):
     assert model.read().scene.effects.damping.viscous == 20.0
 
 
-def test_slider_ranges(panel, scene):
-    """Within what the run can carry."""
+def test_slider_ranges_are_within_what_the_run_can_carry(panel, scene):
     ranges = slider_ranges(panel)
     assert (ranges.magnitude, ranges.damping) == (2.0, 5 * DAMPING)
     assert ranges.frequency == pytest.approx((58, 580))
@@ -136,16 +123,14 @@ def test_slider_ranges(panel, scene):
     assert slider_ranges(short).damping == pytest.approx(0.5 * short.drive_angular_frequency * 0.5)
 
 
-def test_choices(panel, live):
-    """Each is what localize means by the name, and within the sliders' range."""
+def test_choices_are_what_localize_means_by_them(panel, live):
     model, result = live(panel), localize(panel, device="cpu", estimate=False)
     for choice, case in (("equal", "equal"), ("single", "single"), ("found", "best")):
         # A run in float64 against one in the scene's precision.
         expected = result.cases[case].localization_factor
         assert chosen(model, choice).localization_factor == pytest.approx(expected, rel=1e-6)
     exact = chosen(model, "exact")
-    assert exact.bound == pytest.approx(result.bound, rel=1e-9)
-    assert exact.localization_factor == pytest.approx(exact.bound, rel=1e-9)
+    assert exact.localization_factor == pytest.approx(exact.bound, rel=1e-9) == pytest.approx(result.bound, rel=1e-9)
     first, second = chosen(model, "random").phasors, chosen(model, "random").phasors
     assert np.abs(first - second).min() > 0
     np.testing.assert_allclose(chosen(model, "scene").phasors, [1, 1, 1])
@@ -157,8 +142,11 @@ def test_choices(panel, live):
         model.choose("best")
 
 
-def test_one_actuator(scene, live):
-    model = live(scene(damping=DAMPING, actuators=[(0.03, 0.06, 0.04, 0.07)]))
+def test_one_actuator_and_damping_where_the_scene_has_none(scene, live):
+    model = live(scene(actuators=[(0.03, 0.06, 0.04, 0.07)]))
+    model.set_damping(DAMPING)
+    model.wait()
+    assert model.read().scene.effects.damping.viscous == DAMPING
     assert all(chosen(model, choice).localization_factor > 0 for choice in CHOICES)
     assert model.swarm() is None
 
@@ -175,8 +163,7 @@ def test_a_search_is_watched(panel, live):
     model.wait()
     last = model.swarm()
     assert len(seen) > 5
-    assert not last.running
-    assert (last.best.size, last.iterations) == (15, 15)
+    assert (last.running, last.best.size, last.iterations) == (False, 15, 15)
     assert np.all(np.diff(last.best) >= 0)
     for swarm in seen.values():
         assert swarm.phasors.shape == (12, 3)
@@ -187,7 +174,7 @@ def test_a_search_is_watched(panel, live):
     np.testing.assert_allclose(last.best, history, rtol=1e-9)
 
 
-def test_a_search_ends_when_it_is_stopped_or_the_drive_is_moved(panel, live):
+def test_a_search_ends_when_it_is_stopped_or_a_slider_is_moved(panel, live):
     """What it finds after that is not taken."""
     model = live(panel)
     model.choose("found", seconds=0.02)
@@ -202,17 +189,12 @@ def test_a_search_ends_when_it_is_stopped_or_the_drive_is_moved(panel, live):
     assert model.swarm() is None
     time.sleep(0.1)
     assert model.read().phasors[0] == pytest.approx(0.25 * np.exp(-1j * model.settings.phase[0]))
-
-
-def test_a_frequency_that_is_set_during_a_search_stays(panel, live):
-    """It ends the search, whose drives are those of another frequency."""
-    model = live(panel)
+    # Its drives are those of another frequency.
     for frequency in (200.0, 220.0):
         model.choose("found")
         model.set_frequency(frequency)
         model.wait()
-        assert model.settings.frequency == frequency
-        assert model.read().scene.drive.frequency == frequency
+        assert model.settings.frequency == model.read().scene.drive.frequency == frequency
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
@@ -230,17 +212,17 @@ def test_an_error_of_the_program_is_reported(panel, live, monkeypatch):
     assert model.read().scene.drive.frequency == 290.0
 
 
-def test_stretching_is_simulated_for_each_drive(film, live):
+def test_stretching_is_simulated_for_each_drive(scene, live):
     """Where the plate moves by its thickness and more, ten times the drive is not ten times the motion."""
-    model = live(film)
-    shown = []
+    effects = {"stretching": {}, "damping": {"viscous": DAMPING}}
+    film = scene(frequency=60.0, window=(0.08, 0.1), effects=effects, search=SEARCH)
+    model, shown, solver = live(film), [], PlateSolver(film, "cpu")
+    times = last_period(film, solver.specialized.scheme.time_step, 5)
     for magnitude in (10.0, 100.0):
         for index in range(3):
             model.set_actuator(index, magnitude=magnitude)
         model.wait()
-        reading, solver = model.read(), PlateSolver(film, "cpu")
-        times = last_period(film, solver.specialized.scheme.time_step, 5)
-        run = solver.run(np.full((1, 3), magnitude), times)
+        reading, run = model.read(), solver.run(np.full((1, 3), magnitude), times)
         assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
         assert reading.bound is None
         shown.append(reading.motion)
@@ -249,11 +231,7 @@ def test_stretching_is_simulated_for_each_drive(film, live):
         np.testing.assert_allclose(at, field, atol=0.02 * np.abs(field).max())
     np.testing.assert_array_equal(shown[0].orders, ORDERS)
     assert shown[1].peak() < 9.8 * shown[0].peak()
-
-
-def test_choices_where_nothing_is_linear(film, live):
-    """A swarm of simulated plates, no exact best, and a drive that no run survives."""
-    model = live(film)
+    # A swarm of simulated plates, no exact best, and a drive that no run survives.
     chosen(model, "found")
     assert model.read().localization_factor == pytest.approx(model.swarm().best[-1], rel=1e-6)
     before = model.settings
@@ -265,8 +243,3 @@ def test_choices_where_nothing_is_linear(film, live):
     model.set_actuator(0, magnitude=1e12)
     model.wait()
     assert "grew without bound" in model.status()
-
-
-def test_a_scene_that_cannot_run_is_refused_at_once(scene):
-    with pytest.raises(SceneError, match="above the stability limit"):
-        LiveModel(scene(time_step=1e-3), "cpu")

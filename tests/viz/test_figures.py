@@ -76,10 +76,6 @@ def test_surfaces_show_every_case_and_time(result, drawing, tmp_path):
             # Nothing is cut off at the sides.
             assert (picture[panel][70:, :5] > 250).all()
     assert (picture[[0, 1, 2, -3, -2, -1]] > 250).all()
-
-
-def test_columns_are_evenly_spaced_times():
-    assert evenly_spaced(2, 6) == [0, 1]
     assert evenly_spaced(1000, 6) == [0, 200, 400, 599, 799, 999]
 
 

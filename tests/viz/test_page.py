@@ -72,16 +72,16 @@ def test_nodes_at_rest_have_no_phase(scene):
 @pytest.mark.parametrize("quantity", ["displacement", "velocity", "phase"])
 def test_fine_grids_are_thinned(scene, monkeypatch, quantity):
     """Every second node is shown; limits and heights stay those of all nodes."""
-    every = page_data(scene(), [bump(3e-7)], quantity, 25.0, None)
+    fine = page_data(scene(), [bump(3e-7)], quantity, 25.0, None)
     monkeypatch.setattr(page_module, "MOST_BYTES", 1200.0)
     data = page_data(scene(), [bump(3e-7)], quantity, 25.0, None)
-    assert (every["thinned"], data["grid"]) == ("", [5, 5])
+    assert (fine["thinned"], data["grid"]) == ("", [5, 5])
     assert data["thinned"] == "5 × 5 of 9 × 9 nodes are shown."
-    assert (data["peak"], data["factor"], data["limits"]) == (every["peak"], every["factor"], every["limits"])
+    assert all(data[key] == fine[key] for key in ("peak", "factor", "limits"))
     for part in ("heights", "colours"):
-        if every["plates"][0][part] is not None:
-            fine = decoded(every["plates"][0][part], "<i2").reshape(-1, 9, 9)
-            np.testing.assert_array_equal(decoded(data["plates"][0][part], "<i2").reshape(-1, 5, 5), fine[:, ::2, ::2])
+        if fine["plates"][0][part] is not None:
+            every, shown = (decoded(made["plates"][0][part], "<i2") for made in (fine, data))
+            np.testing.assert_array_equal(shown.reshape(-1, 5, 5), every.reshape(-1, 9, 9)[:, ::2, ::2])
     assert decoded(data["triangles"], "<u4").max() == 24
 
 
@@ -162,37 +162,18 @@ def redness(picture):
     return int((difference > 60).sum() - (difference < -60).sum())
 
 
-def test_playing_and_stepping(opened):
+def test_playing_stepping_turning_and_heights(opened):
     page = opened()
+    before = pixels(page)
     assert page.inner_text("#play") == "Play"
-    assert redness(pixels(page)) > 1000
-    page.keyboard.press("ArrowRight")
-    assert page.evaluate("player.frame") == 1
-    until(page, "document.querySelectorAll('.heading')[1].textContent.includes('t = 0.0005 s')")
-    page.locator("#time").fill("5")
-    assert redness(pixels(page)) < -1000
-    assert "localization factor 50.00 %" in page.locator(".heading").nth(1).inner_text()
-    page.click("#play")
-    until(page, "player.frame !== 5")
-    assert page.inner_text("#play") == "Pause"
-    page.keyboard.press("Space")
-    until(page, "!player.playing")
-
-
-def test_limits_are_common_to_the_plates(opened):
-    page = opened()
-    small, large = (pixels(page, plate) for plate in (0, 1))
+    assert redness(before) > 1000
     # Half the displacement is halfway to dark red: its red has more green in it.
-    greens = [picture[..., 1][picture[..., 0] - picture[..., 2] > 60].min() for picture in (small, large)]
+    greens = [picture[..., 1][picture[..., 0] - picture[..., 2] > 60].min() for picture in (pixels(page, 0), before)]
     assert greens[0] > 80 > 40 > greens[1]
     assert page.locator("#ticks span").all_inner_texts() == ["200", "100", "0", "−100", "−200"]
     assert page.inner_text("#title") == "displacement\n[nm]"
     assert "clamped" in page.inner_text("#key")
 
-
-def test_dragging_rotates_and_the_wheel_zooms(opened):
-    page = opened()
-    before = pixels(page)
     box = page.locator("#plates canvas").nth(1).bounding_box()
     middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     page.mouse.move(*middle)
@@ -209,10 +190,6 @@ def test_dragging_rotates_and_the_wheel_zooms(opened):
     until(page, "camera.zoom === 1")
     assert (pixels(page) == before).all()
 
-
-def test_the_slider_of_heights(opened):
-    page = opened()
-    before = pixels(page)
     factor = page.evaluate("factor()")
     page.locator("#heights").fill("1")
     assert page.evaluate("factor()") == pytest.approx(2 * factor, rel=0.01)
@@ -221,10 +198,21 @@ def test_the_slider_of_heights(opened):
     red = [np.argwhere(picture[..., 0] - picture[..., 2] > 100)[:, 0].min() for picture in (before, pixels(page))]
     assert red[1] < red[0] - 5
 
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("player.frame") == 1
+    until(page, "document.querySelectorAll('.heading')[1].textContent.includes('t = 0.0005 s')")
+    page.locator("#time").fill("5")
+    assert redness(pixels(page)) < -1000
+    assert "localization factor 50.00 %" in page.locator(".heading").nth(1).inner_text()
+    page.click("#play")
+    until(page, "player.frame !== 5")
+    assert page.inner_text("#play") == "Pause"
+    page.keyboard.press("Space")
+    until(page, "!player.playing")
+
 
 def test_phases_are_grey_at_rest(opened):
     page = opened("phase")
-    picture = pixels(page)
     # A lag of 0 is dark, in the middle of the colour map; the clamped edge is grey.
-    assert (picture.max(axis=-1) < 70).mean() > 0.1
+    assert (pixels(page).max(axis=-1) < 70).mean() > 0.1
     assert page.locator("#ticks span").all_inner_texts() == ["180", "90", "0", "−90", "−180"]

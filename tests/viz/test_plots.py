@@ -86,20 +86,15 @@ def result_of(names=(), **search):
     )
 
 
-@pytest.mark.parametrize("names", [("left", "disc"), LONG])
-def test_crosstalk_names_fit(drawn, names):
-    _, words = drawn(draw_crosstalk, result_of(names))
-    assert {f"drive for {name}" for name in names} <= {one.replace("\n", " ") for one in words}
-
-
-def test_crosstalk_shows_moved_actuators(drawn):
-    result = result_of(("left", "disc"), position={})
-    figure, _ = drawn(draw_crosstalk, result)
-    panels = [one for one in figure.get_axes() if one.get_title()]
+def test_crosstalk_names_fit_and_actuators_move(drawn):
+    result = result_of(LONG, position={})
+    figure, words = drawn(draw_crosstalk, result)
+    assert {f"drive for {name}" for name in LONG} <= {text.replace("\n", " ") for text in words}
+    panels = [axes for axes in figure.get_axes() if axes.get_title()]
     for axes, case in zip(panels, result.cases.values(), strict=True):
-        shown = [one.get_xdata()[0] for one in axes.lines if one.get_color() == INK and one.get_zorder() == 2]
-        np.testing.assert_allclose(shown, [one.area[0] for one in result.case_scene(case).actuators])
-    assert not np.allclose(shown, [one.area[0] for one in result.scene.actuators])
+        shown = [line.get_xdata()[0] for line in axes.lines if line.get_color() == INK and line.get_zorder() == 2]
+        np.testing.assert_allclose(shown, [actuator.area[0] for actuator in result.case_scene(case).actuators])
+    assert not np.allclose(shown, [actuator.area[0] for actuator in result.scene.actuators])
 
 
 @pytest.mark.parametrize("draw", [draw_history, draw_spectrum])
@@ -108,18 +103,10 @@ def test_plots_of_the_first_of_several_targets_say_so(drawn, draw):
     assert "search for" not in " ".join(drawn(draw, result_of())[1])
 
 
-@pytest.mark.parametrize(
-    ("method", "words"),
-    [
-        ("ring", ["swarm mean"]),
-        ("cma", ["mean of the generation"]),
-        ("gradient", ["mean of the descents"]),
-        ("exact", []),
-    ],
-)
-def test_means_are_named_by_the_method(drawn, method, words):
-    _, shown = drawn(draw_history, result_of(method=method))
-    assert [one for one in shown if "mean" in one] == words
+def test_means_are_named_by_the_method(drawn):
+    named = {"ring": ["swarm mean"], "cma": ["mean of the generation"], "gradient": ["mean of the descents"]}
+    for method, words in {**named, "exact": []}.items():
+        assert [text for text in drawn(draw_history, result_of(method=method))[1] if "mean" in text] == words
 
 
 @pytest.mark.parametrize(
@@ -143,10 +130,8 @@ def test_curves_that_are_only_bounds_say_so(drawn, search, best, any_size):
 @pytest.mark.parametrize(
     ("ends", "numbers"),
     [
-        ((30, 940), ["50", "100", "200", "500"]),
         ((0.009, 0.25), ["0.01", "0.02", "0.05", "0.1", "0.2"]),
         ((195, 410), ["200", "250", "300", "350", "400"]),
-        ((18, 95), ["20", "40", "60", "80"]),
         ((0.9, 4100), ["10^{0}", "10^{1}", "10^{2}", "10^{3}"]),
         ((1.5e-6, 9e-5), [r"2\times10^{-6}", r"5\times10^{-6}", "10^{-5}", r"2\times10^{-5}", r"5\times10^{-5}"]),
     ],
@@ -159,7 +144,7 @@ def test_labels_of_a_logarithmic_axis(drawn, ends, numbers):
             number_log_axis(axes.xaxis)
 
     _, shown = drawn(draw, ends)
-    assert [one.replace(r"$\mathdefault{", "").replace("}$", "") for one in shown] == numbers
+    assert [text.replace(r"$\mathdefault{", "").replace("}$", "") for text in shown] == numbers
 
 
 def test_a_comparison_over_less_than_two_decades(drawn):

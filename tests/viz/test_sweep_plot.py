@@ -12,7 +12,10 @@ from warp_plate.studies.quantities_of_interest import QUANTITIES
 from warp_plate.studies.sweep import start_sweep
 from warp_plate.viz.plots.sweep import COLOURS, cell_edges, draw_sweep
 
-NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
+pytest.importorskip("matplotlib", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.image import imread
 
 
 @pytest.fixture
@@ -42,47 +45,34 @@ FOUR = [f"{key}=1:2:3" for key in ("drive.frequency", "plate.thickness", "window
     [
         *((what, LINE, None) for what in QUANTITIES),
         ("localize", ["drive.frequency=290"], None),
-        ("check", ["plate.thickness=4e-4:6e-4:5"], None),
         ("modes", ["plate.thickness=4e-4:6e-4", "target.area[1]=0.05:0.15", "plate.density=log:900:1500"], 20),
-        ("localize", PAIR, None),
         ("modes", PAIR, None),
         ("check", ["drive.frequency=290", "effects.damping.viscous=0,1,5"], None),
         ("modes", ["drive.frequency=1,2", "effects.damping.viscous=1,2", "plate.thickness=log:1e-4:2e-4:3"], None),
         ("localize", FOUR, None),
-        ("simulate", ["drive.frequency=200:300", "effects.damping.viscous=log:1:100"], 20),
     ],
 )
 def test_pictures_of_all_shapes(panel, tmp_path, monkeypatch, what, vary, samples):
-    pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
-    from matplotlib.figure import Figure
-
+    """Labels of ticks do not touch each other, and refused points are grey."""
     figures, save = [], Figure.savefig
     monkeypatch.setattr(Figure, "savefig", lambda self, *args, **how: (figures.append(self), save(self, *args, **how)))
-    picture = draw_sweep(random_sweep(panel, vary, what, samples), tmp_path / "a.png")
-    from matplotlib.image import imread
-
-    drawn = imread(picture)
+    drawn = imread(draw_sweep(random_sweep(panel, vary, what, samples), tmp_path / "a.png"))
     assert min(drawn.shape[:2]) > 300
     assert drawn[..., :3].std() > 0.02
-    lettered = figures[0].axes
-    for axis in (axis for axes in lettered if axes.get_visible() for axis in (axes.xaxis, axes.yaxis)):
+    for axis in (axis for axes in figures[0].axes if axes.get_visible() for axis in (axes.xaxis, axes.yaxis)):
         ends = sorted(axis.get_view_interval())
         shown = [tick.label1 for tick in axis.get_major_ticks() if ends[0] <= tick.get_loc() <= ends[1]]
         boxes = [label.get_window_extent() for label in shown if label.get_visible() and label.get_text()]
         boxes.sort(key=lambda box: box.x0 if axis.axis_name == "x" else box.y0)
         assert all(one.x1 + 5 < two.x0 or one.y1 < two.y0 for one, two in itertools.pairwise(boxes))
-    if what == "check" and len(vary) == 1:
-        assert [axes.get_ylabel() for axes in lettered] == ["time step [s]", "resolution"]
-        assert lettered[-1].get_xlabel() in ("drive frequency [Hz]", "plate thickness [$10^{-4}$ m]")
+    if (what, vary) == ("check", LINE):
+        assert [axes.get_ylabel() for axes in figures[0].axes] == ["time step [s]", "resolution"]
+        assert figures[0].axes[-1].get_xlabel() == "drive frequency [Hz]"
 
 
 @pytest.mark.parametrize("samples", [None, 5])
 def test_coinciding_curves_can_all_be_seen(panel, tmp_path, samples):
     """Every colour of the legend is in the panels, though best and bound coincide."""
-    pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
-    from matplotlib.colors import to_rgb
-    from matplotlib.image import imread
-
     sweep = random_sweep(panel, ["plate.thickness=4e-4:6e-4:6"], "localize", samples)
     sweep.values.update({name: np.linspace(0.2, 0.7, len(sweep.plan)) for name in sweep.values})
     sweep.values["single"], sweep.values["equal"] = (1 - sweep.values[name] for name in ("best", "bound"))
