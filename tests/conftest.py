@@ -250,9 +250,7 @@ def point_scene_of(nodes, size=(0.2, 0.2), edges=("clamped",) * 4, precision="fl
     x, y = (np.linspace(0, length, count)[1:-1] for length, count in zip(size, nodes, strict=True))
     half_x, half_y = (length / (count - 1) / 4 for length, count in zip(size, nodes, strict=True))
     areas = [(i - half_x, i + half_x, j - half_y, j + half_y) for j in y for i in x]
-    rigidity = (
-        MATERIAL["young_modulus"] * MATERIAL["thickness"] ** 3 / 12 / (1 - MATERIAL["poisson_ratio"] ** 2)
-    )
+    rigidity = MATERIAL["young_modulus"] * MATERIAL["thickness"] ** 3 / 12 / (1 - MATERIAL["poisson_ratio"] ** 2)
     kappa = math.sqrt(rigidity / (MATERIAL["density"] * MATERIAL["thickness"]))
     step = 0.95 * time_step_limit(kappa, (4 * half_x, 4 * half_y), order=order)
     two_steps = {"time_step": step, "window": (0.0, 2 * step), "frequency": 1 / (STEPS_A_PERIOD * step)}
@@ -260,12 +258,6 @@ def point_scene_of(nodes, size=(0.2, 0.2), edges=("clamped",) * 4, precision="fl
         nodes, size, edges, precision=precision, order=order, load="nodes", actuators=areas,
         **{**two_steps, **changes},
     )  # fmt: skip
-
-
-@pytest.fixture
-def apply_biharmonic():
-    """∇⁴u as a path computes it, obtained from ``run`` alone."""
-    return biharmonic_by_running
 
 
 def biharmonic_by_running(solver, fields):
@@ -308,9 +300,7 @@ def operator_by_running(scene, device="cpu"):
         # The node of this colour within reach of each node, if it is an inner node.
         source_row = row + (j - row + reach) % apart - reach
         source_column = column + (i - column + reach) % apart - reach
-        known = (
-            inside & (source_row > 0) & (source_row < ny - 1) & (source_column > 0) & (source_column < nx - 1)
-        )
+        known = inside & (source_row > 0) & (source_row < ny - 1) & (source_column > 0) & (source_column < nx - 1)
         source = (source_row[known], source_column[known])
         value = answer[known[1:-1, 1:-1]] / field[source]
         entries.append((value, number[known], number[source]))

@@ -58,16 +58,6 @@ def test_a_bad_drive_harms_no_other(solver, drives, good):
     assert set(faults[~bad & ~near]) <= {"ok"}
 
 
-@settings(max_examples=20)
-@given(st.floats(1.01 * SMALLEST_DRIVE, 0.99 * LARGEST_DRIVE), st.integers(0, ACTUATORS - 1))
-def test_energies_go_with_the_square_at_every_size(solver, size, actuator):
-    unit = np.zeros((1, ACTUATORS))
-    unit[0, actuator] = 1
-    energy, expected = solver.run(size * unit).energy[0], solver.run(unit).energy[0]
-    assert energy[0] == pytest.approx(size**2 * expected[0], rel=1e-12)
-    assert 0 < energy[1] < energy[0]
-
-
 @given(shape=arrays.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4))
 def test_another_shape_is_refused(solver, shape):
     if len(shape) != 2 or shape[1] != ACTUATORS:

@@ -70,18 +70,21 @@ def cuda_kernels(effects, real):
     if effects.order == 4:
         for (nx, ny, stride), summed in ((SMALL, False), (LARGE, True)):
             plan = resident_wide.plan_strips(nx, ny, real)
-            yield "resident_wide.make_run_steps", resident_wide.make_run_steps(
-                effects, real, nx, ny, stride, plan, summed
+            yield (
+                "resident_wide.make_run_steps",
+                resident_wide.make_run_steps(effects, real, nx, ny, stride, plan, summed),
             )
         return
     for summed in (False, True):
-        yield "resident_lanes.make_run_steps", resident_lanes.make_run_steps(
-            effects, real, SMALL[1], 0b1100110000, summed
+        yield (
+            "resident_lanes.make_run_steps",
+            resident_lanes.make_run_steps(effects, real, SMALL[1], 0b1100110000, summed),
         )
     for (nx, ny, stride), summed in ((LARGE, False), (LARGE, True), (LARGEST, True)):
         plan = resident_strips.plan_strips(nx, ny, real)
-        yield "resident_strips.make_run_steps", resident_strips.make_run_steps(
-            effects, real, nx, ny, stride, plan, summed
+        yield (
+            "resident_strips.make_run_steps",
+            resident_strips.make_run_steps(effects, real, nx, ny, stride, plan, summed),
         )
     for levels, summed in ((1, False), (4, True)):
         kernel = temporal_blocking.make_advance_tiles(effects, real, *LARGE, levels, summed)
@@ -96,11 +99,16 @@ def compiles(kernel):
         return [path.suffix for path in files] == [".cubin"] and files[0].read_bytes().startswith(b"\x7fELF")
 
 
-@pytest.mark.parametrize(
-    "mixture",
-    [*FEW, *(pytest.param(mixture, marks=pytest.mark.slow) for mixture in ALL if mixture not in FEW)],
-)
-def test_kernels_compile(mixture):
+@pytest.mark.parametrize("mixture", FEW)
+def test_a_kernel_of_each_factory_compiles(mixture):
+    """The last, most demanding variant of each."""
+    for name, kernel in dict(cuda_kernels(*mixture)).items():
+        assert compiles(kernel), name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mixture", [*FEW, *(mixture for mixture in ALL if mixture not in FEW)])
+def test_all_kernels_compile(mixture):
     for name, kernel in cuda_kernels(*mixture):
         assert compiles(kernel), name
 

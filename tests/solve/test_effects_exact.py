@@ -1,4 +1,4 @@
-"""Uniform effects and stretching on a supported plate, against the exact motion of one mode.
+"""Uniform effects, stretching and oscillators, against exact motions of one mode or of a rigid plate.
 
 A supported plate loaded in the shape sin(mπx/a) sin(nπy/b) of one mode moves in that mode alone, on the grid too. With
 all effects that are uniform over the plate, its amplitude q obeys
@@ -15,7 +15,7 @@ import math
 import numpy as np
 import pytest
 import scipy.integrate
-import scipy.optimize
+import scipy.linalg
 
 from warp_plate import PlateSolver
 from warp_plate.plate.scheme import make_scheme
@@ -29,11 +29,7 @@ ORTHOTROPIC = {"Dx": 0.02, "Dy": 0.008, "D1": 0.003, "Dxy": 0.004}
 # So low a frequency that the load is constant to 1e-12.
 CONSTANT = 1e-5
 UNIFORM = {
-    "tension": {"tension": {"x": 15.0, "y": 6.0}},
     "compression": {"tension": {"x": -1.5, "y": 3.0}},
-    "foundation": {"foundation": {"stiffness": 2e5, "damping": 30.0}},
-    "material damping": {"material_damping": {"time": 5e-6}},
-    "orthotropic": {"orthotropic": ORTHOTROPIC},
     "negative D1": {"orthotropic": {"Dx": 0.02, "Dy": 0.018, "D1": -0.017, "Dxy": 0.002}},
     "all": {
         "damping": {"viscous": 20.0},
@@ -94,9 +90,12 @@ def test_natural_frequency_and_decay_of_a_mode(mode_run, name):
     """The grid's oscillator obeys q⁺ − (1 + d − gλΔt²) q + d q⁻ = gΔt² Z_n/ρH; its two unknowns are fitted to a run."""
     effects, mode = UNIFORM[name], (2, 1)
     stiffness, loss = oscillator_of(effects, mode, squares_of(mode, SIZE, NODES))
-    late = effects.get("material_damping", {"time": 0.0})["time"] * oscillator_of(
-        {key: effects[key] for key in effects if key == "orthotropic"}, mode, squares_of(mode, SIZE, NODES)
-    )[0]
+    late = (
+        effects.get("material_damping", {"time": 0.0})["time"]
+        * oscillator_of(
+            {key: effects[key] for key in effects if key == "orthotropic"}, mode, squares_of(mode, SIZE, NODES)
+        )[0]
+    )
     natural = math.sqrt(stiffness / DENSITY) / (2 * math.pi)
     times, q = mode_run(effects, mode, 1.0, 0.6 * natural, 5 / natural)
     step = times[1]
@@ -168,40 +167,62 @@ def test_large_forced_vibration_of_a_mode(mode_run, effects):
     errors = []
     for part in (0.4, 0.2):
         times, q = mode_run(effects, mode, pressure, omega / (2 * math.pi), 40 / omega, part)
-        exact = scipy.integrate.solve_ivp(
-            rates, (0, times[-1]), (0, 0), "DOP853", times, rtol=1e-10, atol=1e-16
-        ).y[0]
+        exact = scipy.integrate.solve_ivp(rates, (0, times[-1]), (0, 0), "DOP853", times, rtol=1e-10, atol=1e-16).y[0]
         errors.append(np.abs(q - exact).max() / np.abs(exact).max())
     assert np.abs(exact).max() > 0.8 * THICKNESS
     assert errors[0] < 0.02
     assert errors[1] < 0.55 * errors[0]
 
 
-def test_large_static_deflection_under_an_even_load(scene):
-    """All modes: a sine series for the plate under the tension N that its slopes cause, with N by root finding. Second
-    order in the spacing."""
-    pressure, orders = 20 * RIGIDITY * THICKNESS / (SIZE[0] / 4) ** 4, np.arange(1, 80, 2)
-    along, across = (orders * math.pi / SIZE[0]) ** 2, (orders * math.pi / SIZE[1]) ** 2
-    squared = along + across[:, None]
-    loads = 16 * pressure / math.pi**2 / np.outer(orders, orders)
+@pytest.fixture
+def evenly_loaded(scene):
+    """A factory of undamped scenes until ``end``, with one actuator over the whole plate."""
 
-    def deflection(tension):
-        return loads / (RIGIDITY * squared**2 + tension * squared)
+    def make(edges, effects, end, frequency, part=0.5, nodes=NODES, start=0.0, **changes):
+        area = [(0.0, SIZE[0], 0.0, SIZE[1])]
+        asked = {"effects": effects, "actuators": area, **changes}
+        limit = make_scheme(scene(nodes, SIZE, edges, frequency=CONSTANT, **asked)).limit
+        step = end / math.ceil(end / (part * limit))
+        return scene(nodes, SIZE, edges, window=(start, end), frequency=frequency, time_step=step, **asked)
 
-    def excess(tension):
-        return 6 * RIGIDITY / THICKNESS**2 / 4 * (squared * deflection(tension) ** 2).sum() - tension
+    return make
 
-    tension = scipy.optimize.brentq(excess, 0, excess(0.0), xtol=1e-12)
-    signs = np.sin(orders * math.pi / 2)
-    exact = signs @ deflection(tension) @ signs
+
+def run_traced(made, pressure, points=((0.07, 0.05),)):
+    """Run and return times and traces (steps + 1, points), with the start at rest."""
+    run = PlateSolver(made, "cpu").run([[pressure]], (), points)
+    return np.append(0, run.trace_times), np.append(np.zeros((1, len(points))), run.trace[0].T, axis=0)
+
+
+@pytest.mark.parametrize("damping", [0.0, 2.0])
+@pytest.mark.parametrize("mass", [0.006, 0.0])
+def test_oscillator_under_a_rigid_plate(evenly_loaded, damping, mass):
+    """A free plate on a bed, evenly loaded, with an oscillator over all of it, stays flat: two degrees of freedom (one
+    if the spring stands on the ground), solved by the matrix exponential."""
+    area = SIZE[0] * SIZE[1]
+    plate, stiffness, bed = DENSITY * area, 900.0, 5e4
+    force, omega = 3.0 * area, 2 * math.pi * 55.0
+    oscillator = {"area": (0, SIZE[0], 0, SIZE[1]), "mass": mass, "stiffness": stiffness, "damping": damping}
+    effects = {"foundation": {"stiffness": bed}, "oscillators": [oscillator]}
+    hung = 1 / mass if mass else 0.0
+    # u, u̇, z, ż, cos ωt, sin ωt
+    motion = np.zeros((6, 6))
+    motion[0, 1] = motion[2, 3] = 1
+    motion[1] = np.array([-(bed * area + stiffness), -damping, stiffness, damping, force, 0]) / plate
+    motion[3] = np.array([stiffness, damping, -stiffness, -damping, 0, 0]) * hung
+    if not mass:
+        motion[:, 2:4] = 0
+    motion[4, 5], motion[5, 4] = -omega, omega
     errors = []
-    for nodes in ((13, 11), (25, 21)):
-        made = scene(
-            nodes, SIZE, SUPPORTED, window=(0, 0.5), frequency=CONSTANT, actuators=[(0, SIZE[0], 0, SIZE[1])],
-            effects={"damping": {"viscous": 150.0}, **STRETCH},
-        )  # fmt: skip
-        rest = PlateSolver(made, "cpu").run([[pressure]], (0.5,)).displacement[0, 0]
-        errors.append(rest[nodes[1] // 2, nodes[0] // 2] / exact - 1)
-    assert exact > 1.2 * THICKNESS
-    assert abs(errors[0]) < 0.002
-    assert abs(errors[1]) < 0.4 * abs(errors[0])
+    for part in (0.3, 0.15):
+        made = evenly_loaded(("free",) * 4, effects, 0.05, 55.0, part)
+        times, traces = run_traced(made, 3.0, ((0.07, 0.05), (0.2, 0.18), (0.0, 0.09)))
+        np.testing.assert_allclose(traces, traces[:, :1] * np.ones(3), atol=1e-9 * np.abs(traces).max())
+        turn, state = scipy.linalg.expm(motion * times[1]), np.array([0, 0, 0, 0, 1.0, 0])
+        exact = [0.0]
+        for _ in times[1:]:
+            state = turn @ state
+            exact.append(state[0])
+        errors.append(np.abs(traces[:, 0] - exact).max() / np.abs(exact).max())
+    assert errors[0] < (0.03 if damping else 0.003)
+    assert errors[1] < errors[0] * (0.55 if damping else 0.27)

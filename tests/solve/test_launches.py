@@ -13,7 +13,6 @@ from warp_plate.solve.launches import repeat
 
 DEVICES = sorted({device for device, _ in device_paths()})
 KINDS = {
-    "plain": {},
     "fourth order": {"order": 4},
     "with sums": {"effects": {"damping": {"viscous": 50.0}, "stretching": {}, "tension": {"x": 3.0, "y": 1.0}}},
 }

@@ -1,7 +1,5 @@
 """A scene pays only for the effects it names: the others are not in the code of its kernels."""
 
-import dataclasses
-
 import pytest
 import warp as wp
 
@@ -9,7 +7,6 @@ from warp_plate import Scene
 from warp_plate.kernels import moment_form_cpu, moment_form_streaming, streaming
 from warp_plate.kernels.effects import KernelEffects
 from warp_plate.plate.discretization import discretize
-from warp_plate.plate.scheme import make_scheme
 from warp_plate.solve.cpu import compiler_flags
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import choose_path
@@ -53,17 +50,6 @@ def test_a_plain_scene_takes_the_plain_kernels(tmp_path):
     for damping in (True, False):
         kernel = streaming.make_update_nodes(KernelEffects(damping), wp.float32)
         assert (").decay)" in code_of(kernel, tmp_path / str(damping))) == damping
-
-
-def test_each_part_of_the_key_is_off_by_default():
-    """A scene with nothing but a plate compiles the smallest kernel."""
-    flags = [field.name for field in dataclasses.fields(KernelEffects) if field.type in (bool, "bool")]
-    scene = Scene.load("paper").model_dump(exclude_none=True)
-    scene["effects"], scene["grid"] = {}, {"nodes": (27, 27)}
-    bare = Scene.model_validate(scene)
-    effects = specialize(discretize(bare), find_device("cpu")).effects
-    assert [name for name in flags if getattr(effects, name)] == ["square_cells"]
-    assert make_scheme(bare).decay == 1
 
 
 def test_scenes_with_the_same_effects_share_kernels():

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warp_plate import PlateSolver, localize
-from warp_plate.plate.scheme import make_scheme
+from warp_plate import localize
 from warp_plate.scene.dump import dump_scene
 
 ROOT = Path(__file__).parents[2]
@@ -57,19 +56,6 @@ def test_on_any_number_of_threads_in_pieces_of_any_size(name, evaluator, device,
         assert np.isfinite(result.history["best"]).all()
         found.add(digest(result))
     assert len(found) == 1
-
-
-@pytest.mark.parametrize("nodes", [(13, 13), (97, 89)], ids=["small", "shared by threads"])
-def test_threads_of_plates_with_effects(nodes, scene, phasors):
-    limit = make_scheme(scene(nodes, **SCENES["effects"])).limit
-    made = scene(nodes, **SCENES["effects"], time_step=0.9 * limit, window=(10 * limit, 50 * limit))
-    drives = phasors(3, 3)
-    alone = PlateSolver(made, "cpu", threads=1).run(drives, (20 * limit,))
-    assert alone.energy.min() > 0
-    for threads in (2, 5):
-        run = PlateSolver(made, "cpu", threads=threads).run(drives, (20 * limit,))
-        np.testing.assert_array_equal(run.energy, alone.energy)
-        np.testing.assert_array_equal(run.displacement, alone.displacement)
 
 
 ONCE = """

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-import scipy.optimize
 
 from warp_plate import PlateSolver
 from warp_plate.plate.weights import REGIONS, localization_factor
@@ -32,36 +31,6 @@ def test_energies_and_bound_agree_with_plates(device, path, scene, phasors):
     assert localization_factor(solver.run(best[None]).energy)[0] == pytest.approx(response.bound(), abs=1e-9)
 
 
-def test_matrices_are_gram_matrices(scene):
-    """Symmetric and positive; the target's share of any drive lies between 0 and 1."""
-    response = measure_response(PlateSolver(scene(damping=88.5), "cpu"))
-    target, plate = (response.matrices[REGIONS.index(name)] for name in ("target", "plate"))
-    for matrix in (target, plate, plate - target):
-        np.testing.assert_array_equal(matrix, matrix.T)
-        values = np.linalg.eigvalsh(matrix)
-        assert values[0] > -1e-12 * values[-1]
-
-
-def test_bound_is_the_largest_ratio_by_brute_force(scene):
-    """Two actuators on a grid of ratios and both phases: none exceeds the bound, and the best climbs up to it.
-
-    Both phases count, because the transient makes the ratio depend on their common part.
-    """
-    response = measure_response(PlateSolver(scene(damping=88.5, actuators=PATCHES[:2]), "cpu"))
-
-    def factors(angle, first, second):
-        drives = [np.cos(angle) * np.exp(-1j * first), np.sin(angle) * np.exp(-1j * second)]
-        return localization_factor(response.energy(np.stack(drives, axis=-1).reshape(-1, 2)))
-
-    grid = np.meshgrid(np.linspace(0, math.pi / 2, 40), np.linspace(0, math.pi, 40), np.linspace(0, 2 * math.pi, 40))
-    tried = factors(*grid)
-    assert tried.max() <= response.bound() * (1 + 1e-12)
-    start = [part.reshape(-1)[tried.argmax()] for part in grid]
-    climbed = scipy.optimize.minimize(lambda at: -factors(*at)[0], start, options={"gtol": 1e-9})
-    assert -climbed.fun == pytest.approx(response.bound(), abs=1e-8)
-    assert tried.max() - tried.min() > 0.1
-
-
 def test_actuators_in_one_place_and_of_unlike_size(scene):
     """Twins make the matrix singular and change no bound; a patch a million times weaker counts as a strong one."""
     tiny = (0.0084, 0.00844, 0.1, 0.1005)  # a sliver of the first inner node's cell
@@ -75,7 +44,7 @@ def test_actuators_in_one_place_and_of_unlike_size(scene):
     assert whole > alone + 1e-3
 
 
-@pytest.mark.parametrize("rank", range(1, 7))
+@pytest.mark.parametrize("rank", [1, 3, 6])
 def test_bound_of_random_matrices(rank, random):
     """The largest eigenvalue of A z = λ B z on the drives that B does not cancel, whatever the rank of B.
 

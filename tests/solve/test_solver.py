@@ -7,14 +7,21 @@ from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
 
+EFFECTS = {
+    "damping": {"viscous": 60.0},
+    "tension": {"x": 5.0, "y": 2.0},
+    "oscillators": [{"area": (0.02, 0.08, 0.02, 0.08), "mass": 1e-3, "stiffness": 500.0, "damping": 0.1}],
+}
+
 
 def check_same_plates(run, whole, plates):
     for name in ("energy", "displacement", "trace"):
         np.testing.assert_array_equal(getattr(run, name), getattr(whole, name)[list(plates)])
 
 
-@pytest.mark.parametrize(("precision", "tolerance"), [("float32", 1e-5), ("float64", 1e-12)])
-@pytest.mark.parametrize("preset", ["paper", "paper-supported"])
+@pytest.mark.parametrize(
+    ("preset", "precision", "tolerance"), [("paper", "float32", 1e-5), ("paper-supported", "float64", 1e-12)]
+)
 def test_figures_of_the_paper(device, path, preset, precision, tolerance):
     """Equal drives give a quarter, for the scene is symmetric; one actuator the published 63.67 %."""
     scene = Scene.load(preset)
@@ -74,7 +81,7 @@ def test_a_plate_does_not_depend_on_its_batch(device, path, precision, order, sc
         check_same_plates(PlateSolver(made, device, path, chunk).run(drives[rolled], (0.009,), points), whole, rolled)
 
 
-@pytest.mark.parametrize(("nodes", "precision"), [(27, "float32"), (41, "float64"), (53, "float32")])
+@pytest.mark.parametrize(("nodes", "precision"), [(27, "float32"), (41, "float64")])
 def test_alone_or_in_a_group(nodes, precision, scene, phasors):
     """The CPU compiles different loops for a plate alone and for a group, and for each size: the same bits."""
     step = 0.9 * make_scheme(scene((nodes, nodes), order=4)).limit
@@ -88,14 +95,20 @@ def test_alone_or_in_a_group(nodes, precision, scene, phasors):
 
 
 @pytest.mark.parametrize(
-    ("nodes", "size", "plates"),
-    [((13, 13), (0.2, 0.2), 40), ((97, 89), (0.096, 0.088), 1), ((97, 89), (0.096, 0.088), 4)],
-    ids=["small plates", "one large plate", "large plates"],
+    ("nodes", "size", "plates", "tables"),
+    [
+        ((13, 13), (0.2, 0.2), 40, {"damping": 88.5}),
+        ((97, 89), (0.096, 0.088), 1, {"damping": 88.5}),
+        ((97, 89), (0.096, 0.088), 4, {"damping": 88.5}),
+        ((13, 13), (0.2, 0.2), 4, {"effects": EFFECTS}),
+        ((97, 89), (0.096, 0.088), 2, {"effects": EFFECTS}),
+    ],
+    ids=["small plates", "one large plate", "large plates", "small with effects", "large with effects"],
 )
-def test_any_number_of_threads(nodes, size, plates, scene, phasors):
+def test_any_number_of_threads(nodes, size, plates, tables, scene, phasors):
     """Plates shared among threads, or threads sharing one plate, more of them than cores: the same bits."""
-    step = 0.9 * make_scheme(scene(nodes, size)).limit
-    made = scene(nodes, size, damping=88.5, precision="float32", window=(10 * step, 60 * step), time_step=step)
+    step = 0.9 * make_scheme(scene(nodes, size, **tables)).limit
+    made = scene(nodes, size, **tables, precision="float32", window=(10 * step, 60 * step), time_step=step)
     drives = phasors(plates, len(made.actuators))
     points = [(0.3 * size[0], 0.4 * size[1])]
     alone = PlateSolver(made, "cpu", threads=1).run(drives, (30 * step,), points)
@@ -125,21 +138,6 @@ def test_records_and_progress_change_no_energy(device, path, scene, phasors):
     assert set(totals) == {run.node_steps}
     assert list(done) == sorted(done)
     assert len(set(done)) >= 3
-
-
-@pytest.mark.parametrize("bad", [np.nan, complex(np.inf, -np.inf)])
-def test_a_bad_plate_harms_no_neighbour(device, path, bad, scene, phasors):
-    """A drive that is not finite spoils its own plate only, there and in later runs of the same solver."""
-    drives, others = phasors(7, 3), [0, 1, 2, 4, 5, 6]
-    solver = PlateSolver(scene(precision="float32"), device, path)
-    healthy = solver.run(drives, (0.012,))
-    spoiled = drives.copy()
-    spoiled[3, 1] = bad
-    run = solver.run(spoiled, (0.012,))
-    assert run.finite.tolist() == [plate in others for plate in range(7)]
-    np.testing.assert_array_equal(run.energy[others], healthy.energy[others])
-    np.testing.assert_array_equal(run.displacement[others], healthy.displacement[others])
-    np.testing.assert_array_equal(solver.run(drives).energy, healthy.energy)
 
 
 def test_no_drive_and_no_plates(device, path, scene):
