@@ -14,8 +14,6 @@ class SceneError(ValueError):
 
 def printable(text: str) -> str:
     """Return the text with control characters escaped as in a Python literal (``\\x1b``); line ends stay."""
-    return "".join(letter if _harmless(letter) else ascii(letter)[1:-1] for letter in text)
-
-
-def _harmless(letter: str) -> bool:
-    return letter.isprintable() or letter == "\n" or unicodedata.category(letter) == "Zs"
+    return "".join(
+        c if c.isprintable() or c == "\n" or unicodedata.category(c) == "Zs" else ascii(c)[1:-1] for c in text
+    )
