@@ -117,12 +117,11 @@ def recommend(
     """
 
     def keeps(row: AccuracyRow, error: float) -> bool:
-        finer = [
-            other
+        return all(
+            other.error is not None and other.error <= error
             for other in rows
             if other.measured and _family(other) == _family(row) and other.spacing <= row.spacing * (1 + 1e-9)
-        ]
-        return all(other.error is not None and other.error <= error for other in finer)
+        )
 
     recommendations = []
     for tolerance in tolerances:
