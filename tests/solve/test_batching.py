@@ -25,7 +25,7 @@ SCENES = {
 @pytest.mark.parametrize("name", SCENES)
 def test_single_steps_are_the_run(name, device, path, scene, phasors, fitting_solver):
     """Displacements, and on CPU energies, to the last bit, with another run in between; velocities by differences."""
-    made = scene(**SCENES[name], **({"window": (0.0005, 0.001)} if name == "large" else {"window": (0.001, 0.004)}))
+    made = scene(**SCENES[name], **({"window": (0.0002, 0.0004)} if name == "large" else {"window": (0.001, 0.004)}))
     solver, drives = fitting_solver(made, device, path), phasors(3, 3)
     scheme = solver.discretization.scheme
     dt, stops = scheme.time_step, (1, 2, 7, scheme.steps // 2, scheme.steps)

@@ -49,7 +49,6 @@ def discretize(scene: Scene, per_plate: PerPlate = NO_PER_PLATE, allow_unstable:
     """Discretize a scene.
 
     Args:
-        scene: A scene with a grid.
         per_plate: What may differ between the plates of a batch.
         allow_unstable: Accept a time step above the stability limit.
 

@@ -23,7 +23,6 @@ def scene_with(
     A frequency or delay that all actuators share becomes the drive's own.
 
     Args:
-        scene: The scene.
         magnitude: (actuators,) magnitudes [N/m², or V].
         phase: (actuators,) phase lags [rad].
         frequency: (actuators,) frequencies [Hz].

@@ -100,7 +100,6 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
     """Return the scheme of a scene with a grid.
 
     Args:
-        scene: The scene.
         allow_unstable: Accept a time step above the stability limit.
         moment_form: Use the moment form also where a plain plate would do.
 

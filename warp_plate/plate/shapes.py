@@ -73,7 +73,6 @@ def shape_weights(scene: Scene, key: str, target: Target, within: Area | None = 
     """Return (ny, nx) weights of a target in cells, by moments where loads are, else by overlap.
 
     Args:
-        scene: The scene.
         key: Key of the target in the scene, for errors.
         target: The target; a mask is bilinear between its numbers.
         within: Rectangle x0, x1, y0, y1 [m] outside which the target does not count (default: none).

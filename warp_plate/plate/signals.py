@@ -152,9 +152,6 @@ def make_signals(
     """Return the signals of a scene at t = n·time_step.
 
     Args:
-        scene: The scene.
-        time_step: Δt [s].
-        steps: Number of steps.
         folder: Folder of the file of ``[drive.signal]``.
         per_actuator: Give every actuator waves of its own, also where it might share them.
 
@@ -176,9 +173,6 @@ def waves_per_plate(
     The terms are those of ``make_signals``, with ``per_actuator`` if there are several carriers; no file is a carrier.
 
     Args:
-        scene: The scene.
-        time_step: Δt [s].
-        steps: Number of steps.
         frequency: (plates, carriers) [Hz], one carrier for all actuators or one for each.
         delay: (plates, carriers) starts of the burst [s]; None without bursts.
     """

@@ -70,8 +70,6 @@ def step_means(integral: Callable[[np.ndarray], np.ndarray], time_step: float, s
 
     Args:
         integral: Integral of the function from a fixed time on.
-        time_step: Δt [s].
-        steps: Number of steps.
     """
     edges = time_step * np.concatenate([[0.0], np.arange(steps) + 0.5])
     means: np.ndarray = np.diff(integral(edges)) / np.diff(edges)

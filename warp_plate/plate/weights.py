@@ -86,7 +86,6 @@ def reachable_nodes(scene: Scene, areas: np.ndarray) -> np.ndarray:
     """Return (ny, nx), true for moving nodes that a patch anywhere within one of the areas may load.
 
     Args:
-        scene: The scene.
         areas: (areas, 4) x0, x1, y0, y1 [m].
     """
     reachable = np.zeros(scene.grid.nodes[::-1], dtype=bool)

@@ -77,8 +77,6 @@ def displacement(
     """Return (times, points of y, points of x) displacement [m] at times [s], from rest at t = 0.
 
     Args:
-        modes: Modes of the scene's plate.
-        scene: The scene.
         drive: (actuators,) phasors Z [N/m²], the load being Re(Z exp(iωt)) on each patch.
         times: Times [s].
         x: (points of x,) [m].
@@ -165,7 +163,6 @@ def converge(
     """Return localization factors of drives and their bound, for growing numbers of functions.
 
     Args:
-        scene: The scene.
         drives: (drives, actuators) phasors [N/m²].
         steady: Use the steady vibration instead of the scene's window.
         counts: Numbers of functions along each side.

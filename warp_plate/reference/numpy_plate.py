@@ -90,7 +90,6 @@ def run_plate(
     """Step plates by (ρH/Δt²)(u⁺ − 2u + u⁻) + c·rate + D∇⁴u = f, the rate from u⁺ − u⁻ (centred) or u − u⁻.
 
     Args:
-        scheme: The scheme.
         edges: Left, bottom, right and top edge.
         viscous: c [N·s/m³].
         backward: Take damping backward in time.

@@ -17,7 +17,6 @@ def scaled_coefficients(
     """Write the coefficients of plates, each in units of the plate's largest pressure, and return the pressures.
 
     Args:
-        signals: Waves of the scene.
         phasors: (plates, actuators) drives.
         sizes: (1 or plates, terms) factors that the waves were divided by.
         least: Pressure of the moving load, which all plates have [N/m²].

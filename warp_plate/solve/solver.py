@@ -68,7 +68,6 @@ class PlateSolver:
         memory_share: Share of the memory for plates to take, where several solvers hold plates at a time.
 
     Attributes:
-        scene: The scene.
         device: The Warp device.
         engine: The compiled kernels.
         path: Name of the path.
@@ -315,7 +314,6 @@ class PlateSolver:
         """Return the states that take turns, and the number of plates to run at once in each.
 
         Args:
-            plates: Number of plates.
             corners: (traced nodes, 2) row and column of the nodes whose displacement is kept.
         """
         part, size, turns, traced = part_plates(self.node_steps_per_plate), max(1, plates), 1, len(corners)
@@ -342,7 +340,6 @@ class PlateSolver:
         """Take plates to the end of the window, or until all grow without bound; on CUDA the last steps are queued.
 
         Args:
-            batch: The plates, at rest.
             snapshots: Steps after which to keep the displacement.
             displacement: (plates, times, ny, nx), written.
             report: Called with the node-steps done.

@@ -97,7 +97,6 @@ def effect_names(scene: Scene, several_waves: bool = False) -> tuple[str, ...]:
     """Return the names of the effects in the compiled kernel.
 
     Args:
-        scene: The scene.
         several_waves: Plates have more waves than the scene's drive alone asks for.
     """
     several_waves = several_waves or scene.drive.electrostatic is not None or waves_apart(scene) > 1
@@ -141,8 +140,6 @@ def specialize(
     """Make a discretized scene ready for a device.
 
     Args:
-        discretization: The scene on its grid.
-        device: Device of the kernels.
         threads: Threads of the CPU (default: as many as it has).
         areas: Further regions by name.
         quantity: See :class:`Specialized`.

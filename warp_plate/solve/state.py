@@ -95,7 +95,6 @@ def make_state(specialized: Specialized, capacity: int, nodes: wp.array | None =
     """Allocate zeroed arrays for ``capacity`` plates.
 
     Args:
-        specialized: The scene on its device.
         capacity: Largest number of plates.
         nodes: (traced nodes, 2) row of the field and column of nodes whose displacement is kept (default: none).
     """
