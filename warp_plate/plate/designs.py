@@ -1,4 +1,4 @@
-"""What may differ from plate to plate in one batch."""
+"""Values that may differ from plate to plate in one batch."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Designs:
 
 @dataclass(frozen=True)
 class PerPlate:
-    """What may differ between the plates of a solver beside their drives; the solver is compiled for it."""
+    """Quantities that may differ between the plates of a solver beside their drives; it is compiled for them."""
 
     frequency: bool = False  # Plates may differ in frequency
     delay: bool = False  # Plates may differ in the start of the burst

@@ -12,7 +12,7 @@ from warp_plate.solve.status import OK
 
 @dataclass(frozen=True)
 class Run:
-    """What a batch of plates did."""
+    """Energies, records and faults of a batch of plates."""
 
     # (plates, regions) kinetic energy ½∫ρH v² averaged over the window [J]; of a solver of displacements the same
     # with u in place of v [kg·m²]. NaN for a faulty plate.
