@@ -14,7 +14,14 @@ from typing import Any
 import numpy as np
 
 from warp_plate.analysis.superposition import SimulatedResponses, UnitResponses, simulated_responses, unit_responses
-from warp_plate.explore.settings import LiveSettings, changed_scene, largest_magnitude, polar, slider_ranges
+from warp_plate.explore.settings import (
+    LiveSettings,
+    changed_scene,
+    largest_magnitude,
+    polar,
+    slider_ranges,
+    viscous_damping,
+)
 from warp_plate.explore.watched_search import WatchedSearch
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.problem.evaluate_cases import reference_phasors
@@ -33,9 +40,7 @@ class LiveModel:
     """A scene under settings that change while it is looked at.
 
     Args:
-        scene: A scene with a grid, whose drive is the first one.
-        device: See :class:`PlateSolver`.
-        path: See :class:`PlateSolver`.
+        scene: A scene with a grid, whose drive is the first one; device and path as of :class:`PlateSolver`.
         progress: Called during the first simulation, which is done when the constructor returns.
 
     Attributes:
@@ -59,8 +64,7 @@ class LiveModel:
         self._device, self._path = device, path
         self._scale = largest_magnitude(scene)
         phasors = scene_phasors(scene)
-        damping = scene.effects.damping.viscous if scene.effects.damping else 0.0
-        self.settings = LiveSettings(scene.drive.frequency, damping, *polar(phasors))
+        self.settings = LiveSettings(scene.drive.frequency, viscous_damping(scene), *polar(phasors))
         self._random = np.random.default_rng()
         self._responses: UnitResponses | SimulatedResponses = self._simulate(scene, progress)
         self._reading = self._responses.read(phasors)
@@ -84,12 +88,6 @@ class LiveModel:
             reading = self._reading = responses.read(phasors)
         return reading
 
-    def busy(self) -> bool:
-        """Return whether a simulation or a search is under way."""
-        swarm = self.swarm()
-        searching = self._search is not None and (swarm is None or swarm.running)
-        return self._choice is not None or self._outdated(self.settings) or searching
-
     def status(self) -> str:
         """Return one line about what is being done, went wrong or is not shown; mostly empty."""
         if self._problem:
@@ -107,7 +105,7 @@ class LiveModel:
 
     def swarm(self) -> SwarmSnapshot | None:
         """Return the last iteration of the search, while its frequency and damping hold; None without one."""
-        return self._search.snapshot() if self._search is not None else None
+        return self._search.snapshot if self._search is not None else None
 
     def set_frequency(self, frequency: float) -> None:
         """Set the frequency of the drive [Hz]; it is shown as soon as it is simulated."""
@@ -148,11 +146,6 @@ class LiveModel:
             self._choice = (choice, seconds)
             self._changed.notify()
 
-    def end_search(self) -> None:
-        """End the search; the best drive so far stays."""
-        if self._search is not None:
-            self._search.end()
-
     def wait(self) -> None:
         """Wait until nothing is under way, for tests and for pictures without a window."""
         while True:
@@ -161,10 +154,8 @@ class LiveModel:
                 search.join()
             self._follow_search()
             with self._changed:
-                if not self._changed.wait_for(lambda: self._choice is None and not self._outdated(self.settings), 0.02):
-                    continue
-            if search is self._search:
-                return
+                if self._changed.wait_for(self._at_rest, 0.02) and search is self._search:
+                    return
 
     def close(self) -> None:
         """End the threads."""
@@ -185,6 +176,9 @@ class LiveModel:
             return settings != self._simulated
         return (settings.frequency, settings.damping) != (self._simulated.frequency, self._simulated.damping)
 
+    def _at_rest(self) -> bool:
+        return self._choice is None and not self._outdated(self.settings)
+
     def _follow_search(self) -> None:
         """Take the best drive of the search, after each of its iterations."""
         with self._changed:
@@ -199,7 +193,7 @@ class LiveModel:
             self._search = None
 
     def _work(self) -> None:
-        """Follow the requests until the model is closed, in the worker thread."""
+        """Follow requests until the model is closed, in the worker thread."""
         try:
             while self._follow_next():
                 pass
@@ -213,7 +207,7 @@ class LiveModel:
     def _follow_next(self) -> bool:
         """Wait for a request and follow it; returns False once the model is closed."""
         with self._changed:
-            self._changed.wait_for(lambda: self._closed or self._choice is not None or self._outdated(self.settings))
+            self._changed.wait_for(lambda: self._closed or not self._at_rest())
             settings, choice = self.settings, self._choice
             if self._closed:
                 return False
@@ -246,7 +240,6 @@ class LiveModel:
         return simulated_responses(scene, self._device, self._path)
 
     def _take(self, choice: str, seconds: float) -> None:
-        """Take one of the CHOICES as the drive, or begin the search for it."""
         responses, actuators = self._responses, len(self.scene.actuators)
         if choice == "found" and actuators > 1:
             with self._changed:

@@ -59,13 +59,19 @@ class LiveSettings:
 def slider_ranges(scene: Scene) -> SliderRanges:
     """Return the ends of the sliders for a scene, within what its run can carry."""
     frequency, surface_density = scene.drive.frequency, scene.plate.density * scene.plate.thickness
-    viscous = scene.effects.damping.viscous if scene.effects.damping else 0.0
-    damping = DAMPING_RANGE * viscous or LOSS_FACTOR_RANGE * scene.drive_angular_frequency * surface_density
+    damping = (
+        DAMPING_RANGE * viscous_damping(scene) or LOSS_FACTOR_RANGE * scene.drive_angular_frequency * surface_density
+    )
     highest = FREQUENCY_RANGE[1] * frequency
     if scene.grid.time_step is not None:
         highest = max(frequency, min(highest, 1 / (MIN_STEPS_PER_PERIOD * scene.grid.time_step)))
     lowest = min(frequency, max(FREQUENCY_RANGE[0] * frequency, 1 / scene.window.end))
     return SliderRanges(MAGNITUDE_RANGE * largest_magnitude(scene), damping, (lowest, highest))
+
+
+def viscous_damping(scene: Scene) -> float:
+    """Return the viscous damping of the scene [N·s/m³]; 0 if it has none."""
+    return scene.effects.damping.viscous if scene.effects.damping else 0.0
 
 
 def largest_magnitude(scene: Scene) -> float:
@@ -78,17 +84,11 @@ def changed_scene(scene: Scene, frequency: float, damping: float) -> Scene:
 
     A scene without damping stays without the effect if ``damping`` is 0.
     """
-    table = scene.effects.damping
+    table = scene.effects.damping or (Damping(viscous=damping) if damping > 0 else None)
     if table is not None:
         table = table.model_copy(update={"viscous": damping})
-    elif damping > 0:
-        table = Damping(viscous=damping)
-    return scene.model_copy(
-        update={
-            "drive": scene.drive.model_copy(update={"frequency": frequency}),
-            "effects": scene.effects.model_copy(update={"damping": table}),
-        }
-    )
+    drive = scene.drive.model_copy(update={"frequency": frequency})
+    return scene.model_copy(update={"drive": drive, "effects": scene.effects.model_copy(update={"damping": table})})
 
 
 def polar(phasors: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:

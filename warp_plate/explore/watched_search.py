@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Callable
 
@@ -28,6 +27,9 @@ class WatchedSearch:
         energies: Function from phasors (plates, actuators) to energies (plates, regions) [J].
         scale: Magnitude of the first actuator [N/m²]; only ratios count where the plate is linear.
         seconds: Least duration of an iteration [s], so that it can be seen.
+
+    Attributes:
+        snapshot: The last iteration; None before the end of the first.
     """
 
     def __init__(
@@ -36,16 +38,12 @@ class WatchedSearch:
         self._energies, self._scale, self._seconds = energies, scale, seconds
         self._factors = np.empty(0)
         self._best: list[float] = []
-        self._snapshot: SwarmSnapshot | None = None
+        self.snapshot: SwarmSnapshot | None = None
         self._ended = threading.Event()
         space = parametrization_of(with_paper_search(scene)).space
         swarm = Swarm(space, swarm_settings(scene.search, scene.search.seed))
         self._thread = threading.Thread(target=self._run, args=(swarm,), name="swarm", daemon=True)
         self._thread.start()
-
-    def snapshot(self) -> SwarmSnapshot | None:
-        """Return the last iteration; None before the end of the first."""
-        return self._snapshot
 
     def end(self) -> None:
         """End the search after the current iteration; the last snapshot stays."""
@@ -57,7 +55,7 @@ class WatchedSearch:
 
     def _run(self, swarm: Swarm) -> None:
         minimize(swarm, self._losses, self._after_iteration)
-        if self._snapshot is not None:
+        if self.snapshot is not None:
             self._take_snapshot(swarm, running=False)
 
     def _losses(self, positions: np.ndarray) -> np.ndarray:
@@ -71,12 +69,12 @@ class WatchedSearch:
         return self._ended.wait(self._seconds)
 
     def _take_snapshot(self, swarm: Swarm, running: bool) -> None:
-        best = swarm.result.xbest
-        self._snapshot = SwarmSnapshot(
+        best, drive = np.array(self._best), swarm.result.xbest
+        self.snapshot = SwarmSnapshot(
             phasors=paper_phasors(swarm.positions),
             factors=self._factors,
-            best=np.array([value if math.isfinite(value) else math.nan for value in self._best]),
-            best_phasors=None if best is None else paper_phasors(best[None])[0],
+            best=np.where(np.isfinite(best), best, np.nan),
+            best_phasors=None if drive is None else paper_phasors(drive[None])[0],
             iterations=swarm.settings.iterations,
             running=running,
         )
