@@ -94,10 +94,8 @@ def prepare() -> None:
 
 
 def set_up_renderer() -> None:
-    """Make VTK of this process draw off screen, in the kind of window that the trial found to work, without warnings.
-
-    Raises:
-        DrawingUnavailable: see :func:`missing_renderer`.
+    """Make VTK of this process draw off screen, in a window that works and without warnings, or raise
+    DrawingUnavailable.
     """
     if (problem := missing_renderer()) is not None:
         raise DrawingUnavailable(problem)

@@ -32,14 +32,8 @@ if TYPE_CHECKING:
 EXTRA = "pip install 'warp-plate[web]'"
 TITLE = "warp-plate explore"
 # Labels of the buttons by the choice of a drive.
-CHOICES = {
-    "scene": "scene's own",
-    "equal": "equal",
-    "single": "best single",
-    "found": "best found",
-    "exact": "exact best",
-    "random": "random",
-}
+CHOICES = {"scene": "scene's own", "equal": "equal", "single": "best single"}
+CHOICES |= {"found": "best found", "exact": "exact best", "random": "random"}
 # Least duration of an iteration of the swarm, so that it can be watched [s].
 ITERATION_SECONDS = 0.1
 # Initial size of the picture, and its font size for this size [pixels].

@@ -14,9 +14,7 @@ from warp_plate.viz.captions import caption, case_label, ordered_cases
 from warp_plate.viz.fields import drawing_scale
 from warp_plate.viz.pictures import SUPERSAMPLING, off_screen_plotter
 from warp_plate.viz.plots.crosstalk import draw_crosstalk
-from warp_plate.viz.plots.history import draw_history
-from warp_plate.viz.plots.robust import draw_robust
-from warp_plate.viz.plots.spectrum import draw_spectrum
+from warp_plate.viz.plots.search import draw_history, draw_robust, draw_spectrum
 from warp_plate.viz.scene3d import add_plate
 
 # Most plates in a row; of more recorded times, some are left out evenly.
@@ -65,12 +63,8 @@ def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
 def draw_surfaces(result: Result, path: str | Path) -> Path:
     """Draw figure 2 of the paper as a PNG: a row for each case, a column for each recorded time.
 
-    Every row has its own colour limits and height factor; the camera is the same for all plates.
-
-    Raises:
-        ValueError: the result holds no displacement.
-        DrawingUnavailable: VTK cannot draw here.
-        OSError: the file cannot be written.
+    Every row has its own colour limits and height factor; the camera is the same for all plates. Raises ValueError if
+    the result holds no displacement, and DrawingUnavailable if VTK cannot draw here.
     """
     if not result.times.size:
         raise ValueError("the result holds no displacement: record.times of its scene is empty")

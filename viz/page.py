@@ -22,8 +22,7 @@ from warp_plate.viz.annotations import AZIMUTH, ELEVATION, LABEL_FORMAT, lookup_
 from warp_plate.viz.captions import frame_caption
 from warp_plate.viz.fields import DISPLACEMENT, MODE, DrawingScale, PlateField, common_scale, field_of
 from warp_plate.viz.meshes import PlateMeshes, plate_meshes
-from warp_plate.viz.scene3d import line_layers
-from warp_plate.viz.side_by_side import rows_and_columns
+from warp_plate.viz.scene3d import line_layers, rows_and_columns
 from warp_plate.viz.styles import legend_entries
 
 # Values are integers −PEAK … PEAK in the page; NAN stands for NaN.
@@ -50,9 +49,6 @@ def write_page(
         quantity: field in colour, a key of FIELDS.
         rate: initial frame rate [1/s].
         heights: initial factor by which heights are exaggerated (default: to suit the picture).
-
-    Raises:
-        OSError: the file cannot be written.
     """
     data = page_data(scene, motions, quantity, rate, heights)
     # Inside HTML, only "<" in the JSON text could end the script.

@@ -1,4 +1,7 @@
-"""Pictures and movies of plates in motion, drawn off screen: PNG, GIF, MP4."""
+"""Pictures and movies of plates in motion, drawn off screen: PNG, GIF, MP4.
+
+They raise DrawingUnavailable if VTK cannot draw here, and OSError if the file cannot be written.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.availability import EXTRA, set_up_renderer
 from warp_plate.viz.fields import field_of
-from warp_plate.viz.side_by_side import SideBySide, plate_subplots
+from warp_plate.viz.scene3d import SideBySide, plate_subplots
 
 if TYPE_CHECKING:
     import pyvista
@@ -64,12 +67,7 @@ def missing_movies() -> str | None:
 
 
 def draw_picture(scene: Scene, motions: Sequence[Motion], path: Path, style: PictureStyle, frame: int) -> None:
-    """Write one frame of all motions as a PNG.
-
-    Raises:
-        DrawingUnavailable: VTK cannot draw here.
-        OSError: the file cannot be written.
-    """
+    """Write one frame of all motions as a PNG."""
     with off_screen_plates(scene, motions, style) as (plates, take_picture):
         plates.show(frame)
         take_picture().save(path, format="PNG", compress_level=9)
@@ -80,11 +78,6 @@ def draw_movie(
 ) -> None:
     """Write all frames, as a GIF that repeats forever (at most 50 frames a second) if the path ends in .gif, else as an
     MP4 (H.264) that every browser plays and that repeats its frames for at least six seconds.
-
-    Raises:
-        DrawingUnavailable: VTK cannot draw here.
-        OSError: the file cannot be written.
-        ImportError: see :func:`missing_movies`.
     """
     with off_screen_plates(scene, motions, style) as (plates, take_picture):
 
@@ -148,11 +141,7 @@ def largest_frame(motions: Sequence[Motion], quantity: str = "displacement") -> 
 def off_screen_plates(
     scene: Scene, motions: Sequence[Motion], style: PictureStyle
 ) -> Iterator[tuple[SideBySide, TakePicture]]:
-    """Yield the plates in an off-screen plotter, and a function that takes a picture of them.
-
-    Raises:
-        DrawingUnavailable: VTK cannot draw here.
-    """
+    """Yield the plates in an off-screen plotter, and a function that takes a picture of them."""
     subplots = plate_subplots(len(motions), style.width, style.font_size)
     size = (sum(subplots["col_weights"]), round(subplots["shape"][0] * ASPECT * style.width))
     with off_screen_plotter(size, **subplots) as (plotter, take_picture):
@@ -164,11 +153,7 @@ def off_screen_plates(
 
 @contextmanager
 def off_screen_plotter(size: tuple[int, int], **options: Any) -> Iterator[tuple[pyvista.Plotter, TakePicture]]:
-    """Yield a supersampled plotter, and a function that takes a picture of it with this size [pixels].
-
-    Raises:
-        DrawingUnavailable: VTK cannot draw here.
-    """
+    """Yield a supersampled plotter, and a function that takes a picture of it with this size [pixels]."""
     from PIL import Image
 
     set_up_renderer()

@@ -17,7 +17,7 @@ from warp_plate.viz.annotations import LEGEND_WIDTH, add_text, look_at_plate, st
 from warp_plate.viz.captions import case_label
 from warp_plate.viz.fields import FIELDS
 from warp_plate.viz.pictures import make_plotter
-from warp_plate.viz.side_by_side import SideBySide, plate_subplots, rows_and_columns
+from warp_plate.viz.scene3d import SideBySide, plate_subplots, rows_and_columns
 from warp_plate.viz.styles import INK
 
 if TYPE_CHECKING:

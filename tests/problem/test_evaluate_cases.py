@@ -56,7 +56,7 @@ def test_values_follow_from_the_energies_of_the_drive_found(scene):
     assert values["sum"] == pytest.approx(result.history["best"][-1], rel=1e-9)
     assert values["sum"] <= values["bound"]
     figure = pytest.importorskip("matplotlib.figure")
-    from warp_plate.viz.plots.history import plot_history
+    from warp_plate.viz.plots.search import plot_history
 
     axes = figure.Figure().add_subplot()
     plot_history(axes, result)

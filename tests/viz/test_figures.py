@@ -13,7 +13,7 @@ from warp_plate.result import Case, Result
 from warp_plate.scene import Scene
 from warp_plate.viz import availability
 from warp_plate.viz.figures import evenly_spaced
-from warp_plate.viz.plots.history import plot_history
+from warp_plate.viz.plots.search import plot_history
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
 

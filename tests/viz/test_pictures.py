@@ -10,7 +10,7 @@ import pytest
 
 from warp_plate.result.motion import Motion
 from warp_plate.viz.pictures import make_plotter
-from warp_plate.viz.side_by_side import SideBySide, plate_subplots
+from warp_plate.viz.scene3d import SideBySide, plate_subplots
 
 pytest.importorskip("pytest_pyvista", reason="pytest-pyvista is not installed: pip install 'warp-plate[test]'")
 

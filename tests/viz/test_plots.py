@@ -13,8 +13,7 @@ from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.viz.plots.compare import draw_comparison
 from warp_plate.viz.plots.crosstalk import draw_crosstalk
 from warp_plate.viz.plots.frame import figure, number_log_axis, save_plots
-from warp_plate.viz.plots.history import draw_history
-from warp_plate.viz.plots.spectrum import curve_labels, draw_spectrum
+from warp_plate.viz.plots.search import curve_labels, draw_history, draw_spectrum
 from warp_plate.viz.styles import INK
 
 figures = pytest.importorskip("matplotlib.figure", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")

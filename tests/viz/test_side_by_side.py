@@ -12,7 +12,7 @@ from warp_plate.viz.captions import case_label, frame_caption, ordered_cases
 from warp_plate.viz.fields import FIELDS, common_scale
 from warp_plate.viz.meshes import SCALARS
 from warp_plate.viz.pictures import largest_frame, make_plotter
-from warp_plate.viz.side_by_side import SideBySide, plate_subplots, rows_and_columns
+from warp_plate.viz.scene3d import SideBySide, plate_subplots, rows_and_columns
 
 pyvista = pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
 

@@ -29,11 +29,7 @@ Row = Mapping[str, Any]
 
 
 def draw_accuracy(record: Mapping[str, Any], path: str | Path) -> Path:
-    """Plot the object that ``warp-plate accuracy --json`` prints.
-
-    Raises:
-        ValueError: nothing was measured.
-    """
+    """Plot the object that ``warp-plate accuracy --json`` prints."""
     rows = [row for row in record["rows"] if row["status"] == "ok" and row["error"]]
     if not rows:
         raise ValueError("nothing was measured")

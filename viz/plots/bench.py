@@ -24,9 +24,6 @@ def draw_bench(record: Mapping[str, Any], path: str | Path) -> Path:
 
     Left: over the number of plates, for the size with most measurements. Right: over the nodes per side, at the fastest
     number of plates; dotted is the limit of methods with one launch a step, by the copy bandwidth of the device.
-
-    Raises:
-        ValueError: nothing was measured.
     """
     rows = [row for row in record["rows"] if row["status"] == "measured"]
     if not rows:

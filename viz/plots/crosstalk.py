@@ -25,14 +25,8 @@ PLATES_PER_ROW = 4
 
 
 def draw_crosstalk(result: Result, path: str | Path) -> Path:
-    """Draw the table, and each plate at the recorded time of its largest displacement, in a scale of its own.
-
-    Raises:
-        ValueError: the scene of the result has one target only.
-    """
+    """Draw the table, and each plate at the recorded time of its largest displacement, in a scale of its own."""
     cases = target_cases(result.scene)
-    if not cases:
-        raise ValueError("the result has no crosstalk: its scene has one target only")
     drawn = {target: case for target, case in cases.items() if case in result.cases and result.times.size}
     rows, columns = math.ceil(len(drawn) / PLATES_PER_ROW), min(len(drawn), PLATES_PER_ROW)
     width, height = drawn_size(result.scene, PLATE)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_plate.result.atomic_io import atomic_path
-from warp_plate.scene.model import Scene
 from warp_plate.viz.availability import missing_plots
 
 if TYPE_CHECKING:
@@ -34,10 +33,6 @@ def figure(
         path: file to write; its ending chooses the format.
         size: width and height [inch].
         box: draw all four sides of every axes instead of the left and lower one.
-
-    Raises:
-        ValueError: Matplotlib does not know the ending.
-        OSError: the file cannot be written.
     """
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -84,9 +79,3 @@ def number_log_axis(axis: Axis, intervals: int = 5) -> None:
     plain = decades < FEW_DECADES and PLAIN_RANGE[0] <= low and high <= PLAIN_RANGE[1]
     axis.set_major_formatter("{x:g}" if plain else LogFormatterSciNotation(minor_thresholds=(np.inf, np.inf)))
     axis.set_minor_formatter(NullFormatter())
-
-
-def first_target_note(scene: Scene) -> str:
-    """Return a note for plots that show the search for the first of several targets only, else ""."""
-    targets = scene.targets
-    return f"search for target {targets[0].name}, the first of {len(targets)}" if len(targets) > 1 else ""

@@ -33,9 +33,6 @@ def draw_modes(scene: Scene, frequencies: np.ndarray, shapes: np.ndarray, path: 
     Args:
         frequencies: (count,) [Hz].
         shapes: (count, ny, nx), edges included, with a largest displacement of 1.
-
-    Raises:
-        ValueError: there are no shapes.
     """
     count = len(shapes)
     if count == 0:

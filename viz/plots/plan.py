@@ -15,7 +15,7 @@ from warp_plate.scene.model import Area, Scene
 from warp_plate.viz.captions import frame_caption
 from warp_plate.viz.fields import DrawingScale, common_scale, field_of
 from warp_plate.viz.plots.frame import figure
-from warp_plate.viz.side_by_side import rows_and_columns
+from warp_plate.viz.scene3d import rows_and_columns
 from warp_plate.viz.styles import EDGE_STYLES, INK, TARGET, edge_kind, edges_by_kind
 
 if TYPE_CHECKING:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -90,8 +89,8 @@ def render(
         raise KeyboardInterrupt(f"; wrote only {', '.join(map(str, files))}" if files else "") from None
     if json:
         output.print_json({"result": str(result), "files": [str(file) for file in files]})
-        return
-    output.print_files(files, None)
+    else:
+        output.print_files(files, None)
 
 
 def _targets(out: list[Path] | None, result: Path, figures: str | None) -> list[Path]:
@@ -104,33 +103,25 @@ def _targets(out: list[Path] | None, result: Path, figures: str | None) -> list[
 
 
 def _check_drawable(targets: list[Path], plan: bool) -> None:
-    """Check that the libraries for all files are there, before anything is simulated.
-
-    Raises:
-        SceneError: one is missing.
-    """
+    """Check that the libraries for all files are there, before anything is simulated."""
     from warp_plate.viz.availability import missing_meshes, missing_plots, missing_renderer
     from warp_plate.viz.pictures import missing_movies
 
-    needed: list[Callable[[], str | None]] = []
-    for target in targets:
-        ending = target.suffix.lower()
+    for ending in (target.suffix.lower() for target in targets):
         if ending in PLOTS or (ending == ".png" and plan):
-            needed.append(missing_plots)
+            problem = missing_plots()
         elif ending == ".html":
-            needed.append(missing_meshes)
+            problem = missing_meshes()
         else:
-            needed += [missing_renderer, missing_movies] if ending == ".mp4" else [missing_renderer]
-    for lacking in needed:
-        if (problem := lacking()) is not None:
+            problem = missing_renderer() or (missing_movies() if ending == ".mp4" else None)
+        if problem is not None:
             raise SceneError(problem)
 
 
 def span_around(
     result: Result, time: float | None, start: float | None, end: float | None
 ) -> tuple[float | None, float | None]:
-    """Return the first and last time of the frames; if only a time is given, those of the period around it, which sets
-    the range of the colours."""
+    """Return the ends of the frames; those of the period around a time that is given alone."""
     if time is None or start is not None or end is not None:
         return start, end
     last = result.scene.window.end
@@ -155,29 +146,17 @@ def frame_at(motions: list[Motion], time: float | None, field: str) -> int:
 
 
 def _draw(
-    result: Result,
-    motions: list[Motion],
-    target: Path,
-    style: PictureStyle,
-    frame: int,
-    plan: bool,
-    rate: float,
+    result: Result, motions: list[Motion], target: Path, style: PictureStyle, frame: int, plan: bool, rate: float,
     quiet: bool,
-) -> None:
+) -> None:  # fmt: skip
     from warp_plate.result.atomic_io import atomic_paths
     from warp_plate.viz.page import write_page
     from warp_plate.viz.pictures import draw_movie, draw_picture
     from warp_plate.viz.plots.plan import draw_plan
 
     ending = target.suffix.lower()
-    with (
-        atomic_paths(target) as (path,),
-        output.progress_bar(f"drawing {target.name}", shown=not quiet) as show,
-    ):
-
-        def on_progress(done: int, total: int) -> None:
-            show(done, total, "")
-
+    progress = output.progress_bar(f"drawing {target.name}", shown=not quiet)
+    with atomic_paths(target) as (path,), progress as show:
         if ending in PLOTS or (plan and ending == ".png"):
             draw_plan(result.scene, motions, path, style.quantity, frame)
         elif ending == ".png":
@@ -185,24 +164,19 @@ def _draw(
         elif ending == ".html":
             write_page(result.scene, motions, path, style.quantity, rate, style.heights)
         else:
-            draw_movie(result.scene, motions, path, style, rate, on_progress)
+            draw_movie(result.scene, motions, path, style, rate, lambda done, total: show(done, total, ""))
 
 
 def _paper_figures(result: Result, name: Path) -> list[Path]:
-    """Draw figures 2 and 3 of the source paper.
-
-    Raises:
-        SceneError: the result has no search or no displacements, or a library is missing.
-    """
+    """Draw figures 2 and 3 of the source paper."""
     from warp_plate.result.atomic_io import atomic_paths
     from warp_plate.viz.availability import missing_plots, missing_renderer
     from warp_plate.viz.figures import draw_history, draw_surfaces
 
     if not result.history or not result.times.size:
         raise SceneError(f"--figures paper: {name} holds no search; make it with localize")
-    for lacking in (missing_plots, missing_renderer):
-        if (problem := lacking()) is not None:
-            raise SceneError(problem)
+    if (problem := missing_plots() or missing_renderer()) is not None:
+        raise SceneError(problem)
     drawn = [Path(f"{name.stem}-figure-2.png"), *(Path(f"{name.stem}-figure-3{form}") for form in (".png", *PLOTS))]
     with atomic_paths(*drawn) as (surfaces, *histories):
         draw_surfaces(result, surfaces)

@@ -1,0 +1,168 @@
+"""Plots of a search: its loss, the spectrum of the drives, and the robust beside the nominal drive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_plate.result.model import BOUND_DESCRIPTIONS, Result
+from warp_plate.result.robust import DRIVES, TAIL, RobustComparison, mean_of_worst
+from warp_plate.scene.model import Scene
+from warp_plate.scene.search import Search
+from warp_plate.viz.plots.frame import figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Label of the mean loss of an iteration by method; "exact" tries one drive only.
+MEAN_LABELS = dict.fromkeys(("pso", "constriction", "ring"), "swarm mean")
+MEAN_LABELS |= {"cma": "mean of the generation", "gradient": "mean of the descents"}
+# Final loss of the swarm in the source paper: 1 − 0.72.
+PUBLISHED_LOSS = 0.28
+# Colour and line width of the curves of a spectrum by name in the result.
+CURVES = {"best": ("#08519c", 1.6), "single": ("#6baed6", 1.1), "equal": ("#8a8a8a", 1.1)}
+DRIVE_COLOURS = {"robust": "#08519c", "nominal": "#d94801"}
+BINS = 24
+
+
+def draw_history(result: Result, path: str | Path) -> Path:
+    """Plot 1 − localization factor, or the negative weighted sum of the objectives, against the iteration.
+
+    With several targets the history is that of the first. A claimed bound is a line; the published final loss stands
+    beside it for the preset "paper" only.
+    """
+    if not result.history:
+        raise ValueError("the result holds no history: only a search leaves one")
+    with figure(path, (5, 3.2), dpi=320) as made:
+        plot_history(made.add_subplot(), result)
+    return Path(path)
+
+
+def plot_history(axes: Axes, result: Result) -> None:
+    """Plot the history of a search into Matplotlib axes; see :func:`draw_history`."""
+    from matplotlib.ticker import MaxNLocator
+
+    localization = result.only_localization
+    offset = 1 if localization else 0
+    # Matplotlib cannot scale an axis to infinity.
+    gaps = {name: np.where(np.isfinite(values), values, np.nan) for name, values in result.history.items()}
+    best = offset - np.fmax.accumulate(gaps["best"])
+    iteration = np.arange(1, best.size + 1)
+    marker = "." if best.size < 10 else None
+    label = MEAN_LABELS.get(result.scene.search.method)
+    if "mean" in gaps and label is not None:
+        axes.plot(iteration, offset - gaps["mean"], color="#9ecae1", linewidth=1.0, marker=marker, label=label)
+    axes.plot(iteration, best, color="#08519c", linewidth=1.6, marker=marker, label="best so far")
+    bound, kind = result.bound if localization else result.objective_values.get("bound"), result.bound_kind
+    if result.scene.search.robust is not None:  # a robust search maximises a measure with a bound of its own
+        bound, kind = getattr(result.robust, "bound", None), "bound only"
+    if bound is not None:
+        loss, words = offset - bound, "bound only" if kind == "bound only" else "bound"
+        label = f"{words}: {loss:.4f}".replace("-", "−")
+        axes.axhline(loss, color="#b2182b", linewidth=1.0, linestyle="--", label=label)
+    if result.source == "paper":
+        label = f"published: {PUBLISHED_LOSS:g}"
+        axes.axhline(PUBLISHED_LOSS, color="#8a8a8a", linewidth=1.0, linestyle=":", label=label)
+    _write_target(axes, result.scene)
+    text = "loss (1 − localization factor)" if localization else "loss (− weighted sum of objectives)"
+    axes.set(xlabel="iteration", ylabel=text, xlim=(1, best.size) if best.size > 1 else (0, 2))
+    axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
+    axes.legend()
+
+
+def draw_spectrum(result: Result, path: str | Path) -> Path:
+    """Plot localization factors against frequency, a tick for each resonance, and the best drive as a point."""
+    spectrum, case = result.spectrum, result.main_case
+    labels = curve_labels(result.scene.search)
+    with figure(path, (6.4, 3.4)) as made:
+        axes = made.add_subplot()
+        for name, (colour, width) in CURVES.items():
+            axes.plot(spectrum["frequency"], spectrum[name], color=colour, linewidth=width, label=labels[name])
+        _write_target(axes, result.scene)
+        axes.set(xlabel="frequency [Hz]", ylabel="localization factor")
+        axes.set(ylim=(0, 1.05), xlim=spectrum["frequency"][[0, -1]])
+        # Short ticks, so that many of them hide no curve.
+        axes.vlines(spectrum["resonances"], 0, 0.05, color="#b2182b", linewidth=0.9, label="natural frequency")
+        if case.frequency is not None:
+            point = (case.frequency[0], case.localization_factor)
+            axes.plot(*point, "o", color="#e6820e", markersize=5, clip_on=False, label="best of the search", zorder=4)
+        made.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8)
+    return Path(path)
+
+
+def curve_labels(search: Search) -> dict[str, str]:
+    """Return the labels of the curves of a spectrum by their names in a result.
+
+    If the search may choose every phase, and every magnitude from zero on, the best drive at each frequency is an
+    eigenvector. Otherwise that curve is only a bound, and a single actuator may not be among the allowed drives.
+    """
+    magnitude, phase = search.magnitude, search.phase
+    any_magnitude = magnitude is not None and magnitude.actuators is None and magnitude.range[0] <= 0
+    any_magnitude = any_magnitude and not search.limits.equal_magnitudes
+    if magnitude is None and phase is None:
+        best = "the scene's drive"
+    elif phase is None or phase.actuators is not None or not any_magnitude:
+        best = BOUND_DESCRIPTIONS["attained within limits"]
+    else:
+        best = "best drive at each frequency"
+    single = "best single actuator" if any_magnitude else "best single actuator (cannot be chosen)"
+    return {"best": best, "single": single, "equal": "equal drive"}
+
+
+def draw_robust(result: Result, path: str | Path) -> Path:
+    """Plot distributions of the robust and the nominal drive over the same validation panels.
+
+    Above are histograms, below cumulative distributions, with the median and the worst 5 %.
+    """
+    compared = result.robust
+    with figure(path, (5.4, 4.6), dpi=320) as made:
+        above, below = made.subplots(2, 1, sharex=True, height_ratios=[1, 1.5])
+        _plot_histograms(above, compared)
+        _plot_cumulative(below, compared)
+        made.suptitle(result.scene.title or result.source, fontsize=9)
+    return Path(path)
+
+
+def _plot_histograms(axes: Axes, compared: RobustComparison) -> None:
+    finite = compared.validation[np.isfinite(compared.validation)]
+    edges = np.histogram_bin_edges(finite, BINS)
+    for name, values in zip(DRIVES, compared.validation, strict=True):
+        shown, colour = values[np.isfinite(values)], DRIVE_COLOURS[name]
+        axes.hist(shown, edges, color=colour, alpha=0.35)
+        axes.hist(shown, edges, color=colour, histtype="step", linewidth=1.2, label=f"{name} drive")
+        if shown.size:
+            axes.axvline(shown.mean(), color=colour, linewidth=1.0, linestyle="--")
+    axes.set_ylabel(f"of {compared.validation.shape[1]} validation panels")
+    axes.legend(title="dashed: mean", title_fontsize=8)
+
+
+def _plot_cumulative(axes: Axes, compared: RobustComparison) -> None:
+    count, look = compared.validation.shape[1], {"fontsize": 7, "color": "#808080", "ha": "right"}
+    fraction = np.arange(1, count + 1) / count
+    for name, values, tail in zip(DRIVES, compared.validation, mean_of_worst(compared.validation), strict=True):
+        colour = DRIVE_COLOURS[name]
+        # Plates that failed count as worse than all others, so the curve starts at their share.
+        ordered = np.sort(np.where(np.isfinite(values), values, -np.inf))
+        finite = np.isfinite(ordered)
+        axes.step(ordered[finite], fraction[finite], where="post", color=colour, linewidth=1.4)
+        for level in (TAIL, 0.5):
+            value = ordered[int(np.ceil(level * count)) - 1]
+            if np.isfinite(value):
+                axes.plot(value, level, marker="o", markersize=4, color=colour)
+        if np.isfinite(tail):
+            axes.axvline(tail, 0, 0.12, color=colour, linewidth=2.2, label=f"{name}, mean of worst 5 %: {tail:.4f}")
+    for level, label in ((TAIL, "worst 5 %"), (0.5, "half")):
+        axes.axhline(level, color="#b0b0b0", linewidth=0.6, zorder=0)
+        axes.text(0.99, level + 0.01, label, transform=axes.get_yaxis_transform(), **look)
+    quantity = "localization factor" if compared.localization else "weighted sum of the objectives"
+    axes.set(ylim=(0, 1.02), ylabel="fraction of panels below", xlabel=quantity)
+    axes.legend(fontsize=8, loc="upper left")
+
+
+def _write_target(axes: Axes, scene: Scene) -> None:
+    """Write the target of a search that is the first of several."""
+    targets = scene.targets
+    if len(targets) > 1:
+        axes.set_title(f"search for target {targets[0].name}, the first of {len(targets)}", fontsize=9, wrap=True)
