@@ -97,11 +97,7 @@ def free_width(plotter: pyvista.Plotter, font_size: int) -> float:
 
 
 def add_legend(plotter: pyvista.Plotter, scene: Scene, scale: DrawingScale, font_size: int) -> vtkScalarBarActor:
-    """Add a colour bar, and below it the legend of the outlines, at the right of the active subplot.
-
-    Returns:
-        The colour bar, for :func:`set_colour_bar`.
-    """
+    """Add a colour bar, and below it the legend of the outlines, at the right of the active subplot."""
     # PyVista's own bar is shared by title over all subplots and widens their limits.
     from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 

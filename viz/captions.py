@@ -33,11 +33,7 @@ def ordered_cases(result: Result) -> dict[str, Case]:
 
 
 def caption(label: str, time: float, localization_factor: float, decimals: int | None = None) -> str:
-    """Return two lines: the drive and the time [s]; the localization factor in percent.
-
-    Args:
-        decimals: decimals of the time, so that captions of an animation keep their length (default: four digits).
-    """
+    """Return two lines: the drive and the time [s], with so many decimals or four digits; the localization factor."""
     moment = f"{time:.4g}" if decimals is None else f"{time:.{decimals}f}"
     return f"{label}, t = {moment} s\nlocalization factor {percent(localization_factor)}"
 

@@ -26,10 +26,7 @@ FONT_SIZE, ROW_HEIGHT, LEGEND_WIDTH = 20, 480, 180
 def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
     """Draw all that the result holds, as ``<stem>-history.png``, ``<stem>-surfaces.png`` and so on.
 
-    Missing libraries and unwritable files are reported, not raised.
-
-    Returns:
-        The files written, and None or a sentence for each missing one, joined by "; ".
+    Returns the files written, and None or a sentence for each missing one, joined by "; ".
     """
     compared = result.robust is not None and bool(np.isfinite(result.robust.validation).any())
     several = bool(result.scene.targets) and result.command == "localize"

@@ -43,13 +43,7 @@ def write_page(
     rate: float = 30.0,
     heights: float | None = None,
 ) -> None:
-    """Write the page.
-
-    Args:
-        quantity: field in colour, a key of FIELDS.
-        rate: initial frame rate [1/s].
-        heights: initial factor by which heights are exaggerated (default: to suit the picture).
-    """
+    """Write the page, with the field in colour (a key of FIELDS) and the initial frame rate [1/s] and height factor."""
     data = page_data(scene, motions, quantity, rate, heights)
     # Inside HTML, only "<" in the JSON text could end the script.
     text = json.dumps(data).replace("<", "\\u003c")

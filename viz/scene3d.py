@@ -67,13 +67,7 @@ class PlateActors:
     text: str
 
     def update(self, displacement: np.ndarray, values: np.ndarray | None = None, text: str | None = None) -> None:
-        """Move to another field.
-
-        Args:
-            displacement: (ny, nx) [m], on the grid of the first field.
-            values: (ny, nx) of the scale's field in its SI unit (default: the displacement).
-            text: caption (default: unchanged).
-        """
+        """Move to another field, see :meth:`PlateMeshes.update`, with another caption if a text is given."""
         self.meshes.update(displacement, self.scale, values)
         if text is not None and text != self.text:
             self.text = text
@@ -93,20 +87,18 @@ def add_plate(
     scene: Scene,
     displacement: np.ndarray,
     scale: DrawingScale,
-    text: str = "",
-    font_size: int = 20,
+    text: str,
+    font_size: int,
     bar: bool = True,
     values: np.ndarray | None = None,
 ) -> PlateActors:
-    """Draw one field into the active subplot and point its camera at the plate.
+    """Draw one field, see :meth:`PlateMeshes.update`, into the active subplot and point its camera at the plate.
 
     Args:
-        displacement: (ny, nx) [m], edges included.
         scale: colours and heights; pictures that are to be compared share one.
         text: caption; the height factor is added to its last line.
         font_size: height of the text [pixels]; line widths are relative to it.
         bar: draw colour bar and legend in this subplot.
-        values: (ny, nx) of the scale's field in its SI unit (default: the displacement).
     """
     # Lines are blended in the order in which they are added; order-independent transparency takes twice the time.
     plotter.renderer.SetUseOIT(False)

@@ -270,7 +270,7 @@ def window_plotter(plates: int, **options: object) -> pyvista.Plotter:
 def open_window(
     scene: Scene, motions: Sequence[Motion], quantity: str, stem: Path, rate: float, heights: float | None
 ) -> None:
-    """Show motions until the window is closed; see ``viz.availability.missing_window``."""
+    """Show motions until the window is closed."""
     plotter = window_plotter(len(motions))
     window = ViewerWindow(plotter, scene, motions, quantity, stem, rate)
     if heights is not None:

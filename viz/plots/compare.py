@@ -47,13 +47,10 @@ def draw_comparison(comparison: MethodComparison, path: str | Path) -> Path:
 
 
 def loss_statistics(trials: Sequence[Trial], clock: str, budget: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return statistics over the trials of a method.
+    """Return the (iterations,) median of a clock, "evaluations" or "seconds", over the trials of a method, and the
+    (3, iterations) smallest, median and largest loss so far.
 
     A trial that has ended keeps its last loss; evaluations extend to the budget.
-
-    Returns:
-        (iterations,) median of the clock, "evaluations" or "seconds"; (3, iterations) smallest, median and largest loss
-        so far.
     """
     count = max(len(trial.loss) for trial in trials)
     times, losses = (

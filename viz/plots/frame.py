@@ -46,11 +46,7 @@ def figure(
 
 
 def save_plots(draw: Callable[[Any, Path], object], data: object, path: Path) -> tuple[list[Path], str | None]:
-    """Draw ``data`` as PNG and SVG beside ``path``.
-
-    Returns:
-        The files written, and a sentence on why some are missing, or None.
-    """
+    """Draw ``data`` as PNG and SVG beside ``path``; return the files, and why some are missing or None."""
     if (problem := missing_plots()) is not None:
         return [], problem
     written = []
@@ -65,10 +61,9 @@ def save_plots(draw: Callable[[Any, Path], object], data: object, path: Path) ->
 
 
 def number_log_axis(axis: Axis, intervals: int = 5) -> None:
-    """Label a logarithmic axis with numbers that do not overlap; its limits must be set.
+    """Label a logarithmic axis, whose limits are set, with numbers that do not overlap.
 
-    Args:
-        intervals: largest number of intervals between labels if the axis spans less than one decade.
+    If it spans less than one decade, there are at most so many intervals between labels.
     """
     from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullFormatter
 

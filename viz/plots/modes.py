@@ -90,11 +90,9 @@ def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray) -> object:
 
 
 def nodal_field(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Interpolate a mode for its nodal lines.
+    """Return x and y [m] and the shape (y, x) of a mode, interpolated for its nodal lines.
 
-    Returns:
-        x and y [m], and the shape (y, x); NaN along held edges, where it vanishes anyway, and in spots of one sign that
-        hardly rise.
+    It is NaN along held edges, where the shape vanishes anyway, and in spots of one sign that hardly rise.
     """
     from scipy.interpolate import RectBivariateSpline
     from scipy.ndimage import label, maximum

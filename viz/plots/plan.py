@@ -29,11 +29,7 @@ LAYER, OSCILLATOR = "#8c6bb1", "#e6820e"
 
 
 def draw_plan(scene: Scene, motions: Sequence[Motion], path: Path, quantity: str, frame: int) -> None:
-    """Draw one frame of all motions from above with common colours.
-
-    Args:
-        quantity: field in colour, a key of FIELDS.
-    """
+    """Draw one frame of all motions from above, the quantity (a key of FIELDS) in common colours."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
