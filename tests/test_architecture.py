@@ -14,8 +14,7 @@ else:
 ROOT = Path(__file__).parents[1]
 # From the ground up. A room may import itself and the rooms of the floors below it.
 FLOORS = (
-    {"interrupts", "row_blocks"},
-    {"scene", "kernels", "optimize"},
+    {"interrupts", "scene", "kernels", "optimize"},
     {"plate"},
     {"reference", "result"},
     {"solve", "viz"},

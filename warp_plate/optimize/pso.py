@@ -29,7 +29,6 @@ import numpy as np
 
 from warp_plate.optimize.optimizer import STALL_TOLERANCE, Optimizer, SearchSettings, tolerance_scale
 from warp_plate.optimize.space import SearchSpace
-from warp_plate.row_blocks import over_blocks
 
 # Largest velocity, so that the positions of a swarm that flies apart stay finite.
 LARGEST = 1e100
@@ -144,7 +143,7 @@ class Swarm(Optimizer):
         self.positions = np.clip(lowest + (highest - lowest) * self.random.random(shape), space.lower, space.upper)
         slowest, fastest = (sign * (space.initial_upper - space.initial_lower) / 2 for sign in (-1, 1))
         self.velocities = slowest + (fastest - slowest) * self.random.random(shape)
-        self._limit(self.velocities)
+        self._limit_velocities()
 
     def _begin(self) -> None:
         """Forget the personal bests of the swarm before."""
@@ -153,34 +152,25 @@ class Swarm(Optimizer):
         self.leader, self.improved_loss, self.improved_at = 0, math.inf, self.iterations
 
     def _move(self) -> None:
-        """Apply equations (7) and (8), large swarms in threads. A particle that would leave the limits stops there."""
+        """Apply equations (7) and (8). A particle that would leave the limits stops at the wall."""
         settings, space = self.settings, self.space
         pull = self.random.random((2, *self.positions.shape))
-        inertia = settings.inertia * settings.decay ** (self.iterations - self.restarted_at)
-        leaders = self._best_neighbours() if settings.ring else np.full(settings.particles, self.leader)
-        limited = np.flatnonzero(np.isfinite(space.lower) | np.isfinite(space.upper))
-        moved = np.empty_like(self.positions)
-
-        def move(rows: slice) -> None:
-            position, velocity = self.positions[rows], self.velocities[rows]
-            velocity *= inertia
-            goals = self.personal_positions[rows], self.personal_positions[leaders[rows]]
-            for goal, factor, drawn in zip(goals, (settings.cognitive, settings.social), pull, strict=True):
-                way = goal - position
-                space.shorten(way)
-                drawn[rows] *= factor
-                way *= drawn[rows]
-                velocity += way
-            self._limit(velocity)
-            np.add(position, velocity, out=moved[rows])
-            for column in limited:
-                numbers, lower, upper = moved[rows, column], space.lower[column], space.upper[column]
-                velocity[(numbers < lower) | (numbers > upper), column] = 0.0
-                np.clip(numbers, lower, upper, out=numbers)
-            space.wrap(moved[rows])
-
-        over_blocks(move, settings.particles)
-        self.positions = moved
+        pull *= np.reshape([settings.cognitive, settings.social], (2, 1, 1))
+        self.velocities *= settings.inertia * settings.decay ** (self.iterations - self.restarted_at)
+        leaders = self._best_neighbours() if settings.ring else self.leader
+        way = np.empty_like(self.positions)
+        for index, goal in enumerate((self.personal_positions, self.personal_positions[leaders])):
+            np.subtract(goal, self.positions, out=way)
+            space.shorten(way)
+            way *= pull[index]
+            self.velocities += way
+        self._limit_velocities()
+        self.positions = self.positions + self.velocities
+        for column in np.flatnonzero(np.isfinite(space.lower) | np.isfinite(space.upper)):
+            numbers, lower, upper = self.positions[:, column], space.lower[column], space.upper[column]
+            self.velocities[(numbers < lower) | (numbers > upper), column] = 0.0
+            np.clip(numbers, lower, upper, out=numbers)
+        space.wrap(self.positions)
 
     def _best_neighbours(self) -> np.ndarray:
         """Return (particles,) the index of the best of a particle and its two neighbours; itself if equal."""
@@ -190,9 +180,9 @@ class Swarm(Optimizer):
             best = np.where(losses[other] < losses[best], other, best)
         return best
 
-    def _limit(self, velocities: np.ndarray) -> None:
+    def _limit_velocities(self) -> None:
         limit = LARGEST if self.settings.velocity_limit is None else self.settings.velocity_limit
-        np.clip(velocities, -limit, limit, out=velocities)
+        np.clip(self.velocities, -limit, limit, out=self.velocities)
 
     def _restore(self, state: Mapping[str, Any]) -> None:
         super()._restore(state)
