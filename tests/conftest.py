@@ -15,6 +15,10 @@ from pathlib import Path
 # One pytest worker runs on each core, so threaded linear algebra would only make the workers wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Programs that tests start import this checkout, wherever they run.
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    filter(None, [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH")])
+)
 
 import hypothesis
 import numpy as np

@@ -14,7 +14,6 @@ from warp_plate.cli.output import LONGEST_ENDING
 from warp_plate.plate import memory
 from warp_plate.scene.dump import dump_scene
 
-ROOT = Path(__file__).parents[2]
 QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate")
 LONG = "y" * 300
 # Values that no option of a kind takes.
@@ -176,7 +175,7 @@ def test_memory_that_runs_out(folder, command, monkeypatch):
 
 
 def process(*arguments, **options):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "ascii"}
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     return subprocess.run(
         [sys.executable, "-m", "warp_plate", *arguments], env=environment, stderr=subprocess.PIPE, text=True, **options
     )

@@ -17,7 +17,6 @@ from warp_plate import Scene, load_result
 from warp_plate.scene import preset_names, preset_text
 from warp_plate.scene.dump import dump_scene
 
-ROOT = Path(__file__).parents[2]
 QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate")
 SMALL = {"search": {"particles": 6, "iterations": 5}, "record": {"points": ((0.1, 0.1),)}}
 
@@ -161,7 +160,7 @@ def test_init_writes_a_preset_and_never_overwrites(command, tmp_path, monkeypatc
 
 def process(*arguments, **options):
     """``python -m warp_plate`` in the working folder."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "120"}
+    environment = {**os.environ, "COLUMNS": "120"}
     command = [sys.executable, "-m", "warp_plate", *arguments]
     return subprocess.run(command, stderr=subprocess.PIPE, text=True, env=environment, **options)
 

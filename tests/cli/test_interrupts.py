@@ -1,7 +1,6 @@
 """Ctrl-C ends a command within about a second or one iteration, keeps what was found, and leaves no partial file."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -19,7 +18,6 @@ from warp_plate import PlateSolver, load_checkpoint, load_result, localize, resu
 from warp_plate.scene.dump import dump_scene
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send SIGINT to one process")
-ROOT = Path(__file__).parents[2]
 QUICK = ["--device", "cpu", "--no-pictures", "--no-estimate"]
 
 
@@ -46,7 +44,6 @@ def start(*arguments):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
 
 

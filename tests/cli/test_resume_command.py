@@ -1,7 +1,6 @@
 """``warp-plate localize --resume``: what it accepts and refuses, and searches that were killed."""
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -20,7 +19,6 @@ from warp_plate.result.checkpoint import load_newest, previous_path
 from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.checkpointing import CheckpointFile
 
-ROOT = Path(__file__).parents[2]
 QUICK = ("--no-pictures", "--no-estimate")
 COMMAND = ("localize", "panel.toml", "--device", "cpu", *QUICK)
 FILE = Path("panel-localize.checkpoint.h5")
@@ -122,7 +120,6 @@ def killed(arguments, seconds):
         [sys.executable, "-m", "warp_plate", *arguments],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
     before = modified(FILE)
     while process.poll() is None and modified(FILE) in (0, before):

@@ -30,7 +30,6 @@ from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.compare import compare
 
 PLATES = 150  # blocks of 64, 64 and 22
-ROOT = Path(__file__).parents[2]
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 
 
@@ -355,9 +354,8 @@ if __name__ == "__main__":
 
 
 def started(folder, *arguments, **options):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, *arguments]
-    return subprocess.Popen(command, cwd=folder, env=environment, text=True, start_new_session=True, **options)
+    return subprocess.Popen(command, cwd=folder, text=True, start_new_session=True, **options)
 
 
 def alive(process):

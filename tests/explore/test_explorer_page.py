@@ -9,7 +9,6 @@ import sys
 import time
 import urllib.error
 import urllib.request
-from pathlib import Path
 
 import pytest
 
@@ -22,7 +21,6 @@ pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT to send to one process"),
 ]
 
-ROOT = Path(__file__).parents[2]
 # Longest wait on a busy machine [s].
 PATIENCE = 60.0
 # The command, with a secret that begins with a hyphen, as one in 64 does.
@@ -49,7 +47,7 @@ def served(tmp_path, scene):
     process = subprocess.Popen(
         [sys.executable, "-c", COMMAND, "explore", "panel.toml", "--port", "0", "--device", "cpu"],
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "BROWSER": str(opener)},
+        env={**os.environ, "BROWSER": str(opener)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -196,7 +194,7 @@ def test_who_can_connect(served, tmp_path):
     options = ["--web", "--port", port, "--device", "cpu"]
     second = subprocess.run(
         [sys.executable, "-m", "warp_plate", "explore", "panel.toml", *options],
-        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=PATIENCE,
+        cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE,
     )  # fmt: skip
     assert (second.returncode, second.stdout, second.stderr.count("\n")) == (2, "", 1)
     assert second.stderr.startswith(f"warp-plate: --host 127.0.0.1 --port {port}: cannot be listened on: ")

@@ -15,7 +15,6 @@ import pytest
 from warp_plate import localize
 from warp_plate.scene.dump import dump_scene
 
-ROOT = Path(__file__).parents[2]
 SEARCH = {"search": {"particles": 21, "iterations": 4, "seed": 7}, "record": {"points": ((0.1, 0.07),)}}
 EFFECTS = {
     "damping": {"viscous": 60.0},
@@ -77,7 +76,7 @@ def test_in_another_process(tmp_path, scene):
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        env={**os.environ, **threads, "PYTHONPATH": str(ROOT)},
+        env={**os.environ, **threads},
         check=True,
     )
     assert answer.stdout.split() == [digest(localize(made, "", "cpu", None, "response", estimate=False))]

@@ -1,14 +1,12 @@
 """Sweeps: quantities as the commands find them, refused points, files, workers, and resuming."""
 
 import math
-import os
 import signal
 import subprocess
 import sys
 import time
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,7 +26,6 @@ from warp_plate.studies.simulate import simulate
 from warp_plate.studies.sweep import run_sweep, start_sweep
 from warp_plate.studies.sweep_file import check_replaceable, resume_sweep, save_finished
 
-ROOT = Path(__file__).parents[2]
 GRID = ("plate.thickness=4e-4:2e-3:5", "drive.frequency=200,300")
 
 
@@ -253,8 +250,7 @@ def test_a_killed_process_leaves_a_file_that_resumes(plate, tmp_path):
     (tmp_path / "panel.toml").write_text(dump_scene(plate), encoding="utf-8")
     command = [sys.executable, "-m", "warp_plate", "sweep", "panel.toml", "--vary", "plate.thickness=4e-4:9e-4:40"]
     options = ["--what", "modes", "--checkpoint-every", "0", "--no-pictures", "--device", "cpu"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    process = subprocess.Popen([*command, *options], cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen([*command, *options], cwd=tmp_path, stderr=subprocess.DEVNULL)
     file = tmp_path / "panel-sweep.checkpoint.h5"
     while not file.exists() and process.poll() is None:
         time.sleep(0.005)
