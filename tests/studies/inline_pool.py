@@ -9,7 +9,7 @@ from warp_plate.cluster.tasks import run_task
 class InlinePool(WorkerPool):
     """Runs each task when it is submitted."""
 
-    description = "this process"
+    description, device = "this process", "cpu"
 
     def worker_count(self):
         return 1
