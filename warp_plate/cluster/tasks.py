@@ -1,4 +1,4 @@
-"""What workers run: the plates of a block, by a solver that is made from plain data."""
+"""Tasks of workers: the plates of a block, by a solver that is made from plain data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the user of the explorer can change, and how far."""
+"""Settings of the explorer and the ranges of its sliders."""
 
 from __future__ import annotations
 
