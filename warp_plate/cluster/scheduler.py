@@ -69,7 +69,7 @@ def run_tasks(
     waiting, running, done = deque(tasks), dict[Future[Any], Task](), 0
     try:
         while waiting or running:
-            while waiting and len(running) < _depth(waiting[0], running) * pool.worker_count():
+            while waiting and len(running) < _most_running(pool.worker_count(), [waiting[0], *running.values()]):
                 task = waiting.popleft()
                 running[pool.submit(task.function, task.argument)] = task
             if running:
@@ -93,10 +93,9 @@ def run_tasks(
             future.cancel()
 
 
-def _depth(following: Task, running: dict[Future[Any], Task]) -> int:
-    """Return how many tasks a worker may have: only one while any failed before, so that no other shares its fate."""
-    suspect = following.attempts or any(task.attempts for task in running.values())
-    return 1 if suspect else TASKS_PER_WORKER
+def _most_running(workers: int, tasks: list[Task]) -> int:
+    """Return how many tasks may run at once; one that failed before runs alone, so that no other shares its fate."""
+    return min(workers, 1) if any(task.attempts for task in tasks) else TASKS_PER_WORKER * workers
 
 
 def _outcome(
