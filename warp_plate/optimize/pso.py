@@ -154,15 +154,15 @@ class Swarm(Optimizer):
     def _move(self) -> None:
         """Apply equations (7) and (8). A particle that would leave the limits stops at the wall."""
         settings, space = self.settings, self.space
-        pull = self.random.random((2, *self.positions.shape))
-        pull *= np.reshape([settings.cognitive, settings.social], (2, 1, 1))
         self.velocities *= settings.inertia * settings.decay ** (self.iterations - self.restarted_at)
-        leaders = self._best_neighbours() if settings.ring else self.leader
-        way = np.empty_like(self.positions)
-        for index, goal in enumerate((self.personal_positions, self.personal_positions[leaders])):
-            np.subtract(goal, self.positions, out=way)
+        leaders = self.personal_positions[self._best_neighbours() if settings.ring else self.leader]
+        draws, way = np.empty((2, *self.positions.shape))
+        for factor, goals in ((settings.cognitive, self.personal_positions), (settings.social, leaders)):
+            np.subtract(goals, self.positions, out=way)
             space.shorten(way)
-            way *= pull[index]
+            self.random.random(out=draws)
+            draws *= factor
+            way *= draws
             self.velocities += way
         self._limit_velocities()
         self.positions = self.positions + self.velocities

@@ -1,4 +1,4 @@
-"""Work on the rows of large arrays, in blocks that stay in a core's cache and are shared among threads.
+"""Work on the rows of large arrays, shared among threads.
 
 NumPy releases Python's lock inside a block and treats each row by itself, so that no number depends on the cut.
 """
@@ -10,28 +10,31 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
-# Rows of a block: fewer take one call and no thread. More threads than MOST_THREADS wait for each other.
-ROWS = 8448
+# Fewest rows of a block; threads do not pay for less. More threads than MOST_THREADS wait for each other.
+FEWEST_ROWS = 8192
 MOST_THREADS = 8
 
 
 def over_blocks(task: Callable[[slice], object], rows: int) -> None:
-    """Call ``task`` with slices that together are all rows.
+    """Call ``task`` with slices that together are all rows, one for each thread.
 
     A task sets ``np.errstate`` itself if it needs one: threads begin with NumPy's default.
     """
-    blocks = [slice(first, min(first + ROWS, rows)) for first in range(0, rows, ROWS)]
-    if len(blocks) <= 1:
-        for block in blocks:
-            task(block)
-        return
-    for done in [_pool().submit(task, block) for block in blocks]:
-        done.result()
+    size = max(FEWEST_ROWS, -(-rows // _threads()))
+    blocks = [slice(first, min(first + size, rows)) for first in range(0, rows, size)]
+    if len(blocks) == 1:
+        task(blocks[0])
+    elif blocks:
+        list(_pool().map(task, blocks))
+
+
+@cache
+def _threads() -> int:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    setting = os.environ.get("WARP_PLATE_THREADS", "")
+    return max(1, min(int(setting) if setting.isdecimal() else cores, MOST_THREADS))
 
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    setting = os.environ.get("WARP_PLATE_THREADS", "")
-    threads = int(setting) if setting.isdecimal() else cores
-    return ThreadPoolExecutor(max(1, min(threads, MOST_THREADS)), thread_name_prefix="rows of arrays")
+    return ThreadPoolExecutor(_threads(), thread_name_prefix="rows of arrays")

@@ -60,18 +60,22 @@ class Parametrization:
 
     def designs(self, positions: np.ndarray) -> Designs:
         """Return the designs of positions (n, dimension), within the scene's limits of drives."""
-        values = self._values(np.asarray(positions, dtype=float))
+        positions, shape = np.asarray(positions, dtype=float), (len(self.scene.actuators), len(positions))
         # Plates innermost: NumPy is slow along short rows.
-        magnitude, phasors = self._limited(values["magnitude"]), np.empty(values["phase"].shape, dtype=complex)
+        phasors, others = np.empty(shape, dtype=complex), {kind: np.empty(shape) for kind in self._kinds[2:]}
 
         def fill(plates: slice) -> None:
-            rotations = self._rotations(values["phase"][:, plates])
-            np.multiply(magnitude[:, plates], rotations, out=phasors[:, plates])
+            values = self._values(positions[plates])
+            block = phasors[:, plates]
+            self._rotate(values["phase"], block)
+            block *= self._limited(values["magnitude"])
+            block *= self.unit
+            for kind, numbers in others.items():
+                numbers[:, plates] = values[kind]
 
         over_blocks(fill, len(positions))
-        phasors *= self.unit
-        centre = np.stack([values["x"].T, values["y"].T], axis=2) if "x" in values else None
-        frequency, delay = (values[kind].T if kind in values else None for kind in ("frequency", "delay"))
+        centre = np.stack([others["x"].T, others["y"].T], axis=2) if "x" in others else None
+        frequency, delay = (others[kind].T if kind in others else None for kind in ("frequency", "delay"))
         return Designs(phasors.T, frequency, centre, delay)
 
     def positions_of(self, designs: Designs) -> np.ndarray:
@@ -120,13 +124,18 @@ class Parametrization:
         """Return arrays (actuators, n) of each kind that may differ between plates, before limits of drives."""
         if positions.ndim != 2 or positions.shape[1] != len(self.variables):
             raise ValueError(f"positions of shape {positions.shape}: must be (n, {len(self.variables)})")
-        kinds = {"magnitude", "phase", *(variable.kind for variable in self.variables)}
-        kinds |= {"x", "y"} if kinds & {"x", "y"} else set()
-        values: dict[str, np.ndarray] = {kind: np.tile(self._fixed[kind][:, None], len(positions)) for kind in kinds}
+        values = {kind: np.tile(self._fixed[kind][:, None], len(positions)) for kind in self._kinds}
         for column, variable in zip(positions.T, self.variables, strict=True):
             wrapped = column if math.isinf(variable.period) else np.mod(column, variable.period)
             values[variable.kind][list(variable.actuators)] = wrapped
         return values
+
+    @cached_property
+    def _kinds(self) -> tuple[str, ...]:
+        """Kinds of values that may differ between plates; magnitudes and phases are always among them."""
+        kinds = {variable.kind for variable in self.variables}
+        kinds |= {"x", "y"} if kinds & {"x", "y"} else set()
+        return ("magnitude", "phase", *sorted(kinds - {"magnitude", "phase"}))
 
     @cached_property
     def _fixed(self) -> dict[str, np.ndarray]:
@@ -141,17 +150,15 @@ class Parametrization:
             "delay": actuator_delays(self.scene),
         }
 
-    def _rotations(self, phase: np.ndarray) -> np.ndarray:
-        """Return exp(−iφ) of phases (actuators, n); of those that are fixed only once."""
+    def _rotate(self, phase: np.ndarray, rotations: np.ndarray) -> None:
+        """Write exp(−iφ) of phases (actuators, n) into an array (actuators, n); of those that are fixed only once."""
         searched = {index for variable in self.variables if variable.kind == "phase" for index in variable.actuators}
-        rotations = np.empty(phase.shape, dtype=complex)
         for index, row in enumerate(rotations):
             if index in searched:
                 np.multiply(-1j, phase[index], out=row)
                 np.exp(row, out=row)
             else:
                 row[:] = np.exp(-1j * self._fixed["phase"][index]) + 0
-        return rotations
 
     def _limited(self, magnitude: np.ndarray) -> np.ndarray:
         """Return magnitudes (actuators, n) in units of ``unit``, clipped or scaled down to the scene's limits."""
