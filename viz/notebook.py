@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
 
-from warp_plate.result.model import Case, Result
+from warp_plate.result.model import BOUND_DESCRIPTIONS, Case, Result
 from warp_plate.scene.model import Scene
 from warp_plate.viz.availability import missing_plots, missing_renderer
 from warp_plate.viz.captions import case_label, ordered_cases, percent
@@ -44,7 +44,7 @@ def result_html(result: Result) -> str:
     rows = [(case_label(name, scene), percent(case.localization_factor)) for name, case in cases]
     if result.bound is not None:
         target = f", target {scene.targets[0].name}" if result.target_searches else ""
-        rows.append((result.bound_description + target, percent(result.bound)))
+        rows.append((BOUND_DESCRIPTIONS[result.bound_kind] + target, percent(result.bound)))
     name, case = shown_case(result)
     label = case_label(name, scene)
     actuators = [

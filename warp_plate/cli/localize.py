@@ -249,6 +249,8 @@ def _print(result: Result, console: Console) -> None:
 
 def _print_factors(result: Result, console: Console) -> None:
     """Print the localization factors, with the published ones of the paper's scene."""
+    from warp_plate.result.model import BOUND_DESCRIPTIONS
+
     published = PUBLISHED if result.source == "paper" else {}
     target = f", target {result.scene.targets[0].name}" if result.target_searches else ""
     made = output.table(f"localization factor{target}", "this run", *(["published"] if published else []))
@@ -260,6 +262,6 @@ def _print_factors(result: Result, console: Console) -> None:
     if result.bound is None:
         made.add_row("bound", "none claimed")
     else:
-        made.add_row(result.bound_description, output.number_text(result.bound, ".4f"))
+        made.add_row(BOUND_DESCRIPTIONS[result.bound_kind], output.number_text(result.bound, ".4f"))
     console.print(made)
     console.print()

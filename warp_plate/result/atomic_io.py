@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
+import secrets
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -21,20 +21,15 @@ from warp_plate.scene.errors import SceneError
 def atomic_path(path: Path, previous: Path | None = None) -> Iterator[Path]:
     """Yield a temporary path beside ``path`` whose content replaces ``path`` at the end, but not after an error.
 
-    The new file is on the disk before any name changes, so that after a power failure one of the names holds a complete
-    file. The file that is replaced is deleted, or renamed to ``previous``.
+    The new file is on the disk before any name changes, so that a complete file survives a power failure. The file that
+    is replaced is deleted, or renamed to ``previous``.
 
     Raises:
         OSError: the folder is missing or cannot be written to, or the disk is full.
     """
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=f".part{path.suffix}", dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
+    temporary = path.parent / f".{path.name}.{secrets.token_hex(6)}.part{path.suffix}"
+    temporary.touch(exist_ok=False)
     try:
-        # mkstemp makes the file private; the permissions should be those of any file that the user writes.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
         yield temporary
         with temporary.open("rb+") as written:
             os.fsync(written.fileno())
@@ -92,8 +87,7 @@ def check_seal(path: Path) -> None:
         raise SceneError(f"{path}: is no file")
     content = memoryview(path.read_bytes())
     if content[-SEAL_BYTES:] != make_seal(content[:-SEAL_BYTES]):
-        reason = "it was cut short, or changed or made by another program"
-        raise SceneError(f"{path}: damaged: no valid checksum at its end; {reason}")
+        raise SceneError(f"{path}: damaged: no valid checksum; it was cut short, or changed or made by another program")
 
 
 def is_intact(path: Path) -> bool:

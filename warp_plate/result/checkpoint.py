@@ -7,6 +7,7 @@ The state of the optimizer is the group ``swarm`` whatever the method; finished 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,7 +15,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from warp_plate.result.atomic_io import is_intact
-from warp_plate.result.hdf5 import Attribute, Dataset, FileFormat, SearchState, read_fields, write_fields
+from warp_plate.result.hdf5 import Attribute, Counts, Dataset, FileFormat, SearchState, read_fields, write_fields
 from warp_plate.result.model import TargetSearch
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -29,13 +30,11 @@ class Checkpoint:
     """A search between two iterations. Together with the device it determines the rest of the search to the last bit.
 
     Attributes:
-        scene_as_written: The scene as the user wrote it.
         scene: The scene with its grid, aimed at the target that is being searched.
         files: SHA-256 digests of the files that the scene names, by their keys.
         earlier_devices: Other devices that the search ran on before, for people.
         path: Kernels that were asked for.
-        matrices: (regions, 2 actuators, 2 actuators) Gram matrices of the response; None if energies are no quadratic
-            forms of what is searched.
+        matrices: (regions, 2 actuators, 2 actuators) Gram matrices of the response; None for other evaluators.
         search_state: State of the optimizer; None if a single actuator leaves nothing to search.
         finished_searches: Searches for earlier targets, if the scene has several.
 
@@ -63,22 +62,18 @@ class Checkpoint:
     ]
     search_state: Annotated[Mapping[str, Any] | None, SearchState(), "swarm"]
     finished_searches: Annotated[tuple[TargetSearch, ...], "searches"] = ()
-    lost_plates: Annotated[Mapping[str, int], "lost"] = field(default_factory=dict)
+    lost_plates: Annotated[Counts, "lost"] = field(default_factory=dict)
 
     @property
     def iterations(self) -> int:
-        """Number of finished iterations."""
         return len(self.search_state["history"]) if self.search_state is not None else 0
 
     @property
     def progress(self) -> str:
         """Description of the progress, for people."""
         done = f"{self.iterations} of {self.scene.search.iterations} iterations"
-        targets = self.scene.targets
-        if not targets:
-            return done
-        index = len(self.finished_searches)
-        return f"{done} of target {index + 1} of {len(targets)} ({targets[index].name!r})"
+        targets, index = self.scene.targets, len(self.finished_searches)
+        return f"{done} of target {index + 1} of {len(targets)} ({targets[index].name!r})" if targets else done
 
 
 def previous_path(path: Path) -> Path:
@@ -87,11 +82,9 @@ def previous_path(path: Path) -> Path:
 
 
 def save_checkpoint(checkpoint: Checkpoint, path: Path, keep_previous: bool = False) -> None:
-    """Write a checkpoint file atomically, or raise a SceneError; the file that is there then stays.
-
-    With ``keep_previous`` the checkpoint that is there is moved to :func:`previous_path`.
-    """
-    FORMAT.save(path, lambda file: write_fields(file, checkpoint), previous_path(path) if keep_previous else None)
+    """Write a checkpoint file atomically, or raise a SceneError; ``keep_previous``: see :func:`previous_path`."""
+    with FORMAT.create(path, previous_path(path) if keep_previous else None) as file:
+        write_fields(file, checkpoint)
 
 
 def load_checkpoint(path: str | Path) -> Checkpoint:
@@ -110,10 +103,8 @@ def load_newest(path: Path) -> tuple[Checkpoint, str | None]:
         return load_checkpoint(path), None
     except SceneError as error:
         previous = previous_path(path)
-        if previous == path or not previous.exists() or is_intact(path):
-            raise
-        try:
-            checkpoint = load_checkpoint(previous)
-        except SceneError:
-            raise error from None
-        return checkpoint, f"{error}; continuing from {previous}, {checkpoint.progress}"
+        if previous != path and not is_intact(path):
+            with suppress(SceneError):
+                checkpoint = load_checkpoint(previous)
+                return checkpoint, f"{error}; continuing from {previous}, {checkpoint.progress}"
+        raise

@@ -10,10 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-import h5py
 import numpy as np
 
-from warp_plate.result.hdf5 import ELSEWHERE, Attribute, Dataset, FileFormat, member, read_fields, write_fields
+from warp_plate.result.hdf5 import ELSEWHERE, Attribute, Counts, Dataset, FileFormat, member, read_fields, write_fields
 from warp_plate.scene.model import Scene
 
 FORMAT = FileFormat("comparison", 1)
@@ -38,7 +37,6 @@ class Trial:
 
     @property
     def best_loss(self) -> float:
-        """The smallest loss."""
         return float(self.loss[-1])
 
 
@@ -52,8 +50,7 @@ class MethodComparison:
         seconds: Wall time before any trial [s]: "prepare", which the Gram matrices took.
         localization: True if the loss is 1 − localization factor.
         bound: Lower bound of the loss over all drives; None if unknown.
-        bound_kind: "attained" or "bound only"; "" if there is no bound.
-        bound_sentence: Description of the bound, for people.
+        bound_kind: "attained", "bound only", or "".
         skipped: Reasons why methods were not tried, by method.
 
     Other attributes are those of :class:`Result`.
@@ -73,28 +70,24 @@ class MethodComparison:
     skipped: Mapping[str, str] = field(default_factory=dict)
     interrupted: bool = False
     versions: Mapping[str, str] = field(default_factory=dict)
-    lost_plates: Annotated[Mapping[str, int], "lost"] = field(default_factory=dict)
+    lost_plates: Annotated[Counts, "lost"] = field(default_factory=dict)
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """The methods that were tried, in their order."""
         return tuple(dict.fromkeys(trial.method for trial in self.trials))
 
     def trials_of(self, method: str) -> list[Trial]:
-        """Return the trials of a method."""
         return [trial for trial in self.trials if trial.method == method]
 
 
 def save_comparison(comparison: MethodComparison, path: str | Path) -> Path:
-    """Write a comparison file atomically, or raise a SceneError."""
-
-    def write(file: h5py.File) -> None:
+    """Write a comparison file atomically and return its path, or raise a SceneError."""
+    with FORMAT.create(path) as file:
         write_fields(file, comparison)
         METHODS.write(file, "methods", comparison.methods)
         for trial in comparison.trials:
             write_fields(file.create_group(f"trials/{trial.method}/{trial.seed}"), trial)
-
-    return FORMAT.save(path, write)
+    return Path(path)
 
 
 def load_comparison(path: str | Path) -> MethodComparison:

@@ -26,10 +26,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import h5py
 import numpy as np
+from pydantic import NonNegativeInt, TypeAdapter
 
 from warp_plate.result.atomic_io import check_seal, make_seal, write_atomically
 from warp_plate.scene.dump import dump_scene
@@ -37,8 +38,8 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 T = TypeVar("T")
-# Lengths of named dimensions, as far as known.
-Sizes = dict[str, int]
+Sizes = dict[str, int]  # lengths of named dimensions, as far as known
+Counts = Mapping[str, NonNegativeInt]
 
 
 @dataclass(frozen=True)
@@ -48,22 +49,16 @@ class FileFormat:
     kind: str
     version: int
 
-    @property
-    def text(self) -> str:
-        """The file's attribute ``format``."""
-        return f"warp-plate {self.kind} {self.version}"
-
-    def save(self, path: str | Path, write: Callable[[h5py.File], None], previous: Path | None = None) -> Path:
-        """Write a file atomically, or raise a SceneError; see :func:`atomic_path`."""
-        path = Path(path)
+    @contextmanager
+    def create(self, path: str | Path, previous: Path | None = None) -> Iterator[h5py.File]:
+        """Yield a file that is written atomically at the end, or raise a SceneError; see :func:`atomic_path`."""
         # Composed in memory, for HDF5 does not reliably report a full disk.
         with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
-            file.attrs["format"] = self.text
-            write(file)
+            file.attrs["format"] = f"warp-plate {self.kind} {self.version}"
+            yield file
             file.flush()
             content: bytes = file.id.get_file_image()
-        write_atomically(content + make_seal(content), path, previous)
-        return path
+        write_atomically(content + make_seal(content), Path(path), previous)
 
     @contextmanager
     def open(self, path: str | Path) -> Iterator[h5py.File]:
@@ -72,8 +67,8 @@ class FileFormat:
         try:
             check_seal(path)
             with h5py.File(path, "r") as file:
-                if file.attrs.get("format") != self.text:
-                    raise SceneError(f"{path}: not a {self.kind} of warp-plate (no attribute format = {self.text!r})")
+                if file.attrs.get("format") != (wanted := f"warp-plate {self.kind} {self.version}"):
+                    raise SceneError(f"{path}: not a {self.kind} of warp-plate (no attribute format = {wanted!r})")
                 yield file
         except FileNotFoundError:
             raise SceneError(f"{path}: no such file") from None
@@ -81,8 +76,7 @@ class FileFormat:
             line = str(error)
             raise SceneError(line if line.startswith(str(path)) else f"{path}: damaged: {line}") from None
         except (OSError, LookupError, ValueError, RuntimeError, TypeError, ArithmeticError) as error:
-            reason = " ".join(str(error).split())
-            raise SceneError(f"{path}: damaged or not an HDF5 file of this program: {reason}") from None
+            raise SceneError(f"{path}: damaged or not an HDF5 file of this program: {error}") from None
 
 
 def write_fields(group: h5py.Group, value: Any) -> None:
@@ -122,7 +116,10 @@ ELSEWHERE = Layout()
 
 @dataclass(frozen=True)
 class Attribute(Layout):
-    """An attribute with a value of an annotated kind, of the group or of the dataset before a slash in its name."""
+    """An attribute with a value of an annotated kind, of the group or of the dataset before a slash in its name.
+
+    Mappings and tuples are JSON text; integers are 0 or more.
+    """
 
     kind: Any
 
@@ -134,19 +131,16 @@ class Attribute(Layout):
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> Any:
         parent, _, key = name.rpartition("/")
-        path = _full_path(group, name)
         value = (member(group, parent, h5py.Dataset) if parent else group).attrs.get(key)
         if value is None:
-            raise SceneError(f"{path} is missing")
-        if isinstance(value, np.generic):
-            value = value.item()
-        if get_origin(self.kind) in (Mapping, tuple):
-            value = json.loads(value)
-        if self.kind is bool and value in (0, 1):
-            value = bool(value)
-        if not _conforms(value, self.kind):
-            raise SceneError(f"attribute {path} is not of the kind {getattr(self.kind, '__name__', self.kind)}")
-        return tuple(value) if get_origin(self.kind) is tuple else value
+            raise SceneError(f"{_full_path(group, name)} is missing")
+        try:
+            value = value.item() if isinstance(value, np.generic) else value
+            value = json.loads(value) if get_origin(self.kind) in (Mapping, tuple) else value
+            return TypeAdapter(NonNegativeInt if self.kind is int else self.kind).validate_python(value)
+        except (ValueError, TypeError):
+            kind = getattr(self.kind, "__name__", self.kind)
+            raise SceneError(f"attribute {_full_path(group, name)} is not of the kind {kind}") from None
 
 
 class SceneText(Layout):
@@ -182,26 +176,11 @@ class Dataset(Layout):
 
 
 @dataclass(frozen=True)
-class Columns(Layout):
-    """A mapping of arrays as a group of datasets, all of which must be there; no group if it is empty."""
+class Datasets(Layout):
+    """A mapping of numbers or arrays, or of such mappings, as a group of datasets; no group if it is empty."""
 
-    columns: Mapping[str, Dataset]
-
-    def write(self, group: h5py.Group, name: str, value: Mapping[str, np.ndarray]) -> None:
-        for key, content in value.items():
-            self.columns[key].write(group, f"{name}/{key}", content)
-
-    def read(self, group: h5py.Group, name: str, sizes: Sizes) -> dict[str, np.ndarray]:
-        known = dict(sizes)
-        columns = self.columns if name in group else {}
-        return {key: column.read(group, f"{name}/{key}", known) for key, column in columns.items()}
-
-
-@dataclass(frozen=True)
-class Numbers(Layout):
-    """A mapping of numbers, or of such mappings, as a group of datasets; no group if it is empty."""
-
-    layout: Callable[[str], Dataset]  # by the name of the dataset, or its path in the group
+    layout: Callable[[str], Dataset]  # by the path in the group
+    names: tuple[str, ...] = ()  # datasets that must be there
 
     def write(self, group: h5py.Group, name: str, value: Mapping[str, Any], prefix: str = "") -> None:
         for key, content in value.items():
@@ -211,10 +190,11 @@ class Numbers(Layout):
                 self.layout(prefix + key).write(group, f"{name}/{key}", content)
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> dict[str, Any]:
-        values, inner = {}, member(group, name) if name in group else {}
-        for key in inner:
-            layout = self if isinstance(member(inner, key, h5py.HLObject), h5py.Group) else self.layout(key)
-            values[key] = layout.read(inner, key, sizes)
+        values, known = {}, dict(sizes)
+        inner = member(group, name) if name in group else {}
+        for key in (self.names or inner) if inner else ():
+            is_group = isinstance(member(inner, key, h5py.HLObject), h5py.Group)
+            values[key] = (self if is_group else self.layout(key)).read(inner, key, known)
         return values
 
 
@@ -273,20 +253,6 @@ def _default_layout(kind: Any) -> Layout:
         return SceneText()
     classes = [part for part in (kind, *get_args(kind)) if isinstance(part, type) and dataclasses.is_dataclass(part)]
     return Groups(classes[0], get_origin(kind)) if classes else Attribute(kind)
-
-
-def _conforms(value: Any, kind: Any) -> bool:
-    """Return whether an attribute or its JSON content is of an annotated kind; integers are 0 or more."""
-    origin, parts = get_origin(kind), get_args(kind)
-    if origin is Literal:
-        return value in parts
-    if origin is Mapping:
-        return isinstance(value, dict) and all(_conforms(item, parts[1]) for item in value.values())
-    if origin is tuple:
-        return isinstance(value, list) and all(_conforms(item, parts[0]) for item in value)
-    if kind is int:
-        return isinstance(value, int) and not isinstance(value, bool) and value >= 0
-    return kind is Any or isinstance(value, (int, float) if kind is float else kind)
 
 
 def member(group: h5py.Group, name: str, kind: type = h5py.Group) -> Any:

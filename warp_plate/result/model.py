@@ -1,8 +1,7 @@
 """Results and their files: one HDF5 file for each, readable by h5py, MATLAB's h5read and xarray; see docs/scene.md.
 
-The fields of the data classes say how the file stores them; see ``warp_plate.result.hdf5``. Beside them a file holds
-derived values for other programs: the positions of the nodes, the localization factors, and the crosstalk between
-several targets.
+Beside the fields of the data classes (see ``warp_plate.result.hdf5``) a file holds derived values for other programs:
+the positions of the nodes, the localization factors, and the crosstalk between several targets.
 """
 
 from __future__ import annotations
@@ -32,22 +31,28 @@ BOUND_DESCRIPTIONS: dict[BoundKind, str] = {
     "attained within limits": "bound of the drives that may be chosen",
     "bound only": "bound only: the drives that may be chosen need not reach it",
 }
-HISTORY = hdf5.Columns(
-    {
-        "evaluations": hdf5.Dataset("1", "drives tried so far, after each iteration", ("iterations",)),
-        "best": hdf5.Dataset("1", "largest localization factor so far, after each iteration", ("iterations",)),
-        "mean": hdf5.Dataset("1", "mean localization factor of the iteration, after each iteration", ("iterations",)),
-    }
+
+
+def _columns(**columns: hdf5.Dataset) -> hdf5.Datasets:
+    return hdf5.Datasets(columns.__getitem__, tuple(columns))
+
+
+HISTORY = _columns(
+    evaluations=hdf5.Dataset("1", "drives tried so far, after each iteration", ("iterations",)),
+    best=hdf5.Dataset("1", "largest localization factor so far, after each iteration", ("iterations",)),
+    mean=hdf5.Dataset("1", "mean localization factor of the iteration, after each iteration", ("iterations",)),
 )
-SPECTRUM = hdf5.Columns(
-    {
-        "frequency": hdf5.Dataset("Hz", "where the localization factors were taken", ("frequencies",)),
-        "equal": hdf5.Dataset("1", "localization factor of all actuators alike", ("frequencies",)),
-        "single": hdf5.Dataset("1", "localization factor of the best single actuator", ("frequencies",)),
-        "best": hdf5.Dataset("1", "largest localization factor that the drives may reach", ("frequencies",)),
-        "resonances": hdf5.Dataset("Hz", "natural frequencies of the plate", (None,)),
-    }
+SPECTRUM = _columns(
+    frequency=hdf5.Dataset("Hz", "where the localization factors were taken", ("frequencies",)),
+    equal=hdf5.Dataset("1", "localization factor of all actuators alike", ("frequencies",)),
+    single=hdf5.Dataset("1", "localization factor of the best single actuator", ("frequencies",)),
+    best=hdf5.Dataset("1", "largest localization factor that the drives may reach", ("frequencies",)),
+    resonances=hdf5.Dataset("Hz", "natural frequencies of the plate", (None,)),
 )
+
+
+def _phase_lag(phasors: np.ndarray) -> np.ndarray:
+    return np.where(phasors == 0, 0.0, np.mod(-np.angle(phasors), 2 * np.pi))
 
 
 class _Phasors(hdf5.Layout):
@@ -61,9 +66,8 @@ class _Phasors(hdf5.Layout):
         self.phase.write(group, "phase", _phase_lag(value))
 
     def read(self, group: h5py.Group, name: str, sizes: hdf5.Sizes) -> np.ndarray:
-        magnitude = self.magnitude.read(group, "magnitude", sizes)
-        phasors: np.ndarray = magnitude * np.exp(-1j * self.phase.read(group, "phase", sizes))
-        return phasors
+        magnitude, phase = self.magnitude.read(group, "magnitude", sizes), self.phase.read(group, "phase", sizes)
+        return np.asarray(magnitude * np.exp(-1j * phase))
 
 
 class _Energies(hdf5.Layout):
@@ -90,8 +94,7 @@ def _objective(path: str) -> hdf5.Dataset:
     return hdf5.Dataset(OBJECTIVE_UNITS.get(name.split()[0], "1"), meaning.get(name, name) + of_case)
 
 
-BOUND = hdf5.Dataset("1", "largest that any drive can reach")
-OBJECTIVES = hdf5.Numbers(_objective)
+OBJECTIVES = hdf5.Datasets(_objective)
 
 
 @dataclass(frozen=True)
@@ -99,8 +102,7 @@ class Case:
     """A drive and the motion of the plate under it.
 
     Attributes:
-        phasors: (actuators,) complex amplitudes Z [N/m², or V: ``Scene.drive_unit``]. The load is Re(Z exp(iωt)), or
-            what the scene makes of Z, so that |Z| is the magnitude and −arg Z the phase lag.
+        phasors: (actuators,) complex amplitudes Z [``Scene.drive_unit``] of the load Re(Z exp(iωt)).
         energy: Kinetic energy averaged over the window [J], by region: "plate", "target" and further ones.
         displacement: (times, ny, nx) displacement [m].
         trace: (points, steps) displacement at the recorded points [m].
@@ -126,7 +128,7 @@ class Case:
 
     @property
     def magnitude(self) -> np.ndarray:
-        """(actuators,) magnitudes w, in the unit of ``phasors``."""
+        """(actuators,) magnitudes, in the unit of ``phasors``."""
         return np.abs(self.phasors)
 
     @property
@@ -142,24 +144,18 @@ class Case:
         return {heading: values for heading, values in columns.items() if values is not None}
 
 
-def _phase_lag(phasors: np.ndarray) -> np.ndarray:
-    return np.where(phasors == 0, 0.0, np.mod(-np.angle(phasors), 2 * np.pi))
-
-
 def case_scene(scene: Scene, case: Case) -> Scene:
     """Return the scene with a case's frequencies, positions and burst starts."""
-    own = (case.frequency, case.centre, case.delay)
-    return scene_with(scene, None, None, *own) if case.per_actuator else scene
+    own = {"frequency": case.frequency, "centre": case.centre, "delay": case.delay}
+    return scene_with(scene, **own) if case.per_actuator else scene
 
 
 @dataclass(frozen=True)
 class TargetSearch:
-    """A finished search for one target.
+    """A finished search for one target; see :class:`Result`.
 
     Attributes:
-        position: (dimension,) best position in the search space; None if there is a single actuator or if no position
-            has finite energies.
-        bound: See :class:`Result`, also for the others.
+        position: (dimension,) best position; None if there is a single actuator or no position has finite energies.
     """
 
     position: Annotated[np.ndarray | None, hdf5.Dataset("1", "best position in the search space", (None,))]
@@ -177,29 +173,21 @@ class Result:
 
     Attributes:
         scene: The scene, with the grid that was used.
-        device: Name of the device and its processor.
         effects: Names of the effects in the compiled kernels.
-        cases: Cases by name: "equal", "single", "best" and others of ``localize``, "drive" of ``simulate``.
+        cases: Cases by name: "equal", "single", "best" ... of ``localize``, "drive" of ``simulate``.
         seconds: Wall time by stage [s]: "compile", "solve" and others.
-        node_steps: Number of node updates: nodes × steps × plates.
+        node_steps: nodes × steps × plates.
         bound: Upper bound of the localization factor over all drives; None if unknown.
-        bound_kind: Kind of the bound, a key of ``BOUND_DESCRIPTIONS``.
-        history: (iterations,) values after each iteration: "evaluations", and "best" and "mean" localization factor or
-            weighted sum of the objectives.
-        objective_values: Objectives of the best drive by kind, their weighted "sum" and its "bound"; empty if only the
-            localization factor was sought.
+        history: (iterations,) "evaluations", and "best" and "mean" localization factor or sum of the objectives.
+        objective_values: Objectives of the best drive by kind, their weighted "sum" and its "bound"; may be empty.
         objective_values_by_case: The same of other cases at the scene's frequency and positions, without bounds.
         evaluator: "direct" (a simulated plate for each drive) or "response" (Gram matrices).
-        path: Description of the kernels that stepped the plates.
-        interrupted: True if Ctrl-C ended the search.
         accuracy: Estimated errors ("estimate"), and the choice of the grid ("asked", "expected", "reason").
         peak_displacement: Largest displacement over the run of the main case [m]; None if unknown.
-        spectrum: Localization factors "equal", "single" and "best" over the "frequency" [Hz], and the "resonances"
-            [Hz]; empty unless one frequency of all actuators was searched.
-        target_searches: Searches for the targets that were reached, if the scene has several; ``bound`` and ``history``
-            are those of the first.
+        spectrum: Localization factors over the "frequency" [Hz], and the "resonances" [Hz]; may be empty.
+        target_searches: Searches for several targets; ``bound`` and ``history`` are those of the first.
         robust: Comparison of a robust drive with the nominal one; None for other searches.
-        lost_plates: Number of plates that counted as worst because their workers failed, by reason.
+        lost_plates: Numbers of plates that counted as worst because their workers failed, by reason.
     """
 
     command: str
@@ -214,7 +202,9 @@ class Result:
     seconds: Mapping[str, float]
     node_steps: int
     evaluations: int = 0
-    bound: Annotated[float | None, BOUND, "localization_factor/bound"] = None
+    bound: Annotated[
+        float | None, hdf5.Dataset("1", "largest that any drive can reach"), "localization_factor/bound"
+    ] = None
     bound_kind: BoundKind = ""
     history: Annotated[Mapping[str, np.ndarray], HISTORY] = field(default_factory=dict)
     objective_values: Annotated[Mapping[str, float], OBJECTIVES, "objectives"] = field(default_factory=dict)
@@ -230,20 +220,15 @@ class Result:
     spectrum: Annotated[Mapping[str, np.ndarray], SPECTRUM] = field(default_factory=dict)
     target_searches: Annotated[tuple[TargetSearch, ...], "searches"] = ()
     robust: RobustComparison | None = None
-    lost_plates: Annotated[Mapping[str, int], "lost"] = field(default_factory=dict)
+    lost_plates: Annotated[hdf5.Counts, "lost"] = field(default_factory=dict)
 
     def case_scene(self, case: Case) -> Scene:
         """Return :func:`case_scene` of the result's scene."""
         return case_scene(self.scene, case)
 
     def driven_scene(self, case: Case) -> Scene:
-        """Return the scene with a case's drive too; raise a SceneError if a magnitude is larger than it may be."""
+        """Return the scene with a case's drive too; raise a SceneError if a magnitude is too large."""
         return scene_with(self.case_scene(case), case.magnitude, case.phase)
-
-    @property
-    def bound_description(self) -> str:
-        """Description of the bound, for people."""
-        return BOUND_DESCRIPTIONS[self.bound_kind]
 
     @property
     def only_localization(self) -> bool:
@@ -257,10 +242,9 @@ class Result:
 
 
 def save_result(result: Result, path: str | Path) -> Path:
-    """Write a result file atomically, or raise a SceneError."""
-
-    def write(file: h5py.File) -> None:
-        scene, robust = result.scene, result.robust
+    """Write a result file atomically and return its path, or raise a SceneError."""
+    scene, robust = result.scene, result.robust
+    with FORMAT.create(path) as file:
         hdf5.write_fields(file, result)
         for name, case in result.cases.items():
             file[f"cases/{name}/magnitude"].attrs["units"] = scene.drive_unit.replace("²", "^2")
@@ -273,13 +257,12 @@ def save_result(result: Result, path: str | Path) -> Path:
         for axis, side, count in zip("xy", scene.plate.size, scene.grid.nodes, strict=True):
             hdf5.Dataset("m", f"position of the nodes along {axis}").write(file, axis, np.linspace(0, side, count))
         if result.bound is not None:
-            file["localization_factor/bound"].attrs["about"] = result.bound_description
+            file["localization_factor/bound"].attrs["about"] = BOUND_DESCRIPTIONS[result.bound_kind]
         if result.target_searches:
             shares = hdf5.Dataset("1", "share of the plate's energy in each target, by each's drive")
             shares.write(file, "crosstalk", crosstalk(result))
             file["crosstalk"].attrs["targets"] = json.dumps([target.name for target in scene.targets])
-
-    return FORMAT.save(path, write)
+    return Path(path)
 
 
 def load_result(path: str | Path) -> Result:

@@ -22,12 +22,11 @@ class Motion:
 
     Attributes:
         frequency: Frequency of the drive or mode [Hz].
-        span: Start and end of the time span of the frames [s]. They divide it evenly, up to half a time step; the frame
-            after the last one would lie at its end.
+        span: Start and end [s] of the frames, which divide it evenly up to half a time step; it ends one frame after
+            the last.
         times: (frames,) times [s].
         displacement: (frames, ny, nx) displacement [m], for a mode relative to its largest.
-        velocity: (frames, ny, nx) velocity [m/s or 1/s]; of a drive half a time step later, where the kernels have it
-            and take its energy.
+        velocity: (frames, ny, nx) velocity [m/s or 1/s]; of a drive half a time step later, as in the kernels.
         surface_density: (ny, nx) mass per area [kg/m²].
         localization_factor: Localization factor of the drive over the scene's window; None for a mode.
         scene: Scene of a plate with frequencies or positions of its own; None if it is the common one.
@@ -58,8 +57,7 @@ class Motion:
         length = self.span[1] - self.span[0]
         gaps = np.diff(self.times, append=self.times[0] + length)
         weights = ((gaps + np.roll(gaps, 1)) / (2 * length))[:, None, None]
-        root: np.ndarray = np.sqrt((weights * self.velocity**2).sum(axis=0))
-        return root
+        return np.asarray(np.sqrt((weights * self.velocity**2).sum(axis=0)))
 
     @cached_property
     def phase(self) -> np.ndarray:
@@ -85,8 +83,7 @@ class SteadyMotion:
     Attributes:
         orders: (orders,) integer multiples of the drive's frequency.
         amplitudes: (orders, ny, nx) complex amplitudes [m].
-        residual: Root mean square of the part of the motion that does not repeat with the drive, mostly start-up
-            motion, relative to that of all motion.
+        residual: RMS of the motion that does not repeat with the drive (start-up motion), relative to all motion.
     """
 
     orders: np.ndarray
@@ -103,7 +100,7 @@ class SteadyMotion:
 
     def peak(self) -> float:
         """Return the largest displacement of any node at any time [m]."""
-        if self.orders.size == 1 and self.orders[0] == 1:
+        if self.orders.tolist() == [1]:
             return float(np.abs(self.amplitudes).max())
         return float(max(np.abs(self.at(phase)).max() for phase in np.linspace(0, 2 * math.pi, 48, endpoint=False)))
 
@@ -128,7 +125,6 @@ class DriveResponse:
 
     @property
     def localization_factor(self) -> float:
-        """Fraction of the plate's kinetic energy in the target; NaN for a plate at rest."""
         return self.share("target")
 
     def share(self, region: str) -> float:
@@ -157,6 +153,6 @@ class SwarmSnapshot:
 
 def quadrants(size: tuple[float, float]) -> dict[str, Area]:
     """Return the areas x0, x1, y0, y1 [m] of the ``QUADRANTS`` of a plate with these side lengths [m]."""
-    (width, height), middle = size, (size[0] / 2, size[1] / 2)
-    left, right, lower, upper = (0.0, middle[0]), (middle[0], width), (0.0, middle[1]), (middle[1], height)
-    return dict(zip(QUADRANTS, ((*left, *lower), (*right, *lower), (*left, *upper), (*right, *upper)), strict=True))
+    spans_x, spans_y = (((0.0, side / 2), (side / 2, side)) for side in size)
+    areas = [(*x, *y) for y in spans_y for x in spans_x]
+    return dict(zip(QUADRANTS, areas, strict=True))

@@ -61,5 +61,4 @@ class RobustComparison:
 def mean_of_worst(values: np.ndarray) -> np.ndarray:
     """Return the (rows,) means of the smallest 5 % of each row's values, at least of one value."""
     count = max(1, int(np.ceil(TAIL * values.shape[1] - 1e-9)))
-    means: np.ndarray = np.sort(values, axis=1)[:, :count].mean(axis=1)
-    return means
+    return np.asarray(np.sort(values, axis=1)[:, :count].mean(axis=1))

@@ -34,15 +34,11 @@ NOT_RUN, RUN, REFUSED = 0, 1, 2
 
 @dataclass(frozen=True)
 class SweepOutput:
-    """A quantity that a sweep computes at every point.
-
-    Attributes:
-        axis: Name of the output's own axis, such as "mode"; None if it is one number a point.
-    """
+    """A quantity that a sweep computes at every point."""
 
     unit: str
     meaning: str
-    axis: str | None = None
+    axis: str | None = None  # name of the output's own axis, such as "mode"; None if it is one number a point
 
 
 @dataclass(frozen=True)
@@ -54,8 +50,8 @@ class Sweep:
         files: SHA-256 digests of the files that the scene names, by their keys.
         what: Name of the set of outputs, such as "localize".
         count: Length of the outputs' own axis.
-        device: Device that points were run on last; "" until the first worker reports one.
-        processor: Model of its processor; "" until the first worker reports one.
+        device: Device of the last points; "" until the first worker reports one.
+        processor: Model of its processor; "" likewise.
         earlier_devices: Other devices that points were run on before, for people.
         values: (points,) or (points, count) values of each output; NaN where a point is not run or refused.
         status: (points,) ``NOT_RUN``, ``RUN`` or ``REFUSED``.
@@ -87,7 +83,6 @@ class Sweep:
 
     @property
     def finished(self) -> bool:
-        """True if no point is pending."""
         return not len(self.pending)
 
     @property
@@ -117,20 +112,21 @@ class Sweep:
         return tuple(key for axis, key in enumerate(plan.keys) if constant[0 if plan.sampled else axis])
 
     def refusal(self, point: int) -> str:
-        """Return the varied numbers of a refused point and the reason, for people."""
+        """Return the numbers of a refused point and the reason, for people."""
         place = ", ".join(f"{key} = {value:.6g}" for key, value in self.plan.numbers(point).items())
         reason = self.reasons[point]
         return reason if reason.startswith(f"{place}: ") else f"at {place}: {reason}"
 
     def shaped(self, output: str) -> np.ndarray:
         """Return the values of an output in the shape of the plan, followed by the output's own axis."""
-        values = self.values[output]
-        return values.reshape(*self.plan.shape, *values.shape[1:])
+        return self.values[output].reshape(*self.plan.shape, *self.values[output].shape[1:])
 
 
 def save_sweep(sweep: Sweep, path: str | Path) -> Path:
-    """Write a sweep file atomically, or raise a SceneError."""
-    return FORMAT.save(path, lambda file: _write(file, sweep))
+    """Write a sweep file atomically and return its path, or raise a SceneError."""
+    with FORMAT.create(path) as file:
+        _write(file, sweep)
+    return Path(path)
 
 
 def load_sweep(path: str | Path) -> Sweep:

@@ -1,8 +1,7 @@
 """Several targets of a scene: the energy in each of them under the drive found for each, and their outlines.
 
-A result whose scene has several targets holds the best drive for the first one as the case "best", and for another as
-"best NAME". The energies of all cases have a region "target NAME" for each target, beside "plate" and the case's own
-"target".
+The case "best" is the best drive for the first target, "best NAME" that for another. The energies of all cases have a
+region "target NAME" for each target, beside "plate" and the case's own "target".
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from warp_plate.result.model import Result
 
 DISC_CORNERS = 96
-MASK_LEVEL = 0.5
 
 
 def target_regions(scene: Scene) -> dict[str, NamedTarget]:
@@ -47,10 +45,7 @@ def best_drive_scenes(result: Result) -> dict[str, Scene]:
 
 
 def crosstalk(result: Result) -> np.ndarray:
-    """Return the (drives, targets) fractions of the plate's energy in each target under the drive for each.
-
-    Rows of targets that an interrupted search did not reach are NaN.
-    """
+    """Return the (drives, targets) fractions of the plate's energy in each target; NaN for drives not reached."""
     regions, rows = target_regions(result.scene), []
     for name in target_cases(result.scene).values():
         energy = result.cases[name].energy if name in result.cases else {}
@@ -62,8 +57,7 @@ def crosstalk(result: Result) -> np.ndarray:
 def decibels(shares: np.ndarray) -> np.ndarray:
     """Return (drives, targets) fractions relative to each drive's own target [dB]; −∞ where nothing moves."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        levels: np.ndarray = 10 * (np.log10(np.maximum(shares, 0)) - np.log10(np.diag(shares)[:, None]))
-    return levels
+        return np.asarray(10 * (np.log10(np.maximum(shares, 0)) - np.log10(np.diag(shares)[:, None])))
 
 
 def outlines(scene: Scene) -> list[np.ndarray]:
@@ -74,7 +68,7 @@ def outlines(scene: Scene) -> list[np.ndarray]:
 def target_outlines(scene: Scene, key: str, target: Target) -> list[np.ndarray]:
     """Return closed outlines (points, 2) [m] of one target.
 
-    Those of a mask are its contours at ``MASK_LEVEL``; none if its file is gone, as beside a moved result.
+    Those of a mask are its contours at ½; none if its file is gone, as beside a moved result.
     """
     corners = target.corners(DISC_CORNERS)
     if corners is not None:
@@ -89,4 +83,4 @@ def target_outlines(scene: Scene, key: str, target: Target) -> list[np.ndarray]:
     x, y = (np.linspace(0, side, count) for side, count in zip(scene.plate.size, values.shape[::-1], strict=True))
     # A rim of zeros at the place of the edge closes the contours that meet the edge.
     padded = np.pad(x, 1, mode="edge"), np.pad(y, 1, mode="edge"), np.pad(values, 1)
-    return [np.asarray(way) for way in contour_generator(*padded).lines(MASK_LEVEL)]
+    return [np.asarray(way) for way in contour_generator(*padded).lines(0.5)]

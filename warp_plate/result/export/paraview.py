@@ -36,23 +36,19 @@ def write_pvd(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray],
     Raises:
         SceneError: there are no times, or a file cannot be written.
     """
-    moving, constant = _single_precision_fields(scene, times, fields)
-    digits = max(4, len(str(len(times) - 1)))
+    constant, digits = _constant_fields(scene, times), max(4, len(str(len(times) - 1)))
     parts = [path.with_name(f"{path.stem}-{index:0{digits}}.vti") for index in range(len(times))]
     with atomic_paths(*parts, path) as (*temporaries, index_file):
         for index, (time, temporary) in enumerate(zip(times.tolist(), temporaries, strict=True)):
-            current = {name: field[index] for name, field in moving.items()}
+            current = {name: field[index] for name, field in fields.items()}
             temporary.write_text(_vti_text(scene, time, current | constant), encoding="utf-8")
         index_file.write_text(_pvd_text(times, parts), encoding="utf-8")
     return [*parts, path]
 
 
 def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray], path: Path) -> list[Path]:
-    """Write all times into one .vtkhdf file, for ParaView 5.12 and later; return its path.
-
-    Arguments and errors are those of :func:`write_pvd`.
-    """
-    moving, constant = _single_precision_fields(scene, times, fields)
+    """Write all times into one .vtkhdf file, for ParaView 5.12 and later; return its path; see :func:`write_pvd`."""
+    constant = {name: field[None] for name, field in _constant_fields(scene, times).items()}
     with atomic_paths(path) as (temporary,), h5py.File(temporary, "w") as file:
         root = file.create_group("VTKHDF")
         nx, ny = scene.grid.nodes
@@ -68,39 +64,31 @@ def write_vtkhdf(scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarra
         steps["Values"] = times.astype(float)
         offsets = steps.create_group("PointDataOffsets")
         # Arrays are (time, y, x): the format leaves out the axis of a flat image's thickness.
-        for name, field in (moving | {name: field[None] for name, field in constant.items()}).items():
-            points[name] = field
-            points[name].attrs["units"] = _unit(name)
+        for name, field in {**fields, **constant}.items():
+            points[name] = field.astype("<f4")
+            points[name].attrs["units"] = UNITS[name.split("_")[0]]
             offsets[name] = np.minimum(np.arange(len(times)), len(field) - 1)
         # The active array, for older readers and for those of version 2.6 of the format.
-        active = next(iter(moving))
+        active = next(iter(fields))
         points.attrs["Scalars"] = np.bytes_(active)
         points[active].attrs["Attribute"] = "Scalars"
     return [path]
 
 
-def _single_precision_fields(
-    scene: Scene, times: np.ndarray, fields: Mapping[str, np.ndarray]
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return the (times, ny, nx) fields, and the (ny, nx) covered fractions of each node's cell, by name."""
+def _constant_fields(scene: Scene, times: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the (ny, nx) covered fractions of each node's cell by name; refuse a series without times."""
     if not len(times):
         raise SceneError("holds no displacements; add record.times = [...] (seconds) to its scene and run it again")
     areas = {str(index): actuator.area for index, actuator in enumerate(scene.actuators)}
     by_overlap = scene.model_copy(update={"grid": scene.grid.model_copy(update={"load": "overlap"})})
     weights = region_weights(by_overlap, areas)
-    actuators = weights[len(REGIONS) :].sum(axis=0)
-    shares = {"target": weights[REGIONS.index("target")], "actuators": np.minimum(actuators, 1)}
-    moving, constant = ({name: field.astype("<f4") for name, field in part.items()} for part in (fields, shares))
-    return moving, constant
-
-
-def _unit(name: str) -> str:
-    return UNITS[name.partition("_")[0]]
+    actuators = np.minimum(weights[len(REGIONS) :].sum(axis=0), 1)
+    return {"target": weights[REGIONS.index("target")], "actuators": actuators}
 
 
 def _spacing(scene: Scene) -> tuple[float, float, float]:
-    (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
-    return width / (nx - 1), height / (ny - 1), 1.0
+    dx, dy = (side / (count - 1) for side, count in zip(scene.plate.size, scene.grid.nodes, strict=True))
+    return dx, dy, 1.0
 
 
 def _pvd_text(times: np.ndarray, parts: list[Path]) -> str:
@@ -118,15 +106,17 @@ def _pvd_text(times: np.ndarray, parts: list[Path]) -> str:
 
 
 def _vti_text(scene: Scene, time: float, fields: Mapping[str, np.ndarray]) -> str:
-    """Return image data at a time; fields: float32 (ny, nx) by name, the first one active."""
+    """Return image data at a time; fields: (ny, nx) by name, the first one active."""
     nx, ny = scene.grid.nodes
     extent, spacing = f"0 {nx - 1} 0 {ny - 1} 0 0", " ".join(map(repr, _spacing(scene)))
     arrays = []
     for name, field in fields.items():
-        data = field.tobytes()
+        data = field.astype("<f4").tobytes()
         inline = base64.b64encode(len(data).to_bytes(8, "little") + data).decode()
         arrays.append(f'<DataArray type="Float32" Name={quoteattr(name)} format="binary">{inline}')
-        arrays.append(f'<InformationKey name="UNITS_LABEL" location="vtkDataArray">{_unit(name)}</InformationKey>')
+        arrays.append(
+            f'<InformationKey name="UNITS_LABEL" location="vtkDataArray">{UNITS[name.split("_")[0]]}</InformationKey>'
+        )
         arrays.append("</DataArray>")
     text = "\n".join(arrays)
     return f"""<?xml version="1.0" encoding="UTF-8"?>

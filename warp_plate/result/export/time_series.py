@@ -21,44 +21,32 @@ from warp_plate.result.model import Case, Result
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
-# Number of rows that are composed at once.
-BLOCK = 2**16
+BLOCK = 2**16  # rows that are composed at once
 Encoding = Literal["float32", "pcm16"]
-# Code and bytes a sample of WAVE_FORMAT_IEEE_FLOAT and WAVE_FORMAT_PCM.
-FORMATS: dict[Encoding, tuple[int, int]] = {"float32": (3, 4), "pcm16": (1, 2)}
-EXTENSIBLE = 0xFFFE
-# Common end of the GUIDs of the formats in WAVE_FORMAT_EXTENSIBLE.
-GUID_END = bytes.fromhex("0000 1000 8000 00aa 0038 9b71")
+FORMATS: dict[Encoding, tuple[int, int]] = {"float32": (3, 4), "pcm16": (1, 2)}  # WAVE_FORMAT and bytes a sample
+# Code of WAVE_FORMAT_EXTENSIBLE and the common end of the GUIDs of the formats in it.
+EXTENSIBLE, GUID_END = 0xFFFE, bytes.fromhex("0000 1000 8000 00aa 0038 9b71")
 PCM16_FULL_SCALE = 32767
-# A WAV file counts its bytes with 32 bits; the rest is room for the chunks before the samples.
-MOST_BYTES = 2**32 - 2**20
-# Number of lengths that are compared to find the loop whose end is nearest to a sample.
-TRIED_PERIODS = 10_000
+MOST_BYTES = 2**32 - 2**20  # a WAV file counts its bytes with 32 bits; 2**20 for the chunks before the samples
+TRIED_PERIODS = 10_000  # lengths that are compared to find the loop whose end is nearest to a sample
 
 
 @dataclass(frozen=True)
 class DriveSignal:
-    """Signals of all actuators over a whole number of periods.
-
-    Attributes:
-        phasors: (actuators,) complex amplitudes relative to ``full_scale``.
-        full_scale: What 1.0 stands for, in ``unit``.
-        seam: Phase jump [degrees] where the end meets the beginning; 0 if the periods are a whole number of samples.
-    """
+    """Signals of all actuators over a whole number of periods."""
 
     names: tuple[str, ...]
-    phasors: np.ndarray
-    full_scale: float
+    phasors: np.ndarray  # (actuators,) complex amplitudes relative to ``full_scale``
+    full_scale: float  # value of 1.0, in ``unit``
     unit: str
-    frequency: float
-    rate: int
+    frequency: float  # [Hz]
+    rate: int  # [1/s]
     samples: int
     periods: int
-    seam: float
+    seam: float  # phase jump [degrees] where the end meets the beginning; 0 for a whole number of samples
 
     @property
     def full_scale_text(self) -> str:
-        """The full scale with its unit in ASCII."""
         return f"{self.full_scale:.9g} {self.unit.replace('²', '^2')}"
 
     def blocks(self) -> Iterator[np.ndarray]:
@@ -98,8 +86,7 @@ def make_drive_signal(
 def whole_periods(frequency: float, rate: int, duration: float) -> tuple[int, int, float]:
     """Return the periods, samples and seam [degrees] of the loop with the smallest seam, the longest of equal ones.
 
-    Loops last from half of ``duration`` [s] to all of it. The frequency is taken as the decimal number that is written
-    for it, so that 290.1 Hz at 48000 Hz is exact.
+    Loops last from half of ``duration`` [s] to all of it. Frequencies are exact decimals, such as 290.1 Hz.
     """
     exact = Fraction(repr(float(frequency)))
     period_samples = rate / exact
@@ -121,7 +108,7 @@ def write_traces(result: Result, cases: Mapping[str, Case], path: Path) -> list[
 
 
 def write_drive_csv(signal: DriveSignal, path: Path) -> list[Path]:
-    """Write a table of the time [s] and each actuator's signal, with the full scale in the header; return its path."""
+    """Write the time [s] and each actuator's signal, with the full scale in the header; return the path."""
     heading = ["time [s]", *(f"{name} [1 = {signal.full_scale_text}]" for name in signal.names)]
     return _write_table(path, heading, signal.blocks())
 
@@ -140,8 +127,7 @@ def write_wav(signal: DriveSignal, path: Path, encoding: Encoding = "float32") -
 
     Its comment (LIST INFO ICMT) names the channels, the frequency and the full scale.
     """
-    code, size = FORMATS[encoding]
-    channels = len(signal.names)
+    (code, size), channels = FORMATS[encoding], len(signal.names)
     if channels * size >= 2**16:
         raise SceneError(f"holds {channels} actuators; a WAV file has room for {(2**16 - 1) // size} channels")
     if signal.rate * channels * size >= 2**32:
@@ -158,17 +144,14 @@ def write_wav(signal: DriveSignal, path: Path, encoding: Encoding = "float32") -
 
 
 def _wav_head(signal: DriveSignal, code: int, size: int) -> bytes:
-    """Return the chunks before the samples: format without speaker positions, number of samples, comment."""
+    """Return the chunks before the samples: format, number of samples, comment."""
     frame = len(signal.names) * size
     layout = struct.pack("<HHIIHH", EXTENSIBLE, len(signal.names), signal.rate, signal.rate * frame, frame, 8 * size)
     layout += struct.pack("<HHII", 22, 8 * size, 0, code) + GUID_END
     channels = ", ".join(f"channel {number} = {name}" for number, name in enumerate(signal.names, 1))
-    comment = f"{channels}; {signal.frequency!r} Hz; full scale = {signal.full_scale_text}"
-    return (
-        _chunk(b"fmt ", layout)
-        + _chunk(b"fact", struct.pack("<I", signal.samples))
-        + _chunk(b"LIST", b"INFO" + _chunk(b"ICMT", comment.encode() + b"\0"))
-    )
+    comment = f"{channels}; {signal.frequency!r} Hz; full scale = {signal.full_scale_text}\0"
+    fact, about = _chunk(b"fact", struct.pack("<I", signal.samples)), _chunk(b"ICMT", comment.encode())
+    return _chunk(b"fmt ", layout) + fact + _chunk(b"LIST", b"INFO" + about)
 
 
 def _chunk(name: bytes, content: bytes) -> bytes:
