@@ -144,14 +144,20 @@ def test_invalid_options_are_named(render, tmp_path, options, complaint):
 def test_a_moment_is_the_frame_of_pictures(searched):
     """--time selects a frame of the period from there on, or of the last one."""
     from warp_plate.analysis.motion import motions
-    from warp_plate.cli.render import frame_at, span_around
+    from warp_plate.cli.motion_options import FrameOptions
+    from warp_plate.cli.render import frame_at, frames_around
 
     result = load_result(searched)
     period = 1 / result.scene.drive.frequency
-    assert span_around(result, 0.004, None, None) == pytest.approx((0.004, 0.004 + period))
-    assert span_around(result, 0.0119, None, None) == pytest.approx((0.012 - period, 0.012))
-    assert span_around(result, None, 0.001, None) == (0.001, None)
-    shown = motions(result.scene, result.cases, span_around(result, 0.0119, None, None), device="cpu")
+
+    def span(time, start=None):
+        around = frames_around(result, time, FrameOptions(start=start))
+        return around.start, around.end
+
+    assert span(0.004) == pytest.approx((0.004, 0.004 + period))
+    assert span(0.0119) == pytest.approx((0.012 - period, 0.012))
+    assert span(None, 0.001) == (0.001, None)
+    shown = motions(result.scene, result.cases, span(0.0119), device="cpu")
     moment = shown[0].times[frame_at(shown, 0.0119, "displacement")]
     assert moment == pytest.approx(0.0119, abs=period / 20)
 

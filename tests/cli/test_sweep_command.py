@@ -199,7 +199,7 @@ def test_no_other_file_is_replaced(panel, command, monkeypatch, interrupt_after)
         patch.setattr(sweep_point, "run_point", meanwhile)
         status, _, err = command(*SWEEP, "--out", "late.h5")
     assert (status, "late.h5: damaged" in err) == (2, True)
-    assert "after 9 of 9 points; resume with: warp-plate sweep --resume late.checkpoint.h5" in err
+    assert "there is a checkpoint after 9 of 9 points; resume with: warp-plate sweep --resume late.checkpoint.h5" in err
     assert Path("late.h5").read_bytes() == b"another command's"
     Path("late.h5").unlink()
     ran = interrupt_after(0)
@@ -216,7 +216,7 @@ def test_workers_that_are_gone_leave_a_file(panel, command, monkeypatch):
         patch.setattr(sweeps, "run_on_pool", two_points)
         status, out, err = command("panel.toml", *GRID, "--what", "check", "--devices", "cpu", "--no-pictures")
     assert (status, out) == (2, "")
-    assert "no worker is left after 2 of 9 points; resume with: " in err
+    assert "no worker is left; there is a checkpoint after 2 of 9 points; resume with: " in err
     status, out, _ = command("--resume", "panel-sweep.h5", "--devices", "cpu", "--no-pictures", "--json")
     assert status == 0
     assert np.isfinite(np.array(json.loads(out)["outputs"]["limit"][:2], dtype=float)).all()

@@ -10,6 +10,7 @@ from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from warp_plate.accuracy.measure import AccuracyRow
     from warp_plate.accuracy.report import AccuracyReport
@@ -46,7 +47,7 @@ def accuracy(
     out
         The file of measurements (.json; default: SCENE-accuracy.json in this folder).
     """
-    target = output.output_file(out, scene, "accuracy", (".json",))
+    target = output.output_file(out, f"{Path(scene).stem}-accuracy.json")
     if not 0 < budget < float("inf"):
         raise SceneError(f"--budget {budget:g}: must be a positive number of seconds")
     loaded = output.load_scene(scene)
@@ -60,12 +61,8 @@ def accuracy(
     with output.scene_errors(scene), output.progress_bar("measuring", shown=not json) as show:
         report = measure_configurations(loaded, scene, name, path, budget, show)
     record = {**report.as_json(), "machine": vars(machine), "versions": describe_versions()}
-    files, missing = output.write_measurements(target, record, draw_accuracy, pictures)
-    if json:
-        output.print_json({**record, "files": [str(file) for file in files]})
-        return
-    _print(report, machine.devices[name], output.console())
-    output.print_files(files, missing)
+    written = output.write_measurements(target, record, draw_accuracy, pictures)
+    output.report(json, lambda: record, lambda console: _print(report, machine.devices[name], console), written)
 
 
 def _print(report: AccuracyReport, device: str, console: Console) -> None:
@@ -77,8 +74,7 @@ def _print(report: AccuracyReport, device: str, console: Console) -> None:
             if _kind(row) == kind and not row.status.startswith("skipped"):
                 made.add_row(*_cells(row, index in report.front))
         if made.row_count:
-            console.print(made)
-            console.print()
+            console.print(made, "")
     console.print(LEGEND + "\n")
     console.print(
         f"Reference ({reference.kind}): best single actuator {reference.localization_factors['single']:.5f}, bound "
@@ -88,16 +84,14 @@ def _print(report: AccuracyReport, device: str, console: Console) -> None:
     for law in report.laws:
         powers = (law.order, law.order_displacement, law.order_frequencies, law.cost_exponent)
         laws.add_row(law.family, *("–" if power is None else f"{power:.2f}" for power in powers))
-    console.print(laws)
-    console.print()
-    console.print(_recommendations(report))
-    console.print()
+    console.print(laws, "")
+    console.print(_recommendations(report), "")
     _print_missing(report, console)
     if report.interrupted:
         console.print("Interrupted by Ctrl-C; measurements up to then are shown.")
 
 
-def _recommendations(report: AccuracyReport) -> object:
+def _recommendations(report: AccuracyReport) -> Table:
     from warp_plate.accuracy.formatting import percent, seconds_text
 
     swarm = f"{report.particles} × {report.iterations} plates"

@@ -50,7 +50,7 @@ def bench(
     out
         The file of measurements (.json; default: bench.json in this folder).
     """
-    target = output.output_file(out, "", "bench", (".json",))
+    target = output.output_file(out, "bench.json")
     counts, sizes = _integers("--plates", plates, 1, 10**7), _integers("--nodes", nodes, 5, 8193)
     from warp_plate.bench.cases import all_devices, make_cases
     from warp_plate.bench.machine import busy
@@ -65,12 +65,8 @@ def bench(
     with output.progress_bar("measuring", shown=not json) as show:
         report = measure_all(cases, QUICK if quick else FULL, lambda done, case: show(done, len(cases), str(case)))
     record = report.as_json()
-    files, missing = output.write_measurements(target, record, draw_bench, pictures)
-    if json:
-        output.print_json({**record, "files": [str(file) for file in files]})
-        return
-    _print(report, output.console())
-    output.print_files(files, missing)
+    written = output.write_measurements(target, record, draw_bench, pictures)
+    output.report(json, lambda: record, lambda console: _print(report, console), written)
 
 
 def _integers(option: str, text: str | None, least: int, most: int) -> list[int] | None:
@@ -92,8 +88,7 @@ def _print(report: BenchReport, console: Console) -> None:
         for row in report.rows:
             if row.measured and (row.device, row.precision) == (device, precision):
                 made.add_row(*_cells(row))
-        console.print(made)
-        console.print(f"limits: copying {copied:.4g} GB/s, arithmetic {arithmetic:.4g} GFLOP/s\n")
+        console.print(made, f"\nlimits: copying {copied:.4g} GB/s, arithmetic {arithmetic:.4g} GFLOP/s\n")
     if groups:
         console.print(LEGEND)
     for row in report.rows:

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from warp_plate.cli import options, output
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 def check(
@@ -21,13 +26,9 @@ def check(
 
     with output.scene_errors(scene):
         found = check_scene(resolve_grid(loaded, device).scene, device, allow_unstable)
-    if json:
-        output.print_json({"scene": scene, **found.as_json()})
-        return
-    console = output.console()
-    console.print(f"{loaded.title or scene}\n")
-    for sentence in found.sentences():
-        console.print(sentence)
-    console.print()
-    for finding in found.findings:
-        console.print(f"{'! ' if finding.exceeded else '  '}{finding.sentence}")
+
+    def show(console: Console) -> None:
+        console.print(f"{loaded.title or scene}\n", *found.sentences(), "", sep="\n")
+        output.print_findings(found.findings, console)
+
+    output.report(json, lambda: {"scene": scene, **found.as_json()}, show)

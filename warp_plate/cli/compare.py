@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -29,10 +30,7 @@ def compare(
     seeds: options.Integer = 10,
     evaluations: options.Integer | None = None,
     evaluator: Literal["direct", "response"] | None = None,
-    device: options.WorkersDevice = "auto",
-    devices: options.Devices | None = None,
-    cluster: options.Cluster | None = None,
-    path: options.Stepping = "auto",
+    workers: options.WorkerOptions = options.DEFAULT_WORKERS,
     out: Path | None = None,
     pictures: options.Pictures = True,
     json: options.Json = False,
@@ -57,7 +55,7 @@ def compare(
     out
         The file of results (.h5; default: SCENE-compare.h5 in this folder).
     """
-    target = output.output_file(out, scene, "compare")
+    target = output.output_file(out, f"{Path(scene).stem}-compare.h5")
     for option, value in (("--seeds", seeds), ("--evaluations", evaluations)):
         if value is not None and not 1 <= value <= 10**9:
             raise SceneError(f"{option} {value}: must be an integer from 1 to 10^9")
@@ -66,23 +64,18 @@ def compare(
     from warp_plate.result.comparison import save_comparison
     from warp_plate.studies.compare import compare as run
     from warp_plate.viz.plots.compare import draw_comparison
+    from warp_plate.viz.plots.frame import save_plots
 
-    local = options.local_device(devices, cluster, device)
-    on = "auto" if local is None else local
+    on, path = "auto" if workers.local_device is None else workers.local_device, workers.path or "auto"
     with (
         output.scene_errors(scene),
-        options.workers(devices, cluster, device) as pool,
+        workers.open_pool() as pool,
         output.progress_bar("comparing", shown=not json) as show,
     ):
         result = run(loaded, scene, names, seeds, on, path, evaluator, evaluations, show, pool)
-    files, missing = output.write_plotted(
-        target, lambda path: save_comparison(result, path), draw_comparison, result, pictures
-    )
-    if json:
-        output.print_json(as_json(result, files))
-        return
-    _print(result, output.console())
-    output.print_files(files, missing)
+    draw = partial(save_plots, draw_comparison, result)
+    written = output.write_files(target, partial(save_comparison, result), draw, pictures)
+    output.report(json, partial(_as_json, result), partial(_print, result), written)
 
 
 def rows(result: MethodComparison) -> list[dict[str, object]]:
@@ -114,34 +107,26 @@ def rows(result: MethodComparison) -> list[dict[str, object]]:
     return made
 
 
-def as_json(result: MethodComparison, files: list[Path]) -> dict[str, object]:
+def _as_json(result: MethodComparison) -> dict[str, object]:
     """Return the record for ``--json``: losses, which are 1 − localization factor if ``localization`` is true."""
     bound = {"loss": result.bound, "kind": result.bound_kind, "sentence": result.bound_sentence}
+    names = ("device", "evaluator", "budget", "seconds", "localization", "skipped", "interrupted", "versions")
     return {
         "command": "compare",
         "scene": result.source,
-        "device": result.device,
-        "evaluator": result.evaluator,
-        "budget": result.budget,
-        "seconds": dict(result.seconds),
-        "localization": result.localization,
+        **output.attributes(result, *names),
         "bound": None if result.bound is None else bound,
         "methods": rows(result),
         "trials": [
             {
-                "method": trial.method,
-                "seed": trial.seed,
+                **output.attributes(trial, "method", "seed"),
                 "loss": trial.best_loss,
-                "evaluations": int(trial.evaluations[-1]),
-                "seconds": float(trial.seconds[-1]),
+                "evaluations": trial.evaluations[-1],
+                "seconds": trial.seconds[-1],
             }
             for trial in result.trials
         ],
-        "skipped": dict(result.skipped),
-        "interrupted": result.interrupted,
-        "lost": dict(result.lost_plates),
-        "versions": dict(result.versions),
-        "files": [str(file) for file in files],
+        "lost": result.lost_plates,
     }
 
 
@@ -167,7 +152,4 @@ def _print(result: MethodComparison, console: Console) -> None:
         console.print(f"before the clock: {result.seconds['prepare']:.2g} s for the plates that all methods share.")
     for method, reason in result.skipped.items():
         console.print(f"{method}: left out: {reason}")
-    for line in options.failure_lines(result.lost_plates):
-        console.print(f"! {line}")
-    if result.interrupted:
-        console.print("Interrupted by Ctrl-C; the finished trials are shown.")
+    options.print_failures(result, console, "the finished trials are shown")

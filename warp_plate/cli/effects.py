@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from warp_plate.cli import options, output
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from warp_plate.analysis.influence import EffectToggle, Influence
-    from warp_plate.analysis.warnings import Finding
-    from warp_plate.scene.model import Scene
 
 
 def effects(
@@ -32,25 +32,25 @@ def effects(
         with output.progress_bar("switching effects", shown=not json) as show:
             found = measure_influence(loaded, device, show)
     findings = find_warnings(loaded, found.peak)
-    if json:
-        output.print_json(
-            {
-                "scene": scene,
-                "localization_factor": found.localization_factor,
-                "peak_displacement": found.peak,
-                "bare_step_seconds": found.bare_step,
-                "effects": [asdict(switch) for switch in found.toggles],
-                "numbers": [asdict(finding) for finding in findings],
-                "warnings": [finding.sentence for finding in findings if finding.exceeded],
-            }
-        )
-        return
-    _print(scene, loaded, found, findings)
+    record = {
+        "scene": scene,
+        "localization_factor": found.localization_factor,
+        "peak_displacement": found.peak,
+        "bare_step_seconds": found.bare_step,
+        "effects": [asdict(switch) for switch in found.toggles],
+        "numbers": [asdict(finding) for finding in findings],
+        "warnings": [finding.sentence for finding in findings if finding.exceeded],
+    }
+
+    def show(console: Console) -> None:
+        console.print(f"{loaded.title or scene}\n")
+        _print(found, console)
+        output.print_findings(findings, console)
+
+    output.report(json, lambda: record, show)
 
 
-def _print(name: str, scene: Scene, found: Influence, findings: list[Finding]) -> None:
-    console = output.console()
-    console.print(f"{scene.title or name}\n")
+def _print(found: Influence, console: Console) -> None:
     made = output.table("effect", "now", "price of a step", "steps", "factor", "largest displacement (m)")
     made.add_row("the scene as it is", "", "", "", f"{found.localization_factor:.4f}", f"{found.peak:.3g}")
     for switch in found.toggles:
@@ -64,8 +64,6 @@ def _print(name: str, scene: Scene, found: Influence, findings: list[Finding]) -
     for switch in found.toggles:
         console.print(f"{'without' if switch.on else 'with'} {_words(switch.name)}: {switch.alternative}")
     console.print()
-    for finding in findings:
-        console.print(f"{'! ' if finding.exceeded else '  '}{finding.sentence}")
 
 
 def _row(switch: EffectToggle) -> list[str]:

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from warp_plate.cli import options, output
-from warp_plate.cli.motion_options import MotionOptions, select_cases, select_motions
+from warp_plate.cli.motion_options import (
+    DEFAULT_FRAMES,
+    DEFAULT_PLAYBACK,
+    FrameOptions,
+    select_cases,
+    select_motions,
+)
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -31,8 +38,8 @@ OPTIONS: dict[Format, tuple[str, ...]] = {
     "drive-wav": (*SIGNAL, "encoding"),
     "drive-csv": SIGNAL,
 }
-# Defaults of a drive's samples a second, and of its length [s].
-RATE, DURATION = 48000, 1.0
+# Samples a second of a drive, its longest duration [s], and the amplitude of 1.0 (None: the drive's largest).
+DEFAULTS = {"rate": 48000, "duration": 1.0, "full_scale": None}
 # With fewer times than this ParaView shows pictures rather than a motion.
 FEW_TIMES = 10
 
@@ -42,11 +49,7 @@ def export(
     /,
     *,
     to: Format,
-    case: options.CaseNames | None = None,
-    start: options.Start | None = None,
-    end: options.End | None = None,
-    frames: options.Frames | None = None,
-    device: options.Device | None = None,
+    shown: FrameOptions = DEFAULT_FRAMES,
     rate: int | None = None,
     duration: float | None = None,
     full_scale: float | None = None,
@@ -77,25 +80,22 @@ def export(
     out
         The file to write (default: RESULT with another ending, in this folder).
     """
-    target = out or Path(f"{result.stem}{ENDINGS[to]}")
-    if target.suffix != (ending := Path(f"x{ENDINGS[to]}").suffix):
-        raise SceneError(f"--out {target}: must end in {ending}")
-    output.check_writable(target)
-    series = {"start": start, "end": end, "frames": frames, "device": device}
+    target = output.output_file(out, f"{result.stem}{ENDINGS[to]}")
+    series = {name: getattr(shown, name) for name in SERIES}
     signal = {"rate": rate, "duration": duration, "full-scale": full_scale, "encoding": encoding}
     for name, value in {**series, **signal}.items():
         if value is not None and name not in OPTIONS[to]:
             raise SceneError(f"--{name} {value}: has no effect with --to {to}; leave it out")
-    if device is not None and start is end is frames is None:
-        raise SceneError(f"--device {device}: nothing is run without --frames, --start or --end; leave it out")
+    if shown.device is not None and shown.start is shown.end is shown.frames is None:
+        raise SceneError(f"--device {shown.device}: nothing is run without --frames, --start or --end; leave it out")
     from warp_plate.result import load_result
 
     loaded = load_result(result)
-    cases = select_cases(loaded, result, case or [])
+    cases = select_cases(loaded, result, shown.case)
     try:
         if to == "drive-wav" or to == "drive-csv":
-            if case and len(cases) > 1:
-                raise SceneError(f"--case {' '.join(case)}: a file holds one drive; name one case")
+            if shown.case and len(cases) > 1:
+                raise SceneError(f"--case {' '.join(shown.case)}: a file holds one drive; name one case")
             name = "best" if "best" in cases else next(iter(cases))
             files, record = _write_drive(loaded, cases[name], to, target, signal)
             record = {"case": name, **record}
@@ -106,34 +106,31 @@ def export(
         else:
             # ParaView begins with the first field, so the best case comes first.
             names = sorted(cases, key=lambda name: name != "best")
-            options = MotionOptions(names, 0, start, end, frames, device or "auto")
-            files, record = _write_series(loaded, result, options, to, target, json)
+            files, record = _write_series(loaded, result, replace(shown, case=names), to, target, json)
     except SceneError as error:
         named = str(error).startswith(("--", f"{target}:", f"{result}:"))
         raise error if named else SceneError(f"{result}: {error}") from None
-    if json:
-        output.print_json({"result": str(result), "to": to, **record, "files": [str(file) for file in files]})
-        return
-    print(f"wrote {files[-1]}" + (f" and {len(files) - 1} .vti files beside it" if to == "pvd" else ""))
-    _print_remarks(to, record)
+    answer = {"result": result, "to": to, **record, "files": files}
+    output.report(json, lambda: answer, lambda _: _print(files, to, record))
 
 
 def _write_series(
-    result: Result, file: Path, options: MotionOptions, to: Format, target: Path, quiet: bool
+    result: Result, file: Path, options: FrameOptions, to: Format, target: Path, quiet: bool
 ) -> tuple[list[Path], dict[str, Any]]:
     """Write the recorded displacements, or those of another run if the options ask for one; return files and record."""
     from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
 
+    names = options.case or []
     recorded = options.start is None and options.end is None and options.frames is None
     if recorded:
         times = result.times
-        fields = {f"displacement_{case}": result.cases[case].displacement for case in options.cases}
+        fields = {f"displacement_{case}": result.cases[case].displacement for case in names}
     else:
-        motions = select_motions(result, file, options, "displacement", quiet)
+        motions = select_motions(result, file, options, DEFAULT_PLAYBACK, quiet)
         times, fields = motions[0].times, {f"displacement_{motion.name}": motion.displacement for motion in motions}
         fields |= {f"velocity_{motion.name}": motion.velocity for motion in motions}
     # Actuators are drawn at their positions in the first case.
-    scene = result.case_scene(result.cases[options.cases[0]])
+    scene = result.case_scene(result.cases[names[0]])
     files = (write_pvd if to == "pvd" else write_vtkhdf)(scene, times, fields, target)
     return files, {"times": len(times), "recorded": recorded, "fields": list(fields)}
 
@@ -144,28 +141,22 @@ def _write_drive(
     """Write the drive of a case as audio or text; return files and record."""
     from warp_plate.result.export.time_series import make_drive_signal, write_drive_csv, write_wav
 
-    rate = RATE if options["rate"] is None else options["rate"]
-    duration = DURATION if options["duration"] is None else options["duration"]
-    signal = make_drive_signal(result.case_scene(case), case, rate, duration, options["full-scale"])
+    given = {name.replace("-", "_"): options[name] for name in SIGNAL if options[name] is not None}
+    signal = make_drive_signal(result.case_scene(case), case, **{**DEFAULTS, **given})
     if to == "drive-wav":
         files = write_wav(signal, target, options["encoding"] or "float32")
     else:
         files = write_drive_csv(signal, target)
     return files, {
-        "channels": list(signal.names),
-        "frequency": signal.frequency,
-        "rate": signal.rate,
-        "samples": signal.samples,
-        "periods": signal.periods,
+        **output.attributes(signal, "frequency", "rate", "samples", "periods", "full_scale", "unit"),
+        "channels": signal.names,
         "seconds": signal.samples / signal.rate,
         "seam_degrees": signal.seam,
-        "full_scale": signal.full_scale,
-        "unit": signal.unit,
     }
 
 
-def _print_remarks(to: Format, record: Mapping[str, Any]) -> None:
-    """Print what to know about the files."""
+def _print(files: list[Path], to: Format, record: Mapping[str, Any]) -> None:
+    print(f"wrote {files[-1]}" + (f" and {len(files) - 1} .vti files beside it" if to == "pvd" else ""))
     if to in ("pvd", "vtkhdf") and record["recorded"] and record["times"] < FEW_TIMES:
         print(f"It holds the {record['times']} recorded times; --frames 60 writes a motion of 60 frames a period.")
     if to in ("drive-wav", "drive-csv"):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -41,12 +41,9 @@ def localize(
     scene: options.SceneName | None = None,
     /,
     *,
-    device: options.WorkersDevice | None = None,
-    devices: options.Devices | None = None,
-    cluster: options.Cluster | None = None,
+    workers: options.WorkerOptions = options.DEFAULT_WORKERS,
     seed: options.Integer | None = None,
     evaluator: Literal["direct", "response"] | None = None,
-    path: options.Stepping | None = None,
     accuracy: options.Accuracy | None = None,
     estimate: options.Estimate = True,
     baselines: options.Flag = False,
@@ -101,7 +98,7 @@ def localize(
     """
     if scene is None and resume is None:
         raise SceneError("localize needs a SCENE (a preset's name or a TOML file), or --resume FILE")
-    target = output.output_file(out or (resume and _result_beside(resume)), scene or "", "localize")
+    target = output.output_file(out or (resume and _result_beside(resume)), f"{Path(scene or '').stem}-localize.h5")
     loaded = None if scene is None else output.load_scene(scene, accuracy)
     from warp_plate.result.checkpoint import ENDING, load_newest
     from warp_plate.studies.checkpointing import CheckpointFile
@@ -109,13 +106,14 @@ def localize(
     from warp_plate.studies.localize import localize as run_localize
     from warp_plate.studies.localize import resume as run_resume
 
-    # A search that is resumed runs on the device that it began on unless --device names another.
-    local = options.local_device(devices if resume is None else None, cluster, device)
     checkpoint = None
+    local = workers.local_device
     if resume is not None:
         if loaded is None and accuracy is not None:
             loaded = output.with_accuracy_option(load_newest(resume)[0].scene_as_written, accuracy)
-        given = {"seed": seed, "evaluator": evaluator, "path": path}
+        # A search that is resumed runs on the device that it began on unless --device names another.
+        local = replace(workers, devices=None).local_device
+        given = {"seed": seed, "evaluator": evaluator, "path": workers.path}
         with output.scene_errors(scene or "--accuracy"):
             checkpoint = load_to_resume(resume, loaded, local, output.log, **given)
     file = CheckpointFile(target.with_suffix(ENDING), checkpoint_every, resume is not None, output.log)
@@ -123,10 +121,10 @@ def localize(
         output.log(f"{file.path} holds an unfinished search; a checkpoint of this one will replace it")
     output.prepare_pictures(pictures)
     with (
-        options.workers(devices, cluster, device) as pool,
+        workers.open_pool() as pool,
         output.progress_bar("searching", not json) as show,
         output.scene_errors(scene),
-        _resumable(file),
+        output.resumable(file, "localize"),
     ):
         progress = (0, 1, "")
 
@@ -142,14 +140,11 @@ def localize(
             result = run_resume(checkpoint, local, *common)
         else:
             assert loaded is not None
-            on = "auto" if local is None else local
-            result = run_localize(loaded, scene or "", on, seed, evaluator, path or "auto", *common)
-    files, missing = _write(result, target, pictures, file)
-    if json:
-        output.print_json(_as_json(result, files, file.path if result.interrupted and file.saved else None))
-        return
-    _print(result, output.console())
-    output.print_files(files, missing)
+            on, path = "auto" if local is None else local, workers.path or "auto"
+            result = run_localize(loaded, scene or "", on, seed, evaluator, path, *common)
+    written = _write(result, target, pictures, file)
+    record = partial(_as_json, result, file.path if result.interrupted and file.saved else None)
+    output.report(json, record, partial(_print, result), written)
 
 
 def _result_beside(checkpoint: Path) -> Path:
@@ -159,25 +154,12 @@ def _result_beside(checkpoint: Path) -> Path:
     return checkpoint.parent / (stem.removesuffix(".checkpoint") + (".h5" if named else "-localize.h5"))
 
 
-@contextmanager
-def _resumable(file: CheckpointFile) -> Iterator[None]:
-    """Add how to resume the search to errors and Ctrl-C."""
-    try:
-        yield
-    except SceneError as error:
-        if file.saved is None:
-            raise
-        raise SceneError(f"{error}; there is a checkpoint{output.how_to_resume(file, 'localize')}") from None
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(output.how_to_resume(file, "localize")) from None
-
-
 def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile) -> output.Drawn:
     """Write the result, its pictures and the scenes found; delete the checkpoints of a finished search."""
     from warp_plate.studies.localize import save_best_scenes
 
     path = target.with_suffix(".best.toml")
-    with _resumable(file):
+    with output.resumable(file, "localize"):
         files, missing = output.write_result(result, target, pictures)
         try:
             files[1:1] = save_best_scenes(result, path)
@@ -190,35 +172,23 @@ def _write(result: Result, target: Path, pictures: bool, file: CheckpointFile) -
     return files, missing
 
 
-def _as_json(result: Result, files: list[Path], checkpoint: Path | None) -> dict[str, object]:
+def _as_json(result: Result, checkpoint: Path | None) -> dict[str, object]:
     """Return the record for ``--json``; ``checkpoint`` is the file that an interrupted search resumes from."""
     factors = {name: case.localization_factor for name, case in result.cases.items()}
-    history = {name: values.tolist() for name, values in result.history.items()}
+    names = ("device", "path", "seed", "bound_kind", "evaluations", "node_steps", "seconds", "effects", "spectrum")
     return {
         "scene": result.source,
-        "device": result.device,
-        "path": result.path,
-        "seed": result.seed,
+        **output.attributes(result, *names, "evaluator", "accuracy", "interrupted"),
         "localization_factor": {**factors, "bound": result.bound},
-        "bound_kind": result.bound_kind,
         "drive": tables.drive_json(result.cases["best"], result.scene),
-        "evaluations": result.evaluations,
-        "node_steps": result.node_steps,
-        "seconds": dict(result.seconds),
-        "effects": list(result.effects),
-        "history": [dict(zip(history, row, strict=True)) for row in zip(*history.values(), strict=True)],
-        "objectives": dict(result.objective_values) or None,
-        "objectives_of": {name: dict(values) for name, values in result.objective_values_by_case.items()},
+        "history": [dict(zip(result.history, row, strict=True)) for row in zip(*result.history.values(), strict=True)],
+        "objectives": result.objective_values or None,
+        "objectives_of": result.objective_values_by_case,
         "robust": tables.robust_json(result.robust),
-        "spectrum": {name: values.tolist() for name, values in result.spectrum.items()},
         "crosstalk": tables.crosstalk_json(result),
-        "evaluator": result.evaluator,
-        "accuracy": dict(result.accuracy),
         "warnings": output.warnings_of(result),
-        "interrupted": result.interrupted,
-        "lost": dict(result.lost_plates),
-        "checkpoint": None if checkpoint is None else str(checkpoint),
-        "files": [str(file) for file in files],
+        "lost": result.lost_plates,
+        "checkpoint": checkpoint,
     }
 
 
@@ -232,15 +202,10 @@ def _print(result: Result, console: Console) -> None:
     tables.print_robust(result, console)
     for target, case in (target_cases(result.scene) or {"": "best"}).items():
         if case in result.cases:
-            console.print(tables.drive_table(result.cases[case], result.scene, target))
-            console.print()
+            console.print(tables.drive_table(result.cases[case], result.scene, target), "")
     if result.target_searches:
-        console.print(tables.crosstalk_table(result))
-        console.print()
-    for line in options.failure_lines(result.lost_plates):
-        console.print(f"! {line}")
-    if result.interrupted:
-        console.print("Interrupted by Ctrl-C; the best drive so far is shown.")
+        console.print(tables.crosstalk_table(result), "")
+    options.print_failures(result, console, "the best drive so far is shown")
     if result.source == "paper":
         console.print(NOT_REPRODUCED)
     unit, verb = EVALUATIONS[result.evaluator]
@@ -265,3 +230,4 @@ def _print_factors(result: Result, console: Console) -> None:
         made.add_row(BOUND_DESCRIPTIONS[result.bound_kind], output.number_text(result.bound, ".4f"))
     console.print(made)
     console.print()
+    console.print(made, "")

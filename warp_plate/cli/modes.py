@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,8 @@ from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from warp_plate.plate.modes import NaturalModes
     from warp_plate.scene.model import Scene
 
@@ -34,7 +37,7 @@ def modes(
     out
         The picture of the shapes with their nodal lines (.png, .svg or .pdf; default: SCENE-modes.png in this folder).
     """
-    target = output.output_file(out, scene, "modes", ENDINGS)
+    target = output.output_file(out, f"{Path(scene).stem}-modes.png", ENDINGS)
     if count < 1:
         raise SceneError(f"--count {count}: must be at least 1")
     loaded = output.load_scene(scene, accuracy)
@@ -45,12 +48,9 @@ def modes(
         loaded = resolve_grid(loaded, "auto").scene
         refuse_many_nodes(loaded)
         found = natural_modes(loaded, count)
-    files, missing = _draw(loaded, found, target) if pictures else ([], None)
-    if json:
-        output.print_json(_as_json(scene, loaded, found, files))
-        return
-    _print(scene, loaded, found)
-    output.print_files(files, missing)
+    written = _draw(loaded, found, target) if pictures else ([], None)
+    record, show = partial(_as_json, scene, loaded, found), partial(_print, scene, loaded, found)
+    output.report(json, record, show, written)
 
 
 def _draw(scene: Scene, found: NaturalModes, path: Path) -> output.Drawn:
@@ -83,23 +83,18 @@ def _left_out(scene: Scene) -> list[str]:
     return [name for name, active in present.items() if active]
 
 
-def _as_json(name: str, scene: Scene, found: NaturalModes, files: list[Path]) -> dict[str, object]:
+def _as_json(name: str, scene: Scene, found: NaturalModes) -> dict[str, object]:
     return {
         "scene": name,
-        "nodes": list(scene.grid.nodes),
-        "order": scene.grid.order,
-        "frequencies": found.frequencies.tolist(),
-        "frequencies_stepped": found.stepped.tolist(),
-        "time_step": found.time_step,
-        "half_waves": [None if pair is None else list(pair) for pair in found.half_waves()],
-        "oscillators": found.oscillators.tolist(),
+        **output.attributes(scene.grid, "nodes", "order"),
+        **output.attributes(found, "frequencies", "time_step", "oscillators"),
+        "frequencies_stepped": found.stepped,
+        "half_waves": found.half_waves(),
         "left_out": _left_out(scene),
-        "files": [str(file) for file in files],
     }
 
 
-def _print(name: str, scene: Scene, found: NaturalModes) -> None:
-    console = output.console()
+def _print(name: str, scene: Scene, found: NaturalModes, console: Console) -> None:
     nx, ny = scene.grid.nodes
     console.print(f"{scene.title or name}: {nx} × {ny} nodes, order {scene.grid.order}\n")
     masses = [index for index, oscillator in enumerate(scene.effects.oscillators) if oscillator.mass > 0]

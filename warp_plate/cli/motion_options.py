@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
 
 from warp_plate.cli import output
 from warp_plate.scene.errors import SceneError
@@ -21,88 +23,107 @@ RATES = (1, 120)
 PERIOD_SECONDS = 1.4
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
-class MotionOptions:
-    """Options that select the plates and frames to show.
+class FrameOptions:
+    """Options that select cases of a result and frames; their help texts are the lines below.
 
     Attributes:
-        cases: names of cases; empty for all.
-        modes: number of mode shapes shown instead of cases; 0 for none.
-        start, end: first and last time [s], or None.
-        frames: number of frames, or None.
-        device: device that runs the scene again.
+        case: A case of the result (equal, single, best, drive, ...); repeat the option for more (default: all).
+        start: First time of the frames in seconds. Without --start and --end frames cover the last period of the drive;
+            for a drive that does not repeat, the first burst, or else the scene's window.
+        end: Last time of the frames in seconds (default: the end of the run).
+        frames: Number of frames, 600 at most (default: 60 a period, or as many as there are time steps).
+        device: Device of the run that yields the frames: cpu, cuda, cuda:1, ...; auto (the default) takes a CUDA device
+            if there is one.
     """
 
-    cases: Sequence[str]
-    modes: int
-    start: float | None
-    end: float | None
-    frames: int | None
-    device: str
+    case: Annotated[list[str] | None, Parameter(negative="")] = None
+    start: float | None = None
+    end: float | None = None
+    frames: int | None = None
+    device: str | None = None
 
 
-def select_motions(result: Result, file: Path, options: MotionOptions, field: str, quiet: bool) -> list[Motion]:
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PlaybackOptions:
+    """Options of what moving plates show and how they are played; their help texts are the lines below.
+
+    Attributes:
+        field: Quantity shown in colour (energy: kinetic energy density). Heights always show displacements.
+        modes: Show this many natural mode shapes, 6 at most, instead of the cases.
+        rate: Frames a second (default: 30, or fewer so that a period takes at least 1.4 s).
+        heights: Factor by which displacements are exaggerated (default: automatic).
+    """
+
+    field: Literal["displacement", "velocity", "energy", "rms-velocity", "phase"] = "displacement"
+    modes: int = 0
+    rate: float | None = None
+    heights: float | None = None
+
+    def check(self) -> None:
+        """Check ``--rate`` and ``--heights``."""
+        if self.rate is not None and not RATES[0] <= self.rate <= RATES[1]:
+            raise SceneError(f"--rate {self.rate:g}: must be from {RATES[0]} to {RATES[1]} frames a second")
+        if self.heights is not None and not 0 < self.heights < float("inf"):
+            raise SceneError(f"--heights {self.heights:g}: must be above 0")
+
+    def frame_rate(self, motions: Sequence[Motion]) -> float:
+        """Return the frames a second: ``rate``, or 30 unless a period would be shorter than ``PERIOD_SECONDS``."""
+        if self.rate is not None:
+            return self.rate
+        first = motions[0]
+        periods = (first.span[1] - first.span[0]) * first.frequency
+        return min(30.0, max(RATES[0], len(first.times) / max(periods, 1e-9) / PERIOD_SECONDS))
+
+
+DEFAULT_FRAMES, DEFAULT_PLAYBACK = FrameOptions(), PlaybackOptions()
+
+
+def select_motions(
+    result: Result, file: Path, options: FrameOptions, playback: PlaybackOptions, quiet: bool
+) -> list[Motion]:
     """Return the motions to show of a result, whose file is named in errors."""
     from warp_plate.analysis.motion import motions
 
     if options.frames is not None and options.frames < 2:
         raise SceneError(f"--frames {options.frames}: must be at least 2")
-    if options.modes:
-        return _mode_shapes(result, options, field)
+    if playback.modes:
+        return _mode_shapes(result, options.frames, playback)
     span = None
     if options.start is not None or options.end is not None:
         span = (options.start or 0.0, result.scene.window.end if options.end is None else options.end)
-    cases = select_cases(result, file, options.cases)
+    cases = select_cases(result, file, options.case)
     with output.progress_bar("simulating", shown=not quiet) as show:
         try:
-            return motions(
-                result.scene, cases, span, options.frames, options.device, lambda done, total: show(done, total, "")
-            )
+            return motions(result.scene, cases, span, options.frames, options.device or "auto", show)
         except SceneError as error:
             raise SceneError(f"{file}: {error}") from None
 
 
-def _mode_shapes(result: Result, options: MotionOptions, field: str) -> list[Motion]:
+def _mode_shapes(result: Result, frames: int | None, playback: PlaybackOptions) -> list[Motion]:
     from warp_plate.analysis.motion import mode_motions
     from warp_plate.plate.modes import refuse_many_nodes
 
-    count = options.modes
+    count = playback.modes
     if not 0 < count <= MOST_SHAPES:
         raise SceneError(f"--modes {count}: must be from 1 to {MOST_SHAPES}")
-    if field != "displacement":
-        raise SceneError(f"--field {field}: mode shapes have displacements only; leave out --modes")
+    if playback.field != "displacement":
+        raise SceneError(f"--field {playback.field}: mode shapes have displacements only; leave out --modes")
     try:
         refuse_many_nodes(result.scene)
     except SceneError as error:
         raise SceneError(f"--modes {count}: {error}") from None
-    frames = {} if options.frames is None else {"frames": options.frames}
-    return mode_motions(result.scene, range(1, count + 1), **frames)
+    return mode_motions(result.scene, range(1, count + 1), **({} if frames is None else {"frames": frames}))
 
 
-def select_cases(result: Result, file: Path, names: Sequence[str]) -> dict[str, Case]:
+def select_cases(result: Result, file: Path, names: Sequence[str] | None) -> dict[str, Case]:
     """Return the named cases of a result, or all if no name is given, in the order in which they are shown."""
     from warp_plate.viz.captions import ordered_cases
 
     known = ordered_cases(result)
-    for name in names:
+    for name in names or ():
         if name not in known:
             raise SceneError(f"--case {name}: {file} holds {', '.join(known)}")
-    return {name: known[name] for name in names} or known
-
-
-def check_playback(rate: float | None, heights: float | None) -> None:
-    """Check ``--rate`` and ``--heights``."""
-    if rate is not None and not RATES[0] <= rate <= RATES[1]:
-        raise SceneError(f"--rate {rate:g}: must be from {RATES[0]} to {RATES[1]} frames a second")
-    if heights is not None and not 0 < heights < float("inf"):
-        raise SceneError(f"--heights {heights:g}: must be above 0")
-
-
-def playback_rate(rate: float | None, motions: Sequence[Motion]) -> float:
-    """Return the frames a second: ``rate``, or 30 unless a period would be shorter than ``PERIOD_SECONDS``."""
-    if rate is not None:
-        return rate
-    first = motions[0]
-    periods = (first.span[1] - first.span[0]) * first.frequency
-    frames_a_period = len(first.times) / max(periods, 1e-9)
-    return min(30.0, max(RATES[0], frames_a_period / PERIOD_SECONDS))
+    return {name: known[name] for name in names or known}

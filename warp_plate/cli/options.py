@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,7 +16,11 @@ from warp_plate.cli import output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from warp_plate.cluster.pool import WorkerPool
+    from warp_plate.result.comparison import MethodComparison
+    from warp_plate.result.model import Result
 
 
 def _integer(kind: object, tokens: Sequence[cyclopts.Token]) -> int:
@@ -35,28 +40,6 @@ SceneName = Annotated[
 ]
 ResultFile = Annotated[Path, Parameter(help="An .h5 file written by localize or simulate.")]
 Device = Annotated[str, Parameter(help="cpu, cuda, cuda:1, ...; auto takes a CUDA device if there is one.")]
-WorkersDevice = Annotated[
-    str,
-    Parameter(
-        help="cpu, cuda, cuda:1, ...; auto takes a CUDA device if there is one. With --cluster, the device of its "
-        "workers. A run that is resumed continues on the kind of device that it began on unless a device is named; "
-        "another kind rounds differently, so that the result may differ."
-    ),
-]
-Devices = Annotated[
-    str,
-    Parameter(
-        help="Several devices of this machine that share the work, one process each, such as cuda:0,cuda:1, or cpu,cpu "
-        "for two single-threaded processes. Results are bit-identical. See docs/scaling.md."
-    ),
-]
-Cluster = Annotated[
-    str,
-    Parameter(
-        help="Dask workers that share the work (needs the extra cluster): local:4 starts four on this machine; "
-        "tcp://HOST:PORT or a scheduler's JSON file names a running scheduler."
-    ),
-]
 Stepping = Annotated[
     Literal["auto", "resident", "streaming"],
     Parameter(
@@ -85,59 +68,59 @@ CheckpointEvery = Annotated[
 Pictures = Annotated[bool, Parameter(help="Draw pictures beside the file that is written (needs the extra viz).")]
 Json = Annotated[bool, Parameter(negative="", help="Print one JSON object instead of text and tables.")]
 
-CaseNames = Annotated[
-    list[str],
-    Parameter(
-        negative="",
-        help="A case of the result (equal, single, best, drive, ...); repeat the option for more (default: all).",
-    ),
-]
-Start = Annotated[
-    float,
-    Parameter(
-        help="First time of the frames in seconds. Without --start and --end frames cover the last period of the "
-        "drive; for a drive that does not repeat, the first burst, or else the scene's window."
-    ),
-]
-End = Annotated[float, Parameter(help="Last time of the frames in seconds (default: the end of the run).")]
-Frames = Annotated[
-    int,
-    Parameter(help="Number of frames, 600 at most (default: 60 a period, or as many as there are time steps)."),
-]
-Heights = Annotated[float, Parameter(help="Factor by which displacements are exaggerated (default: automatic).")]
-Rate = Annotated[
-    float,
-    Parameter(help="Frames a second (default: 30, or fewer so that a period takes at least 1.4 s)."),
-]
-Field = Annotated[
-    Literal["displacement", "velocity", "energy", "rms-velocity", "phase"],
-    Parameter(help="Quantity shown in colour (energy: kinetic energy density). Heights always show displacements."),
-]
-ShapeCount = Annotated[int, Parameter(help="Show this many natural mode shapes, 6 at most, instead of the cases.")]
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class WorkerOptions:
+    """Options of commands whose plates workers can simulate; their help texts are the lines below.
+
+    Attributes:
+        device: cpu, cuda, cuda:1, ...; auto (the default) takes a CUDA device if there is one. With --cluster, the
+            device of its workers. A run that is resumed continues on the kind of device that it began on unless a
+            device is named; another kind rounds differently, so that the result may differ.
+        devices: Several devices of this machine that share the work, one process each, such as cuda:0,cuda:1, or
+            cpu,cpu for two single-threaded processes. Results are bit-identical. See docs/scaling.md.
+        cluster: Dask workers that share the work (needs the extra cluster): local:4 starts four on this machine;
+            tcp://HOST:PORT or a scheduler's JSON file names a running scheduler.
+    """
+
+    device: str | None = None
+    devices: str | None = None
+    cluster: str | None = None
+    path: Stepping | None = None
+
+    @property
+    def local_device(self) -> str | None:
+        """Device for what runs in this process: the first of ``devices``, or ``device``; None for the default, which
+        is also used beside ``cluster``, whose workers run on ``device``."""
+        if self.devices is not None:
+            return self.devices.split(",")[0].strip()
+        return self.device if self.cluster is None else None
+
+    def open_pool(self) -> AbstractContextManager[WorkerPool | None]:
+        """Open the pool of workers; see :func:`warp_plate.cluster.opening.open_pool`."""
+        from warp_plate.cluster.opening import open_pool
+
+        if self.devices is not None and self.device not in (None, "auto"):
+            asked = f"--device {self.device}: --devices {self.devices}"
+            raise SceneError(f"{asked} already says where plates run; give only one of them")
+        return open_pool(self.devices, self.cluster, self.device, output.log)
 
 
-def workers(devices: str | None, cluster: str | None, device: str | None) -> AbstractContextManager[WorkerPool | None]:
-    """Open the pool of workers that the options ask for; see :func:`warp_plate.cluster.opening.open_pool`."""
-    from warp_plate.cluster.opening import open_pool
-
-    if devices is not None and device not in (None, "auto"):
-        raise SceneError(f"--device {device}: --devices {devices} already says where plates run; give only one of them")
-    return open_pool(devices, cluster, device, output.log)
+DEFAULT_WORKERS = WorkerOptions()
 
 
-def local_device(devices: str | None, cluster: str | None, device: str | None) -> str | None:
-    """Return the device for what runs in this process: the first of ``--devices``, or ``--device``; None for the
-    default, which is also used beside ``--cluster``, whose ``--device`` is that of its workers."""
-    if devices is not None:
-        return devices.split(",")[0].strip()
-    return device if cluster is None else None
+def print_failures(result: Result | MethodComparison, console: Console, shown: str) -> None:
+    """Print why workers failed to simulate plates, and what is shown of a study that Ctrl-C ended."""
+    for line in failure_lines(result.lost_plates):
+        console.print(f"! {line}")
+    if result.interrupted:
+        console.print(f"Interrupted by Ctrl-C; {shown}.")
 
 
 def failure_lines(failures: Mapping[str, int]) -> list[str]:
     """Return a line for each reason for which workers failed to simulate plates of a search."""
     from warp_plate.scene.vary import counted
 
-    return [
-        f"{counted(count, 'plate')} of the search failed on the workers and counted as worst: {reason}"
-        for reason, count in failures.items()
-    ]
+    failed = "of the search failed on the workers and counted as worst"
+    return [f"{counted(count, 'plate')} {failed}: {reason}" for reason, count in failures.items()]

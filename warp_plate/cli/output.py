@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import re
 import shlex
-import stat
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
+from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +24,7 @@ from warp_plate.scene.errors import SceneError, printable
 LONGEST_ENDING = ".checkpoint.h5.12345678.part.h5"
 
 if TYPE_CHECKING:
+    from warp_plate.analysis.warnings import Finding
     from warp_plate.result.model import Result
     from warp_plate.scene.model import Scene
     from warp_plate.studies.checkpointing import StudyFile
@@ -44,6 +45,19 @@ def console() -> Console:
     return _PlainConsole(highlight=False, markup=False, emoji=False)
 
 
+@contextmanager
+def resumable(file: StudyFile[Any], command: str) -> Iterator[None]:
+    """Add how to resume the study that the file holds to errors and Ctrl-C."""
+    try:
+        yield
+    except SceneError as error:
+        if file.saved is None:
+            raise
+        raise SceneError(f"{error}; there is a checkpoint{how_to_resume(file, command)}") from None
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(how_to_resume(file, command)) from None
+
+
 def how_to_resume(file: StudyFile[Any], command: str) -> str:
     """Return how far an unfinished study is, and the command that resumes it; "" if nothing was saved."""
     if file.saved is None:
@@ -56,19 +70,43 @@ def log(line: str) -> None:
     print(f"warp-plate: {printable(' '.join(line.split()))}", file=sys.stderr)
 
 
-def print_json(data: Mapping[str, object]) -> None:
-    """Print one JSON object. Numbers that are not finite become null, since JSON has no others."""
-    print(json.dumps(_finite(data), indent=2))
+def report(
+    json: bool,
+    record: Callable[[], Mapping[str, object]],
+    show: Callable[[Console], object],
+    written: Drawn | None = None,
+) -> None:
+    """Print the answer of a command as one JSON object, or as text and tables.
+
+    Args:
+        record: returns the JSON object, to which "files" are added. Numbers that are not finite become null.
+        show: prints text and tables.
+        written: the files written, and why pictures are missing.
+    """
+    files, missing = written or ([], None)
+    if json:
+        print(dumps(_json_value({**record(), **({"files": files} if written else {})}), indent=2))
+        return
+    show(console())
+    for line in (*(f"wrote {file}" for file in files), *([missing] if missing else [])):
+        print(printable(line))
 
 
-def _finite(value: object) -> object:
+def _json_value(value: Any) -> object:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: _json_value(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    return value
+        return [_json_value(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    return _json_value(value.tolist()) if hasattr(value, "tolist") else value  # arrays and numbers of NumPy
+
+
+def attributes(data: object, *names: str) -> dict[str, Any]:
+    """Return some attributes of an object by their names."""
+    return {name: getattr(data, name) for name in names}
 
 
 def table(*headings: str, title: str | None = None) -> Table:
@@ -95,26 +133,18 @@ def number_text(value: float | None, digits: str, unit: str = "") -> str:
     return "none" if value is None or not math.isfinite(value) else f"{value:{digits}}{unit}"
 
 
-def print_files(files: Sequence[Path], missing: str | None) -> None:
-    """Print a line for each file written, and why others are missing."""
-    for file in files:
-        print(printable(f"wrote {file}"))
-    if missing:
-        print(printable(missing))
-
-
 @contextmanager
-def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int, str], None]]:
+def progress_bar(label: str, shown: bool) -> Iterator[Callable[..., None]]:
     """Show a progress bar if standard error is a terminal; yield a function of (done, total, note) that updates it."""
     if not shown or not sys.stderr.isatty():
-        yield lambda done, total, note: None
+        yield lambda done, total, note="": None
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn(label), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(label, total=None, note="")
-        yield lambda done, total, note: progress.update(task, completed=done, total=total, note=note)
+        yield lambda done, total, note="": progress.update(task, completed=done, total=total, note=note)
 
 
 def load_scene(source: str, accuracy: str | None = None) -> Scene:
@@ -130,7 +160,7 @@ def with_accuracy_option(scene: Scene, accuracy: str) -> Scene:
     text = accuracy.strip()
     try:
         return scene.with_accuracy(float(text.removesuffix("%")) / (100 if text.endswith("%") else 1))
-    except (ValueError, SceneError):
+    except ValueError:
         raise SceneError(f"--accuracy {accuracy}: must be from 0.01% to 50%, such as 1% or 0.01") from None
 
 
@@ -148,42 +178,40 @@ def scene_errors(source: str | None) -> Iterator[None]:
         raise SceneError(f"{source}: {error}") from None
 
 
-def output_file(out: Path | None, source: str, command: str, endings: Sequence[str] = (".h5",)) -> Path:
-    """Return the path of a command's file: ``out``, or SCENE-COMMAND with the first of the endings, in this folder.
+def output_file(out: Path | None, default: str, endings: Sequence[str] = ()) -> Path:
+    """Return the path of a file to write: ``--out``, or ``default`` in this folder.
 
     Args:
-        source: the scene's name; empty for commands without a scene.
+        endings: the endings that are allowed (default: that of ``default``).
+
+    Raises:
+        SceneError: another ending, or the file or those beside it cannot be written.
     """
-    path = out or Path(f"{Path(source).stem}-{command}{endings[0]}" if source else f"{command}{endings[0]}")
-    if path.suffix not in endings:
-        raise SceneError(f"--out {path}: must end in {' or '.join(', '.join(endings).rsplit(', ', 1))}")
-    check_writable(path)
+    path = Path(default) if out is None else out
+    endings = endings or (Path(default).suffix,)
+    problem = _writing_problem(path)
+    if path.suffix.lower() not in endings:
+        problem = f"must end in {' or '.join(', '.join(endings).rsplit(', ', 1))}"
+    if problem:
+        raise SceneError(f"--out {path}: {problem}")
     return path
 
 
-def check_writable(path: Path) -> None:
-    """Check that a file and those beside it (checkpoints, pictures, temporary files) can be written."""
-    problem: str | bool
-    try:
-        problem = "is a folder" if stat.S_ISDIR(path.stat().st_mode) else ""
-    except (FileNotFoundError, NotADirectoryError):
-        problem = "" if path.parent.is_dir() else f"no such folder: {path.parent}"
-    except (OSError, ValueError) as error:  # a name that is too long or contains forbidden characters
-        problem = f"not a valid file name: {getattr(error, 'strerror', None) or error}"
-    problem = problem or _name_too_long(path)
-    if problem or not os.access(path.parent, os.W_OK):
-        raise SceneError(f"--out {path}: {problem or f'no permission to write to the folder {path.parent}'}")
-
-
-def _name_too_long(path: Path) -> str:
-    """Return why the longest name beside a file is too long, or "". Only the system knows the limit."""
+def _writing_problem(path: Path) -> str:
+    """Return why a file or those beside it (checkpoints, pictures, temporary files) cannot be written, or ""."""
+    if os.path.isdir(path):
+        return "is a folder"
+    if not os.path.isdir(path.parent):
+        return f"no such folder: {path.parent}"
+    if not os.access(path.parent, os.W_OK):
+        return f"no permission to write to the folder {path.parent}"
     added = len(LONGEST_ENDING) + 1 - len(path.suffix)
     try:
-        path.with_name(f".{path.stem}{LONGEST_ENDING}").stat()
+        os.stat(path.parent / f".{path.stem}{LONGEST_ENDING}")
     except FileNotFoundError:
-        pass
-    except OSError as error:
-        return f"{error.strerror}: the names of the files beside it are {added} bytes longer"
+        return ""
+    except (OSError, ValueError) as error:  # too long, or with forbidden characters
+        return f"{getattr(error, 'strerror', error)}: the names of the files beside it are {added} bytes longer"
     return ""
 
 
@@ -200,6 +228,12 @@ def print_cost(result: Result, console: Console, start: str = "") -> None:
         console.print(result.accuracy["estimate"]["line"])
     for sentence in warnings_of(result):
         console.print(f"! {sentence}")
+
+
+def print_findings(findings: Sequence[Finding], console: Console) -> None:
+    """Print the sentence of every finding, with a mark before those that exceed their thresholds."""
+    for finding in findings:
+        console.print(f"{'! ' if finding.exceeded else '  '}{finding.sentence}")
 
 
 def warnings_of(result: Result) -> list[str]:
@@ -226,25 +260,10 @@ def prepare_pictures(pictures: bool) -> None:
         prepare()
 
 
-def write_plotted(
-    path: Path, save: Callable[[Path], object], draw: Callable[..., Path], data: Any, pictures: bool
+def write_files(
+    path: Path, save: Callable[[Path], object], draw: Callable[[Path], Drawn], pictures: bool = True
 ) -> Drawn:
-    """Save a file and, if there shall be pictures, draw its data by a plot function; see :func:`write_files`."""
-    from warp_plate.viz.plots.frame import save_plots
-
-    return write_files(path, save, (lambda path: save_plots(draw, data, path)) if pictures else None)
-
-
-def write_measurements(path: Path, record: Mapping[str, object], draw: Callable[..., Path], pictures: bool) -> Drawn:
-    """Save measurements as a JSON file with their plots."""
-    from warp_plate.result.atomic_io import write_atomically
-
-    text = f"{json.dumps(record, indent=1)}\n"
-    return write_plotted(path, lambda path: write_atomically(text.encode(), path), draw, record, pictures)
-
-
-def write_files(path: Path, save: Callable[[Path], object], draw: Callable[[Path], Drawn] | None) -> Drawn:
-    """Save a file whole even if Ctrl-C comes, and draw its pictures beside it unless ``draw`` is None.
+    """Save a file whole even if Ctrl-C comes, and draw its pictures beside it.
 
     Returns:
         The files written, and why pictures are missing, if they are.
@@ -256,20 +275,26 @@ def write_files(path: Path, save: Callable[[Path], object], draw: Callable[[Path
         with deferred_interrupts():
             save(path)
             files.append(path)
-        if draw is None:
-            return files, None
-        drawn, missing = draw(path)
+        drawn, missing = draw(path) if pictures else ([], None)
     except KeyboardInterrupt:
         if not files:
             raise
-        return files, "no pictures: interrupted by Ctrl-C"
+        drawn, missing = [], "no pictures: interrupted by Ctrl-C"
     return files + drawn, missing
 
 
+def write_measurements(path: Path, record: Mapping[str, object], draw: Callable[..., Path], pictures: bool) -> Drawn:
+    """Save measurements as a JSON file with their plots."""
+    from warp_plate.result.atomic_io import write_atomically
+    from warp_plate.viz.plots.frame import save_plots
+
+    text = f"{dumps(record, indent=1)}\n"
+    return write_files(path, partial(write_atomically, text.encode()), partial(save_plots, draw, record), pictures)
+
+
 def write_result(result: Result, path: Path, pictures: bool) -> Drawn:
-    """Save a result and draw its pictures; see :func:`write_files`."""
+    """Save a result and draw its pictures."""
     from warp_plate.result import save_result
     from warp_plate.viz import draw_all
 
-    draw = (lambda path: draw_all(result, path.with_suffix(""))) if pictures else None
-    return write_files(path, lambda path: save_result(result, path), draw)
+    return write_files(path, partial(save_result, result), lambda _: draw_all(result, path.with_suffix("")), pictures)

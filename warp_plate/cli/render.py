@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from warp_plate.cli import options, output
-from warp_plate.cli.motion_options import MotionOptions, check_playback, playback_rate, select_motions
+from warp_plate.cli.motion_options import (
+    DEFAULT_FRAMES,
+    DEFAULT_PLAYBACK,
+    FrameOptions,
+    PlaybackOptions,
+    select_motions,
+)
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -27,18 +34,11 @@ def render(
     *,
     out: Annotated[list[Path] | None, Parameter(negative="")] = None,
     figures: Literal["paper"] | None = None,
-    field: options.Field = "displacement",
-    case: options.CaseNames | None = None,
-    modes: options.ShapeCount = 0,
+    playback: PlaybackOptions = DEFAULT_PLAYBACK,
+    shown: FrameOptions = DEFAULT_FRAMES,
     plan: options.Flag = False,
     time: float | None = None,
-    start: options.Start | None = None,
-    end: options.End | None = None,
-    frames: options.Frames | None = None,
-    rate: options.Rate | None = None,
     width: int = 560,
-    heights: options.Heights | None = None,
-    device: options.Device = "auto",
     json: options.Json = False,
 ) -> None:
     """Draw pictures, movies and pages of a result; needs no display.
@@ -60,10 +60,11 @@ def render(
     width
         Width of one plate's picture in pixels.
     """
-    targets = _targets(out, result, figures)
+    default = f"{result.stem}.png"
+    targets = [output.output_file(path, default, ENDINGS) for path in out or ([] if figures else [None])]
     if not WIDTHS[0] <= width <= WIDTHS[1]:
         raise SceneError(f"--width {width}: must be from {WIDTHS[0]} to {WIDTHS[1]} pixels")
-    check_playback(rate, heights)
+    playback.check()
     from warp_plate.result import load_result
     from warp_plate.viz.availability import DrawingUnavailable
     from warp_plate.viz.pictures import PictureStyle
@@ -75,31 +76,17 @@ def render(
             files += _paper_figures(loaded, result)
         if targets:
             _check_drawable(targets, plan)
-            start, end = span_around(loaded, time, start, end)
-            options = MotionOptions(case or [], modes, start, end, frames, device)
-            motions = select_motions(loaded, result, options, field, json)
-            frame = frame_at(motions, time, field)
-            style = PictureStyle(field, width, heights)
+            motions = select_motions(loaded, result, frames_around(loaded, time, shown), playback, json)
+            frame, rate = frame_at(motions, time, playback.field), playback.frame_rate(motions)
+            style = PictureStyle(playback.field, width, playback.heights)
             for target in targets:
-                _draw(loaded, motions, target, style, frame, plan, playback_rate(rate, motions), json)
+                _draw(loaded, motions, target, style, frame, plan, rate, json)
                 files.append(target)
     except DrawingUnavailable as problem:
         raise SceneError(str(problem)) from None
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"; wrote only {', '.join(map(str, files))}" if files else "") from None
-    if json:
-        output.print_json({"result": str(result), "files": [str(file) for file in files]})
-    else:
-        output.print_files(files, None)
-
-
-def _targets(out: list[Path] | None, result: Path, figures: str | None) -> list[Path]:
-    targets = out or ([] if figures else [Path(f"{result.stem}.png")])
-    for target in targets:
-        if target.suffix.lower() not in ENDINGS:
-            raise SceneError(f"--out {target}: must end in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}")
-        output.check_writable(target)
-    return targets
+    output.report(json, lambda: {"result": result}, lambda _: None, (files, None))
 
 
 def _check_drawable(targets: list[Path], plan: bool) -> None:
@@ -118,19 +105,17 @@ def _check_drawable(targets: list[Path], plan: bool) -> None:
             raise SceneError(problem)
 
 
-def span_around(
-    result: Result, time: float | None, start: float | None, end: float | None
-) -> tuple[float | None, float | None]:
-    """Return the ends of the frames; those of the period around a time that is given alone."""
-    if time is None or start is not None or end is not None:
-        return start, end
+def frames_around(result: Result, time: float | None, shown: FrameOptions) -> FrameOptions:
+    """Return the options with the period around a time that is given without ``--start`` and ``--end``."""
+    if time is None or shown.start is not None or shown.end is not None:
+        return shown
     last = result.scene.window.end
     if not 0 <= time <= last:
         raise SceneError(f"--time {time:g}: must be from 0 to {last:g} s")
     lowest = min(result.case_scene(case).drive.frequency for case in result.cases.values())
     period = min(1 / lowest, last)
     first = min(time, last - period)
-    return first, first + period
+    return replace(shown, start=first, end=first + period)
 
 
 def frame_at(motions: list[Motion], time: float | None, field: str) -> int:
@@ -164,7 +149,7 @@ def _draw(
         elif ending == ".html":
             write_page(result.scene, motions, path, style.quantity, rate, style.heights)
         else:
-            draw_movie(result.scene, motions, path, style, rate, lambda done, total: show(done, total, ""))
+            draw_movie(result.scene, motions, path, style, rate, show)
 
 
 def _paper_figures(result: Result, name: Path) -> list[Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,7 +38,7 @@ def simulate(
     out
         The result file (.h5; default: SCENE-simulate.h5 in this folder).
     """
-    target = output.output_file(out, scene, "simulate")
+    target = output.output_file(out, f"{Path(scene).stem}-simulate.h5")
     loaded = output.load_scene(scene, accuracy)
     output.prepare_pictures(pictures)
     from warp_plate.studies.simulate import simulate as run
@@ -48,30 +49,18 @@ def simulate(
             show(done, total, f"{done:.2g} node-steps")
 
         result = run(loaded, scene, drive, device, path, on_progress, estimate, allow_unstable)
-    files, missing = output.write_result(result, target, pictures)
-    if json:
-        output.print_json(_as_json(result, files))
-        return
-    _print(result, output.console())
-    output.print_files(files, missing)
+    written = output.write_result(result, target, pictures)
+    output.report(json, partial(_as_json, result), partial(_print, result), written)
 
 
-def _as_json(result: Result, files: list[Path]) -> dict[str, object]:
+def _as_json(result: Result) -> dict[str, object]:
     case = result.cases["drive"]
+    names = ("device", "path", "peak_displacement", "node_steps", "seconds", "effects", "accuracy")
     return {
         "scene": result.source,
-        "device": result.device,
-        "status": case.status,
-        "path": result.path,
-        "localization_factor": case.localization_factor,
-        "energy": dict(case.energy),
-        "peak_displacement": result.peak_displacement,
-        "node_steps": result.node_steps,
-        "seconds": dict(result.seconds),
-        "effects": list(result.effects),
-        "accuracy": dict(result.accuracy),
+        **output.attributes(result, *names),
+        **output.attributes(case, "status", "localization_factor", "energy"),
         "warnings": output.warnings_of(result),
-        "files": [str(file) for file in files],
     }
 
 

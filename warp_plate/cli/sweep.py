@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from warp_plate.result.sweep import Sweep
-    from warp_plate.studies.checkpointing import SweepFile
 
 # Larger sweeps are summarised by the smallest and largest values.
 MOST_ROWS, MOST_COLUMNS = 40, 7
@@ -31,10 +31,7 @@ def sweep(
     samples: options.Integer | None = None,
     seed: options.Integer | None = None,
     count: options.Integer | None = None,
-    device: options.WorkersDevice | None = None,
-    devices: options.Devices | None = None,
-    cluster: options.Cluster | None = None,
-    path: options.Stepping | None = None,
+    workers: options.WorkerOptions = options.DEFAULT_WORKERS,
     checkpoint_every: options.CheckpointEvery = 30.0,
     resume: Path | None = None,
     out: Path | None = None,
@@ -80,69 +77,48 @@ def sweep(
     if samples is not None and not vary:
         raise SceneError(f"--samples {samples}: are drawn from the ranges of --vary; give those too, or leave it out")
     beside = None if resume is None else resume.parent / resume.name.replace(".checkpoint.h5", ".h5")
-    target = output.output_file(out or beside, scene or "", "sweep")
+    target = output.output_file(out or beside, f"{Path(scene or '').stem}-sweep.h5")
     loaded = None if scene is None else output.load_scene(scene)
     from warp_plate.studies.checkpointing import SweepFile
     from warp_plate.studies.sweep import run_sweep
-    from warp_plate.studies.sweep_file import SweepRequest, open_sweep
+    from warp_plate.studies.sweep_file import SweepRequest, open_sweep, save_finished
+    from warp_plate.viz.plots.frame import save_plots
+    from warp_plate.viz.plots.sweep import draw_sweep
 
-    request = SweepRequest(loaded, scene or "", vary, what, samples, seed, count, path)
-    on_workers = devices is not None or cluster is not None
+    request = SweepRequest(loaded, scene or "", vary, what, samples, seed, count, workers.path)
+    on_workers = workers.devices is not None or workers.cluster is not None
     with output.scene_errors(scene):
-        start = open_sweep(request, target, resume, device, on_workers, output.log)
+        start = open_sweep(request, target, resume, workers.device, on_workers, output.log)
     unfinished = target.with_suffix(".checkpoint.h5")
     file = SweepFile(unfinished, checkpoint_every, unfinished.exists(), output.log)
     # Devices that are named are used, also where another kind began.
-    on_device_change = None if devices is None and device is None else output.log
-    try:
-        with options.workers(devices, cluster, device) as pool, output.progress_bar("sweeping", not json) as show:
+    on_device_change = None if workers.devices is None and workers.device is None else output.log
+    with output.resumable(file, "sweep"):
+        with workers.open_pool() as pool, output.progress_bar("sweeping", not json) as show:
             show(len(start.plan) - len(start.pending), len(start.plan), start.progress)
 
             def on_progress(done: int, total: int, note: str) -> None:
                 show(done, total, f"{done} of {total}: {note}")
 
             result = run_sweep(start, on_progress, file, pool, on_device_change)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(output.how_to_resume(file, "sweep")) from None
-    except SceneError as error:
-        raise SceneError(f"{error}{output.how_to_resume(file, 'sweep')}") from None
-    files, missing = _write(result, target, pictures, file)
-    if json:
-        output.print_json(as_json(result, files))
-        return
-    _print(result, output.console())
-    output.print_files(files, missing)
+        draw = partial(save_plots, draw_sweep, result)
+        written = output.write_files(target, lambda path: save_finished(result, path, file), draw, pictures)
+    output.report(json, partial(_as_json, result), partial(_print, result), written)
 
 
-def _write(result: Sweep, target: Path, pictures: bool, file: SweepFile) -> output.Drawn:
-    from warp_plate.studies.sweep_file import save_finished
-    from warp_plate.viz.plots.sweep import draw_sweep
-
-    try:
-        return output.write_plotted(
-            target, lambda path: save_finished(result, path, file), draw_sweep, result, pictures
-        )
-    except SceneError as error:
-        raise SceneError(f"{error}; the sweep is kept{output.how_to_resume(file, 'sweep')}") from None
-
-
-def as_json(result: Sweep, files: list[Path]) -> dict[str, object]:
+def _as_json(result: Sweep) -> dict[str, object]:
     """Return the record for ``--json``: arrays in the shape of the grid or (samples,), then the output's own axis."""
     plan = result.plan
     return {
         "command": "sweep",
         "scene": result.source,
-        "what": result.what,
+        **output.attributes(result, "what", "seconds", "versions"),
+        **output.attributes(plan, "sampled", "shape"),
         "device": result.devices_used,
-        "sampled": plan.sampled,
-        "shape": list(plan.shape),
-        "varied": {key: values.tolist() for key, values in zip(plan.keys, plan.coordinates, strict=True)},
-        "outputs": {name: result.shaped(name).tolist() for name in result.outputs},
+        "varied": dict(zip(plan.keys, plan.coordinates, strict=True)),
+        "outputs": {name: result.shaped(name) for name in result.outputs},
         "units": {name: declared.unit for name, declared in result.outputs.items()},
         "refused": [{"at": plan.numbers(point), "reason": reason} for point, reason in sorted(result.reasons.items())],
-        "seconds": result.seconds,
-        "versions": dict(result.versions),
-        "files": [str(file) for file in files],
     }
 
 

@@ -17,12 +17,7 @@ if TYPE_CHECKING:
     from warp_plate.result.robust import RobustComparison
     from warp_plate.scene.model import Scene
 
-OBJECTIVE_HEADINGS = {
-    "equal": "equal",
-    "single": "single",
-    "time_reversal": "time\nreversal",
-    "inverse_filter": "inverse\nfilter",
-}
+COMPARED_CASES = ("equal", "single", "time_reversal", "inverse_filter")
 ROBUST_ROWS = {
     "mean": "mean",
     "worst_5_percent": "mean of the worst 5 %",
@@ -45,13 +40,11 @@ def drive_table(case: Case, scene: Scene, target: str = "") -> Table:
 
 def drive_json(case: Case, scene: Scene) -> list[dict[str, object]]:
     """Return a drive as one record for each actuator, including searched frequencies, positions and delays."""
-    searched = {"frequency": case.frequency, "centre": case.centre, "delay": case.delay}
+    per_actuator = output.attributes(case, "magnitude", "phase", "frequency", "centre", "delay")
     return [
         {
             "actuator": actuator.name,
-            "magnitude": float(case.magnitude[index]),
-            "phase": float(case.phase[index]),
-            **{name: values[index].tolist() for name, values in searched.items() if values is not None},
+            **{name: values[index] for name, values in per_actuator.items() if values is not None},
         }
         for index, actuator in enumerate(scene.actuators)
     ]
@@ -65,29 +58,28 @@ def print_objectives(result: Result, console: Console) -> None:
 
     if result.only_localization or not result.objective_values:
         return
-    found = [search.objective_values for search in result.target_searches] or [result.objective_values]
+    searches = result.target_searches or [result]
+    found = [search.objective_values for search in searches]
     columns = [target.name for target in result.scene.targets][: len(found)] or ["found"]
     by_case = result.objective_values_by_case
-    others = {heading: by_case[name] for name, heading in OBJECTIVE_HEADINGS.items() if name in by_case}
-    made = output.table("objective", "weight", "limit", *columns, *others)
-    exceeded = []
-
-    def add_row(key: str, label: str, weight: str = "", limit: float | None = None) -> None:
-        shown = [output.number_text(values.get(key), ".4g") for values in found]
-        shown += [output.number_text(values[key], ".4g") if key in values else "" for values in others.values()]
-        made.add_row(label, weight, "" if limit is None else f"{limit:g}", *shown)
-        if limit is not None and not all(keeps_limit(values.get(key, 0.0), limit) for values in found):
-            exceeded.append(label)
-
+    others = {name.replace("_", "\n"): by_case[name] for name in COMPARED_CASES if name in by_case}
+    rows: list[tuple[str, str, str, float | None]] = []  # key, label, weight, limit
     for objective in result.scene.search.objectives:
         kind, unit = objective.kind, OBJECTIVE_UNITS[objective.kind].removeprefix("1")
-        add_row(kind, f"{kind} ({unit})" if unit else kind, f"{objective.weight:g}")
+        rows.append((kind, f"{kind} ({unit})" if unit else kind, f"{objective.weight:g}", None))
         if objective.rest_limit is not None:
-            add_row(f"{kind} of the rest", f"{kind} of the rest ({unit})", limit=objective.rest_limit)
-    add_row("sum", "weighted sum")
+            rows.append((f"{kind} of the rest", f"{kind} of the rest ({unit})", "", objective.rest_limit))
+    rows.append(("sum", "weighted sum", "", None))
     if any("bound" in values for values in found):
-        kinds = [search.bound_kind for search in result.target_searches] or [result.bound_kind]
-        add_row("bound", f"{'bound only' if 'bound only' in kinds else 'bound'} of the sum")
+        kinds = [search.bound_kind for search in searches]
+        rows.append(("bound", f"{'bound only' if 'bound only' in kinds else 'bound'} of the sum", "", None))
+    made, exceeded = output.table("objective", "weight", "limit", *columns, *others), []
+    for key, label, weight, limit in rows:
+        cells = [output.number_text(values.get(key), ".4g") for values in found]
+        cells += [output.number_text(values[key], ".4g") if key in values else "" for values in others.values()]
+        made.add_row(label, weight, "" if limit is None else f"{limit:g}", *cells)
+        if limit is not None and not all(keeps_limit(values.get(key, 0.0), limit) for values in found):
+            exceeded.append(label)
     output.print_uncropped(console, made)
     if others and not exceeded:
         console.print("Only the drives found are restricted to what the search may choose.", style="dim")
@@ -124,16 +116,14 @@ def crosstalk_json(result: Result) -> dict[str, object] | None:
     cases = target_cases(result.scene)
     if not cases:
         return None
-    shares = crosstalk(result)
+    shares, searches = crosstalk(result), result.target_searches
     return {
+        **{name: [getattr(search, name) for search in searches] for name in ("bound", "bound_kind", "evaluations")},
         "targets": list(cases),
         "cases": list(cases.values()),
-        "share": shares.tolist(),
-        "decibels": decibels(shares).tolist(),
-        "bound": [search.bound for search in result.target_searches],
-        "bound_kind": [search.bound_kind for search in result.target_searches],
-        "objectives": [dict(search.objective_values) or None for search in result.target_searches],
-        "evaluations": [search.evaluations for search in result.target_searches],
+        "share": shares,
+        "decibels": decibels(shares),
+        "objectives": [search.objective_values or None for search in searches],
         "drives": {
             name: drive_json(result.cases[name], result.scene) for name in cases.values() if name in result.cases
         },
@@ -158,8 +148,7 @@ def print_robust(result: Result, console: Console) -> None:
     if compared.failed.any():
         made.add_row("plates that failed", *map(str, compared.failed.tolist()))
     console.print(f"Over {compared.validation.shape[1]} fresh scenarios, which neither search has used:")
-    console.print(made)
-    console.print()
+    console.print(made, "")
 
 
 def robust_json(compared: RobustComparison | None) -> dict[str, object] | None:
@@ -167,17 +156,11 @@ def robust_json(compared: RobustComparison | None) -> dict[str, object] | None:
     if compared is None:
         return None
 
-    def by_drive(values: list[object]) -> dict[str, object]:
-        return dict(zip(("robust", "nominal"), values, strict=True))
-
+    by_drive = {**compared.rows(), "failed": compared.failed, "fresh": compared.validation}
     return {
-        "measure": compared.measure,
-        "scenarios": compared.scenarios,
+        **output.attributes(compared, "measure", "scenarios", "bound"),
         "value": _robust_quantity(compared),
-        "bound": compared.bound,
-        **{key: by_drive(values.tolist()) for key, values in compared.rows().items()},
-        "failed": by_drive(compared.failed.tolist()),
-        "fresh": by_drive(compared.validation.tolist()),
+        **{key: dict(zip(("robust", "nominal"), values, strict=True)) for key, values in by_drive.items()},
     }
 
 

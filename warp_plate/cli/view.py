@@ -5,7 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from warp_plate.cli import options
-from warp_plate.cli.motion_options import MotionOptions, check_playback, playback_rate, select_motions
+from warp_plate.cli.motion_options import (
+    DEFAULT_FRAMES,
+    DEFAULT_PLAYBACK,
+    FrameOptions,
+    PlaybackOptions,
+    select_motions,
+)
 from warp_plate.scene.errors import SceneError
 
 
@@ -13,21 +19,14 @@ def view(
     result: options.ResultFile,
     /,
     *,
-    field: options.Field = "displacement",
-    case: options.CaseNames | None = None,
-    modes: options.ShapeCount = 0,
-    start: options.Start | None = None,
-    end: options.End | None = None,
-    frames: options.Frames | None = None,
-    rate: options.Rate | None = None,
-    heights: options.Heights | None = None,
-    device: options.Device = "auto",
+    playback: PlaybackOptions = DEFAULT_PLAYBACK,
+    frames: FrameOptions = DEFAULT_FRAMES,
 ) -> None:
     """Show the plates of a result in motion, in a window; the key h lists what its keys do.
 
     A result holds few displacements, so its scene is run again under its drives for the frames.
     """
-    check_playback(rate, heights)
+    playback.check()
     from warp_plate.result import load_result
     from warp_plate.viz.availability import missing_window
 
@@ -37,8 +36,8 @@ def view(
             f"no window can be opened: {problem}; write pictures, movies or a page with 'warp-plate render {result}'"
             ", or look in a browser with 'warp-plate explore SCENE'"
         )
-    chosen = MotionOptions(case or [], modes, start, end, frames, device)
-    motions = select_motions(loaded, result, chosen, field, quiet=False)
+    motions = select_motions(loaded, result, frames, playback, quiet=False)
     from warp_plate.viz.window import open_window
 
-    open_window(loaded.scene, motions, field, Path(f"{result.stem}-view"), playback_rate(rate, motions), heights)
+    pictures, rate = Path(f"{result.stem}-view"), playback.frame_rate(motions)
+    open_window(loaded.scene, motions, playback.field, pictures, rate, playback.heights)
