@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import Element, tostring
@@ -25,20 +26,14 @@ if TYPE_CHECKING:
 def register(shell: Any) -> None:
     """Register the HTML formatters of scenes and results with an IPython shell."""
     formatter = shell.display_formatter.formatters["text/html"]
-    formatter.for_type_by_name("warp_plate.scene.model", "Scene", _scene_html)
-    formatter.for_type_by_name("warp_plate.result.model", "Result", _result_html)
+    for module, name in (("warp_plate.scene.model", "Scene"), ("warp_plate.result.model", "Result")):
+        formatter.for_type_by_name(module, name, partial(_html, f"{name.lower()}_html"))
 
 
-def _scene_html(scene: Scene) -> str:
-    from warp_plate.viz.notebook import scene_html
+def _html(function: str, shown: Scene | Result) -> str:
+    from warp_plate.viz import notebook
 
-    return scene_html(scene)
-
-
-def _result_html(result: Result) -> str:
-    from warp_plate.viz.notebook import result_html
-
-    return result_html(result)
+    return str(getattr(notebook, function)(shown))
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from warp_plate.accuracy.formatting import percent, seconds_text
 from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
 
@@ -92,19 +93,17 @@ def _print(report: AccuracyReport, device: str, console: Console) -> None:
 
 
 def _recommendations(report: AccuracyReport) -> Table:
-    from warp_plate.accuracy.formatting import percent, seconds_text
-
     swarm = f"{report.particles} × {report.iterations} plates"
     made = output.table("for", "use", "error", "a plate", swarm)
     made.columns[1].justify = "left"
     for recommended in report.recommended:
-        if recommended.row is None:
-            made.add_row(percent(recommended.tolerance), "none within the budget")
-            continue
-        row = report.rows[recommended.row]
-        use = f"{_size(row)}, order {row.order}, {row.load}, {row.time_step:.2g} s, {row.precision}"
-        error, seconds = percent(row.error or 0.0), seconds_text(row.seconds_per_plate or 0.0)
-        made.add_row(percent(recommended.tolerance), use, error, seconds, seconds_text(recommended.seconds or 0.0))
+        cells = ["none within the budget"]
+        if recommended.row is not None:
+            row = report.rows[recommended.row]
+            use = f"{_size(row)}, order {row.order}, {row.load}, {row.time_step:.2g} s, {row.precision}"
+            seconds = (row.seconds_per_plate or 0.0, recommended.seconds or 0.0)
+            cells = [use, percent(row.error or 0.0), *map(seconds_text, seconds)]
+        made.add_row(percent(recommended.tolerance), *cells)
     return made
 
 
@@ -131,13 +130,11 @@ def _size(row: AccuracyRow) -> str:
 
 
 def _cells(row: AccuracyRow, on_front: bool) -> list[str]:
-    from warp_plate.accuracy.formatting import percent, seconds_text
-
     step = "" if row.time_step is None else f"{row.time_step:.2g}"
     head = [_size(row), step, row.precision.removeprefix("float")]
     if not row.measured:
         return [*head, *[""] * 5, row.status.partition(":")[0], ""]
-    factors = [f"{row.localization_factor:.4f}", "~" if row.bound is None else f"{row.bound:.4f}"]
+    head += [f"{row.localization_factor:.4f}", "~" if row.bound is None else f"{row.bound:.4f}"]
     errors = (row.error, row.error_displacement, row.error_frequencies)
     shown = ["~" if error is None else percent(error).removesuffix(" %") for error in errors]
-    return [*head, *factors, *shown, seconds_text(row.seconds_per_plate or 0.0), "*" if on_front else ""]
+    return [*head, *shown, seconds_text(row.seconds_per_plate or 0.0), "*" if on_front else ""]

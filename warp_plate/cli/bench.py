@@ -88,7 +88,7 @@ def _print(report: BenchReport, console: Console) -> None:
         for row in report.rows:
             if row.measured and (row.device, row.precision) == (device, precision):
                 made.add_row(*_cells(row))
-        console.print(made, f"\nlimits: copying {copied:.4g} GB/s, arithmetic {arithmetic:.4g} GFLOP/s\n")
+        console.print(made, f"limits: copying {copied:.4g} GB/s, arithmetic {arithmetic:.4g} GFLOP/s\n")
     if groups:
         console.print(LEGEND)
     for row in report.rows:

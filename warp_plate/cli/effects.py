@@ -10,7 +10,7 @@ from warp_plate.cli import options, output
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from warp_plate.analysis.influence import EffectToggle, Influence
+    from warp_plate.analysis.influence import Influence
 
 
 def effects(
@@ -54,7 +54,11 @@ def _print(found: Influence, console: Console) -> None:
     made = output.table("effect", "now", "price of a step", "steps", "factor", "largest displacement (m)")
     made.add_row("the scene as it is", "", "", "", f"{found.localization_factor:.4f}", f"{found.peak:.3g}")
     for switch in found.toggles:
-        made.add_row(*_row(switch))
+        cells = ["refused"]
+        if switch.price is not None:
+            price, factor = f"{switch.price:+.0f} ± {switch.deviation:.0f} %", f"{switch.localization_factor:.4f}"
+            cells = [price, f"× {switch.steps:.3g}", factor, f"{switch.peak:.3g}"]
+        made.add_row(_words(switch.name), "on" if switch.on else "off", *cells)
     console.print(made)
     console.print(
         f"\nPrice: time that the effect adds to a step, in % of the bare plate's step ({found.bare_step:.2g} s), "
@@ -64,14 +68,6 @@ def _print(found: Influence, console: Console) -> None:
     for switch in found.toggles:
         console.print(f"{'without' if switch.on else 'with'} {_words(switch.name)}: {switch.alternative}")
     console.print()
-
-
-def _row(switch: EffectToggle) -> list[str]:
-    start = [_words(switch.name), "on" if switch.on else "off"]
-    if switch.price is None:
-        return [*start, "refused", "", "", ""]
-    price = f"{switch.price:+.0f} ± {switch.deviation:.0f} %"
-    return [*start, price, f"× {switch.steps:.3g}", f"{switch.localization_factor:.4f}", f"{switch.peak:.3g}"]
 
 
 def _words(name: str) -> str:

@@ -6,14 +6,9 @@ import os
 import sys
 import threading
 import webbrowser
-from typing import TYPE_CHECKING
 
 from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
-
-if TYPE_CHECKING:
-    from warp_plate.explore.live_model import LiveModel
-    from warp_plate.scene.model import Scene
 
 
 def explore(
@@ -46,6 +41,8 @@ def explore(
     if not 0 <= port <= 65535:
         raise SceneError(f"--port {port}: must be from 1 to 65535, or 0 for any free one")
     loaded = output.load_scene(scene, accuracy)
+    from warp_plate.explore.live_model import LiveModel
+    from warp_plate.studies.grid_choice import resolve_grid
     from warp_plate.viz.availability import missing_renderer
     from warp_plate.viz.explorer_page import missing_page, serve_page
 
@@ -59,7 +56,10 @@ def explore(
             threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
     with output.scene_errors(scene):
-        model = _model(loaded, device, path)
+        chosen = resolve_grid(loaded, device).scene
+        with output.progress_bar("simulating the unit responses", shown=True) as show:
+            note = "{:.2g} node-steps".format
+            model = LiveModel(chosen, device, path, lambda done, total: show(done, total, note(done)))
     try:
         serve_page(model, host, port, on_ready)
     except OSError as error:
@@ -67,16 +67,6 @@ def explore(
     finally:
         model.close()
     print("ended", file=sys.stderr)
-
-
-def _model(scene: Scene, device: str, path: str) -> LiveModel:
-    """Return the live model of a scene with a grid, its unit responses simulated."""
-    from warp_plate.explore.live_model import LiveModel
-    from warp_plate.studies.grid_choice import resolve_grid
-
-    scene = resolve_grid(scene, device).scene
-    with output.progress_bar("simulating the unit responses", shown=True) as bar:
-        return LiveModel(scene, device, path, lambda done, total: bar(done, total, f"{done:.2g} node-steps"))
 
 
 def _has_desktop() -> bool:

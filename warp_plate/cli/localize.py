@@ -126,15 +126,14 @@ def localize(
         output.scene_errors(scene),
         output.resumable(file, "localize"),
     ):
-        progress = (0, 1, "")
+        latest = [0, 1, ""]
 
         def on_progress(done: int, total: int, best: float) -> None:
-            nonlocal progress
-            progress = (done, total, f"best {best:.4g}")
-            show(*progress)
+            latest[:] = done, total, f"best {best:.4g}"
+            show(*latest)
 
         if pool is not None:
-            pool.on_progress = lambda done, total: show(*progress[:2], f"{progress[2]} block {done}/{total}")
+            pool.on_progress = lambda done, total: show(*latest[:2], f"{latest[2]} block {done}/{total}")
         common = (on_progress, estimate, file, spectrum, pool, baselines)
         if checkpoint is not None:
             result = run_resume(checkpoint, local, *common)
@@ -219,15 +218,10 @@ def _print_factors(result: Result, console: Console) -> None:
     published = PUBLISHED if result.source == "paper" else {}
     target = f", target {result.scene.targets[0].name}" if result.target_searches else ""
     made = output.table(f"localization factor{target}", "this run", *(["published"] if published else []))
-    factors = {name: case.localization_factor for name, case in result.cases.items()}
     for name, label in CASE_LABELS.items():
-        if name in factors:
-            cells = [f"{published[name]:.4f}" if name in published else ""] if published else []
-            made.add_row(label, output.number_text(factors[name], ".4f"), *cells)
-    if result.bound is None:
-        made.add_row("bound", "none claimed")
-    else:
-        made.add_row(BOUND_DESCRIPTIONS[result.bound_kind], output.number_text(result.bound, ".4f"))
-    console.print(made)
-    console.print()
+        if name in result.cases:
+            factor = output.number_text(result.cases[name].localization_factor, ".4f")
+            made.add_row(label, factor, *([f"{published[name]:.4f}"] if name in published else []))
+    bound = "none claimed" if result.bound is None else output.number_text(result.bound, ".4f")
+    made.add_row(BOUND_DESCRIPTIONS["" if result.bound is None else result.bound_kind], bound)
     console.print(made, "")

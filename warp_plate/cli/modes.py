@@ -59,8 +59,7 @@ def _draw(scene: Scene, found: NaturalModes, path: Path) -> output.Drawn:
     from warp_plate.viz.availability import missing_plots
     from warp_plate.viz.plots.modes import draw_modes
 
-    problem = missing_plots()
-    if problem is not None:
+    if (problem := missing_plots()) is not None:
         return [], problem
     try:
         with atomic_path(path) as temporary:
@@ -115,6 +114,5 @@ def _print(name: str, scene: Scene, found: NaturalModes, console: Console) -> No
         f"\nIn a run: with steps of {found.time_step:.3g} s. Waves: half-waves, stretches of one sign along x and y."
         + (" Mass: displacement of the oscillator relative to the largest of the plate." if masses else "")
     )
-    left_out = _left_out(scene)
-    if left_out:
+    if left_out := _left_out(scene):
         console.print(f"Not included in natural modes: {', '.join(left_out)}.")

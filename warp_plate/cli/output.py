@@ -179,13 +179,10 @@ def scene_errors(source: str | None) -> Iterator[None]:
 
 
 def output_file(out: Path | None, default: str, endings: Sequence[str] = ()) -> Path:
-    """Return the path of a file to write: ``--out``, or ``default`` in this folder.
+    """Return the path to write to, ``--out`` or ``default``, or raise a SceneError if that cannot be done.
 
     Args:
         endings: the endings that are allowed (default: that of ``default``).
-
-    Raises:
-        SceneError: another ending, or the file or those beside it cannot be written.
     """
     path = Path(default) if out is None else out
     endings = endings or (Path(default).suffix,)
@@ -263,11 +260,7 @@ def prepare_pictures(pictures: bool) -> None:
 def write_files(
     path: Path, save: Callable[[Path], object], draw: Callable[[Path], Drawn], pictures: bool = True
 ) -> Drawn:
-    """Save a file whole even if Ctrl-C comes, and draw its pictures beside it.
-
-    Returns:
-        The files written, and why pictures are missing, if they are.
-    """
+    """Save a file whole even if Ctrl-C comes, draw its pictures beside it, and return the files written."""
     from warp_plate.interrupts import deferred_interrupts
 
     files: list[Path] = []

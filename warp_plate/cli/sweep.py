@@ -122,43 +122,38 @@ def _as_json(result: Sweep) -> dict[str, object]:
     }
 
 
+def _with_unit(text: str, unit: str) -> str:
+    return text if unit == "1" else f"{text} ({unit})"
+
+
 def _columns(result: Sweep) -> dict[str, tuple[str, list[float]]]:
     """Return the unit and the values at all points of every number in the outputs, by its heading."""
     made = {}
     for name, declared in result.outputs.items():
         values = result.values[name]
         for index, column in enumerate(values.reshape(len(values), -1).T.tolist(), 1):
-            heading = name.replace("_", " ")
-            made[f"{heading} {index}" if declared.axis else heading] = (declared.unit, column)
+            made[name.replace("_", " ") + (f" {index}" if declared.axis else "")] = (declared.unit, column)
     return made
 
 
-def _headings(result: Sweep) -> list[str]:
-    """Return the headings of the keys, which may wrap at their spaces."""
-    from warp_plate.scene.keys import label_of, unit_of
-
-    units = [unit_of(result.scene, key) for key in result.plan.keys]
-    words = [label_of(result.scene, key) for key in result.plan.keys]
-    return [f"{word} ({unit})" if unit != "1" else word for word, unit in zip(words, units, strict=True)]
-
-
 def _print(result: Sweep, console: Console) -> None:
+    from warp_plate.scene.keys import label_of, unit_of
     from warp_plate.scene.vary import counted
 
-    plan = result.plan
-    title = result.scene.title or result.source
-    console.print(f"{title}: {result.what}, {plan.description}, on {result.devices_used}\n")
-    columns, keys = _columns(result), _headings(result)
+    plan, scene, columns = result.plan, result.scene, _columns(result)
+    console.print(f"{scene.title or result.source}: {result.what}, {plan.description}, on {result.devices_used}\n")
+    keys = [_with_unit(label_of(scene, key), unit_of(scene, key)) for key in plan.keys]
     if len(plan) <= MOST_ROWS and len(keys) + len(columns) <= MOST_COLUMNS:
-        headings = [f"{name} ({unit})" if unit != "1" else name for name, (unit, _) in columns.items()]
-        made = output.table(*keys, *headings)
+        made = output.table(*keys, *(_with_unit(name, unit) for name, (unit, _) in columns.items()))
         for point, numbers in enumerate(plan.points.tolist()):
-            figures = (output.number_text(values[point], ".4g") for _, values in columns.values())
-            made.add_row(*(f"{number:.4g}" for number in numbers), *figures)
+            found = (output.number_text(values[point], ".4g") for _, values in columns.values())
+            made.add_row(*(f"{number:.4g}" for number in numbers), *found)
     else:
         made = output.table("quantity", "value", *(f"at {key}" for key in keys))
         for name, (unit, values) in columns.items():
-            for word, point in _extremes(values).items():
+            known = [point for point, value in enumerate(values) if math.isfinite(value)]
+            for word, choose in (("smallest", min), ("largest", max)) if known else ():
+                point = choose(known, key=values.__getitem__)
                 at = (f"{number:.5g}" for number in plan.numbers(point).values())
                 made.add_row(f"{name}, {word}", f"{values[point]:.5g} {unit if unit != '1' else ''}".strip(), *at)
     console.print(made)
@@ -171,11 +166,3 @@ def _print(result: Sweep, console: Console) -> None:
     for key in result.keys_without_effect:
         console.print(f"! {key} has no effect on the results")
     console.print(f"{result.seconds:.2f} s in all.")
-
-
-def _extremes(values: list[float]) -> dict[str, int]:
-    """Return the points with the smallest and the largest value; empty if no value is finite."""
-    known = [point for point, value in enumerate(values) if math.isfinite(value)]
-    if not known:
-        return {}
-    return {"smallest": min(known, key=values.__getitem__), "largest": max(known, key=values.__getitem__)}
