@@ -8,6 +8,7 @@ import math
 import os
 import shutil
 import subprocess
+import sys
 import zlib
 from functools import lru_cache
 from pathlib import Path
@@ -16,9 +17,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Programs that tests start import this checkout, wherever they run.
-os.environ["PYTHONPATH"] = os.pathsep.join(
-    filter(None, [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH")])
-)
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH")]))
 
 import hypothesis
 import numpy as np
@@ -30,6 +29,7 @@ from warp_plate.cli.main import main
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.stability_limit import time_step_limit
 from warp_plate.scene import preset_text
+from warp_plate.scene.dump import dump_scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import paths_of
 
@@ -326,3 +326,39 @@ def command(capsys):
         return status, captured.out, captured.err
 
     return run
+
+
+def output_of(answer):
+    """Return the standard output of a command that succeeded and wrote nothing on standard error."""
+    status, out, err = answer
+    assert (status, err) == (0, "")
+    return out
+
+
+def error_of(answer):
+    """Return what a command wrote that refused its input: one printable line on standard error, with status 2."""
+    status, out, err = answer
+    assert (status, out) == (2, "")
+    assert err.startswith("warp-plate: ")
+    assert err.endswith("\n")
+    assert err[:-1].isprintable()
+    return err
+
+
+def start_program(*arguments, **options):
+    """Start Python with arguments such as ``-m warp_plate``; its standard output and error are pipes."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen([sys.executable, *map(str, arguments)], **{**pipes, **options})
+
+
+@pytest.fixture
+def write_scene(tmp_path, monkeypatch):
+    """Enter an empty folder, and return a function that writes a scene there, panel.toml by default."""
+    monkeypatch.chdir(tmp_path)
+
+    def write(scene=None, name="panel", **tables):
+        made = scene_of(**tables) if scene is None else scene
+        Path(f"{name}.toml").write_text(dump_scene(made), encoding="utf-8")
+        return made
+
+    return write

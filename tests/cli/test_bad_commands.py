@@ -1,18 +1,15 @@
 """Command lines of every kind: a right answer with status 0, or one line and status 2 with nothing written."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from conftest import scene_of
+from conftest import error_of as refused
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from warp_plate.cli.output import LONGEST_ENDING
 from warp_plate.plate import memory
-from warp_plate.scene.dump import dump_scene
 
 QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate")
 LONG = "y" * 300
@@ -61,11 +58,9 @@ COMMANDS = {
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(write_scene):
     """The working folder, with a valid scene, invalid ones, and folders in place of files."""
-    monkeypatch.chdir(tmp_path)
-    scene = scene_of(damping=88.5, precision="float32", search={"particles": 3, "iterations": 2})
-    Path("panel.toml").write_text(dump_scene(scene), encoding="utf-8")
+    write_scene(damping=88.5, precision="float32", search={"particles": 3, "iterations": 2})
     Path("wrong.toml").write_text("x = 1", encoding="utf-8")
     Path("file").touch()
     Path("junk.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(300))
@@ -75,16 +70,6 @@ def folder(tmp_path, monkeypatch):
 
 def files():
     return sorted(str(path) for path in Path().rglob("*"))
-
-
-def refused(answer):
-    """Check for status 2, nothing on standard output, and one printable line on standard error; return it."""
-    status, out, err = answer
-    assert (status, out) == (2, "")
-    assert err.startswith("warp-plate: ")
-    assert err.endswith("\n")
-    assert err[:-1].isprintable()
-    return err
 
 
 @pytest.mark.parametrize(("name", "option"), [(name, one) for name, (_, known) in COMMANDS.items() for one in known])
@@ -156,12 +141,11 @@ def test_any_words_make_one_line(words, folder, command):
     assert files() == before
 
 
-def test_scenes_and_swarms_beyond_memory(folder, command, monkeypatch):
-    with monkeypatch.context() as patch:
-        patch.setattr(memory, "machine_memory", lambda: 2.0**10)
-        for name in ("localize", "simulate"):
-            assert "GiB of memory" in refused(command(name, "panel.toml", "--no-pictures"))
-    Path("swarm.toml").write_text(dump_scene(scene_of(search={"particles": 10_000_000})), encoding="utf-8")
+def test_scenes_and_swarms_beyond_memory(folder, write_scene, command, monkeypatch):
+    monkeypatch.setattr(memory, "machine_memory", lambda: 2.0**10)
+    for name in ("localize", "simulate"):
+        assert "GiB of memory" in refused(command(name, "panel.toml", "--no-pictures"))
+    write_scene(name="swarm", search={"particles": 10_000_000})
     monkeypatch.setattr(memory, "machine_memory", lambda: 2.0**28)
     assert "search.particles = 10000000" in refused(command("localize", "swarm.toml", "--no-pictures"))
 
@@ -172,23 +156,3 @@ def test_memory_that_runs_out(folder, command, monkeypatch):
 
     monkeypatch.setattr("warp_plate.solve.solver.np.empty", none_left)
     assert "out of memory: Unable to allocate 4 TiB" in refused(command("simulate", "panel.toml", "--no-pictures"))
-
-
-def process(*arguments, **options):
-    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    return subprocess.run(
-        [sys.executable, "-m", "warp_plate", *arguments], env=environment, stderr=subprocess.PIPE, text=True, **options
-    )
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a device that is always full")
-def test_a_full_standard_output(folder):
-    with open("/dev/full", "w") as full:
-        answer = process("simulate", "panel.toml", "--json", *QUICK, stdout=full)
-    assert (answer.returncode, answer.stderr) == (2, "warp-plate: No space left on device\n")
-
-
-def test_a_terminal_without_greek_letters(folder):
-    answer = process("modes", "panel.toml", "--no-pictures", stdout=subprocess.PIPE)
-    assert (answer.returncode, answer.stderr) == (0, "")
-    assert "13 \\xd7 13 nodes" in answer.stdout

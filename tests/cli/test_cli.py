@@ -3,14 +3,12 @@
 import json
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from conftest import scene_of
+from conftest import error_of, output_of, scene_of, start_program
 
 import warp_plate
 from warp_plate import Scene, load_result
@@ -18,16 +16,13 @@ from warp_plate.scene import preset_names, preset_text
 from warp_plate.scene.dump import dump_scene
 
 QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate")
-SMALL = {"search": {"particles": 6, "iterations": 5}, "record": {"points": ((0.1, 0.1),)}}
 
 
 @pytest.fixture
-def panel(tmp_path, monkeypatch):
+def panel(write_scene):
     """A small scene in a file of an otherwise empty working folder."""
-    monkeypatch.chdir(tmp_path)
-    scene = scene_of(damping=88.5, precision="float32", **SMALL)
-    Path("panel.toml").write_text(dump_scene(scene), encoding="utf-8")
-    return scene
+    search = {"particles": 6, "iterations": 5}
+    return write_scene(damping=88.5, precision="float32", search=search, record={"points": ((0.1, 0.1),)})
 
 
 def files():
@@ -36,9 +31,9 @@ def files():
 
 
 def test_localize_json_and_result_file(command, panel):
-    status, out, err = command("localize", "panel.toml", "--seed", 4, "--json", "--device", "cpu", "--no-pictures")
-    assert (status, err) == (0, "")
-    record = json.loads(out)
+    record = json.loads(
+        output_of(command("localize", "panel.toml", "--seed", 4, "--json", "--device", "cpu", "--no-pictures"))
+    )
     assert (record["scene"], record["seed"]) == ("panel.toml", 4)
     assert record["device"].startswith("cpu")
     factors = record["localization_factor"]
@@ -81,23 +76,21 @@ def test_simulate_every_kind_of_drive(command, panel):
     assert files() == ["again.h5", "panel-localize.best.toml", "panel-localize.h5", "panel.toml"]
 
 
-def test_a_drive_in_another_unit_is_refused(command, panel):
-    volts = panel.with_tables(drive={"frequency": 290.0, "electrostatic": {"bias": 1.0, "gain": 1.0}})
-    Path("volts.toml").write_text(dump_scene(volts), encoding="utf-8")
+def test_a_drive_in_another_unit_is_refused(command, panel, write_scene):
+    drive = {"frequency": 290.0, "electrostatic": {"bias": 1.0, "gain": 1.0}}
+    write_scene(panel.with_tables(drive=drive), "volts")
     for name, unit in (("volts", "V"), ("panel", "N/m^2")):
         command("simulate", f"{name}.toml", *QUICK)
         with h5py.File(f"{name}-simulate.h5") as file:
             assert file["cases/drive/magnitude"].attrs["units"] == unit
-    status, _, err = command("simulate", "panel.toml", "--drive", "volts-simulate.h5", *QUICK)
-    assert (status, len(err.splitlines())) == (2, 1)
-    assert "--drive volts-simulate.h5: holds magnitudes in V, those of the scene are in N/m²" in err
+    error = error_of(command("simulate", "panel.toml", "--drive", "volts-simulate.h5", *QUICK))
+    assert "--drive volts-simulate.h5: holds magnitudes in V, those of the scene are in N/m²" in error
 
 
 def test_the_table_of_the_paper(command, tmp_path, monkeypatch):
     """Our localization factors beside the published ones, and what cannot be reproduced."""
     monkeypatch.chdir(tmp_path)
-    status, out, _ = command("localize", "paper", *QUICK)
-    assert status == 0
+    out = output_of(command("localize", "paper", *QUICK))
     rows = {line.split("  ")[0].strip(): line.split()[-2:] for line in out.splitlines() if line.strip()}
     assert rows["all actuators alike"] == ["0.2500", "0.2500"]
     single, published = map(float, rows["best single actuator"])
@@ -110,48 +103,37 @@ def test_the_table_of_the_paper(command, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "named"),
+    ("words", "named"),
     [
-        (["localize"], "SCENE"),
-        (["frobnicate"], "frobnicate"),
-        (["localize", "papers", "--json"], "papers: no such preset or file"),
-        (["localize", "panel.toml", "--speed", "9"], "--speed"),
-        (["localize", "wrong.toml"], "wrong.toml: plate.densty: unknown key; did you mean 'density'?"),
-        *(([name, "fast.toml"], "fast.toml: grid.time_step = 1") for name in ("localize", "simulate", "effects")),
-        (["simulate", "panel.toml", "--drive", "none.h5"], "none.h5: no such file"),
-        (["simulate", "panel.toml", "--drive", "two.h5"], "--drive two.h5: holds 2 actuators"),
-        (["init", "papers"], "cantilever-display, composite-panel, "),
-        (["init", "paper", "--out", "no/paper.toml"], "no/paper.toml: cannot be written"),
+        ("localize", "SCENE"),
+        ("frobnicate", "frobnicate"),
+        ("localize papers --json", "papers: no such preset or file"),
+        ("localize panel.toml --speed 9", "--speed"),
+        ("localize wrong.toml", "wrong.toml: plate.densty: unknown key; did you mean 'density'?"),
+        *((f"{name} fast.toml", "fast.toml: grid.time_step = 1") for name in ("localize", "simulate", "effects")),
+        ("simulate panel.toml --drive none.h5", "none.h5: no such file"),
+        ("simulate panel.toml --drive two.h5", "--drive two.h5: holds 2 actuators"),
+        ("init papers", "cantilever-display, composite-panel, "),
+        ("init paper --out no/paper.toml", "no/paper.toml: cannot be written"),
     ],
-    ids=lambda part: " ".join(part) if isinstance(part, list) else "",
 )
-def test_errors_are_one_line_and_status_2(arguments, named, command, panel):
+def test_errors_are_one_line_and_status_2(words, named, command, panel, write_scene):
     Path("wrong.toml").write_text(dump_scene(panel).replace("density", "densty"), encoding="utf-8")
-    fast = panel.model_copy(update={"grid": panel.grid.model_copy(update={"time_step": 1.0})})
-    Path("fast.toml").write_text(dump_scene(fast), encoding="utf-8")
-    if "two.h5" in arguments:
-        two = scene_of(actuators=[actuator.area for actuator in panel.actuators[:2]])
-        Path("two.toml").write_text(dump_scene(two), encoding="utf-8")
+    write_scene(panel.with_tables(grid={"nodes": (13, 13), "time_step": 1.0}), "fast")
+    if "two.h5" in words:
+        write_scene(name="two", actuators=[actuator.area for actuator in panel.actuators[:2]])
         command("simulate", "two.toml", "--out", "two.h5", *QUICK)
     before = files()
-    status, out, err = command(*arguments, *(["--no-pictures"] if arguments[0] in ("localize", "simulate") else []))
-    assert (status, out, len(err.splitlines())) == (2, "", 1)
-    assert err.startswith("warp-plate: ")
-    assert err.endswith("\n")
-    assert named in err
+    assert named in error_of(command(*words.split()))
     assert files() == before
 
 
 def test_init_writes_a_preset_and_never_overwrites(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    status, out, err = command("init", "paper")
-    assert (status, err) == (0, "")
-    assert "paper.toml" in out
+    assert "paper.toml" in output_of(command("init", "paper"))
     assert Path("paper.toml").read_text(encoding="utf-8") == preset_text("paper")
     Path("paper.toml").write_text("mine", encoding="utf-8")
-    status, out, err = command("init", "paper")
-    assert (status, out) == (2, "")
-    assert "paper.toml: exists already" in err
+    assert "paper.toml: exists already" in error_of(command("init", "paper"))
     assert Path("paper.toml").read_text(encoding="utf-8") == "mine"
     assert command("init", "paper-supported", "--out", "other.toml")[0] == 0
     assert Scene.load("other.toml") == Scene.load("paper-supported")
@@ -159,46 +141,51 @@ def test_init_writes_a_preset_and_never_overwrites(command, tmp_path, monkeypatc
 
 
 def process(*arguments, **options):
-    """``python -m warp_plate`` in the working folder."""
-    environment = {**os.environ, "COLUMNS": "120"}
-    command = [sys.executable, "-m", "warp_plate", *arguments]
-    return subprocess.run(command, stderr=subprocess.PIPE, text=True, env=environment, **options)
+    """Run ``python -m warp_plate``; return status, standard output (None unless it is a pipe), standard error."""
+    environment = {**os.environ, "COLUMNS": "120", "PYTHONIOENCODING": options.pop("encoding", "utf-8")}
+    started = start_program("-m", "warp_plate", *arguments, env=environment, encoding="utf-8", **options)
+    out, err = started.communicate()
+    return started.returncode, out, err
 
 
 def test_as_a_process(panel):
     """Streams are free of messages of Warp, CUDA and VTK."""
-    answer = process("localize", "panel.toml", "--json", *QUICK, stdout=subprocess.PIPE)
-    assert (answer.returncode, answer.stderr) == (0, "")
-    assert json.loads(answer.stdout)["scene"] == "panel.toml"
-    assert process("--version", stdout=subprocess.PIPE).stdout.strip() == warp_plate.__version__
-    answer = process("--help", stdout=subprocess.PIPE)
-    assert answer.returncode == 0
-    assert all(name in answer.stdout for name in ("localize", "simulate", "init"))
+    record = json.loads(output_of(process("localize", "panel.toml", "--json", *QUICK)))
+    assert record["scene"] == "panel.toml"
+    assert output_of(process("--version")).strip() == warp_plate.__version__
+    listed = output_of(process("--help"))
+    assert all(name in listed for name in ("localize", "simulate", "init"))
 
 
 def test_a_reader_that_leaves_is_no_error(panel):
     """``warp-plate ... | head`` closes the pipe, and the command ends quietly."""
     read, write = os.pipe()
     os.close(read)
-    answer = process("simulate", "panel.toml", "--json", *QUICK, stdout=write)
+    _, _, err = process("simulate", "panel.toml", "--json", *QUICK, stdout=write)
     os.close(write)
-    assert answer.stderr == ""
+    assert err == ""
     assert Path("panel-simulate.h5").exists()
 
 
-def test_names_in_a_scene_are_printed_verbatim(command, tmp_path, monkeypatch):
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a device that is always full")
+def test_a_full_standard_output(panel):
+    with open("/dev/full", "w") as full:
+        answer = process("simulate", "panel.toml", "--json", *QUICK, stdout=full)
+    assert answer == (2, None, "warp-plate: No space left on device\n")
+
+
+def test_a_terminal_without_greek_letters(panel):
+    assert "13 \\xd7 13 nodes" in output_of(process("modes", "panel.toml", "--no-pictures", encoding="ascii"))
+
+
+def test_names_in_a_scene_are_printed_verbatim(command, write_scene):
     """Neither markup nor emoji nor terminal commands, in tables, lines and errors."""
-    monkeypatch.chdir(tmp_path)
     scene = scene_of((9, 9), damping=88.5, search={"particles": 4, "iterations": 3})
-    names = (f"[/b]{index} \x1b[31m :smile:" for index in range(3))
-    named = tuple(one.model_copy(update={"name": name}) for one, name in zip(scene.actuators, names, strict=True))
-    scene = scene.model_copy(update={"title": "[bold][/x] \x1b]0;owned\x07", "actuators": named})
-    Path("panel.toml").write_text(dump_scene(scene), encoding="utf-8")
+    actuators = [{"name": f"[/b]{index} \x1b[31m :smile:", "area": at.area} for index, at in enumerate(scene.actuators)]
+    scene = write_scene(scene.with_tables(title="[bold][/x] \x1b]0;owned\x07", actuators=actuators))
     _, out, _ = command("localize", "panel.toml", *QUICK)
     assert "[bold][/x] \\x1b]0;owned\\x07" in out
     assert "[/b]1 \\x1b[31m :smile:" in out
     assert not {"\x1b", "\x07"} & set(out)
     Path("panel.toml").write_text(dump_scene(scene).replace("magnitude = 1.0", "magnitude = nan"), encoding="utf-8")
-    status, _, err = command("localize", "panel.toml", *QUICK)
-    assert (status, len(err.splitlines())) == (2, 1)
-    assert err.rstrip("\n").isprintable()
+    error_of(command("localize", "panel.toml", *QUICK))

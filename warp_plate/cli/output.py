@@ -21,7 +21,7 @@ from rich.text import Text
 from warp_plate.scene.errors import SceneError, printable
 
 # The longest ending of the files that are written beside a result.
-LONGEST_ENDING = ".checkpoint.h5.12345678.part.h5"
+LONGEST_ENDING = ".checkpoint.h5.123456789abc.part.h5"
 
 if TYPE_CHECKING:
     from warp_plate.analysis.warnings import Finding
