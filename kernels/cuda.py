@@ -7,8 +7,6 @@ from functools import cache
 
 import warp as wp
 
-_FROM_LANE = "\nreturn __shfl_sync(0xffffffffu, value, lane);\n"
-_BARRIER = "\n#if defined(__CUDA_ARCH__)\n__syncthreads();\n#endif\n"
 _OPAQUE = """
 #if defined(__CUDA_ARCH__)
 asm volatile("" : "+r"(value));
@@ -33,11 +31,19 @@ def most_registers(warps):
     return min(THREAD_REGISTERS, QUARTER_REGISTERS // (LANES * -(-warps // QUARTERS)) // 8 * 8)
 
 
+def cuda_kernel(registers, max_unroll):
+    """Return the decorator of kernels with a thread for each index and at most so many registers per thread."""
+    options = {"max_unroll": max_unroll}
+    return wp.kernel(
+        module="unique", enable_backward=False, grid_stride=False, cuda_max_registers=registers, module_options=options
+    )
+
+
 @cache
 def make_from_lane(real):
     """Make ``from_lane``: the value that ``lane`` of the same warp passes in. All 32 lanes must call it together."""
 
-    @wp.func_native(_FROM_LANE)
+    @wp.func_native("\nreturn __shfl_sync(0xffffffffu, value, lane);\n")
     def from_lane(value: real, lane: int) -> real: ...
 
     return from_lane
@@ -54,16 +60,14 @@ def make_thread_part(real, length):
     return thread_part
 
 
-@wp.func_native(_BARRIER)
+@wp.func_native("\n#if defined(__CUDA_ARCH__)\n__syncthreads();\n#endif\n")
 def barrier():
     """Wait for all threads of the block and order their accesses to shared memory."""
-    ...
 
 
 @wp.func_native(_SHARED_MEMORY)
 def shared_memory() -> wp.uint64:
     """Return the address of the block's shared memory, which is as large as the tiles that the kernel allocates."""
-    ...
 
 
 @wp.func_native(_OPAQUE)
@@ -73,4 +77,3 @@ def opaque(value: int) -> int:
     Keeps what is computed from it inside the loop where it is used; hoisted out of the loop, it would take more
     registers than there are.
     """
-    ...

@@ -7,6 +7,8 @@ from functools import cache
 
 import warp as wp
 
+from warp_plate.kernels.arithmetic import cpu_kernel
+
 
 @cache
 def make_multiply_adds(real, block, depth, rounds, compiler_flags):
@@ -17,11 +19,7 @@ def make_multiply_adds(real, block, depth, rounds, compiler_flags):
     which LLVM vectorises where rounds = 1; on CUDA those of other threads, with block = 1 and many rounds.
     """
 
-    @wp.kernel(
-        module="unique",
-        enable_backward=False,
-        module_options={"cpu_compiler_flags": compiler_flags, "max_unroll": depth},
-    )
+    @cpu_kernel(compiler_flags, max_unroll=depth)
     def multiply_add(
         # parameters
         factor: real,

@@ -10,8 +10,7 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.denormals import flush_denormals, restore_denormals
-from warp_plate.kernels.fused import make_fused
+from warp_plate.kernels.arithmetic import cpu_kernel, flush_denormals, make_fused, restore_denormals
 from warp_plate.kernels.moment_form import make_add_local_forces, make_moment, make_oscillator_force, make_structs
 from warp_plate.kernels.update import make_parameters, make_update
 
@@ -205,11 +204,7 @@ def make_run_steps(effects, real, ny, stride, compiler_flags):
             u[i] = here + new
             squares[i] = fused(summed * new, new, squares[i])
 
-    @wp.kernel(
-        module="unique",
-        enable_backward=False,
-        module_options={"cpu_compiler_flags": compiler_flags, "max_unroll": 1},
-    )
+    @cpu_kernel(compiler_flags, max_unroll=1)
     def run_steps(
         # parameters
         m: Material,  # its along_x padded to ``stride``

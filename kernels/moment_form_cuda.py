@@ -11,12 +11,63 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.cuda import LANES, barrier, make_from_lane, opaque, shared_memory
-from warp_plate.kernels.fused import make_fused
+from warp_plate.kernels.arithmetic import make_fused
+from warp_plate.kernels.cuda import LANES, barrier, cuda_kernel, make_from_lane, opaque, shared_memory
 from warp_plate.kernels.moment_form import make_add_local_forces, make_moment, make_oscillator_force, make_structs
-from warp_plate.kernels.moment_form_edges import BOTTOM, FLAG_BITS, LEFT, LOADED, NODES_PER_WORD, RIGHT, TOP, make_edges
-from warp_plate.kernels.moment_form_plan import MATERIAL_PLANES, material_planes, workspace_layout
+from warp_plate.kernels.moment_form_plan import MATERIAL_PLANES, NODES_PER_WORD, material_planes, workspace_layout
 from warp_plate.kernels.update import make_parameters, make_update
+
+# Bits of a node's flags: the edges on which it lies, and LOADED where some load field is not zero.
+LEFT, RIGHT, BOTTOM, TOP, LOADED = 1, 2, 4, 8, 16
+FLAG_BITS = 5
+
+
+@cache
+def make_edges(real, nx, ny):
+    """Make edge_flags, sum_of_neighbours and twist_factor for plates of nx × ny nodes."""
+
+    @wp.func
+    def edge_flags(i: int):
+        """Return the edges, LEFT … TOP, on which node i lies; nodes are counted row after row."""
+        line = i // nx
+        column = i - line * nx
+        edges = int(0)
+        if column == 0:
+            edges = edges | LEFT
+        if column == wp.static(nx - 1):
+            edges = edges | RIGHT
+        if line == 0:
+            edges = edges | BOTTOM
+        if line == wp.static(ny - 1):
+            edges = edges | TOP
+        return edges
+
+    @wp.func
+    def sum_of_neighbours(x: wp.array[real], at: int, low: int, high: int, flags: int, step: int):
+        """Add the neighbours ``step`` before and after a node; on the edge ``low`` or ``high``, twice the inner one.
+
+        By selection: a factor would have to be read, and 0 · NaN is NaN.
+        """
+        before = x[at - step]
+        after = x[at + step]
+        mirrored = after
+        if (flags & high) != 0:
+            mirrored = before
+        if (flags & low) != 0:
+            before = after
+        return before + mirrored
+
+    @wp.func
+    def twist_factor(flags: int, root_aspect: real):
+        """Return the factor of the twists around a node: on an edge, half its cells are mirror images."""
+        factor = root_aspect
+        if (flags & (LEFT | RIGHT)) != 0:
+            factor = real(2.0) * factor
+        if (flags & (BOTTOM | TOP)) != 0:
+            factor = real(2.0) * factor
+        return factor
+
+    return edge_flags, sum_of_neighbours, twist_factor
 
 
 @cache
@@ -116,13 +167,7 @@ def make_run_steps(effects, real, nx, ny, stride, oscillators, block):
         else:
             x[totals + which] = p.stretching * units[k] * units[k] * total
 
-    @wp.kernel(
-        module="unique",
-        enable_backward=False,
-        grid_stride=False,
-        cuda_max_registers=block.registers,
-        module_options={"max_unroll": max(5, nodes_per_thread if held else 1)},
-    )
+    @cuda_kernel(block.registers, max_unroll=max(5, nodes_per_thread if held else 1))
     def run_steps(
         # parameters
         p: Material,

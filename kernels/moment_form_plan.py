@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 import warp as wp
 
 from warp_plate.kernels.cuda import LANES, SHARED_BYTES, most_registers
-from warp_plate.kernels.moment_form_edges import NODES_PER_WORD
 
+# Nodes whose flags, see ``moment_form_cuda``, are in a word of 32 bits.
+NODES_PER_WORD = 6
 # Planes shared by all plates, of which a node reads its own number alone; pressure_gain: inverse mass / weight.
 MATERIAL_PLANES = (
     "inverse_mass", "bend_xx", "bend_xy", "bend_yy", "twist", "decay", "spring", "weight", "pressure_gain",
@@ -22,23 +23,14 @@ MOST_UNROLLED = 16
 
 @dataclass(frozen=True)
 class BlockPlan:
-    """Distribution of a plate over a block.
+    """Distribution of a plate over a block."""
 
-    Attributes:
-        threads: Threads of the block.
-        nodes: Nodes per thread.
-        in_registers: Planes held in registers.
-        planes: Planes in the block's workspace.
-        on_chip: The workspace is shared memory, else device memory.
-        registers: Most registers per thread.
-    """
-
-    threads: int
-    nodes: int
-    in_registers: tuple[str, ...]
-    planes: tuple[str, ...]
-    on_chip: bool
-    registers: int
+    threads: int  # Threads of the block
+    nodes: int  # Nodes per thread
+    in_registers: tuple[str, ...]  # Planes held in registers
+    planes: tuple[str, ...]  # Planes in the block's workspace
+    on_chip: bool  # The workspace is shared memory, else device memory
+    registers: int  # Most registers per thread
 
 
 def workspace_layout(nx, oscillators, block):

@@ -12,7 +12,7 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.denormals import flush_denormals, restore_denormals
+from warp_plate.kernels.arithmetic import cpu_kernel, flush_denormals, restore_denormals
 from warp_plate.kernels.resident_cpu_passes import make_passes, taps_along_y
 from warp_plate.kernels.update import make_parameters
 
@@ -31,7 +31,6 @@ for (int spins = 0; __atomic_load_n(&arrived.data[0], __ATOMIC_ACQUIRE) < goal; 
 def meet(arrived: wp.array[int], goal: int, yield_core: wp.uint64):
     """Count the caller in and wait until ``goal`` have arrived; ``yield_core``: address of a function such as
     sched_yield."""
-    ...
 
 
 def flat_ranges(ny, row, order):
@@ -108,11 +107,7 @@ def make_run_steps(effects, real, ny, stride, compiler_flags):
             rows[place] = row_at(curvature_plane, j + 1 - wp.static(reach) + place)
         return rows
 
-    @wp.kernel(
-        module="unique",
-        enable_backward=False,
-        module_options={"cpu_compiler_flags": compiler_flags, "max_unroll": 5},
-    )
+    @cpu_kernel(compiler_flags, max_unroll=5)
     def run_steps(
         # parameters
         p: Parameters,

@@ -10,7 +10,7 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.denormals import flush_denormals, restore_denormals
+from warp_plate.kernels.arithmetic import cpu_kernel, flush_denormals, restore_denormals
 from warp_plate.kernels.resident_cpu_passes import make_passes, taps_along_y
 from warp_plate.kernels.update import make_parameters
 
@@ -85,11 +85,7 @@ def make_run_steps(effects, real, nx, ny, stride, lanes, compiler_flags):
             factor = columns + wp.uint64(pattern * wp.static(row_bytes))
             bend(u_plane + wp.uint64(j * wp.static(row_bytes)), here, factor, taps_of_row(taps_y, 0), out)
 
-    @wp.kernel(
-        module="unique",
-        enable_backward=False,
-        module_options={"cpu_compiler_flags": compiler_flags, "max_unroll": 5},
-    )
+    @cpu_kernel(compiler_flags, max_unroll=5)
     def run_steps(
         # parameters
         p: Parameters,

@@ -13,7 +13,7 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.fused import make_fused
+from warp_plate.kernels.arithmetic import make_fused
 from warp_plate.kernels.stencil import make_laplacian, make_weighted_sum
 from warp_plate.kernels.update import make_parameters, make_update
 

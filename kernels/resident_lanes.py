@@ -13,7 +13,7 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.cuda import LANES, make_from_lane
+from warp_plate.kernels.cuda import LANES, cuda_kernel, make_from_lane
 from warp_plate.kernels.stencil import make_laplacian
 from warp_plate.kernels.update import make_parameters, make_update
 
@@ -41,13 +41,7 @@ def make_run_steps(effects, real, ny, loaded, summed, registers=None):
     moving = ny - 2
     Column = wp.types.vector(length=moving, dtype=real)
 
-    @wp.kernel(
-        module="unique",
-        enable_backward=False,
-        grid_stride=False,
-        cuda_max_registers=registers,
-        module_options={"max_unroll": LANES},
-    )
+    @cuda_kernel(registers, max_unroll=LANES)
     def run_steps(
         # parameters
         p: Parameters,

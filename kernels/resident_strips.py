@@ -14,37 +14,21 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.cuda import (
-    LANES,
-    SHARED_BYTES,
-    THREAD_REGISTERS,
-    barrier,
-    make_from_lane,
-    make_thread_part,
-    most_registers,
-    shared_memory,
-)
+from warp_plate.kernels import cuda
+from warp_plate.kernels.cuda import LANES, barrier, make_from_lane, make_thread_part, shared_memory
 from warp_plate.kernels.stencil import make_laplacian
 from warp_plate.kernels.update import make_parameters, make_update
 
 
 @dataclass(frozen=True)
 class StripPlan:
-    """Distribution of a plate over a block.
+    """Distribution of a plate over a block."""
 
-    Attributes:
-        columns: Columns per lane.
-        rows: Rows per warp.
-        warps: Warps of the block.
-        registers: Most registers per thread.
-        squares_shared: The sums of rate² are in shared memory, else in registers.
-    """
-
-    columns: int
-    rows: int
-    warps: int
-    registers: int
-    squares_shared: bool = False
+    columns: int  # Columns per lane
+    rows: int  # Rows per warp
+    warps: int  # Warps of the block
+    registers: int  # Most registers per thread
+    squares_shared: bool = False  # The sums of rate² are in shared memory, else in registers
 
 
 # Rows per warp that were fastest on an H200, first choice first, by columns per lane.
@@ -60,13 +44,13 @@ def plan_strips(nx, ny, real):
         squares_shared = columns > 2
         # Displacement, rate and sums (if kept there), three rows of curvature, and addresses and the like.
         needed = words * ((2 if squares_shared else 3) * rows * columns + 6 * columns) + 24
-        registers = most_registers(warps)
+        registers = cuda.most_registers(warps)
         squares = rows * warps if squares_shared else 0
         shared = 4 * words * columns * LANES * (2 * 4 * (warps + 2) + squares)
-        if needed <= registers and shared <= SHARED_BYTES:
+        if needed <= registers and shared <= cuda.SHARED_BYTES:
             # More gains nothing, and fewer registers let more blocks share the multiprocessor.
             registers = registers if squares_shared else min(registers, 168 * words)
-            return StripPlan(columns, rows, warps, min(registers, THREAD_REGISTERS), squares_shared)
+            return StripPlan(columns, rows, warps, registers, squares_shared)
     return None
 
 
@@ -117,13 +101,7 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
             curvature[c] = laplacian(centre[c], left, right, south[c], north[c], aspect)
         return curvature
 
-    @wp.kernel(
-        module="unique",
-        enable_backward=False,
-        grid_stride=False,
-        cuda_max_registers=plan.registers,
-        module_options={"max_unroll": 64},
-    )
+    @cuda.cuda_kernel(plan.registers, max_unroll=64)
     def run_steps(
         # parameters
         p: Parameters,

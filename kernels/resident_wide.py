@@ -16,15 +16,8 @@ from functools import cache
 
 import warp as wp
 
-from warp_plate.kernels.cuda import (
-    LANES,
-    SHARED_BYTES,
-    barrier,
-    make_from_lane,
-    make_thread_part,
-    most_registers,
-    shared_memory,
-)
+from warp_plate.kernels import cuda
+from warp_plate.kernels.cuda import LANES, barrier, make_from_lane, make_thread_part, shared_memory
 from warp_plate.kernels.resident_strips import StripPlan
 from warp_plate.kernels.stencil import make_symmetric_weighted_sum, make_weighted_sum
 from warp_plate.kernels.update import make_parameters, make_update
@@ -44,11 +37,11 @@ def plan_strips(nx, ny, real):
         # The first and the last strip hold all rows with taps of their own.
         if rows > LANES or (warps - 1) * rows > ny - BORDER or rows < BORDER + 1:
             continue
-        registers = most_registers(warps)
+        registers = cuda.most_registers(warps)
         # Displacement, rate and sums, taps of both passes, rows of curvature, and addresses and the like.
         needed = words * columns * (3 * rows + 10 + 7) + 30
         shared = 4 * words * 2 * 2 * BORDER * columns * LANES * (warps + 2)
-        if needed <= registers and shared <= SHARED_BYTES:
+        if needed <= registers and shared <= cuda.SHARED_BYTES:
             return StripPlan(columns, rows, warps, registers)
     return None
 
@@ -145,13 +138,7 @@ def make_run_steps(effects, real, nx, ny, stride, plan, summed):
         """Return whether row j of the last strip has taps of its own."""
         return 0 <= last_row - j < SPECIAL
 
-    @wp.kernel(
-        module="unique",
-        enable_backward=False,
-        grid_stride=False,
-        cuda_max_registers=plan.registers,
-        module_options={"max_unroll": 64},
-    )
+    @cuda.cuda_kernel(plan.registers, max_unroll=64)
     def run_steps(
         # parameters
         p: Parameters,

@@ -4,6 +4,9 @@ The first launch computes the curvature of every node from the displacement; the
 biharmonic of the displacement, which is the curvature of the curvature. It works in place, because it reads the
 displacement of no other node. Both gather neighbours with the taps of each axis, which are data. ``temporal_blocking``
 is a faster form of this path for second order on CUDA.
+
+Between steps of any streaming path, single nodes are recorded, and the ``clock`` counts steps on the device: it holds
+the step at which a run of launches began, so that recorded launches can be repeated unchanged.
 """
 
 from functools import cache
@@ -95,3 +98,29 @@ def make_update_nodes(effects, real):
             squares[k, row, i] += new * new
 
     return update_nodes
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def advance_clock(clock: wp.array[int], steps: int):
+    """Advance the clock by ``steps``; launch over (1,)."""
+    clock[0] = clock[0] + steps
+
+
+@cache
+def make_record_trace(real):
+    """Make the kernel that copies the displacement of single nodes to the trace; launch over (plates, nodes)."""
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def record_trace(
+        # inputs
+        clock: wp.array[int],  # (1,)
+        offset: int,  # the step is clock[0] + offset
+        nodes: wp.array2d[int],  # (traced nodes, 2) row, column
+        u: wp.array3d[real],  # (plates, rows, columns)
+        # outputs
+        trace: wp.array3d[real],  # (plates, traced nodes, steps)
+    ):
+        k, m = wp.tid()
+        trace[k, m, clock[0] + offset] = u[k, nodes[m, 0], nodes[m, 1]]
+
+    return record_trace

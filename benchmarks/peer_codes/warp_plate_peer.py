@@ -12,11 +12,9 @@ from peer_codes.problem import PeerMissing, Problem, Run, loaded_nodes
 from warp_plate import Scene
 from warp_plate.plate.discretization import discretize
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.engine import make_engine, queue_region_sums
-from warp_plate.solve.specialize import Specialized, specialize
-from warp_plate.solve.state import make_state
-
-NOTHING_TRACED = np.zeros((0, 2), dtype=np.int32)
+from warp_plate.solve.engine import Engine
+from warp_plate.solve.specialize import Specialized
+from warp_plate.solve.state import State
 
 
 def make(problem: Problem, threads: int) -> Run:
@@ -25,9 +23,9 @@ def make(problem: Problem, threads: int) -> Run:
     if problem.device == "cuda" and not wp.is_cuda_available():
         raise PeerMissing("Warp finds no GPU")
     specialized = specialize_as(problem, threads)
-    device, inner = specialized.device, np.s_[:, 1:-1, : problem.nodes]
-    engine = make_engine(specialized)
-    state = make_state(specialized, problem.plates, wp.array(NOTHING_TRACED, dtype=int, device=device))
+    inner = np.s_[:, 1:-1, : problem.nodes]
+    engine = Engine(specialized)
+    state = State(specialized, problem.plates)
     for field, load in ((state.in_phase, problem.in_phase), (state.quadrature, problem.quadrature)):
         padded = np.zeros(field.shape, dtype=problem.dtype)
         padded[inner] = load
@@ -36,7 +34,7 @@ def make(problem: Problem, threads: int) -> Run:
     def run() -> NDArray[np.float64]:
         state.clear(problem.plates)
         engine.advance(state, problem.plates, 0, problem.steps)
-        return queue_region_sums(engine, state, problem.plates)().copy()
+        return engine.queue_region_sums(state, problem.plates)().copy()
 
     return run
 
@@ -47,16 +45,14 @@ def specialize_as(problem: Problem, threads: int) -> Specialized:
     scene["grid"] |= {"nodes": (problem.nodes,) * 2, "precision": problem.precision, "time_step": None}
     scene["grid"]["load"] = "overlap"
     device = find_device(problem.device)
-    made = specialize(discretize(Scene.model_validate(scene)), device, threads)
+    made = Specialized(discretize(Scene.model_validate(scene)), device, threads)
     made.parameters.stiffness = problem.stiffness
     made.parameters.decay = problem.decay
     covered = loaded_nodes(problem.nodes) + [1, 0]
     weights = np.zeros(made.weights.shape)
     weights[:, 1:-1, : problem.nodes] = problem.weights
-    return replace(
-        made,
-        scheme=replace(made.scheme, steps=problem.steps, window=(problem.first, problem.steps)),
-        support=wp.array(covered.astype(np.int32), dtype=int, device=device),
-        weights=wp.array(weights, dtype=wp.float64, device=device),
-        wave=made.to_device(np.stack([problem.cosine, problem.sine], axis=1)),
-    )
+    made.scheme = replace(made.scheme, steps=problem.steps, window=(problem.first, problem.steps))
+    made.support = wp.array(covered.astype(np.int32), dtype=int, device=device)
+    made.weights = wp.array(weights, dtype=wp.float64, device=device)
+    made.wave = made.to_device(np.stack([problem.cosine, problem.sine], axis=1))
+    return made

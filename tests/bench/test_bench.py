@@ -17,7 +17,7 @@ from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.solve.cpu import compiler_flags
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.specialize import specialize
+from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import bytes_per_plate
 from warp_plate.viz.plots.bench import commonest_size, draw_bench, fastest_of_each_size
 from warp_plate.viz.plots.frame import save_plots
@@ -78,7 +78,7 @@ def test_figures_are_consistent(device, path):
         assert one.node_steps_per_second == pytest.approx(49 * one.plates * one.steps / one.seconds)
         assert one.nanoseconds_per_node_step == pytest.approx(1e9 / one.node_steps_per_second)
         assert one.swarm_seconds == pytest.approx(one.seconds * 1250 / one.steps)
-        specialized = specialize(discretize(paper_like(9, one.precision)), find_device(device))
+        specialized = Specialized(discretize(paper_like(9, one.precision)), find_device(device))
         assert one.bytes_per_plate == bytes_per_plate(specialized, 0)
         bound = report.limits[device]
         if path == "streaming":
@@ -104,11 +104,11 @@ def test_arithmetic_limit_counts_its_operations(real):
 def test_operations_are_those_of_the_equation(scene):
     """Two Laplacians of 3 additions and a multiply-add, both updates, loads, and the window's share of the sum."""
     device = find_device("cpu")
-    specialized = specialize(discretize(paper_like(27, "float32")), device)
+    specialized = Specialized(discretize(paper_like(27, "float32")), device)
     loaded = 4 * 2 * 2 / 25**2  # four patches, each over parts of 2 × 2 cells
     assert limits.operations_a_node_step(specialized) == pytest.approx(11 + 2 * loaded + 1 / 2)
     everywhere = scene(nodes=(9, 9), actuators=[(0.0, 0.2, 0.0, 0.2)], window=(0.0, 0.01))
-    assert limits.operations_a_node_step(specialize(discretize(everywhere), device)) == pytest.approx(11 + 2 + 1)
+    assert limits.operations_a_node_step(Specialized(discretize(everywhere), device)) == pytest.approx(11 + 2 + 1)
 
 
 @pytest.mark.parametrize("nodes", [5, 27, 161, 8193])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from warp_plate import PlateSolver, SceneError
-from warp_plate.solve.scaling import LARGEST_DRIVE, SMALLEST_DRIVE
+from warp_plate.solve.batching import LARGEST_DRIVE, SMALLEST_DRIVE
 
 ACTUATORS = 3
 # The sizes that are kept, with room for the rounding of a sum of three.

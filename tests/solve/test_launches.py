@@ -9,7 +9,7 @@ from conftest import device_paths
 
 from warp_plate import PlateSolver
 from warp_plate.plate.designs import Designs, PerPlate
-from warp_plate.solve.launches import repeat
+from warp_plate.solve.streaming import repeat
 
 DEVICES = sorted({device for device, _ in device_paths()})
 KINDS = {

@@ -4,7 +4,7 @@ import pytest
 import warp as wp
 
 from warp_plate import Scene
-from warp_plate.kernels import moment_form_cpu, moment_form_streaming, streaming
+from warp_plate.kernels import moment_form, moment_form_cpu, streaming
 from warp_plate.kernels.effects import KernelEffects
 from warp_plate.plate.discretization import discretize
 from warp_plate.solve.cpu import compiler_flags
@@ -36,7 +36,7 @@ def code_of(kernel, folder):
 @pytest.mark.parametrize("on", [True, False])
 def test_only_effects_that_are_on_are_in_the_code(on, tmp_path):
     effects = KernelEffects(terms=4, moments=True, **dict.fromkeys(MEMBERS, on))
-    passes = moment_form_streaming.make_passes(effects, wp.float32)
+    passes = moment_form.make_passes(effects, wp.float32)
     code = "".join(code_of(kernel, tmp_path / str(index)) for index, kernel in enumerate(passes))
     assert {effect: f").{member})" in code for effect, member in MEMBERS.items()} == dict.fromkeys(MEMBERS, on)
 

@@ -17,7 +17,7 @@ from warp_plate.plate.stability_limit import StabilityLimit
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import choose_path
-from warp_plate.solve.specialize import specialize
+from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import bytes_per_plate
 
 
@@ -96,7 +96,7 @@ def check(scene: Scene, device: str = "auto", allow_unstable: bool = False) -> C
     discretization = discretize(scene, allow_unstable=allow_unstable)
     scheme = discretization.scheme
     limit, bending = scheme.stability, scheme.bending
-    specialized = specialize(discretization, find_device(device))
+    specialized = Specialized(discretization, find_device(device))
     frequency = highest_frequency(scene)
     waves = zip(wavelengths(scene), scheme.spacing, strict=True)
     return Check(

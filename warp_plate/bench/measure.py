@@ -18,9 +18,9 @@ from warp_plate.plate.memory import machine_memory
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.engine import load_drives, make_engine
-from warp_plate.solve.specialize import Specialized, specialize
-from warp_plate.solve.state import Advance, State, bytes_per_plate, make_state
+from warp_plate.solve.engine import Engine
+from warp_plate.solve.specialize import Specialized
+from warp_plate.solve.state import Advance, State, bytes_per_plate
 
 # Steps of the paper's run: the most that a timed run takes, and the steps of "seconds for a swarm".
 PAPER_STEPS = 1250
@@ -201,18 +201,17 @@ def prepare(case: BenchCase) -> PreparedCase:
         SceneError: there is no such device, the path cannot take this grid, or the plates do not fit into memory.
     """
     device = find_device(case.device)
-    specialized = specialize(discretize(paper_like(case.nodes, case.precision)), device)
+    specialized = Specialized(discretize(paper_like(case.nodes, case.precision)), device)
     needed, room = case.plates * bytes_per_plate(specialized, 0), memory_for_plates(device)
     if needed > room:
         raise SceneError(f"needs {needed / 2**30:.1f} GiB of memory, but only {room / 2**30:.1f} GiB may be used")
-    engine = make_engine(specialized, case.path)
-    no_points = wp.zeros((0, 2), dtype=int, device=device)
-    state = make_state(specialized, case.plates, no_points)
+    engine = Engine(specialized, case.path)
+    state = State(specialized, case.plates)
     random = np.random.default_rng(0)
     parts = random.uniform(-1, 1, (2, case.plates, specialized.patches.shape[0]))
     coefficients = specialized.discretization.signals.coefficients(parts[0] + 1j * parts[1])
-    state.host.coefficients.numpy()[:] = coefficients
-    load_drives(engine, state, case.plates)
+    state.host_coefficients.numpy()[:] = coefficients
+    engine.load_drives(state, case.plates)
     inner = (case.nodes - 2, case.nodes - 2)
     for field in (state.u, state.rate):
         plate = np.zeros(field.shape[1:], dtype=case.precision)

@@ -9,9 +9,9 @@ import numpy as np
 import warp as wp
 
 from warp_plate.plate.designs import PerPlateValues
+from warp_plate.plate.signals import Signals
 from warp_plate.scene.errors import SceneError
-from warp_plate.solve.engine import Engine, load_drives, queue_region_sums
-from warp_plate.solve.scaling import energy_unit, scaled_coefficients, speed_unit
+from warp_plate.solve.engine import Engine
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import State, bytes_per_plate
 from warp_plate.solve.status import exceeds, find_faults, steps_between_checks
@@ -26,6 +26,8 @@ PART_NODE_STEPS = 1.32e10
 CUDA_MEMORY_SHARE = 0.6
 CPU_BYTES = 256 * 2**20
 FEWEST_PLATES = 64
+# Sizes of drives [N/m²] whose energies, which go with the square, keep full precision.
+SMALLEST_DRIVE, LARGEST_DRIVE = 1e-130, 1e130
 
 
 class PlateBatch:
@@ -36,28 +38,25 @@ class PlateBatch:
         state: The plates' arrays, of which this batch uses the first ``len(phasors)`` plates.
         phasors: (plates, actuators) drives.
         scale: (plates,) pressure that each plate is scaled by [N/m²]; not finite if its drive is not.
-        largest_rate: Rate that no bounded plate exceeds per step since the start, see ``solve.status``.
         grown: (plates,) step at which a plate was seen to grow without bound, or −1.
         step: Number of steps taken.
     """
 
-    def __init__(
-        self, engine: Engine, state: State, phasors: np.ndarray, values: PerPlateValues, largest_rate: float
-    ) -> None:
-        self.engine, self.state, self.phasors, self.largest_rate = engine, state, phasors, largest_rate
+    def __init__(self, engine: Engine, state: State, phasors: np.ndarray, values: PerPlateValues) -> None:
+        self.engine, self.state, self.phasors = engine, state, phasors
         self.grown = np.full(len(phasors), -1)
         self.step = 0
         specialized = engine.specialized
         moving = specialized.discretization.moving
         least = moving.largest if moving else 0.0
         sizes = engine.per_plate.put_waves(state, values)
-        coefficients = state.host.coefficients.numpy()
+        coefficients = state.host_coefficients.numpy()
         self.scale = scaled_coefficients(specialized.discretization.signals, phasors, sizes, least, coefficients)
-        load_drives(engine, state, len(phasors), values.edges)
+        engine.load_drives(state, len(phasors), values.edges)
         if not specialized.effects.plain:
             with np.errstate(over="ignore", invalid="ignore"):  # of plates whose drive is not finite
-                state.host.units.numpy()[: len(phasors)] = self.scale * specialized.scheme.load_scale
-            wp.copy(state.units, state.host.units, count=len(phasors))
+                state.host_units.numpy()[: len(phasors)] = self.scale * specialized.scheme.load_scale
+            wp.copy(state.units, state.host_units, count=len(phasors))
         if moving:
             strength = np.zeros(state.capacity)
             strength[: len(phasors)] = least / np.where(self.scale == 0, 1, self.scale)
@@ -73,7 +72,7 @@ class PlateBatch:
     def check_growth(self) -> bool:
         """Look for plates that grow without bound; return whether all do."""
         rate = self.state.rate.numpy()[: len(self.phasors)]
-        self.grown[(self.grown < 0) & exceeds(rate, self.step * self.largest_rate)] = self.step
+        self.grown[(self.grown < 0) & exceeds(rate, self.step * self.engine.largest_rate)] = self.step
         return bool((self.grown >= 0).all())
 
     @property
@@ -114,17 +113,55 @@ class PlateBatch:
             Function that waits for the sums, writes the energies (plates, regions) [J] into an array, and returns the
             faulty plates with fault and time, see ``Run.faults``.
         """
-        specialized = self.engine.specialized
-        scheme, sums = specialized.scheme, queue_region_sums(self.engine, self.state, len(self.phasors))
+        specialized, scheme = self.engine.specialized, self.engine.specialized.scheme
+        sums = self.engine.queue_region_sums(self.state, len(self.phasors))
 
         def finish(energy: np.ndarray) -> dict[int, tuple[str, float]]:
-            largest_sum = (scheme.window[1] - scheme.window[0]) * (scheme.steps * self.largest_rate) ** 2
+            largest_sum = (scheme.window[1] - scheme.window[0]) * (scheme.steps * self.engine.largest_rate) ** 2
             unit = energy_unit(specialized)
             faults = find_faults(self.phasors, self.scale, self.grown, sums(), unit, largest_sum, energy)
             times = np.where(self.grown >= 0, self.grown * scheme.time_step, math.nan)
             return {plate: (fault, float(times[plate])) for plate, fault in faults.items()}
 
         return finish
+
+
+def scaled_coefficients(
+    signals: Signals, phasors: np.ndarray, sizes: np.ndarray, least: float, coefficients: np.ndarray
+) -> np.ndarray:
+    """Write the coefficients of plates, each in units of the plate's largest pressure, and return the pressures.
+
+    Args:
+        phasors: (plates, actuators) drives.
+        sizes: (1 or plates, terms) factors that the waves were divided by.
+        least: Pressure of the moving load, which all plates have [N/m²].
+        coefficients: (capacity, terms, actuators), written.
+
+    Returns:
+        (plates,) pressure [N/m²] of each plate; NaN where its energies would not keep full precision.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # a drive that is not finite spoils its own plate alone
+        # Plates innermost: NumPy is slow along short rows.
+        columns = signals.coefficients(phasors).transpose(1, 2, 0)
+        columns *= sizes.T[:, None]
+        scale: np.ndarray = np.maximum(np.abs(columns).max(axis=(0, 1)), least)
+        scale[(scale != 0) & ~((scale >= SMALLEST_DRIVE) & (scale <= LARGEST_DRIVE))] = np.nan
+        columns /= np.where(scale == 0, 1, scale)
+        coefficients[: len(phasors)] = columns.transpose(2, 0, 1)
+    return scale
+
+
+def speed_unit(specialized: Specialized) -> float:
+    """Return the velocity [m/s] of a rate of one under a pressure of 1 N/m²; the displacement [m] for displacements."""
+    scheme = specialized.scheme
+    return scheme.load_scale / (scheme.time_step if specialized.quantity == "velocity" else 1.0)
+
+
+def energy_unit(specialized: Specialized) -> float:
+    """Return the energy, averaged over the window, of a sum of rate² of one: ½ρH·hx·hy·speed²/steps [J]."""
+    scheme = specialized.scheme
+    (hx, hy), (first, last) = scheme.spacing, scheme.window
+    return 0.5 * scheme.surface_density * hx * hy * speed_unit(specialized) ** 2 / (last - first)
 
 
 def segment_steps(specialized: Specialized, plates: int) -> tuple[int, bool]:

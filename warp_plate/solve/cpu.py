@@ -133,7 +133,7 @@ def _single_plates(specialized: Specialized) -> Callable[..., None]:
     """Return launch(state, first, last + 1, start, stop[, team]) of ``resident_cpu``; team: size, member, meeting."""
     device, stride, ny = specialized.device, specialized.stride, specialized.scheme.nodes[1]
     kernel = resident_cpu.make_run_steps(specialized.effects, specialized.real, ny, stride, compiler_flags())
-    wp.load_module(module=kernel.module, device=device)
+    specialized.load(kernel)
     shared: list[Any] = [specialized.parameters, *_taps_along_x(specialized), *_taps_along_y(specialized)]
     stiffnesses, window = _stiffnesses(specialized), wp.vec2i(*specialized.scheme.window)
     alone = (1, 0, wp.zeros(1, dtype=int, device=device))
@@ -159,7 +159,7 @@ def _plate_groups(specialized: Specialized) -> tuple[Callable[..., None], int, f
     kernel = resident_cpu_groups.make_run_steps(
         specialized.effects, specialized.real, *scheme.nodes, specialized.stride, lanes, compiler_flags()
     )
-    wp.load_module(module=kernel.module, device=device)
+    specialized.load(kernel)
     loaded: wp.array = wp.array(specialized.loaded_rows, dtype=int, device=device)
     shared = [specialized.parameters, *_taps_along_x(specialized, lanes), *_taps_along_y(specialized)]
     shared += [loaded, specialized.wave, wp.vec2i(*scheme.window)]

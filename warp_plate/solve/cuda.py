@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels import record, resident_lanes, resident_strips, resident_wide, temporal_blocking
+from warp_plate.kernels import resident_lanes, resident_strips, resident_wide, temporal_blocking
 from warp_plate.kernels.cuda import LANES
+from warp_plate.kernels.streaming import advance_clock, make_record_trace
 from warp_plate.plate.operator import INSIDE
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve import streaming
-from warp_plate.solve.launches import Launcher, repeat
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
+from warp_plate.solve.streaming import Launcher, repeat
 
 # Threads per block where each warp has its own plate.
 LANES_BLOCK = 32
@@ -121,8 +122,7 @@ def _cuda_advance(
 ) -> Advance:
     """Return launches of a resident kernel, split where the window begins and ends: outside it sums cost nothing."""
     device = specialized.device
-    for kernel in kernels.values():
-        wp.load_module(module=kernel.module, device=device, block_dim=block_dim)
+    specialized.load(*kernels.values(), block_dim=block_dim)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         for low, high, summed in _split_at_window(specialized, start, stop):
@@ -151,11 +151,9 @@ def streaming_path(specialized: Specialized) -> Advance:
         for levels in (1, LEVELS)
         for summed in (False, True)
     }
-    record_trace = record.make_record_trace(specialized.real)
-    for kernel in kernels.values():
-        wp.load_module(module=kernel.module, device=device, block_dim=STREAMING_BLOCK)
-    for kernel in (record_trace, record.advance_clock):
-        wp.load_module(module=kernel.module, device=device)
+    record_trace = make_record_trace(specialized.real)
+    specialized.load(*kernels.values(), block_dim=STREAMING_BLOCK)
+    specialized.load(record_trace, advance_clock)
     factors = [specialized.to_device(taps.factors) for taps in (scheme.taps_x, scheme.taps_y)]
     shared = [specialized.parameters, *factors, _loaded(specialized)]
     clock = wp.zeros(1, dtype=int, device=device)
@@ -176,7 +174,7 @@ def streaming_path(specialized: Specialized) -> Advance:
             state.u, state.u_next = state.u_next, state.u
             state.rate, state.rate_next = state.rate_next, state.rate
             streaming.record_nodes(launch, record_trace, state, plates, clock, index)
-        launch(record.advance_clock, dim=1, inputs=[clock, count * levels], device=device)
+        launch(advance_clock, dim=1, inputs=[clock, count * levels], device=device)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         clock.fill_(start)

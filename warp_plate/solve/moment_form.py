@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels import moment_form_cpu, moment_form_cuda, moment_form_plan, moment_form_streaming
-from warp_plate.kernels.moment_form import make_structs
+from warp_plate.kernels import moment_form_cpu, moment_form_cuda, moment_form_plan
+from warp_plate.kernels.moment_form import make_passes, make_structs
 from warp_plate.plate.bending import oscillator_shares
 from warp_plate.solve.cpu import compiler_flags, distribute
-from warp_plate.solve.launches import Launcher
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
-from warp_plate.solve.streaming import step_by_step
+from warp_plate.solve.streaming import Launcher, step_by_step
 
 
 def make_material(specialized: Specialized) -> Any:
@@ -36,8 +35,7 @@ def make_material(specialized: Specialized) -> Any:
         )
         for oscillator in effects.oscillators
     ]
-    material = make_structs(specialized.real)[0]()
-    strength, along_x, along_y = _moving_load(specialized)
+    moving = specialized.discretization.moving
     arrays = {
         "bend_xx": bending.bend_xx * unit / hx**4,
         "bend_xy": bending.bend_xy * unit / hx**4,
@@ -49,10 +47,11 @@ def make_material(specialized: Specialized) -> Any:
         "weight": bending.weight,
         "oscillator_shares": oscillator_shares(scene),
         "oscillators": np.array(oscillators).reshape(-1, 4),
-        "strength": strength,
-        "along_x": along_x,
-        "along_y": along_y,
+        "strength": moving.wave / moving.largest if moving else np.zeros(1),
+        "along_x": moving.along_x if moving else np.zeros((1, 1)),
+        "along_y": moving.along_y if moving else np.zeros((1, 1)),
     }
+    material = make_structs(specialized.real)[0]()
     for name, values in arrays.items():
         setattr(material, name, specialized.to_device(values))
     material.aspect = scheme.aspect
@@ -64,20 +63,11 @@ def make_material(specialized: Specialized) -> Any:
     return material
 
 
-def _moving_load(specialized: Specialized) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return strength (steps,) relative to its largest, and shares along x and y, of the moving load."""
-    moving = specialized.discretization.moving
-    if moving is None:
-        return np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1))
-    return moving.wave / moving.largest, moving.along_x, moving.along_y
-
-
 def _make_fields(specialized: Specialized, state: State) -> Any:
     """Return the struct of a state's fields, with those that only the passes of a step use."""
     effects = specialized.effects
     (nx, ny), device, real = specialized.scheme.nodes, specialized.device, specialized.real
     oscillators = len(specialized.scene.effects.oscillators)
-    sums = oscillators + int(effects.stretching)
 
     def zeros(*shape: int) -> wp.array:
         return wp.zeros((state.capacity, *shape), dtype=real, device=device)
@@ -88,7 +78,7 @@ def _make_fields(specialized: Specialized, state: State) -> Any:
         setattr(fields, name, getattr(state, name)[:, 1 : ny + 1, :nx])
     fields.mx, fields.my, fields.mxy = (zeros(ny, nx) for _ in range(3))
     fields.membrane_curvature = zeros(ny, nx) if effects.stretching else zeros(1, 1)
-    fields.row_sums = zeros(sums, 2, ny)
+    fields.row_sums = zeros(oscillators + int(effects.stretching), 2, ny)
     fields.tension = zeros()
     fields.oscillator_force, fields.oscillator_state = zeros(oscillators), zeros(oscillators, 2)
     return fields
@@ -96,12 +86,10 @@ def _make_fields(specialized: Specialized, state: State) -> Any:
 
 def streaming_path(specialized: Specialized) -> Advance:
     """Return the path with a launch for each pass of a step."""
-    device, effects = specialized.device, specialized.effects
-    kernels = moment_form_streaming.make_passes(effects, specialized.real)
-    for kernel in kernels:
-        wp.load_module(module=kernel.module, device=device)
+    device, (nx, ny), window = specialized.device, specialized.scheme.nodes, wp.vec2i(*specialized.scheme.window)
+    kernels = make_passes(specialized.effects, specialized.real)
+    specialized.load(*kernels)
     compute_moments, sum_rows, finish_sums, update_nodes = kernels
-    (nx, ny), window = specialized.scheme.nodes, wp.vec2i(*specialized.scheme.window)
     material = make_material(specialized)
 
     def step(launch: Launcher, state: State, plates: int, clock: wp.array, offset: int) -> None:
@@ -129,43 +117,41 @@ def streaming_path(specialized: Specialized) -> Advance:
 
 
 def resident_path(specialized: Specialized) -> Advance:
-    """Return the path that runs all steps in one launch: per thread on CPU, a block per plate on CUDA."""
-    return _cuda_path(specialized) if specialized.device.is_cuda else _cpu_path(specialized)
+    """Return the path that runs all steps in one launch: per thread on CPU, a block per plate on CUDA.
 
-
-def _cuda_path(specialized: Specialized) -> Advance:
-    """Return the CUDA path, compiled for few plates and for many where their plans differ."""
-    nodes, device, oscillators = specialized.scheme.nodes, specialized.device, specialized.scene.effects.oscillators
+    On CUDA it is compiled for few plates and for many where their plans differ.
+    """
+    if specialized.device.is_cpu:
+        return _cpu_path(specialized)
+    oscillators = len(specialized.scene.effects.oscillators)
     few_plan, many_plan = (
-        moment_form_plan.plan_block(*nodes, specialized.real, specialized.effects, len(oscillators), few)
+        moment_form_plan.plan_block(*specialized.scheme.nodes, specialized.real, specialized.effects, oscillators, few)
         for few in (True, False)
     )
     many = block_path(specialized, many_plan)
     few = many if few_plan == many_plan else block_path(specialized, few_plan)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
-        (few if plates <= device.sm_count else many)(state, plates, start, stop)
+        (few if plates <= specialized.device.sm_count else many)(state, plates, start, stop)
 
     return advance
 
 
 def block_path(specialized: Specialized, plan: moment_form_plan.BlockPlan) -> Advance:
     """Return the path with a block per plate, distributed over its threads by a plan."""
-    (nx, ny), stride, device, real = specialized.scheme.nodes, specialized.stride, specialized.device, specialized.real
+    (nx, ny), device, real = specialized.scheme.nodes, specialized.device, specialized.real
     effects, oscillators = specialized.effects, len(specialized.scene.effects.oscillators)
-    kernel = moment_form_cuda.make_run_steps(effects, real, nx, ny, stride, oscillators, plan)
-    wp.load_module(module=kernel.module, device=device, block_dim=plan.threads)
+    kernel = moment_form_cuda.make_run_steps(effects, real, nx, ny, specialized.stride, oscillators, plan)
+    specialized.load(kernel, block_dim=plan.threads)
     material = make_material(specialized)
 
-    def lines(planes: list[np.ndarray]) -> wp.array:
+    def lines(planes: np.ndarray) -> wp.array:
         """Return (planes, threads × nodes), node after node without padding between rows."""
-        values = np.zeros((len(planes), plan.threads * plan.nodes))
-        for line, plane in zip(values, planes, strict=True):
-            line[: nx * ny] = np.pad(plane, ((0, ny - plane.shape[0]), (0, nx - plane.shape[1]))).ravel()
-        return specialized.to_device(values)
+        beyond = plan.threads * plan.nodes - nx * ny
+        return specialized.to_device(np.pad(planes.reshape(len(planes), nx * ny), ((0, 0), (0, beyond))))
 
-    planes = [_material_plane(material, name) for name in moment_form_plan.material_planes(effects)]
-    shared = [material, lines(planes), lines(list(material.oscillator_shares.numpy()))]
+    planes = np.stack([_material_plane(material, name) for name in moment_form_plan.material_planes(effects)])
+    shared = [material, lines(planes), lines(material.oscillator_shares.numpy())]
     shared.append(wp.vec2i(*specialized.scheme.window))
     workspace_size = 0 if plan.on_chip else moment_form_plan.workspace_layout(nx, oscillators, plan)["end"]
 
@@ -185,23 +171,25 @@ def block_path(specialized: Specialized, plan: moment_form_plan.BlockPlan) -> Ad
 
 
 def _material_plane(material: Any, name: str) -> np.ndarray:
-    """Return a plane of the material by name; pressure_gain is the rate that a pressure on a node's cell adds."""
-    if name == "pressure_gain":
-        return np.asarray(material.inverse_mass.numpy() / material.weight.numpy())
-    return np.asarray(getattr(material, name).numpy())
+    """Return a plane (ny, nx) of the material; pressure_gain is the rate that a pressure on a node's cell adds."""
+    gain = name == "pressure_gain"
+    plane = material.inverse_mass.numpy() / material.weight.numpy() if gain else getattr(material, name).numpy()
+    return np.pad(plane, [(0, whole - size) for whole, size in zip(material.weight.shape, plane.shape, strict=True)])
 
 
 def _cpu_path(specialized: Specialized) -> Advance:
-    device, real, rows, stride = specialized.device, specialized.real, specialized.rows, specialized.stride
-    effects, ny = specialized.effects, specialized.scheme.nodes[1]
-    kernel = moment_form_cpu.make_run_steps(effects, real, ny, stride, compiler_flags())
-    wp.load_module(module=kernel.module, device=device)
-    material, oscillators = make_material(specialized), len(specialized.scene.effects.oscillators)
-    shares = np.array([_padded(specialized, plane) for plane in material.oscillator_shares.numpy()])
+    device, real, (nx, ny) = specialized.device, specialized.real, specialized.scheme.nodes
+    rows, stride, oscillators = specialized.rows, specialized.stride, len(specialized.scene.effects.oscillators)
+    kernel = moment_form_cpu.make_run_steps(specialized.effects, real, ny, stride, compiler_flags())
+    specialized.load(kernel)
+    material = make_material(specialized)
+    planes = np.stack([_shared_plane(material, name) for name in moment_form_cpu.SHARED_PLANES])
+    shared = [
+        specialized.to_device(np.pad(values, ((0, 0), (1, 1), (0, stride - nx))))
+        for values in (planes, material.oscillator_shares.numpy())
+    ]
     along_x = material.along_x.numpy()
-    padded_along_x = np.pad(along_x, ((0, 0), (0, stride - along_x.shape[1])))
-    shared = [_shared_planes(specialized, material), specialized.to_device(shares.reshape(-1, rows, stride))]
-    material.along_x = specialized.to_device(padded_along_x)
+    material.along_x = specialized.to_device(np.pad(along_x, ((0, 0), (0, stride - along_x.shape[1]))))
     window = wp.vec2i(*specialized.scheme.window)
     # The last thread's passes read beyond its workspace.
     shape = (specialized.threads + 1, len(moment_form_cpu.WORKSPACE_PLANES), rows, stride)
@@ -223,32 +211,16 @@ def _cpu_path(specialized: Specialized) -> Advance:
     return advance
 
 
-def _padded(specialized: Specialized, values: np.ndarray) -> np.ndarray:
-    """Return (rows, stride) from (ny, nx) or less, with zeros around."""
-    plane = np.zeros((specialized.rows, specialized.stride))
-    plane[1 : 1 + values.shape[0], : values.shape[1]] = values
-    return plane
-
-
-def _shared_planes(specialized: Specialized, material: Any) -> wp.array:
-    """Return (len(SHARED_PLANES), rows, stride): factors of each node's neighbours and cells, and its material."""
-
-    def factors(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return factors of the lower and the upper neighbour and of the cells: on an edge, mirror images."""
-        low, high, cells = np.ones((3, count))
-        low[[0, -1]], high[[0, -1]], cells[[0, -1]] = (0, 2), (2, 0), 2
-        return low, high, cells
-
-    nx, ny = specialized.scheme.nodes
-    (low_x, high_x, cells_x), (low_y, high_y, cells_y) = factors(nx), factors(ny)
+def _shared_plane(material: Any, name: str) -> np.ndarray:
+    """Return a plane (ny, nx) of factors of each node's neighbours or cells, or of the material, by name."""
+    ny, nx = material.weight.shape
+    # On an edge, neighbours and cells are mirror images: the one inside counts twice, the one beyond it not at all.
+    low_x, low_y = (np.array([0.0, *[1.0] * (count - 2), 2.0]) for count in (nx, ny))
     planes = {
-        "west": np.outer(np.ones(ny), low_x),
-        "east": np.outer(np.ones(ny), high_x),
-        "south": material.aspect * np.outer(low_y, np.ones(nx)),
-        "north": material.aspect * np.outer(high_y, np.ones(nx)),
-        "cells": np.outer(cells_y, cells_x),
+        "west": np.tile(low_x, (ny, 1)),
+        "east": np.tile(low_x[::-1], (ny, 1)),
+        "south": material.aspect * np.tile(low_y, (nx, 1)).T,
+        "north": material.aspect * np.tile(low_y[::-1], (nx, 1)).T,
+        "cells": np.outer(np.maximum(low_y, low_y[::-1]), np.maximum(low_x, low_x[::-1])),
     }
-    values = [
-        planes[name] if name in planes else _material_plane(material, name) for name in moment_form_cpu.SHARED_PLANES
-    ]
-    return specialized.to_device(np.stack([_padded(specialized, plane) for plane in values]))
+    return planes[name] if name in planes else _material_plane(material, name)

@@ -27,12 +27,11 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.batching import PlateBatch, part_plates, plates_that_fit, segment_steps
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.engine import make_engine
+from warp_plate.solve.engine import Engine
 from warp_plate.solve.paths import why_streaming
 from warp_plate.solve.run import Run
-from warp_plate.solve.specialize import Quantity, Specialized, effect_names, specialize
-from warp_plate.solve.state import State, bytes_per_plate, make_state
-from warp_plate.solve.status import largest_rate_per_step
+from warp_plate.solve.specialize import Quantity, Specialized, effect_names
+from warp_plate.solve.state import State, bytes_per_plate
 
 Progress = Callable[[int, int], None]
 Faults = dict[int, tuple[str, float]]
@@ -99,10 +98,9 @@ class PlateSolver:
         self.device = find_device(device)
         discretization = discretize(scene, per_plate, allow_unstable) if isinstance(scene, Scene) else scene
         self.scene = discretization.scene
-        self.engine = make_engine(specialize(discretization, self.device, threads, areas, quantity), path)
+        self.engine = Engine(Specialized(discretization, self.device, threads, areas, quantity), path)
         self.path = self.engine.path
         self._chunk, self._areas, self._memory_share = chunk, areas, memory_share
-        self._largest_rate = largest_rate_per_step(self.specialized)
         self.states: list[State] = []
         self._batch: PlateBatch | None = None
         self.node_steps = 0
@@ -156,8 +154,12 @@ class PlateSolver:
         """
         phasors, values = self._check_drives(drives)
         self._check_records(times, points)
-        if points and self.device.is_cuda and self.path == "resident":
-            return self._streaming_run(drives, times, points, progress)
+        if points and self.device.is_cuda and self.path == "resident":  # where plates show nothing between launches
+            streaming = PlateSolver(self.discretization, self.device.alias, "streaming", self._chunk, areas=self._areas)
+            self.compile_seconds += streaming.compile_seconds
+            run = streaming.run(drives, times, points, progress)
+            self.node_steps += run.node_steps
+            return run
         scheme, plates = self.specialized.scheme, len(phasors)
         snapshots = [scheme.step_of(time_asked) for time_asked in times]
         run = Run(
@@ -188,8 +190,7 @@ class PlateSolver:
         if self.specialized.quantity == "displacement":
             raise SceneError('setup: a solver with quantity = "displacement" cannot be stepped by hand; make another')
         phasors, values = self._check_drives(drives)
-        state = make_state(self.specialized, max(1, len(phasors)))
-        self._batch = PlateBatch(self.engine, state, phasors, values, self._largest_rate)
+        self._batch = PlateBatch(self.engine, State(self.specialized, max(1, len(phasors))), phasors, values)
 
     def step(self, count: int = 1) -> None:
         """Take the plates that were set up ``count`` time steps further, at most to the end of the window.
@@ -231,20 +232,6 @@ class PlateSolver:
         if self._batch is None:
             raise SceneError("no plates are set up; call setup(drives) first")
         return self._batch
-
-    def _streaming_run(
-        self,
-        drives: Drives,
-        times: Sequence[float],
-        points: Sequence[tuple[float, float]],
-        progress: Progress | None,
-    ) -> Run:
-        """Run on the streaming path: a plate that stays in registers shows nothing between launches."""
-        streaming = PlateSolver(self.discretization, self.device.alias, "streaming", self._chunk, areas=self._areas)
-        self.compile_seconds += streaming.compile_seconds
-        run = streaming.run(drives, times, points, progress)
-        self.node_steps += run.node_steps
-        return run
 
     def _check_drives(self, drives: Drives) -> tuple[np.ndarray, PerPlateValues]:
         actuators, scheme = len(self.scene.actuators), self.specialized.scheme
@@ -302,7 +289,7 @@ class PlateSolver:
             part = slice(first, min(first + size, plates))
             if len(queued) == len(states):
                 finish_oldest()
-            batch = PlateBatch(self.engine, state, phasors[part], values[part], self._largest_rate)
+            batch = PlateBatch(self.engine, state, phasors[part], values[part])
             self._advance(batch, snapshots, run.displacement[part], partial(report, first * each))
             queued.append((part, batch.queue_energies()))
             if points:
@@ -331,7 +318,7 @@ class PlateSolver:
         if not _have_room(held, turns, size):
             self.states.clear()  # frees the old arrays before new ones are allocated
             nodes: wp.array = wp.array(corners + np.array([1, 0], np.int32), dtype=int, device=self.device)
-            self.states += [make_state(self.specialized, size, nodes) for _ in range(turns)]
+            self.states += [State(self.specialized, size, nodes) for _ in range(turns)]
         return self.states[:turns], size
 
     def _advance(

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 import warp as wp
@@ -14,7 +13,6 @@ from warp_plate.kernels.effects import KernelEffects
 from warp_plate.kernels.update import make_parameters
 from warp_plate.plate.designs import actuator_spaces
 from warp_plate.plate.discretization import Discretization
-from warp_plate.plate.scheme import Scheme
 from warp_plate.plate.signals import running_sums, waves_apart
 from warp_plate.plate.stability_limit import needs_moment_form
 from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, reachable_nodes, weigh_region
@@ -27,28 +25,72 @@ LINE_BYTES = 64
 Quantity = Literal["velocity", "displacement"]
 
 
-@dataclass(frozen=True)
 class Specialized:
-    """A scene made ready for the kernels of one device; arrays have the layout of ``warp_plate.kernels``."""
+    """A discretized scene made ready for the kernels of a device; arrays have the layout of ``warp_plate.kernels``.
 
-    discretization: Discretization  # The scene on its grid, on the host
-    scene: Scene  # The scene
-    scheme: Scheme  # Its steps and coefficients
-    effects: KernelEffects  # Compile key of the kernels
-    real: type  # ``wp.float32`` or ``wp.float64``
-    rows: int  # Rows of a field, ny + 2
-    stride: int  # Columns of a field, nx and padding
-    device: wp.Device  # Device of all arrays
-    threads: int  # Threads of the CPU to use
-    regions: tuple[str, ...]  # Names of the regions whose energy is summed
-    parameters: Any  # Struct of the kernels' scalar coefficients
-    support: wp.array  # (covered nodes, 2) row of the field and column of the nodes that are loaded
-    patches: wp.array  # (actuators, covered nodes) load of each actuator per unit of its coefficient
-    weights: wp.array  # (regions, rows, stride) float64 weights of the regions
-    wave: wp.array  # (steps, terms) waves that all plates share; running sums of them if energies are of displacements
-    share: np.ndarray  # (covered nodes,) load on a node whose whole cell is under a pressure of one
-    quantity: Quantity  # "velocity" for kinetic energies; "displacement" for the same sums of displacements
-    sizes: np.ndarray  # (terms,) powers of two that the wave was divided by
+    Args:
+        discretization: The scene on its grid.
+        device: Device of all arrays.
+        threads: Threads of the CPU (default: as many as it has).
+        areas: Further regions by name, whose energy is summed too.
+        quantity: "velocity" for kinetic energies, "displacement" for the same sums of displacements.
+
+    Raises:
+        SceneError: Displacements are asked of a scene that is not linear, or an area covers no node.
+    """
+
+    def __init__(
+        self,
+        discretization: Discretization,
+        device: wp.Device,
+        threads: int | None = None,
+        areas: Mapping[str, Region] = NO_AREAS,
+        quantity: Quantity = "velocity",
+    ) -> None:
+        self.discretization, self.device, self.quantity = discretization, device, quantity
+        self.scene, self.scheme = discretization.scene, discretization.scheme
+        _check_quantity(self.scene, quantity)
+        self.threads = threads or cpu_threads()
+        self.effects = kernel_effects(discretization)  # Compile key of the kernels
+        self.real = {"float32": wp.float32, "float64": wp.float64}[self.scene.grid.precision]
+        (nx, ny), line = self.scheme.nodes, LINE_BYTES // wp.types.type_size_in_bytes(self.real)
+        self.rows, self.stride = ny + 2, -(-nx // line) * line  # Shape of a field, with padding
+        self.regions = (*REGIONS, *areas)  # Names of the regions whose energy is summed
+        self.parameters = make_parameters(self.real)()  # Struct of the kernels' scalar coefficients
+        for name in ("stiffness", "aspect", "decay"):
+            setattr(self.parameters, name, getattr(self.scheme, name))
+        self._put_loads_and_regions([weigh_region(self.scene, name, area) for name, area in areas.items()])
+        signals = discretization.signals
+        wave, sizes = (signals.wave, np.ones(signals.terms)) if quantity == "velocity" else running_sums(signals.wave)
+        # (steps, terms) waves that all plates share, or their running sums for energies of displacements
+        self.wave: wp.array = wp.array(wave, dtype=self.real, device=device)
+        self.sizes = sizes  # (terms,) powers of two that the wave was divided by
+
+    def _put_loads_and_regions(self, further: list[np.ndarray]) -> None:
+        """Set the arrays below from patches and regions, relative to the masses of the nodes.
+
+        In moment form a pressure accelerates a node by its share of the mass of the node's own part of the cell.
+        """
+        discretization, scheme, device = self.discretization, self.scheme, self.device
+        patches, regions = discretization.patches, np.stack([*discretization.region_weights, *further])
+        loaded = np.any(patches, axis=0)
+        if discretization.per_plate.centre:
+            loaded |= reachable_nodes(self.scene, actuator_spaces(self.scene, discretization.per_plate))
+        share = np.ones(patches.shape[1:])
+        if scheme.bending is not None:
+            loss = 0.0 if scheme.backward else scheme.viscous * scheme.time_step / scheme.bending.mass
+            ratio = scheme.bending.mass / scheme.surface_density
+            heavy = scheme.bending.weight * ratio * (1 + loss / 2)
+            patches, share, regions = patches / heavy, share / heavy, regions * ratio
+        weights = np.zeros((len(regions), self.rows, self.stride))
+        weights[:, 1:-1, : scheme.nodes[0]] = regions
+        # (regions, rows, stride) weights of the regions
+        self.weights: wp.array = wp.array(weights, dtype=wp.float64, device=device)
+        # (covered nodes, 2) row of the field and column of the nodes that are loaded
+        self.support: wp.array = wp.array(np.argwhere(loaded) + [1, 0], dtype=int, device=device)
+        # (actuators, covered nodes) load of each actuator per unit of its coefficient
+        self.patches: wp.array = wp.array(patches[:, loaded], dtype=self.real, device=device)
+        self.share = share[loaded]  # (covered nodes,) load on a node whose whole cell is under a pressure of one
 
     @property
     def interior_nodes(self) -> int:
@@ -68,15 +110,19 @@ class Specialized:
     def loaded_rows(self) -> np.ndarray:
         """(rows,) one for the rows of a field that hold a loaded node, else zero."""
         loaded = np.zeros(self.rows, dtype=np.int32)
-        loaded[np.unique(self.support.numpy()[:, 0])] = 1
+        loaded[self.support.numpy()[:, 0]] = 1
         return loaded
 
     @property
-    def taps(self) -> tuple[wp.array, wp.array, wp.array, wp.array]:
+    def taps(self) -> list[wp.array]:
         """bend_x, bend_y, move_x, move_y of ``plate.operator`` on the device, those of y times ``aspect``."""
         x, y, aspect = self.scheme.taps_x, self.scheme.taps_y, self.scheme.aspect
-        bend_x, bend_y, move_x, move_y = map(self.to_device, (x.bend, aspect * y.bend, x.move, aspect * y.move))
-        return bend_x, bend_y, move_x, move_y
+        return [self.to_device(taps) for taps in (x.bend, aspect * y.bend, x.move, aspect * y.move)]
+
+    def load(self, *kernels: wp.Kernel, block_dim: int | None = None) -> None:
+        """Compile kernels for the device, or load them from Warp's cache."""
+        for kernel in kernels:
+            wp.load_module(module=kernel.module, device=self.device, block_dim=block_dim)
 
     def to_device(self, values: np.ndarray) -> wp.array:
         """Return a copy on the device in the scene's precision.
@@ -104,92 +150,31 @@ def effect_names(scene: Scene, several_waves: bool = False) -> tuple[str, ...]:
     named = {
         f"viscous damping ({damping.scheme})" if damping else "": damping,
         "bending by moments": several_waves or needs_moment_form(scene),
-        "material damping": scene.effects.material_damping,
-        "tension": scene.effects.tension,
-        "foundation": scene.effects.foundation,
-        "oscillators": scene.effects.oscillators,
-        "stretching": scene.effects.stretching,
-        "moving load": scene.effects.moving_load,
+        **{
+            name.replace("_", " "): getattr(scene.effects, name)
+            for name in ("material_damping", "tension", "foundation", "oscillators", "stretching", "moving_load")
+        },
         "several waves": several_waves,
     }
     return tuple(name for name, table in named.items() if table)
 
 
-def moment_form_effects(scene: Scene, moment_form: bool = False) -> dict[str, bool]:
-    """Return the part of the compile key that is off for a plain plate; ``moment_form`` asks for the form itself."""
-    effects = scene.effects
-    elastic = any(not isinstance(edge, str) for _, edge in scene.edges)
-    return {
-        "moments": moment_form or needs_moment_form(scene),
-        "material_damping": effects.material_damping is not None,
-        "tension": effects.tension is not None,
-        "foundation": effects.foundation is not None or elastic,
-        "stretching": effects.stretching is not None,
-        "oscillators": bool(effects.oscillators),
-        "moving_load": effects.moving_load is not None,
-    }
-
-
-def specialize(
-    discretization: Discretization,
-    device: wp.Device,
-    threads: int | None = None,
-    areas: Mapping[str, Region] = NO_AREAS,
-    quantity: Quantity = "velocity",
-) -> Specialized:
-    """Make a discretized scene ready for a device.
-
-    Args:
-        threads: Threads of the CPU (default: as many as it has).
-        areas: Further regions by name.
-        quantity: See :class:`Specialized`.
-
-    Raises:
-        SceneError: Displacements are asked of a scene that is not linear, or an area covers no node.
-    """
-    scene, scheme = discretization.scene, discretization.scheme
-    _check_quantity(scene, quantity)
-    real = {"float32": wp.float32, "float64": wp.float64}[scene.grid.precision]
-    dtype = np.dtype(scene.grid.precision)
-    nx, ny = scheme.nodes
-    line = LINE_BYTES // dtype.itemsize
-    stride = -(-nx // line) * line
-    further = [weigh_region(scene, name, area) for name, area in areas.items()]
-    fields, share, regions = _in_units_of_mass(discretization, np.stack([*discretization.region_weights, *further]))
-    support = np.argwhere(_loaded_nodes(discretization))
-    signals = discretization.signals
-    wave, sizes = signals.wave, np.ones(signals.terms)
-    if quantity == "displacement":
-        wave, sizes = running_sums(wave)
-    parameters = make_parameters(real)()
-    parameters.stiffness, parameters.aspect, parameters.decay = scheme.stiffness, scheme.aspect, scheme.decay
-    weights = np.zeros((len(regions), ny + 2, stride))
-    weights[:, 1:-1, :nx] = regions
-    return Specialized(
-        discretization=discretization,
-        scene=scene,
-        scheme=scheme,
-        effects=KernelEffects(
-            damping=scene.effects.damping is not None or scheme.viscous > 0,
-            square_cells=scheme.square_cells or scheme.order == 4,
-            order=scheme.order,
-            terms=signals.terms,
-            **moment_form_effects(scene, moment_form=discretization.carriers > 1),
-        ),
-        real=real,
-        rows=ny + 2,
-        stride=stride,
-        device=device,
-        threads=threads or cpu_threads(),
-        regions=(*REGIONS, *areas),
-        parameters=parameters,
-        support=wp.array((support + [1, 0]).astype(np.int32), dtype=int, device=device),
-        patches=wp.array(fields[:, support[:, 0], support[:, 1]].astype(dtype), dtype=real, device=device),
-        weights=wp.array(weights, dtype=wp.float64, device=device),
-        wave=wp.array(wave.astype(dtype), dtype=real, device=device),
-        share=share[support[:, 0], support[:, 1]],
-        quantity=quantity,
-        sizes=sizes,
+def kernel_effects(discretization: Discretization) -> KernelEffects:
+    """Return the compile key of the kernels."""
+    scheme, effects = discretization.scheme, discretization.scene.effects
+    elastic = any(not isinstance(edge, str) for _, edge in discretization.scene.edges)
+    return KernelEffects(
+        damping=effects.damping is not None or scheme.viscous > 0,
+        square_cells=scheme.square_cells or scheme.order == 4,
+        order=scheme.order,
+        terms=discretization.signals.terms,
+        moments=discretization.carriers > 1 or needs_moment_form(discretization.scene),
+        material_damping=effects.material_damping is not None,
+        tension=effects.tension is not None,
+        foundation=effects.foundation is not None or elastic,
+        stretching=effects.stretching is not None,
+        oscillators=bool(effects.oscillators),
+        moving_load=effects.moving_load is not None,
     )
 
 
@@ -201,27 +186,3 @@ def _check_quantity(scene: Scene, quantity: str) -> None:
             f"{scene.nonlinear_table}: displacements are computed as the response to the load's running sums, valid "
             "for linear plates alone; delete it, or measure velocities"
         )
-
-
-def _loaded_nodes(discretization: Discretization) -> np.ndarray:
-    """Return (ny, nx), true at nodes that an actuator loads, or can load if actuators move from plate to plate."""
-    scene, per_plate = discretization.scene, discretization.per_plate
-    loaded: np.ndarray = np.any(discretization.patches, axis=0)
-    return loaded | reachable_nodes(scene, actuator_spaces(scene, per_plate)) if per_plate.centre else loaded
-
-
-def _in_units_of_mass(
-    discretization: Discretization, regions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return loads (actuators, ny, nx), share (ny, nx) and weights (regions, ny, nx) relative to the nodes' masses.
-
-    In moment form a pressure accelerates a node by its share of the mass of the node's own part of the cell.
-    """
-    scheme, patches = discretization.scheme, discretization.patches
-    share = np.ones(patches.shape[1:])
-    if scheme.bending is None:
-        return patches, share, regions
-    loss = 0.0 if scheme.backward else scheme.viscous * scheme.time_step / scheme.bending.mass
-    ratio = scheme.bending.mass / scheme.surface_density
-    heavy = scheme.bending.weight * ratio * (1 + loss / 2)
-    return patches / heavy, share / heavy, regions * ratio

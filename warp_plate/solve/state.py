@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,45 +18,59 @@ MOMENT_FORM_FIELDS = 6
 CLEAR_SHARE = 4
 
 
-@dataclass(frozen=True)
-class HostBuffers:
-    """Host copies of three arrays of a :class:`State`; pinned for CUDA, so that copying does not stop the host."""
-
-    coefficients: wp.array
-    units: wp.array
-    energy: wp.array
-
-
-@dataclass
 class State:
-    """Arrays for up to ``capacity`` plates; fields are (capacity, rows, stride), zero outside the plate."""
+    """Zeroed arrays for up to ``capacity`` plates; fields are (capacity, rows, stride), zero outside the plate.
 
-    capacity: int  # Largest number of plates
-    coefficients: wp.array  # (capacity, terms, actuators) factors of the waves
-    loads: wp.array  # (terms, capacity, rows, stride) load fields, see ``kernels.load``
-    in_phase: wp.array  # First load field
-    quadrature: wp.array  # Second load field
-    moves: wp.array  # (5, capacity, rows, stride) the five fields below in one piece
-    u: wp.array  # Displacement
-    rate: wp.array  # Displacement gained in a step
-    squares: wp.array  # Sum of rate² over the window
-    u_next: wp.array  # Buffer that takes turns with u on streaming paths; curvature on the others
-    rate_next: wp.array  # Buffer that takes turns with rate on streaming paths
-    units: wp.array  # (capacity,) displacement [m] of a unit of u
-    moving: wp.array  # (capacity,) strength of the moving load, in units of each plate's pressure
-    nodes: wp.array  # (traced nodes, 2) row of the field and column
-    inner_nodes: wp.array  # (traced nodes, 2) row of the plate and column
-    trace: wp.array  # (capacity, traced nodes, steps) displacement of the traced nodes
-    column_sums: wp.array  # (capacity, regions, stride) float64 scratch of the energies
-    energy: wp.array  # (capacity, regions) float64 weighted sums of squares
-    wave: wp.array  # (capacity, steps, terms) waves of the current run, which are one of the next two
-    shared_wave: wp.array  # The scene's wave as that of all plates
-    plate_waves: wp.array  # A wave for each plate
-    along_x: wp.array  # (capacity, actuators, nx) weights of patches that move from plate to plate
-    along_y: wp.array  # (capacity, actuators, ny) the same along y
-    host: HostBuffers  # Buffers for what is copied to the device and back
-    # Further arrays and recorded launches, kept by whoever makes them
-    beside: dict[Hashable, Any] = dataclasses.field(default_factory=dict)
+    Args:
+        specialized: The scene on the device.
+        capacity: Largest number of plates.
+        nodes: (traced nodes, 2) row of the field and column of nodes whose displacement is kept (default: none).
+    """
+
+    def __init__(self, specialized: Specialized, capacity: int, nodes: wp.array | None = None) -> None:
+        device, real, discretization = specialized.device, specialized.real, specialized.discretization
+        regions, rows, stride = specialized.weights.shape
+        (nx, ny), steps, terms = specialized.scheme.nodes, specialized.scheme.steps, specialized.effects.terms
+        actuators = specialized.patches.shape[0]
+        # The moment form's passes on CPU read a number beyond the last plate; it must be zero.
+        plates = capacity + (0 if specialized.effects.plain else 1)
+        waved = capacity if discretization.carriers else 0
+        moved = capacity if discretization.per_plate.centre else 0
+
+        def zeros(*shape: int, dtype: type = real) -> wp.array:
+            return wp.zeros(shape, dtype=dtype, device=device)
+
+        def on_host(*shape: int, dtype: type = real) -> wp.array:
+            return wp.zeros(shape, dtype=dtype, device="cpu", pinned=device.is_cuda)
+
+        self.capacity = capacity  # Largest number of plates
+        self.coefficients = zeros(capacity, terms, actuators)  # Factors of the waves
+        self.loads = zeros(terms, plates, rows, stride)  # Load fields, see ``kernels.load``
+        self.in_phase, self.quadrature = self.loads[0], self.loads[1]  # The first two
+        self.moves = zeros(FIELDS, plates, rows, stride)  # The five fields below in one piece
+        self.u = self.moves[0]  # Displacement
+        self.rate = self.moves[1]  # Displacement gained in a step
+        self.squares = self.moves[2]  # Sum of rate² over the window
+        self.u_next = self.moves[3]  # Buffer that takes turns with u on streaming paths; curvature on the others
+        self.rate_next = self.moves[4]  # Buffer that takes turns with rate on streaming paths
+        self.units = zeros(capacity)  # Displacement [m] of a unit of u
+        self.moving = zeros(capacity)  # Strength of the moving load, in units of each plate's pressure
+        self.nodes = wp.empty((0, 2), dtype=int, device=device) if nodes is None else nodes
+        inner_nodes = self.nodes.numpy() - np.array([1, 0], np.int32)
+        self.inner_nodes: wp.array = wp.array(inner_nodes, dtype=int, device=device)  # ``nodes`` by row of the plate
+        self.trace = zeros(capacity, self.nodes.shape[0], steps)  # Displacement of the traced nodes
+        self.column_sums = zeros(capacity, regions, stride, dtype=wp.float64)  # Scratch of the energies
+        self.energy = zeros(capacity, regions, dtype=wp.float64)  # Weighted sums of squares
+        self.shared_wave = _repeated(specialized.wave, capacity)  # The scene's wave as that of all plates
+        self.plate_waves = zeros(waved, steps, terms)  # A wave for each plate
+        self.wave = self.shared_wave  # (capacity, steps, terms) waves of the current run: shared_wave or plate_waves
+        self.along_x = zeros(moved, actuators, nx, dtype=wp.float64)  # Weights of patches that differ between plates
+        self.along_y = zeros(moved, actuators, ny, dtype=wp.float64)  # The same along y
+        # Host copies, pinned for CUDA, so that copying does not stop the host
+        self.host_coefficients = on_host(capacity, terms, actuators)
+        self.host_units = on_host(capacity)
+        self.host_energy = on_host(capacity, regions, dtype=wp.float64)
+        self.beside: dict[Hashable, Any] = {}  # Further arrays and recorded launches of the paths
 
     @property
     def has_plate_waves(self) -> bool:
@@ -89,63 +101,6 @@ def bytes_per_plate(specialized: Specialized, traced_nodes: int) -> int:
     numbers = fields * rows * stride + (traced_nodes + waves) * steps
     places = specialized.patches.shape[0] * (sum(specialized.scheme.nodes) + 4)
     return numbers * itemsize + 8 * (regions * (stride + 1) + (places if discretization.per_plate.centre else 0))
-
-
-def make_state(specialized: Specialized, capacity: int, nodes: wp.array | None = None) -> State:
-    """Allocate zeroed arrays for ``capacity`` plates.
-
-    Args:
-        capacity: Largest number of plates.
-        nodes: (traced nodes, 2) row of the field and column of nodes whose displacement is kept (default: none).
-    """
-    device, real, discretization = specialized.device, specialized.real, specialized.discretization
-    regions, steps, (nx, ny) = specialized.weights.shape[0], specialized.scheme.steps, specialized.scheme.nodes
-    terms, actuators = specialized.effects.terms, specialized.patches.shape[0]
-    nodes = wp.empty((0, 2), dtype=int, device=device) if nodes is None else nodes
-    # The moment form's passes on CPU read a number beyond the last plate; it must be zero.
-    plates = capacity + (0 if specialized.effects.plain else 1)
-    waved = capacity if discretization.carriers else 0
-    moved = capacity if discretization.per_plate.centre else 0
-
-    def zeros(*shape: int, dtype: type = real) -> wp.array:
-        return wp.zeros(shape, dtype=dtype, device=device)
-
-    def buffer(*shape: int, dtype: type = real) -> wp.array:
-        return wp.zeros(shape, dtype=dtype, device="cpu", pinned=device.is_cuda)
-
-    loads = zeros(terms, plates, specialized.rows, specialized.stride)
-    moves = zeros(FIELDS, plates, specialized.rows, specialized.stride)
-    wave = _repeated(specialized.wave, capacity)
-    return State(
-        capacity=capacity,
-        coefficients=zeros(capacity, terms, actuators),
-        loads=loads,
-        in_phase=loads[0],
-        quadrature=loads[1],
-        moves=moves,
-        u=moves[0],
-        rate=moves[1],
-        squares=moves[2],
-        u_next=moves[3],
-        rate_next=moves[4],
-        units=zeros(capacity),
-        moving=zeros(capacity),
-        nodes=nodes,
-        inner_nodes=wp.array(nodes.numpy() - np.array([1, 0], np.int32), dtype=int, device=device),
-        trace=zeros(capacity, nodes.shape[0], steps),
-        column_sums=zeros(capacity, regions, specialized.stride, dtype=wp.float64),
-        energy=zeros(capacity, regions, dtype=wp.float64),
-        wave=wave,
-        shared_wave=wave,
-        plate_waves=zeros(waved, steps, terms),
-        along_x=zeros(moved, actuators, nx, dtype=wp.float64),
-        along_y=zeros(moved, actuators, ny, dtype=wp.float64),
-        host=HostBuffers(
-            coefficients=buffer(capacity, terms, actuators),
-            units=buffer(capacity),
-            energy=buffer(capacity, regions, dtype=wp.float64),
-        ),
-    )
 
 
 def _repeated(wave: wp.array, plates: int) -> wp.array:

@@ -1,20 +1,54 @@
-"""The plain streaming path of every device, and stepping by a few launches per step."""
+"""The plain streaming path of every device, and launches that are recorded once and repeated.
+
+Repeating saves Python's overhead for each launch.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import warp as wp
 
-from warp_plate.kernels import record, streaming
-from warp_plate.solve.launches import Launcher, repeat
+from warp_plate.kernels import streaming
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance, State
 
+# ``wp.launch``, or a function with its arguments that records the launch instead.
+Launcher = Callable[..., Any]
 # Steps whose launches are recorded together.
 STEPS = 16
 # (launch, state, plates, clock, offset): make the launches of step clock[0] + offset.
 Step = Callable[[Launcher, State, int, wp.array, int], None]
+
+
+def repeat(device: wp.Device, launches: Callable[..., object], state: State, *numbers: int) -> None:
+    """Run ``launches(wp.launch, state, *numbers)``, recorded when it is called with these numbers for the first time.
+
+    Recordings are kept with the state, whose addresses they hold: as a CUDA graph, on CPU as a list. Buffers that take
+    turns must end where they began. No other thread may use the device's stream meanwhile.
+    """
+    # A state may have other waves the next time, and buffers may have been left in the other turn.
+    key = (launches, *numbers, state.has_plate_waves, state.u.ptr)
+    if key not in state.beside:
+        state.beside[key] = _record(device, lambda launch: launches(launch, state, *numbers))
+    state.beside[key]()
+
+
+def _record(device: wp.Device, launches: Callable[[Launcher], object]) -> Callable[[], object]:
+    if device.is_cuda:
+        with wp.ScopedCapture(device=device) as capture:
+            launches(wp.launch)
+        return lambda: wp.capture_launch(capture.graph)
+    # Warp's graphs on CPU would be faster, but they capture the launches of all threads.
+    recorded: list[wp.Launch] = []
+    launches(lambda kernel, **arguments: recorded.append(wp.launch(kernel, **arguments, record_cmd=True)))
+
+    def replay() -> None:
+        for launch in recorded:
+            launch.launch()
+
+    return replay
 
 
 def record_nodes(
@@ -29,16 +63,15 @@ def record_nodes(
 
 def step_by_step(specialized: Specialized, step: Step) -> Advance:
     """Return a path of a few launches per step, after which traced nodes are recorded."""
-    device, record_trace = specialized.device, record.make_record_trace(specialized.real)
-    for kernel in (record_trace, record.advance_clock):
-        wp.load_module(module=kernel.module, device=device)
+    device, record_trace = specialized.device, streaming.make_record_trace(specialized.real)
+    specialized.load(record_trace, streaming.advance_clock)
     clock = wp.zeros(1, dtype=int, device=device)
 
     def launches(launch: Launcher, state: State, plates: int, count: int) -> None:
         for offset in range(count):
             step(launch, state, plates, clock, offset)
             record_nodes(launch, record_trace, state, plates, clock, offset)
-        launch(record.advance_clock, dim=1, inputs=[clock, count], device=device)
+        launch(streaming.advance_clock, dim=1, inputs=[clock, count], device=device)
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         clock.fill_(start)
@@ -55,8 +88,7 @@ def streaming_path(specialized: Specialized) -> Advance:
     device, real, effects = specialized.device, specialized.real, specialized.effects
     compute_curvature = streaming.make_compute_curvature(effects, real)
     update_nodes = streaming.make_update_nodes(effects, real)
-    for kernel in (compute_curvature, update_nodes):
-        wp.load_module(module=kernel.module, device=device)
+    specialized.load(compute_curvature, update_nodes)
     nx, ny = specialized.scheme.nodes
     bend_x, bend_y, move_x, move_y = specialized.taps
     window = wp.vec2i(*specialized.scheme.window)
