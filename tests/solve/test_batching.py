@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver, SceneError
-from warp_plate.solve.state import make_state
+from warp_plate.solve.state import State
 
 EFFECTS = {
     "damping": {"viscous": 30.0},
@@ -83,7 +83,7 @@ def test_parts_that_take_turns_change_no_bit(count, name, device, path, scene, p
     drives[[1, 6, 20, 36], 0] = np.nan
     whole = PlateSolver(made, device, path).run(drives, (0.003,))
     solver = PlateSolver(made, device, path)
-    states = [make_state(solver.specialized, 5) for _ in range(count)]
+    states = [State(solver.specialized, 5) for _ in range(count)]
     monkeypatch.setattr(solver, "_states_for", lambda plates, corners: (states, 5))
     calls = itertools.count()
 

@@ -10,7 +10,7 @@ from warp_plate.plate.discretization import discretize
 from warp_plate.solve.cpu import compiler_flags
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import choose_path
-from warp_plate.solve.specialize import specialize
+from warp_plate.solve.specialize import Specialized
 
 # Members of the kernels' structs that belong to one effect alone.
 MEMBERS = {
@@ -42,7 +42,7 @@ def test_only_effects_that_are_on_are_in_the_code(on, tmp_path):
 
 
 def test_a_plain_scene_takes_the_plain_kernels(tmp_path):
-    specialized = specialize(discretize(Scene.load("paper")), find_device("cpu"))
+    specialized = Specialized(discretize(Scene.load("paper")), find_device("cpu"))
     assert specialized.effects == KernelEffects(damping=True)
     assert specialized.effects.plain
     assert specialized.scheme.bending is None
