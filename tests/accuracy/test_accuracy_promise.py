@@ -1,4 +1,4 @@
-"""Chosen grids keep their accuracy: six different scenes against Ritz's method with many functions."""
+"""Chosen grids keep their accuracy: four different scenes against Ritz's method with many functions."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,6 @@ from warp_plate.solve.response import measure_response
 
 C, S = "clamped", "supported"
 ALUMINIUM = {"thickness": 1e-3, "young_modulus": 7e10, "poisson_ratio": 0.34, "density": 2700.0}
-GLASS = {"thickness": 7e-4, "young_modulus": 7e10, "poisson_ratio": 0.22, "density": 2500.0}
 ACRYLIC = {"thickness": 2e-3, "young_modulus": 3e9, "poisson_ratio": 0.37, "density": 1180.0}
 PAPER = {"thickness": 5e-4, "young_modulus": 1e9, "poisson_ratio": 0.33, "density": 1000.0}
 # Size [m], material, edges left, bottom, right, top, damping [N·s/m³], frequency [Hz], window [s], target and actuators
@@ -24,21 +23,13 @@ SCENES = {
         (0.3, 0.12), ALUMINIUM, (S, S, S, S), 400.0, 500.0, (0.02, 0.04), (0.5, 1, 0, 1),
         [(0.1, 0.2, 0.3, 0.6), (0.75, 0.85, 0.4, 0.7), (0.45, 0.55, 0.1, 0.3)],
     ),
-    "mixed edges, strip target": (
-        (0.2, 0.15), ACRYLIC, (C, S, S, C), 300.0, 400.0, (0.02, 0.05), (0.35, 0.6, 0, 1),
-        [(0.1, 0.22, 0.1, 0.25), (0.6, 0.75, 0.55, 0.8)],
-    ),
-    "undamped": (
-        (0.2, 0.2), ACRYLIC, (C, C, C, C), None, 200.0, (0.005, 0.015), (0, 0.5, 0, 1),
+    "undamped, strip target": (
+        (0.2, 0.15), ACRYLIC, (C, C, C, C), None, 200.0, (0.005, 0.015), (0.35, 0.6, 0, 1),
         [(0.2, 0.35, 0.3, 0.45), (0.6, 0.7, 0.6, 0.75)],
     ),
     "heavy damping": (
         (0.25, 0.2), PAPER, (S, C, S, C), 2000.0, 150.0, (0.01, 0.03), (0, 0.4, 0, 0.4),
         [(0.1, 0.2, 0.1, 0.2), (0.6, 0.7, 0.5, 0.65), (0.3, 0.4, 0.7, 0.8)],
-    ),
-    "four actuators, off-centre target": (
-        (0.22, 0.18), GLASS, (C, C, C, C), 250.0, 450.0, (0.02, 0.04), (0.13, 0.47, 0.21, 0.68),
-        [(0.15, 0.25, 0.15, 0.25), (0.75, 0.85, 0.2, 0.3), (0.2, 0.3, 0.75, 0.85), (0.7, 0.85, 0.7, 0.8)],
     ),
     "large patches at the edge": (
         (0.3, 0.3), ALUMINIUM, (S, S, C, C), 600.0, 300.0, (0.015, 0.04), (0, 1, 0, 0.33),

@@ -1,25 +1,33 @@
-"""Choice of the cheapest grid, order and time step that keep an error, for a scene on a device."""
+"""Choice of the cheapest grid, order and time step that keep an error, with few trial runs on a device."""
 
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from warp_plate.accuracy.configurations import Configuration, Order, cost_of_run, highest_order, scene_with
-from warp_plate.accuracy.formatting import percent, seconds_text, two_digits
-from warp_plate.accuracy.grid_search import (
-    CLOSE_ENOUGH,
-    MOST_NODE_STEPS,
-    TRIALS,
-    GridSearch,
-    TrialRun,
-    find_confirmed_grid,
+from warp_plate.accuracy.configurations import (
+    LOAD_OF,
+    Configuration,
+    Order,
+    Precision,
+    bending_wavelength,
+    cost_of_run,
+    highest_order,
+    make_configuration,
+    node_steps,
+    nodes_for,
+    percent,
     refine,
+    scene_with,
+    seconds_text,
+    two_digits,
 )
+from warp_plate.accuracy.measure import seconds_of_runs
 from warp_plate.accuracy.reference_solution import ReferenceSolution, find_reference_solution
+from warp_plate.plate.weights import localization_factor
 from warp_plate.reference.forced import bound, localization_factors
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -33,8 +41,20 @@ SEARCH_SHARE = 0.9
 REFERENCE_SHARE, REFERENCE_SECONDS = 0.15, 30.0
 # Below this tolerance the rounding of float32 may matter, and float64 is tried too.
 FLOAT64_BELOW = 2e-3
-# Plates that are timed on a CUDA device, and the time after which no further run begins [s].
-CUDA_PLATES, TIMING_SECONDS = 256, 0.2
+# Plates that are timed on a CUDA device, the most timed runs, and the time after which no further run begins [s].
+CUDA_PLATES, TIMED_RUNS, TIMING_SECONDS = 256, 3, 0.2
+# Trials of up to this many node-steps take the streaming path, which compiles no kernel for each grid.
+STREAMED_NODE_STEPS = {"cpu": 4e7, "cuda": 1e10}
+# First grid: cells in a bending wave for an error of 1 % with fourth order, and the range of its side.
+CELLS_A_WAVE, FIRST_SIDES = 6.3, (12.0, 120.0)
+# Coarser grids may agree with each other and be wrong.
+FEWEST_CELLS_A_WAVE = 4.0
+# Relative difference of sides that ends the search, and the smallest ratio of successive sides.
+CLOSE_ENOUGH, LARGEST_STEP = 1.06, 0.6
+# A grid is confirmed by one that is finer by this factor; so many grids may fail to be confirmed.
+CONFIRMING_FACTOR, ATTEMPTS = 1.2, 4
+# Trials for each order and precision; node-steps of a plate and nodes of a side that are never tried.
+TRIALS, MOST_NODE_STEPS, MOST_NODES = 10, 2e10, 8193
 
 
 @dataclass(frozen=True)
@@ -42,12 +62,64 @@ class GridChoice:
     """The grid that was chosen for an accuracy."""
 
     scene: Scene  # scene with the chosen grid in place of ``grid.accuracy``
-    asked: float  # relative error that was asked for
-    # Estimated relative error: the largest of all drives tried and of the bound
-    error: float
-    seconds: float  # time that a plate takes among several [s]
+    error: float  # estimated relative error: the largest of all drives tried and of the bound
     reason: str  # explanation for people
     reference: ReferenceSolution  # reference solution that the error was measured against
+
+
+@dataclass(frozen=True)
+class TrialRun:
+    """A configuration that was tried."""
+
+    configuration: Configuration  # the configuration
+    error: float  # largest relative error of the localization factors
+    cost: float  # see :func:`cost_of_run`
+
+
+@dataclass(frozen=True)
+class GridSearch:
+    """The problem that a search for a grid solves."""
+
+    scene: Scene  # scene whose grid is searched
+    reference: ReferenceSolution  # reference solution of the scene
+    tolerance: float  # largest relative error that is allowed
+    device: str  # device of the trial runs
+    more_phasors: np.ndarray | None = None  # drives (drives, actuators) that are tried besides the usual ones
+
+    @cached_property
+    def waves(self) -> float:
+        """Number of bending waves along the side of a square with the plate's area."""
+        return math.sqrt(math.prod(self.scene.plate.size)) / bending_wavelength(self.scene)
+
+    @cached_property
+    def phasors(self) -> np.ndarray:
+        """(drives, actuators) phasors: best single actuator, best drive, equal drive, and ``more_phasors``."""
+        usual = np.array([*self.reference.drives.values(), np.ones(len(self.scene.actuators))])
+        return usual if self.more_phasors is None else np.concatenate([usual, self.more_phasors])
+
+    def configuration(self, order: Order, precision: Precision, side: float) -> Configuration:
+        """Return a configuration with the longest time step and enough cells for each bending wave."""
+        nodes = nodes_for(self.scene.plate.size, max(side, 1 + FEWEST_CELLS_A_WAVE * self.waves), order)
+        return make_configuration(self.scene, order, nodes, precision)
+
+    def attempt(self, configuration: Configuration) -> TrialRun:
+        """Return the trial run of a configuration; its error is infinite if the grid is refused."""
+        factors = localization_factors(self.reference.matrices, self.phasors)
+        try:
+            return try_out(self.scene, configuration, self.phasors, factors, self.device)
+        except SceneError:  # the grid is too coarse for an actuator
+            return TrialRun(configuration, math.inf, cost_of_run(self.scene, configuration))
+
+    def predict(self, trial: TrialRun) -> Configuration:
+        """Return the configuration that would keep the tolerance by the convergence law of the trial's order."""
+        factor = max(1.0, trial.error / self.tolerance) ** (1 / trial.configuration.order)
+        return refine(self.scene, trial.configuration, factor)
+
+    def predict_side(self, trial: TrialRun, side: float) -> float:
+        """Return the nodes of a side at which the error would equal the tolerance by the convergence law."""
+        if not math.isfinite(trial.error):
+            return 1.5 * side
+        return 1 + (side - 1) * (trial.error / self.tolerance) ** (1 / trial.configuration.order)
 
 
 def choose(scene: Scene, accuracy: float, device: str = "auto", phasors: np.ndarray | None = None) -> GridChoice:
@@ -62,14 +134,17 @@ def choose(scene: Scene, accuracy: float, device: str = "auto", phasors: np.ndar
     """
     find_device(device)
     reference = find_reference_solution(scene, "auto", device, REFERENCE_SHARE * accuracy, REFERENCE_SECONDS, phasors)
-    if not reference.uncertainty <= accuracy / 2:
-        possible = reference.uncertainty < 0.2
-        advice = f"ask for {_rounded_up(2 * reference.uncertainty):g} or more" if possible else "write a grid instead"
+    uncertainty = reference.uncertainty
+    if not uncertainty <= accuracy / 2:
+        advice = "write a grid instead"
+        if uncertainty < 0.2:
+            digit = 10.0 ** (math.floor(math.log10(2 * uncertainty)) - 1)
+            advice = f"ask for {math.ceil(2 * uncertainty / digit) * digit:g} or more"
         raise SceneError(
-            f"accuracy = {accuracy:g}: the reference solution of this scene is known to {reference.uncertainty:.2g} "
+            f"accuracy = {accuracy:g}: the reference solution of this scene is known to {uncertainty:.2g} "
             f"only; {advice}"
         )
-    search = GridSearch(scene, reference, SEARCH_SHARE * accuracy - reference.uncertainty, device, phasors)
+    search = GridSearch(scene, reference, SEARCH_SHARE * accuracy - uncertainty, device, phasors)
     trials = _trials(search)
     kept = [trial for trial in trials.values() if trial.error <= search.tolerance]
     chosen, error = _checked(search, min(kept, key=lambda trial: trial.cost)) if kept else (None, math.inf)
@@ -81,23 +156,28 @@ def choose(scene: Scene, accuracy: float, device: str = "auto", phasors: np.ndar
             "larger error"
         )
     resolved = scene_with(scene, chosen)
-    seconds = _seconds_a_plate(resolved, device)
     reason = (
         f"{percent(accuracy)}: {chosen.nodes[0]} × {chosen.nodes[1]} nodes, order {chosen.order}, {chosen.load}, "
         f"Δt = {chosen.time_step:.2g} s, {chosen.precision}: estimated error {percent(error)}, "
-        f"{seconds_text(seconds)} a plate{_alternatives(search, trials, chosen)}"
+        f"{seconds_text(_seconds_a_plate(resolved, device))} a plate"
     )
-    return GridChoice(resolved, accuracy, error, seconds, reason, reference)
+    for order, trial in trials.items():
+        if order != chosen.order and math.isfinite(trial.error):
+            other = search.predict(trial)
+            ratio = two_digits(cost_of_run(scene, other) / cost_of_run(scene, chosen))
+            reason += f"; order {order} would need about {other.nodes[0]} × {other.nodes[1]} and {ratio} times as long"
+    return GridChoice(resolved, error, reason, reference)
 
 
 def _trials(search: GridSearch) -> dict[Order, TrialRun]:
     """Return the cheapest trial of each order; second order is searched only as far as it may be cheaper."""
-    side, most_cost = search.first_side(), math.inf
-    orders: tuple[Order, ...] = (4, 2) if highest_order(search.scene) == 4 else (2,)
+    cells = CELLS_A_WAVE * search.waves * (0.01 / search.tolerance) ** 0.25
+    side, most_cost = float(np.clip(1 + cells, *FIRST_SIDES)), math.inf
+    highest = highest_order(search.scene)
     trials: dict[Order, TrialRun] = {}
-    for order in orders:
+    for order in sorted((order for order in LOAD_OF if order <= highest), reverse=True):
         trial = find_confirmed_grid(search, order, "float32", side, most_cost)
-        if trial.error > search.tolerance and search.tolerance < FLOAT64_BELOW and order == orders[0]:
+        if trial.error > search.tolerance and search.tolerance < FLOAT64_BELOW and order == highest:
             other = find_confirmed_grid(search, order, "float64", side, most_cost)
             trial = other if other.error < trial.error else trial
         trials[order] = trial
@@ -106,9 +186,83 @@ def _trials(search: GridSearch) -> dict[Order, TrialRun]:
     return trials
 
 
+def find_confirmed_grid(
+    search: GridSearch, order: Order, precision: Precision, first: float, most_cost: float = math.inf
+) -> TrialRun:
+    """Return :func:`find_coarsest_grid`, confirmed by a somewhat finer grid that also keeps the tolerance.
+
+    Errors of coarse grids may pass through zero, so a single grid may keep the tolerance by chance.
+    """
+    too_coarse = 0.0
+    trial = find_coarsest_grid(search, order, precision, first, most_cost)
+    for _ in range(ATTEMPTS):
+        if trial.error > search.tolerance:
+            return trial
+        if search.attempt(refine(search.scene, trial.configuration, CONFIRMING_FACTOR)).error <= search.tolerance:
+            return trial
+        too_coarse = math.sqrt(math.prod(trial.configuration.nodes)) * CLOSE_ENOUGH
+        trial = find_coarsest_grid(search, order, precision, CONFIRMING_FACTOR * too_coarse, most_cost, too_coarse)
+    return replace(trial, error=math.inf)
+
+
+def find_coarsest_grid(
+    search: GridSearch,
+    order: Order,
+    precision: Precision,
+    side: float,
+    most_cost: float = math.inf,
+    too_coarse: float = 0.0,
+) -> TrialRun:
+    """Return the coarsest grid found that keeps the tolerance, else the last one tried.
+
+    The first grid has ``side`` nodes a side; ``too_coarse`` nodes a side are known to be too few. The search ends early
+    if the tolerance would cost much more than ``most_cost``.
+    """
+    best, last, fine_enough = None, None, math.inf
+    for _ in range(TRIALS):
+        configuration = search.configuration(order, precision, side)
+        impossible = node_steps(search.scene, configuration) > MOST_NODE_STEPS or max(configuration.nodes) > MOST_NODES
+        if impossible or (last is not None and configuration == last.configuration):
+            break
+        last = search.attempt(configuration)
+        predicted = search.predict_side(last, side)
+        if last.error <= search.tolerance:
+            best, fine_enough = last, side
+        else:
+            too_coarse = max(too_coarse, side)
+        if best is None:
+            if math.isfinite(last.error) and cost_of_run(search.scene, search.predict(last)) > 2 * most_cost:
+                break
+            side = min(max(1.01 * predicted, side + 1), 2 * side)
+        else:
+            if fine_enough <= CLOSE_ENOUGH * too_coarse:
+                break
+            lowest = max(LARGEST_STEP * fine_enough, CLOSE_ENOUGH * too_coarse)
+            if predicted >= fine_enough:
+                side = math.sqrt(max(lowest, 1.0) * fine_enough)
+            else:
+                side = min(max(1.02 * predicted, lowest), fine_enough - 1)
+    return best or last or TrialRun(configuration, math.inf, math.inf)
+
+
+def try_out(
+    scene: Scene, configuration: Configuration, phasors: np.ndarray, factors: np.ndarray, device: str
+) -> TrialRun:
+    """Run drives (drives, actuators) with known localization factors (drives,); non-finite plates have infinite error.
+
+    Raises:
+        SceneError: see ``PlateSolver``.
+    """
+    work = len(phasors) * node_steps(scene, configuration)
+    streamed = work < STREAMED_NODE_STEPS["cuda" if find_device(device).is_cuda else "cpu"]
+    solver = PlateSolver(scene_with(scene, configuration), device, "streaming" if streamed else "auto")
+    error = float(np.abs(localization_factor(solver.run(phasors).energy) / factors - 1).max())
+    return TrialRun(configuration, error if np.isfinite(error) else np.inf, cost_of_run(scene, configuration))
+
+
 def _checked(search: GridSearch, trial: TrialRun) -> tuple[Configuration, float]:
     """Return the configuration, refined until the bound keeps the tolerance too, and the largest error of all."""
-    reference, configuration, phasors = search.reference, trial.configuration, search.phasors()
+    reference, configuration, phasors = search.reference, trial.configuration, search.phasors
     expected = np.append(localization_factors(reference.matrices, phasors), reference.bound)
     error = math.inf
     for _ in range(TRIALS):
@@ -130,27 +284,4 @@ def _seconds_a_plate(scene: Scene, device: str) -> float:
     plates = CUDA_PLATES if solver.device.is_cuda else 4 * solver.specialized.threads
     phasors = np.ones((plates, len(scene.actuators)), dtype=complex)
     solver.run(phasors[:1])
-    times: list[float] = []
-    while len(times) < 3 and sum(times) < TIMING_SECONDS:
-        started = time.perf_counter()
-        solver.run(phasors)
-        times.append(time.perf_counter() - started)
-    return min(times) / plates
-
-
-def _alternatives(search: GridSearch, trials: dict[Order, TrialRun], chosen: Configuration) -> str:
-    """Return the cost of the orders that were not chosen, for people."""
-    text = ""
-    for order, trial in trials.items():
-        if order != chosen.order and math.isfinite(trial.error):
-            other = search.predict(trial)
-            ratio = cost_of_run(search.scene, other) / cost_of_run(search.scene, chosen)
-            text += f"; order {order} would need about {other.nodes[0]} × {other.nodes[1]} and {two_digits(ratio)} "
-            text += "times as long"
-    return text
-
-
-def _rounded_up(value: float) -> float:
-    """Return the value rounded up to two digits."""
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return math.ceil(value / unit) * unit
+    return min(seconds_of_runs(solver, phasors, TIMED_RUNS, TIMING_SECONDS)) / plates

@@ -1,4 +1,4 @@
-"""Configurations: the grid, order, loads, time step and precision that a scene can be solved with."""
+"""Configurations: the grid, order, loads, time step and precision that a scene can be solved with; numbers in text."""
 
 from __future__ import annotations
 
@@ -42,9 +42,13 @@ class Configuration:
     time_step: float | None  # time step [s]; None for the one that ``make_scheme`` chooses
     precision: Precision  # precision of the time steps
 
+    @property
+    def grid_text(self) -> str:
+        """Nodes, order and load, for people."""
+        return f"{self.nodes[0]} × {self.nodes[1]}, order {self.order}, {self.load}"
+
     def __str__(self) -> str:
-        nx, ny = self.nodes
-        return f"{nx} × {ny} nodes, order {self.order}, {self.load}, {self.precision}"
+        return f"{self.grid_text.replace(',', ' nodes,', 1)}, {self.precision}"
 
 
 def configuration_of(scene: Scene) -> Configuration:
@@ -114,12 +118,23 @@ def aligned(scene: Scene, longest: float) -> float:
     return window.end / int(steps[np.argmin(misalignment)])
 
 
+def make_configuration(
+    scene: Scene, order: Order, nodes: tuple[int, int], precision: Precision = "float32"
+) -> Configuration:
+    """Return the configuration with the loads that the order needs and the longest time step."""
+    return Configuration(order, LOAD_OF[order], nodes, longest_time_step(scene, order, nodes), precision)
+
+
+def refine(scene: Scene, configuration: Configuration, factor: float) -> Configuration:
+    """Return a configuration with ``factor`` times the cells along each side."""
+    nx, ny = (math.ceil(factor * (count - 1) - 1e-9) + 1 for count in configuration.nodes)
+    return replace(configuration, nodes=(nx, ny), time_step=longest_time_step(scene, configuration.order, (nx, ny)))
+
+
 def node_steps(scene: Scene, configuration: Configuration) -> float:
     """Return the number of moving nodes times the number of steps of a run."""
     nx, ny = configuration.nodes
-    step = configuration.time_step
-    if step is None:
-        step = longest_time_step(scene, configuration.order, configuration.nodes)
+    step = configuration.time_step or longest_time_step(scene, configuration.order, configuration.nodes)
     return (nx - 2) * (ny - 2) * scene.window.end / step
 
 
@@ -130,24 +145,34 @@ def cost_of_run(scene: Scene, configuration: Configuration) -> float:
 
 def make_configurations(scene: Scene) -> list[Configuration]:
     """Return the configurations that ``warp-plate accuracy`` measures, from cheap to expensive."""
-    kinds: list[tuple[Order, Load, Precision]] = [
-        (2, "nodes", "float32"),
-        (2, "overlap", "float32"),
-        (4, "moments", "float32"),
-        (2, "overlap", "float64"),
-        (4, "moments", "float64"),
-    ]
-    kinds = [kind for kind in kinds if kind[0] <= highest_order(scene)]
-
-    def on_grid(order: Order, load: Load, side: float, precision: Precision) -> Configuration:
-        nodes = nodes_for(scene.plate.size, side, order)
-        return Configuration(order, load, nodes, longest_time_step(scene, order, nodes), precision)
-
-    made = [on_grid(order, load, side, precision) for side in SIDES for order, load, precision in kinds]
-    for order in dict.fromkeys(order for order, _, _ in kinds):
-        base = on_grid(order, LOAD_OF[order], BASE_SIDE, "float32")
+    made: list[Configuration] = []
+    for order in (order for order in LOAD_OF if order <= highest_order(scene)):
+        grids = [make_configuration(scene, order, nodes_for(scene.plate.size, side, order)) for side in SIDES]
+        made += [replace(grid, load="nodes") for grid in grids if order == 2]
+        made += [*grids, *(replace(grid, precision="float64") for grid in grids)]
+        base = make_configuration(scene, order, nodes_for(scene.plate.size, BASE_SIDE, order))
         longest = longest_time_step(scene, order, base.nodes)
         steps = [aligned(scene, fraction * longest) for fraction in TIME_STEP_FRACTIONS]
         steps.append(TOO_LONG * stability_limit(scene, order, base.nodes))
         made += [replace(base, time_step=step) for step in steps]
-    return sorted(dict.fromkeys(made), key=lambda one: cost_of_run(scene, one))
+    return sorted(dict.fromkeys(made), key=lambda made: cost_of_run(scene, made))
+
+
+def percent(value: float) -> str:
+    """Return 0.00853 as "0.85 %", 0.01 as "1 %", and values below 0.001 % with an exponent."""
+    return f"{100 * value:.0e} %" if 0 < value < 1e-5 else f"{two_digits(100 * value)} %"
+
+
+def seconds_text(value: float) -> str:
+    """Return a duration with a suitable unit: "2.1 ms"."""
+    unit, name = next((unit for unit in ((1.0, "s"), (1e-3, "ms")) if value >= unit[0]), (1e-6, "µs"))
+    return f"{two_digits(value / unit)} {name}"
+
+
+def two_digits(value: float) -> str:
+    """Return two digits without exponent or trailing zeros: 410, 4.1, 4, 0.041."""
+    if not math.isfinite(value) or value == 0:
+        return f"{value:g}"
+    decimals = 1 - math.floor(math.log10(abs(value)))
+    text = f"{round(value, decimals):.{max(0, decimals)}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text

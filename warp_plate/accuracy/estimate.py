@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Sequence
@@ -9,19 +10,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from warp_plate.accuracy.choose import TrialRun, try_out
 from warp_plate.accuracy.configurations import (
     LOAD_OF,
     Configuration,
     configuration_of,
     cost_of_run,
     highest_order,
-    longest_time_step,
+    make_configuration,
     node_steps,
     nodes_for,
+    percent,
+    refine,
+    two_digits,
 )
-from warp_plate.accuracy.formatting import percent, two_digits
-from warp_plate.accuracy.grid_search import TrialRun, refine, try_out
-from warp_plate.accuracy.reference_solution import Observed, ReferenceStage, refine_reference, ritz_field
+from warp_plate.accuracy.reference_solution import ReferenceSolution, find_reference_solution
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.reference.forced import localization_factors as factors_of
 from warp_plate.scene.errors import SceneError
@@ -71,25 +74,28 @@ class Estimate:
         """Return the localization factor of a drive with its error bar, and the price of a better one, for people."""
         value, error = float(self.localization_factors[drive]), float(self.errors[drive])
         bar, moved = error * value, float(self.displacement_errors[drive])
-        grid = _grid_text(self.configuration)
         if not math.isfinite(bar):
-            return f"{grid}: no error estimate (the plate is at rest, or not linear in its drives)"
-        limited = self.uncertainty > error / 2
-        at_most = f" at most (the reference is known to {percent(self.uncertainty)} only)" if limited else ""
-        displacement = f", displacement ± {percent(moved)}" if math.isfinite(moved) and not limited else ""
+            return (
+                f"{self.configuration.grid_text}: no error estimate (the plate is at rest, or not linear in its drives)"
+            )
         digits = max(3, 1 - math.floor(math.log10(bar))) if bar > 0 else 6
-        text = f"localization factor {value:.{min(digits, 8)}f} ± {two_digits(bar)}{at_most}{displacement}"
-        return f"{grid}: {text}{self._price_text()}"
-
-    def _price_text(self) -> str:
+        text = f"{self.configuration.grid_text}: localization factor {value:.{min(digits, 8)}f} ± {two_digits(bar)}"
+        if self.uncertainty > error / 2:
+            text += f" at most (the reference is known to {percent(self.uncertainty)} only)"
+        elif math.isfinite(moved):
+            text += f", displacement ± {percent(moved)}"
         if self.price is None:
-            return ""
-        cost = "as" if 0.95 < self.price.cost < 1.05 else f"{two_digits(self.price.cost)} times as"
-        return f"; {percent(self.price.tolerance)} costs {cost} much ({_grid_text(self.price.configuration)})"
+            return text
+        cost, grid = f"{two_digits(self.price.cost)} times as much", self.price.configuration.grid_text
+        return f"{text}; {percent(self.price.tolerance)} costs {cost} ({grid})"
 
     def as_json(self) -> dict[str, object]:
         """Return the estimate as numbers and texts."""
-        price = self.price
+        price: dict[str, object] | None = None
+        if self.price is not None:
+            grid = self.price.configuration
+            price = {"tolerance": self.price.tolerance, "cost": self.price.cost}
+            price |= {"nodes": list(grid.nodes), "order": grid.order, "load": grid.load}
         return {
             "error": self.error,
             "errors": self.errors.tolist(),
@@ -98,20 +104,8 @@ class Estimate:
             "uncertainty": self.uncertainty,
             "reference": self.kind,
             "seconds": self.seconds,
-            "price": price
-            and {
-                "tolerance": price.tolerance,
-                "cost": price.cost,
-                "nodes": list(price.configuration.nodes),
-                "order": price.configuration.order,
-                "load": price.configuration.load,
-            },
+            "price": price,
         }
-
-
-def _grid_text(configuration: Configuration) -> str:
-    nx, ny = configuration.nodes
-    return f"{nx} × {ny}, order {configuration.order}, {configuration.load}"
 
 
 def estimate(
@@ -122,7 +116,7 @@ def estimate(
     device: str = "auto",
     times: Sequence[float] | np.ndarray = (),
     displacement: np.ndarray | None = None,
-    stage: ReferenceStage | None = None,
+    reference: ReferenceSolution | None = None,
 ) -> Estimate:
     """Estimate the errors of localization factors in at most a tenth of the time of the run.
 
@@ -137,7 +131,7 @@ def estimate(
         device: Device of the trial run that prices fourth order.
         times: Times of ``displacement`` [s].
         displacement: (drives, times, ny, nx) displacement of the run [m].
-        stage: Reference solution, if there is one already.
+        reference: Reference solution, if there is one already.
     """
     started = time.perf_counter()
     budget = min(max(TIME_SHARE * seconds, LEAST_SECONDS), MOST_SECONDS)
@@ -145,62 +139,36 @@ def estimate(
     phasors = np.asarray(phasors, dtype=complex)
     # The reference consists of Gram matrices, which a nonlinear plate does not have.
     kept = np.isfinite(computed) & np.any(phasors != 0, axis=1) & scene.linear
-    references = np.full(computed.shape, math.nan)
+    unknown = np.full(computed.shape, math.nan)
     if not kept.any():
-        nothing = (math.nan, references, "none", 0.0, None, references)
-        return Estimate(configuration_of(scene), computed, references, *nothing)
+        return Estimate(configuration_of(scene), computed, unknown, math.nan, unknown, "none", 0.0, None, unknown)
 
-    stage = stage or _reference_stage(scene, phasors[kept], computed[kept], device, budget)
-    references[kept] = factors_of(stage.matrices, phasors[kept])
+    def wanted(matrices: np.ndarray) -> float:
+        difference = np.abs(computed[kept] / factors_of(matrices, phasors[kept]) - 1).max()
+        return min(max(GOOD_ENOUGH * float(difference), FINEST_WANTED), FIRST_WANTED)
+
+    reference = reference or find_reference_solution(scene, "auto", device, wanted, budget, phasors[kept], only=True)
+    references, displacement_errors = unknown.copy(), unknown.copy()
+    references[kept] = factors_of(reference.matrices, phasors[kept])
     differences = np.abs(computed / references - 1)
     largest = float(np.nanmax(differences))
     # A difference within the uncertainty does not allow to extrapolate to smaller errors.
-    known = stage.uncertainty < largest
+    known = reference.uncertainty < largest
     price = _price(scene, largest, phasors[kept], references[kept], device, budget) if known else None
-    displacement_errors = _displacement_errors(stage, scene, phasors, times, displacement)
+    if displacement is not None and reference.modes is not None and len(times):
+        for drive, fields in enumerate(displacement):
+            displacement_errors[drive] = reference.displacement_error(phasors[drive], times, scene, fields)
     return Estimate(
         configuration=configuration_of(scene),
         localization_factors=computed,
         references=references,
-        uncertainty=stage.uncertainty,
-        errors=differences + stage.uncertainty + ROUNDING[scene.grid.precision],
-        kind=stage.kind,
+        uncertainty=reference.uncertainty,
+        errors=differences + reference.uncertainty + ROUNDING[scene.grid.precision],
+        kind=reference.kind,
         seconds=time.perf_counter() - started,
         price=price,
         displacement_errors=displacement_errors,
     )
-
-
-def _reference_stage(
-    scene: Scene, phasors: np.ndarray, computed: np.ndarray, device: str, budget: float
-) -> ReferenceStage:
-    """Return a reference whose error is well below that of the computed localization factors, if the budget allows."""
-
-    def wanted(matrices: np.ndarray) -> float:
-        difference = np.abs(computed / factors_of(matrices, phasors) - 1).max()
-        return min(max(GOOD_ENOUGH * float(difference), FINEST_WANTED), FIRST_WANTED)
-
-    return refine_reference(scene, "auto", device, wanted, budget, Observed(only=phasors))
-
-
-def _displacement_errors(
-    stage: ReferenceStage,
-    scene: Scene,
-    phasors: np.ndarray,
-    times: Sequence[float] | np.ndarray,
-    displacement: np.ndarray | None,
-) -> np.ndarray:
-    """Return (drives,) relative L2 errors over nodes and times; NaN unless the reference has modes."""
-    errors = np.full(len(phasors), math.nan)
-    if displacement is None or stage.modes is None or not len(times):
-        return errors
-    x, y = (np.linspace(0, side, count) for side, count in zip(scene.plate.size, scene.grid.nodes, strict=True))
-    for drive, computed in enumerate(displacement):
-        expected = ritz_field(stage.modes, scene, phasors[drive])(times, x, y)
-        size = np.linalg.norm(expected)
-        if size > 0:
-            errors[drive] = np.linalg.norm(computed - expected) / size
-    return errors
 
 
 def _price(
@@ -211,29 +179,19 @@ def _price(
     if tolerance is None or not math.isfinite(error):
         return None
     run = replace(configuration_of(scene), time_step=make_scheme(scene).time_step)
-    run_cost = cost_of_run(scene, run)
-    trials = [TrialRun(run, error, run_cost)]
+    trials = [TrialRun(run, error, cost_of_run(scene, run))]
     if scene.grid.order == 2 and highest_order(scene) == 4:
-        trials.append(_pilot(scene, phasors, references, device, budget))
-    needed = [_needed(scene, trial, TOLERANCE_SHARE * tolerance) for trial in trials if math.isfinite(trial.error)]
+        # A trial run of fourth order on a coarse grid, unless it would take too long.
+        pilot = make_configuration(scene, 4, nodes_for(scene.plate.size, PILOT_SIDE, 4))
+        with contextlib.suppress(SceneError):  # the step is too long for the window, or cells too large for an actuator
+            if len(phasors) * node_steps(scene, pilot) <= PILOT_NODE_STEPS * budget:
+                trials.append(try_out(scene, pilot, phasors, references, device))
+    needed = []
+    for trial in trials:
+        if math.isfinite(trial.error):
+            # Finer by the convergence law, with the loads that the order needs
+            grid = replace(trial.configuration, load=LOAD_OF[trial.configuration.order])
+            factor = (trial.error / (TOLERANCE_SHARE * tolerance)) ** (1 / grid.order)
+            needed.append(refine(scene, grid, max(factor, 9 / min(grid.nodes))))
     cheapest = min(needed, key=lambda configuration: cost_of_run(scene, configuration))
-    return Price(tolerance, cheapest, cost_of_run(scene, cheapest) / run_cost)
-
-
-def _pilot(scene: Scene, phasors: np.ndarray, references: np.ndarray, device: str, budget: float) -> TrialRun:
-    """Return a trial run of fourth order on a coarse grid; its error is infinite if it would take too long."""
-    nodes = nodes_for(scene.plate.size, PILOT_SIDE, 4)
-    pilot = Configuration(4, LOAD_OF[4], nodes, longest_time_step(scene, 4, nodes), "float32")
-    try:
-        if len(phasors) * node_steps(scene, pilot) <= PILOT_NODE_STEPS * budget:
-            return try_out(scene, pilot, phasors, references, device)
-    except SceneError:  # the time step is too long for the window, or the cells too large for an actuator
-        pass
-    return TrialRun(pilot, math.inf, math.inf)
-
-
-def _needed(scene: Scene, trial: TrialRun, tolerance: float) -> Configuration:
-    """Return the configuration that keeps the tolerance by the convergence law, with the loads that the order needs."""
-    configuration = replace(trial.configuration, load=LOAD_OF[trial.configuration.order])
-    factor = max((trial.error / tolerance) ** (1 / configuration.order), 9 / min(configuration.nodes))
-    return refine(scene, configuration, factor)
+    return Price(tolerance, cheapest, cost_of_run(scene, cheapest) / trials[0].cost)

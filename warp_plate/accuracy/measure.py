@@ -17,9 +17,9 @@ from warp_plate.accuracy.configurations import (
     Configuration,
     configuration_of,
     scene_with,
+    seconds_text,
     spacing_of,
 )
-from warp_plate.accuracy.formatting import seconds_text
 from warp_plate.accuracy.reference_solution import ReferenceSolution
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.modes import natural_modes
@@ -55,7 +55,7 @@ class AccuracyRow:
     damping: str | None  # scheme of viscous damping in time; None without damping
     spacing: float  # square root of the area of a cell [m]
     as_written: bool  # True for the grid of the scene itself
-    status: str  # "ok", "refused: ...", "unstable", or "skipped: would take ..."
+    status: str = "ok"  # "ok", "refused: ...", "unstable", or "skipped: would take ..."
     steps: int | None = None  # number of steps
     localization_factor: float | None = None  # localization factor of the best single actuator
     bound: float | None = None  # largest localization factor of any drive
@@ -74,6 +74,11 @@ class AccuracyRow:
         """True if errors and cost were measured."""
         return self.status == "ok"
 
+    @property
+    def family(self) -> str:
+        """Order, load and precision."""
+        return f"order {self.order}, {self.load}, {self.precision}"
+
 
 @dataclass
 class MeasurementContext:
@@ -89,23 +94,17 @@ class MeasurementContext:
     frequency_errors: dict[tuple[int, tuple[int, int]], float] = field(default_factory=dict)
 
     @property
-    def kind(self) -> str:
-        """Kind of the device, "cuda" or "cpu"."""
-        return "cuda" if find_device(self.device).is_cuda else "cpu"
-
-    @property
     def few_plates(self) -> int:
         """Fewest plates that show the speed of the device."""
-        return FEW_ON_CUDA if self.kind == "cuda" else max(2, cpu_threads())
+        return FEW_ON_CUDA if find_device(self.device).is_cuda else max(2, cpu_threads())
 
     def speed(self, order: int, precision: str) -> float:
         """Return the time of a node-step [s]: measured, or derived from that of another order or precision."""
         cost = RELATIVE_COST[order, precision]
         if (order, precision) in self.speeds:
             return self.speeds[order, precision]
-        if self.speeds:
-            return max(value * cost / RELATIVE_COST[key] for key, value in self.speeds.items())
-        return FIRST_SPEED[self.kind] * cost
+        first = FIRST_SPEED["cuda" if find_device(self.device).is_cuda else "cpu"] * cost
+        return max((value * cost / RELATIVE_COST[key] for key, value in self.speeds.items()), default=first)
 
 
 def measure(
@@ -123,7 +122,6 @@ def measure(
         damping=damping.scheme if damping else None,
         spacing=spacing_of(context.scene, settings.nodes),
         as_written=configuration is None,
-        status="ok",
     )
     try:
         discretization = discretize(scene)
@@ -147,22 +145,22 @@ def _measured(context: MeasurementContext, solver: PlateSolver, row: AccuracyRow
     """Return the row with errors and cost."""
     scene, reference, window = solver.scene, context.reference, solver.scene.window
     times = np.linspace(window.start, window.end, SNAPSHOTS + 1)[1:]
-    run = solver.run(np.array([reference.drives["single"], reference.drives["best"]]), times.tolist())
-    if not (run.finite.all() and np.isfinite(run.displacement).all()):
+    run = solver.run(np.array(list(reference.drives.values())), times.tolist())
+    matrices = measure_response(solver).matrices if complete else np.zeros(0)
+    if not all(np.isfinite(values).all() for values in (run.energy, run.displacement, matrices)):
         return replace(row, status="unstable")
     factors = localization_factor(run.energy)
-    expected = reference.localization_factors
-    error_single, error_best = (abs(float(f) / expected[name] - 1) for f, name in zip(factors, expected, strict=True))
-    bound, error_bound = None, None
-    if complete:
-        matrices = measure_response(solver).matrices
-        if not np.isfinite(matrices).all():
-            return replace(row, status="unstable")
-        bound = bound_of(matrices)[0]
-        error_bound = abs(bound / reference.bound - 1)
+    expected = np.array(list(reference.localization_factors.values()))
+    error_single, error_best = np.abs(factors / expected - 1).tolist()
+    bound = bound_of(matrices)[0] if complete else None
+    error_bound = None if bound is None else abs(bound / reference.bound - 1)
     plates = scene.search.particles if complete else context.few_plates
-    seconds = _seconds_of_run(solver, plates, complete)
-    context.speeds[row.order, row.precision] = seconds / plates / solver.node_steps_per_plate
+    random = np.random.default_rng(0).normal(size=(2, plates, len(scene.actuators)))
+    phasors = random[0] + 1j * random[1]
+    if complete:
+        solver.run(phasors)
+    seconds = median(seconds_of_runs(solver, phasors, RUNS if complete else 1, TIMING_SECONDS)) / plates
+    context.speeds[row.order, row.precision] = seconds / solver.node_steps_per_plate
     return replace(
         row,
         localization_factor=float(factors[0]),
@@ -171,35 +169,24 @@ def _measured(context: MeasurementContext, solver: PlateSolver, row: AccuracyRow
         error_single=error_single,
         error_best=error_best,
         error_bound=error_bound,
-        error_displacement=_displacement_error(reference, scene, run.times, run.displacement[1]),
+        error_displacement=reference.displacement_error(
+            reference.drives["best"], run.times, scene, run.displacement[1]
+        ),
         error_frequencies=_frequency_error(context, scene),
-        seconds_per_plate=seconds / plates,
+        seconds_per_plate=seconds,
         plates=plates,
         path=solver.path,
     )
 
 
-def _seconds_of_run(solver: PlateSolver, plates: int, repeat: bool) -> float:
-    """Return the median time of runs of random plates, or the time of a single run [s]."""
-    random = np.random.default_rng(0)
-    parts = random.normal(size=(2, plates, len(solver.scene.actuators)))
-    phasors = parts[0] + 1j * parts[1]
-    if repeat:
-        solver.run(phasors)
+def seconds_of_runs(solver: PlateSolver, phasors: np.ndarray, most_runs: int, most_seconds: float) -> list[float]:
+    """Return the times of runs [s]; after ``most_seconds`` no further one begins."""
     times: list[float] = []
-    while len(times) < (RUNS if repeat else 1) and (not times or sum(times) < TIMING_SECONDS):
+    while len(times) < most_runs and sum(times) < most_seconds:
         started = time.perf_counter()
         solver.run(phasors)
         times.append(time.perf_counter() - started)
-    return median(times)
-
-
-def _displacement_error(reference: ReferenceSolution, scene: Scene, times: np.ndarray, computed: np.ndarray) -> float:
-    """Return ‖u − u_ref‖ / ‖u_ref‖ over all nodes and times."""
-    x, y = (np.linspace(0, side, count) for side, count in zip(scene.plate.size, scene.grid.nodes, strict=True))
-    expected = reference.displacement(times.tolist(), x, y)
-    size = float(np.linalg.norm(expected))
-    return float(np.linalg.norm(computed - expected)) / size if size > 0 else math.nan
+    return times
 
 
 def _frequency_error(context: MeasurementContext, scene: Scene) -> float | None:

@@ -1,4 +1,4 @@
-"""The accuracy report of a scene: all configurations from cheap to expensive, within a time budget."""
+"""The accuracy report of a scene: configurations measured within a time budget, the laws they follow, and advice."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
+import numpy as np
+
 from warp_plate.accuracy.configurations import Configuration, make_configurations
-from warp_plate.accuracy.fit import ConvergenceLaw, Recommendation, fit_laws, pareto_front, recommend
 from warp_plate.accuracy.measure import AccuracyRow, MeasurementContext, measure
 from warp_plate.accuracy.reference_solution import ReferenceSolution, find_reference_solution
 from warp_plate.scene.model import Grid, Scene
@@ -17,6 +18,37 @@ from warp_plate.scene.model import Grid, Scene
 REFERENCE_SHARE, REFERENCE_ERROR = 0.15, 1e-5
 # Fraction of the remaining budget that a row may take, and the number of rows measured whatever they take.
 ROW_SHARE, FIRST_ROWS = 0.5, 6
+# Relative errors for which a row is recommended.
+TOLERANCES = (0.1, 0.03, 0.01, 0.003, 0.001)
+# Errors that a fit takes: below the first number (coarser grids do not yet converge regularly), this many times above
+# the uncertainty of the reference, and well above the rounding of energies and of natural frequencies.
+LARGEST_ERROR, ABOVE_UNCERTAINTY = 0.3, 3.0
+ROUNDING, ROUNDING_OF_FREQUENCIES = {"float32": 1e-5, "float64": 1e-10}, 1e-7
+# Rows that a fit takes, the finest ones: on coarse grids the start of a run costs time too.
+FEWEST_ROWS, MOST_ROWS = 3, 4
+# Relative reduction of the error for which a more expensive row is on the Pareto front.
+LEAST_GAIN = 0.01
+
+
+@dataclass(frozen=True)
+class ConvergenceLaw:
+    """Power laws of configurations that differ in grid only; an exponent is None if there are too few rows."""
+
+    family: str  # order, load and precision
+    rows: int  # number of grids
+    order: float | None  # exponent p of error ∝ spacing^p, of localization factors
+    order_displacement: float | None  # likewise, of displacements
+    order_frequencies: float | None  # likewise, of natural frequencies
+    cost_exponent: float | None  # exponent p of seconds ∝ (nodes a side)^p
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """The cheapest row for a tolerance."""
+
+    tolerance: float  # relative error
+    row: int | None  # index of the row; None if no row keeps the tolerance
+    seconds: float | None  # time of the whole search [s]
 
 
 @dataclass(frozen=True)
@@ -33,34 +65,24 @@ class AccuracyReport:
     laws: Sequence[ConvergenceLaw]  # convergence and cost
     front: Sequence[int]  # indices of the rows on the Pareto front
     recommended: Sequence[Recommendation]  # cheapest row for each tolerance
-    speeds: dict[str, float]  # time of a node-step by order and precision [ns]
+    nanoseconds_per_node_step: dict[str, float]  # time of a node-step by order and precision [ns]
     seconds: float  # time that the report took [s]
     interrupted: bool  # True if Ctrl-C ended it
 
     def as_json(self) -> dict[str, object]:
         """Return the report as numbers, texts, lists and mappings."""
-        reference = self.reference
-        return {
-            "scene": self.scene,
-            "device": self.device,
-            "path": self.path,
-            "particles": self.particles,
-            "iterations": self.iterations,
-            "reference": {
-                "kind": reference.kind,
-                "localization_factor": reference.localization_factors["single"],
-                "bound": reference.bound,
-                "uncertainty": reference.uncertainty,
-                "frequencies": reference.frequencies.tolist(),
-            },
-            "rows": [asdict(row) for row in self.rows],
-            "orders": [asdict(law) for law in self.laws],
-            "front": list(self.front),
-            "recommended": [asdict(recommendation) for recommendation in self.recommended],
-            "nanoseconds_per_node_step": self.speeds,
-            "seconds": self.seconds,
-            "interrupted": self.interrupted,
+        record, reference = dict(vars(self)), self.reference
+        record["orders"] = [asdict(law) for law in record.pop("laws")]
+        record["rows"] = [asdict(row) for row in self.rows]
+        record["recommended"] = [asdict(recommendation) for recommendation in self.recommended]
+        record["reference"] = {
+            "kind": reference.kind,
+            "localization_factor": reference.localization_factors["single"],
+            "bound": reference.bound,
+            "uncertainty": reference.uncertainty,
+            "frequencies": reference.frequencies.tolist(),
         }
+        return record
 
 
 def measure_configurations(
@@ -101,11 +123,11 @@ def measure_configurations(
         reference=reference,
         particles=particles,
         iterations=iterations,
-        rows=tuple(rows),
+        rows=rows,
         laws=fit_laws(rows, reference.uncertainty),
         front=pareto_front(rows),
         recommended=recommend(rows, reference.uncertainty, particles * iterations),
-        speeds={f"order {key[0]}, {key[1]}": 1e9 * context.speeds[key] for key in sorted(context.speeds)},
+        nanoseconds_per_node_step={f"order {k[0]}, {k[1]}": 1e9 * context.speeds[k] for k in sorted(context.speeds)},
         seconds=time.perf_counter() - started,
         interrupted=interrupted,
     )
@@ -131,3 +153,80 @@ def _measure_rows(
             raise
         return rows, True
     return rows, False
+
+
+def fit_laws(rows: Sequence[AccuracyRow], uncertainty: float) -> list[ConvergenceLaw]:
+    """Return a law for each order, load and precision, from the longest time step of each grid."""
+    laws = []
+    measured = [row for row in rows if row.measured and not row.as_written]
+    for family in dict.fromkeys(row.family for row in measured):
+        grids: dict[tuple[int, int], list[AccuracyRow]] = {}
+        for row in measured:
+            if row.family == family:
+                grids.setdefault(row.nodes, []).append(row)
+        members = [max(grid, key=lambda row: row.time_step or 0) for grid in grids.values()]
+        members.sort(key=lambda row: -row.spacing)
+        floor = max(ABOVE_UNCERTAINTY * uncertainty, ROUNDING[members[0].precision])
+        # The error of energies is about the square of that of displacements.
+        field_floor = max(floor, math.sqrt(uncertainty))
+        laws.append(
+            ConvergenceLaw(
+                family=family,
+                rows=len(members),
+                order=_order([(row.spacing, row.error) for row in members], floor),
+                order_displacement=_order([(row.spacing, row.error_displacement) for row in members], field_floor),
+                order_frequencies=_order(
+                    [(row.spacing, row.error_frequencies) for row in members], ROUNDING_OF_FREQUENCIES
+                ),
+                cost_exponent=_slope([(1 / row.spacing, row.seconds_per_plate) for row in members]),
+            )
+        )
+    return laws
+
+
+def _order(points: Sequence[tuple[float, float | None]], floor: float) -> float | None:
+    return _slope([(spacing, error) for spacing, error in points if error and floor < error < LARGEST_ERROR])
+
+
+def _slope(points: Sequence[tuple[float, float | None]]) -> float | None:
+    """Return p of the least-squares law y ∝ x^p of the last points; None for fewer than FEWEST_ROWS."""
+    if len(points) < FEWEST_ROWS:
+        return None
+    x, y = np.log(np.array(points[-MOST_ROWS:], dtype=float)).T
+    return float(np.polyfit(x, y, 1)[0])
+
+
+def pareto_front(rows: Sequence[AccuracyRow]) -> list[int]:
+    """Return the indices of the measured rows that no other row beats in time and error, from cheap to expensive."""
+    measured = [index for index, row in enumerate(rows) if row.measured]
+    front: list[int] = []
+    least = math.inf
+    for index in sorted(measured, key=lambda index: (rows[index].seconds_per_plate, rows[index].error)):
+        error = rows[index].error
+        if error is not None and error < (1 - LEAST_GAIN) * least:
+            front.append(index)
+            least = error
+    return front
+
+
+def recommend(rows: Sequence[AccuracyRow], uncertainty: float, plates: int) -> list[Recommendation]:
+    """Return the cheapest row for each of ``TOLERANCES``, in a search of ``plates`` plates.
+
+    The tolerance includes the uncertainty of the reference, and the finer grids of the row's order, load and precision
+    must keep it too: a coarse grid may be right by chance.
+    """
+    measured = [(row.seconds_per_plate or 0.0, index, row) for index, row in enumerate(rows) if row.measured]
+    worst = {
+        index: max(
+            other.error or 0.0
+            for _, _, other in measured
+            if other.family == row.family and other.spacing <= row.spacing * (1 + 1e-9)
+        )
+        for _, index, row in measured
+    }
+    recommendations = []
+    for tolerance in TOLERANCES:
+        kept = [(seconds, index) for seconds, index, _ in measured if worst[index] <= tolerance - uncertainty]
+        seconds, index = min(kept, default=(None, None))
+        recommendations.append(Recommendation(tolerance, index, None if seconds is None else plates * seconds))
+    return recommendations

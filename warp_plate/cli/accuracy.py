@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from warp_plate.accuracy.formatting import percent, seconds_text
+from warp_plate.accuracy.configurations import percent, seconds_text
 from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from warp_plate.accuracy.choose import choose
 from warp_plate.accuracy.estimate import estimate
-from warp_plate.accuracy.reference_solution import ReferenceStage
+from warp_plate.accuracy.reference_solution import ReferenceSolution
 from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Run
@@ -31,7 +31,7 @@ class ResolvedGrid:
     scene: Scene
     accuracy: Mapping[str, Any] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
-    reference: ReferenceStage | None = None
+    reference: ReferenceSolution | None = None
 
 
 def resolve_grid(scene: Scene, device: str, phasors: np.ndarray | None = None) -> ResolvedGrid:
@@ -44,8 +44,8 @@ def resolve_grid(scene: Scene, device: str, phasors: np.ndarray | None = None) -
         return ResolvedGrid(scene)
     started = time.perf_counter()
     choice = choose(scene, scene.grid.accuracy, device, phasors)
-    accuracy = {"asked": choice.asked, "expected": choice.error, "reason": choice.reason}
-    return ResolvedGrid(choice.scene, accuracy, {"choose": time.perf_counter() - started}, choice.reference.stage)
+    accuracy = {"asked": scene.grid.accuracy, "expected": choice.error, "reason": choice.reason}
+    return ResolvedGrid(choice.scene, accuracy, {"choose": time.perf_counter() - started}, choice.reference)
 
 
 def estimate_error(
@@ -54,7 +54,7 @@ def estimate_error(
     run: Run,
     solve_seconds: float,
     device: str,
-    reference: ReferenceStage | None = None,
+    reference: ReferenceSolution | None = None,
 ) -> dict[str, Any]:
     """Estimate the errors of a run of the named drives; return them as entry "estimate" of ``Result.accuracy``.
 

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from warp_plate.accuracy.reference_solution import ReferenceStage
+from warp_plate.accuracy.reference_solution import ReferenceSolution
 from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.plate.files import digests
@@ -213,7 +213,7 @@ def _initial_state(problem: Problem, seed: int) -> dict[str, Any]:
     }
 
 
-def _run(start: Checkpoint, problem: Problem, options: _Options, reference: ReferenceStage | None = None) -> Result:
+def _run(start: Checkpoint, problem: Problem, options: _Options, reference: ReferenceSolution | None = None) -> Result:
     """Run a search from a checkpoint, which may be that of iteration 0, and make its result."""
     end, problem, interrupted = _search_targets(start, problem, options)
     first, seconds, before = end.finished_searches[0], dict(end.seconds), problem.node_steps
@@ -256,7 +256,7 @@ def _optional_parts(
     options: _Options,
     seconds: dict[str, float],
     interrupted: bool,
-    reference: ReferenceStage | None,
+    reference: ReferenceSolution | None,
 ) -> dict[str, Any]:
     """Compute the optional fields of a result and their node-steps, and add their seconds; a part that is refused or
     interrupted is left out."""
