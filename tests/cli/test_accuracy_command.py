@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from conftest import output_of
 
 from warp_plate.accuracy import configurations as family
 from warp_plate.accuracy import report
@@ -13,7 +14,6 @@ ROW_KEYS = {
     "order", "load", "nodes", "time_step", "precision", "localization_factor", "bound", "error", "seconds_per_plate",
     "status",
 }  # fmt: skip
-NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
 
 
 @pytest.fixture
@@ -27,10 +27,9 @@ def command(command, tmp_path, monkeypatch):
 
 
 def test_json_and_picture(command):
-    pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
-    status, out, err = command("paper-supported", "--device", "cpu", "--budget", "60", "--json", "--out", "a.json")
-    assert (status, err) == (0, "")
-    record = json.loads(out)
+    pytest.importorskip("matplotlib")
+    answer = command("paper-supported", "--device", "cpu", "--budget", "60", "--json", "--out", "a.json")
+    record = json.loads(output_of(answer))
     assert set(record["reference"]) >= {"kind", "localization_factor", "bound", "uncertainty"}
     assert record["reference"]["localization_factor"] == pytest.approx(0.6223, abs=1e-3)
     rows = record["rows"]
@@ -54,8 +53,7 @@ def test_json_and_picture(command):
 
 
 def test_table(command):
-    status, out, err = command("paper", "--device", "cpu", "--budget", "40", "--no-pictures")
-    assert (status, err) == (0, "")
+    out = output_of(command("paper", "--device", "cpu", "--budget", "40", "--no-pictures"))
     for part in ("as written: order 2, nodes, backward damping", "order 4, moments", "measured laws", "refused"):
         assert part in out
     assert out.splitlines()[-1] == "wrote paper-accuracy.json"
@@ -73,8 +71,6 @@ def test_ctrl_c_keeps_the_measurements(command, monkeypatch):
         return plain(*arguments)
 
     monkeypatch.setattr(report, "measure", stopped)
-    status, out, err = command("paper", "--device", "cpu", "--json", "--no-pictures")
-    assert (status, err) == (0, "")
-    record = json.loads(out)
+    record = json.loads(output_of(command("paper", "--device", "cpu", "--json", "--no-pictures")))
     assert record["interrupted"]
     assert len(record["rows"]) == 2

@@ -7,30 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import scene_of
+from conftest import output_of, scene_of
 
 from warp_plate import SceneError
 from warp_plate.result.comparison import MethodComparison, Trial, load_comparison, save_comparison
-from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.compare import METHODS, compare
 from warp_plate.studies.localize import localize
 from warp_plate.viz.plots.compare import loss_statistics
 
-NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
 SEARCH = {"particles": 8, "iterations": 30, "seed": 5}
 
 
 @pytest.fixture
-def panel(tmp_path, monkeypatch):
+def panel(write_scene):
     """A small scene in a file of an empty working folder."""
-    monkeypatch.chdir(tmp_path)
-    scene = scene_of(damping=88.5, search=SEARCH)
-    Path("panel.toml").write_text(dump_scene(scene), encoding="utf-8")
-    return scene
-
-
-def changed(scene, **tables):
-    return type(scene).model_validate({**scene.model_dump(exclude_unset=True), **tables})
+    return write_scene(damping=88.5, search=SEARCH)
 
 
 @pytest.fixture
@@ -71,7 +62,7 @@ def test_both_evaluators_agree_and_keep_their_budget(panel):
 
 
 def test_limits_raise_the_bound_and_exclude_the_eigenvector(panel):
-    limited = changed(panel, search={**SEARCH, "limits": {"equal_magnitudes": True}})
+    limited = panel.with_tables(search={**SEARCH, "limits": {"equal_magnitudes": True}})
     free, result = (compare(scene, seeds=2, methods=["pso"], device="cpu") for scene in (panel, limited))
     assert result.bound > free.bound + 1e-3
     assert all(trial.best_loss >= result.bound - 1e-9 for trial in result.trials)
@@ -83,8 +74,7 @@ def test_limits_raise_the_bound_and_exclude_the_eigenvector(panel):
 
 
 def test_a_nonlinear_scene_claims_no_bound(panel):
-    tables = panel.model_dump(exclude_unset=True)
-    bent = changed(panel, effects={**tables["effects"], "stretching": {}})
+    bent = panel.with_tables(effects={"damping": {"viscous": 88.5}, "stretching": {}})
     result = compare(bent, seeds=1, device="cpu", evaluations=16, methods=["pso"])
     assert (result.bound, result.evaluator) == (None, "direct")
     with pytest.raises(SceneError, match="response"):
@@ -95,18 +85,16 @@ def test_a_nonlinear_scene_claims_no_bound(panel):
 
 def test_other_objectives_have_a_bound_of_their_own(panel):
     """The largest RMS velocity of the target within a power limit."""
-    scene = changed(panel, search={**SEARCH, "objectives": [{"kind": "velocity"}], "limits": {"power": 2.0}})
+    scene = panel.with_tables(search={**SEARCH, "objectives": [{"kind": "velocity"}], "limits": {"power": 2.0}})
     result = compare(scene, seeds=2, methods=["pso", "gradient"], device="cpu")
     assert not result.localization
     assert all(result.bound * (1 + 1e-9) <= trial.best_loss < 0 for trial in result.trials)
 
 
 def test_json_file_and_picture(panel, command):
-    pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
-    arguments = ("--methods", "pso,ring,exact", "--seeds", 2, "--device", "cpu")
-    status, out, err = command("panel.toml", *arguments, "--json", "--out", "c.h5")
-    assert (status, err) == (0, "")
-    record = json.loads(out)
+    pytest.importorskip("matplotlib")
+    options = "--methods pso,ring,exact --seeds 2 --device cpu --json --out c.h5"
+    record = json.loads(output_of(command("panel.toml", *options.split())))
     assert record["files"] == ["c.h5", "c.png", "c.svg"]
     assert [row["method"] for row in record["methods"]] == ["pso", "ring", "exact"]
     for row in record["methods"]:
@@ -122,9 +110,9 @@ def test_json_file_and_picture(panel, command):
 
 
 def test_the_table_fits_in_80_columns(panel, command):
-    options = ("--methods", "pso,gradient", "--seeds", 2, "--device", "cpu", "--no-pictures")
-    status, out, err = command("panel.toml", *options)
-    assert (status, err) == (0, "")
+    out = output_of(
+        command("panel.toml", *["--methods", "pso,gradient", "--seeds", "2", "--device", "cpu", "--no-pictures"])
+    )
     for part in ("localization factor", "gradient", "bound (no method can exceed it)", "wrote panel-compare.h5"):
         assert part in out
     assert max(map(len, out.splitlines())) <= 80
@@ -186,7 +174,6 @@ def test_near_a_bound_is_relative_to_it(weight, scene):
         Trial("ring", seed, np.array([9]), np.array([1.0]), np.array([bound * (1 - missing)]))
         for seed, missing in enumerate((0.0, 9e-7, 2e-6, 0.1))
     )
-    prepared = {"prepare": 0.0}
     made = scene(search=search)
-    result = MethodComparison("s", made, "cpu", "response", 9, prepared, False, trials, bound, "attained", "known")
+    result = MethodComparison("s", made, "cpu", "response", 9, {}, False, trials, bound, "attained", "known")
     assert [(row["at_bound"], row["seeds"]) for row in rows(result)] == [(2, 4)]

@@ -2,31 +2,33 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from conftest import error_of, output_of, scene_of
 from scipy.io import wavfile
 
-from warp_plate import load_result
-from warp_plate.scene.dump import dump_scene
+from warp_plate import load_result, localize, save_result
 
 GUIDE = Path(__file__).parents[2] / "docs" / "exports.md"
-RECORD = {"times": (0.002, 0.004), "points": ((0.1, 0.1),)}
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory):
+    """The result file of a small search."""
+    record = {"times": (0.002, 0.004), "points": ((0.1, 0.1),)}
+    scene = scene_of(damping=88.5, record=record, search={"particles": 4, "iterations": 3})
+    return save_result(localize(scene, device="cpu", estimate=False), tmp_path_factory.mktemp("search") / "run.h5")
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch, scene, command):
-    """The working folder with the result of a search, run.h5."""
+def folder(searched, tmp_path, monkeypatch):
+    """A working folder with the result of the search, run.h5."""
     monkeypatch.chdir(tmp_path)
-    made = scene(damping=88.5, record=RECORD, search={"particles": 4, "iterations": 3})
-    Path("panel.toml").write_text(dump_scene(made), encoding="utf-8")
-    options = ("--device", "cpu", "--no-pictures", "--no-estimate", "--out", "run.h5")
-    assert command("localize", "panel.toml", *options)[0] == 0
-    Path("panel.toml").unlink()
-    Path("run.best.toml").unlink()
-    return tmp_path
+    shutil.copy(searched, "run.h5")
 
 
 def new_files():
@@ -44,15 +46,11 @@ def new_files():
     ],
 )
 def test_each_format(command, folder, to, files, words):
-    status, out, err = command("export", "run.h5", "--to", to)
-    assert (status, err) == (0, "")
+    assert words in output_of(command("export", "run.h5", "--to", to))
     assert new_files() == files
-    assert words in out
     for name in files:
         Path(name).unlink()
-    status, out, err = command("export", "run.h5", "--to", to, "--json")
-    assert (status, err) == (0, "")
-    record = json.loads(out)
+    record = json.loads(output_of(command("export", "run.h5", "--to", to, "--json")))
     assert sorted(record["files"]) == files
     assert (record["result"], record["to"]) == ("run.h5", to)
     if to in ("pvd", "vtkhdf"):
@@ -62,9 +60,7 @@ def test_each_format(command, folder, to, files, words):
 
 def test_options_of_a_drive(command, folder):
     options = "--case single --rate 8000 --duration 0.05 --full-scale 4 --encoding pcm16 --out s.wav --json"
-    status, out, err = command("export", "run.h5", "--to", "drive-wav", *options.split())
-    assert (status, err) == (0, "")
-    record = json.loads(out)
+    record = json.loads(output_of(command("export", "run.h5", "--to", "drive-wav", *options.split())))
     drive = load_result("run.h5").cases["single"].phasors
     rate, read = wavfile.read("s.wav")
     assert (record["case"], record["rate"], record["full_scale"]) == ("single", rate, 4.0)
@@ -81,9 +77,7 @@ def test_a_motion_repeats_the_run(command, folder, to):
     """Displacements at the recorded time are those of the result."""
     options = ("--case", "best", "--case", "single", "--start", 0.002, "--end", 0.004, "--frames", 4, "--device", "cpu")
     assert "recorded times" not in command("export", "run.h5", "--to", to, *options)[1]
-    status, out, err = command("export", "run.h5", "--to", to, *options, "--json")
-    assert (status, err) == (0, "")
-    record = json.loads(out)
+    record = json.loads(output_of(command("export", "run.h5", "--to", to, *options, "--json")))
     assert (record["times"], record["recorded"]) == (4, False)
     assert record["fields"] == ["displacement_best", "displacement_single", "velocity_best", "velocity_single"]
     recorded = load_result("run.h5")
@@ -112,9 +106,7 @@ def test_a_motion_repeats_the_run(command, folder, to):
     ],
 )
 def test_invalid_options_are_one_line(command, folder, options, line):
-    status, out, err = command("export", "run.h5", *options.split())
-    assert (status, out, err.count("\n")) == (2, "", 1)
-    assert err.startswith(f"warp-plate: {line}")
+    assert error_of(command("export", "run.h5", *options.split())).startswith(f"warp-plate: {line}")
     assert new_files() == []
 
 

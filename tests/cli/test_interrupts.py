@@ -2,7 +2,6 @@
 
 import json
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -11,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import scene_of
+from conftest import output_of, scene_of
+from conftest import start_program as start
 from test_resume import assert_same
 
 from warp_plate import PlateSolver, load_checkpoint, load_result, localize, resume
-from warp_plate.scene.dump import dump_scene
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send SIGINT to one process")
 QUICK = ["--device", "cpu", "--no-pictures", "--no-estimate"]
@@ -30,21 +29,9 @@ def default_handler():
 
 
 @pytest.fixture
-def panel(tmp_path, monkeypatch):
+def panel(write_scene):
     """A small scene in a file of the working folder; its search takes seconds."""
-    monkeypatch.chdir(tmp_path)
-    scene = scene_of(damping=88.5, precision="float32", search={"particles": 6, "iterations": 2500})
-    Path("panel.toml").write_text(dump_scene(scene), encoding="utf-8")
-    return scene
-
-
-def start(*arguments):
-    return subprocess.Popen(
-        [sys.executable, *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    return write_scene(damping=88.5, precision="float32", search={"particles": 6, "iterations": 2500})
 
 
 def end(process):
@@ -76,10 +63,10 @@ def test_a_search_ends_with_its_best_and_a_checkpoint_that_resumes_bit_identical
     assert_same(replace(resumed, source=""), localize(panel, "", "cpu", estimate=False))
 
 
-def test_a_long_iteration_ends_within_a_launch(panel):
+def test_a_long_iteration_ends_within_a_launch(panel, write_scene):
     """Of one plate that takes minutes: status 130, one line, nothing written."""
-    long = panel.with_tables(grid={"nodes": (101, 101), "precision": "float64"}, window={"start": 0.0, "end": 100.0})
-    Path("panel.toml").write_text(dump_scene(long), encoding="utf-8")
+    grid = {"nodes": (101, 101), "precision": "float64"}
+    write_scene(panel.with_tables(grid=grid, window={"start": 0.0, "end": 100.0}))
     code = "import sys; from warp_plate.cli.main import main; import warp_plate.studies.simulate; "
     process = start("-c", code + "print(flush=True); main(sys.argv[1:])", "simulate", "panel.toml", *QUICK)
     process.stdout.readline()
@@ -133,12 +120,10 @@ main(sys.argv[1:])
 
 
 @pytest.mark.parametrize("target", ["warp_plate.result.save_result", "Figure.savefig"])
-def test_files_are_written_whole_or_not_at_all(target, panel):
+def test_files_are_written_whole_or_not_at_all(target, panel, write_scene):
     pytest.importorskip("matplotlib")
-    short = panel.model_copy(update={"search": panel.search.model_copy(update={"iterations": 2})})
-    Path("panel.toml").write_text(dump_scene(short), encoding="utf-8")
-    status, out, err, _ = end(start("-c", WRITING.format(target=target), "localize", "panel.toml", "--no-estimate"))
-    assert (status, err) == (0, "")
+    write_scene(panel.with_tables(search={"particles": 6, "iterations": 2}))
+    out = output_of(end(start("-c", WRITING.format(target=target), "localize", "panel.toml", "--no-estimate"))[:3])
     assert "no pictures: interrupted by Ctrl-C" in out
     assert not load_result("panel-localize.h5").interrupted
     names = ["panel-localize.best.toml", "panel-localize.h5", "panel.toml"]

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import output_of
 
 from warp_plate.plate.modes import natural_modes
-from warp_plate.scene.dump import dump_scene
 from warp_plate.viz.plots.modes import draw_modes, frequency_text, nodal_field
 
-NEEDS_PLOTS = "Matplotlib is not installed: pip install 'warp-plate[viz]'"
 EDGES = ("clamped", {"translation": 100.0, "rotation": 0.1}, "free", "supported")
 EFFECTS = {
     "foundation": {"stiffness": 100.0, "damping": 3.0},
@@ -26,12 +25,9 @@ EFFECTS = {
 
 
 @pytest.fixture
-def panel(tmp_path, monkeypatch, scene):
+def panel(write_scene):
     """A small scene with all kinds of edges and some effects, in a file of the working folder."""
-    monkeypatch.chdir(tmp_path)
-    made = scene((19, 15), (0.3, 0.2), EDGES, effects=EFFECTS)
-    Path("panel.toml").write_text(dump_scene(made), encoding="utf-8")
-    return made
+    return write_scene(nodes=(19, 15), size=(0.3, 0.2), edges=EDGES, effects=EFFECTS)
 
 
 @pytest.fixture
@@ -41,10 +37,8 @@ def command(command):
 
 
 def test_json_and_picture(command, panel):
-    pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
-    status, out, err = command("panel.toml", "--count", 4, "--json")
-    assert (status, err) == (0, "")
-    record, expected = json.loads(out), natural_modes(panel, 4)
+    pytest.importorskip("matplotlib")
+    record, expected = json.loads(output_of(command("panel.toml", "--count", 4, "--json"))), natural_modes(panel, 4)
     assert record["frequencies"] == pytest.approx(expected.frequencies.tolist())
     assert record["frequencies_stepped"] == pytest.approx(expected.stepped.tolist())
     assert record["half_waves"] == [None if pair is None else list(pair) for pair in expected.half_waves()]
@@ -57,8 +51,7 @@ def test_json_and_picture(command, panel):
 
 
 def test_table(command, panel):
-    status, out, err = command("panel.toml", "--no-pictures")
-    assert (status, err) == (0, "")
+    out = output_of(command("panel.toml", "--no-pictures"))
     for frequency in natural_modes(panel, 6).frequencies:
         assert f"{frequency:.2f}" in out
     assert "19 × 15 nodes" in out
@@ -68,19 +61,15 @@ def test_table(command, panel):
     assert not Path("panel-modes.png").exists()
 
 
-def test_rigid_motions_are_named(command, tmp_path, monkeypatch, scene):
-    monkeypatch.chdir(tmp_path)
-    Path("loose.toml").write_text(dump_scene(scene(edges=("free",) * 4)), encoding="utf-8")
-    status, out, _ = command("loose.toml", "--no-pictures", "--count", 4)
-    assert status == 0
-    assert out.count("0 (rigid)") == 3
+def test_rigid_motions_are_named(command, write_scene):
+    write_scene(edges=("free",) * 4)
+    assert output_of(command("panel.toml", "--no-pictures", "--count", 4)).count("0 (rigid)") == 3
 
 
 def test_accuracy_chooses_the_grid(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    status, out, _ = command("paper-supported", "--accuracy", "5%", "--count", 3, "--json", "--no-pictures")
-    assert status == 0
-    record = json.loads(out)
+    answer = command("paper-supported", "--accuracy", "5%", "--count", 3, "--json", "--no-pictures")
+    record = json.loads(output_of(answer))
     # π²κ(m² + n²)/2πa², κ = 0.1530 m²/s, a = 0.2 m.
     exact = np.array([2, 5, 5]) * math.pi / 2 * math.sqrt(1e9 * 5e-4**2 / 12 / (1 - 0.33**2) / 1000) / 0.04
     np.testing.assert_allclose(record["frequencies"], exact, rtol=0.02)
@@ -90,7 +79,7 @@ def test_accuracy_chooses_the_grid(command, tmp_path, monkeypatch):
 @pytest.mark.parametrize(("count", "ending"), [(1, ".pdf"), (7, ".svg")])
 def test_pictures_of_any_number(panel, tmp_path, count, ending):
     """Each mode has a title; the legend shows the kinds of edges and effects."""
-    pytest.importorskip("matplotlib", reason=NEEDS_PLOTS)
+    pytest.importorskip("matplotlib")
     found = natural_modes(panel, count)
     path = draw_modes(panel, found.frequencies, found.shapes, tmp_path / f"shapes{ending}")
     assert path.stat().st_size > 1000
@@ -110,9 +99,8 @@ def test_nodal_field(scene):
     assert (first[2][np.isfinite(first[2])] > 0).all()
     x, y, field = second
     assert field.shape == (y.size, x.size)
-    below, above = field[y < 0.0999], field[y > 0.1001]
-    signs = [np.unique(np.sign(part[np.isfinite(part)])) for part in (below, above)]
-    assert all(len(sign) == 1 for sign in signs)
-    assert signs[0] == -signs[1]
+    below, above = (np.sign(part[np.isfinite(part)]) for part in (field[y < 0.0999], field[y > 0.1001]))
+    assert (below == below[0]).all()
+    assert (above == -below[0]).all()
     assert np.nanmax(np.abs(field[np.isclose(y, 0.1)])) == 0
     assert np.isnan(field[:, [0, -1]]).all()

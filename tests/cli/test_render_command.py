@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from conftest import error_of, output_of, scene_of
 
-from warp_plate.cli.main import main
 from warp_plate.result import load_result, save_result
 from warp_plate.studies.localize import localize
 from warp_plate.viz import availability, pictures
@@ -18,33 +18,25 @@ pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'wa
 @pytest.fixture(scope="module")
 def searched(tmp_path_factory):
     """A result file of a small search."""
-    from conftest import scene_of
-
     scene = scene_of(damping=200.0, search={"particles": 4, "iterations": 3})
     path = tmp_path_factory.mktemp("search") / "panel.h5"
     return save_result(localize(scene, device="cpu", estimate=False), path)
 
 
 @pytest.fixture
-def render(searched, tmp_path, monkeypatch, capsys):
-    """Run the command in an empty folder; return its JSON object, or its error."""
+def render(searched, tmp_path, monkeypatch, command):
+    """Run the command in an empty folder; return (status, standard output, standard error)."""
     monkeypatch.chdir(tmp_path)
 
     def run(*options):
         width = [] if "--width" in options else ["--width", "160"]
-        status = None
-        try:
-            main(["render", str(searched), "--device", "cpu", "--json", *width, *options])
-        except SystemExit as left:
-            status = left.code
-        out, err = capsys.readouterr()
-        if status is None:
-            assert err == ""
-            return json.loads(out)
-        assert (status, out, err.count("\n")) == (2, "", 1)
-        return err
+        return command("render", searched, "--device", "cpu", *width, *options)
 
     return run
+
+
+def files_of(answer):
+    return json.loads(output_of(answer))["files"]
 
 
 def frames_of(path):
@@ -57,7 +49,7 @@ def frames_of(path):
 
 
 def test_a_picture_is_the_default(render, drawing, tmp_path):
-    assert render()["files"] == ["panel.png"]
+    assert files_of(render("--json")) == ["panel.png"]
     assert [path.name for path in tmp_path.iterdir()] == ["panel.png"]
     (picture,) = frames_of(tmp_path / "panel.png")
     assert ((picture.max(axis=-1) - picture.min(axis=-1)) > 100).sum() > 300
@@ -69,8 +61,8 @@ def test_movies_play_all_frames(render, drawing, tmp_path):
         pytest.skip(problem)
     import imageio_ffmpeg
 
-    record = render("--out", "a.gif", "--out", "a.mp4", "--frames", "6", "--rate", "12", "--case", "best")
-    assert record["files"] == ["a.gif", "a.mp4"]
+    options = "--out a.gif --out a.mp4 --frames 6 --rate 12 --case best --json"
+    assert files_of(render(*options.split())) == ["a.gif", "a.mp4"]
     frames = list(frames_of(tmp_path / "a.gif"))
     assert len(frames) == 6
     assert all((one != other).any() for one, other in pairwise(frames))
@@ -93,9 +85,9 @@ def test_pages_and_plans_need_no_window(render, monkeypatch, tmp_path):
     monkeypatch.setattr(availability, "TRIAL", "raise SystemExit(1)")
     availability.working_window.cache_clear()
     try:
-        render("--out", "a.html", "--out", "a.svg", "--out", "a.pdf", "--field", "phase")
-        render("--out", "b.png", "--plan", "--time", "0.0095")
-        assert "the plate cannot be drawn" in render("--out", "c.png")
+        output_of(render("--out", "a.html", "--out", "a.svg", "--out", "a.pdf", "--field", "phase"))
+        output_of(render("--out", "b.png", "--plan", "--time", "0.0095"))
+        assert "the plate cannot be drawn" in error_of(render("--out", "c.png"))
     finally:
         availability.working_window.cache_clear()
     assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
@@ -107,37 +99,37 @@ def test_pages_and_plans_need_no_window(render, monkeypatch, tmp_path):
 
 
 def test_the_papers_figures(render, drawing, tmp_path):
-    files = render("--figures", "paper")["files"]
+    files = files_of(render("--figures", "paper", "--json"))
     assert files == ["panel-figure-2.png", *(f"panel-figure-3.{form}" for form in ("png", "svg", "pdf"))]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(files)
     assert "svg" in (tmp_path / "panel-figure-3.svg").read_text(encoding="utf-8")[:400]
 
 
 def test_mode_shapes(render, tmp_path):
-    render("--modes", "3", "--out", "modes.html")
+    output_of(render("--modes", "3", "--out", "modes.html"))
     assert "displacement\\nover its largest" in (tmp_path / "modes.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (["--out", "a.jpg"], "--out a.jpg: must end in .png, .svg, .pdf, .gif, .mp4 or .html"),
-        (["--out", "no/a.png"], "--out no/a.png: no such folder: no"),
-        (["--width", "10"], "--width 10: must be from 120 to 4000 pixels"),
-        (["--rate", "1000"], "--rate 1000: must be from 1 to 120"),
-        (["--heights", "0"], "--heights 0: must be above 0"),
-        (["--case", "worst"], "--case worst: "),
-        (["--frames", "1"], "--frames 1: must be at least 2"),
-        (["--modes", "40"], "--modes 40: must be from 1 to 6"),
-        (["--modes", "2", "--field", "phase"], "--field phase: mode shapes have displacements only"),
-        (["--time", "7"], "--time 7: must be from 0 to 0.012 s"),
-        (["--time", "0.001", "--start", "0.01"], "--time 0.001: must lie between --start and --end, 0.01 and 0.012 s"),
-        (["--start", "0.01", "--end", "7"], "start = 0.01, end = 7: must lie within the run"),
+        ("--out a.jpg", "--out a.jpg: must end in .png, .svg, .pdf, .gif, .mp4 or .html"),
+        ("--out no/a.png", "--out no/a.png: no such folder: no"),
+        ("--width 10", "--width 10: must be from 120 to 4000 pixels"),
+        ("--rate 1000", "--rate 1000: must be from 1 to 120"),
+        ("--heights 0", "--heights 0: must be above 0"),
+        ("--case worst", "--case worst: "),
+        ("--frames 1", "--frames 1: must be at least 2"),
+        ("--modes 40", "--modes 40: must be from 1 to 6"),
+        ("--modes 2 --field phase", "--field phase: mode shapes have displacements only"),
+        ("--time 7", "--time 7: must be from 0 to 0.012 s"),
+        ("--time 0.001 --start 0.01", "--time 0.001: must lie between --start and --end, 0.01 and 0.012 s"),
+        ("--start 0.01 --end 7", "start = 0.01, end = 7: must lie within the run"),
     ],
 )
 def test_invalid_options_are_named(render, tmp_path, options, complaint):
     out = [] if "--out" in options else ["--out", "a.html"]
-    assert complaint in render(*options, *out)
+    assert complaint in error_of(render(*options.split(), *out))
     assert not list(tmp_path.iterdir())
 
 
@@ -162,17 +154,13 @@ def test_a_moment_is_the_frame_of_pictures(searched):
     assert moment == pytest.approx(0.0119, abs=period / 20)
 
 
-def test_ctrl_c_keeps_the_files_that_are_done(searched, monkeypatch, tmp_path, capsys):
+def test_ctrl_c_keeps_the_files_that_are_done(render, monkeypatch, tmp_path):
     from warp_plate.viz.plots import plan
 
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(plan, "draw_plan", interrupted)
     for out, line in (("a.html", "interrupted; wrote only a.html"), ("a.svg", "interrupted")):
-        with pytest.raises(SystemExit) as left:
-            main(["render", str(searched), "--device", "cpu", "--out", out, "--out", "b.svg"])
-        assert left.value.code == 130
-        assert capsys.readouterr().err == f"warp-plate: {line}\n"
+        assert render("--out", out, "--out", "b.svg") == (130, "", f"warp-plate: {line}\n")
     assert [path.name for path in tmp_path.iterdir()] == ["a.html"]

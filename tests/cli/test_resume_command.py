@@ -3,7 +3,6 @@
 import json
 import re
 import signal
-import subprocess
 import sys
 import time
 from dataclasses import replace
@@ -11,12 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import scene_of
+from conftest import error_of, output_of, start_program
 from test_resume import assert_same, stop_after
 
 from warp_plate import Scene, SceneError, load_result, localize, resume
 from warp_plate.result.checkpoint import load_newest, previous_path
-from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.checkpointing import CheckpointFile
 
 QUICK = ("--no-pictures", "--no-estimate")
@@ -25,18 +23,9 @@ FILE = Path("panel-localize.checkpoint.h5")
 
 
 @pytest.fixture
-def panel(tmp_path, monkeypatch):
+def panel(write_scene):
     """A small scene with a long search, in a file of the working folder."""
-    monkeypatch.chdir(tmp_path)
-    scene = scene_of(damping=88.5, precision="float32", search={"particles": 6, "iterations": 200})
-    Path("panel.toml").write_text(dump_scene(scene), encoding="utf-8")
-    return scene
-
-
-def shortened(panel, iterations):
-    """Write the scene with so many iterations."""
-    search = panel.search.model_copy(update={"iterations": iterations})
-    Path("panel.toml").write_text(dump_scene(panel.model_copy(update={"search": search})), encoding="utf-8")
+    return write_scene(damping=88.5, precision="float32", search={"particles": 6, "iterations": 200})
 
 
 @pytest.fixture
@@ -50,24 +39,21 @@ def left(panel):
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        (["--seed", "3"], "--seed 3: the search in panel-localize.checkpoint.h5 began with 0"),
-        (["--evaluator", "response"], "--evaluator response: the search in .* began with direct"),
-        (["--path", "streaming"], "--path streaming: the search in .* began with auto"),
-        (["--accuracy", "1%"], "--accuracy: grid.accuracy = 0.01: the search in .* began with None"),
-        (["thicker.toml"], "thicker.toml: plate.thickness = 0.001: the search in .* began with 0.0005"),
-        (["moved.toml"], r"moved.toml: actuators\[1\].area = "),
+        ("--seed 3", "--seed 3: the search in panel-localize.checkpoint.h5 began with 0"),
+        ("--evaluator response", "--evaluator response: the search in .* began with direct"),
+        ("--path streaming", "--path streaming: the search in .* began with auto"),
+        ("--accuracy 1%", "--accuracy: grid.accuracy = 0.01: the search in .* began with None"),
+        ("thicker.toml", "thicker.toml: plate.thickness = 0.001: the search in .* began with 0.0005"),
+        ("moved.toml", r"moved.toml: actuators\[1\].area = "),
     ],
 )
-def test_what_would_change_the_result_is_refused_by_name(options, named, command, panel, left):
-    thicker = panel.model_copy(update={"plate": panel.plate.model_copy(update={"thickness": 1e-3})})
-    Path("thicker.toml").write_text(dump_scene(thicker), encoding="utf-8")
+def test_what_would_change_the_result_is_refused_by_name(options, named, command, panel, left, write_scene):
+    write_scene(panel.with_tables(plate={**panel.plate.model_dump(), "thickness": 1e-3}), "thicker")
     first, second, *rest = panel.actuators
-    moved = panel.model_copy(update={"actuators": (first, second.model_copy(update={"area": first.area}), *rest)})
-    Path("moved.toml").write_text(dump_scene(moved), encoding="utf-8")
+    moved = (first, second.model_copy(update={"area": first.area}), *rest)
+    write_scene(panel.model_copy(update={"actuators": moved}), "moved")
     before = left.read_bytes()
-    status, out, err = command("localize", "--resume", left, *options, "--no-pictures")
-    assert (status, out, len(err.splitlines())) == (2, "", 1)
-    assert re.search(named, err), err
+    assert re.search(named, error_of(command("localize", "--resume", left, *options.split(), "--no-pictures")))
     assert left.read_bytes() == before
     assert not Path("panel-localize.h5").exists()
 
@@ -78,9 +64,7 @@ def test_the_command_resumes(command, panel, left):
     full = localize(panel, "panel.toml", "cpu", estimate=False)
     for more in ([], ["panel.toml", "--seed", "0", "--path", "auto", "--device", "cpu"]):
         left.write_bytes(kept)
-        status, out, err = command("localize", "--resume", left, *more, *QUICK, "--json")
-        assert (status, err) == (0, "")
-        record = json.loads(out)
+        record = json.loads(output_of(command("localize", "--resume", left, *more, *QUICK, "--json")))
         assert (record["interrupted"], record["checkpoint"]) == (False, None)
         files = ["panel-localize.h5", "panel-localize.best.toml"]
         assert record["files"] == files
@@ -101,9 +85,8 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(command, panel, left):
     assert "panel-localize.checkpoint.previous.h5, 5 of 200 iterations" in err
     left.write_bytes(b"x")
     previous.write_bytes(b"y")
-    status, _, err = command("localize", "--resume", left, *QUICK)
-    assert (status, len(err.splitlines())) == (2, 1)
-    assert err.startswith("warp-plate: panel-localize.checkpoint.h5: damaged: ")
+    error = error_of(command("localize", "--resume", left, *QUICK))
+    assert error.startswith("warp-plate: panel-localize.checkpoint.h5: damaged: ")
 
 
 def modified(file):
@@ -116,18 +99,14 @@ def modified(file):
 
 def killed(arguments, seconds):
     """Start the command and kill it some time after it has written a checkpoint; return whether it ended before."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "warp_plate", *arguments],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-    )
+    process = start_program("-m", "warp_plate", *arguments)
     before = modified(FILE)
     while process.poll() is None and modified(FILE) in (0, before):
         time.sleep(0.002)
     time.sleep(seconds)
     process.kill()
     _, err = process.communicate()
-    assert process.returncode in (0, -signal.SIGKILL), err.decode()
+    assert process.returncode in (0, -signal.SIGKILL), err
     return process.returncode == 0
 
 
@@ -148,15 +127,14 @@ def test_killed_at_random_moments(kills, panel, random):
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
 
 
-def test_a_result_that_cannot_be_written_leaves_the_checkpoint(command, panel, monkeypatch):
+def test_a_result_that_cannot_be_written_leaves_the_checkpoint(command, panel, monkeypatch, write_scene):
     def full_disk(result, path):
         raise SceneError(f"{path}: cannot be written: No space left on device")
 
-    shortened(panel, 3)
+    write_scene(panel.with_tables(search={"particles": 6, "iterations": 3}))
     with monkeypatch.context() as patch:
         patch.setattr("warp_plate.result.save_result", full_disk)
-        status, out, err = command(*COMMAND, "--checkpoint-every", "0")
-    assert (status, out, len(err.splitlines())) == (2, "", 1)
+        err = error_of(command(*COMMAND, "--checkpoint-every", "0"))
     assert "there is a checkpoint after 3 of 3 iterations" in err
     assert err.endswith(f"warp-plate localize --resume {FILE}\n")
     assert command("localize", "--resume", FILE, *QUICK)[0] == 0
@@ -179,9 +157,7 @@ def test_files_that_the_scene_names_must_be_the_same(command, panel):
     ):
         if content is not None:
             Path("map.csv").write_text(content, encoding="utf-8")
-        status, _, err = command(*resuming)
-        assert (status, len(err.splitlines())) == (2, 1)
-        assert named in err
+        assert named in error_of(command(*resuming))
         assert FILE.read_bytes() == kept
     full = localize(scene, "panel", "cpu", estimate=False)
     assert command(*resuming, "scenes/panel.toml")[0] == 0
