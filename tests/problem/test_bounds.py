@@ -7,7 +7,7 @@ import pytest
 
 from warp_plate.plate.weights import REGIONS, localization_factor
 from warp_plate.problem.bounds import MOST_ACTUATORS, AllowedDrives, bound_energy, bound_localization
-from warp_plate.problem.semidefinite import QuadraticLimits, least_majorant
+from warp_plate.problem.semidefinite import least_majorant
 from warp_plate.solve.response import Response
 
 INFINITE, SEARCHED = math.inf, math.nan
@@ -149,6 +149,6 @@ def test_many_actuators_keep_the_eigenvalue(random):
 
 def test_without_multipliers_there_is_no_bound():
     """−z² ≤ 1 does not limit z²."""
-    value, slack = least_majorant(np.eye(1), QuadraticLimits(-np.ones((1, 1, 1)), np.ones(1), np.zeros(1, bool)))
+    value, slack = least_majorant(np.eye(1), -np.ones((1, 1, 1)), np.ones(1), np.zeros(1, bool))
     assert value == math.inf
     assert slack.size == 0

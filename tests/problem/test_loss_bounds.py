@@ -5,9 +5,8 @@ import pytest
 
 from warp_plate import PlateSolver
 from warp_plate.plate.discretization import discretize
-from warp_plate.problem import loss_bounds
-from warp_plate.problem.bounds import Bound
-from warp_plate.problem.loss_bounds import allowed_drives, bound_loss
+from warp_plate.problem import bounds
+from warp_plate.problem.bounds import Bound, allowed_drives, bound_loss
 from warp_plate.problem.objectives import make_objectives
 from warp_plate.problem.parametrization import parametrization_of
 from warp_plate.solve.response import measure_response
@@ -90,7 +89,7 @@ def test_a_limit_on_the_rest_alone_gives_the_ratio(scene):
 
 def test_the_drive_that_reaches_a_bound_may_lie_outside_the_range(scene, monkeypatch):
     """Power scales drives down below their range, so the bound is that of drives that no position has too."""
-    monkeypatch.setattr(loss_bounds, "bound_energy", lambda *_: Bound(1e-9, "attained", "which a drive reaches"))
+    monkeypatch.setattr(bounds, "bound_energy", lambda *_: Bound(1e-9, "attained", "which a drive reaches"))
     kinds = []
     for lowest in (0.5, 0.0):
         ends = {"magnitude": {"range": (lowest, 1.0)}, "phase": {}}

@@ -19,8 +19,6 @@ from warp_plate.optimize.space import SearchSpace
 
 # Standard deviation of the first cloud, in initial ranges.
 INITIAL_SIZE = 0.3
-GROWTH = 2
-FEWEST_NUMBERS = 2
 # pycma's own limits of progress, for losses of order one; here they are parts of the loss's size.
 TOLERANCES = {"tolfun": 1e-11, "tolfunhist": 1e-12}
 
@@ -34,11 +32,7 @@ class CovarianceSearch(Optimizer):
     FORMAT = "cma 2"
 
     def __init__(self, space: SearchSpace, settings: SearchSettings) -> None:
-        """Draw the first cloud.
-
-        Raises:
-            MethodError: pycma is not installed.
-        """
+        """Draw the first cloud; raises MethodError if pycma is not installed."""
         super().__init__(space, settings)
         try:
             import cma
@@ -54,11 +48,11 @@ class CovarianceSearch(Optimizer):
         """Return {"evaluations": number} at the budget's end, pycma's own reasons, or nothing to go on."""
         ended = self._ended()
         restarting = bool(ended) and self._restarts < self.settings.restarts
-        population = self._population(self._restarts + restarting)
-        reasons: dict[str, Any] = {}
-        if self.evaluations + population > self.settings.evaluations and self.iterations:
-            reasons["evaluations"] = self.evaluations
-        return reasons if restarting else reasons | ended
+        reasons = {} if restarting else ended
+        following = self.evaluations + self._population(self._restarts + restarting)
+        if following > self.settings.evaluations and self.iterations:
+            return {"evaluations": self.evaluations} | reasons
+        return reasons
 
     def _propose(self) -> np.ndarray:
         if self._ended() and self._restarts < self.settings.restarts:
@@ -100,7 +94,7 @@ class CovarianceSearch(Optimizer):
 
     def _population(self, restarts: int) -> int:
         fewest = 4 + int(3 * math.log(self.space.dimension))  # pycma's default
-        return max(self.settings.particles, fewest) * GROWTH**restarts
+        return max(self.settings.particles, fewest) * 2**restarts
 
     def _ended(self) -> dict[str, Any]:
         """Return why the present cloud should go no further."""
@@ -112,10 +106,10 @@ class CovarianceSearch(Optimizer):
     def _begin(self) -> Any:
         """Return a cloud around a place drawn from the initial ranges."""
         space = self.space
-        idle = max(FEWEST_NUMBERS - space.dimension, 0)
-        ends = ((space.lower, 0.0), (space.upper, 1.0))
-        limits = [np.append(space.to_unit(end), np.full(idle, idle_end)) for end, idle_end in ends]
-        middle = np.append(self._random.random_sample(space.dimension), np.full(idle, 0.5))
+        idle = max(2 - space.dimension, 0)
+        middle = np.append(self._random.random_sample(space.dimension), [0.5] * idle)
+        lower, upper = space.to_unit(space.lower), space.to_unit(space.upper)
+        limits = np.append(lower, [0.0] * idle), np.append(upper, [1.0] * idle)
         options = {
             "popsize": self._population(self._restarts),
             "bounds": [[value if np.isfinite(value) else None for value in limit.tolist()] for limit in limits],

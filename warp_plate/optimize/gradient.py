@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.optimize.optimizer import Optimizer, SearchSettings
+from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings
 from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.optimize.space import SearchSpace
 
@@ -45,8 +45,11 @@ class GradientSearch(Optimizer):
     FORMAT = "gradient 2"
     STATE = ("random", "base", "loss", "slope", "inverse", "direction", "step", "tries", "restarts_left")
 
-    def __init__(self, space: SearchSpace, problem: Quadratic, settings: SearchSettings) -> None:
+    def __init__(self, space: SearchSpace, problem: Quadratic | None, settings: SearchSettings) -> None:
+        """Draw the first places; raises MethodError without a problem."""
         super().__init__(space, settings)
+        if problem is None:
+            raise MethodError("needs losses that follow from quadratic forms of the drives; write 'cma'")
         self.problem = problem
         self.random = np.random.default_rng(settings.seed)
         self._limits = space.to_unit(space.lower), space.to_unit(space.upper)
@@ -78,9 +81,8 @@ class GradientSearch(Optimizer):
 
     def _learn(self, losses: np.ndarray) -> None:
         """Advance the descents by the losses of the matrices, which fit the slopes to the last digit."""
-        space = self.space
-        loss, slope = self.problem.losses_and_slopes(space.from_unit(self._points, wrap=False), space)
-        slope = slope * space.span
+        loss, slope = self.problem.losses_and_slopes(self.space.from_unit(self._points, wrap=False), self.space)
+        slope = slope * self.space.span
         good = np.isfinite(loss) & np.isfinite(slope).all(axis=1)
         loss, slope = np.where(good, loss, np.inf), np.where(good[:, None], slope, 0.0)
         rows, moved = self._active, self._points - self.base[self._active]

@@ -1,4 +1,4 @@
-"""Losses that follow from energies that are quadratic forms of the drive, with their slopes.
+"""Losses that follow from energies that are quadratic forms of the drive: their slopes, and the largest ratio of two.
 
 With z = (Re Z₁ ... Re Z_M, −Im Z₁ ... −Im Z_M) of the phasors Z, E_r = zᵀ A_r z and loss = L(E), position by position,
 
@@ -6,6 +6,11 @@ With z = (Re Z₁ ... Re Z_M, −Im Z₁ ... −Im Z_M) of the phasors Z, E_r = 
 
 L and z(x) are formulas without any plate in them: their own derivatives are taken by central differences, to about
 1e-10 of their size, which leaves the loss at its minimum exact to rounding (the error enters squared).
+
+zᵀA z / zᵀB z has its maximum, the largest λ of A z = λ B z, at a z that may be scaled as one likes. Where every
+magnitude and phase can be had, up to what all have in common, that z is a position; it is tried, and refused where a
+limit, a range or a fixed number keeps it from reaching λ. z is sought within the space of all drives that positions can
+have, so that a first phase fixed at 0 costs nothing but what it must.
 """
 
 from __future__ import annotations
@@ -15,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings
 from warp_plate.optimize.space import SearchSpace
 
 # The step of central differences, as a part of a number's own size: errors of h² and of rounding / h meet.
@@ -22,6 +28,8 @@ STEP = 6e-6
 # Drives whose plate energy is below this part of the largest are combinations that cancel out: two actuators in one
 # place, for example. What is left of their energy is rounding, and no ratio of it means anything.
 RANK_TOLERANCE = 1e-10
+# Relative distance to λ within which a position is the maximum.
+NEAR = 1e-9
 
 
 @dataclass(frozen=True)
@@ -60,12 +68,11 @@ class Quadratic:
             dloss_dz = 2 * np.einsum("pr,pra->pa", _slopes(self.losses_of, energy), products)
             slopes = np.empty(positions.shape)
             for column, span in enumerate(space.span):
-                ends = []
-                for step in (STEP * span, -STEP * span):
-                    moved = positions.copy()
-                    moved[:, column] = np.clip(moved[:, column] + step, space.lower[column], space.upper[column])
-                    ends.append((moved[:, column], real_parts(self.phasors(moved))))
-                (high, z_high), (low, z_low) = ends
+                tried = (positions[:, column] + step for step in (STEP * span, -STEP * span))
+                high, low = (np.clip(values, space.lower[column], space.upper[column]) for values in tried)
+                z_high, z_low = (
+                    real_parts(self.phasors(_with_column(positions, column, values))) for values in (high, low)
+                )
                 slopes[:, column] = ((z_high - z_low) * dloss_dz).sum(axis=1) / (high - low)
             return losses, slopes
 
@@ -85,12 +92,96 @@ def quadratic_forms(matrices: np.ndarray, phasors: np.ndarray) -> np.ndarray:
 def _slopes(losses_of: Callable[[np.ndarray], np.ndarray], energy: np.ndarray) -> np.ndarray:
     """Return ∂L/∂E (n, regions) at energies (n, regions); zero for an energy of zero."""
     slopes = np.zeros(energy.shape)
-    for region in range(energy.shape[1]):
-        step = STEP * np.abs(energy[:, region])
-        ends = []
-        for sign in (1, -1):
-            moved = energy.copy()
-            moved[:, region] += sign * step
-            ends.append(losses_of(moved))
-        slopes[:, region] = (ends[0] - ends[1]) / np.where(step > 0, 2 * step, 1.0)
+    for region, values in enumerate(energy.T):
+        step = STEP * np.abs(values)
+        high, low = (losses_of(_with_column(energy, region, values + change)) for change in (step, -step))
+        slopes[:, region] = (high - low) / np.where(step > 0, 2 * step, 1.0)
     return slopes
+
+
+def _with_column(array: np.ndarray, column: int, values: np.ndarray) -> np.ndarray:
+    copy = array.copy()
+    copy[:, column] = values
+    return copy
+
+
+class ExactSearch(Optimizer):
+    """The best position, found without any evaluation, in the shape of a search with one iteration."""
+
+    FORMAT = "exact 2"
+
+    def __init__(self, space: SearchSpace, problem: Quadratic | None) -> None:
+        """Find the position; raises MethodError as :func:`best_position` does."""
+        super().__init__(space, SearchSettings())
+        self.positions = best_position(space, problem)[None]
+
+    def stop(self) -> dict[str, int]:
+        """Return {"exact": 1} once the loss of the position is known."""
+        return {"exact": self.iterations} if self.iterations else {}
+
+    def _propose(self) -> np.ndarray:
+        return self.positions
+
+    def _learn(self, losses: np.ndarray) -> None:
+        """Learn nothing: the position is the best."""
+
+
+def best_position(space: SearchSpace, problem: Quadratic | None) -> np.ndarray:
+    """Return the position (dimension,) with the largest ratio of all drives that positions can have.
+
+    Raises:
+        MethodError: the loss is another one, or no position reaches the maximum; says which method to use.
+    """
+    if problem is None:
+        raise MethodError("needs energies that are quadratic forms of the drives; write 'cma'")
+    if problem.ratio is None:
+        raise MethodError("is for the localization factor alone; write 'gradient'")
+    first, second = problem.ratio
+    ratio, phasors = _eigen_phasors(space, problem, problem.matrices[first], problem.matrices[second])
+    position = problem.positions(_scaled(space, problem, phasors)[None])[0]
+    energy = problem.energies(problem.phasors(position[None]))[0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        reached = energy[first] / energy[second]
+    if not reached >= ratio * (1 - NEAR):
+        raise MethodError(
+            "a range, a limit or a fixed number keeps the drive from the eigen-solution, which has a localization "
+            f"factor of {ratio:.6g}; write 'gradient'"
+        )
+    return position
+
+
+def _eigen_phasors(
+    space: SearchSpace, problem: Quadratic, numerator: np.ndarray, denominator: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Return the largest ratio, and phasors (M,) that have it, in the span of all that positions can have."""
+    drawn = np.random.default_rng(0).random((4 * len(denominator), space.dimension))
+    z = real_parts(problem.phasors(space.initial_lower + (space.initial_upper - space.initial_lower) * drawn))
+    # Actuators of very different size must not make each other look like rounding: units of equal energy first.
+    size = np.sqrt(np.where(np.diag(denominator) > 0, np.diag(denominator), 1))
+    _, strength, spanned = np.linalg.svd(z * size, full_matrices=False)
+    spanned = spanned[strength > RANK_TOLERANCE * strength[0]] / size
+    values, vectors = np.linalg.eigh(spanned @ denominator @ spanned.T)
+    kept = values > RANK_TOLERANCE * values[-1]
+    if not values[-1] > 0:
+        raise MethodError("no drive moves the plate")
+    basis = spanned.T @ (vectors[:, kept] / np.sqrt(values[kept]))
+    ratios, directions = np.linalg.eigh(basis.T @ numerator @ basis)
+    real, imaginary = np.split(basis @ directions[:, -1], 2)
+    return float(ratios[-1]), real - 1j * imaginary
+
+
+def _scaled(space: SearchSpace, problem: Quadratic, phasors: np.ndarray) -> np.ndarray:
+    """Return the phasors as large as their magnitudes may be; numbers with an upper limit are magnitudes here."""
+    limited = np.isfinite(space.upper)
+    phasors = phasors / np.abs(phasors).max()
+    if not limited.any():
+        return phasors
+    phasors = phasors * space.upper[limited].min()
+    for _ in range(len(phasors)):  # a magnitude that its lower limit raised may have hidden how small it is
+        magnitudes = problem.positions(phasors[None])[0]
+        positive = limited & (magnitudes > 0)
+        room = (space.upper[positive] / magnitudes[positive]).min(initial=np.inf)
+        if not 1 + NEAR < room < np.inf:
+            break
+        phasors = phasors * room
+    return phasors

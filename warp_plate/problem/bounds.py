@@ -1,4 +1,4 @@
-"""Upper bounds of energies and energy ratios over all drives that are allowed.
+"""Upper bounds of energies and energy ratios over all drives that are allowed, and the lower bound of a search's loss.
 
 With z as in ``optimize.quadratic``, energies are zᵀA z, and limits on drives are limits on the |z_k|² of the actuators,
 on their sum (power) or on the energy elsewhere: all of them quadratic forms. Without limits the largest ratio is an
@@ -9,20 +9,26 @@ under equal magnitudes, say, any d with Σ d_k = 0 has
 
 and so for every d; the least λ(d) is the bound. A fixed phase leaves its actuator one real number instead of two, which
 narrows the matrices themselves.
+
+The loss is −Σ weight · value, or 1 − LF, and no value can be above its own bound; so no loss is below −Σ weight ·
+bound. That sum is reached only if one drive reaches all bounds: of several terms it is called a bound only.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from warp_plate.optimize.quadratic import real_parts
-from warp_plate.plate.weights import REGIONS
-from warp_plate.problem.semidefinite import ROUNDINGS, QuadraticLimits, least_majorant
+from warp_plate.optimize.quadratic import quadratic_forms
+from warp_plate.problem.design_variables import has_design_tables, only_ratios
+from warp_plate.problem.objectives import MOST_DECIBELS, PLATE, TARGET, Objectives
+from warp_plate.problem.parametrization import Parametrization
+from warp_plate.problem.semidefinite import ROUNDING, least_majorant
+from warp_plate.scene.search import Objective
 from warp_plate.solve.response import Response, largest_ratio
 
 # Relative distance within which a drive that keeps all limits must come for its bound to be called attained.
@@ -68,31 +74,17 @@ class AllowedDrives:
     equal: bool = False
     wider: bool = False
 
-    @staticmethod
-    def all_drives(actuators: int) -> AllowedDrives:
-        """Return the set of all drives."""
-        lower, upper, phase = (np.full(actuators, value) for value in (-math.inf, math.inf, math.nan))
-        return AllowedDrives(lower, upper, phase)
-
-    @property
-    def at_any_scale(self) -> bool:
-        """True if a multiple of any drive is allowed, so that limits say nothing about a ratio."""
-        return not self.equal and not (self.lower > 0).any()
-
     def basis(self) -> np.ndarray:
         """Return (2M, parameters): z = basis @ parameters are the drives of the fixed phases.
 
         There are two parameters for an actuator whose phase is searched, one where it is fixed, none where its
         magnitude must be zero.
         """
-        count, columns = len(self.phase), []
-        for index, (phase, most) in enumerate(zip(self.phase, self.upper, strict=True)):
+        columns = []
+        for unit, phase, most in zip(np.eye(len(self.phase)), self.phase, self.upper, strict=True):
             turns = [(1.0, 0.0), (0.0, 1.0)] if math.isnan(phase) else [(math.cos(phase), math.sin(phase))]
-            for turn in turns if most > 0 else []:
-                column = np.zeros(2 * count)
-                column[[index, index + count]] = turn
-                columns.append(column)
-        return np.array(columns).T.reshape(2 * count, -1)
+            columns += [np.kron(turn, unit) for turn in turns if most > 0]
+        return np.array(columns).T.reshape(2 * len(self.phase), -1)
 
 
 def bound_localization(
@@ -102,27 +94,27 @@ def bound_localization(
 
     With limits and more than ``most_actuators`` actuators it is the eigenvalue of the drives without limits.
     """
-    plate, target = (response.matrices[REGIONS.index(name)] for name in ("plate", "target"))
-    basis = allowed.basis()
+    plate, basis = response.matrices[PLATE], allowed.basis()
     reduced = basis.T @ response.matrices @ basis
     value, parameters = largest_ratio(reduced) if basis.shape[1] else (math.nan, np.empty(0))
     if not math.isfinite(value):
         return None
-    value *= 1 + ROUNDINGS * np.finfo(float).eps  # no drive passes it by rounding either
+    value *= 1 + ROUNDING  # no drive passes it by rounding either
 
     def ratio(drives: np.ndarray) -> np.ndarray:
         energy = response.energy(drives)
         with np.errstate(invalid="ignore", divide="ignore"):
-            return energy[:, REGIONS.index("target")] / energy[:, REGIONS.index("plate")]
+            return energy[:, TARGET] / energy[:, PLATE]
 
     sentence = "the largest eigenvalue of the energies' matrices"
     if _best_allowed(ratio, basis @ parameters, allowed) >= value * (1 - NEAR):
         return Bound(value, "attained", f"{sentence}, which a drive reaches")
-    if not allowed.at_any_scale and len(allowed.phase) <= most_actuators:
-        rows = [_row(plate, 1.0, 0.0), *_limit_rows(allowed)]
-        least, nearest = _majorant(target, rows, basis, np.diag(plate))
+    # If a multiple of any drive is allowed, limits say nothing about a ratio.
+    if (allowed.equal or (allowed.lower > 0).any()) and len(allowed.phase) <= most_actuators:
+        limits = [(plate, 0.0, 1.0, False), *_magnitude_limits(allowed)]
+        least, nearest = _majorant(response.matrices[TARGET], limits, basis, np.diag(plate))
         if least < value:
-            return _of_multipliers(least, _best_allowed(ratio, nearest, allowed))
+            return _bound_of_multipliers(least, _best_allowed(ratio, nearest, allowed))
     return Bound(value, "bound only", f"{sentence}; no drive that keeps all limits is known to reach it")
 
 
@@ -136,60 +128,135 @@ def bound_energy(
     basis = allowed.basis()
     if not basis.shape[1] or len(allowed.phase) > MOST_ACTUATORS:
         return None
-    limits = [_row(other, 0.0, value) for other, value in others]
-    sizes = np.diag(matrix) + sum((np.diag(other) for other, _ in others), np.zeros(len(matrix)))
-    rows = [(np.zeros_like(matrix), 1.0, 1.0, True), *limits, *_limit_rows(allowed)]
-    least, nearest = _majorant(matrix, rows, basis, sizes)
+    forms, largest = np.array([matrix, *(other for other, _ in others)]), [value for _, value in others]
+    sizes = np.diag(matrix) + sum(np.diag(other) for other, _ in others)
+    limits = [(other, -value, 0.0, False) for other, value in others]
+    limits = [(np.zeros_like(matrix), 1.0, 1.0, True), *limits, *_magnitude_limits(allowed)]
+    least, nearest = _majorant(matrix, limits, basis, sizes)
     if not math.isfinite(least):
         return None
 
     def energy(drives: np.ndarray) -> np.ndarray:
-        z = real_parts(drives)
-        over = np.max([np.ones(len(z)), *(_forms(other, z) / value for other, value in others)], axis=0)
+        energies = quadratic_forms(forms, drives)
+        over = (energies[:, 1:] / largest).max(axis=1, initial=1.0)
         if not (allowed.lower > 0).any():  # scaled down to the other limits
-            return _forms(matrix, z) / over
-        return np.where(over <= 1 + 1e-12, _forms(matrix, z), -np.inf)
+            return energies[:, 0] / over
+        return np.where(over <= 1 + 1e-12, energies[:, 0], -np.inf)
 
-    return _of_multipliers(least, _best_allowed(energy, nearest, allowed))
-
-
-# A limit zᵀ matrix z ≤ (or =) value · τ² + constant, with τ one more number beside z: matrix, its entry for τ², the
-# constant, and whether it is an equation. In a ratio τ is arbitrary, for a ratio does not depend on the drive's size.
-_Row = tuple[np.ndarray, float, float, bool]
+    return _bound_of_multipliers(least, _best_allowed(energy, nearest, allowed))
 
 
-def _row(matrix: np.ndarray, constant: float, value: float) -> _Row:
-    return matrix, -value, constant, False
+def bound_loss(
+    parametrization: Parametrization,
+    objectives: Objectives,
+    response: Response | None,
+    displacement: Response | None = None,
+) -> Bound | None:
+    """Return the lower bound of a search's loss; None where none is claimed.
+
+    ``response`` and ``displacement`` are the energies of all drives and those of ½ ∫ ρH u² dA, for objectives that need
+    displacements; None where they are not quadratic forms.
+    """
+    if response is None or not parametrization.quadratic:
+        return None
+    allowed, terms = allowed_drives(parametrization), objectives.terms
+    forms = {"velocity": response, "displacement": displacement}
+    rests = [
+        (form.matrices[PLATE] - form.matrices[TARGET], objectives.masses[1] * term.rest_limit**2 / 2)
+        for term in terms
+        if term.rest_limit is not None and (form := forms[term.kind]) is not None
+    ]
+    total = 0.0
+    for term in terms:
+        bound = _bound_value(term, objectives, allowed, response, forms.get(term.kind), rests)
+        if bound is None:
+            return None
+        total -= term.weight * bound.value
+    if objectives.only_localization:
+        total += 1
+    if len(terms) > 1:
+        return Bound(total, "bound only", "the sum of what each objective alone could reach")
+    if allowed.wider:  # the drive that reaches it need not be one of the search's
+        sentence = "the most that any drive of this power and these largest magnitudes has; ranges may keep it lower"
+        return Bound(total, "bound only", sentence)
+    return replace(bound, value=total)
 
 
-def _limit_rows(allowed: AllowedDrives) -> list[_Row]:
+def _bound_value(
+    term: Objective,
+    objectives: Objectives,
+    allowed: AllowedDrives,
+    response: Response,
+    form: Response | None,
+    rests: Sequence[tuple[np.ndarray, float]],
+) -> Bound | None:
+    """Return the bound of an objective's value, in its own unit."""
+    if term.kind == "uniformity":
+        return Bound(1.0, "bound only", "a uniformity is at most 1 by its definition")
+    if term.kind in ("localization", "contrast"):
+        bound = bound_localization(response, allowed)
+        if bound is None or term.kind == "localization":
+            return bound
+        target, rest = objectives.areas
+        ratio = bound.value / (1 - bound.value) * rest / target if bound.value < 1 else math.inf
+        decibels = min(10 * math.log10(ratio), MOST_DECIBELS) if ratio > 0 else -MOST_DECIBELS
+        return Bound(decibels, bound.kind, f"contrast grows with the localization factor, and of that {bound.sentence}")
+    bound = None if form is None else bound_energy(form.matrices[TARGET], allowed, rests)
+    if bound is None:
+        return None
+    return replace(bound, value=math.sqrt(2 * max(bound.value, 0.0) / objectives.masses[0]))
+
+
+def allowed_drives(parametrization: Parametrization) -> AllowedDrives:
+    """Return a set of drives that holds all those of the search's positions."""
+    scene, unit = parametrization.scene, parametrization.unit
+    tables, limits, equal = has_design_tables(scene), scene.search.limits, False
+    fixed = np.array([actuator.magnitude if tables else unit for actuator in scene.actuators])
+    phase = np.array([actuator.phase if tables else 0.0 for actuator in scene.actuators])
+    lower, upper = np.abs(fixed), np.abs(fixed)
+    for variable in parametrization.variables:
+        group = list(variable.actuators)
+        if variable.kind == "magnitude":
+            lower[group], upper[group], fixed[group] = unit * variable.lower, unit * variable.upper, 0.0
+            equal |= len(group) == len(fixed) > 1
+        elif variable.kind == "phase":
+            phase[group] = np.nan
+    phase = np.where(fixed < 0, phase + math.pi, phase)
+    if only_ratios(scene):  # a drive that is too large is scaled down, and has the same ratios
+        return AllowedDrives(lower, upper, phase, equal=equal)
+    if limits.magnitude is not None:
+        lower, upper = np.minimum(lower, limits.magnitude), np.minimum(upper, limits.magnitude)
+    if limits.power is None:
+        return AllowedDrives(lower, upper, phase, equal=equal)
+    # A drive that is scaled down to the power may end below the range.
+    return AllowedDrives(np.minimum(lower, 0.0), upper, phase, limits.power, equal, wider=bool((lower > 0).any()))
+
+
+# A limit zᵀ matrix z + entry · τ² ≤ (or =) constant, with τ one more number beside z: matrix, entry, constant, and
+# whether it is an equation. In a ratio τ is arbitrary, for a ratio does not depend on the drive's size.
+_Limit = tuple[np.ndarray, float, float, bool]
+
+
+def _magnitude_limits(allowed: AllowedDrives) -> list[_Limit]:
     """Return the limits on |z_k|² and on their sum."""
-    count = len(allowed.phase)
-    squares = []
-    for index in range(count):
-        diagonal = np.zeros(2 * count)
-        diagonal[[index, index + count]] = 1.0
-        squares.append(np.diag(diagonal))
-    rows: list[_Row] = []
+    squares = [np.diag(diagonal) for diagonal in np.tile(np.eye(len(allowed.phase)), 2)]
+    limits: list[_Limit] = []
     for square, low, high in zip(squares, allowed.lower, allowed.upper, strict=True):
-        if high == 0:
-            continue
-        if low == high:
-            rows.append((square, -(low**2), 0.0, True))
-            continue
-        if low > 0:
-            rows.append((-square, low**2, 0.0, False))
-        if math.isfinite(high):
-            rows.append((square, -(high**2), 0.0, False))
+        if low == high > 0:
+            limits.append((square, -(low**2), 0.0, True))
+        if 0 < low < high:
+            limits.append((-square, low**2, 0.0, False))
+        if low < high < math.inf and high != 0:
+            limits.append((square, -(high**2), 0.0, False))
     if allowed.equal:
-        rows += [(square - squares[0], 0.0, 0.0, True) for square in squares[1:]]
+        limits += [(square - squares[0], 0.0, 0.0, True) for square in squares[1:]]
     if math.isfinite(allowed.power):
-        rows.append((np.eye(2 * count), -allowed.power, 0.0, False))
-    return rows
+        limits.append((np.eye(2 * len(squares)), -allowed.power, 0.0, False))
+    return limits
 
 
 def _majorant(
-    objective: np.ndarray, rows: Sequence[_Row], basis: np.ndarray, sizes: np.ndarray
+    objective: np.ndarray, limits: Sequence[_Limit], basis: np.ndarray, sizes: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """Return the bound of zᵀ objective z, and the z (2M,) at which its multipliers point.
 
@@ -198,27 +265,23 @@ def _majorant(
     """
     sizes = np.where(sizes > 0, sizes, 1.0)
     scaled = basis / np.sqrt((basis**2 * sizes[:, None]).sum(axis=0))
-    # τ in a unit in which it is about as large as the rest; a ratio may have no limit with τ.
-    norms = [(np.abs(scaled.T @ matrix @ scaled).max(), abs(entry)) for matrix, entry, _, _ in rows]
-    lifted = any(entry for _, entry in norms)
-    wide = np.zeros((len(basis) + lifted, basis.shape[1] + lifted))
-    wide[: len(basis), : basis.shape[1]] = scaled
-    if lifted:
-        wide[-1, -1] = 1 / math.sqrt(max((entry / norm for norm, entry in norms if entry and norm), default=1.0))
+    matrices, entries, constants, equations = zip(*limits, strict=True)
+    lifted = int(any(entries))
+    wide = np.pad(scaled, (0, lifted))
+    if lifted:  # τ in a unit in which it is about as large as the rest
+        norms = [np.abs(scaled.T @ matrix @ scaled).max() for matrix in matrices]
+        ratios = [abs(entry) / norm for norm, entry in zip(norms, entries, strict=True) if entry and norm]
+        wide[-1, -1] = 1 / math.sqrt(max(ratios, default=1.0))
 
     def widened(matrix: np.ndarray, entry: float) -> np.ndarray:
-        padded = np.pad(matrix, (0, int(lifted)))
+        padded = np.pad(matrix, (0, lifted))
         if lifted:
             padded[-1, -1] = entry
         reduced: np.ndarray = wide.T @ padded @ wide
         return reduced
 
-    limits = QuadraticLimits(
-        np.array([widened(matrix, entry) for matrix, entry, _, _ in rows]),
-        np.array([constant for _, _, constant, _ in rows]),
-        np.array([equation for _, _, _, equation in rows]),
-    )
-    least, slack = least_majorant(widened(objective, 0.0), limits)
+    reduced = np.array([widened(*pair) for pair in zip(matrices, entries, strict=True)])
+    least, slack = least_majorant(widened(objective, 0.0), reduced, np.array(constants), np.array(equations))
     if not math.isfinite(least) or not slack.any():
         return least, np.zeros(len(basis))
     return least, scaled @ np.linalg.eigh(slack)[1][: basis.shape[1], 0]
@@ -226,15 +289,17 @@ def _majorant(
 
 def _best_allowed(quantity: Callable[[np.ndarray], np.ndarray], z: np.ndarray, allowed: AllowedDrives) -> float:
     """Return the largest quantity of the drives near ±z, (2M,), that keep the limits; −∞ if none does."""
-    if not np.abs(z).max() > 0:
-        return -math.inf
     best = -math.inf
+    if not np.abs(z).max() > 0:
+        return best
+    named = [*allowed.lower, *allowed.upper, math.sqrt(allowed.power / len(allowed.phase))]
+    typical = max((value for value in named if 0 < value < math.inf), default=1.0)
     for real, imaginary in (np.split(z, 2), np.split(-z, 2)):
         phasors = real - 1j * imaginary
         held = ~np.isnan(allowed.phase)
         phase = np.where(held, np.nan_to_num(allowed.phase), -np.angle(phasors))
         sizes = np.where(held, (phasors * np.exp(1j * phase)).real, np.abs(phasors))
-        tried = _within_limits(SCALES[:, None] * sizes / np.abs(sizes).max() * _typical_magnitude(allowed), allowed)
+        tried = _within_limits(SCALES[:, None] * sizes / np.abs(sizes).max() * typical, allowed)
         if tried.size:
             best = max(best, float(np.nanmax(np.append(quantity(tried * np.exp(-1j * phase)), -math.inf))))
     return best
@@ -255,21 +320,9 @@ def _within_limits(sizes: np.ndarray, allowed: AllowedDrives) -> np.ndarray:
     return sizes[kept]
 
 
-def _typical_magnitude(allowed: AllowedDrives) -> float:
-    """Return a magnitude among those that are allowed."""
-    named = [*allowed.lower, *allowed.upper, math.sqrt(allowed.power / len(allowed.phase))]
-    return max((value for value in named if 0 < value < math.inf), default=1.0)
-
-
-def _of_multipliers(least: float, reached: float) -> Bound:
-    """Return the bound by multipliers, with whether a drive reaches it."""
+def _bound_of_multipliers(least: float, reached: float) -> Bound:
+    """Return the bound by multipliers, attained if a drive reaches it."""
     sentence = "the dual of the semidefinite relaxation under the drive's limits"
     if reached >= least * (1 - NEAR):
         return Bound(least, "attained", f"{sentence}, which a drive reaches")
     return Bound(least, "bound only", f"{sentence}; the best drive may lie below it")
-
-
-def _forms(matrix: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Return zᵀ matrix z, shape (n,), of z (n, 2M)."""
-    forms: np.ndarray = np.einsum("pa,ab,pb->p", z, matrix, z, optimize=True)
-    return forms

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
+
+import numpy as np
 
 from warp_plate.plate.designs import per_plate_of
 from warp_plate.plate.scheme import MOST_STEPS, STEPS_A_PERIOD, make_scheme
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.scene.search import Search
+from warp_plate.scene.search import FreeDelay, FreeFrequency, FreeMagnitude, FreePhase, FreePosition, Search
 
 # The tables that name design variables; without any the search is the source paper's.
 TABLES = ("magnitude", "phase", "frequency", "position", "delay")
@@ -20,7 +22,6 @@ TABLES = ("magnitude", "phase", "frequency", "position", "delay")
 RATIOS = ("localization", "contrast", "uniformity")
 # The range in which the source paper draws its first positions.
 PAPER_RANGE = (-2.0, 2.0)
-TWO_PI = 2 * math.pi
 
 Kind = Literal["magnitude", "phase", "frequency", "x", "y", "delay"]
 
@@ -74,10 +75,13 @@ def make_design_variables(scene: Scene) -> tuple[DesignVariable, ...]:
         SceneError: no variable changes the motion, or a table does not fit the scene; names the key.
     """
     if not has_design_tables(scene):
-        return _paper_variables(scene)
-    _check_equal_magnitudes(scene)
-    _check_some_drive(scene)
-    variables = (*_magnitudes(scene), *_phases(scene), *_frequencies(scene), *_positions(scene), *_delays(scene))
+        return tuple(_paper_variables(scene))
+    _check_fixed_magnitudes(scene)
+    makers: tuple[Callable[[Scene, Any], Iterable[DesignVariable]], ...]
+    makers = (_magnitudes, _phases, _frequencies, _positions, _delays)
+    tables = [getattr(scene.search, name) for name in TABLES]
+    pairs = [(make, table) for make, table in zip(makers, tables, strict=True) if table is not None]
+    variables = tuple(variable for make, table in pairs for variable in make(scene, table))
     if not variables:
         raise SceneError(
             "search: no variable changes the motion; name more actuators, or write one of "
@@ -138,9 +142,9 @@ def _harmonic(scene: Scene) -> int:
     return 1 if scene.drive.electrostatic is None else 2
 
 
-def _paper_variables(scene: Scene) -> tuple[DesignVariable, ...]:
-    """Return the variables of section II.C of the source paper; see :mod:`parametrization`."""
-    search, others = scene.search, range(1, len(scene.actuators))
+def _paper_variables(scene: Scene) -> Iterator[DesignVariable]:
+    """Yield the variables of section II.C of the source paper; see :mod:`parametrization`."""
+    search = scene.search
     bounded = search.limits.magnitude or search.limits.power
     for index, objective in enumerate(search.objectives):
         if objective.kind not in RATIOS and objective.rest_limit is None and not bounded:
@@ -148,75 +152,64 @@ def _paper_variables(scene: Scene) -> tuple[DesignVariable, ...]:
                 f"search.objectives[{index}].kind = {objective.kind!r}: grows with the magnitudes without end; write "
                 "[search.magnitude] with a range, search.limits, or a rest_limit"
             )
-    kinds: dict[Kind, float] = {"magnitude": 1.0, "phase": 0.0}
-    if search.limits.equal_magnitudes:
-        del kinds["magnitude"]
-    return tuple(
-        DesignVariable(_title(scene, kind, (actuator,)), kind, (actuator,), fixed, PAPER_RANGE)
-        for kind, fixed in kinds.items()
-        for actuator in others
-    )
+    others = range(1, len(scene.actuators))
+    if not search.limits.equal_magnitudes:
+        yield from (_variable(scene, "magnitude", (actuator,), 1.0, PAPER_RANGE) for actuator in others)
+    yield from (_variable(scene, "phase", (actuator,), 0.0, PAPER_RANGE) for actuator in others)
+
+
+def _variable(
+    scene: Scene, kind: Kind, group: tuple[int, ...], fixed: float, initial: tuple[float, float], **limits: float
+) -> DesignVariable:
+    """Return a variable with a name such as "phase of upper left", or just "frequency" where all actuators share it."""
+    names = ", ".join(scene.actuators[actuator].name for actuator in group)
+    name = kind if len(group) == len(scene.actuators) > 1 else f"{kind} of {names}"
+    return DesignVariable(name, kind, group, float(fixed), initial, **limits)
 
 
 def _ranged(
-    scene: Scene, kind: Kind, group: tuple[int, ...], fixed: float, ends: tuple[float, float]
-) -> DesignVariable:
-    """Return a variable that begins anywhere within its limits."""
-    return DesignVariable(_title(scene, kind, group), kind, group, float(fixed), ends, *ends)
+    scene: Scene, kind: Kind, separate: bool, fixed: Sequence[float] | np.ndarray, ends: tuple[float, float]
+) -> list[DesignVariable]:
+    """Return a variable for each actuator that the table names, or one for all, that begins within its limits."""
+    named, limits = _named_actuators(scene, kind), {"lower": ends[0], "upper": ends[1]}
+    groups = [(actuator,) for actuator in named] if separate else [named]
+    return [_variable(scene, kind, group, fixed[group[0]], ends, **limits) for group in groups]
 
 
-def _groups(scene: Scene, table: str, separate: bool) -> list[tuple[int, ...]]:
-    """Return the groups of actuators that share a variable: each of the named ones alone, or all together."""
-    named = _named_actuators(scene, table)
-    return [(actuator,) for actuator in named] if separate else [named]
-
-
-def _magnitudes(scene: Scene) -> Iterator[DesignVariable]:
-    table, equal = scene.search.magnitude, scene.search.limits.equal_magnitudes
-    if table is None:
-        return
+def _magnitudes(scene: Scene, table: FreeMagnitude) -> list[DesignVariable]:
+    equal = scene.search.limits.equal_magnitudes
     if equal and len(_named_actuators(scene, "magnitude")) < len(scene.actuators):
         raise SceneError(
             "search.magnitude.actuators: limits.equal_magnitudes gives all actuators the same; delete one of them"
         )
     if equal and only_ratios(scene):  # one magnitude of all changes nothing
-        return
-    for group in _groups(scene, "magnitude", not equal):
-        yield _ranged(scene, "magnitude", group, scene.actuators[group[0]].magnitude, table.range)
+        return []
+    return _ranged(scene, "magnitude", not equal, [actuator.magnitude for actuator in scene.actuators], table.range)
 
 
-def _phases(scene: Scene) -> Iterator[DesignVariable]:
+def _phases(scene: Scene, table: FreePhase) -> Iterator[DesignVariable]:
     """Yield phases. A common phase shifts a steady motion in time, and changes nothing: then the first one is fixed.
 
     It is searched where the motion has a time of its own: a burst, a sweep, a file, a moving load.
     """
-    if scene.search.phase is None:
-        return
     named, drive = _named_actuators(scene, "phase"), scene.drive
     transient = drive.burst or drive.chirp or drive.signal or scene.effects.moving_load
     if len(named) == len(scene.actuators) and not transient:
         named = named[1:]
+    turn = 2 * math.pi
     for actuator in named:
-        name, fixed = _title(scene, "phase", (actuator,)), scene.actuators[actuator].phase
-        yield DesignVariable(name, "phase", (actuator,), fixed, (0.0, TWO_PI), period=TWO_PI)
+        yield _variable(scene, "phase", (actuator,), scene.actuators[actuator].phase, (0.0, turn), period=turn)
 
 
-def _frequencies(scene: Scene) -> Iterator[DesignVariable]:
-    table = scene.search.frequency
-    if table is None:
-        return
+def _frequencies(scene: Scene, table: FreeFrequency) -> list[DesignVariable]:
     for key in ("signal", "chirp"):
         if getattr(scene.drive, key) is not None:
             raise SceneError(f"search.frequency: drive.{key} says which frequencies there are; delete one of them")
-    for group in _groups(scene, "frequency", table.own):
-        yield _ranged(scene, "frequency", group, actuator_frequencies(scene)[group[0]], table.range)
+    return _ranged(scene, "frequency", table.own, actuator_frequencies(scene), table.range)
 
 
-def _positions(scene: Scene) -> Iterator[DesignVariable]:
+def _positions(scene: Scene, table: FreePosition) -> Iterator[DesignVariable]:
     """Yield centres of patches that keep the whole patch in the area; along a side without room, a patch stays."""
-    table = scene.search.position
-    if table is None:
-        return
     if scene.grid.load == "nodes":
         raise SceneError(
             'search.position: grid.load = "nodes" moves an actuator by whole nodes, in jumps; write load = "overlap" '
@@ -224,31 +217,28 @@ def _positions(scene: Scene) -> Iterator[DesignVariable]:
         )
     width, height = scene.plate.size
     area = table.area or (0.0, width, 0.0, height)
-    axes: tuple[tuple[Literal["x", "y"], float, int], ...] = (("x", width, 0), ("y", height, 2))
+    axes: tuple[tuple[Kind, float, int], ...] = (("x", width, 0), ("y", height, 2))
     for actuator in _named_actuators(scene, "position"):
         patch, name = scene.actuators[actuator].area, scene.actuators[actuator].name
         for axis, side, first in axes:
-            low, high, start, stop = patch[first], patch[first + 1], area[first], area[first + 1]
-            half = (high - low) / 2
+            low, high, start, stop = *patch[first : first + 2], *area[first : first + 2]
+            centre, half = (low + high) / 2, (high - low) / 2
+            lower, upper = start + half, stop - half
             if stop - start < 2 * half - 1e-9 * side:
                 raise SceneError(
                     f"search.position.area = {list(area)}: is {stop - start:.6g} m long along {axis}, actuator "
                     f"{name!r} {2 * half:.6g} m; make room for all of it"
                 )
-            lower, upper = start + half, stop - half
             if upper - lower > 1e-9 * side:
-                yield _ranged(scene, axis, (actuator,), (low + high) / 2, (lower, upper))
-            elif abs((low + high) / 2 - lower) > 1e-9 * side:
+                yield _variable(scene, axis, (actuator,), centre, (lower, upper), lower=lower, upper=upper)
+            elif abs(centre - lower) > 1e-9 * side:
                 raise SceneError(
                     f"search.position.area = {list(area)}: is no longer along {axis} than actuator {name!r}, which "
                     "lies elsewhere; move it there, or enlarge the area"
                 )
 
 
-def _delays(scene: Scene) -> Iterator[DesignVariable]:
-    table = scene.search.delay
-    if table is None:
-        return
+def _delays(scene: Scene, table: FreeDelay) -> list[DesignVariable]:
     if scene.drive.burst is None:
         raise SceneError("search.delay: only a burst has a start; write [drive.burst], or delete search.delay")
     if table.range[1] >= scene.window.end:
@@ -256,54 +246,35 @@ def _delays(scene: Scene) -> Iterator[DesignVariable]:
             f"search.delay.range = {list(table.range)}: reaches past the run, which ends at window.end = "
             f"{scene.window.end:g} s; end it earlier"
         )
-    for group in _groups(scene, "delay", table.own):
-        yield _ranged(scene, "delay", group, actuator_delays(scene)[group[0]], table.range)
+    return _ranged(scene, "delay", table.own, actuator_delays(scene), table.range)
 
 
 def _named_actuators(scene: Scene, table: str) -> tuple[int, ...]:
-    """Return the indices of the actuators that a table names; all where it names none.
-
-    Raises:
-        SceneError: a name that no actuator has, or that is there twice.
-    """
+    """Return the indices of the actuators that a table names; all where it names none."""
     existing = [actuator.name for actuator in scene.actuators]
-    names = getattr(scene.search, table).actuators
-    if names is None:
-        return tuple(range(len(existing)))
+    names = getattr(scene.search, table).actuators or existing
     for index, name in enumerate(names):
+        key = f"search.{table}.actuators[{index}] = {name!r}"
         if name not in existing:
-            raise SceneError(
-                f"search.{table}.actuators[{index}] = {name!r}: there is no such actuator; there are: "
-                f"{', '.join(existing)}"
-            )
+            raise SceneError(f"{key}: there is no such actuator; there are: {', '.join(existing)}")
         if name in names[:index]:
-            raise SceneError(f"search.{table}.actuators[{index}] = {name!r}: is there twice; delete one")
+            raise SceneError(f"{key}: is there twice; delete one")
     return tuple(sorted(existing.index(name) for name in names))
 
 
-def _title(scene: Scene, kind: Kind, group: tuple[int, ...]) -> str:
-    """Return a name such as "phase of upper left", or just "frequency" where all actuators share it."""
-    if len(group) == len(scene.actuators) > 1:
-        return kind
-    return f"{kind} of {', '.join(scene.actuators[actuator].name for actuator in group)}"
-
-
-def _check_some_drive(scene: Scene) -> None:
-    """Raise SceneError where all magnitudes are zero and fixed, so that nothing moves whatever is searched."""
-    at_rest = not any(actuator.magnitude for actuator in scene.actuators) and scene.search.magnitude is None
-    bias = scene.drive.electrostatic is not None and scene.drive.electrostatic.bias
-    if at_rest and not bias and scene.effects.moving_load is None:
-        raise SceneError(
-            "search: the actuators' magnitudes are all 0 and fixed, so that nothing moves; write others, or search "
-            "them: [search.magnitude]"
-        )
-
-
-def _check_equal_magnitudes(scene: Scene) -> None:
-    """Raise SceneError where magnitudes should be equal, are not, and are fixed."""
+def _check_fixed_magnitudes(scene: Scene) -> None:
+    """Raise SceneError where fixed magnitudes should be equal, or are all zero, so that nothing moves."""
+    if scene.search.magnitude is not None:
+        return
     sizes = {abs(actuator.magnitude) for actuator in scene.actuators}
-    if scene.search.limits.equal_magnitudes and scene.search.magnitude is None and len(sizes) > 1:
+    if scene.search.limits.equal_magnitudes and len(sizes) > 1:
         raise SceneError(
             f"search.limits.equal_magnitudes: the actuators' magnitudes, from {min(sizes):g} to {max(sizes):g}, differ "
             "and are fixed; write the same for all, or search them: [search.magnitude]"
+        )
+    bias = scene.drive.electrostatic is not None and scene.drive.electrostatic.bias
+    if not any(sizes) and not bias and scene.effects.moving_load is None:
+        raise SceneError(
+            "search: the actuators' magnitudes are all 0 and fixed, so that nothing moves; write others, or search "
+            "them: [search.magnitude]"
         )

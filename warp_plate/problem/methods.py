@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from warp_plate.optimize.cma_es import CovarianceSearch
-from warp_plate.optimize.exact import ExactSearch
 from warp_plate.optimize.gradient import GradientSearch
 from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings
 from warp_plate.optimize.pso import Swarm, SwarmSettings
-from warp_plate.optimize.quadratic import Quadratic
+from warp_plate.optimize.quadratic import ExactSearch, Quadratic
 from warp_plate.optimize.space import SearchSpace
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.problem.objectives import loss_scale
@@ -52,10 +51,23 @@ def make_optimizer(
         SceneError: the method does not fit the problem or takes more memory than there is; pycma is not installed.
         ValueError: the state is not that of such a search.
     """
+    method, dimension = search.method, space.dimension
+    if method != "exact":
+        entry_bytes = NUMBER_BYTES + (MATRIX_BYTES * dimension if method == "gradient" else 0.0)
+        what = f"search.particles = {search.particles} with {dimension} numbers each"
+        refuse_beyond_memory(search.particles * (entry_bytes * dimension + PARTICLE_BYTES), what)
+    optimizer: Optimizer
     try:
-        optimizer = _make(search, space, seed, problem)
+        if method == "exact":
+            optimizer = ExactSearch(space, problem)
+        elif method == "cma":
+            optimizer = CovarianceSearch(space, _settings(search, seed))
+        elif method == "gradient":
+            optimizer = GradientSearch(space, problem, _settings(search, seed))
+        else:
+            optimizer = Swarm(space, swarm_settings(search, seed))
     except MethodError as error:
-        raise SceneError(f"search.method = {search.method!r}: {error}") from None
+        raise SceneError(f"search.method = {method!r}: {error}") from None
     if state is not None:
         optimizer.restore(state)
     return optimizer
@@ -73,7 +85,7 @@ def unread_keys(search: Search) -> list[str]:
 
 def swarm_settings(search: Search, seed: int) -> SwarmSettings:
     """Return the settings of the swarm of "pso", "constriction" or "ring"."""
-    common = _common_settings(search, seed) | {"velocity_limit": search.velocity_limit}
+    common = vars(_settings(search, seed)) | {"velocity_limit": search.velocity_limit}
     if search.restarts and not search.stall:
         common["stall"] = RESTART_AFTER
     if search.method == "pso":
@@ -82,23 +94,6 @@ def swarm_settings(search: Search, seed: int) -> SwarmSettings:
     return SwarmSettings.constriction(ring=search.method == "ring", **common)
 
 
-def _common_settings(search: Search, seed: int) -> dict[str, Any]:
+def _settings(search: Search, seed: int) -> SearchSettings:
     keys = {name: getattr(search, name) for name in ("particles", "iterations", "restarts", "stall")}
-    return {**keys, "seed": seed, "loss_scale": loss_scale(search.objectives)}
-
-
-def _make(search: Search, space: SearchSpace, seed: int, problem: Quadratic | None) -> Optimizer:
-    method, dimension = search.method, space.dimension
-    if method == "exact":
-        return ExactSearch(space, problem)
-    entry_bytes = NUMBER_BYTES + (MATRIX_BYTES * dimension if method == "gradient" else 0.0)
-    what = f"search.particles = {search.particles} with {dimension} numbers each"
-    refuse_beyond_memory(search.particles * (entry_bytes * dimension + PARTICLE_BYTES), what)
-    if method in _SWARMS:
-        return Swarm(space, swarm_settings(search, seed))
-    settings = SearchSettings(**_common_settings(search, seed))
-    if method == "cma":
-        return CovarianceSearch(space, settings)
-    if problem is None:
-        raise MethodError("needs losses that follow from quadratic forms of the drives; write 'cma'")
-    return GradientSearch(space, problem, settings)
+    return SearchSettings(**keys, seed=seed, loss_scale=loss_scale(search.objectives))

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -83,13 +84,10 @@ class Objectives:
         """
         if self.only_localization:
             return 1 - localization_factor(energy)
-        values, limits = self.values(energy, displacement_energy), self.limits
-        total = -values["sum"]
-        if not limits:
-            return np.asarray(total)
+        values = self.values(energy, displacement_energy)
         worst = MOST_DECIBELS * sum(term.weight for term in self.terms if term.kind == "contrast")
-        excess = sum(np.maximum(values[name] / limit - 1, 0) for name, limit in limits.items())
-        return np.where(excess > 0, worst + excess, total)
+        excess = sum(np.maximum(values[name] / limit - 1, 0) for name, limit in self.limits.items())
+        return np.where(excess > 0, worst + excess, -values["sum"])
 
     def values(self, energy: np.ndarray, displacement_energy: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """Return values (plates,) by the objectives' kinds, in OBJECTIVE_UNITS, and their weighted "sum".
@@ -112,10 +110,6 @@ class Objectives:
                     target, rest = np.sqrt(2 * np.maximum(_target_and_rest(forms), 0) / self.masses).T
                 values |= {term.kind: target, term.kind + OF_THE_REST: rest}
         return {**values, "sum": np.asarray(sum(term.weight * values[term.kind] for term in self.terms))}
-
-    def within_limits(self, values: Mapping[str, float]) -> bool:
-        """Return whether the values of one drive keep all limits on the rest."""
-        return all(keeps_limit(values[name], limit) for name, limit in self.limits.items())
 
 
 def keeps_limit(value: float, limit: float) -> bool:
@@ -144,19 +138,15 @@ def make_objectives(discretization: Discretization) -> Objectives:
     areas, masses = (
         (cell * factor * weights).sum(axis=(1, 2)) @ [[0, 1], [1, -1]] for factor in (np.ones_like(density), density)
     )
-    terms = scene.search.objectives
+    terms, cells = scene.search.objectives, dict[str, np.ndarray]()
     for index, term in enumerate(terms):
-        key = f"search.objectives[{index}].kind = {term.kind!r}"
         if areas[1] <= LEAST_REST * areas.sum() and (term.kind == "contrast" or term.rest_limit is not None):
-            raise SceneError(f"{key}: the target covers the whole plate, so there is no rest; make it smaller")
-    cells: dict[str, np.ndarray] = {}
-    if any(term.kind == "uniformity" for term in terms):
-        cells = _target_cells(discretization)
-        if len(cells) < 2:
             raise SceneError(
-                f"target.{scene.target.description}: has fewer than {2 * CELL_NODES} nodes along x and y, too few for "
-                "search.objectives with kind = 'uniformity'; enlarge it, or use more nodes"
+                f"search.objectives[{index}].kind = {term.kind!r}: the target covers the whole plate, so there is no "
+                "rest; make it smaller"
             )
+        if term.kind == "uniformity":
+            cells = _target_cells(discretization)
     cell_areas = np.array([cell * field.sum() for field in cells.values()])
     return Objectives(terms, {**cells, **target_regions(scene)}, areas, masses, cell_areas)
 
@@ -173,11 +163,16 @@ def _target_cells(discretization: Discretization) -> dict[str, np.ndarray]:
     along_x, along_y = sides
     least = 1e-6 * (along_x[1] - along_x[0]) * (along_y[1] - along_y[0])
     cells = {}
-    for row, (bottom, top) in enumerate(zip(along_y[:-1].tolist(), along_y[1:].tolist(), strict=True)):
-        for column, (left, right) in enumerate(zip(along_x[:-1].tolist(), along_x[1:].tolist(), strict=True)):
-            field = shape_weights(scene, key, scene.target, (left, right, bottom, top))
+    for row, y_ends in enumerate(pairwise(along_y.tolist())):
+        for column, x_ends in enumerate(pairwise(along_x.tolist())):
+            field = shape_weights(scene, key, scene.target, (*x_ends, *y_ends))
             if field.sum() * discretization.cell > least:
                 cells[f"cell {row} {column}"] = field
+    if len(cells) < 2:
+        raise SceneError(
+            f"target.{scene.target.description}: has fewer than {2 * CELL_NODES} nodes along x and y, too few for "
+            "search.objectives with kind = 'uniformity'; enlarge it, or use more nodes"
+        )
     return cells
 
 

@@ -23,12 +23,11 @@ from warp_plate.cluster.pool import WorkerPool
 from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.optimize.space import SearchSpace
 from warp_plate.plate.designs import Designs, per_plate_of
-from warp_plate.plate.discretization import Discretization, discretize
+from warp_plate.plate.discretization import discretize
 from warp_plate.plate.memory import refuse_beyond_memory
-from warp_plate.problem.bounds import Bound
+from warp_plate.problem.bounds import Bound, bound_loss
 from warp_plate.problem.design_variables import has_design_tables, with_common_step
-from warp_plate.problem.loss_bounds import bound_loss
-from warp_plate.problem.objectives import PLATE, TARGET, Objectives, make_objectives
+from warp_plate.problem.objectives import PLATE, TARGET, Objectives, keeps_limit, make_objectives
 from warp_plate.problem.parametrization import Parametrization, parametrization_of
 from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure, scenario_responses, simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
@@ -169,9 +168,9 @@ class Problem:
         designs = self.parametrization.designs(position[None])
         values = self.objectives.values(self.energies(designs), self._displacement_energies(designs))
         numbers = {name: float(value[0]) for name, value in values.items()}
-        if self._nominal_loss_bound is None or not self.objectives.within_limits(numbers):
-            return numbers
-        return {**numbers, "bound": -self._nominal_loss_bound.value}
+        kept = all(keeps_limit(numbers[name], limit) for name, limit in self.objectives.limits.items())
+        bound = self._nominal_loss_bound
+        return {**numbers, "bound": -bound.value} if bound is not None and kept else numbers
 
     @cached_property
     def quadratic(self) -> Quadratic | None:
@@ -201,15 +200,14 @@ class Problem:
     @cached_property
     def loss_bound(self) -> Bound | None:
         """Proved lower bound of the loss; None where none is claimed."""
-        losses = self.scenario_losses
-        if losses is None:
+        if self.scenario_losses is None:
             return self._nominal_loss_bound
         # No drive, the same for all panels, has a smaller loss than the measure of each panel's own bound.
-        bounds = [bound_loss(self.parametrization, *forms) for forms in losses.quadratic_forms()]
-        if not bounds or None in bounds:
+        bounds = [bound_loss(self.parametrization, *forms) for forms in self.scenario_losses.quadratic_forms()]
+        values = [bound.value for bound in bounds if bound is not None]
+        if not values or None in bounds:
             return None
-        least = np.array([[bound.value for bound in bounds if bound is not None]])
-        value = float(apply_measure(least, self.robust)[0])
+        value = float(apply_measure(np.array([values]), self.robust)[0])
         return Bound(value, "bound only", "the measure of what each scenario alone could reach")
 
     @cached_property
@@ -279,15 +277,21 @@ def make_problem(
     name = evaluator or ("response" if scene.search.robust is not None and quadratic else "direct")
     grid = discretize(scene)
     objectives = make_objectives(grid)
-    drives, designs, displacements = _make_evaluators(grid, parametrization, objectives, device, path, pool)
+    drives = designs = make_evaluator(grid, device, path, pool, areas=objectives.regions)
+    if not parametrization.only_drives:
+        grid = discretize(scene, per_plate_of(scene))
+        designs = make_evaluator(grid, device, path, pool, areas=objectives.regions)
+    displacements = None
+    if objectives.needs_displacement:
+        displacements = make_evaluator(grid, device, path, pool, areas=objectives.regions, quantity="displacement")
+    evaluators = [drives] if displacements is None else [drives, displacements]
     seconds, node_steps = 0.0, 0
     if matrices is None and quadratic:
-        matrices, seconds, node_steps = _measure_matrices([drives, displacements], objectives, path)
-    sets = 1 if displacements is None else 2
-    regions = sets * len(drives.solver.specialized.regions)
+        matrices, seconds, node_steps = _measure_matrices(evaluators, objectives, path)
+    regions = len(evaluators) * len(drives.solver.specialized.regions)
     if matrices is not None and len(matrices) != regions:
         raise SceneError(f"matrices: of {len(matrices)} regions; must be {regions}")
-    responses = [None, None] if matrices is None else [*map(Response, np.split(matrices, sets)), None]
+    responses = [None, None] if matrices is None else [*map(Response, np.split(matrices, len(evaluators))), None]
     scenarios = _scenario_losses(scene, drives.solver.device.alias, path, name, pool)
     if scenarios is not None:
         seconds, node_steps = seconds + scenarios.setup_cost[0], node_steps + scenarios.setup_cost[1]
@@ -295,26 +299,6 @@ def make_problem(
         parametrization, objectives, drives, designs, displacements, responses[0], responses[1], name, path,
         (seconds, node_steps), pool, scenarios,
     )  # fmt: skip
-
-
-def _make_evaluators(
-    grid: Discretization,
-    parametrization: Parametrization,
-    objectives: Objectives,
-    device: str,
-    path: str,
-    pool: WorkerPool | None,
-) -> tuple[Evaluator, Evaluator, Evaluator | None]:
-    """Return the evaluators of drives, designs and displacements."""
-    drives = designs = make_evaluator(grid, device, path, pool, areas=objectives.regions)
-    if not parametrization.only_drives:
-        grid = discretize(grid.scene, per_plate_of(grid.scene))
-    options = {"areas": objectives.regions, "per_plate": grid.per_plate}
-    if not parametrization.only_drives:
-        designs = make_evaluator(grid, device, path, pool, **options)
-    if not objectives.needs_displacement:
-        return drives, designs, None
-    return drives, designs, make_evaluator(grid, device, path, pool, **options, quantity="displacement")
 
 
 def _why_not_quadratic(parametrization: Parametrization) -> str:
@@ -325,13 +309,11 @@ def _why_not_quadratic(parametrization: Parametrization) -> str:
 
 
 def _measure_matrices(
-    evaluators: Iterable[Evaluator | None], objectives: Objectives, path: str
+    evaluators: Iterable[Evaluator], objectives: Objectives, path: str
 ) -> tuple[np.ndarray, float, int]:
     """Return Gram matrices, measured in double precision, and the compilation and node-steps of further solvers."""
     matrices, seconds, node_steps = [], 0.0, 0
     for evaluator in evaluators:
-        if evaluator is None:
-            continue
         solver = evaluator.solver
         if solver.scene.grid.precision != "float64":
             grid, quantity = solver.discretization.with_scene(in_float64(solver.scene)), solver.specialized.quantity

@@ -79,27 +79,18 @@ class ScenarioLosses:
 
     def losses_from_energies(self, energy: np.ndarray) -> np.ndarray:
         """Return losses (plates, scenarios) of energies (plates, scenarios · regions), in the order of ``matrices``."""
-        count = len(self.scenarios)
-        regions = energy.shape[1] // count
-        objectives = self.scenarios[0].objectives
-        if objectives.only_localization:  # all panels at once: their objectives then do not differ
-            losses: np.ndarray = objectives.losses(energy.reshape(-1, regions)).reshape(-1, count)
-            return losses
-        sets = 2 if objectives.needs_displacement else 1
-        columns = []
-        for index, plates in enumerate(self.scenarios):
-            part = energy[:, index * regions : (index + 1) * regions]
-            columns.append(plates.objectives.losses(*np.split(part, sets, axis=1)))
+        objectives = [plates.objectives for plates in self.scenarios]
+        sets, parts = 2 if objectives[0].needs_displacement else 1, np.split(energy, len(objectives), axis=1)
+        columns = [each.losses(*np.split(part, sets, axis=1)) for each, part in zip(objectives, parts, strict=True)]
         return np.stack(columns, axis=1)
 
-    def quadratic_forms(self) -> Iterator[tuple[Objectives, Response, Response | None]]:
-        """Yield each scenario's objectives and Gram matrices, of velocities and of displacements; none without."""
+    def quadratic_forms(self) -> Iterator[tuple[Any, ...]]:
+        """Yield each scenario's objectives and Gram matrices, of velocities and, if needed, of displacements."""
         if self.matrices is None:
             return
         for plates, matrices in zip(self.scenarios, np.split(self.matrices, len(self.scenarios)), strict=True):
-            sets = 2 if plates.objectives.needs_displacement else 1
-            velocity, *displacement = map(Response, np.split(matrices, sets))
-            yield plates.objectives, velocity, displacement[0] if displacement else None
+            sets = np.split(matrices, 2 if plates.objectives.needs_displacement else 1)
+            yield plates.objectives, *map(Response, sets)
 
 
 def apply_measure(losses: np.ndarray, robust: Robust) -> np.ndarray:
@@ -128,7 +119,7 @@ def simulate_scenarios(
         SceneError: see :class:`PlateSolver` and ``make_objectives``.
     """
     share = 1 / len(scenarios)
-    return ScenarioLosses(tuple(_scenario_plates(each, device, path, pool, share) for each in scenarios))
+    return ScenarioLosses(tuple(_scenario_plates(scenario, device, path, pool, share) for scenario in scenarios))
 
 
 def scenario_responses(scenarios: Sequence[Scenario], device: str = "auto", path: str = "auto") -> ScenarioLosses:
@@ -137,15 +128,15 @@ def scenario_responses(scenarios: Sequence[Scenario], device: str = "auto", path
     Raises:
         SceneError: see :class:`PlateSolver`, ``make_objectives`` and ``measure_response``.
     """
-    kept, matrices, seconds, node_steps = [], [], 0.0, 0
+    measured, matrices, seconds, node_steps = [], [], 0.0, 0
     for scenario in scenarios:
         gain = np.tile(scenario.gain, 2)
         plates = _scenario_plates(replace(scenario, scene=in_float64(scenario.scene)), device, path)
         for evaluator in plates.evaluators:
             matrices.append(measure_response(evaluator.solver).matrices * np.outer(gain, gain))
             seconds, node_steps = seconds + evaluator.compile_seconds, node_steps + evaluator.node_steps
-        kept.append(ScenarioPlates(scenario, plates.objectives))
-    return ScenarioLosses(tuple(kept), np.concatenate(matrices), (seconds, node_steps))
+        measured.append(ScenarioPlates(scenario, plates.objectives))
+    return ScenarioLosses(tuple(measured), np.concatenate(matrices), (seconds, node_steps))
 
 
 def _scenario_plates(
@@ -155,10 +146,6 @@ def _scenario_plates(
     grid = discretize(scenario.scene, scenario.per_plate)
     objectives = make_objectives(grid)
     quantities = ("velocity", "displacement") if objectives.needs_displacement else ("velocity",)
-    options: dict[str, Any] = {
-        "areas": objectives.regions,
-        "per_plate": scenario.per_plate,
-        "memory_share": memory_share / len(quantities),
-    }
-    evaluators = tuple(make_evaluator(grid, device, path, pool, **options, quantity=each) for each in quantities)
-    return ScenarioPlates(scenario, objectives, evaluators)
+    options = {"areas": objectives.regions, "memory_share": memory_share / len(quantities)}
+    evaluators = [make_evaluator(grid, device, path, pool, **options, quantity=quantity) for quantity in quantities]
+    return ScenarioPlates(scenario, objectives, tuple(evaluators))

@@ -15,7 +15,7 @@ itself: N. Z. Shor, Sov. J. Comput. Syst. Sci. 25, 1987).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,161 +23,138 @@ import numpy as np
 GROWTH, GAP = 8.0, 1e-10
 # Newton steps at one t, and the decrement at which they end.
 MOST_STEPS, SETTLED = 60, 1e-8
-# Roundings that an entry of a small symmetric matrix and its eigenvalues may gather.
-ROUNDINGS = 64
+# Rounding error that an entry of a small symmetric matrix and its eigenvalues may gather.
+ROUNDING = 64 * np.finfo(float).eps
 
 
-@dataclass(frozen=True)
-class QuadraticLimits:
-    """Limits of quadratic forms, zᵀC_i z ≤ c_i.
-
-    Attributes:
-        matrices: (limits, n, n) symmetric C_i.
-        values: (limits,) c_i.
-        equation: (limits,) whether zᵀC_i z = c_i.
-    """
-
-    matrices: np.ndarray
-    values: np.ndarray
-    equation: np.ndarray
-
-
-def least_majorant(objective: np.ndarray, limits: QuadraticLimits) -> tuple[float, np.ndarray]:
+def least_majorant(
+    objective: np.ndarray, matrices: np.ndarray, values: np.ndarray, equation: np.ndarray
+) -> tuple[float, np.ndarray]:
     """Return the bound Σ μ_i c_i and the slack S(μ), (n, n), whose smallest eigenvector is near the z of the maximum.
 
     They are infinity and empty where no multipliers are found. The value lies above the exact one of its μ by the
     largest rounding error.
+
+    Args:
+        objective: (n, n) symmetric A.
+        matrices: (limits, n, n) symmetric C_i.
+        values: (limits,) c_i.
+        equation: (limits,) whether zᵀC_i z = c_i.
     """
     size = float(np.abs(objective).max())
     if size == 0:
         return 0.0, np.zeros_like(objective)
-    norms = np.abs(limits.matrices).max(axis=(1, 2))
+    norms = np.abs(matrices).max(axis=(1, 2))
     norms = np.where(norms > 0, norms, 1.0)
-    scaled = replace(limits, matrices=limits.matrices / norms[:, None, None], values=limits.values / norms)
-    start = _inside(objective / size, scaled)
+    dual = _Dual(objective / size, matrices / norms[:, None, None], values / norms, equation)
+    start = dual.inside()
     if start is None:
         return np.inf, np.empty((0, 0))
-    multipliers = _follow(objective / size, scaled, start)
-    slack = _slack(objective / size, scaled, multipliers)
-    value = float(scaled.values @ multipliers)
-    value += ROUNDINGS * np.finfo(float).eps * float(np.abs(scaled.values) @ np.abs(multipliers))
-    return float(size * value), slack
+    multipliers = dual.follow(start)
+    value = float(dual.values @ multipliers)
+    value += ROUNDING * float(np.abs(dual.values) @ np.abs(multipliers))
+    return float(size * value), dual.slack(multipliers)
 
 
-def _follow(objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndarray) -> np.ndarray:
-    """Return the multipliers at the end of the central path, or the last ones that rounding leaves inside."""
-    count = len(objective) + np.count_nonzero(~limits.equation)
-    weight = count / max(abs(float(limits.values @ multipliers)), 1e-3)
-    least = multipliers
-    while True:
-        multipliers, settled = _centre(objective, limits, multipliers, weight)
-        value = float(limits.values @ multipliers)
-        if not _surely_inside(_slack(objective, limits, multipliers), multipliers):
-            return _between(objective, limits, least, multipliers)
-        if value < float(limits.values @ least):
-            least = multipliers
-        if not settled or count / weight < GAP * abs(value):
-            return least
-        weight *= GROWTH
+@dataclass(frozen=True)
+class _Dual:
+    """The dual problem, in the arrays of :func:`least_majorant`; all methods take multipliers (limits,)."""
 
+    objective: np.ndarray
+    matrices: np.ndarray
+    values: np.ndarray
+    equation: np.ndarray
 
-def _between(objective: np.ndarray, limits: QuadraticLimits, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
-    """Return the last multipliers between two that are surely inside."""
-    low, high = 0.0, 1.0
-    for _ in range(20):
-        middle = (low + high) / 2
-        tried = inside + middle * (outside - inside)
-        if _surely_inside(_slack(objective, limits, tried), tried):
-            low = middle
-        else:
-            high = middle
-    return inside + low * (outside - inside)
+    def slack(self, multipliers: np.ndarray) -> np.ndarray:
+        """Return S(μ), shape (n, n)."""
+        slack: np.ndarray = np.tensordot(multipliers, self.matrices, 1) - self.objective
+        return slack
 
+    def barrier(self, multipliers: np.ndarray, weight: float) -> float:
+        """Return φ; infinity outside."""
+        bounded = multipliers[~self.equation]
+        if (bounded <= 0).any():
+            return np.inf
+        try:
+            root = np.linalg.cholesky(self.slack(multipliers))
+        except np.linalg.LinAlgError:
+            return np.inf
+        logs = 2 * np.log(np.diag(root)).sum() + np.log(bounded).sum()
+        return float(weight * self.values @ multipliers - logs)
 
-def _surely_inside(slack: np.ndarray, multipliers: np.ndarray) -> bool:
-    """Return whether S is positive definite by more than the errors with which it is computed."""
-    error = ROUNDINGS * np.finfo(float).eps * (1 + np.abs(multipliers).sum()) * len(slack)
-    return bool(np.linalg.eigvalsh(slack)[0] > error)
+    def surely_inside(self, multipliers: np.ndarray) -> bool:
+        """Return whether S is positive definite by more than the errors with which it is computed."""
+        slack = self.slack(multipliers)
+        return bool(np.linalg.eigvalsh(slack)[0] > ROUNDING * (1 + np.abs(multipliers).sum()) * len(slack))
 
+    def inside(self) -> np.ndarray | None:
+        """Return multipliers with S ≻ 0, by lowering s with S + s·1 ⪰ 0 until it is negative; None if it never is."""
+        count, size = len(self.values), len(self.objective)
+        unit, last = np.eye(size)[None], np.append(np.zeros(count), 1.0)
+        wider = _Dual(self.objective, np.concatenate([self.matrices, unit]), last, np.append(self.equation, True))
+        multipliers = np.append(np.where(self.equation, 0.0, 1.0), 0.0)
+        multipliers[-1] = 1 - np.linalg.eigvalsh(wider.slack(multipliers))[0]
+        weight = size / multipliers[-1]
+        for _ in range(20):
+            multipliers, _ = wider.centre(multipliers, weight, stop_below=-1e-9)
+            # What counts is S without s, as a Cholesky factor finds it.
+            if multipliers[-1] < -1e-9 and np.isfinite(self.barrier(multipliers[:-1], 1.0)):
+                return multipliers[:-1]
+            weight *= GROWTH
+        return None
 
-def _centre(
-    objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndarray, weight: float, stop_below: float = -np.inf
-) -> tuple[np.ndarray, bool]:
-    """Apply Newton's method at one t, or until the last multiplier falls below a value; return whether it settled."""
-    level = _barrier(objective, limits, multipliers, weight)
-    for _ in range(MOST_STEPS):
-        step, decrement = _newton(objective, limits, multipliers, weight)
-        # Below what rounding leaves of φ no descent can be seen.
-        if not decrement >= max(SETTLED, ROUNDINGS * np.finfo(float).eps * abs(level)):
-            return multipliers, bool(np.isfinite(decrement))
-        length = 1.0
+    def follow(self, multipliers: np.ndarray) -> np.ndarray:
+        """Return the multipliers at the end of the central path, or the last ones that rounding leaves inside."""
+        count = len(self.objective) + np.count_nonzero(~self.equation)
+        weight = count / max(abs(float(self.values @ multipliers)), 1e-3)
+        least = multipliers
         while True:
-            tried = multipliers + length * step
-            found = _barrier(objective, limits, tried, weight)
-            if found <= level - 0.1 * length * decrement:
+            multipliers, settled = self.centre(multipliers, weight)
+            value = float(self.values @ multipliers)
+            if not self.surely_inside(multipliers):
                 break
-            length /= 2
-            if length < 1e-10:
-                return multipliers, decrement < 1e-2
-        multipliers, level = tried, found
-        if multipliers[-1] < stop_below:
-            return multipliers, True
-    return multipliers, decrement < 1e-2
+            if value < float(self.values @ least):
+                least = multipliers
+            if not settled or count / weight < GAP * abs(value):
+                return least
+            weight *= GROWTH
+        low, high = 0.0, 1.0
+        for _ in range(20):
+            middle = (low + high) / 2
+            inside = self.surely_inside(least + middle * (multipliers - least))
+            low, high = (middle, high) if inside else (low, middle)
+        return least + low * (multipliers - least)
 
+    def centre(self, multipliers: np.ndarray, weight: float, stop_below: float = -np.inf) -> tuple[np.ndarray, bool]:
+        """Apply Newton's method at one t, or until the last multiplier is below a value; return whether it settled."""
+        level = self.barrier(multipliers, weight)
+        for _ in range(MOST_STEPS):
+            step, decrement = self.newton(multipliers, weight)
+            # Below what rounding leaves of φ no descent can be seen.
+            if not decrement >= max(SETTLED, ROUNDING * abs(level)):
+                return multipliers, bool(np.isfinite(decrement))
+            length = 1.0
+            while not (lower := self.barrier(multipliers + length * step, weight)) <= level - 0.1 * length * decrement:
+                length /= 2
+                if length < 1e-10:
+                    return multipliers, decrement < 1e-2
+            multipliers, level = multipliers + length * step, lower
+            if multipliers[-1] < stop_below:
+                return multipliers, True
+        return multipliers, decrement < 1e-2
 
-def _newton(
-    objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndarray, weight: float
-) -> tuple[np.ndarray, float]:
-    """Return Newton's step for φ, and the decrease of φ along it to first order."""
-    try:
-        inverse = np.linalg.inv(_slack(objective, limits, multipliers))
-    except np.linalg.LinAlgError:  # at the edge, as far as numbers tell
-        return np.zeros_like(multipliers), np.nan
-    turned = inverse @ limits.matrices
-    bent = np.where(limits.equation, 0.0, 1 / np.where(limits.equation, 1.0, multipliers))
-    slope = weight * limits.values - np.trace(turned, axis1=1, axis2=2) - bent
-    curvature = np.einsum("iab,jba->ij", turned, turned) + np.diag(bent**2)
-    if not np.isfinite(curvature).all():  # where nothing bounds the objective, S runs off
-        return np.zeros_like(multipliers), np.nan
-    size = np.sqrt(np.maximum(np.diag(curvature), 1e-30 * curvature.max()))
-    step = -np.linalg.lstsq(curvature / np.outer(size, size), slope / size, rcond=None)[0] / size
-    return step, float(-slope @ step)
-
-
-def _barrier(objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndarray, weight: float) -> float:
-    """Return φ; infinity outside."""
-    bounded = multipliers[~limits.equation]
-    if (bounded <= 0).any():
-        return np.inf
-    try:
-        root = np.linalg.cholesky(_slack(objective, limits, multipliers))
-    except np.linalg.LinAlgError:
-        return np.inf
-    logs = 2 * np.log(np.diag(root)).sum() + np.log(bounded).sum()
-    return float(weight * limits.values @ multipliers - logs)
-
-
-def _inside(objective: np.ndarray, limits: QuadraticLimits) -> np.ndarray | None:
-    """Return multipliers with S ≻ 0, by lowering s with S + s·1 ⪰ 0 until it is negative; None if it never is."""
-    count, size = len(limits.values), len(objective)
-    wider = QuadraticLimits(
-        np.concatenate([limits.matrices, np.eye(size)[None]]),
-        np.append(np.zeros(count), 1.0),
-        np.append(limits.equation, True),
-    )
-    multipliers = np.append(np.where(limits.equation, 0.0, 1.0), 0.0)
-    multipliers[-1] = 1 - np.linalg.eigvalsh(_slack(objective, wider, multipliers))[0]
-    weight = size / multipliers[-1]
-    for _ in range(20):
-        multipliers, _ = _centre(objective, wider, multipliers, weight, stop_below=-1e-9)
-        # What counts is S without s, as a Cholesky factor finds it.
-        if multipliers[-1] < -1e-9 and np.isfinite(_barrier(objective, limits, multipliers[:-1], 1.0)):
-            return multipliers[:-1]
-        weight *= GROWTH
-    return None
-
-
-def _slack(objective: np.ndarray, limits: QuadraticLimits, multipliers: np.ndarray) -> np.ndarray:
-    """Return S(μ), shape (n, n)."""
-    slack: np.ndarray = np.tensordot(multipliers, limits.matrices, 1) - objective
-    return slack
+    def newton(self, multipliers: np.ndarray, weight: float) -> tuple[np.ndarray, float]:
+        """Return Newton's step for φ, and the decrease of φ along it to first order."""
+        try:
+            inverse = np.linalg.inv(self.slack(multipliers))
+        except np.linalg.LinAlgError:  # at the edge, as far as numbers tell
+            return np.zeros_like(multipliers), np.nan
+        turned = inverse @ self.matrices
+        bent = np.where(self.equation, 0.0, 1 / np.where(self.equation, 1.0, multipliers))
+        slope = weight * self.values - np.trace(turned, axis1=1, axis2=2) - bent
+        curvature = np.einsum("iab,jba->ij", turned, turned) + np.diag(bent**2)
+        if not np.isfinite(curvature).all():  # where nothing bounds the objective, S runs off
+            return np.zeros_like(multipliers), np.nan
+        size = np.sqrt(np.maximum(np.diag(curvature), 1e-30 * curvature.max()))
+        step = -np.linalg.lstsq(curvature / np.outer(size, size), slope / size, rcond=None)[0] / size
+        return step, float(-slope @ step)

@@ -18,7 +18,7 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Robust
 
-# Bytes of a scenario's scene, and of each of its actuators.
+# Memory of a scenario's scene and of each of its actuators [bytes].
 SCENE_BYTES, ACTUATOR_BYTES = 20_000.0, 2_000.0
 
 
@@ -44,9 +44,7 @@ class Scenario:
         """Return the nominal designs on this panel: drives with its gains, and searched places with its offsets."""
         centre = designs.centre
         if centre is not None:
-            areas = np.array([actuator.area for actuator in self.scene.actuators]).reshape(-1, 2, 2)
-            half = np.diff(areas, axis=2)[..., 0] / 2
-            centre = clip_to_plate(centre + self.offset, half, self.scene.plate.size)
+            centre = _on_plate(self.scene, centre + self.offset)
         return replace(designs, drives=designs.drives * self.gain, centre=centre)
 
 
@@ -69,15 +67,18 @@ def draw_scenarios(scene: Scene, count: int, seed: int, validation: bool = False
     numbers = np.random.default_rng([seed, int(validation)]).random((count, 4 + 3 * actuators))
     scenarios = [_scenario(scene, robust, row) for row in numbers]
     grid = scene.grid.model_copy(update={"time_step": _common_step(scene, scenarios)})
-    return tuple(replace(each, scene=each.scene.model_copy(update={"grid": grid})) for each in scenarios)
+    return tuple(replace(drawn, scene=drawn.scene.model_copy(update={"grid": grid})) for drawn in scenarios)
 
 
-def clip_to_plate(centre: np.ndarray, half: np.ndarray, size: tuple[float, float]) -> np.ndarray:
-    """Return centres of patches (..., actuators, 2) [m], moved so that the patches lie on the plate.
+def _patches(scene: Scene) -> np.ndarray:
+    """Return the ends (actuators, axis, 2) of the actuators' patches [m]."""
+    return np.array([actuator.area for actuator in scene.actuators]).reshape(-1, 2, 2)
 
-    ``half``: (actuators, 2) half of the patches' sides [m].
-    """
-    return np.clip(centre, half, np.maximum(np.asarray(size) - half, half))
+
+def _on_plate(scene: Scene, centre: np.ndarray) -> np.ndarray:
+    """Return centres (..., actuators, 2) [m] of the actuators' patches, moved so that these lie on the plate."""
+    half = np.diff(_patches(scene), axis=2)[..., 0] / 2
+    return np.clip(centre, half, np.maximum(np.asarray(scene.plate.size) - half, half))
 
 
 def _scenario(scene: Scene, robust: Robust, numbers: np.ndarray) -> Scenario:
@@ -86,12 +87,10 @@ def _scenario(scene: Scene, robust: Robust, numbers: np.ndarray) -> Scenario:
     tolerances = np.array([robust.young_modulus, robust.thickness, robust.damping])
     stiffness, thickness, damping = (1 + tolerances * (2 * panel[:3] - 1)).tolist()
     offset = robust.place * (2 * offsets.reshape(-1, 2) - 1)
+    plate = scene.plate
+    varied = {"young_modulus": plate.young_modulus * stiffness, "thickness": plate.thickness * thickness}
     variant = scene.with_tables(
-        plate={
-            **scene.plate.model_dump(),
-            "young_modulus": scene.plate.young_modulus * stiffness,
-            "thickness": scene.plate.thickness * thickness,
-        },
+        plate={**plate.model_dump(), **varied},
         effects=_effects(scene, stiffness, thickness, damping, bool(panel[3] < robust.without_oscillators)),
         actuators=_moved_actuators(scene, offset),
         search={**scene.search.model_dump(), "robust": None},
@@ -115,15 +114,13 @@ def _effects(scene: Scene, stiffness: float, thickness: float, damping: float, b
 
 def _moved_actuators(scene: Scene, offset: np.ndarray) -> list[dict[str, Any]]:
     """Return the tables of the actuators, each moved by its offset (actuators, 2) [m] and kept on the plate."""
-    areas = np.array([actuator.area for actuator in scene.actuators]).reshape(-1, 2, 2)  # (actuators, axis, end)
-    centre, half = areas.mean(axis=2), np.diff(areas, axis=2)[..., 0] / 2
-    shift = clip_to_plate(centre + offset, half, scene.plate.size) - centre
+    areas = _patches(scene)
+    centre = areas.mean(axis=2)
+    shift = _on_plate(scene, centre + offset) - centre
     # An actuator without offset keeps its place to the last bit.
     moved = np.where(offset[..., None] == 0, areas, areas + shift[..., None])
-    return [
-        {**actuator.model_dump(), "area": tuple(area.ravel().tolist())}
-        for actuator, area in zip(scene.actuators, moved, strict=True)
-    ]
+    pairs = zip(scene.actuators, moved, strict=True)
+    return [{**actuator.model_dump(), "area": tuple(area.ravel().tolist())} for actuator, area in pairs]
 
 
 def _per_plate(scene: Scene, place: float) -> PerPlate:
@@ -138,10 +135,9 @@ def _per_plate(scene: Scene, place: float) -> PerPlate:
 
 def _common_step(scene: Scene, scenarios: list[Scenario]) -> float:
     """Return a time step [s] that is stable for all."""
-    grid = scene.grid.model_copy(update={"time_step": None})
+    update, step = {"grid": scene.grid.model_copy(update={"time_step": None})}, scene.grid.time_step
     moment_form = per_plate_of(scene).per_actuator  # whose limit may be another
-    schemes = [make_scheme(each.scene.model_copy(update={"grid": grid}), moment_form=moment_form) for each in scenarios]
-    step = scene.grid.time_step
+    schemes = [make_scheme(drawn.scene.model_copy(update=update), moment_form=moment_form) for drawn in scenarios]
     if step is not None and step <= min(scheme.limit for scheme in schemes):
         return step
     return min(scheme.time_step for scheme in schemes)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from warp_plate.analysis.check import check
-from warp_plate.optimize.exact import best_position
 from warp_plate.optimize.optimizer import MethodError, minimize
+from warp_plate.optimize.quadratic import best_position
 from warp_plate.plate.modes import natural_modes, refuse_many_nodes
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import at_highest_frequency

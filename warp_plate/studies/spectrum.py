@@ -10,8 +10,7 @@ from warp_plate.analysis.warnings import MOST_SIDE
 from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.weights import localization_factor
-from warp_plate.problem.bounds import bound_localization
-from warp_plate.problem.loss_bounds import allowed_drives
+from warp_plate.problem.bounds import allowed_drives, bound_localization
 from warp_plate.problem.parametrization import Parametrization, parametrization_of
 from warp_plate.problem.problem import Problem
 from warp_plate.result.model import Case
