@@ -5,8 +5,6 @@ from pathlib import Path
 
 import pytest
 from conftest import error_of as refused
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from warp_plate.cli.output import LONGEST_ENDING
 from warp_plate.plate import memory
@@ -120,25 +118,6 @@ def test_a_pipe_is_not_a_result(words, folder, command):
     """Reading a pipe that nobody writes to would never end."""
     os.mkfifo("pipe")
     assert "pipe: " in refused(command(*words))
-
-
-WORDS = [*COMMANDS, "init", "wrong.toml", "none", "--", "-", "=", "1", "cpu", "auto", "--no-pictures", "--quick"]
-WORDS += [f"--{option}" for option in VALUES]
-
-
-@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(words=st.lists(st.sampled_from(WORDS) | st.text(max_size=4), max_size=6))
-def test_any_words_make_one_line(words, folder, command):
-    """No scene among them can be run, but help and the version may be asked for."""
-    words = [word for word in words if word not in ("bench", "init")]  # these need none
-    before = files()
-    status, out, err = command(*words)
-    if status == 0:
-        assert not err
-        assert "warp-plate" in out or not words or out[0].isdigit()
-    else:
-        refused((status, out, err))
-    assert files() == before
 
 
 def test_scenes_and_swarms_beyond_memory(folder, write_scene, command, monkeypatch):

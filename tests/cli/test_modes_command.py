@@ -2,7 +2,6 @@
 
 import json
 import math
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,15 +29,12 @@ def panel(write_scene):
     return write_scene(nodes=(19, 15), size=(0.3, 0.2), edges=EDGES, effects=EFFECTS)
 
 
-@pytest.fixture
-def command(command):
-    """Run ``modes``: (status, standard output, standard error)."""
-    return partial(command, "modes")
-
-
 def test_json_and_picture(command, panel):
     pytest.importorskip("matplotlib")
-    record, expected = json.loads(output_of(command("panel.toml", "--count", 4, "--json"))), natural_modes(panel, 4)
+    record, expected = (
+        json.loads(output_of(command("modes", "panel.toml", "--count", 4, "--json"))),
+        natural_modes(panel, 4),
+    )
     assert record["frequencies"] == pytest.approx(expected.frequencies.tolist())
     assert record["frequencies_stepped"] == pytest.approx(expected.stepped.tolist())
     assert record["half_waves"] == [None if pair is None else list(pair) for pair in expected.half_waves()]
@@ -51,7 +47,7 @@ def test_json_and_picture(command, panel):
 
 
 def test_table(command, panel):
-    out = output_of(command("panel.toml", "--no-pictures"))
+    out = output_of(command("modes", "panel.toml", "--no-pictures"))
     for frequency in natural_modes(panel, 6).frequencies:
         assert f"{frequency:.2f}" in out
     assert "19 × 15 nodes" in out
@@ -63,12 +59,12 @@ def test_table(command, panel):
 
 def test_rigid_motions_are_named(command, write_scene):
     write_scene(edges=("free",) * 4)
-    assert output_of(command("panel.toml", "--no-pictures", "--count", 4)).count("0 (rigid)") == 3
+    assert output_of(command("modes", "panel.toml", "--no-pictures", "--count", 4)).count("0 (rigid)") == 3
 
 
 def test_accuracy_chooses_the_grid(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    answer = command("paper-supported", "--accuracy", "5%", "--count", 3, "--json", "--no-pictures")
+    answer = command("modes", "paper-supported", "--accuracy", "5%", "--count", 3, "--json", "--no-pictures")
     record = json.loads(output_of(answer))
     # π²κ(m² + n²)/2πa², κ = 0.1530 m²/s, a = 0.2 m.
     exact = np.array([2, 5, 5]) * math.pi / 2 * math.sqrt(1e9 * 5e-4**2 / 12 / (1 - 0.33**2) / 1000) / 0.04

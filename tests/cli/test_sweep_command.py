@@ -3,7 +3,6 @@
 import json
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ from warp_plate.studies.sweep_point import run_here
 
 QUICK = ("--device", "cpu", "--no-pictures")
 GRID = ("--vary", "plate.thickness=4e-4,5e-4,2e-3", "--vary", "drive.frequency=200:300:3")
-SWEEP = ("panel.toml", *GRID, *QUICK)
+SWEEP = ("sweep", "panel.toml", *GRID, *QUICK)
 
 
 @pytest.fixture
@@ -33,15 +32,9 @@ def panel(write_scene):
     return write_scene(damping=88.5, time_step=2e-4, search={"particles": 8, "iterations": 30, "seed": 5})
 
 
-@pytest.fixture
-def command(command):
-    """Run ``sweep``: (status, standard output, standard error)."""
-    return partial(command, "sweep")
-
-
 def test_table_and_files(panel, command):
     pytest.importorskip("matplotlib")
-    out = output_of(command("panel.toml", *GRID, "--what", "check", "--device", "cpu"))
+    out = output_of(command("sweep", "panel.toml", *GRID, "--what", "check", "--device", "cpu"))
     assert "3 of 9 points refused" in out
     refused = "at plate.thickness = 0.002, drive.frequency = 200: grid.time_step = 0.0002: above the stability"
     assert refused in " ".join(out.split())
@@ -59,14 +52,16 @@ def test_json(panel, command):
     assert record["outputs"]["frequency"][2][0] == [None, None]
     assert record["refused"][0]["at"] == {"plate.thickness": 2e-3, "drive.frequency": 200.0}
     assert record["units"] == {"frequency": "Hz"}
-    assert "! drive.frequency has no effect" in command("--resume", "panel-sweep.h5", "--no-pictures")[1]
+    assert "! drive.frequency has no effect" in command("sweep", "--resume", "panel-sweep.h5", "--no-pictures")[1]
 
 
 def test_many_points_are_summarised_and_counted(panel, command, monkeypatch):
     notes = []
     monkeypatch.setattr(output, "progress_bar", lambda *_: nullcontext(lambda *shown: notes.append(shown)))
     words = " ".join(
-        output_of(command("panel.toml", "--vary", "plate.thickness=4e-4:5e-4:41", "--what", "modes", *QUICK)).split()
+        output_of(
+            command("sweep", "panel.toml", "--vary", "plate.thickness=4e-4:5e-4:41", "--what", "modes", *QUICK)
+        ).split()
     )
     assert "frequency 1, smallest" in words
     assert "frequency 6, largest" in words
@@ -94,7 +89,7 @@ def test_xarray_opens_results_by_name(panel, command):
         assert (data["status"] == REFUSED).sum() == 3
     check_seal(Path("panel-sweep.h5"))
     ranges = ("--vary", "plate.thickness=4e-4:5e-4", "drive.frequency=200:300", "--samples", 6, "--seed", 3)
-    assert command("panel.toml", *ranges, *QUICK, "--out", "drawn.h5")[0] == 0
+    assert command("sweep", "panel.toml", *ranges, *QUICK, "--out", "drawn.h5")[0] == 0
     kept = load_sweep("drawn.h5")
     with xarray.open_dataset("drawn.h5", engine="h5netcdf") as data:
         assert dict(data.sizes) == {"sample": 6}
@@ -126,7 +121,7 @@ def interrupt_after(monkeypatch):
 def test_an_interrupted_sweep_is_resumed(panel, command, interrupt_after):
     """By --resume, or by the same command again; to bit-identical results."""
     command(*SWEEP, "--out", "full.h5")
-    resuming = ("--resume", "panel-sweep.h5", "--no-pictures")
+    resuming = ("sweep", "--resume", "panel-sweep.h5", "--no-pictures")
     interrupt_after(4)
     status, out, err = command(*SWEEP)
     assert (status, out) == (130, "")
@@ -149,7 +144,7 @@ def test_an_interrupted_sweep_is_resumed(panel, command, interrupt_after):
     assert command(*SWEEP)[0] == 130
     assert Path("panel-sweep.h5").read_bytes() == done
     for words, limit, told in (
-        (("--resume", "full.h5", "--no-pictures"), 0, "9 of 9 points done; nothing is left"),
+        (("sweep", "--resume", "full.h5", "--no-pictures"), 0, "9 of 9 points done; nothing is left"),
         (resuming, 9, "panel-sweep.checkpoint.h5: 2 of 9 points done; continuing"),
     ):
         interrupt_after(limit)
@@ -170,7 +165,7 @@ def test_no_other_file_is_replaced(panel, command, monkeypatch, interrupt_after)
         ((*GRID, "--out", "panel-localize.h5"), "panel-localize.h5: damaged"),
         ((*GRID, "--out", "other-sweep.h5"), "other-sweep.checkpoint.h5: damaged"),
     ):
-        err = error_of(command("panel.toml", *wrong, *QUICK))
+        err = error_of(command("sweep", "panel.toml", *wrong, *QUICK))
         assert (message in err, "name another file by --out" in err) == (True, True), err
         assert {path: path.read_bytes() for path in Path().iterdir()} == before
     run_point = sweep_point.run_point
@@ -187,7 +182,7 @@ def test_no_other_file_is_replaced(panel, command, monkeypatch, interrupt_after)
     assert Path("late.h5").read_bytes() == b"another command's"
     Path("late.h5").unlink()
     ran = interrupt_after(0)
-    assert command("--resume", "late.checkpoint.h5", "--no-pictures")[0] == 0
+    assert command("sweep", "--resume", "late.checkpoint.h5", "--no-pictures")[0] == 0
     assert (load_sweep("late.h5").finished, ran) == (True, [])
 
 
@@ -198,9 +193,9 @@ def test_workers_that_are_gone_leave_a_file(panel, command, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(sweeps, "run_on_pool", two_points)
-        err = error_of(command("panel.toml", *GRID, "--what", "check", "--devices", "cpu", "--no-pictures"))
+        err = error_of(command("sweep", "panel.toml", *GRID, "--what", "check", "--devices", "cpu", "--no-pictures"))
     assert "no worker is left; there is a checkpoint after 2 of 9 points; resume with: " in err
-    status, out, _ = command("--resume", "panel-sweep.h5", "--devices", "cpu", "--no-pictures", "--json")
+    status, out, _ = command("sweep", "--resume", "panel-sweep.h5", "--devices", "cpu", "--no-pictures", "--json")
     assert status == 0
     assert np.isfinite(np.array(json.loads(out)["outputs"]["limit"][:2], dtype=float)).all()
 
@@ -217,17 +212,17 @@ def test_the_device_beside_a_cluster_is_that_of_its_workers(panel, command, monk
     monkeypatch.setattr("warp_plate.cluster.opening.open_pool", open_pool)
     away = ("--cluster", "tcp://far:8786", "--device", "cuda:99", "--no-pictures")
     searched = ("panel.toml", *away, "--evaluator", "direct", "--json")
-    status, out, err = command.func("localize", *searched, "--no-estimate", "--no-spectrum", "--baselines")
+    status, out, err = command("localize", *searched, "--no-estimate", "--no-spectrum", "--baselines")
     assert (status, json.loads(out)["device"].endswith("on this process")) == (0, True), err
-    assert command.func("compare", *searched, "--methods", "pso", "--seeds", 1)[0] == 0
+    assert command("compare", *searched, "--methods", "pso", "--seeds", 1)[0] == 0
     interrupt_after(2)
-    assert command("panel.toml", *GRID, "--what", "check", *away)[0] == 130
+    assert command("sweep", "panel.toml", *GRID, "--what", "check", *away)[0] == 130
     interrupt_after(9)
     file = "panel-sweep.checkpoint.h5"
     save_sweep(replace(load_sweep(file), processor="A GPU"), file)
-    status, _, err = command("--resume", file, "--cluster", "tcp://far:8786")
+    status, _, err = command("sweep", "--resume", file, "--cluster", "tcp://far:8786")
     assert (status, "(A GPU) and continues on" in err.splitlines()[-1]) == (2, True)
-    status, out, err = command("--resume", file, *away, "--json")
+    status, out, err = command("sweep", "--resume", file, *away, "--json")
     assert (status, "the result may differ" in err) == (0, True)
     assert "(A GPU), then " in json.loads(out)["device"]
     assert opened == ["cuda:99"] * 3 + [None, "cuda:99"]
@@ -248,7 +243,7 @@ def test_options_beside_an_unfinished_sweep_must_be_the_same(panel, command, int
         (("--resume", "other.checkpoint.h5", "--out", "panel-sweep.h5"), "holds another unfinished sweep"),
     ):
         Path("other.checkpoint.h5").write_bytes(before)
-        assert message in error_of(command(*wrong))
+        assert message in error_of(command("sweep", *wrong))
     assert Path("panel-sweep.checkpoint.h5").read_bytes() == before
 
 
@@ -266,18 +261,12 @@ def test_options_beside_an_unfinished_sweep_must_be_the_same(panel, command, int
     ],
 )
 def test_bad_input_is_one_line(panel, command, arguments, message):
-    assert message in error_of(command(*arguments, "--device", "cpu"))
+    assert message in error_of(command("sweep", *arguments, "--device", "cpu"))
     assert not Path("panel-sweep.h5").exists()
 
 
-def test_a_damaged_or_inconsistent_file_is_refused(panel, tmp_path):
+def test_a_file_that_contradicts_itself_is_refused(panel):
     plan = make_plan([parse_vary(panel, "drive.frequency=200,300")])
     start = start_sweep(panel, plan, "modes", "cpu")
-    file = save_sweep(start, tmp_path / "a.h5")
-    content = file.read_bytes()
-    for place in range(0, len(content), 997):
-        file.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
-        with pytest.raises(SceneError, match="damaged"):
-            load_sweep(file)
     with pytest.raises(SceneError, match="frequency has shape"):
-        load_sweep(save_sweep(replace(start, values={"frequency": np.zeros((2, 5))}), file))
+        load_sweep(save_sweep(replace(start, values={"frequency": np.zeros((2, 5))}), "a.h5"))
