@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
@@ -78,30 +78,30 @@ def compare(
     output.report(json, partial(_as_json, result), partial(_print, result), written)
 
 
-def rows(result: MethodComparison) -> list[dict[str, object]]:
+def rows(result: MethodComparison) -> list[dict[str, Any]]:
     """Return a record for each method: losses, gap, number of seeds near the bound, and cost."""
     import numpy as np
 
     from warp_plate.optimize.optimizer import tolerance_scale
     from warp_plate.problem.objectives import loss_scale
 
-    near = NEAR * tolerance_scale(result.bound or 0.0, loss_scale(result.scene.search.objectives))
-    made: list[dict[str, object]] = []
+    bound = result.bound
+    near = NEAR * tolerance_scale(bound or 0.0, loss_scale(result.scene.search.objectives))
+    made = []
     for method in result.methods:
         trials = result.trials_of(method)
-        found = np.array([trial.best_loss for trial in trials])
-        best, median, worst = float(found.min()), float(np.median(found)), float(found.max())
+        losses = np.array([trial.best_loss for trial in trials])
+        cost = {name: np.median([getattr(trial, name)[-1] for trial in trials]) for name in ("evaluations", "seconds")}
         made.append(
             {
                 "method": method,
                 "seeds": len(trials),
-                "best": best,
-                "median": median,
-                "worst": worst,
-                "gap": None if result.bound is None else median - result.bound,
-                "at_bound": None if result.bound is None else int((found - result.bound <= near).sum()),
-                "evaluations": float(np.median([trial.evaluations[-1] for trial in trials])),
-                "seconds": float(np.median([trial.seconds[-1] for trial in trials])),
+                "best": losses.min(),
+                "median": np.median(losses),
+                "worst": losses.max(),
+                "gap": None if bound is None else np.median(losses) - bound,
+                "at_bound": None if bound is None else int((losses - bound <= near).sum()),
+                **cost,
             }
         )
     return made
@@ -136,10 +136,10 @@ def _print(result: MethodComparison, console: Console) -> None:
     made = output.table("method", "best", "median", "worst", "gap", "near", "tried", "s", title=title)
     made.collapse_padding = True  # eight columns of losses with exponents just fit in 80 characters
     for row in rows(result):
-        losses = [float(str(row[name])) for name in ("best", "median", "worst")]
+        losses = (row[name] for name in ("best", "median", "worst"))
         shown = [f"{1 - loss if result.localization else loss:.6g}" for loss in losses]
         near = ["–", "–"] if row["gap"] is None else [f"{row['gap']:.1e}", f"{row['at_bound']}/{row['seeds']}"]
-        made.add_row(str(row["method"]), *shown, *near, f"{row['evaluations']:.0f}", f"{row['seconds']:.2g}")
+        made.add_row(row["method"], *shown, *near, f"{row['evaluations']:.0f}", f"{row['seconds']:.2g}")
     output.print_uncropped(console, made)
     if result.bound is None:
         console.print("\nbound: none claimed")

@@ -29,8 +29,8 @@ def effects(
 
     with output.scene_errors(scene):
         loaded = resolve_grid(loaded, device).scene
-        with output.progress_bar("switching effects", shown=not json) as show:
-            found = measure_influence(loaded, device, show)
+        with output.progress_bar("switching effects", shown=not json) as progress:
+            found = measure_influence(loaded, device, progress)
     findings = find_warnings(loaded, found.peak)
     record = {
         "scene": scene,

@@ -55,18 +55,18 @@ def modes(
 
 def _draw(scene: Scene, found: NaturalModes, path: Path) -> output.Drawn:
     """Draw the mode shapes; return the files written, or why there are none."""
-    from warp_plate.result.atomic_io import atomic_path
+    from warp_plate.result.atomic_io import atomic_paths
     from warp_plate.viz.availability import missing_plots
     from warp_plate.viz.plots.modes import draw_modes
 
     if (problem := missing_plots()) is not None:
         return [], problem
     try:
-        with atomic_path(path) as temporary:
+        with atomic_paths(path) as (temporary,):
             draw_modes(scene, found.frequencies, found.shapes, temporary)
-        return [path], None
-    except OSError as error:
-        return [], f"{path}: cannot be written: {error}"
+    except SceneError as error:
+        return [], str(error)
+    return [path], None
 
 
 def _left_out(scene: Scene) -> list[str]:

@@ -34,10 +34,8 @@ def _integer(kind: object, tokens: Sequence[cyclopts.Token]) -> int:
 Integer = Annotated[int, Parameter(converter=_integer)]
 Flag = Annotated[bool, Parameter(negative="")]
 
-SceneName = Annotated[
-    str,
-    Parameter(help="A preset (paper, touch-panel, ...; warp-plate init --help lists them) or a TOML file."),
-]
+_PRESETS = "paper, touch-panel, ...; warp-plate init --help lists them"
+SceneName = Annotated[str, Parameter(help=f"A preset ({_PRESETS}) or a TOML file.")]
 ResultFile = Annotated[Path, Parameter(help="An .h5 file written by localize or simulate.")]
 Device = Annotated[str, Parameter(help="cpu, cuda, cuda:1, ...; auto takes a CUDA device if there is one.")]
 Stepping = Annotated[

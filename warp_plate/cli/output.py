@@ -51,18 +51,16 @@ def resumable(file: StudyFile[Any], command: str) -> Iterator[None]:
     try:
         yield
     except SceneError as error:
-        if file.saved is None:
-            raise
-        raise SceneError(f"{error}; there is a checkpoint{how_to_resume(file, command)}") from None
+        kept = "" if file.saved is None else "; there is a checkpoint"
+        raise SceneError(f"{error}{kept}{how_to_resume(file, command)}") from None
     except KeyboardInterrupt:
         raise KeyboardInterrupt(how_to_resume(file, command)) from None
 
 
 def how_to_resume(file: StudyFile[Any], command: str) -> str:
     """Return how far an unfinished study is, and the command that resumes it; "" if nothing was saved."""
-    if file.saved is None:
-        return ""
-    return f" after {file.saved.progress}; resume with: warp-plate {command} --resume {shlex.quote(str(file.path))}"
+    resume = f"resume with: warp-plate {command} --resume {shlex.quote(str(file.path))}"
+    return "" if file.saved is None else f" after {file.saved.progress}; {resume}"
 
 
 def log(line: str) -> None:

@@ -60,8 +60,8 @@ def render(
     width
         Width of one plate's picture in pixels.
     """
-    default = f"{result.stem}.png"
-    targets = [output.output_file(path, default, ENDINGS) for path in out or ([] if figures else [None])]
+    given = out or ([] if figures else [Path(f"{result.stem}.png")])
+    targets = [output.output_file(path, ".png", ENDINGS) for path in given]
     if not WIDTHS[0] <= width <= WIDTHS[1]:
         raise SceneError(f"--width {width}: must be from {WIDTHS[0]} to {WIDTHS[1]} pixels")
     playback.check()
@@ -94,14 +94,12 @@ def _check_drawable(targets: list[Path], plan: bool) -> None:
     from warp_plate.viz.availability import missing_meshes, missing_plots, missing_renderer
     from warp_plate.viz.pictures import missing_movies
 
-    for ending in (target.suffix.lower() for target in targets):
-        if ending in PLOTS or (ending == ".png" and plan):
-            problem = missing_plots()
-        elif ending == ".html":
-            problem = missing_meshes()
-        else:
-            problem = missing_renderer() or (missing_movies() if ending == ".mp4" else None)
-        if problem is not None:
+    missing = dict.fromkeys(ENDINGS, missing_renderer) | dict.fromkeys(PLOTS, missing_plots)
+    missing |= {".html": missing_meshes, ".mp4": lambda: missing_renderer() or missing_movies()}
+    if plan:
+        missing[".png"] = missing_plots
+    for target in targets:
+        if (problem := missing[target.suffix.lower()]()) is not None:
             raise SceneError(problem)
 
 
