@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from warp_plate.accuracy.configurations import percent, seconds_text
 from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
 
@@ -93,6 +92,8 @@ def _print(report: AccuracyReport, device: str, console: Console) -> None:
 
 
 def _recommendations(report: AccuracyReport) -> Table:
+    from warp_plate.accuracy.configurations import percent, seconds_text
+
     swarm = f"{report.particles} × {report.iterations} plates"
     made = output.table("for", "use", "error", "a plate", swarm)
     made.columns[1].justify = "left"
@@ -130,6 +131,8 @@ def _size(row: AccuracyRow) -> str:
 
 
 def _cells(row: AccuracyRow, on_front: bool) -> list[str]:
+    from warp_plate.accuracy.configurations import percent, seconds_text
+
     step = "" if row.time_step is None else f"{row.time_step:.2g}"
     head = [_size(row), step, row.precision.removeprefix("float")]
     if not row.measured:
