@@ -17,9 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from warp_plate import PlateSolver, Scene, SceneError
-from warp_plate.analysis.effect_toggles import TYPICAL_CHANGES, bare_scene, without
-from warp_plate.analysis.influence import seconds_a_step
+from warp_plate.analysis.influence import bare_scene, names, seconds_a_step, toggle
 from warp_plate.bench.machine import busy, describe_machine, describe_versions
+
+EFFECTS = [name for name in names() if name != "signal"]  # a signal is a file
 
 
 def bare_plate(nodes: int) -> Scene:
@@ -31,9 +32,9 @@ def bare_plate(nodes: int) -> Scene:
 def measure(bare: Scene, device: str, rounds: int) -> dict[str, dict[str, float]]:
     """Of each effect, and of a second bare plate, the median and the quartiles of its time over the bare plate's."""
     solvers = {"": PlateSolver(bare, device), "again": PlateSolver(bare, device)}
-    for name, change in TYPICAL_CHANGES.items():
-        on = change(bare)[0]
-        solvers[f"{name} off"] = PlateSolver(without(name)(on)[0], device)
+    for name in EFFECTS:
+        on = toggle(bare, name)[0]
+        solvers[f"{name} off"] = PlateSolver(toggle(on, name)[0], device)
         solvers[f"{name} on"] = PlateSolver(on, device)
     seconds = seconds_a_step(solvers, device, rounds)
     figures = {}
@@ -63,7 +64,7 @@ def main() -> None:
     print(f"{'':20}{'off':>8}{'quartiles':>16}{'on':>8}")
     again = figures.pop("again")
     rows = {"the bare plate again": (again, None)}
-    rows |= {name: (figures[f"{name} off"], figures[f"{name} on"]) for name in TYPICAL_CHANGES}
+    rows |= {name: (figures[f"{name} off"], figures[f"{name} on"]) for name in EFFECTS}
     for name, (off, on) in rows.items():
         low, high = off["quartiles"]
         text = f"{name:20}{off['ratio']:8.3f}{f'{low:.3f} to {high:.3f}':>16}"

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import scene_of
 
 from warp_plate import SceneError
 from warp_plate.analysis.motion import mode_motions, motions, usual_span
@@ -13,14 +14,12 @@ from warp_plate.plate.weights import REGIONS, region_weights
 from warp_plate.result.motion import Motion
 from warp_plate.studies.simulate import simulate
 
-# A layer on a quarter of the plate makes the mass nonuniform.
-LAYER = {"area": (0.1, 0.2, 0.0, 0.1), "thickness": 1e-4, "young_modulus": 1e9, "density": 3000.0}
 
-
-@pytest.fixture
-def result(scene):
-    """A run whose start-up motion has decayed."""
-    made = scene(damping=400.0, window=(0.06, 0.1))
+@pytest.fixture(scope="module")
+def result():
+    """A run whose start-up motion has decayed; a layer on a quarter of the plate makes the mass nonuniform."""
+    layer = {"area": (0.1, 0.2, 0.0, 0.1), "thickness": 1e-4, "young_modulus": 1e9, "density": 3000.0}
+    made = scene_of(window=(0.07, 0.07 + 10 / 290), effects={"damping": {"viscous": 400.0}, "layers": [layer]})
     return simulate(made, device="cpu", estimate=False)
 
 
@@ -46,20 +45,12 @@ def test_frames_are_steps_of_the_run(scene, pairs):
         assert motion.localization_factor == case.localization_factor
 
 
-def test_velocities_are_differences_of_displacements(result):
+def test_velocities_are_differences_of_displacements_and_have_the_results_energy(result):
     (motion,) = motions(result.scene, result.cases, device="cpu")
-    step = make_scheme(result.scene).time_step
-    np.testing.assert_allclose(np.diff(motion.times), step)  # all 20 steps of a period are frames
+    made, step = result.scene, make_scheme(result.scene).time_step
+    np.testing.assert_allclose(np.diff(motion.times), step)  # all steps of a period are frames
     rate = np.diff(motion.displacement.astype(float), axis=0) / step
     np.testing.assert_allclose(rate, motion.velocity[:-1], atol=2e-6 * np.abs(motion.velocity).max())
-
-
-@pytest.mark.parametrize("effects", [{}, {"layers": [LAYER]}], ids=["plain", "layers"])
-def test_kinetic_energy_of_frames_equals_the_results(scene, effects):
-    damping = {"damping": {"viscous": 400.0}}
-    made = scene(window=(0.07, 0.07 + 10 / 290), effects={**damping, **effects}, damping=None)
-    result = simulate(made, device="cpu", estimate=False)
-    (motion,) = motions(made, result.cases, device="cpu")
     cell = math.prod(length / (count - 1) for length, count in zip(made.plate.size, made.grid.nodes, strict=True))
     average = 0.5 * motion.surface_density * motion.rms_velocity**2
     for region, weights in zip(REGIONS, region_weights(made), strict=True):
@@ -92,17 +83,15 @@ def test_nodes_at_rest_have_no_phase():
 def test_modes_move_at_their_frequency(scene):
     made = scene()
     found = natural_modes(made, 3)
-    for motion, shape, frequency in zip(
-        mode_motions(made, [1, 3]), found.shapes[[0, 2]], found.frequencies[[0, 2]], strict=True
-    ):
+    for motion, index in zip(mode_motions(made, [1, 3]), (0, 2), strict=True):
+        shape, frequency = found.shapes[index], found.frequencies[index]
         np.testing.assert_allclose(motion.displacement[0], shape, rtol=1e-6)
         half = len(motion.times) // 2
         np.testing.assert_allclose(motion.displacement[half], -shape, rtol=1e-6, atol=1e-7)
         assert motion.span[1] == pytest.approx(1 / frequency)
         assert f"{frequency:.4g} Hz" in motion.name
-        moving = np.abs(shape) > 1e-3
         np.testing.assert_allclose(
-            motion.rms_velocity[moving], 2 * np.pi * frequency * np.abs(shape[moving]) / np.sqrt(2), rtol=1e-5
+            motion.rms_velocity, 2 * np.pi * frequency * np.abs(shape) / np.sqrt(2), rtol=1e-5, atol=1e-3 * frequency
         )
 
 
@@ -132,13 +121,11 @@ def test_invalid_spans_frames_and_modes_are_refused(result):
         ({}, (0.1 - 1 / 290, 0.1)),
         ({"drive": {"frequency": 290.0, "burst": {"start": 0.01, "duration": 0.02, "period": 0.03}}}, (0.01, 0.03)),
         ({"drive": {"frequency": 290.0, "burst": {"start": 0.09, "duration": 0.02}}}, (0.09, 0.1)),
-        ({"drive": {"frequency": 290.0, "chirp": {"end_frequency": 400.0, "duration": 0.1}}}, (0.06, 0.1)),
         ({"effects": {"moving_load": {"force": 1.0, "start": (0.1, 0.1)}}}, (0.06, 0.1)),
         # 600 frames show no more than 50 periods.
         ({"drive": {"frequency": 290.0, "chirp": {"end_frequency": 2900.0, "duration": 0.1}}}, (0.1 - 50 / 2900, 0.1)),
         ({"drive": {"frequency": 2900.0, "burst": {"start": 0.01, "duration": 0.08}}}, (0.01, 0.01 + 50 / 2900)),
     ],
-    ids=["tone", "bursts", "burst-beyond-the-end", "chirp", "moving-load", "fast-chirp", "long-burst"],
 )
 def test_default_span_suits_the_drive(scene, tables, span):
     made = scene(window=(0.06, 0.1)).with_tables(**tables)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_plate.analysis.warnings import Finding, find_warnings, slowest_frequency, wavelengths
-from warp_plate.plate.bending import Bending
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scheme import Scheme
 from warp_plate.plate.signals import highest_frequency
@@ -38,6 +37,10 @@ class Check:
     points_a_wavelength: float  # grid spacings in a bending wave of this frequency
     slowest_frequency: float  # lowest natural frequency of the grid [Hz]; 0 if the plate is not held
     fastest_frequency: float  # highest natural frequency of the grid [Hz]
+    condition: float  # condition number: largest over smallest eigenvalue
+    # Order of magnitude of the relative error by rounding: one unit in the last place for each radian of the fastest
+    # motion in a radian of the slowest (measured in docs/hard-cases.md)
+    rounding: float
     # Amplitude of the lowest bending shape, in thicknesses, at which stretching lowers the limit to the time step
     stretching_amplitude: float | None
     bytes_a_plate: int  # device memory of a plate
@@ -46,22 +49,31 @@ class Check:
     path: str  # path of the solver
     findings: tuple[Finding, ...]  # see ``find_warnings``
 
-    @property
-    def condition(self) -> float:
-        """Condition number: largest over smallest eigenvalue."""
-        return (self.fastest_frequency / self.slowest_frequency) ** 2 if self.slowest_frequency else math.inf
-
-    @property
-    def rounding(self) -> float:
-        """Order of magnitude of the relative error by rounding: one unit in the last place for each radian of the
-        fastest motion in a radian of the slowest (measured in docs/hard-cases.md)."""
-        if not self.slowest_frequency:
-            return math.inf
-        return float(np.finfo(self.precision).eps) * self.fastest_frequency / self.slowest_frequency
-
     def sentences(self) -> list[str]:
         """Return the properties as sentences."""
-        sentences = [_step_text(self), _limit_text(self), _drive_text(self), _condition_text(self), _memory_text(self)]
+        limit, growth = self.limit, ""
+        shares = sorted(limit.shares.items(), key=lambda share: -share[1])
+        causes = ", ".join(f"{name} {100 * share:.3g} %" for name, share in shares if share >= 0.005)
+        origin = "shortest wave on the grid, by formula"
+        if limit.place is not None:
+            x, y = limit.place
+            origin = f"fastest motion of this scene's matrices, largest at x = {x:.3g} m, y = {y:.3g} m"
+        if not self.stable:
+            growth = f" It is too long: the fastest motion grows {self.growth_a_step:.3g} times in every step."
+        launches = "all steps in one launch" if self.path == "resident" else "one or a few steps a launch"
+        swarm = f"{_bytes_text(self.bytes_a_plate * self.plates)} for the {self.plates} plates of a search"
+        sentences = [
+            f"The time step is {self.time_step:.6g} s, {self.time_step / limit.time_step:.3g} of the limit of "
+            f"{limit.time_step:.6g} s; the run takes {self.steps} steps.{growth}",
+            f"The limit is set by the {origin}: {causes}.",
+            f"The highest drive frequency, {self.drive_frequency:g} Hz, has {self.steps_a_period:.3g} steps a period "
+            f"and {self.points_a_wavelength:.3g} points a bending wavelength.",
+            f"Natural frequencies range from {self.slowest_frequency:.4g} to {self.fastest_frequency:.4g} Hz "
+            f"(condition number {self.condition:.2g}): rounding in {self.precision} leaves errors of "
+            f"{self.rounding:.0e} of the motion or less.",
+            f"{self.nodes[0]} × {self.nodes[1]} nodes of order {self.order} take {_bytes_text(self.bytes_a_plate)} a "
+            f"plate, {swarm}, on {self.device}, path {self.path} ({launches}).",
+        ]
         if self.stretching_amplitude is not None:
             sentences.append(
                 "Stretching is not in the limit: it makes this time step too long from an amplitude of about "
@@ -79,8 +91,6 @@ class Check:
             "limit_shares": dict(limit.shares),
             "limit_by_formula": limit.formula,
             "limit_place": None if place is None else list(place),
-            "condition": self.condition,
-            "rounding": self.rounding,
             "numbers": [vars(finding) for finding in self.findings],
             "sentences": self.sentences(),
             "warnings": [finding.sentence for finding in self.findings if finding.exceeded],
@@ -95,10 +105,8 @@ def check(scene: Scene, device: str = "auto", allow_unstable: bool = False) -> C
     """
     discretization = discretize(scene, allow_unstable=allow_unstable)
     scheme = discretization.scheme
-    limit, bending = scheme.stability, scheme.bending
     specialized = Specialized(discretization, find_device(device))
-    frequency = highest_frequency(scene)
-    waves = zip(wavelengths(scene), scheme.spacing, strict=True)
+    limit, frequency, slowest = scheme.stability, highest_frequency(scene), slowest_frequency(scene)
     return Check(
         nodes=scheme.nodes,
         order=scheme.order,
@@ -110,10 +118,12 @@ def check(scene: Scene, device: str = "auto", allow_unstable: bool = False) -> C
         growth_a_step=1.0 if scheme.stable else math.exp(2 * math.acosh(scheme.time_step / limit.time_step)),
         drive_frequency=frequency,
         steps_a_period=1 / (frequency * scheme.time_step),
-        points_a_wavelength=min(wave / spacing for wave, spacing in waves),
-        slowest_frequency=slowest_frequency(scene),
+        points_a_wavelength=min(np.divide(wavelengths(scene), scheme.spacing).tolist()),
+        slowest_frequency=slowest,
         fastest_frequency=limit.frequency,
-        stretching_amplitude=_critical_amplitude(scene, scheme, bending) if bending else None,
+        condition=(limit.frequency / slowest) ** 2 if slowest else math.inf,
+        rounding=float(np.finfo(scene.grid.precision).eps) * limit.frequency / slowest if slowest else math.inf,
+        stretching_amplitude=_critical_amplitude(scene, scheme),
         bytes_a_plate=bytes_per_plate(specialized, 4 * len(scene.record.points)),
         plates=scene.search.particles,
         device=specialized.device.alias,
@@ -122,13 +132,14 @@ def check(scene: Scene, device: str = "auto", allow_unstable: bool = False) -> C
     )
 
 
-def _critical_amplitude(scene: Scene, scheme: Scheme, bending: Bending) -> float | None:
+def _critical_amplitude(scene: Scene, scheme: Scheme) -> float | None:
     """Return the amplitude, in thicknesses, at which stretching lowers the limit to the time step; None without it.
 
     A tension N, κN along y, adds N(4/hx² + 4κ/hy²)/ρH to the largest eigenvalue 4/limit². Berger's tension is
     proportional to ∫ u_x² + κu_y² dA, which is a²π²/4 · area · (1/width² + κ/height²) for the shape a sin sin.
     """
-    if scene.effects.stretching is None:
+    bending = scheme.bending
+    if bending is None or scene.effects.stretching is None:
         return None
     (hx, hy), (width, height), ratio = scheme.spacing, scene.plate.size, bending.stretch_ratio
     spare = 4 / scheme.time_step**2 - 4 / scheme.stability.time_step**2
@@ -137,57 +148,6 @@ def _critical_amplitude(scene: Scene, scheme: Scheme, bending: Bending) -> float
     return math.sqrt(tension / (bending.berger * slopes)) / scene.plate.thickness
 
 
-def _step_text(check: Check) -> str:
-    text = (
-        f"The time step is {check.time_step:.6g} s, {check.time_step / check.limit.time_step:.3g} of the limit of "
-        f"{check.limit.time_step:.6g} s; the run takes {check.steps} steps."
-    )
-    if not check.stable:
-        text += f" It is too long: the fastest motion grows {check.growth_a_step:.3g} times in every step."
-    return text
-
-
-def _limit_text(check: Check) -> str:
-    shares = sorted(check.limit.shares.items(), key=lambda item: -item[1])
-    words = ", ".join(f"{name} {100 * share:.3g} %" for name, share in shares if share >= 0.005)
-    if check.limit.place is None:
-        return f"The limit is set by the shortest wave on the grid, by formula: {words}."
-    x, y = check.limit.place
-    return (
-        f"The limit is set by the fastest motion of this scene's matrices, largest at x = {x:.3g} m, y = {y:.3g} m: "
-        f"{words}."
-    )
-
-
-def _drive_text(check: Check) -> str:
-    return (
-        f"The highest drive frequency, {check.drive_frequency:g} Hz, has {check.steps_a_period:.3g} steps a period and "
-        f"{check.points_a_wavelength:.3g} points a bending wavelength."
-    )
-
-
-def _condition_text(check: Check) -> str:
-    slowest, fastest = check.slowest_frequency, check.fastest_frequency
-    if not slowest:
-        return f"The highest natural frequency of the grid is {fastest:.4g} Hz; nothing holds the plate."
-    return (
-        f"Natural frequencies range from {slowest:.4g} to {fastest:.4g} Hz (condition number {check.condition:.2g}): "
-        f"rounding in {check.precision} leaves errors of {check.rounding:.0e} of the motion or less."
-    )
-
-
-def _memory_text(check: Check) -> str:
-    launches = "all steps in one launch" if check.path == "resident" else "one or a few steps a launch"
-    return (
-        f"{check.nodes[0]} × {check.nodes[1]} nodes of order {check.order} take {_bytes_text(check.bytes_a_plate)} a "
-        f"plate, {_bytes_text(check.bytes_a_plate * check.plates)} for the {check.plates} plates of a search, on "
-        f"{check.device}, path {check.path} ({launches})."
-    )
-
-
 def _bytes_text(count: float) -> str:
-    for unit in ("B", "kB", "MB"):
-        if count < 1000:
-            return f"{count:.3g} {unit}"
-        count /= 1000
-    return f"{count:.3g} GB"
+    power = min(int(math.log10(count) / 3), 3)
+    return f"{count / 1000**power:.3g} {('B', 'kB', 'MB', 'GB')[power]}"

@@ -1,4 +1,4 @@
-"""Measured cost of each effect, and its influence on the result of a scene."""
+"""Each effect of a scene switched off, or on with a typical value: its measured cost and influence on the result."""
 
 from __future__ import annotations
 
@@ -9,15 +9,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.analysis.effect_toggles import TYPICAL_CHANGES, bare_scene, is_on, names, with_value, without
 from warp_plate.plate.scene_overrides import scene_phasors
-from warp_plate.plate.weights import localization_factor
-from warp_plate.scene.effects import MovingLoad
+from warp_plate.plate.signals import carrier_frequencies
+from warp_plate.plate.weights import REGIONS, localization_factor, region_weights
+from warp_plate.scene.drive import Burst, Chirp, Drive, Electrostatic, MovingLoad
+from warp_plate.scene.effects import (
+    Damping,
+    Effects,
+    Foundation,
+    Layer,
+    MaterialDamping,
+    Orthotropic,
+    Oscillator,
+    Stretching,
+    Tension,
+    Variation,
+)
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Area, Edges, ElasticEdge, Scene
 from warp_plate.solve.peak import peak_of, sample_times
 from warp_plate.solve.solver import PlateSolver
 
+# Loss factor at the drive's frequency of both kinds of damping, typical of plastics and glued joints.
+LOSS_FACTOR = 0.02
+# Tables of the drive, and a second frequency relative to the drive's.
+DRIVES, OTHER_FREQUENCY = ("burst", "chirp", "signal", "electrostatic"), 0.9
 # Rounds in which all scenes are timed in turn, so that a disturbance affects all alike.
 ROUNDS = 7
 # Plates of a timed run on CUDA, on CPU one for each thread; node-steps of a timed run.
@@ -72,20 +88,23 @@ def measure_influence(
             on_progress(index, len(effects), name)
         others[name] = _alternative(scene, name, device)
     solvers = {"": base} | {name: solver for name, (solver, _) in others.items() if solver is not None}
-    results = {name: _run(solver) for name, solver in solvers.items()}
+    results = {}
+    for name, solver in solvers.items():
+        run = solver.run(scene_phasors(solver.scene)[None], sample_times(solver.scene))
+        results[name] = float(localization_factor(run.energy)[0]), peak_of(run.displacement)
     seconds = seconds_a_step({**solvers, "bare": PlateSolver(bare_scene(scene), device)}, device, ROUNDS)
     bare_step = float(np.median(seconds["bare"]))
     toggles = []
-    for name, (solver, text) in others.items():
+    for name, (other, text) in others.items():
         on = is_on(scene, name)
-        if solver is None:
+        if other is None:
             toggles.append(EffectToggle(name, on, None, None, None, None, None, text))
             continue
         sign = 1 if on else -1
         prices = 100 * sign * (seconds[""] - seconds[name]) / bare_step
         price = float(np.median(prices))
         deviation = float(np.median(np.abs(prices - price)))
-        ratio = base.specialized.scheme.steps / solver.specialized.scheme.steps
+        ratio = base.specialized.scheme.steps / other.specialized.scheme.steps
         toggles.append(EffectToggle(name, on, price, deviation, ratio**sign, *results[name], text))
     if on_progress is not None:
         on_progress(len(effects), len(effects), "")
@@ -94,31 +113,20 @@ def measure_influence(
 
 def _alternative(scene: Scene, name: str, device: str) -> tuple[PlateSolver | None, str]:
     """Return the scene with one effect switched, and its description; or None and why it is refused."""
-    change = without(name) if is_on(scene, name) else TYPICAL_CHANGES.get(name)
-    if change is None:
-        return None, "no typical value is known"
     try:
-        other, text = change(scene)
+        other, text = toggle(scene, name)
     except SceneError as error:
-        return None, f"refused: {error}"
-    try:
-        return PlateSolver(other.with_tables(), device), text
-    except SceneError as error:
-        if other.grid.time_step is None:
-            return None, f"refused ({text}): {error}"
-    grid = other.grid.model_copy(update={"time_step": None})
-    try:
-        solver = PlateSolver(other.model_copy(update={"grid": grid}), device)
-    except SceneError as error:
-        return None, f"refused ({text}): {error}"
-    return solver, f"{text}; with its own time step of {solver.specialized.scheme.time_step:.2g} s"
-
-
-def _run(solver: PlateSolver) -> tuple[float, float]:
-    """Return the localization factor under the scene's own drive, and the peak displacement [m]."""
-    scene = solver.scene
-    run = solver.run(scene_phasors(scene)[None], sample_times(scene))
-    return float(localization_factor(run.energy)[0]), peak_of(run.displacement)
+        return None, str(error)
+    refusal = ""
+    for grid in (other.grid, other.grid.model_copy(update={"time_step": None})):
+        try:
+            solver = PlateSolver(other.model_copy(update={"grid": grid}).with_tables(), device)
+        except SceneError as error:
+            refusal = f"refused ({text}): {error}"
+        else:
+            step = solver.specialized.scheme.time_step
+            return solver, text if grid is other.grid else f"{text}; with its own time step of {step:.2g} s"
+    return None, refusal
 
 
 def seconds_a_step(solvers: Mapping[str, PlateSolver], device: str, rounds: int = ROUNDS) -> dict[str, np.ndarray]:
@@ -132,7 +140,7 @@ def seconds_a_step(solvers: Mapping[str, PlateSolver], device: str, rounds: int 
     plates = CUDA_PLATES if kind == "cuda" else first.specialized.threads
     plates = max(1, min(plates, int(TIMED_NODE_STEPS[kind] / nodes / 20)))
     steps = max(20, TIMED_NODE_STEPS[kind] / nodes / plates)
-    timed = {name: PlateSolver(_shortened(solver, steps), device) for name, solver in solvers.items()}
+    timed = {name: PlateSolver(_shortened(solver, int(steps)), device) for name, solver in solvers.items()}
     phasors = np.ones((plates, len(first.scene.actuators)), dtype=complex)
     seconds: dict[str, list[float]] = {name: [] for name in timed}
     for number in range(rounds + 1):  # the first round warms up
@@ -145,15 +153,164 @@ def seconds_a_step(solvers: Mapping[str, PlateSolver], device: str, rounds: int 
     return {name: np.array(times) for name, times in seconds.items()}
 
 
-def _shortened(solver: PlateSolver, steps: float) -> Scene:
+def _shortened(solver: PlateSolver, most_steps: int) -> Scene:
     """Return the solver's scene cut to at most this number of steps, with all loads acting from the start."""
-    scene, step = solver.scene, solver.specialized.scheme.time_step
-    end = min(solver.specialized.scheme.steps, int(steps)) * step
+    scene, scheme = with_value(solver.scene, "burst", None), solver.specialized.scheme
     if scene.effects.moving_load is not None:
         middle = (scene.plate.size[0] / 2, scene.plate.size[1] / 2)
         scene = with_value(scene, "moving_load", MovingLoad(force=1.0, start=middle))
-    update = {
-        "grid": scene.grid.model_copy(update={"time_step": step}),
-        "window": scene.window.model_copy(update={"start": 0.0, "end": end}),
+    grid = scene.grid.model_copy(update={"time_step": scheme.time_step})
+    end = min(scheme.steps, most_steps) * scheme.time_step
+    return scene.model_copy(update={"grid": grid, "window": scene.window.model_copy(update={"start": 0.0, "end": end})})
+
+
+def names() -> list[str]:
+    """Return the names of all effects."""
+    return ["edges", *Effects.model_fields, "own_frequencies", *DRIVES]
+
+
+def is_on(scene: Scene, name: str) -> bool:
+    """Return whether a scene names an effect or a table of its drive; "edges" if a side is free or on springs."""
+    if name == "edges":
+        return any(edge not in ("clamped", "supported") for _, edge in scene.edges)
+    if name == "own_frequencies":
+        return len(carrier_frequencies(scene)) > 1
+    value = getattr(scene.drive if name in DRIVES else scene.effects, name)
+    return value is not None and value != ()
+
+
+def bare_scene(scene: Scene) -> Scene:
+    """Return the scene without effects: clamped or supported edges, a tone, and a time step that suits them."""
+    tables = {"effects": Effects(), "drive": Drive(frequency=scene.drive.frequency)}
+    tables["grid"] = scene.grid.model_copy(update={"time_step": None})
+    return with_one_frequency(_clamped(scene)).model_copy(update=tables)
+
+
+def toggle(scene: Scene, name: str) -> tuple[Scene, str]:
+    """Return the scene without an effect that is on, or with a typical value of one that is off, and a description.
+
+    Raises:
+        SceneError: there is no typical value for this scene.
+    """
+    on = is_on(scene, name)
+    if name == "edges":
+        return (_clamped(scene), "free and elastic edges clamped") if on else _springs(scene)
+    if name == "own_frequencies":
+        return (with_one_frequency(scene), "all at the drive's frequency") if on else _two_frequencies(scene)
+    if on:
+        empty = None if name in DRIVES else Effects.model_fields[name].default
+        return with_value(scene, name, empty), "left out"
+    values = (_typical_drives if name in DRIVES else _typical_effects)(scene)
+    if name not in values:
+        raise SceneError("no typical value is known")
+    value, text = values[name]
+    return with_value(scene, name, value), text
+
+
+def with_value(scene: Scene, name: str, value: object) -> Scene:
+    """Return the scene with another value, which is not checked, of an effect or of a table of the drive."""
+    table = "drive" if name in DRIVES else "effects"
+    return scene.model_copy(update={table: getattr(scene, table).model_copy(update={name: value})})
+
+
+def with_one_frequency(scene: Scene) -> Scene:
+    """Return the scene with all actuators at the drive's frequency."""
+    actuators = tuple(actuator.model_copy(update={"frequency": None}) for actuator in scene.actuators)
+    return scene.model_copy(update={"actuators": actuators})
+
+
+def _clamped(scene: Scene) -> Scene:
+    edges = {side: edge if edge in ("clamped", "supported") else "clamped" for side, edge in scene.edges}
+    return scene.model_copy(update={"edges": Edges.model_validate(edges)})
+
+
+def rigidity(scene: Scene) -> float:
+    """Return the bending rigidity EH³/12(1 − ν²) [N·m] of the isotropic plate."""
+    plate = scene.plate
+    return plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
+
+
+def film(scene: Scene) -> tuple[Layer, ...]:
+    """Return a film of polyvinylidene fluoride, glued on as an actuator, on one face under each actuator."""
+    material = {"thickness": 110e-6, "young_modulus": 2.5e9, "density": 1780.0}
+    return tuple(Layer(area=actuator.area, **material) for actuator in scene.actuators)
+
+
+def _springs(scene: Scene) -> tuple[Scene, str]:
+    side, bending = min(scene.plate.size), rigidity(scene)
+    edge = ElasticEdge(translation=1000 * bending / side**3, rotation=10 * bending / side)
+    edges = Edges(left=edge, bottom=edge, right=edge, top=edge)
+    text = f"all edges on springs of {edge.translation:.2g} N/m² and {edge.rotation:.2g} N"
+    return scene.model_copy(update={"edges": edges}), text + " (1000 D/L³ and 10 D/L)"
+
+
+def _two_frequencies(scene: Scene) -> tuple[Scene, str]:
+    if len(scene.actuators) == 1:
+        raise SceneError("one actuator has one frequency")
+    other, (*rest, last) = OTHER_FREQUENCY * scene.drive.frequency, scene.actuators
+    actuators = (*rest, last.model_copy(update={"frequency": other}))
+    return scene.model_copy(update={"actuators": actuators}), f"the last actuator at {other:.3g} Hz"
+
+
+def _typical_effects(scene: Scene) -> dict[str, tuple[object, str]]:
+    """Return typical values of the tables under [effects], with descriptions."""
+    plate, bending, ratio = scene.plate, rigidity(scene), scene.plate.poisson_ratio
+    viscous = LOSS_FACTOR * scene.drive_angular_frequency * plate.density * plate.thickness
+    retardation = LOSS_FACTOR / scene.drive_angular_frequency
+    tension = 0.1 * math.pi**2 * bending / min(plate.size) ** 2
+    x0, x1, y0, y1 = scene.target.area or _middle_of_target(scene)
+    half = min(5e-3, (x1 - x0) / 2, (y1 - y0) / 2)
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    speed = plate.size[0] / scene.window.end
+    return {
+        "damping": (Damping(viscous=viscous), f"{viscous:.2g} N·s/m³ (loss factor {LOSS_FACTOR:g})"),
+        "material_damping": (
+            MaterialDamping(time=retardation),
+            f"{retardation:.2g} s (loss factor {LOSS_FACTOR:g} at the drive's frequency)",
+        ),
+        "tension": (
+            Tension(x=tension, y=tension),
+            f"{tension:.2g} N/m along x and y (a tenth of π²D/L², the buckling load of a supported strip)",
+        ),
+        "foundation": (Foundation(stiffness=1e7), "1e7 N/m³ (10 mm of foam of 0.1 MPa)"),
+        "orthotropic": (
+            Orthotropic(Dx=1.1 * bending, Dy=bending, D1=ratio * bending, Dxy=(1 - ratio) / 2 * bending),
+            "Dx a tenth above that of the isotropic plate",
+        ),
+        "variation": (Variation(thickness=((0.95, 1.05),)), "thickness from 0.95 at x = 0 to 1.05"),
+        "layers": (film(scene), "a piezoelectric film of 110 µm, 2.5 GPa, 1780 kg/m³ on each actuator"),
+        "oscillators": (
+            (Oscillator(area=(x - half, x + half, y - half, y + half), mass=5e-3, stiffness=500.0, damping=2.0),),
+            "a fingertip in the middle of the target: 5 g, 500 N/m, 2 N·s/m (orders of magnitude of a light touch)",
+        ),
+        "stretching": (Stretching(), "named"),
+        "moving_load": (
+            MovingLoad(force=1e-3, start=(0.0, plate.size[1] / 2), velocity=(speed, 0.0)),
+            f"1 mN on a point that crosses the plate along x at {speed:.2g} m/s",
+        ),
     }
-    return with_value(scene, "burst", None).model_copy(update=update)
+
+
+def _middle_of_target(scene: Scene) -> Area:
+    """Return a square of at most a quarter of the target's area around its centroid, on the plate."""
+    weights = region_weights(scene)[REGIONS.index("target")]
+    (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
+    x = float(weights.sum(axis=0) @ np.linspace(0, width, nx) / weights.sum())
+    y = float(weights.sum(axis=1) @ np.linspace(0, height, ny) / weights.sum())
+    half = min(math.sqrt(weights.sum() * width * height / (nx - 1) / (ny - 1)) / 4, x, width - x, y, height - y)
+    return x - half, x + half, y - half, y + half
+
+
+def _typical_drives(scene: Scene) -> dict[str, tuple[object, str]]:
+    """Return typical values of the tables under [drive], with descriptions."""
+    frequency, end = scene.drive.frequency, scene.window.end
+    other, ramp = OTHER_FREQUENCY * frequency, end / 10
+    bias = max(abs(actuator.magnitude) for actuator in scene.actuators) or 1.0
+    return {
+        "burst": (Burst(duration=end, ramp=ramp), f"over the whole run, with ramps of {ramp:.2g} s"),
+        "chirp": (Chirp(end_frequency=other, duration=end), f"from {frequency:g} to {other:.3g} Hz over the run"),
+        "electrostatic": (
+            Electrostatic(bias=bias, gain=1 / (2 * bias)),
+            f"bias of {bias:.3g}, as large as the voltage, with the same tone",
+        ),
+    }

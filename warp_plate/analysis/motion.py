@@ -116,17 +116,12 @@ def _displacements(
     device: str,
     progress: Progress | None,
 ) -> dict[str, np.ndarray]:
-    """Return (times, ny, nx) displacements [m] of the cases; cases with equal scenes run together."""
-    groups: list[list[str]] = []
-    for name, scene in scenes.items():
-        group = next((group for group in groups if scenes[group[0]] == scene), None)
-        if group is None:
-            groups.append([name])
-        else:
-            group.append(name)
+    """Return (times, ny, nx) displacements [m] of the cases; equal scenes run together."""
     fields: dict[str, np.ndarray] = {}
-    for group in groups:
-        scene = scenes[group[0]]
+    for first, scene in scenes.items():
+        if first in fields:
+            continue
+        group = [name for name, other in scenes.items() if other == scene]
         solver = PlateSolver(discretization if scene == discretization.scene else scene, device)
         plate_steps, before = solver.node_steps_per_plate, len(fields)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from warp_plate.analysis.effect_toggles import film, rigidity
+from warp_plate.analysis.influence import film, rigidity, with_one_frequency
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.sampled_signal import read_samples
 from warp_plate.plate.scheme import make_scheme
@@ -53,14 +53,10 @@ def find_warnings(scene: Scene, peak_displacement: float | None) -> list[Finding
     Raises:
         SceneError: the file of ``[drive.signal]`` cannot be read.
     """
-    return [
-        *([] if peak_displacement is None else [_amplitude(scene, peak_displacement)]),
-        _thinness(scene),
-        _points(scene),
-        _added_mass(scene),
-        _left_at_start(scene),
-        *([] if scene.drive.signal is None else [_signal(scene, scene.drive.signal)]),
-    ]
+    findings = [_thinness(scene), _points(scene), _added_mass(scene), _left_at_start(scene)]
+    if peak_displacement is not None:
+        findings.insert(0, _amplitude(scene, peak_displacement))
+    return findings if scene.drive.signal is None else [*findings, _signal(scene, scene.drive.signal)]
 
 
 def warning_texts(scene: Scene, peak_displacement: float | None) -> list[str]:
@@ -87,54 +83,12 @@ def wavelengths(scene: Scene) -> tuple[float, float]:
     return x, y
 
 
-def decay_rate(scene: Scene) -> float:
-    """Return the rate [1/s] at which start-up motion decays, c/2ρH + time·ω²/2, without that of oscillators.
-
-    ω is the lowest frequency of the drive, near which the strongest modes lie. The square of a voltage also has a
-    constant part, whose step at t = 0 excites the lowest modes.
-    """
-    effects = scene.effects
-    viscous = effects.damping.viscous if effects.damping else 0.0
-    viscous += effects.foundation.damping if effects.foundation else 0.0
-    retardation = effects.material_damping.time if effects.material_damping else 0.0
-    rate = viscous / (2 * scene.plate.density * scene.plate.thickness)
-    if not retardation:
-        return rate
-    lowest = min(carrier_frequencies(scene))
-    if scene.drive.electrostatic is not None:
-        lowest = min(lowest, slowest_frequency(scene))
-    return rate + retardation * (2 * math.pi * lowest) ** 2 / 2
-
-
 def slowest_frequency(scene: Scene) -> float:
     """Return the lowest natural frequency [Hz] above zero; 0 if there is none."""
     nodes = tuple(min(count, MOST_SIDE) for count in scene.grid.nodes)
     grid = {"nodes": nodes, "load": scene.grid.load, "precision": "float64"}
     frequencies = natural_modes(scene.with_tables(grid=grid), MODES).frequencies
     return float(frequencies[frequencies > 0].min()) if (frequencies > 0).any() else 0.0
-
-
-def _transient_table(scene: Scene) -> str | None:
-    """Return the first table that keeps the motion from becoming steady; None if none does."""
-    for name in ("burst", "chirp", "signal"):
-        if getattr(scene.drive, name) is not None:
-            return f"drive.{name}"
-    return None if scene.effects.moving_load is None else "effects.moving_load"
-
-
-def _amplitude(scene: Scene, peak: float) -> Finding:
-    name, value = "displacement / thickness", peak / scene.plate.thickness
-    if not math.isfinite(value):
-        return Finding(name, value, MOST_AMPLITUDE, explain_missing_energies(scene), True)
-    if scene.effects.stretching is not None:
-        verdict = "stretching is included."
-    elif value > MOST_AMPLITUDE:
-        verdict = "stretching matters; name [effects.stretching]."
-    else:
-        verdict = "stretching does not matter."
-    sentence = f"The largest displacement over the run is {value:.2g} of the thickness (threshold {MOST_AMPLITUDE:g}): "
-    exceeded = value > MOST_AMPLITUDE and scene.effects.stretching is None
-    return Finding(name, value, MOST_AMPLITUDE, sentence + verdict, exceeded)
 
 
 def explain_missing_energies(scene: Scene, status: str = "its numbers grew beyond all bounds") -> str:
@@ -158,70 +112,96 @@ def explain_missing_energies(scene: Scene, status: str = "its numbers grew beyon
     return f"A plate has no energies, {status}: {cause}"
 
 
+def _amplitude(scene: Scene, peak: float) -> Finding:
+    name, value, included = "displacement / thickness", peak / scene.plate.thickness, bool(scene.effects.stretching)
+    if not math.isfinite(value):
+        return Finding(name, value, MOST_AMPLITUDE, explain_missing_energies(scene), True)
+    fact = f"The largest displacement over the run is {value:.2g} of the thickness (threshold {MOST_AMPLITUDE:g})"
+    exceeded = value > MOST_AMPLITUDE and not included
+    calm = "stretching is included." if included else "stretching does not matter."
+    return _finding(name, value, MOST_AMPLITUDE, exceeded, fact, "stretching matters; name [effects.stretching].", calm)
+
+
+def _finding(name: str, value: float, threshold: float, exceeded: bool, fact: str, bad: str, good: str) -> Finding:
+    return Finding(name, value, threshold, f"{fact}: {bad if exceeded else good}", exceeded)
+
+
 def _thinness(scene: Scene) -> Finding:
     value = min(wavelengths(scene)) / scene.plate.thickness
-    low = value < FEWEST_THICKNESSES
-    verdict = "rotary inertia and shear, which this program neglects, matter." if low else "the plate is thin."
-    sentence = (
+    return _finding(
+        "wavelength / thickness",
+        value,
+        FEWEST_THICKNESSES,
+        value < FEWEST_THICKNESSES,
         f"A bending wave of the drive's highest frequency is {value:.3g} thicknesses long (threshold "
-        f"{FEWEST_THICKNESSES:g}): {verdict}"
+        f"{FEWEST_THICKNESSES:g})",
+        "rotary inertia and shear, which this program neglects, matter.",
+        "the plate is thin.",
     )
-    return Finding("wavelength / thickness", value, FEWEST_THICKNESSES, sentence, low)
 
 
 def _points(scene: Scene) -> Finding:
     pairs = zip(wavelengths(scene), scene.plate.size, scene.grid.nodes, strict=True)
     value, fewest = min(wave * (nodes - 1) / side for wave, side, nodes in pairs), FEWEST_POINTS[scene.grid.order]
-    low = value < fewest
-    sentence = (
-        f"The grid has {value:.3g} points a bending wave of the drive's highest frequency (threshold {fewest:g}): "
-        + ("take more nodes, or ask for an accuracy." if low else "it is fine enough.")
-    )
-    return Finding("points a wavelength", value, fewest, sentence, low)
+    fact = f"The grid has {value:.3g} points a bending wave of the drive's highest frequency (threshold {fewest:g})"
+    bad, good = "take more nodes, or ask for an accuracy.", "it is fine enough."
+    return _finding("points a wavelength", value, fewest, value < fewest, fact, bad, good)
 
 
 def _added_mass(scene: Scene) -> Finding:
-    plate, named = scene.plate, bool(scene.effects.layers)
-    added = sum(
-        (2 if layer.both else 1)
-        * (layer.area[1] - layer.area[0])
-        * (layer.area[3] - layer.area[2])
-        * layer.thickness
-        * layer.density
-        for layer in scene.effects.layers or film(scene)
-    )
+    plate, named, added = scene.plate, bool(scene.effects.layers), 0.0
+    for layer in scene.effects.layers or film(scene):
+        x0, x1, y0, y1 = layer.area
+        added += (2 if layer.both else 1) * (x1 - x0) * (y1 - y0) * layer.thickness * layer.density
     value = added / (plate.size[0] * plate.size[1] * plate.thickness * plate.density)
     subject = "Layers add" if named else "The scene names no layers; a film of 110 µm on each actuator would add"
-    if value <= MOST_ADDED_MASS:
-        verdict = "frequencies change little."
-    elif named:
-        verdict = f"frequencies change by about {50 * value:.2g} %, so the layers' thickness and density must be right."
-    else:
-        verdict = "name the bodies of the actuators under [[effects.layers]]."
-    sentence = f"{subject} {100 * value:.2g} % to the plate's mass (threshold {100 * MOST_ADDED_MASS:g} %): {verdict}"
-    return Finding("added mass / plate's mass", value, MOST_ADDED_MASS, sentence, value > MOST_ADDED_MASS)
+    fact = f"{subject} {100 * value:.2g} % to the plate's mass (threshold {100 * MOST_ADDED_MASS:g} %)"
+    bad = "name the bodies of the actuators under [[effects.layers]]."
+    if named:
+        bad = f"frequencies change by about {50 * value:.2g} %, so the layers' thickness and density must be right."
+    return _finding(
+        "added mass / plate's mass",
+        value,
+        MOST_ADDED_MASS,
+        value > MOST_ADDED_MASS,
+        fact,
+        bad,
+        "frequencies change little.",
+    )
 
 
 def _left_at_start(scene: Scene) -> Finding:
-    name, transient = "start-up motion left", _transient_table(scene)
-    if transient is not None:
-        sentence = f"The motion does not become steady ({transient}), so its start-up motion is not judged."
+    """Return the finding about start-up motion, which decays at the rate c/2ρH + time·ω²/2, without oscillators.
+
+    ω is the lowest frequency of the drive, near which the strongest modes lie. The square of a voltage also has a
+    constant part, whose step at t = 0 excites the lowest modes.
+    """
+    name, key, effects = "start-up motion left", with_one_frequency(scene).nonperiodic_key, scene.effects
+    if key is not None:
+        sentence = f"The motion does not become steady ({key}), so its start-up motion is not judged."
         return Finding(name, math.nan, MOST_LEFT, sentence, False)
-    value = math.exp(-decay_rate(scene) * scene.window.start)
-    high = value > MOST_LEFT
-    sentence = (
-        f"When the window opens, {100 * value:.2g} % of the start-up motion is left (threshold {100 * MOST_LEFT:g} %): "
-        + ("the motion is not steady; start the window later." if high else "the motion is steady.")
+    viscous = effects.damping.viscous if effects.damping else 0.0
+    viscous += effects.foundation.damping if effects.foundation else 0.0
+    rate = viscous / (2 * scene.plate.density * scene.plate.thickness)
+    if effects.material_damping:
+        lowest = min(carrier_frequencies(scene))
+        if scene.drive.electrostatic is not None:
+            lowest = min(lowest, slowest_frequency(scene))
+        rate += effects.material_damping.time * (2 * math.pi * lowest) ** 2 / 2
+    value = math.exp(-rate * scene.window.start)
+    fact = (
+        f"When the window opens, {100 * value:.2g} % of the start-up motion is left (threshold {100 * MOST_LEFT:g} %)"
     )
-    return Finding(name, value, MOST_LEFT, sentence, high)
+    bad, good = "the motion is not steady; start the window later.", "the motion is steady."
+    return _finding(name, value, MOST_LEFT, value > MOST_LEFT, fact, bad, good)
 
 
 def _signal(scene: Scene, signal: SampledSignal) -> Finding:
     highest, stated = read_samples(signal, scene.folder).highest_frequency(), scene.drive.frequency
-    high = highest / stated > MOST_BEYOND
-    verdict = "time step and grid may be too coarse; write drive.frequency higher." if high else "it covers the file."
-    sentence = (
+    fact = (
         f"99 % of the energy in {signal.file!r} lies below {highest:.4g} Hz, and drive.frequency is {stated:g} Hz "
-        f"(threshold {MOST_BEYOND:g} times that): {verdict}"
+        f"(threshold {MOST_BEYOND:g} times that)"
     )
-    return Finding("file's frequency / drive.frequency", highest / stated, MOST_BEYOND, sentence, high)
+    bad, good = "time step and grid may be too coarse; write drive.frequency higher.", "it covers the file."
+    value = highest / stated
+    return _finding("file's frequency / drive.frequency", value, MOST_BEYOND, value > MOST_BEYOND, fact, bad, good)
