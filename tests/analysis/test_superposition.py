@@ -11,10 +11,10 @@ import pytest
 from warp_plate import PlateSolver
 from warp_plate.analysis.superposition import (
     LINEAR_ORDERS,
+    SimulatedResponses,
     last_period,
     live_solver,
     motions_of,
-    simulated_responses,
     unit_responses,
 )
 from warp_plate.plate.weights import localization_factor
@@ -89,7 +89,7 @@ def test_unsteady_motion_is_superposed_exactly(scene, phasors):
 def test_simulations_do_not_overlap(scene, monkeypatch):
     """Two settings in several threads: the last swarm of an ended search, and the current picture."""
     made = scene(nodes=(9, 9), window=(0.002, 0.004), effects={"stretching": {}})
-    both = [simulated_responses(made, "cpu", "streaming") for _ in range(2)]
+    both = [SimulatedResponses(made, "cpu", "streaming") for _ in range(2)]
     real, running, most = PlateSolver.run, [], []
 
     def run(self, *given):

@@ -73,7 +73,6 @@ class TrialRun:
 
     configuration: Configuration  # the configuration
     error: float  # largest relative error of the localization factors
-    cost: float  # see :func:`cost_of_run`
 
 
 @dataclass(frozen=True)
@@ -106,9 +105,9 @@ class GridSearch:
         """Return the trial run of a configuration; its error is infinite if the grid is refused."""
         factors = localization_factors(self.reference.matrices, self.phasors)
         try:
-            return try_out(self.scene, configuration, self.phasors, factors, self.device)
+            return TrialRun(configuration, try_out(self.scene, configuration, self.phasors, factors, self.device))
         except SceneError:  # the grid is too coarse for an actuator
-            return TrialRun(configuration, math.inf, cost_of_run(self.scene, configuration))
+            return TrialRun(configuration, math.inf)
 
     def predict(self, trial: TrialRun) -> Configuration:
         """Return the configuration that would keep the tolerance by the convergence law of the trial's order."""
@@ -147,7 +146,8 @@ def choose(scene: Scene, accuracy: float, device: str = "auto", phasors: np.ndar
     search = GridSearch(scene, reference, SEARCH_SHARE * accuracy - uncertainty, device, phasors)
     trials = _trials(search)
     kept = [trial for trial in trials.values() if trial.error <= search.tolerance]
-    chosen, error = _checked(search, min(kept, key=lambda trial: trial.cost)) if kept else (None, math.inf)
+    cheapest = min(kept, key=lambda trial: cost_of_run(scene, trial.configuration), default=None)
+    chosen, error = _checked(search, cheapest) if cheapest else (None, math.inf)
     if chosen is None or error > SEARCH_SHARE * accuracy:
         nearest = min(trials.values(), key=lambda trial: trial.error)
         raise SceneError(
@@ -182,7 +182,8 @@ def _trials(search: GridSearch) -> dict[Order, TrialRun]:
             trial = other if other.error < trial.error else trial
         trials[order] = trial
         if trial.error <= search.tolerance:
-            side, most_cost = math.sqrt(math.prod(trial.configuration.nodes)), trial.cost
+            side = math.sqrt(math.prod(trial.configuration.nodes))
+            most_cost = cost_of_run(search.scene, trial.configuration)
     return trials
 
 
@@ -242,22 +243,19 @@ def find_coarsest_grid(
                 side = math.sqrt(max(lowest, 1.0) * fine_enough)
             else:
                 side = min(max(1.02 * predicted, lowest), fine_enough - 1)
-    return best or last or TrialRun(configuration, math.inf, math.inf)
+    return best or last or TrialRun(configuration, math.inf)
 
 
-def try_out(
-    scene: Scene, configuration: Configuration, phasors: np.ndarray, factors: np.ndarray, device: str
-) -> TrialRun:
-    """Run drives (drives, actuators) with known localization factors (drives,); non-finite plates have infinite error.
+def try_out(scene: Scene, configuration: Configuration, phasors: np.ndarray, factors: np.ndarray, device: str) -> float:
+    """Return the largest error of drives (drives, actuators) with known localization factors (drives,).
 
-    Raises:
-        SceneError: see ``PlateSolver``.
+    It is infinite if a plate is not finite. Raises a SceneError if ``PlateSolver`` does.
     """
     work = len(phasors) * node_steps(scene, configuration)
     streamed = work < STREAMED_NODE_STEPS["cuda" if find_device(device).is_cuda else "cpu"]
     solver = PlateSolver(scene_with(scene, configuration), device, "streaming" if streamed else "auto")
     error = float(np.abs(localization_factor(solver.run(phasors).energy) / factors - 1).max())
-    return TrialRun(configuration, error if np.isfinite(error) else np.inf, cost_of_run(scene, configuration))
+    return error if math.isfinite(error) else math.inf
 
 
 def _checked(search: GridSearch, trial: TrialRun) -> tuple[Configuration, float]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warp_plate.accuracy.choose import TrialRun, try_out
+from warp_plate.accuracy.choose import try_out
 from warp_plate.accuracy.configurations import (
     LOAD_OF,
     Configuration,
@@ -179,19 +179,17 @@ def _price(
     if tolerance is None or not math.isfinite(error):
         return None
     run = replace(configuration_of(scene), time_step=make_scheme(scene).time_step)
-    trials = [TrialRun(run, error, cost_of_run(scene, run))]
+    trials = [(run, error)]
     if scene.grid.order == 2 and highest_order(scene) == 4:
         # A trial run of fourth order on a coarse grid, unless it would take too long.
         pilot = make_configuration(scene, 4, nodes_for(scene.plate.size, PILOT_SIDE, 4))
         with contextlib.suppress(SceneError):  # the step is too long for the window, or cells too large for an actuator
             if len(phasors) * node_steps(scene, pilot) <= PILOT_NODE_STEPS * budget:
-                trials.append(try_out(scene, pilot, phasors, references, device))
+                trials.append((pilot, try_out(scene, pilot, phasors, references, device)))
     needed = []
-    for trial in trials:
-        if math.isfinite(trial.error):
-            # Finer by the convergence law, with the loads that the order needs
-            grid = replace(trial.configuration, load=LOAD_OF[trial.configuration.order])
-            factor = (trial.error / (TOLERANCE_SHARE * tolerance)) ** (1 / grid.order)
-            needed.append(refine(scene, grid, max(factor, 9 / min(grid.nodes))))
+    for grid, trial_error in trials:
+        if math.isfinite(trial_error):  # finer by the convergence law, with the loads that the order needs
+            factor = (trial_error / (TOLERANCE_SHARE * tolerance)) ** (1 / grid.order)
+            needed.append(refine(scene, replace(grid, load=LOAD_OF[grid.order]), max(factor, 9 / min(grid.nodes))))
     cheapest = min(needed, key=lambda configuration: cost_of_run(scene, configuration))
-    return Price(tolerance, cheapest, cost_of_run(scene, cheapest) / trials[0].cost)
+    return Price(tolerance, cheapest, cost_of_run(scene, cheapest) / cost_of_run(scene, run))

@@ -12,7 +12,6 @@ import numpy as np
 
 from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.plate.modes import natural_modes
-from warp_plate.plate.scheme import Scheme
 from warp_plate.plate.section import make_section
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.result.model import Case, case_scene
@@ -63,7 +62,10 @@ def motions(
     if count < 2 or 2 * count * field_bytes > MOST_BYTES:
         most = max(2, MOST_BYTES // (2 * field_bytes))
         raise SceneError(f"frames = {count}: must be from 2 to {most} for {len(cases)} plates of this grid")
-    steps = _frame_steps(scheme, first, last, count)
+    wanted = np.linspace(first, last, count, endpoint=False) / scheme.time_step
+    steps = np.unique(np.clip(np.rint(wanted).astype(int), 0, scheme.steps - 1))
+    if len(steps) < 2:
+        raise SceneError(f"{first:g} ... {last:g} s: contains fewer than two steps of {scheme.time_step:g} s")
     recorded = np.unique(np.concatenate([steps, steps + 1]))
     at, after = np.searchsorted(recorded, steps), np.searchsorted(recorded, steps + 1)
     times = (recorded * scheme.time_step).tolist()
@@ -82,15 +84,6 @@ def motions(
         )
         for name, case in cases.items()
     ]
-
-
-def _frame_steps(scheme: Scheme, first: float, last: float, count: int) -> np.ndarray:
-    """Return the time steps nearest to evenly spaced times from ``first`` to ``last`` [s], each once."""
-    wanted = np.linspace(first, last, count, endpoint=False) / scheme.time_step
-    steps = np.unique(np.clip(np.rint(wanted).astype(int), 0, scheme.steps - 1))
-    if len(steps) < 2:
-        raise SceneError(f"{first:g} ... {last:g} s: contains fewer than two steps of {scheme.time_step:g} s")
-    return steps
 
 
 def _common_span(

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_plate.optimize.quadratic import real_parts
-from warp_plate.result.motion import DriveResponse, SteadyMotion, quadrants
+from warp_plate.plate.weights import REGIONS
+from warp_plate.result.motion import QUADRANTS, DriveResponse, SteadyMotion, quadrants
 from warp_plate.scene.model import Scene
 from warp_plate.solve.response import Response, in_float64, measure_response, unit_drives
 from warp_plate.solve.run import Run
@@ -23,6 +24,8 @@ from warp_plate.solve.solver import PlateSolver, Progress
 # frequency alone, a plate that stretches also at its multiples.
 LINEAR_SAMPLES, LINEAR_ORDERS = 12, np.arange(1, 2)
 SAMPLES, ORDERS = 32, np.arange(1, 6)
+# Regions of ``live_solver``.
+LIVE_REGIONS = (*REGIONS, *QUADRANTS)
 # A search runs beside the drawing thread, and a search that was ended may still finish a swarm under other settings.
 # Solvers have one state, and all solvers of a device share the stream whose graphs are captured.
 _SIMULATION = threading.Lock()
@@ -34,7 +37,6 @@ class UnitResponses:
 
     scene: Scene  # scene
     response: Response  # Gram matrices of the regions
-    regions: tuple[str, ...]  # names of the regions
     amplitudes: np.ndarray  # (2M, ny, nx) complex displacements [m per N/m²]
     residual: float  # largest ``SteadyMotion.residual`` of the unit drives
     bound: float  # largest localization factor of any drive
@@ -51,7 +53,7 @@ class UnitResponses:
             scene=self.scene,
             phasors=phasors,
             motion=SteadyMotion(LINEAR_ORDERS, amplitude[None], self.residual),
-            energy=dict(zip(self.regions, self.energies(phasors[None])[0].tolist(), strict=True)),
+            energy=dict(zip(LIVE_REGIONS, self.energies(phasors[None])[0].tolist(), strict=True)),
             bound=self.bound if math.isfinite(self.bound) else None,
         )
 
@@ -72,7 +74,6 @@ def unit_responses(
     return UnitResponses(
         scene=scene,
         response=response,
-        regions=solver.specialized.regions,
         amplitudes=np.concatenate([motion.amplitudes for motion in motions]),
         residual=float(np.max([motion.residual for motion in motions])),
         bound=response.bound(),
@@ -80,12 +81,17 @@ def unit_responses(
     )
 
 
-@dataclass(frozen=True)
 class SimulatedResponses:
-    """Responses of a scene that is not linear in its drives; each is a run, and no bound is known."""
+    """Responses of a scene that is not linear in its drives; each is a run, and no bound is known.
 
-    scene: Scene  # scene
-    solver: PlateSolver  # its solver
+    Raises:
+        SceneError: see :class:`PlateSolver`.
+    """
+
+    def __init__(self, scene: Scene, device: str, path: str) -> None:
+        self.scene = scene
+        with _SIMULATION:
+            self.solver = live_solver(scene, device, path)
 
     def energies(self, phasors: np.ndarray) -> np.ndarray:
         """Return (plates, regions) energies [J] of phasors (plates, actuators)."""
@@ -99,16 +105,6 @@ class SimulatedResponses:
             run = self.solver.run(phasors[None], times)
         energy = dict(zip(run.regions, run.energy[0].tolist(), strict=True))
         return DriveResponse(self.scene, phasors, motions_of(run, self.scene, ORDERS)[0], energy, None)
-
-
-def simulated_responses(scene: Scene, device: str, path: str) -> SimulatedResponses:
-    """Return an object that simulates a scene drive by drive.
-
-    Raises:
-        SceneError: see :class:`PlateSolver`.
-    """
-    with _SIMULATION:
-        return SimulatedResponses(scene, live_solver(scene, device, path))
 
 
 def live_solver(scene: Scene, device: str, path: str) -> PlateSolver:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.analysis.superposition import SimulatedResponses, UnitResponses, simulated_responses, unit_responses
+from warp_plate.analysis.superposition import SimulatedResponses, UnitResponses, unit_responses
 from warp_plate.explore.settings import (
     LiveSettings,
     changed_scene,
@@ -237,7 +237,7 @@ class LiveModel:
     def _simulate(self, scene: Scene, progress: Progress | None = None) -> UnitResponses | SimulatedResponses:
         if scene.linear:
             return unit_responses(scene, self._device, self._path, progress)
-        return simulated_responses(scene, self._device, self._path)
+        return SimulatedResponses(scene, self._device, self._path)
 
     def _take(self, choice: str, seconds: float) -> None:
         responses, actuators = self._responses, len(self.scene.actuators)

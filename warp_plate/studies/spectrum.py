@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from warp_plate.analysis.warnings import MOST_SIDE
+from warp_plate.analysis.check import MOST_SIDE
 from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.weights import localization_factor
