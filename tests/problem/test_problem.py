@@ -55,10 +55,15 @@ def test_plates_have_the_places_of_their_positions():
         assert loss == pytest.approx(1 - localization_factor(energy)[0], rel=1e-9)
 
 
-def test_limits_of_drives_lower_the_bound():
-    problem = make_problem(scene_of(**SMALL, search={"limits": {"equal_magnitudes": True}}), "cpu")
-    assert problem.bound == 1 - problem.loss_bound.value < problem.response.bound()
-    assert problem.bound_kind in ("bound only", "attained within limits")
+def test_kinds_of_bounds(problem):
+    """Limits of drives lower the bound; places and frequencies have none."""
+    limited = make_problem(scene_of(**SMALL, search={"limits": {"equal_magnitudes": True}, "phase": {}}), "cpu")
+    assert limited.bound == 1 - limited.loss_bound.value < limited.response.bound()
+    searched = make_problem(scene_of(**SMALL, search={"frequency": {"range": (200.0, 400.0)}}), "cpu")
+    assert searched.bound is None
+    kinds = [made.bound_kind for made in (problem, limited, searched)]
+    assert kinds == ["attained", "attained within limits", ""]
+    assert problem.objective_values(positions(problem)[0]) == {}
 
 
 def test_node_steps_and_seconds_are_those_of_all_solvers():
