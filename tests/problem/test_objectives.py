@@ -26,9 +26,9 @@ def objectives_of(scene):
     return make_objectives(discretize(scene))
 
 
-def scene_with(scene, *kinds, target=DISC, **limits):
-    """Return a small scene with these objectives; limits: of the rest, by kind."""
-    terms = [{"kind": kind, **({"rest_limit": limits[kind]} if kind in limits else {})} for kind in kinds]
+def scene_with(scene, *kinds, target=DISC, **others):
+    """Return a small scene with these objectives; others: of all of them, such as a rest_limit."""
+    terms = [{"kind": kind, **others} for kind in kinds]
     return scene((17, 15), damping=88.0, target=target, search={"objectives": terms})
 
 
@@ -37,34 +37,21 @@ def unit_objectives(*terms):
     return Objectives(terms, dict.fromkeys("0123"), np.ones(2), np.ones(2), np.full(4, 0.25))
 
 
-@pytest.fixture
-def motion(scene):
-    """A scene with all objectives, and mean squares (plates, ny, nx) of velocity and displacement over its window."""
-    made = scene_with(scene, *KINDS)
-    scheme = make_scheme(made)
-    history, velocity = run_plate(scheme, ("clamped",) * 4, 88.0, False, patches(made), PHASORS)
-    first, last = scheme.window
-    # Of displacements, those at the end of each step.
-    return made, velocity, (history[:, first + 1 : last + 1] ** 2).mean(axis=1)
-
-
-def energies_of(made, mean_squares, objectives):
-    """Return (plates, regions) ½ ∫ ρH · (mean square) dA of plate, target and cells."""
-    scheme = make_scheme(made)
-    weights = region_weights(made, objectives.regions)
-    half = 0.5 * scheme.surface_density * math.prod(scheme.spacing)
-    return half * np.einsum("ryx,pyx->pr", weights, mean_squares)
-
-
-def test_values_are_those_of_recorded_displacements(motion):
+def test_values_are_those_of_recorded_displacements(scene):
     """Root mean squares and densities from the fields at the nodes, weighted by the target's shares; losses of them."""
-    made, *fields = motion
     weights = dict(zip(KINDS, (0.5, 0.1, 2e3, 3e6, 0.25), strict=True))
     terms = [{"kind": kind, "weight": weight} for kind, weight in weights.items()]
-    objectives = objectives_of(made.with_tables(search={"objectives": terms}))
-    energies = [energies_of(made, field, objectives) for field in fields]
+    made = scene((17, 15), damping=88.0, target=DISC, search={"objectives": terms})
+    scheme, objectives = make_scheme(made), objectives_of(made)
+    history, velocity = run_plate(scheme, ("clamped",) * 4, 88.0, False, patches(made), PHASORS)
+    first, last = scheme.window
+    # Mean squares (plates, ny, nx) over the window; of displacements, those at the end of each step.
+    fields = velocity, (history[:, first + 1 : last + 1] ** 2).mean(axis=1)
+    half_mass = 0.5 * scheme.surface_density * math.prod(scheme.spacing)
+    shares = region_weights(made, objectives.regions)
+    energies = [half_mass * np.einsum("ryx,pyx->pr", shares, field) for field in fields]
     values = objectives.values(*energies)
-    plate, target = region_weights(made)
+    plate, target = shares[:2]
     rest = plate - target
     for kind, field in zip(QUANTITIES, fields, strict=True):
         for name, share in ((kind, target), (f"{kind} of the rest", rest)):
@@ -80,8 +67,8 @@ def test_values_are_those_of_recorded_displacements(motion):
     np.testing.assert_allclose(objectives.losses(*energies), -total, rtol=1e-14)
     with pytest.raises(ValueError, match="needs energies of displacement"):
         objectives.losses(energies[0])
-    runs = [PlateSolver(made, "cpu", areas=objectives.regions, quantity=each).run(PHASORS) for each in QUANTITIES]
-    for run, energy, tolerance in zip(runs, energies, (1e-9, 1e-6), strict=True):
+    for quantity, energy, tolerance in zip(QUANTITIES, energies, (1e-9, 1e-6), strict=True):
+        run = PlateSolver(made, "cpu", areas=objectives.regions, quantity=quantity).run(PHASORS)
         np.testing.assert_allclose(run.energy, energy, rtol=tolerance)
 
 
@@ -141,28 +128,31 @@ def test_a_rigid_motion_has_its_velocity_where_mass_varies(scene):
 
 def test_objectives_that_a_scene_cannot_have_are_refused(scene):
     whole = {"area": (0.0, 0.2, 0.0, 0.2)}
-    with pytest.raises(SceneError, match=r"^search\.objectives\[0\]\.kind = 'contrast': .* no rest"):
-        objectives_of(scene_with(scene, "contrast", target=whole))
-    with pytest.raises(SceneError, match=r"^search\.objectives\[1\]\.kind = 'velocity': .* no rest"):
-        objectives_of(scene_with(scene, "localization", "velocity", target=whole, velocity=1e-3))
-    with pytest.raises(SceneError, match=r"^target\.disc = .* too few for search\.objectives"):
-        objectives_of(scene_with(scene, "uniformity", target={"disc": (0.1, 0.1, 0.01)}))
+    for kinds, target, line in (
+        (["localization", "contrast"], whole, r"search\.objectives\[1\]\.kind = 'contrast': .* no rest"),
+        (["velocity"], whole, r"search\.objectives\[0\]\.kind = 'velocity': .* no rest"),
+        (["uniformity"], {"disc": (0.1, 0.1, 0.01)}, r"target\.disc = .* too few for search\.objectives"),
+    ):
+        limit = {"rest_limit": 1e-3} if kinds == ["velocity"] else {}
+        with pytest.raises(SceneError, match=f"^{line}"):
+            objectives_of(scene_with(scene, *kinds, target=target, **limit))
 
 
 @pytest.mark.parametrize(
-    ("lines", "named"),
+    ("objectives", "named"),
     [
-        ("[search]\nobjectives = []", "search.objectives = []"),
-        ('[[search.objectives]]\nkind = "loudness"', "search.objectives[0].kind = 'loudness'"),
-        ('[[search.objectives]]\nkind = "contrast"\nweight = 0', "search.objectives[0].weight = 0"),
-        ('[[search.objectives]]\nkind = "contrast"\nrest_limit = 1.0', "search.objectives[0].rest_limit"),
-        ('[[search.objectives]]\nkind = "velocity"\nrest_limit = -1', "search.objectives[0].rest_limit = -1"),
-        (2 * '[[search.objectives]]\nkind = "velocity"\n', "search.objectives[1].kind: 'velocity'"),
+        ("[]", " = []"),
+        ("[{ kind = 'loudness' }]", "[0].kind = 'loudness'"),
+        ("[{ weight = 0 }]", "[0].weight = 0"),
+        ("[{ kind = 'contrast', rest_limit = 1.0 }]", "[0].rest_limit"),
+        ("[{ kind = 'velocity', rest_limit = -1 }]", "[0].rest_limit = -1"),
+        ("[{ kind = 'velocity' }, { kind = 'velocity' }]", "[1].kind: 'velocity'"),
     ],
 )
-def test_wrong_objectives_are_refused_in_one_line(lines, named):
+def test_wrong_objectives_are_refused_in_one_line(objectives, named):
     head, _, rest = PAPER.partition("[search]")
-    assert refusal(head + lines + "\n\n" + rest[rest.index("[[actuators]]") :]).startswith(named)
+    tables = f"[search]\nobjectives = {objectives}\n{rest[rest.index('[[actuators]]') :]}"
+    assert refusal(head + tables).startswith("search.objectives" + named)
 
 
 def test_uniformity_of_cells(scene):

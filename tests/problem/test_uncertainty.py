@@ -78,17 +78,6 @@ def test_draws_lie_within_the_tolerances(robust, tolerances, seed, validation):
             np.testing.assert_allclose(area[:, 0] - old[:, 0], np.clip(offset, low, high), atol=1e-12)
 
 
-def test_draws_are_even(robust):
-    """The mean and the spread of an even distribution: 1/√3 of the tolerance, to four standard errors of 120 draws."""
-    made = robust(young_modulus=0.1, gain=0.2)
-    scenarios = draw_scenarios(made, 120, 3)
-    stiffness = (factors(made, scenarios, VALUES["young_modulus"]) - 1) / 0.1
-    gains = (np.array([scenario.gain for scenario in scenarios]) - 1) / 0.2
-    for drawn in (stiffness, *gains.T):
-        assert abs(drawn.mean()) < 4 / math.sqrt(3 * 120)
-        assert abs((drawn**2).mean() - 1 / 3) < 4 * math.sqrt(4 / 45 / 120)
-
-
 def test_the_seed_alone_decides(robust):
     """Not the number of scenarios either, nor another tolerance; scenarios are scenes that read back and run."""
     made = robust(EFFECTS, **TOLERANCES, without_oscillators=0.5)
@@ -152,18 +141,24 @@ def test_scenes_without_such_scenarios_are_refused(scene):
         Scene.from_tables({**tables, "targets": halves, "search": {"robust": {"gain": 0.1}}})
 
 
-def test_factors_of_damping_and_rigidities(robust):
-    """All damping of the panel has one factor; orthotropic rigidities follow modulus and thickness."""
-    made = robust(EFFECTS, damping=0.5, without_oscillators=0.3)
-    scenarios = draw_scenarios(made, 60, 2)
+def test_draws_are_even_and_fit_together(robust):
+    """Mean and spread of an even distribution, 1/√3 of the tolerance, to four standard errors; one factor for all
+    damping of the panel; orthotropic rigidities follow modulus and thickness."""
+    made, count = robust(EFFECTS, young_modulus=0.1, gain=0.2, damping=0.5, without_oscillators=0.3), 120
+    scenarios = draw_scenarios(made, count, 3)
+    stiffness = (factors(made, scenarios, VALUES["young_modulus"]) - 1) / 0.1
+    gains = (np.array([scenario.gain for scenario in scenarios]) - 1) / 0.2
+    for drawn in (stiffness, *gains.T):
+        assert abs(drawn.mean()) < 4 / math.sqrt(3 * count)
+        assert abs((drawn**2).mean() - 1 / 3) < 4 * math.sqrt(4 / 45 / count)
+    bare = sum(not scenario.scene.effects.oscillators for scenario in scenarios)
+    assert abs(bare - 0.3 * count) < 4 * math.sqrt(0.3 * 0.7 * count)
     for scenario in scenarios:
         effects, factor = scenario.scene.effects, scenario.scene.effects.damping.viscous / 88
         assert effects.material_damping.time == pytest.approx(1e-6 * factor)
         assert effects.foundation.damping == pytest.approx(3 * factor)
         assert effects.foundation.stiffness == 1e4
         assert effects.oscillators in ((), made.effects.oscillators)
-    bare = sum(not scenario.scene.effects.oscillators for scenario in scenarios)
-    assert 4 <= bare <= 34  # 18 expected, four standard deviations of 3.5 to each side
     rigidities = {"Dx": 0.02, "Dy": 0.01, "D1": 0.004, "Dxy": 0.005}
     for scenario in draw_scenarios(robust({"orthotropic": rigidities}, young_modulus=0.1, thickness=0.1), 2, 0):
         factor = (scenario.scene.plate.young_modulus / 1e9) * (scenario.scene.plate.thickness / 5e-4) ** 3
