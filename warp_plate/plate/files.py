@@ -6,6 +6,8 @@ import hashlib
 import io
 from pathlib import Path
 
+import numpy as np
+
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -19,7 +21,6 @@ def read_beside(key: str, name: str, folder: Path | None) -> bytes:
 
     Args:
         key: Key of the scene that names the file.
-        name: Name of the file.
         folder: The scene's folder; None if it was not read from a file.
 
     Raises:
@@ -55,6 +56,26 @@ def digests(scene: Scene) -> dict[str, str]:
     """Return the SHA-256 of each file that a scene names, by key."""
     files = named_files(scene)
     return {key: hashlib.sha256(read_beside(key, name, scene.folder)).hexdigest() for key, name in files.items()}
+
+
+def read_table(key: str, name: str, folder: Path | None, low: float, high: float) -> np.ndarray:
+    """Return (rows, columns) numbers from ``low`` to ``high`` of a text table beside the scene, see ``number_rows``.
+
+    Raises:
+        SceneError: The file cannot be read or holds no such table.
+    """
+    data = read_beside(key, name, folder)
+    try:
+        rows = number_rows(data)
+        if not rows:
+            raise ValueError("holds no numbers")
+        for number, row in rows:
+            for column, value in enumerate(row, 1):
+                if not low <= value <= high:
+                    raise ValueError(f"line {number}, column {column}: {value:g} is no number from {low:g} to {high:g}")
+    except ValueError as error:
+        raise SceneError(f"{key} = {name!r}: {error}") from None
+    return np.array([row for _, row in rows])
 
 
 def number_rows(data: bytes) -> list[tuple[int, list[float]]]:

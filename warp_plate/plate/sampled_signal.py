@@ -25,13 +25,10 @@ MOST_A_STEP = 1000
 LOUDEST = 1e30
 FASTEST, SLOWEST = 1e7, 1e-3  # samples per second
 # Interpolation filter: half-width in samples of the slower rate, and Kaiser's β for 80 dB. It passes nine tenths of the
-# slower rate's band and stops from the end of that band on.
-HALF_WIDTH = 50
-BETA = 7.857
-PASSED = 0.95  # where the filter is at one half
+# slower rate's band, is at one half at PASSED of it, and stops from its end on.
+HALF_WIDTH, BETA, PASSED = 50, 7.857, 0.95
 TABLE_STEPS = 1024  # entries of the tabulated filter per sample
-# Products computed at once, to limit memory.
-BLOCK = 2**21
+BLOCK = 2**21  # products computed at once, to limit memory
 # Part of a step by which times in a CSV, which are rounded, may be off an even spacing.
 UNEVEN = 0.05
 _WIDTHS = {(1, 8): "u1", (1, 16): "<i2", (1, 24): "u1", (1, 32): "<i4", (3, 32): "<f4", (3, 64): "<f8"}
@@ -67,8 +64,15 @@ def read_samples(table: SampledSignal, folder: Path | None) -> Samples:
     """
     data = read_beside("drive.signal.file", table.file, folder)
     try:
-        values, rate, start = _csv(data, table.rate) if table.file.lower().endswith(".csv") else _wav(data)
-        _check(values, rate)
+        values, rate, start = _csv(data, table.rate) if table.file.lower().endswith(".csv") else (*_wav(data), 0.0)
+        if not 2 <= values.size <= MOST_SAMPLES:
+            raise ValueError(f"{values.size} samples; 2 to {MOST_SAMPLES} are possible")
+        if not np.isfinite(values).all() or np.abs(values).max() > LOUDEST:
+            raise ValueError(f"a sample is no number, or larger than {LOUDEST:g}")
+        if not values.any():
+            raise ValueError("all samples are zero")
+        if not SLOWEST <= rate <= FASTEST:
+            raise ValueError(f"{rate:g} samples a second; {SLOWEST:g} to {FASTEST:g} are possible")
     except ValueError as error:
         raise SceneError(f"drive.signal.file = {table.file!r}: {error}") from None
     return Samples(values * table.gain, rate, start, table.repeat)
@@ -110,21 +114,8 @@ def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) 
     return carrier
 
 
-def _check(values: np.ndarray, rate: float) -> None:
-    if values.size > MOST_SAMPLES:
-        raise ValueError(f"{values.size} samples; at most {MOST_SAMPLES} are possible")
-    if values.size < 2:
-        raise ValueError(f"{values.size} samples; at least 2 are needed")
-    if not np.isfinite(values).all() or np.abs(values).max() > LOUDEST:
-        raise ValueError(f"a sample is no number, or larger than {LOUDEST:g}")
-    if not values.any():
-        raise ValueError("all samples are zero")
-    if not SLOWEST <= rate <= FASTEST:
-        raise ValueError(f"{rate:g} samples a second; {SLOWEST:g} to {FASTEST:g} are possible")
-
-
-def _wav(data: bytes) -> tuple[np.ndarray, float, float]:
-    """Return values, rate and start of a RIFF WAVE file of integers of 8 to 32 bits or floating point."""
+def _wav(data: bytes) -> tuple[np.ndarray, float]:
+    """Return values and rate of a RIFF WAVE file of integers of 8 to 32 bits or floating point."""
     if data[:4] != b"RIFF" or data[8:12] != b"WAVE":
         raise ValueError("not a WAV file")
     chunks: dict[bytes, bytes] = {}
@@ -146,37 +137,30 @@ def _wav(data: bytes) -> tuple[np.ndarray, float, float]:
         raise ValueError(f"a WAV file of format {code} with {bits} bits; write PCM or floating point")
     if channels != 1:
         raise ValueError(f"{channels} channels; write one")
-    if len(body) > MOST_SAMPLES * (bits // 8):
-        raise ValueError(f"{len(body) // (bits // 8)} samples; at most {MOST_SAMPLES} are possible")
     raw = np.frombuffer(body[: len(body) // (bits // 8) * (bits // 8)], dtype=_WIDTHS[code, bits])
     if code == 3:
-        return raw.astype(float), float(rate), 0.0
+        return raw.astype(float), float(rate)
     if bits == 24:
         low, middle, high = raw.reshape(-1, 3).astype(np.int32).T
         raw = (low + (middle << 8) + (high << 16) + 2**23) % 2**24 - 2**23
-    return (raw.astype(float) - 128 * (bits == 8)) / 2.0 ** (bits - 1), float(rate), 0.0
+    return (raw.astype(float) - 128 * (bits == 8)) / 2.0 ** (bits - 1), float(rate)
 
 
 def _csv(data: bytes, rate: float | None) -> tuple[np.ndarray, float, float]:
     """Return values, rate and start of a text table."""
     rows = number_rows(data)
-    if rows and len(rows[0][1]) > 2:
-        number, row = rows[0]
-        raise ValueError(f"line {number} has {len(row)} columns instead of time and value, or one value")
     if len(rows) < 2:
         raise ValueError(f"{len(rows)} samples; at least 2 are needed")
     table = np.array([row for _, row in rows])
+    if table.shape[1] > 2:
+        raise ValueError(f"{table.shape[1]} columns instead of time and value, or one value")
     if table.shape[1] == 1:
         if rate is None:
             raise ValueError("one column, so no times; write drive.signal.rate, the samples a second")
         return table[:, 0], rate, 0.0
     if rate is not None:
         raise ValueError("has a column of times; delete drive.signal.rate")
-    return table[:, 1], *_spacing(table[:, 0])
-
-
-def _spacing(times: np.ndarray) -> tuple[float, float]:
-    """Return rate [1/s] and start [s] of evenly spaced times."""
+    times = table[:, 0]
     if not np.isfinite(times).all() or np.abs(times).max() > LOUDEST:
         raise ValueError("a time is no number")
     step = (times[-1] - times[0]) / (times.size - 1)
@@ -187,4 +171,4 @@ def _spacing(times: np.ndarray) -> tuple[float, float]:
         raise ValueError(f"times are not evenly spaced (sample {int(off.argmax()) + 1}); write one step throughout")
     if times[0] < 0:
         raise ValueError(f"starts at {times[0]:g} s; the run starts at 0")
-    return 1 / step, float(times[0])
+    return table[:, 1], 1 / step, float(times[0])

@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 from numpy.polynomial import legendre
 
-from warp_plate.plate.files import number_rows, read_beside
+from warp_plate.plate.files import read_table
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Area, Scene, Target
 from warp_plate.scene.target import area_within
@@ -161,20 +161,9 @@ def clipped(corners: np.ndarray, area: Area) -> np.ndarray:
 
 def read_mask(scene: Scene, key: str, target: Target) -> np.ndarray:
     """Return (rows, columns) numbers of a target's mask."""
-    name = target.mask or ""
-    try:
-        rows = number_rows(read_beside(f"{key}.mask", name, scene.folder))
-        if not rows:
-            raise ValueError("holds no numbers")
-        for number, row in rows:
-            for column, value in enumerate(row, 1):
-                if not 0 <= value <= 1:
-                    raise ValueError(f"line {number}, column {column}: {value:g} is no number from 0 to 1")
-        values = np.array([row for _, row in rows])
-        if not values.any():
-            raise ValueError("holds no number above 0, so that the target has no inside")
-    except ValueError as error:
-        raise error if isinstance(error, SceneError) else SceneError(f"{key}.mask = {name!r}: {error}") from None
+    values = read_table(f"{key}.mask", target.mask or "", scene.folder, 0, 1)
+    if not values.any():
+        raise SceneError(f"{key}.mask = {target.mask!r}: holds no number above 0, so that the target has no inside")
     return values
 
 

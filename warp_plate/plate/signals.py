@@ -11,15 +11,15 @@ all steps, so a step costs the same for any number of actuators. With V = envelo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from warp_plate.plate.sampled_signal import Samples, read_samples, resample
+from warp_plate.plate.sampled_signal import read_samples, resample
 from warp_plate.plate.waveforms import burst_means, tone
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -27,27 +27,20 @@ from warp_plate.scene.model import Scene
 # Functions of the phasor that coefficients are made of; a linear drive needs the first two alone.
 FEATURES = ("Re Z", "-Im Z", "1", "|Z|²", "Re Z²", "-Im Z²")
 LINEAR_FEATURES = 2
-_ONE, _SQUARE = FEATURES.index("1"), FEATURES.index("|Z|²")
-_PHASOR, _PHASOR_SQUARED = FEATURES.index("Re Z"), FEATURES.index("Re Z²")
 
-# Terms of equal keys share a wave: power of the envelope; its start [s]; frequency [Hz], or 0; power of a carrier that
-# is no tone, −1 for its size squared; number of a carrier that shares with no other.
-_Key: TypeAlias = tuple[int, float, float, int, int]
-# Wave (..., steps) and mixing (features, actuators) by key.
-_Terms: TypeAlias = dict[_Key, tuple[np.ndarray, np.ndarray]]
+# Terms of equal keys share a wave: power of the envelope; group of the carrier; frequency [Hz], or 0; power of a
+# carrier that is no tone, −1 for its size squared. Each has a wave (..., steps) and mixing (features, actuators).
+_Terms: TypeAlias = dict[tuple[int, float, float, int], tuple[np.ndarray, np.ndarray]]
 
 
-@dataclass(frozen=True)
-class _Carrier:
+class _Carrier(NamedTuple):
     """A carrier and the actuators that it drives."""
 
     wave: np.ndarray  # (..., steps) complex
     actuators: np.ndarray  # (actuators,) one for those driven, else zero
     envelope: Callable[[int], np.ndarray]  # Envelope (..., steps) to a power, 1 or 2
-    frequency: float = 1.0  # Frequency at t = 0 [Hz]; 0 for a file
-    steady: bool = True  # True if its magnitude is one throughout
-    start: float = 0.0  # Start of its burst [s]; 0 without one, or if plates differ in it
-    number: int = 0  # From 1 on if it shares no wave with others
+    frequency: float  # Frequency at t = 0 [Hz]; 0 for a file
+    group: float  # Start of its burst [s]; or a number from 1 on that no other carrier has
 
 
 @dataclass(frozen=True)
@@ -67,12 +60,6 @@ class Signals:
         """Number of waves."""
         return self.wave.shape[1]
 
-    @cached_property
-    def _nonzero(self) -> list[list[int]]:
-        """Indices at which ``mixing`` is not zero."""
-        indices: list[list[int]] = np.argwhere(self.mixing).tolist()
-        return indices
-
     def coefficients(self, phasors: np.ndarray) -> np.ndarray:
         """Return (plates, terms, actuators) real factors of the waves for phasors Z (plates, actuators)."""
         features = [phasors.real, -phasors.imag]
@@ -80,9 +67,8 @@ class Signals:
             if self.linear:
                 # Powers of two and zeros: exact in any order. Plates innermost: NumPy is slow along short rows.
                 columns = np.zeros((self.terms, phasors.shape[1], len(phasors)))
-                for term, feature, actuator in self._nonzero:
-                    part = features[feature][:, actuator]
-                    columns[term, actuator] += self.mixing[term, feature, actuator] * part
+                for term, feature, actuator in np.argwhere(self.mixing):
+                    columns[term, actuator] += self.mixing[term, feature, actuator] * features[feature][:, actuator]
                 return columns.transpose(2, 0, 1)
             squared = phasors**2
             features += [np.ones(phasors.shape), np.abs(phasors) ** 2, squared.real, -squared.imag]
@@ -98,31 +84,25 @@ def highest_frequency(scene: Scene) -> float:
     return max(times * frequency for _, frequency, times in _named_frequencies(scene))
 
 
-def carrier_frequencies(scene: Scene) -> tuple[float, ...]:
-    """Return the different frequencies [Hz] of the carriers at t = 0, in the order of the actuators; one for a file."""
-    if scene.drive.signal is not None:
-        return (scene.drive.frequency,)
-    return tuple(dict.fromkeys(actuator_frequencies(scene).tolist()))
-
-
-def waves_apart(scene: Scene) -> int:
-    """Return the number of different carriers, each with its burst."""
-    frequencies = [scene.drive.frequency] * len(scene.actuators)
-    if scene.drive.signal is None:
-        frequencies = actuator_frequencies(scene).tolist()
-    return len(set(zip(frequencies, actuator_delays(scene).tolist(), strict=True)))
-
-
 def actuator_frequencies(scene: Scene) -> np.ndarray:
-    """Return (actuators,) frequencies of the actuators' tones at t = 0 [Hz]."""
+    """Return (actuators,) frequencies of the actuators' carriers at t = 0 [Hz]; ``drive.frequency`` for a file."""
     return np.array([actuator.frequency or scene.drive.frequency for actuator in scene.actuators])
 
 
 def actuator_delays(scene: Scene) -> np.ndarray:
     """Return (actuators,) starts of the actuators' bursts [s]; 0 without one."""
-    burst = scene.drive.burst
-    common = 0.0 if burst is None else burst.start
+    common = 0.0 if scene.drive.burst is None else scene.drive.burst.start
     return np.array([common if actuator.delay is None else actuator.delay for actuator in scene.actuators])
+
+
+def carrier_frequencies(scene: Scene) -> tuple[float, ...]:
+    """Return the different frequencies [Hz] of the carriers at t = 0, in the order of the actuators."""
+    return tuple(dict.fromkeys(actuator_frequencies(scene).tolist()))
+
+
+def waves_apart(scene: Scene) -> int:
+    """Return the number of different carriers, each with its burst."""
+    return len(set(zip(actuator_frequencies(scene).tolist(), actuator_delays(scene).tolist(), strict=True)))
 
 
 def check_rate(scene: Scene, time_step: float) -> None:
@@ -153,16 +133,19 @@ def make_signals(
 
     Args:
         folder: Folder of the file of ``[drive.signal]``.
-        per_actuator: Give every actuator waves of its own, also where it might share them.
+        per_actuator: Give every actuator waves of its own, also where it might share them; no file is a carrier.
 
     Raises:
         SceneError: The steps cannot carry a frequency or burst, or a file is missing or malformed.
     """
     check_rate(scene, time_step)
-    samples = None if scene.drive.signal is None else read_samples(scene.drive.signal, folder)
-    carriers = _carriers(scene, time_step, steps, samples, per_actuator)
-    wave, mixing = _columns(_terms(scene, steps, carriers), steps, scene)
-    return Signals(wave, mixing, scene.drive.electrostatic is None)
+    if per_actuator:
+        frequency, delay = actuator_frequencies(scene)[None], actuator_delays(scene)[None]
+        carriers = _separate_carriers(scene, time_step, steps, frequency, delay)
+    else:
+        carriers = _shared_carriers(scene, time_step, steps, folder)
+    wave, mixing = _columns(scene, steps, carriers)
+    return Signals(wave[0] if per_actuator else wave, mixing, scene.drive.electrostatic is None)
 
 
 def waves_per_plate(
@@ -176,22 +159,7 @@ def waves_per_plate(
         frequency: (plates, carriers) [Hz], one carrier for all actuators or one for each.
         delay: (plates, carriers) starts of the burst [s]; None without bursts.
     """
-    count, actuators = frequency.shape[1], len(scene.actuators)
-    burst, chirp = scene.drive.burst, scene.drive.chirp
-
-    def envelope(power: int, index: int) -> np.ndarray:
-        if burst is None or delay is None:
-            return np.ones(1)
-        return burst_means(burst, delay[:, index, None], time_step, steps, power)
-
-    carriers = [
-        _Carrier(
-            tone(chirp, frequency[:, index, None], time_step, steps), driven, partial(envelope, index=index),
-            number=index + 1,
-        )
-        for index, driven in enumerate(np.ones((1, actuators)) if count == 1 else np.eye(actuators))
-    ]  # fmt: skip
-    return _columns(_terms(scene, steps, carriers), steps, scene)[0]
+    return _columns(scene, steps, _separate_carriers(scene, time_step, steps, frequency, delay))[0]
 
 
 def running_sums(wave: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -207,37 +175,6 @@ def running_sums(wave: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return sums / size[..., None, :], size
 
 
-def _terms(scene: Scene, steps: int, carriers: Iterable[_Carrier]) -> _Terms:
-    """Return the terms of all carriers; a complex wave is two terms and takes two features."""
-    square, shaped, flat = scene.drive.electrostatic, scene.drive.burst is not None, np.ones(steps)
-    terms: _Terms = {}
-
-    def add(key: _Key, wave: np.ndarray, feature: int, factor: np.ndarray) -> None:
-        if key not in terms:
-            terms[key] = (wave, np.zeros((len(FEATURES), factor.size)))
-        terms[key][1][feature] += factor
-
-    for carrier in carriers:
-        wave, frequency, driven = carrier.wave, carrier.frequency, carrier.actuators
-        start, number = carrier.start, carrier.number
-        # A tone squared is the tone of twice the frequency, a sweep squared is no sweep.
-        power = 0 if frequency and scene.drive.chirp is None else 1
-        key, shape = (int(shaped), start, frequency, power, number), carrier.envelope(1) * wave
-        if square is None:
-            add(key, shape, _PHASOR, driven)
-            continue
-        squared = carrier.envelope(2)
-        if square.bias:
-            add((0, 0.0, 0.0, 0, 0), flat, _ONE, square.gain * square.bias**2 * driven)
-            add(key, shape, _PHASOR, 2 * square.gain * square.bias * driven)
-        size = flat if carrier.steady and not shaped else flat * squared * np.abs(wave) ** 2
-        key = (2 * shaped, start, 0.0, 0 if carrier.steady else -1, number if shaped else 0)
-        add(key, size, _SQUARE, square.gain / 2 * driven)
-        key = (2 * shaped, start, 2 * frequency, 2 * power, number)
-        add(key, squared * wave**2, _PHASOR_SQUARED, square.gain / 2 * driven)
-    return terms
-
-
 def _square(scene: Scene) -> int:
     """Return the factor by which the drive multiplies the frequencies of a voltage."""
     return 1 if scene.drive.electrostatic is None else 2
@@ -247,7 +184,7 @@ def _named_frequencies(scene: Scene) -> Iterator[tuple[str, float, int]]:
     """Yield key, frequency [Hz] and the drive's factor of every tone, end of a sweep and moving load."""
     frequencies = [actuator.frequency for actuator in scene.actuators]
     load, square = scene.effects.moving_load, _square(scene)
-    if scene.drive.signal is not None or None in frequencies:
+    if None in frequencies:
         yield "drive.frequency", scene.drive.frequency, square
     for index, frequency in enumerate(frequencies):
         if frequency is not None:
@@ -258,54 +195,94 @@ def _named_frequencies(scene: Scene) -> Iterator[tuple[str, float, int]]:
         yield "effects.moving_load.frequency", load.frequency, 1
 
 
-def _carriers(
-    scene: Scene, time_step: float, steps: int, samples: Samples | None, per_actuator: bool
-) -> Iterator[_Carrier]:
-    """Yield each different carrier with each different start of its burst, or each actuator's."""
-    frequencies, starts = actuator_frequencies(scene), actuator_delays(scene)
-    burst, chirp = scene.drive.burst, scene.drive.chirp
+def _envelope(
+    scene: Scene, time_step: float, steps: int, start: float | np.ndarray | None
+) -> Callable[[int], np.ndarray]:
+    if scene.drive.burst is None or start is None:
+        return lambda power: np.ones(1)
+    return partial(burst_means, scene.drive.burst, start, time_step, steps)
 
-    def envelope(start: float, power: int) -> np.ndarray:
-        return np.ones(1) if burst is None else burst_means(burst, start, time_step, steps, power)
 
-    if per_actuator and samples is None:
-        for index, driven in enumerate(np.eye(len(scene.actuators))):
-            start, wave = float(starts[index]), tone(chirp, frequencies[index], time_step, steps)
-            yield _Carrier(wave, driven, partial(envelope, start), start=start, number=index + 1)
-        return
-    # Squaring doubles the band of a file, so only half of it may be filled.
-    file = None if samples is None else resample(samples, time_step, steps, 1 / _square(scene))
+def _shared_carriers(scene: Scene, time_step: float, steps: int, folder: Path | None) -> list[_Carrier]:
+    """Return each different carrier with each different start of its burst."""
+    frequencies, starts, file = actuator_frequencies(scene), actuator_delays(scene), None
+    if scene.drive.signal is not None:
+        # Squaring doubles the band of a file, so only half of it may be filled.
+        file = resample(read_samples(scene.drive.signal, folder), time_step, steps, 1 / _square(scene))
+        frequencies = np.zeros(starts.size)
+    carriers = []
     for start in dict.fromkeys(starts.tolist()):
-        shape, together = partial(envelope, start), starts == start
-        if file is not None:
-            yield _Carrier(file, together.astype(float), shape, 0.0, False, start)
+        envelope = _envelope(scene, time_step, steps, start)
+        for frequency in dict.fromkeys(frequencies[starts == start].tolist()):
+            wave = tone(scene.drive.chirp, frequency, time_step, steps) if file is None else file
+            driven = ((frequencies == frequency) & (starts == start)).astype(float)
+            carriers.append(_Carrier(wave, driven, envelope, frequency, start))
+    return carriers
+
+
+def _separate_carriers(
+    scene: Scene, time_step: float, steps: int, frequency: np.ndarray, delay: np.ndarray | None
+) -> list[_Carrier]:
+    """Return the carriers of ``waves_per_plate``, which share no wave."""
+    carriers, actuators = frequency.shape[1], len(scene.actuators)
+    driven = np.ones((1, actuators)) if carriers == 1 else np.eye(actuators)
+    return [
+        _Carrier(
+            wave=tone(scene.drive.chirp, frequency[:, [index]], time_step, steps),
+            actuators=driven[index],
+            envelope=_envelope(scene, time_step, steps, None if delay is None else delay[:, [index]]),
+            frequency=1.0,
+            group=index + 1,
+        )
+        for index in range(carriers)
+    ]
+
+
+def _terms(scene: Scene, steps: int, carriers: list[_Carrier]) -> _Terms:
+    """Return the terms of all carriers; a complex wave is two terms and takes two features."""
+    square, shaped, flat = scene.drive.electrostatic, int(scene.drive.burst is not None), np.ones(steps)
+    terms: _Terms = {}
+
+    def add(key: tuple[int, float, float, int], wave: np.ndarray, feature: str, factor: np.ndarray) -> None:
+        _, mixing = terms.setdefault(key, (wave, np.zeros((len(FEATURES), factor.size))))
+        mixing[FEATURES.index(feature)] += factor
+
+    for wave, driven, envelope, frequency, group in carriers:
+        # A tone squared is the tone of twice the frequency, a sweep squared is no sweep.
+        power = 0 if frequency and scene.drive.chirp is None else 1
+        key, shape = (shaped, group, frequency, power), envelope(1) * wave
+        if square is None:
+            add(key, shape, "Re Z", driven)
             continue
-        for frequency in dict.fromkeys(frequencies[together].tolist()):
-            driven = ((frequencies == frequency) & together).astype(float)
-            wave = tone(chirp, np.float64(frequency), time_step, steps)
-            yield _Carrier(wave, driven, shape, frequency, True, start)
+        if square.bias:
+            add((0, 0.0, 0.0, 0), flat, "1", square.gain * square.bias**2 * driven)
+            add(key, shape, "Re Z", 2 * square.gain * square.bias * driven)
+        squared = envelope(2)
+        # Only a file changes in magnitude.
+        size = flat if frequency and not shaped else flat * squared * np.abs(wave) ** 2
+        key = (2 * shaped, group if shaped else 0.0, 0.0, 0 if frequency else -1)
+        add(key, size, "|Z|²", square.gain / 2 * driven)
+        key = (2 * shaped, group, 2 * frequency, 2 * power)
+        add(key, squared * wave**2, "Re Z²", square.gain / 2 * driven)
+    return terms
 
 
-def _columns(terms: _Terms, steps: int, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def _columns(scene: Scene, steps: int, carriers: list[_Carrier]) -> tuple[np.ndarray, np.ndarray]:
     """Return real waves (..., steps, terms) below two in size, and mixing (terms, features, actuators)."""
-    features = LINEAR_FEATURES if scene.drive.electrostatic is None else len(FEATURES)
-    count = sum(2 if np.iscomplexobj(wave) else 1 for wave, _ in terms.values())
-    plates = np.broadcast_shapes(*(wave.shape[:-1] for wave, _ in terms.values()))
-    waves, mixing = np.empty((*plates, steps, count)), np.zeros((count, features, len(scene.actuators)))
-    column = 0
-    for wave, mix in terms.values():
-        waves[..., column] = wave.real
-        mixing[column] = mix[:features]
-        column += 1
+    columns, mixing = [], []
+    for wave, mix in _terms(scene, steps, carriers).values():
+        columns.append(wave.real)
+        mixing.append(mix)
         if np.iscomplexobj(wave):
             # Re(Z·a) = Re Z·Re a + (−Im Z)·Im a: the imaginary part takes the feature after the real part's.
-            waves[..., column] = wave.imag
-            mixing[column] = np.roll(mix, 1, axis=0)[:features]
-            column += 1
+            columns.append(wave.imag)
+            mixing.append(np.roll(mix, 1, axis=0))
+    waves = np.stack(np.broadcast_arrays(*columns), axis=-1)
     size = _power_of_two(np.abs(waves).max(axis=tuple(range(waves.ndim - 1))))
     waves /= size
     waves[..., 0, :] /= 2
-    return waves, mixing * size[:, None, None]
+    features = LINEAR_FEATURES if scene.drive.electrostatic is None else len(FEATURES)
+    return waves, np.array(mixing)[:, :features] * size[:, None, None]
 
 
 def _power_of_two(largest: np.ndarray) -> np.ndarray:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
-from warp_plate.plate.files import number_rows, read_beside
+from warp_plate.plate.files import read_table
 from warp_plate.scene.effects import LEAST_FACTOR, MOST_FACTOR, Variation
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -25,29 +23,19 @@ def factors_at_nodes(scene: Scene) -> dict[str, np.ndarray]:
     for key, given in variation or ():
         if given is None:
             continue
-        head = f"effects.variation.{key}" + (f" = {given!r}" if isinstance(given, str) else "")
-        try:
-            values = _read(f"effects.variation.{key}", given, scene.folder) if isinstance(given, str) else given
-            array = np.array(values)
-            if key == "thickness":
+        head = f"effects.variation.{key}"
+        if isinstance(given, str):
+            array = read_table(head, given, scene.folder, LEAST_FACTOR, MOST_FACTOR)
+            head += f" = {given!r}"
+        else:
+            array = np.array(given)
+        if key == "thickness":
+            try:
                 scene.plate.check_thin(scene.plate.thickness * array.max())
-        except ValueError as error:
-            raise error if isinstance(error, SceneError) else SceneError(f"{head}: {error}") from None
+            except ValueError as error:
+                raise SceneError(f"{head}: {error}") from None
         factors[key] = _interpolate(_interpolate(array, ny).T, nx).T
     return factors
-
-
-def _read(key: str, name: str, folder: Path | None) -> list[list[float]]:
-    rows = number_rows(read_beside(key, name, folder))
-    if not rows:
-        raise ValueError("holds no numbers")
-    for number, row in rows:
-        for column, value in enumerate(row, 1):
-            if not LEAST_FACTOR <= value <= MOST_FACTOR:
-                raise ValueError(
-                    f"line {number}, column {column}: {value:g} is no factor from {LEAST_FACTOR:g} to {MOST_FACTOR:g}"
-                )
-    return [row for _, row in rows]
 
 
 def _interpolate(values: np.ndarray, count: int) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from warp_plate.scene.drive import Burst, Chirp
 
 
-def tone(chirp: Chirp | None, frequency: np.ndarray | np.float64, time_step: float, steps: int) -> np.ndarray:
+def tone(chirp: Chirp | None, frequency: np.ndarray | float, time_step: float, steps: int) -> np.ndarray:
     """Return (..., steps) complex tones, or sweeps, that begin at frequencies (..., 1) or () [Hz]."""
     if chirp is None:
         angle = 2 * math.pi * frequency * time_step * np.arange(steps)
@@ -40,8 +40,7 @@ def burst_means(burst: Burst, start: np.ndarray | float, time_step: float, steps
     duration, ramp = burst.duration, burst.ramp
     whole_ramp = ramp / 2 if power == 1 else 3 * ramp / 8
 
-    def risen(time: np.ndarray) -> np.ndarray:
-        """Return the integral of the rise up to ``time`` within 0 ... ramp."""
+    def risen(time: np.ndarray) -> np.ndarray:  # the integral of the rise up to a time within 0 ... ramp
         if not ramp:
             return 0 * time
         turn = math.pi / ramp
