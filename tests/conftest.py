@@ -26,8 +26,8 @@ import warp as wp
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.cli.main import main
+from warp_plate.plate.operator import LARGEST
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.stability_limit import time_step_limit
 from warp_plate.scene import preset_text
 from warp_plate.scene.dump import dump_scene
 from warp_plate.solve.devices import find_device
@@ -256,7 +256,7 @@ def point_scene_of(nodes, size=(0.2, 0.2), edges=("clamped",) * 4, precision="fl
     areas = [(i - half_x, i + half_x, j - half_y, j + half_y) for j in y for i in x]
     rigidity = MATERIAL["young_modulus"] * MATERIAL["thickness"] ** 3 / 12 / (1 - MATERIAL["poisson_ratio"] ** 2)
     kappa = math.sqrt(rigidity / (MATERIAL["density"] * MATERIAL["thickness"]))
-    step = 0.95 * time_step_limit(kappa, (4 * half_x, 4 * half_y), order=order)
+    step = 0.95 * 2 / (kappa * LARGEST[order] * (1 / (4 * half_x) ** 2 + 1 / (4 * half_y) ** 2))
     two_steps = {"time_step": step, "window": (0.0, 2 * step), "frequency": 1 / (STEPS_A_PERIOD * step)}
     return scene_of(
         nodes, size, edges, precision=precision, order=order, load="nodes", actuators=areas,

@@ -19,7 +19,7 @@ from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.bending import make_bending
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.variation import factors_at_nodes
+from warp_plate.plate.section import factors_at_nodes
 from warp_plate.reference.ritz import make_line
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.effects import Variation

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from warp_plate.plate.section import make_section
+from warp_plate.plate.section import Section, make_section
 from warp_plate.plate.weights import EDGE_LINES, moving_nodes, node_positions, overlap
 from warp_plate.scene.model import ElasticEdge, Scene
 
@@ -71,9 +71,7 @@ def make_bending(scene: Scene) -> Bending:
             spring[line] += 2 * edge.translation / across
         else:
             compliance[line] = 0 if edge == "clamped" else math.inf
-    bend_xx, bend_xy, bend_yy = _in_series(
-        section.bend_xx, section.bend_xy, section.bend_yy, compliance_x, compliance_y
-    )
+    bend_xx, bend_xy, bend_yy = _in_series(section, compliance_x, compliance_y)
     corners = section.twist
     half_x, half_y = np.ones(nx), np.ones(ny)
     half_x[[0, -1]] = half_y[[0, -1]] = 0.5
@@ -118,10 +116,10 @@ def stiffness_matrix(bending: Bending) -> scipy.sparse.csr_array:
 
 def system(scene: Scene, bending: Bending) -> tuple[scipy.sparse.csr_array, np.ndarray]:
     """Return stiffness [N/m] and masses [kg] of the moving nodes, row by row, then of the oscillators' masses."""
-    moves = np.flatnonzero(bending.moves)
+    moves, oscillators = np.flatnonzero(bending.moves), scene.effects.oscillators
     stiffness = stiffness_matrix(bending)[moves][:, moves]
-    springs = [oscillator.stiffness for oscillator in scene.effects.oscillators]
-    return with_oscillators(scene, stiffness, moves, springs), moving_masses(scene, bending)
+    stiffness = with_oscillators(scene, stiffness, moves, [oscillator.stiffness for oscillator in oscillators])
+    return stiffness, moving_masses(scene, bending)
 
 
 def moving_masses(scene: Scene, bending: Bending) -> np.ndarray:
@@ -178,12 +176,9 @@ def buckling_factor(scene: Scene, bending: Bending) -> float:
 def oscillator_shares(scene: Scene) -> np.ndarray:
     """Return (oscillators, ny, nx) shares of the nodes in the mean displacement of each oscillator's patch."""
     x, y = node_positions(scene)
-    shares = np.zeros((len(scene.effects.oscillators), y.size, x.size))
-    for share, oscillator in zip(shares, scene.effects.oscillators, strict=True):
-        x0, x1, y0, y1 = oscillator.area
-        share[:] = np.outer(overlap(y, y0, y1), overlap(x, x0, x1))
-        share /= share.sum()
-    return shares
+    areas = (oscillator.area for oscillator in scene.effects.oscillators)
+    shares = np.array([np.outer(overlap(y, y0, y1), overlap(x, x0, x1)) for x0, x1, y0, y1 in areas])
+    return np.array([share / share.sum() for share in shares]).reshape(-1, y.size, x.size)
 
 
 def mass_matrix(bending: Bending) -> np.ndarray:
@@ -192,10 +187,9 @@ def mass_matrix(bending: Bending) -> np.ndarray:
     return masses
 
 
-def _in_series(
-    stiff_x: np.ndarray, coupling: np.ndarray, stiff_y: np.ndarray, compliance_x: np.ndarray, compliance_y: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _in_series(section: Section, compliance_x: np.ndarray, compliance_y: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return Cxx, Cxy, Cyy of the module's docstring; compliances may be infinite."""
+    stiff_x, coupling, stiff_y = section.bend_xx, section.bend_xy, section.bend_yy
     determinant = stiff_x * stiff_y - coupling**2
     soft_x, soft_y = stiff_y / determinant + compliance_x, stiff_x / determinant + compliance_y
     mixed = -coupling / determinant
@@ -209,10 +203,9 @@ def _in_series(
 
 
 def _mirrored_second_difference(count: int) -> scipy.sparse.csr_array:
-    sides = np.ones(count - 1)
-    matrix = scipy.sparse.diags_array([sides, np.full(count, -2.0), sides], offsets=[-1, 0, 1]).tolil()
-    matrix[0, 1] = matrix[count - 1, count - 2] = 2
-    return scipy.sparse.csr_array(matrix)
+    low, high = np.ones(count - 1), np.ones(count - 1)
+    low[-1] = high[0] = 2
+    return scipy.sparse.csr_array(scipy.sparse.diags_array([low, np.full(count, -2.0), high], offsets=[-1, 0, 1]))
 
 
 def _difference(count: int) -> scipy.sparse.csr_array:

@@ -58,11 +58,7 @@ class NaturalModes:
 
 
 def refuse_many_nodes(scene: Scene) -> None:
-    """Refuse a grid that is too large for its modes to be computed.
-
-    Raises:
-        SceneError: It has more than MOST_NODES.
-    """
+    """Refuse a grid of more than MOST_NODES, too large for its modes to be computed, with a SceneError."""
     nodes = math.prod(scene.grid.nodes)
     if nodes > MOST_NODES:
         raise SceneError(
@@ -89,8 +85,9 @@ def natural_modes(scene: Scene, count: int) -> NaturalModes:
     operator = scipy.sparse.csc_array(root @ stiffness @ root)
     squares, vectors = _lowest(operator, min(count, len(masses)), scale)
     squares = np.where(squares > max(STILL * scale, ROUNDING * abs(operator).max()), squares, 0.0)
+    x, y = (np.linspace(-1, 1, nodes) for nodes in scene.grid.nodes)
     weight = np.zeros(len(masses))
-    weight[: np.count_nonzero(moving)] = _lopsided(scene)[moving]
+    weight[: np.count_nonzero(moving)] = (x**2 + (y**2)[:, None] / 2)[moving]
     vectors = root @ _separated(squares, vectors, weight)
     shapes, motions = _shapes(scene, vectors[:, :count], moving)
     return NaturalModes(np.sqrt(squares[:count]) / (2 * math.pi), shapes, motions, scheme.time_step)
@@ -102,10 +99,9 @@ def _matrices(scene: Scene, scheme: Scheme) -> tuple[scipy.sparse.csc_array, np.
         bending = make_bending(scene)
         stiffness, masses = system(scene, bending)
         nodes = np.count_nonzero(bending.moves)
-        attached = [oscillator for oscillator in scene.effects.oscillators if oscillator.mass > 0]
         # A mass that only a damper holds is at rest in every mode.
-        swinging = np.flatnonzero([oscillator.stiffness > 0 for oscillator in attached])
-        kept = np.concatenate([np.arange(nodes), nodes + swinging]).astype(int)
+        swinging = [oscillator.stiffness > 0 for oscillator in scene.effects.oscillators if oscillator.mass > 0]
+        kept = np.flatnonzero([True] * nodes + swinging)
         return scipy.sparse.csc_array(stiffness[kept][:, kept]), masses[kept], bending.moves
     moves = np.zeros(scheme.nodes[::-1], dtype=bool)
     moves[1:-1, 1:-1] = True
@@ -133,24 +129,13 @@ def _lowest(operator: scipy.sparse.csc_array, count: int, scale: float) -> tuple
     return values[order], vectors[:, order]
 
 
-def _lopsided(scene: Scene) -> np.ndarray:
-    """Return (ny, nx) x² + y²/2 from the middle of the plate, in half sides."""
-    x, y = (np.linspace(-1, 1, nodes) for nodes in scene.grid.nodes)
-    return x**2 + (y**2)[:, None] / 2
-
-
 def _separated(squares: np.ndarray, vectors: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Return the vectors, those of one frequency turned among each other so that the weight does not couple them."""
-    separated = vectors.copy()
-    first = 0
-    for last in range(1, len(squares) + 1):
-        if last < len(squares) and squares[last] <= squares[last - 1] * (1 + 2 * SAME):
-            continue
-        some = vectors[:, first:last]
-        if last - first > 1:
-            separated[:, first:last] = some @ np.linalg.eigh(some.T @ (weight[:, None] * some))[1]
-        first = last
-    return separated
+    groups = np.split(vectors, 1 + np.flatnonzero(squares[1:] > squares[:-1] * (1 + 2 * SAME)), axis=1)
+    return np.hstack([
+        group if group.shape[1] == 1 else group @ np.linalg.eigh(group.T @ (weight[:, None] * group))[1]
+        for group in groups
+    ])  # fmt: skip
 
 
 def _shapes(scene: Scene, vectors: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -159,9 +144,8 @@ def _shapes(scene: Scene, vectors: np.ndarray, moving: np.ndarray) -> tuple[np.n
     shapes = np.zeros((count, *moving.shape))
     shapes[:, moving] = vectors[:nodes].T
     oscillators = scene.effects.oscillators
-    motions = np.full((count, len(oscillators)), math.nan)
-    motions[:, [index for index, oscillator in enumerate(oscillators) if oscillator.mass > 0]] = 0
-    swinging = [index for index, one in enumerate(oscillators) if one.mass > 0 and one.stiffness > 0]
+    motions = np.tile([0.0 if oscillator.mass > 0 else math.nan for oscillator in oscillators], (count, 1))
+    swinging = [oscillator.mass > 0 and oscillator.stiffness > 0 for oscillator in oscillators]
     motions[:, swinging] = vectors[nodes:].T
     for shape, motion in zip(shapes, motions, strict=True):
         peak = _peak(shape)
@@ -175,19 +159,14 @@ def _shapes(scene: Scene, vectors: np.ndarray, moving: np.ndarray) -> tuple[np.n
 
 def _peak(values: np.ndarray) -> float:
     """Return the value of the largest magnitude; of several equal up to rounding, the first."""
-    flat = values.ravel()
-    sizes = np.abs(flat)
-    return float(flat[np.argmax(sizes >= (1 - 1e-6) * sizes.max())])
+    sizes = np.abs(values)
+    return float(values.flat[np.argmax(sizes >= (1 - 1e-6) * sizes.max())])
 
 
 def _half_waves(shape: np.ndarray) -> tuple[int, int] | None:
     along_y, sizes, along_x = np.linalg.svd(shape, full_matrices=False)
     if sizes[0] ** 2 < PRODUCT * (sizes**2).sum() or sizes[0] == 0:
         return None
-    return _stretches(along_x[0]), _stretches(along_y[:, 0])
-
-
-def _stretches(line: np.ndarray) -> int:
-    """Return the number of stretches of one sign."""
-    signs = np.sign(line[np.abs(line) > ABOVE * np.abs(line).max()])
-    return 1 + int(np.count_nonzero(signs[1:] != signs[:-1]))
+    lines = (line[np.abs(line) > ABOVE * np.abs(line).max()] for line in (along_x[0], along_y[:, 0]))
+    count_x, count_y = (1 + int(np.count_nonzero(np.diff(np.sign(line)))) for line in lines)
+    return count_x, count_y

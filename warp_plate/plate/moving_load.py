@@ -36,25 +36,20 @@ class MovingWeights(NamedTuple):
 
 
 def moving_weights(scene: Scene, time_step: float, steps: int) -> MovingWeights:
-    """Return the factors of a scene's moving load.
+    """Return the factors of a scene's moving load at steps that carry its frequency, see ``signals.check_rate``.
 
     While the patch is on the plate, Σ pressure·hx·hy over all nodes, edges included, is the force. Of a patch partly
     off the plate, the part on it counts.
 
     Raises:
-        SceneError: The scene has no such load, it never touches the plate during the run, or the steps cannot carry its
-            frequency.
+        SceneError: The scene has no such load, or it never touches the plate during the run.
     """
     load = scene.effects.moving_load
     if load is None:
         raise SceneError("effects.moving_load: this scene has none")
-    if load.frequency is not None and load.frequency >= 0.5 / time_step:
-        raise SceneError(
-            f"effects.moving_load.frequency = {load.frequency:g}: a step of {time_step:g} s carries less than "
-            f"{0.5 / time_step:.6g} Hz; lower it, or write a smaller grid.time_step"
-        )
-    times = time_step * np.arange(steps)
-    wave = _strength(load, times, time_step, _presence(load, scene, 2 * time_step * steps))
+    times, presence = time_step * np.arange(steps), _presence(load, scene, 2 * time_step * steps)
+    present = step_means(lambda time: np.clip(time, *presence), time_step, steps)
+    wave = load.force * present * np.cos(2 * math.pi * (load.frequency or 0.0) * times)
     # Steps that reach beyond its beginning or end have it where it is at that moment.
     since = np.clip(times, load.from_time, load.to_time) - load.from_time
     along = [
@@ -84,13 +79,6 @@ def _presence(load: MovingLoad, scene: Scene, latest: float) -> tuple[float, flo
             ways = sorted((edge - start) / speed + load.from_time for edge in (-slack, side + slack))
             begin, end = max(begin, ways[0]), min(end, ways[1])
     return min(begin, latest), min(max(begin, end), latest)
-
-
-def _strength(load: MovingLoad, times: np.ndarray, time_step: float, presence: tuple[float, float]) -> np.ndarray:
-    """Return (steps,) forces [N]."""
-    present = step_means(lambda time: np.clip(time, *presence), time_step, times.size)
-    force: np.ndarray = load.force * present * np.cos(2 * math.pi * (load.frequency or 0.0) * times)
-    return force
 
 
 def _shares(middle: np.ndarray, size: float, side: float, nodes: int, cubic: bool) -> np.ndarray:

@@ -29,6 +29,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from warp_plate.scene.model import Scene
+
 # By order: the taps inside, from order/2 nodes to one side to as many to the other; their divisor; and the fewest nodes
 # on which the closures of two edges keep apart.
 INSIDE = {2: (1.0, -2.0, 1.0), 4: (-1.0, 16.0, -30.0, 16.0, -1.0)}
@@ -85,6 +87,16 @@ def make_taps(nodes: int, low: str, high: str, order: int) -> Taps:
     return Taps(bend, move)
 
 
+def plain_taps(scene: Scene) -> tuple[Taps, Taps]:
+    """Return the taps along x and y of a plain plate; edges of other kinds, which it does not have, as supported."""
+    sides = (("left", "right"), ("bottom", "top"))
+    held = [["clamped" if getattr(scene.edges, side) == "clamped" else "supported" for side in pair] for pair in sides]
+    taps_x, taps_y = (
+        make_taps(nodes, *pair, scene.grid.order) for nodes, pair in zip(scene.grid.nodes, held, strict=True)
+    )
+    return taps_x, taps_y
+
+
 def _close(bend: np.ndarray, edge: str, order: int) -> None:
     """Write the rows of the first pass next to the edge at its low end."""
     reach = order // 2
@@ -104,17 +116,14 @@ def _close(bend: np.ndarray, edge: str, order: int) -> None:
 
 def biharmonic(taps_x: Taps, taps_y: Taps, spacing: tuple[float, float], order: int) -> scipy.sparse.csc_array:
     """Return the symmetric matrix of ∇⁴ [1/m⁴] of a plain plate on its inner nodes, row by row."""
-    nx, ny = len(taps_x.bend), len(taps_y.bend)
-    aspect = (spacing[0] / spacing[1]) ** 2
+    nx, ny, aspect = len(taps_x.bend), len(taps_y.bend), (spacing[0] / spacing[1]) ** 2
     identity_x, identity_y = scipy.sparse.eye_array(nx), scipy.sparse.eye_array(ny)
+    kept = np.add.outer(nx * np.arange(1, ny - 1), np.arange(1, nx - 1)).ravel()
 
     def laplacian(along_x: np.ndarray, along_y: np.ndarray) -> scipy.sparse.csr_array:
         second_x = scipy.sparse.kron(identity_y, _banded(along_x))
         return scipy.sparse.csr_array(second_x + aspect * scipy.sparse.kron(_banded(along_y), identity_x))
 
-    inner = np.zeros((ny, nx), dtype=bool)
-    inner[1:-1, 1:-1] = True
-    kept = np.flatnonzero(inner)
     matrix = laplacian(taps_x.move, taps_y.move) @ laplacian(taps_x.bend, taps_y.bend)
     return scipy.sparse.csc_array(matrix[kept][:, kept] / (DIVISOR[order] * spacing[0] ** 2) ** 2)
 

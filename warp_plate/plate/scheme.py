@@ -17,15 +17,9 @@ from dataclasses import dataclass
 
 from warp_plate.plate.bending import Bending
 from warp_plate.plate.memory import check_grid_memory, check_steps_memory
-from warp_plate.plate.operator import DIVISOR, Taps, make_taps
+from warp_plate.plate.operator import DIVISOR, Taps, plain_taps
 from warp_plate.plate.signals import check_rate, highest_frequency
-from warp_plate.plate.stability_limit import (
-    StabilityLimit,
-    find_limit,
-    needs_moment_form,
-    plain_edge,
-    viscous_damping,
-)
+from warp_plate.plate.stability_limit import StabilityLimit, find_limit, needs_moment_form, viscous_damping
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
@@ -127,6 +121,7 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
             f"within a step; at most {MOST_LOSS * surface_density / time_step:.3g} are possible"
         )
     first, last = _window(scene, time_step)
+    taps_x, taps_y = plain_taps(scene)
     return Scheme(
         nodes=grid.nodes,
         spacing=(plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1)),
@@ -141,8 +136,8 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
         gain=1.0 if backward or bending else 1 / (1 + loss / 2),
         angular_frequency=scene.drive_angular_frequency,
         order=grid.order,
-        taps_x=make_taps(grid.nodes[0], plain_edge(scene.edges.left), plain_edge(scene.edges.right), grid.order),
-        taps_y=make_taps(grid.nodes[1], plain_edge(scene.edges.bottom), plain_edge(scene.edges.top), grid.order),
+        taps_x=taps_x,
+        taps_y=taps_y,
         bending=bending,
         viscous=viscous,
         backward=backward,

@@ -21,11 +21,13 @@ N = ½∫ u_x² + κu_y² dA / ∫ dA/C: what counts is the harmonic mean of C.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from warp_plate.plate.variation import factors_at_nodes
-from warp_plate.scene.effects import Orthotropic
+from warp_plate.plate.files import read_table
+from warp_plate.scene.effects import LEAST_FACTOR, MOST_FACTOR, Orthotropic, Variation
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 # Dxx, Dxy = D1, Dyy of a plate.
@@ -44,19 +46,7 @@ class Section:
     stretch: tuple[float, float]  # Harmonic means over the plate of the stretching stiffness along x and y [N/m]
 
 
-@dataclass(frozen=True)
-class _Laminates:
-    """Rigidities and twist [N·m], mass [kg/m²] and stretching stiffness [N/m] of every part of every cell."""
-
-    rigidities: Rigidities
-    twist: np.ndarray
-    mass: np.ndarray
-    stretch_x: np.ndarray
-    stretch_y: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Parts:
+class _Parts(NamedTuple):
     """The cells of the nodes along one axis, cut at the edges of layers."""
 
     middle: np.ndarray  # Middle of each part [m]
@@ -77,17 +67,44 @@ def make_section(scene: Scene) -> Section:
     plate, (nx, ny), layers = scene.plate, scene.grid.nodes, scene.effects.layers
     along_x = _parts(plate.size[0], nx, [place for layer in layers for place in layer.area[:2]])
     along_y = _parts(plate.size[1], ny, [place for layer in layers for place in layer.area[2:]])
-    laminates = _laminates(scene, along_x, along_y)
-    rigidities = laminates.rigidities
+    rigidities, twist, mass, stretches = _laminates(scene, along_x, along_y)
     if layers:
         x_first = _across_y(_across_x(rigidities, along_x), along_y)
         y_first = _across_x(_across_y(rigidities, along_y), along_x)
-        xx, xy, yy = ((one + other) / 2 for one, other in zip(x_first, y_first, strict=True))
+        xx, xy, yy = ((first + second) / 2 for first, second in zip(x_first, y_first, strict=True))
         rigidities = xx, xy, yy
-    twist, mass = (along_y.mean(along_x.mean(values, 1), 0) for values in (laminates.twist, laminates.mass))
-    soft = [along_y.length @ (1 / stretch) @ along_x.length for stretch in (laminates.stretch_x, laminates.stretch_y)]
+    twist, mass = (along_y.mean(along_x.mean(values, 1), 0) for values in (twist, mass))
     area = plate.size[0] * plate.size[1]
-    return Section(*rigidities, twist, mass, (float(area / soft[0]), float(area / soft[1])))
+    stretch_x, stretch_y = (float(area / (along_y.length @ (1 / values) @ along_x.length)) for values in stretches)
+    return Section(*rigidities, twist, mass, (stretch_x, stretch_y))
+
+
+def factors_at_nodes(scene: Scene) -> dict[str, np.ndarray]:
+    """Return (ny, nx) factors of thickness, young_modulus and density by name; ones where the scene has no array.
+
+    Arrays are interpolated bilinearly and not averaged: one finer than the grid is sampled.
+
+    Raises:
+        SceneError: A file cannot be read or holds no such array, or the plate is not thin everywhere.
+    """
+    (nx, ny), variation = scene.grid.nodes, scene.effects.variation
+    factors = {key: np.ones((ny, nx)) for key in Variation.model_fields}
+    for key, given in variation or ():
+        if given is None:
+            continue
+        head = f"effects.variation.{key}"
+        if isinstance(given, str):
+            array = read_table(head, given, scene.folder, LEAST_FACTOR, MOST_FACTOR)
+            head += f" = {given!r}"
+        else:
+            array = np.array(given)
+        if key == "thickness":
+            try:
+                scene.plate.check_thin(scene.plate.thickness * array.max())
+            except ValueError as error:
+                raise SceneError(f"{head}: {error}") from None
+        factors[key] = _interpolate(_interpolate(array, ny).T, nx).T
+    return factors
 
 
 def _parts(length: float, nodes: int, cuts: list[float]) -> _Parts:
@@ -100,7 +117,10 @@ def _parts(length: float, nodes: int, cuts: list[float]) -> _Parts:
     return _Parts(middle, np.diff(lines), share, node, np.searchsorted(node, np.arange(nodes)))
 
 
-def _laminates(scene: Scene, along_x: _Parts, along_y: _Parts) -> _Laminates:
+def _laminates(
+    scene: Scene, along_x: _Parts, along_y: _Parts
+) -> tuple[Rigidities, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Return rigidities and twist [N·m], mass [kg/m²] and stretching stiffness [N/m] of every part of every cell."""
     plate, orthotropic, ratio = scene.plate, scene.effects.orthotropic, scene.plate.poisson_ratio
     at_parts = np.ix_(along_y.node, along_x.node)
     factors = {key: values[at_parts] for key, values in factors_at_nodes(scene).items()}
@@ -130,20 +150,13 @@ def _laminates(scene: Scene, along_x: _Parts, along_y: _Parts) -> _Laminates:
         orthotropic = Orthotropic.model_construct(
             Dx=rigidity, Dy=rigidity, D1=ratio * rigidity, Dxy=(1 - ratio) / 2 * rigidity
         )
+    bend_xx, bend_yy = orthotropic.Dx * stiffer + added, orthotropic.Dy * stiffer + added
+    bend_xy, twist = orthotropic.D1 * stiffer + ratio * added, orthotropic.Dxy * stiffer + (1 - ratio) / 2 * added
     # A sheet of rigidity D and thickness H resists stretching with 12 D/H².
     membrane = 12 * factors["young_modulus"] * factors["thickness"] / plate.thickness**2
     layers = (stretch - plate_alone) / (1 - ratio**2)
-    return _Laminates(
-        rigidities=(
-            orthotropic.Dx * stiffer + added,
-            orthotropic.D1 * stiffer + ratio * added,
-            orthotropic.Dy * stiffer + added,
-        ),
-        twist=orthotropic.Dxy * stiffer + (1 - ratio) / 2 * added,
-        mass=mass,
-        stretch_x=orthotropic.Dx * membrane + layers,
-        stretch_y=orthotropic.Dy * membrane + layers,
-    )
+    stretches = orthotropic.Dx * membrane + layers, orthotropic.Dy * membrane + layers
+    return (bend_xx, bend_xy, bend_yy), twist, mass, stretches
 
 
 def _across_x(rigidities: Rigidities, parts: _Parts, axis: int = 1) -> Rigidities:
@@ -158,3 +171,12 @@ def _across_y(rigidities: Rigidities, parts: _Parts) -> Rigidities:
     """Return the same means along y."""
     yy, xy, xx = _across_x(rigidities[::-1], parts, axis=0)
     return xx, xy, yy
+
+
+def _interpolate(values: np.ndarray, count: int) -> np.ndarray:
+    """Return (count, ...) evenly spaced values, linear between the rows (rows, ...), from the first to the last."""
+    where = np.linspace(0, len(values) - 1, count)
+    low = np.minimum(where.astype(int), max(len(values) - 2, 0))
+    high, part = np.minimum(low + 1, len(values) - 1), (where - low)[:, None]
+    interpolated: np.ndarray = (1 - part) * values[low] + part * values[high]
+    return interpolated

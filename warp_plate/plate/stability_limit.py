@@ -17,7 +17,7 @@ is 4: without losses Δt = 2/√λ. c does not count.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -33,7 +33,7 @@ from warp_plate.plate.bending import (
     stiffness_matrix,
     with_oscillators,
 )
-from warp_plate.plate.operator import LARGEST, biharmonic, make_taps
+from warp_plate.plate.operator import LARGEST, biharmonic, plain_taps
 from warp_plate.plate.signals import waves_apart
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -77,30 +77,19 @@ def find_limit(scene: Scene, moment_form: bool = False) -> tuple[StabilityLimit,
             "damping and actuators of one frequency; write 2 for other edges, effects and drives"
         )
     bending = make_bending(scene)
-    _refuse_buckling(scene, bending)
+    x, y = bending.tension
+    # Compression alone is quickly checked and mostly enough: tension only helps.
+    pressed = replace(bending, tension=(min(x, 0.0), min(y, 0.0)))
+    if min(x, y) < 0 and buckling_factor(scene, pressed) <= 1 and (factor := buckling_factor(scene, bending)) <= 1:
+        raise SceneError(
+            f"effects.tension = {{x = {x:g}, y = {y:g}}}: the plate buckles; the "
+            f"critical load is x = {factor * x:.4g}, y = {factor * y:.4g} N/m, {factor:.3g} of this one"
+        )
     if _homogeneous(bending) and not scene.effects.oscillators and min(scene.grid.nodes) >= FORMULA_NODES:
         return _by_formula(*_largest_of_homogeneous(scene, bending)), bending
     stiff, losses = _named_matrices(scene, bending)
     masses = moving_masses(scene, bending)
     return _by_matrices(scene, stiff, losses, masses, np.flatnonzero(bending.moves)), bending
-
-
-def time_step_limit(kappa: float, spacing: tuple[float, float], backward_loss: float = 0.0, order: int = 2) -> float:
-    """Return a stable time step [s] of a plain plate.
-
-    The largest eigenvalue of the discrete κ²∇⁴ is at most Λ = κ²(s/hx² + s/hy²)², s = 4 for second order and 16/3 for
-    fourth: there the spectrum of a periodic plate ends, and edges only lower it (of second order they are even and odd
-    mirror images; of fourth see tests/plate/test_operator.py). Undamped or with centred damping the scheme is stable
-    for Λ Δt² ≤ 4 (κΔt/h² ≤ 1/4 or 3/16 on square cells); with backward damping for Λ Δt² ≤ 4 − 2cΔt/ρH.
-
-    Args:
-        kappa: κ = √(D/ρH) [m²/s].
-        spacing: (hx, hy) [m].
-        backward_loss: c/ρH [1/s] of damping that is taken backward in time.
-        order: Order of the differences in space, 2 or 4.
-    """
-    largest = kappa**2 * (LARGEST[order] / spacing[0] ** 2 + LARGEST[order] / spacing[1] ** 2) ** 2
-    return _root(largest, backward_loss)
 
 
 def viscous_damping(scene: Scene) -> tuple[float, bool]:
@@ -113,20 +102,21 @@ def viscous_damping(scene: Scene) -> tuple[float, bool]:
 def needs_moment_form(scene: Scene) -> bool:
     """Return whether a scene is more than a uniform plate with viscous damping under one carrier."""
     effects = scene.effects
-    tables = (
-        effects.material_damping, effects.tension, effects.foundation, effects.stretching, effects.moving_load,
-        scene.drive.electrostatic,
+    named = (
+        effects.material_damping, effects.tension, effects.foundation, effects.oscillators, effects.stretching,
+        effects.moving_load, scene.drive.electrostatic,
     )  # fmt: skip
-    named = any(table is not None for table in tables) or bool(effects.oscillators)
-    return not scene.uniform or named or waves_apart(scene) > 1
-
-
-def plain_edge(edge: object) -> str:
-    """Return an edge as the plain plate has it; the taps of other edges are not used."""
-    return "clamped" if edge == "clamped" else "supported"
+    return not scene.uniform or any(named) or waves_apart(scene) > 1
 
 
 def _limit_of_plain_plate(scene: Scene) -> StabilityLimit:
+    """Return the limit of a plain plate.
+
+    The largest eigenvalue of the discrete κ²∇⁴ is at most Λ = κ²(s/hx² + s/hy²)², s = 4 for second order and 16/3 for
+    fourth: there the spectrum of a periodic plate ends, and edges only lower it (of second order they are even and odd
+    mirror images; of fourth see tests/plate/test_operator.py). Undamped or with centred damping the scheme is stable
+    for Λ Δt² ≤ 4 (κΔt/h² ≤ 1/4 or 3/16 on square cells); with backward damping for Λ Δt² ≤ 4 − 2cΔt/ρH.
+    """
     plate, (nx, ny), order = scene.plate, scene.grid.nodes, scene.grid.order
     spacing = (plate.size[0] / (nx - 1), plate.size[1] / (ny - 1))
     surface_density = plate.density * plate.thickness
@@ -136,9 +126,7 @@ def _limit_of_plain_plate(scene: Scene) -> StabilityLimit:
     if min(nx, ny) >= FORMULA_NODES:
         largest = kappa_squared * (LARGEST[order] / spacing[0] ** 2 + LARGEST[order] / spacing[1] ** 2) ** 2
         return _by_formula({"bending": largest}, {"backward damping": loss})
-    taps_x = make_taps(nx, plain_edge(scene.edges.left), plain_edge(scene.edges.right), order)
-    taps_y = make_taps(ny, plain_edge(scene.edges.bottom), plain_edge(scene.edges.top), order)
-    matrix = biharmonic(taps_x, taps_y, spacing, order)
+    matrix = biharmonic(*plain_taps(scene), spacing, order)
     inner = np.add.outer(nx * np.arange(1, ny - 1), np.arange(1, nx - 1)).ravel()
     losses = {"backward damping": loss * scipy.sparse.eye_array(matrix.shape[0])}
     return _by_matrices(scene, {"bending": kappa_squared * matrix}, losses, np.ones(matrix.shape[0]), inner)
@@ -205,13 +193,12 @@ def _largest_eigenpair(matrix: scipy.sparse.csr_array) -> tuple[float, np.ndarra
 
 def _named_matrices(scene: Scene, bending: Bending) -> tuple[Matrices, Matrices]:
     """Return the parts of K [N/m] and of C [N·s/m] by name."""
-    effects = scene.effects
-    moves = np.flatnonzero(bending.moves)
+    effects, moves = scene.effects, np.flatnonzero(bending.moves)
     area = mass_matrix(bending) / bending.mass.ravel()
 
-    def of_plate(matrix: scipy.sparse.sparray) -> scipy.sparse.csr_array:
+    def of_plate(matrix: scipy.sparse.sparray, springs: Sequence[float] | None = None) -> scipy.sparse.csr_array:
         kept = scipy.sparse.csr_array(matrix)[moves][:, moves]
-        return with_oscillators(scene, kept, moves, [0.0] * len(effects.oscillators))
+        return with_oscillators(scene, kept, moves, springs or [0.0] * len(effects.oscillators))
 
     no_spring = np.zeros_like(bending.spring)
     bare = stiffness_matrix(replace(bending, spring=no_spring, tension=(0.0, 0.0)))
@@ -220,10 +207,8 @@ def _named_matrices(scene: Scene, bending: Bending) -> tuple[Matrices, Matrices]
         stiff["tension"] = of_plate(stiffness_matrix(replace(bending, spring=no_spring)) - bare)
     if bending.spring.any():
         stiff["bed and springs of edges"] = of_plate(scipy.sparse.diags_array(area * bending.spring.ravel()))
-    empty = 0 * scipy.sparse.csr_array(bare)[moves][:, moves]
     if effects.oscillators:
-        springs = [oscillator.stiffness for oscillator in effects.oscillators]
-        stiff["oscillators"] = with_oscillators(scene, empty, moves, springs)
+        stiff["oscillators"] = of_plate(0 * bare, [oscillator.stiffness for oscillator in effects.oscillators])
     losses = {}
     viscous, backward = viscous_damping(scene)
     if backward and viscous:
@@ -232,7 +217,7 @@ def _named_matrices(scene: Scene, bending: Bending) -> tuple[Matrices, Matrices]
         losses["material damping"] = effects.material_damping.time * stiff["bending"]
     dampers = [oscillator.damping for oscillator in effects.oscillators]
     if any(dampers):
-        losses["dampers of oscillators"] = with_oscillators(scene, empty, moves, dampers)
+        losses["dampers of oscillators"] = of_plate(0 * bare, dampers)
     return stiff, losses
 
 
@@ -260,16 +245,3 @@ def _largest_of_homogeneous(scene: Scene, bending: Bending) -> tuple[dict[str, f
         "backward damping": viscous / mass if backward else 0.0,
         "material damping": material.time * stiff["bending"] if material else 0.0,
     }
-
-
-def _refuse_buckling(scene: Scene, bending: Bending) -> None:
-    # Compression alone is quickly checked and mostly enough: tension only helps.
-    x, y = bending.tension
-    if min(x, y) >= 0 or buckling_factor(scene, replace(bending, tension=(min(x, 0.0), min(y, 0.0)))) > 1:
-        return
-    factor = buckling_factor(scene, bending)
-    if factor <= 1:
-        raise SceneError(
-            f"effects.tension = {{x = {x:g}, y = {y:g}}}: the plate buckles; the "
-            f"critical load is x = {factor * x:.4g}, y = {factor * y:.4g} N/m, {factor:.3g} of this one"
-        )

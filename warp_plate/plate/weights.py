@@ -77,7 +77,7 @@ def patches(scene: Scene) -> np.ndarray:
         if not field.any():
             raise SceneError(
                 f"actuators[{index}].area = {list(scene.actuators[index].area)}: covers no node that can move on "
-                f"a grid of {x.size} x {y.size} nodes; enlarge it, use more nodes, or load = \"overlap\""
+                f'a grid of {x.size} x {y.size} nodes; enlarge it, use more nodes, or load = "overlap"'
             )
     return fields
 
