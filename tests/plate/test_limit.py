@@ -5,16 +5,18 @@ that the kernels hold to the same limit.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import scipy.optimize
 
+from warp_plate import SceneError
 from warp_plate.plate.bending import buckling_factor, make_bending, oscillator_shares, stiffness_matrix, system
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.operator import biharmonic
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.stability_limit import FORMULA_NODES, find_limit, time_step_limit
+from warp_plate.plate.stability_limit import FORMULA_NODES, find_limit
 
 SIZES = {
     "smallest": ((5, 5), (0.2, 0.2)),
@@ -35,11 +37,9 @@ EFFECTS = {
     "stiff bed": {"foundation": {"stiffness": 1e12, "damping": 30.0}},
     "tension": {"tension": {"x": 500.0, "y": 20.0}},
     "material damping": {"material_damping": {"time": 1e-5}},
-    "material damping of a slack plate": {"material_damping": {"time": 1e-4}, "tension": {"x": 1e5, "y": 1e5}},
+    "material damping under tension": {"material_damping": {"time": 1e-4}, "tension": {"x": 1e5, "y": 1e5}},
     "orthotropic": {"orthotropic": {"Dx": 0.05, "Dy": 0.004, "D1": 0.003, "Dxy": 0.002}},
     "negative D1": {"orthotropic": {"Dx": 0.02, "Dy": 0.018, "D1": -0.017, "Dxy": 0.002}},
-    "layer in the middle": {"layers": [{"area": (0.25, 0.75, 0.25, 0.75), **LAYER}]},
-    "layer on one half": {"layers": [{"area": (0.0, 0.5, 0.0, 1.0), **LAYER}]},
     "layer everywhere": {"layers": [{"area": (0.0, 1.0, 0.0, 1.0), **LAYER}]},
     "thickness 1 : 3": {"variation": {"thickness": [[1.0, 3.0, 1.0], [1.0, 1.0, 2.0]]}},
     "heavy corner": {"layers": [{"area": (0.0, 0.3, 0.0, 0.3), **LAYER, "density": 1e5}]},
@@ -77,9 +77,8 @@ COVERING = [
 
 def on_plate(size, effects):
     """Return effects whose areas, given in shares of the sides, are in m."""
-    scale = (size[0], size[0], size[1], size[1])
     return {
-        name: [{**item, "area": tuple(np.multiply(item["area"], scale))} for item in table]
+        name: [{**item, "area": tuple(np.multiply(item["area"], np.repeat(size, 2)))} for item in table]
         if isinstance(table, list)
         else table
         for name, table in effects.items()
@@ -95,39 +94,32 @@ def dense_matrices(made):
     bending, oscillators = make_bending(made), made.effects.oscillators
     stiffness, masses = system(made, bending)
     root, moves = np.sqrt(masses), bending.moves.ravel()
-    attached, nodes = [one for one in oscillators if one.mass > 0], int(moves.sum())
+    attached, nodes = [item for item in oscillators if item.mass > 0], int(moves.sum())
     loss = np.zeros((len(masses), len(masses)))
     if scheme.backward:
         cell = bending.spacing[0] * bending.spacing[1] * bending.weight
         loss[:nodes, :nodes] += np.diag((scheme.viscous * cell).ravel()[moves])
     if made.effects.material_damping:
-        bare = type(bending)(**{**vars(bending), "spring": 0 * bending.spring, "tension": (0.0, 0.0)})
-        bare_stiffness = stiffness_matrix(bare).toarray()[np.ix_(moves, moves)]
-        loss[:nodes, :nodes] += made.effects.material_damping.time * bare_stiffness
+        bare = stiffness_matrix(replace(bending, spring=0 * bending.spring, tension=(0.0, 0.0))).toarray()
+        loss[:nodes, :nodes] += made.effects.material_damping.time * bare[np.ix_(moves, moves)]
     for oscillator, share in zip(oscillators, oscillator_shares(made), strict=True):
         reach = np.concatenate([share.ravel()[moves], [-1.0 * (other is oscillator) for other in attached]])
         loss += oscillator.damping * np.outer(reach, reach)
     return stiffness.toarray() / root / root[:, None], loss / root / root[:, None]
 
 
-def true_limit(made):
-    """Return Δt [s] at which the largest eigenvalue of Δt²K + 2Δt C is 4, by bisection on dense eigenvalues."""
+def check(made):
+    """Compare with Δt [s] at which the largest eigenvalue of Δt²K + 2Δt C is 4, by bisection on dense eigenvalues."""
     stiffness, loss = dense_matrices(made)
-    largest = np.linalg.eigvalsh(stiffness)[-1]
-    if not loss.any():
-        return 2 / math.sqrt(largest)
-    high = math.log(2 / math.sqrt(largest)) + 1e-6
-    low = math.log(4 / (4 * np.linalg.eigvalsh(loss)[-1] + 4 * math.sqrt(largest)))
 
     def above(logarithm):
         step = math.exp(logarithm)
         return np.linalg.eigvalsh(step**2 * stiffness + 2 * step * loss)[-1] - 4
 
-    return math.exp(scipy.optimize.brentq(above, low, high, xtol=1e-10, rtol=1e-14))
-
-
-def check(made):
-    found, exact = find_limit(made)[0], true_limit(made)
+    undamped = 2 / math.sqrt(np.linalg.eigvalsh(stiffness)[-1])
+    low = math.log(1 / (np.linalg.eigvalsh(loss)[-1] + 2 / undamped))
+    exact = math.exp(scipy.optimize.brentq(above, low, math.log(undamped) + 1e-6, xtol=1e-10, rtol=1e-14))
+    found = find_limit(made)[0]
     assert 0.99 < found.time_step / exact < 1 + 1e-9, found
     assert sum(found.shares.values()) == pytest.approx(1, abs=1e-5)
     return found
@@ -145,35 +137,27 @@ def test_fourth_order(nodes, loss, edges, scene):
 
 
 @pytest.mark.parametrize(
-    ("name", "edge"),
+    ("name", "edge", "order"),
     [
-        ("nothing", "clamped"), ("nothing", "free"), ("backward damping", "supported"), ("stiff bed", "free"),
-        ("tension", "clamped"), ("material damping", "supported"), ("orthotropic", "clamped"), ("negative D1", "free"),
+        ("nothing", "clamped", 2), ("nothing", "clamped", 4), ("nothing", "free", 2), ("nothing", "supported", 4),
+        ("backward damping", "supported", 2), ("stiff bed", "free", 2), ("tension", "clamped", 2),
+        ("material damping", "supported", 2), ("orthotropic", "clamped", 2), ("negative D1", "free", 2),
     ],
 )  # fmt: skip
-def test_formulas(name, edge, scene):
+def test_formulas(name, edge, order, scene):
     """The coarsest grids that a formula serves, where it is furthest off."""
-    assert check(scene((24, 25), (0.2, 0.16), EDGES[edge], effects=EFFECTS[name])).formula
-
-
-@pytest.mark.parametrize("edge", ["clamped", "supported"])
-def test_formula_of_fourth_order(edge, scene):
-    assert check(scene((FORMULA_NODES, FORMULA_NODES), (0.2, 0.16), EDGES[edge], order=4)).formula
-
-
-def test_formula_on_square_cells():
-    """κΔt/h² ≤ 1/4."""
-    kappa, h = 0.153, 0.2 / 26
-    assert kappa * time_step_limit(kappa, (h, h)) / h**2 == pytest.approx(0.25, rel=1e-14)
+    nodes = (FORMULA_NODES, FORMULA_NODES + 1)
+    assert check(scene(nodes, (0.2, 0.16), EDGES[edge], effects=EFFECTS[name], order=order)).formula
 
 
 @pytest.mark.parametrize("loss", [0.0, 177.0, 1e9])
-def test_formula_of_backward_damping(loss):
+def test_formula_of_backward_damping(loss, scene):
     """z² − (2 − a − λ)z + 1 − a = 0 for a mode with λ = κ²ΛΔt² and a = cΔt/ρH: no root leaves the unit circle up to the
     limit, one does beyond it."""
-    kappa, spacing = 0.153, (0.008, 0.005)
-    limit = time_step_limit(kappa, spacing, loss)
-    largest = kappa**2 * (4 / spacing[0] ** 2 + 4 / spacing[1] ** 2) ** 2
+    plain = make_scheme(scene((26, 33), (0.2, 0.16)))
+    damping = {"viscous": loss * plain.surface_density, "scheme": "backward"}
+    limit = find_limit(scene((26, 33), (0.2, 0.16), effects={"damping": damping}))[0].time_step
+    largest = plain.kappa**2 * (4 / 0.008**2 + 4 / 0.005**2) ** 2
 
     def fastest(time_step, eigenvalue):
         a, reach = loss * time_step, eigenvalue * time_step**2
@@ -199,11 +183,13 @@ def test_shares_and_place_of_the_fastest_motion(scene):
 @pytest.mark.parametrize(("edge", "nodes"), [("clamped", (9, 9)), ("springy", (27, 25)), ("rigid springs", (9, 9))])
 def test_buckling_load_against_the_lowest_frequency(edge, nodes, scene):
     """At 0.999 of the load that is refused first the lowest frequency is next to zero, at 0.5 of it is not."""
-    for pull in ((-0.5, -0.5), (-0.5, 2.0)):
-        trial = scene(nodes, edges=EDGES[edge], effects={"tension": {"x": pull[0], "y": pull[1]}})
-        factor, lowest = buckling_factor(trial, make_bending(trial)), []
-        for part in (0.5, 0.999):
-            tension = {"x": part * factor * pull[0], "y": part * factor * pull[1]}
-            made = scene(nodes, edges=EDGES[edge], effects={"tension": tension})
-            lowest.append(natural_modes(made, 1).frequencies[0])
-        assert 0 < lowest[1] < 0.1 * lowest[0]
+    for x, y in ((-0.5, -0.5), (-0.5, 2.0)):
+
+        def pulled(factor, x=x, y=y):
+            return scene(nodes, edges=EDGES[edge], effects={"tension": {"x": factor * x, "y": factor * y}})
+
+        factor = buckling_factor(pulled(1), make_bending(pulled(1)))
+        low, high = (natural_modes(pulled(part * factor), 1).frequencies[0] for part in (0.999, 0.5))
+        assert 0 < low < 0.1 * high
+        with pytest.raises(SceneError, match="the plate buckles"):
+            make_scheme(pulled(1.001 * factor))
