@@ -4,44 +4,35 @@ energies of displacements."""
 import numpy as np
 import pytest
 import warp as wp
+from oracle import LINEAR, TOLERANCE, bending_load, check_run, reference, run_on_a_block, with_all_effects
 
 from warp_plate import PlateSolver, SceneError
-from warp_plate.kernels import moment_form_plan
 from warp_plate.plate.designs import Designs, PerPlate, per_plate_of
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import make_signals, waves_per_plate
-from warp_plate.plate.weights import patches, region_weights
-from warp_plate.reference.numpy_moment_form import run_moment_form
-from warp_plate.reference.numpy_plate import run_plate
-from warp_plate.solve import moment_form, paths
+from warp_plate.plate.weights import region_weights
 
-# Both round a few times ε a step, in another order, for some hundred steps.
-TOLERANCE = {"float32": 3e-4, "float64": 1e-11}
-EFFECTS = {
-    "damping": {"viscous": 30.0},
-    "tension": {"x": 5.0, "y": 2.0},
-    "foundation": {"stiffness": 1e4},
-    "oscillators": [{"area": (0.0, 0.1, 0.0, 0.08), "mass": 0.003, "stiffness": 300.0}],
-    "variation": {"thickness": [[0.8, 1.3]]},
-}
-# One for each kernel: of a warp, of a block, row by row on a CPU, of fourth order, with all effects.
+# One for each kernel: of a warp, of a block (row by row on a CPU), of fourth order, with effects.
 KINDS = {
-    "small": {"nodes": (13, 11), "size": (0.2, 0.17)},
-    "block": {"nodes": (41, 35), "size": (0.2, 0.17)},
-    "row by row": {"nodes": (71, 63), "size": (0.07, 0.062)},
+    "small": {"nodes": (16, 13), "size": (0.2, 0.17)},
+    "block": {"nodes": (97, 89), "size": (0.096, 0.088)},
     "fourth order": {"nodes": (16, 13), "size": (0.2, 0.17), "order": 4, "load": "moments"},
-    "general": {"nodes": (9, 8), "size": (0.2, 0.17), "load": "moments", "effects": EFFECTS},
+    "general": {"nodes": (9, 13), "size": (0.2, 0.17), "load": "moments", "effects": LINEAR},
 }
-PER_PLATE = {
-    "frequency": PerPlate(frequency=True),
-    "delay": PerPlate(delay=True),
-    "centre": PerPlate(centre=True),
-    "all": PerPlate(frequency=True, delay=True, centre=True),
-}
+FREQUENCY, DELAY, CENTRE = PerPlate(frequency=True), PerPlate(delay=True), PerPlate(centre=True)
+ALL = PerPlate(frequency=True, delay=True, centre=True)
 EACH = PerPlate(frequency=True, delay=True, centre=True, per_actuator=True)
-# Everything on every kernel, in the precisions in turn, and each quantity alone.
-CASES = [(kind, "all", tuple(TOLERANCE)[index % 2]) for index, kind in enumerate(KINDS)]
-CASES += [("small", "frequency", "float32"), ("general", "delay", "float32"), ("small", "centre", "float32")]
+# Everything on every kernel, and each quantity alone.
+CASES = [
+    ("small", ALL, "float32"),
+    ("block", ALL, "float32"),
+    ("fourth order", ALL, "float64"),
+    ("general", ALL, "float32"),
+    ("general", EACH, "float64"),
+    ("small", FREQUENCY, "float32"),
+    ("general", DELAY, "float32"),
+    ("small", CENTRE, "float32"),
+]
 STEPS = 90
 
 
@@ -104,69 +95,36 @@ def scene_of_plate(made, designs, plate):
     return made.with_tables(**tables)
 
 
-def reference(made, drives):
-    """Return energies and the displacements of all steps, in plain NumPy."""
-    scheme = make_scheme(made)
-    if scheme.bending is not None:
-        history = run_moment_form(made, drives)
-        return history.energy, history.displacement
-    wave = make_signals(made, scheme.time_step, scheme.steps).wave
-    carrier = wave[:, 0] + 1j * wave[:, 1]
-    carrier[0] *= 2  # halved by the reference itself
-    edges = [getattr(made.edges, side) for side in ("left", "bottom", "right", "top")]
-    viscous = made.effects.damping.viscous
-    displacement, squares = run_plate(scheme, tuple(edges), viscous, False, patches(made), drives, carrier)
-    weights = 0.5 * scheme.surface_density * scheme.spacing[0] * scheme.spacing[1] * region_weights(made)
-    return np.einsum("ryx,pyx->pr", weights, squares), displacement
-
-
-@pytest.mark.parametrize(("kind", "name", "precision"), CASES)
-def test_each_plate_is_its_own_scene(device, path, kind, name, precision, burst_scene, draw, fitting_solver):
-    """Against NumPy, and traces against displacements."""
+@pytest.mark.parametrize(("kind", "per_plate", "precision"), CASES)
+def test_each_plate_is_its_own_scene(device, path, kind, per_plate, precision, burst_scene, draw, fitting_solver):
+    """Against NumPy, with traces; values that are not given are the scene's."""
     made = burst_scene(precision, **KINDS[kind])
-    designs, step, tolerance = draw(made, PER_PLATE[name], 2), made.grid.time_step, TOLERANCE[precision]
-    times = (20 * step, 75 * step)
-    (nx, ny), (width, height) = made.grid.nodes, made.plate.size
-    points = [(6 * width / (nx - 1), 5 * height / (ny - 1))] if kind == "small" else []
-    run = fitting_solver(made, device, path, per_plate=PER_PLATE[name]).run(designs, times, points)
-    if points:
-        seen = run.displacement[:, :, 5, 6]
-        np.testing.assert_allclose(run.trace[:, 0, [19, 74]], seen, rtol=1e-6, atol=1e-12 * np.abs(seen).max())
-    for plate in range(2):
-        energy, history = reference(scene_of_plate(made, designs, plate), designs.drives[plate : plate + 1])
-        np.testing.assert_allclose(run.energy[plate], energy[0], rtol=tolerance)
-        shown, largest = history[0, [20, 75]], np.abs(history).max()
-        np.testing.assert_allclose(run.displacement[plate], shown, rtol=0, atol=tolerance * largest)
-
-
-@pytest.mark.parametrize(("kind", "precision"), [("small", "float32"), ("general", "float64")])
-def test_a_frequency_and_a_delay_for_each_actuator(device, path, kind, precision, burst_scene, draw):
-    made = burst_scene(precision, **KINDS[kind])
-    designs = draw(made, EACH, 3)
-    solver = PlateSolver(made, device, path, per_plate=EACH)
-    assert solver.specialized.effects.terms == 2 * len(made.actuators)
-    run = solver.run(designs)
-    for plate in range(3):
-        energy, _ = reference(scene_of_plate(made, designs, plate), designs.drives[plate : plate + 1])
-        np.testing.assert_allclose(run.energy[plate], energy[0], rtol=TOLERANCE[precision])
-    # Values that are not given are the scene's.
+    designs, step = draw(made, per_plate, 2), made.grid.time_step
+    points = [tuple(np.multiply((0.37, 0.6), made.plate.size))] if kind == "small" else []
+    solver = fitting_solver(made, device, path, per_plate=per_plate)
+    run = solver.run(designs, (20 * step, 75 * step), points)
+    check_each(run, made, designs, points)
     plain = PlateSolver(made, device, path).run(designs.drives)
     np.testing.assert_allclose(solver.run(designs.drives).energy, plain.energy, rtol=TOLERANCE[precision])
 
 
-def test_the_kernel_of_blocks_on_cpu(burst_scene, draw, monkeypatch):
-    """The CUDA kernel of general plates, in a block of one thread."""
-    made = burst_scene(**KINDS["general"])
-    designs = draw(made, EACH, 2)
+def check_each(run, made, designs, points=()):
+    """Compare a run of designs with the scenes of its plates."""
+    alone = [reference(scene_of_plate(made, designs, k), designs.drives[k : k + 1]) for k in range(len(designs))]
+    check_run(run, made, [np.concatenate(values) for values in zip(*alone, strict=True)], points)
 
-    def one_thread(specialized):
-        (nx, ny), planes = specialized.scheme.nodes, moment_form_plan.workspace_planes(specialized.effects, ())
-        return moment_form.block_path(specialized, moment_form_plan.BlockPlan(1, nx * ny, (), planes, False, 64))
 
-    monkeypatch.setitem(paths.MOMENT_FORM, "resident", one_thread)
-    run = PlateSolver(made, "cpu", "resident", per_plate=EACH).run(designs)
-    energies = [reference(scene_of_plate(made, designs, k), designs.drives[k : k + 1])[0][0] for k in range(2)]
-    np.testing.assert_allclose(run.energy, energies, rtol=TOLERANCE["float64"])
+def test_the_kernel_of_blocks_on_cpu(scene, draw, monkeypatch):
+    """The CUDA kernel of the moment form with all effects, in a block of one thread."""
+    made = with_all_effects(scene((9, 8), (0.2, 0.18), window=(0.002, 0.005)))
+    per_plate = PerPlate(frequency=True, delay=True, per_actuator=True)
+    made = made.with_tables(grid={**made.grid.model_dump(), "time_step": make_scheme(made).time_step})
+    designs = draw(made, per_plate, 2)
+    designs.drives[:] *= bending_load(made)
+    run_on_a_block(monkeypatch)
+    points = [(0.06, 0.15)]
+    run = PlateSolver(made, "cpu", "resident", per_plate=per_plate).run(designs, (0.002, 0.005), points)
+    check_each(run, made, designs, points)
 
 
 def poison(state):
@@ -179,11 +137,11 @@ def poison(state):
 
 @pytest.mark.parametrize(
     ("kind", "precision"),
-    [("small", "float32"), ("block", "float64"), ("fourth order", "float64"), ("general", "float32")],
+    [("small", "float32"), ("block", "float32"), ("fourth order", "float64"), ("general", "float32")],
 )
 def test_a_plate_does_not_depend_on_its_batch(device, path, kind, precision, burst_scene, draw, fitting_solver):
     """Alone, in chunks, beside a plate without a finite drive, after others, after NaN in memory: the same bits."""
-    made, per_plate = burst_scene(precision, **KINDS[kind]), PER_PLATE["all"]
+    made, per_plate = burst_scene(precision, **KINDS[kind]), ALL
     designs, solver = draw(made, per_plate, 19), fitting_solver(made, device, path, per_plate=per_plate)
     together = solver.run(designs).energy
     assert len(np.unique(together[:, 0])) == 19
@@ -199,10 +157,10 @@ def test_a_plate_does_not_depend_on_its_batch(device, path, kind, precision, bur
     np.testing.assert_array_equal(np.delete(mixed.energy, 5, axis=0), np.delete(together, 5, axis=0))
 
 
-@pytest.mark.parametrize(("load", "tables"), [("overlap", {"effects": EFFECTS}), ("moments", {})])
+@pytest.mark.parametrize(("load", "tables"), [("overlap", {"effects": LINEAR}), ("moments", {})])
 def test_patches_are_those_of_the_scene(load, tables, burst_scene, draw, pairs):
     """Load fields of random rectangles, some flush with the plate's edge."""
-    made, per_plate = burst_scene(nodes=(9, 8), size=(0.2, 0.17), load=load, **tables), PerPlate(centre=True)
+    made, per_plate = burst_scene(nodes=(9, 13), size=(0.2, 0.17), load=load, **tables), CENTRE
     designs = draw(made, per_plate, 7)
     half, count = half_sides(made), len(made.actuators)
     designs.centre[0], designs.centre[1] = half, np.array(made.plate.size) - half
@@ -210,7 +168,7 @@ def test_patches_are_those_of_the_scene(load, tables, burst_scene, draw, pairs):
     for device in {device for device, _ in pairs}:
         solver = PlateSolver(made, device, per_plate=per_plate)
         solver.run(Designs(np.tile(np.eye(count), (7, 1)), centre=np.repeat(designs.centre, count, axis=0)))
-        found = solver.states[0].in_phase.numpy()[: 7 * count].reshape(7, count, 10, -1)
+        found = solver.states[0].in_phase.numpy()[: 7 * count].reshape(7, count, 15, -1)
         for plate in range(7):
             alone = PlateSolver(scene_of_plate(made, designs, plate), "cpu")
             alone.run(np.eye(count))
@@ -220,7 +178,7 @@ def test_patches_are_those_of_the_scene(load, tables, burst_scene, draw, pairs):
 
 def test_patches_within_areas(device, path, burst_scene):
     """By moments a patch loads two nodes beyond it on each side, also where areas confine it."""
-    made = burst_scene(nodes=(17, 15), size=(0.2, 0.17), load="moments")
+    made = burst_scene(nodes=(16, 13), size=(0.2, 0.17), load="moments")
     old = np.array([actuator.area for actuator in made.actuators])
     areas = tuple(map(tuple, (old + 0.02 * np.array([-1, 1, -1, 1])).tolist()))
     centre = (old[:, [0, 2]] + old[:, [1, 3]]) / 2 + 0.02 * np.array([[1, 1], [-1, 1], [1, -1]])
@@ -272,7 +230,7 @@ def test_waves_are_those_of_the_scene(name, per_actuator, scene, draw, phasors, 
 def test_energies_of_displacements(device, path, kind, precision, burst_scene, draw, fitting_solver):
     """Against the displacement of every step in the window, of plain drives and of designs."""
     made, tolerance = burst_scene(precision, **KINDS[kind]), TOLERANCE[precision]
-    per_plate, scheme = PER_PLATE["all"], make_scheme(made)
+    per_plate, scheme = ALL, make_scheme(made)
     designs = draw(made, per_plate, 2)
     solver = fitting_solver(made, device, path, per_plate=per_plate, quantity="displacement")
     for asked in (designs.drives, designs):
@@ -306,7 +264,7 @@ def refused(message, call, *arguments, **options):
 
 def test_bad_designs_are_refused(burst_scene, draw):
     made = burst_scene(nodes=(9, 9), size=(0.2, 0.17))
-    per_plate = PER_PLATE["all"]
+    per_plate = ALL
     designs, solver = draw(made, per_plate, 3), PlateSolver(made, "cpu", per_plate=per_plate)
     refused(r"designs\.frequency.*PerPlate\(frequency=True\)", PlateSolver(made, "cpu").run, designs)
     refused("designs.centre: shape", solver.run, Designs(designs.drives, centre=designs.centre[:2]))
