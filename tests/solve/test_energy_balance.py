@@ -13,7 +13,7 @@ only up to the square of the step.
 
 import numpy as np
 import pytest
-from test_moment_form_paths import random_edge, random_effects
+from oracle import random_edge, random_effects
 
 from warp_plate import PlateSolver
 from warp_plate.plate.moving_load import moving_weights
