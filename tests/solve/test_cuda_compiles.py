@@ -69,22 +69,16 @@ def cuda_kernels(effects, real):
     if effects.order == 4:
         for (nx, ny, stride), summed in ((SMALL, False), (LARGE, True)):
             plan = resident_wide.plan_strips(nx, ny, real)
-            yield (
-                "resident_wide.make_run_steps",
-                resident_wide.make_run_steps(effects, real, nx, ny, stride, plan, summed),
-            )
+            kernel = resident_wide.make_run_steps(effects, real, nx, ny, stride, plan, summed)
+            yield "resident_wide.make_run_steps", kernel
         return
     for summed in (False, True):
-        yield (
-            "resident_lanes.make_run_steps",
-            resident_lanes.make_run_steps(effects, real, SMALL[1], 0b1100110000, summed),
-        )
+        kernel = resident_lanes.make_run_steps(effects, real, SMALL[1], 0b1100110000, summed)
+        yield "resident_lanes.make_run_steps", kernel
     for (nx, ny, stride), summed in ((LARGE, False), (LARGE, True), (LARGEST, True)):
         plan = resident_strips.plan_strips(nx, ny, real)
-        yield (
-            "resident_strips.make_run_steps",
-            resident_strips.make_run_steps(effects, real, nx, ny, stride, plan, summed),
-        )
+        kernel = resident_strips.make_run_steps(effects, real, nx, ny, stride, plan, summed)
+        yield "resident_strips.make_run_steps", kernel
     for levels, summed in ((1, False), (4, True)):
         kernel = temporal_blocking.make_advance_tiles(effects, real, *LARGE, levels, summed)
         yield "temporal_blocking.make_advance_tiles", kernel

@@ -4,10 +4,9 @@ import pytest
 import warp as wp
 
 from warp_plate import Scene
-from warp_plate.kernels import moment_form, moment_form_cpu, streaming
+from warp_plate.kernels import moment_form, streaming
 from warp_plate.kernels.effects import KernelEffects
 from warp_plate.plate.discretization import discretize
-from warp_plate.solve.cpu import compiler_flags
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import choose_path
 from warp_plate.solve.specialize import Specialized
@@ -37,6 +36,7 @@ def code_of(kernel, folder):
 def test_only_effects_that_are_on_are_in_the_code(on, tmp_path):
     effects = KernelEffects(terms=4, moments=True, **dict.fromkeys(MEMBERS, on))
     passes = moment_form.make_passes(effects, wp.float32)
+    assert moment_form.make_passes(KernelEffects(**vars(effects)), wp.float32) is passes  # scenes share kernels
     code = "".join(code_of(kernel, tmp_path / str(index)) for index, kernel in enumerate(passes))
     assert {effect: f").{member})" in code for effect, member in MEMBERS.items()} == dict.fromkeys(MEMBERS, on)
 
@@ -50,11 +50,3 @@ def test_a_plain_scene_takes_the_plain_kernels(tmp_path):
     for damping in (True, False):
         kernel = streaming.make_update_nodes(KernelEffects(damping), wp.float32)
         assert (").decay)" in code_of(kernel, tmp_path / str(damping))) == damping
-
-
-def test_scenes_with_the_same_effects_share_kernels():
-    kernels = [
-        moment_form_cpu.make_run_steps(KernelEffects(moments=True, tension=True), wp.float32, 9, 16, compiler_flags())
-        for _ in range(2)
-    ]
-    assert kernels[0] is kernels[1]
