@@ -83,18 +83,12 @@ class GridSearch:
     reference: ReferenceSolution  # reference solution of the scene
     tolerance: float  # largest relative error that is allowed
     device: str  # device of the trial runs
-    more_phasors: np.ndarray | None = None  # drives (drives, actuators) that are tried besides the usual ones
+    phasors: np.ndarray  # (drives, actuators) phasors that are tried
 
     @cached_property
     def waves(self) -> float:
         """Number of bending waves along the side of a square with the plate's area."""
         return math.sqrt(math.prod(self.scene.plate.size)) / bending_wavelength(self.scene)
-
-    @cached_property
-    def phasors(self) -> np.ndarray:
-        """(drives, actuators) phasors: best single actuator, best drive, equal drive, and ``more_phasors``."""
-        usual = np.array([*self.reference.drives.values(), np.ones(len(self.scene.actuators))])
-        return usual if self.more_phasors is None else np.concatenate([usual, self.more_phasors])
 
     def configuration(self, order: Order, precision: Precision, side: float) -> Configuration:
         """Return a configuration with the longest time step and enough cells for each bending wave."""
@@ -143,7 +137,9 @@ def choose(scene: Scene, accuracy: float, device: str = "auto", phasors: np.ndar
             f"accuracy = {accuracy:g}: the reference solution of this scene is known to {uncertainty:.2g} "
             f"only; {advice}"
         )
-    search = GridSearch(scene, reference, SEARCH_SHARE * accuracy - uncertainty, device, phasors)
+    more = [] if phasors is None else phasors
+    tried = np.array([*reference.drives.values(), np.ones(len(scene.actuators)), *more])
+    search = GridSearch(scene, reference, SEARCH_SHARE * accuracy - uncertainty, device, tried)
     trials = _trials(search)
     kept = [trial for trial in trials.values() if trial.error <= search.tolerance]
     cheapest = min(kept, key=lambda trial: cost_of_run(scene, trial.configuration), default=None)
@@ -173,11 +169,10 @@ def _trials(search: GridSearch) -> dict[Order, TrialRun]:
     """Return the cheapest trial of each order; second order is searched only as far as it may be cheaper."""
     cells = CELLS_A_WAVE * search.waves * (0.01 / search.tolerance) ** 0.25
     side, most_cost = float(np.clip(1 + cells, *FIRST_SIDES)), math.inf
-    highest = highest_order(search.scene)
     trials: dict[Order, TrialRun] = {}
-    for order in sorted((order for order in LOAD_OF if order <= highest), reverse=True):
+    for order in sorted((order for order in LOAD_OF if order <= highest_order(search.scene)), reverse=True):
         trial = find_confirmed_grid(search, order, "float32", side, most_cost)
-        if trial.error > search.tolerance and search.tolerance < FLOAT64_BELOW and order == highest:
+        if trial.error > search.tolerance and search.tolerance < FLOAT64_BELOW and not trials:
             other = find_confirmed_grid(search, order, "float64", side, most_cost)
             trial = other if other.error < trial.error else trial
         trials[order] = trial
@@ -194,7 +189,6 @@ def find_confirmed_grid(
 
     Errors of coarse grids may pass through zero, so a single grid may keep the tolerance by chance.
     """
-    too_coarse = 0.0
     trial = find_coarsest_grid(search, order, precision, first, most_cost)
     for _ in range(ATTEMPTS):
         if trial.error > search.tolerance:

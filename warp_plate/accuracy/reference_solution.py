@@ -230,8 +230,15 @@ def _by_richardson(scene: Scene, device: str, change: Change) -> Iterator[Refere
     matrices: list[np.ndarray] = []
     extrapolated: list[np.ndarray] = []
     scenes: list[Scene] = []
-    for configuration in _nested_configurations(scene):
+    # Time steps fall as h²; the drive limits the coarsest.
+    order, end = highest_order(scene), scene.window.end
+    grids = [nodes_for(scene.plate.size, side, order) for side in SIDES]
+    limits = [stability_limit(scene, order, nodes) for nodes in grids]
+    fraction = min(SAFETY, 1 / (STEPS_A_PERIOD * highest_frequency(scene)) / limits[0])
+    for nodes, limit in zip(grids, limits, strict=True):
         started = time.perf_counter()
+        time_step = end / math.ceil(end / (fraction * limit))
+        configuration = Configuration(order, LOAD_OF[order], nodes, time_step, "float64")
         scenes.append(scene_with(scene, configuration))
         matrices.append(measure_response(PlateSolver(scenes[-1], device)).matrices)
         uncertainty = math.inf
@@ -244,18 +251,6 @@ def _by_richardson(scene: Scene, device: str, change: Change) -> Iterator[Refere
         took = time.perf_counter() - started
         # The next grid has twice the nodes and twice the steps.
         yield ReferenceSolution("richardson", best, uncertainty, took, 4 * took, tuple(scenes), device)
-
-
-def _nested_configurations(scene: Scene) -> list[Configuration]:
-    """Return configurations with time steps that fall as h², the coarsest allowed by the drive."""
-    order, end = highest_order(scene), scene.window.end
-    nodes = [nodes_for(scene.plate.size, side, order) for side in SIDES]
-    limits = [stability_limit(scene, order, grid) for grid in nodes]
-    fraction = min(SAFETY, 1 / (STEPS_A_PERIOD * highest_frequency(scene)) / limits[0])
-    return [
-        Configuration(order, LOAD_OF[order], grid, end / math.ceil(end / (fraction * limit)), "float64")
-        for grid, limit in zip(nodes, limits, strict=True)
-    ]
 
 
 def _gain(scenes: Sequence[Scene]) -> float:

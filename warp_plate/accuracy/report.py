@@ -169,30 +169,26 @@ def fit_laws(rows: Sequence[AccuracyRow], uncertainty: float) -> list[Convergenc
         floor = max(ABOVE_UNCERTAINTY * uncertainty, ROUNDING[members[0].precision])
         # The error of energies is about the square of that of displacements.
         field_floor = max(floor, math.sqrt(uncertainty))
+        cost = _slope(members, "seconds_per_plate", 0.0, math.inf)
         laws.append(
             ConvergenceLaw(
                 family=family,
                 rows=len(members),
-                order=_order([(row.spacing, row.error) for row in members], floor),
-                order_displacement=_order([(row.spacing, row.error_displacement) for row in members], field_floor),
-                order_frequencies=_order(
-                    [(row.spacing, row.error_frequencies) for row in members], ROUNDING_OF_FREQUENCIES
-                ),
-                cost_exponent=_slope([(1 / row.spacing, row.seconds_per_plate) for row in members]),
+                order=_slope(members, "error", floor),
+                order_displacement=_slope(members, "error_displacement", field_floor),
+                order_frequencies=_slope(members, "error_frequencies", ROUNDING_OF_FREQUENCIES),
+                cost_exponent=None if cost is None else -cost,
             )
         )
     return laws
 
 
-def _order(points: Sequence[tuple[float, float | None]], floor: float) -> float | None:
-    return _slope([(spacing, error) for spacing, error in points if error and floor < error < LARGEST_ERROR])
-
-
-def _slope(points: Sequence[tuple[float, float | None]]) -> float | None:
-    """Return p of the least-squares law y ∝ x^p of the last points; None for fewer than FEWEST_ROWS."""
+def _slope(rows: Sequence[AccuracyRow], name: str, floor: float, most: float = LARGEST_ERROR) -> float | None:
+    """Return p of the least-squares law value ∝ spacing^p of the finest rows; None for fewer than FEWEST_ROWS."""
+    points = [(row.spacing, getattr(row, name)) for row in rows if floor < (getattr(row, name) or 0.0) < most]
     if len(points) < FEWEST_ROWS:
         return None
-    x, y = np.log(np.array(points[-MOST_ROWS:], dtype=float)).T
+    x, y = np.log(np.array(points[-MOST_ROWS:])).T
     return float(np.polyfit(x, y, 1)[0])
 
 
