@@ -14,9 +14,9 @@ from warp_plate.kernels.arithmetic import cpu_kernel
 def make_multiply_adds(real, block, depth, rounds, compiler_flags):
     """Make the kernel that applies x ← factor·x + addend to each number, passes · rounds · depth times.
 
-    Launch over the rows of ``numbers``. ``depth`` multiply-adds are written out one after another, so that loop
-    overhead is small. Each waits for the previous one, and other chains fill that time: on CPU those of the same block,
-    which LLVM vectorises where rounds = 1; on CUDA those of other threads, with block = 1 and many rounds.
+    Launch over the rows of ``numbers``. Each multiply-add waits for the previous one, and other chains fill that time:
+    on CPU those of the same block, which LLVM vectorises where rounds = 1; on CUDA those of other threads, with block =
+    1 and many rounds.
     """
 
     @cpu_kernel(compiler_flags, max_unroll=depth)

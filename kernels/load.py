@@ -13,10 +13,7 @@ import warp as wp
 
 @cache
 def make_write_loads(real):
-    """Make the kernel that writes the load fields; launch over (plates, terms, covered nodes).
-
-    Nodes that no actuator covers are not written; they hold zero.
-    """
+    """Make the kernel that writes the load fields where actuators are; launch over (plates, terms, covered nodes)."""
 
     @wp.kernel(module="unique", enable_backward=False)
     def write_loads(

@@ -22,8 +22,7 @@ from warp_plate.kernels.update import make_parameters, make_update
 
 @cache
 def make_structs(real):
-    """Make the structs Material, which all plates share, and Fields, the state of the batch. Numbers are scaled as in
-    ``update``."""
+    """Make the structs Material, shared by all plates, and Fields, the state of the batch, scaled as in ``update``."""
 
     @wp.struct
     class Material:
@@ -292,10 +291,9 @@ def make_update_node(effects, real):
 
 @cache
 def make_passes(effects, real):
-    """Make the kernels of the streaming path's step, a launch for each pass, in order.
+    """Make the kernels of the streaming path's step, a launch for each pass.
 
-    Launch compute_moments over (plates, ny, nx), sum_rows over (plates, sums, ny), finish_sums over (plates, sums),
-    update_nodes over (plates, ny, nx).
+    Launch them over (plates, ny, nx), (plates, sums, ny), (plates, sums) and (plates, ny, nx).
     """
     Material, Fields = make_structs(real)
     compute_node, update_node = make_compute_moments(effects, real), make_update_node(effects, real)

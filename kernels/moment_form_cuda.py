@@ -72,8 +72,7 @@ def make_edges(real, nx, ny):
 
 @cache
 def make_run_steps(effects, real, nx, ny, stride, oscillators, block):
-    """Make the kernel that runs steps ``start`` … ``stop`` − 1; launch over (plates × threads,) in blocks of
-    ``block.threads``."""
+    """Make the kernel that runs steps ``start`` … ``stop`` − 1; launch over (plates × threads,) in blocks."""
     update, add_local_forces = make_update(effects, real), make_add_local_forces(effects, real)
     moment, oscillator_force = make_moment(effects, real), make_oscillator_force(real)
     from_lane, Material, Parameters = make_from_lane(real), make_structs(real)[0], make_parameters(real)
@@ -96,8 +95,7 @@ def make_run_steps(effects, real, nx, ny, stride, oscillators, block):
     Held = wp.types.matrix(shape=(max(1, len(held)), nodes_per_thread if held else 1), dtype=real)
 
     def make_read(name, first):
-        """Make a function that reads a plane at node i, from registers where it is held there, else from values[first
-        + i]."""
+        """Make a function that reads a plane at node i, from registers if held there, else from values[first + i]."""
 
         @wp.func
         def read_register(h: Held, values: wp.array[real], m: int, i: int):

@@ -29,8 +29,7 @@ for (int spins = 0; __atomic_load_n(&arrived.data[0], __ATOMIC_ACQUIRE) < goal; 
 
 @wp.func_native(_MEET)
 def meet(arrived: wp.array[int], goal: int, yield_core: wp.uint64):
-    """Count the caller in and wait until ``goal`` have arrived; ``yield_core``: address of a function such as
-    sched_yield."""
+    """Count the caller in and wait until ``goal`` have arrived; ``yield_core``: address of sched_yield or the like."""
 
 
 def flat_ranges(ny, row, order):
@@ -54,10 +53,8 @@ def tap_line(ny, row, order):
 
 @cache
 def make_run_steps(effects, real, ny, stride, compiler_flags):
-    """Make the kernel that runs steps ``start`` … ``stop`` − 1 of the plates from ``first`` on; launch over (plates,).
-
-    A team launches it once for each member, at the same time, over (1,).
-    """
+    """Make the kernel of steps ``start`` … ``stop`` − 1 of plates from ``first`` on; launch over (plates,), or by each
+    member of a team at the same time over (1,)."""
     Parameters = make_parameters(real)
     order, reach = effects.order, effects.order // 2
     line = tap_line(ny, stride, order)

@@ -25,10 +25,8 @@ def workspace_size(nx, ny, lanes, order):
 
 @cache
 def make_run_steps(effects, real, nx, ny, stride, lanes, compiler_flags):
-    """Make the kernel that runs steps ``start`` … ``stop`` − 1 of ``lanes`` plates at a time; launch over (groups,).
-
-    The first group begins at plate ``first``; lanes beyond the last plate run empty.
-    """
+    """Make the kernel of steps ``start`` … ``stop`` − 1 of ``lanes`` plates at a time, from ``first`` on; launch over
+    (groups,)."""
     Parameters = make_parameters(real)
     reach, places = effects.order // 2, effects.order + 1
     row = nx * lanes

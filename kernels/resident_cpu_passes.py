@@ -28,7 +28,6 @@ def make_passes(effects, real, row, node, curvature_count, update_count, masked,
     """Make the passes compute_curvature, update_loaded and update_unloaded, functions of addresses.
 
     Args:
-        effects, real: Compile key and precision.
         row, node: Numbers from a node to its neighbour along y and along x.
         curvature_count, update_count: Lengths of the ranges of the first and the second pass.
         masked: Each node has its own stiffness, zero where it is held (else: all share ``Parameters.stiffness``).

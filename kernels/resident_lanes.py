@@ -25,13 +25,10 @@ def fits(nx, ny):
 
 @cache
 def make_run_steps(effects, real, ny, loaded, summed, registers=None):
-    """Make the kernel that runs steps ``start`` … ``stop`` − 1; launch over (32 × plates,).
+    """Make the kernel of steps ``start`` … ``stop`` − 1, in the window if ``summed``; launch over (32 × plates,).
 
     Args:
-        effects, real: Compile key and precision.
-        ny: Nodes along y.
         loaded: Bit j is set where row j + 1 of the plate has a loaded node; other rows take no registers for loads.
-        summed: These steps are in the window, where rate² is summed.
         registers: Most registers per thread; with many, the compiler orders a step for speed alone.
     """
     laplacian = make_laplacian(effects.square_cells, real)

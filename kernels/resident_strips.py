@@ -56,10 +56,7 @@ def plan_strips(nx, ny, real):
 
 @cache
 def make_run_steps(effects, real, nx, ny, stride, plan, summed):
-    """Make the kernel that runs steps ``start`` … ``stop`` − 1, in the window if ``summed``.
-
-    Launch over (plates × 32 × warps,) in blocks of 32 × warps threads.
-    """
+    """Make the kernel of steps ``start`` … ``stop`` − 1, in the window if ``summed``, for blocks of 32 × warps."""
     laplacian = make_laplacian(effects.square_cells, real)
     update = make_update(effects, real)
     from_lane = make_from_lane(real)

@@ -65,10 +65,7 @@ def make_row_taps(real):
 
 @cache
 def make_run_steps(effects, real, nx, ny, stride, plan, summed):
-    """Make the kernel that runs steps ``start`` … ``stop`` − 1, in the window if ``summed``.
-
-    Launch over (plates × 32 × warps,) in blocks of 32 × warps threads.
-    """
+    """Make the kernel of steps ``start`` … ``stop`` − 1, in the window if ``summed``, for blocks of 32 × warps."""
     weighted_sum = make_weighted_sum(real)
     symmetric_weighted_sum = make_symmetric_weighted_sum(real)
     update = make_update(effects, real)

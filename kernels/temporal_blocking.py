@@ -29,8 +29,7 @@ def strips(nx, levels):
 
 @cache
 def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
-    """Make the kernel that runs ``levels`` steps, in the window if ``summed``; launch over (plates · strips · tiles ·
-    32,), with strips along x and tiles of ``tile_rows`` rows along y."""
+    """Make the kernel of ``levels`` steps, in the window if ``summed``; launch over (plates · strips · tiles · 32,)."""
     laplacian = make_laplacian(effects.square_cells, real)
     update = make_update(effects, real)
     from_lane = make_from_lane(real)

@@ -84,10 +84,8 @@ def make_write_tones(real, burst):
 
 @cache
 def make_accumulate_waves(real):
-    """Make the kernel that replaces waves by their running sums over the steps; launch over (plates, terms).
-
-    The sums are divided by a power of two each, which makes them smaller than two.
-    """
+    """Make the kernel that replaces waves by their running sums over the steps, each divided by a power of two that
+    makes it smaller than two; launch over (plates, terms)."""
 
     @wp.kernel(module="unique", enable_backward=False)
     def accumulate_waves(

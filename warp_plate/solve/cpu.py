@@ -30,6 +30,11 @@ RELEASE = 2**30
 # group is used, by order. (Measured: a group of 16 takes as long as 13 single plates of 27 × 27, of fourth order as 8.)
 GROUP_BYTES = 2**20
 GROUP_FILL = {2: 0.85, 4: 0.5}
+# One team at a time: its members wait for each other, so that all must run at once.
+_TEAM = threading.Lock()
+# Address of the C function with which a thread yields its core.
+_LIBRARY, _NAME = ("kernel32", "SwitchToThread") if sys.platform == "win32" else (None, "sched_yield")
+_YIELD = ctypes.cast(getattr(ctypes.CDLL(_LIBRARY), _NAME), ctypes.c_void_p).value
 
 
 def compiler_flags() -> str:
@@ -80,22 +85,6 @@ def distribute(threads: int, plates: int, run_share: Callable[[int, int, int], N
     run_concurrently([partial(run_share, thread, *share) for thread, share in enumerate(pairwise(bounds))])
 
 
-# One team at a time: its members wait for each other, so that all must run at once.
-_TEAM = threading.Lock()
-
-
-def _yield_address() -> int:
-    """Return the address of the C function with which a thread yields its core."""
-    if sys.platform == "win32":
-        function = ctypes.windll.kernel32.SwitchToThread
-    else:
-        function = ctypes.CDLL(None).sched_yield
-    return ctypes.cast(function, ctypes.c_void_p).value or 0
-
-
-_YIELD = _yield_address()
-
-
 def resident_path(specialized: Specialized) -> Advance:
     """Return the path that runs all steps in one launch per thread (Warp releases Python's lock)."""
     ny, stride, threads = specialized.scheme.nodes[1], specialized.stride, specialized.threads
@@ -131,11 +120,14 @@ def resident_path(specialized: Specialized) -> Advance:
 
 def _single_plates(specialized: Specialized) -> Callable[..., None]:
     """Return launch(state, first, last + 1, start, stop[, team]) of ``resident_cpu``; team: size, member, meeting."""
-    device, stride, ny = specialized.device, specialized.stride, specialized.scheme.nodes[1]
+    device, stride, (nx, ny) = specialized.device, specialized.stride, specialized.scheme.nodes
     kernel = resident_cpu.make_run_steps(specialized.effects, specialized.real, ny, stride, compiler_flags())
     specialized.load(kernel)
     shared: list[Any] = [specialized.parameters, *_taps_along_x(specialized), *_taps_along_y(specialized)]
-    stiffnesses, window = _stiffnesses(specialized), wp.vec2i(*specialized.scheme.window)
+    flat = resident_cpu.flat_ranges(ny, stride, specialized.scheme.order)
+    stiffness = np.zeros((max(rows for _, rows in flat[1]) if flat else 1, stride))
+    stiffness[:, 1 : nx - 1] = specialized.parameters.stiffness  # zero where held or padding
+    stiffnesses, window = specialized.to_device(stiffness.ravel()), wp.vec2i(*specialized.scheme.window)
     alone = (1, 0, wp.zeros(1, dtype=int, device=device))
 
     def launch(state: State, first: int, last: int, start: int, stop: int, team: tuple[Any, ...] = alone) -> None:
@@ -160,9 +152,8 @@ def _plate_groups(specialized: Specialized) -> tuple[Callable[..., None], int, f
         specialized.effects, specialized.real, *scheme.nodes, specialized.stride, lanes, compiler_flags()
     )
     specialized.load(kernel)
-    loaded: wp.array = wp.array(specialized.loaded_rows, dtype=int, device=device)
     shared = [specialized.parameters, *_taps_along_x(specialized, lanes), *_taps_along_y(specialized)]
-    shared += [loaded, specialized.wave, wp.vec2i(*scheme.window)]
+    shared += [specialized.loaded, specialized.wave, wp.vec2i(*scheme.window)]
     workspace = wp.zeros((specialized.threads, size), dtype=specialized.real, device=device)
 
     def launch(state: State, thread: int, first: int, last: int, start: int, stop: int) -> None:
@@ -204,12 +195,3 @@ def _taps_along_y(specialized: Specialized) -> tuple[wp.array, wp.array]:
     # The stencil of an edge's row ends with the tensor, one row beyond the edge.
     bend[0], bend[-1] = np.roll(bend[0], -1), np.roll(bend[-1], 1)
     return specialized.to_device(bend), specialized.to_device(scheme.aspect * scheme.taps_y.move)
-
-
-def _stiffnesses(specialized: Specialized) -> wp.array:
-    """Return (rows of the longest range · stride,) stiffness of the nodes, zero where held or padding."""
-    (nx, ny), stride = specialized.scheme.nodes, specialized.stride
-    flat = resident_cpu.flat_ranges(ny, stride, specialized.scheme.order)
-    stiffness = np.zeros((max(rows for _, rows in flat[1]) if flat else 1, stride))
-    stiffness[:, 1 : nx - 1] = specialized.parameters.stiffness
-    return specialized.to_device(stiffness.ravel())

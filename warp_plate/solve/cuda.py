@@ -67,7 +67,7 @@ def _wide_path(specialized: Specialized) -> Advance:
     taps_y.bend_high = scheme.aspect * y.bend[: -special - 1 : -1]
     taps_y.move_high = scheme.aspect * y.move[: -special - 1 : -1]
     bend_x, _, move_x, _ = specialized.taps
-    inputs = [specialized.parameters, taps_y, bend_x, move_x, _loaded(specialized)]
+    inputs = [specialized.parameters, taps_y, bend_x, move_x, specialized.loaded]
     return _cuda_advance(specialized, kernels, inputs, LANES * plan.warps, LANES * plan.warps)
 
 
@@ -101,12 +101,8 @@ def _strips_path(specialized: Specialized) -> Advance:
         summed: resident_strips.make_run_steps(effects, real, *nodes, specialized.stride, plan, summed)
         for summed in (False, True)
     }
-    inputs = [*_edge_factors(specialized), _loaded(specialized)]
+    inputs = [*_edge_factors(specialized), specialized.loaded]
     return _cuda_advance(specialized, kernels, inputs, LANES * plan.warps, LANES * plan.warps)
-
-
-def _loaded(specialized: Specialized) -> wp.array:
-    return wp.array(specialized.loaded_rows, dtype=int, device=specialized.device)
 
 
 def _edge_factors(specialized: Specialized) -> list[Any]:
@@ -155,7 +151,7 @@ def streaming_path(specialized: Specialized) -> Advance:
     specialized.load(*kernels.values(), block_dim=STREAMING_BLOCK)
     specialized.load(record_trace, advance_clock)
     factors = [specialized.to_device(taps.factors) for taps in (scheme.taps_x, scheme.taps_y)]
-    shared = [specialized.parameters, *factors, _loaded(specialized)]
+    shared = [specialized.parameters, *factors, specialized.loaded]
     clock = wp.zeros(1, dtype=int, device=device)
 
     def launches(launch: Launcher, state: State, plates: int, count: int, levels: int, summed: bool) -> None:

@@ -12,17 +12,15 @@ from warp_plate.solve.state import Advance
 
 MakePath = Callable[[Specialized], Advance]
 
-# Paths of plain plates, and those of all other scenes.
-PATHS: dict[str, dict[str, MakePath]] = {
-    "cpu": {"resident": cpu.resident_path, "streaming": streaming.streaming_path},
-    "cuda": {"resident": cuda.resident_path, "streaming": cuda.streaming_path},
-}
+# Paths of plain plates on a CPU and on CUDA, and those of all other scenes.
+CPU: dict[str, MakePath] = {"resident": cpu.resident_path, "streaming": streaming.streaming_path}
+CUDA: dict[str, MakePath] = {"resident": cuda.resident_path, "streaming": cuda.streaming_path}
 MOMENT_FORM: dict[str, MakePath] = {"resident": moment_form.resident_path, "streaming": moment_form.streaming_path}
 
 
 def paths_of(device: wp.Device, plain: bool = True) -> dict[str, MakePath]:
     """Return the paths of a device by name, for a plain plate or for the moment form."""
-    return PATHS["cuda" if device.is_cuda else "cpu"] if plain else MOMENT_FORM
+    return MOMENT_FORM if not plain else CUDA if device.is_cuda else CPU
 
 
 def why_streaming(specialized: Specialized, traced: bool = False) -> str | None:

@@ -21,11 +21,9 @@ from warp_plate.solve.solver import PlateSolver, Progress
 
 @dataclass(frozen=True)
 class Response:
-    """Energies as quadratic forms of the drives."""
+    """Energies as quadratic forms zᵀ matrix z of the drives, for regions of which the first are REGIONS."""
 
-    # (regions, 2M, 2M) symmetric float64 matrices with energy = zᵀ matrix z [J per (N/m²)²]; the first regions
-    # are REGIONS
-    matrices: np.ndarray
+    matrices: np.ndarray  # (regions, 2M, 2M) symmetric float64 [J per (N/m²)²]
 
     def energy(self, phasors: np.ndarray) -> np.ndarray:
         """Return (plates, regions) energies [J] of phasors (plates, actuators), as ``PlateSolver.run`` would."""

@@ -9,6 +9,8 @@ import numpy as np
 
 from warp_plate.solve.status import OK
 
+SOUND = (OK, math.nan)
+
 
 @dataclass(frozen=True)
 class Run:
@@ -41,20 +43,14 @@ class Run:
     @property
     def status(self) -> np.ndarray:
         """(plates,) "ok" or the fault."""
-        status = np.full(len(self.energy), OK, dtype=object)
-        for plate, (fault, _) in self.faults.items():
-            status[plate] = fault
-        return status
+        return np.array([self.faults.get(plate, SOUND)[0] for plate in range(len(self.energy))], dtype=object)
 
     @property
     def growth_time(self) -> np.ndarray:
         """(plates,) time at which a plate was seen to grow without bound [s], NaN if it was not."""
-        time = np.full(len(self.energy), math.nan)
-        for plate, (_, seen) in self.faults.items():
-            time[plate] = seen
-        return time
+        return np.array([self.faults.get(plate, SOUND)[1] for plate in range(len(self.energy))], dtype=float)
 
     def fault(self, plate: int) -> str:
         """Return the fault of a plate with its time, or "ok"."""
-        fault, seen = self.faults.get(plate, (OK, math.nan))
+        fault, seen = self.faults.get(plate, SOUND)
         return f"{fault} by t = {seen:.4g} s" if math.isfinite(seen) else fault

@@ -182,11 +182,7 @@ class PlateSolver:
         return run
 
     def setup(self, drives: Drives) -> None:
-        """Put plates at rest under their loads, to be stepped and read by hand.
-
-        Args:
-            drives: See :meth:`run`.
-        """
+        """Put plates at rest under their loads, given as to :meth:`run`, to be stepped and read by hand."""
         if self.specialized.quantity == "displacement":
             raise SceneError('setup: a solver with quantity = "displacement" cannot be stepped by hand; make another')
         phasors, values = self._check_drives(drives)
@@ -271,7 +267,7 @@ class PlateSolver:
 
         Parts take turns on the states: while the device steps one, the host prepares the next.
         """
-        plates, each = len(phasors), self.node_steps_per_plate
+        plates, work = len(phasors), self.node_steps_per_plate
         corners, shares = bilinear(points, self.specialized.scheme.nodes, self.scene.plate.size)
         states, size = self._states_for(plates, corners.reshape(-1, 2))
         queued: deque[tuple[slice, Callable[[np.ndarray], Faults]]] = deque()
@@ -283,14 +279,14 @@ class PlateSolver:
             part, finish_energies = queued.popleft()
             faults = finish_energies(run.energy[part])
             run.faults.update({part.start + plate: fault for plate, fault in faults.items()})
-            report(part.stop * each, 0)
+            report(part.stop * work, 0)
 
         for first, state in zip(range(0, plates, size), cycle(states), strict=False):
             part = slice(first, min(first + size, plates))
             if len(queued) == len(states):
                 finish_oldest()
             batch = PlateBatch(self.engine, state, phasors[part], values[part])
-            self._advance(batch, snapshots, run.displacement[part], partial(report, first * each))
+            self._advance(batch, snapshots, run.displacement[part], partial(report, first * work))
             queued.append((part, batch.queue_energies()))
             if points:
                 run.trace[part] = batch.trace(shares)
@@ -298,11 +294,7 @@ class PlateSolver:
             finish_oldest()
 
     def _states_for(self, plates: int, corners: np.ndarray) -> tuple[list[State], int]:
-        """Return the states that take turns, and the number of plates to run at once in each.
-
-        Args:
-            corners: (traced nodes, 2) row and column of the nodes whose displacement is kept.
-        """
+        """Return the states that take turns, which trace the nodes ``corners``, and how many plates each takes."""
         part, size, turns, traced = part_plates(self.node_steps_per_plate), max(1, plates), 1, len(corners)
         if self._chunk is not None:
             size = min(self._chunk, size)
@@ -326,10 +318,7 @@ class PlateSolver:
     ) -> None:
         """Take plates to the end of the window, or until all grow without bound; on CUDA the last steps are queued.
 
-        Args:
-            snapshots: Steps after which to keep the displacement.
-            displacement: (plates, times, ny, nx), written.
-            report: Called with the node-steps done.
+        The displacement (plates, times, ny, nx) is written at the steps ``snapshots``.
         """
         steps, plates = self.specialized.scheme.steps, len(batch.phasors)
         segment, may_grow = segment_steps(self.specialized, plates)

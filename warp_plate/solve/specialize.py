@@ -114,6 +114,11 @@ class Specialized:
         return loaded
 
     @property
+    def loaded(self) -> wp.array:
+        """``loaded_rows`` on the device."""
+        return wp.array(self.loaded_rows, dtype=int, device=self.device)
+
+    @property
     def taps(self) -> list[wp.array]:
         """bend_x, bend_y, move_x, move_y of ``plate.operator`` on the device, those of y times ``aspect``."""
         x, y, aspect = self.scheme.taps_x, self.scheme.taps_y, self.scheme.aspect

@@ -27,24 +27,17 @@ CHECK_STEPS, CHECK_NODE_STEPS = 16, {"cpu": 2e7, "cuda": 2e9}
 
 def largest_rate_per_step(specialized: Specialized) -> float:
     """Return the rate, in the kernels' units, that no bounded plate exceeds per step since the start."""
-    patches = specialized.patches.numpy().astype(float)
+    norms = np.linalg.norm(specialized.patches.numpy().astype(float), axis=1)
+    if specialized.discretization.per_plate.centre:  # the largest norms wherever the actuators are
+        areas = np.array([actuator.area for actuator in specialized.scene.actuators])
+        sides = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1)
+        covered = (sides / specialized.scheme.spacing + 2).prod(axis=1)
+        norms = np.maximum(norms, specialized.share.max() * np.sqrt(covered))
     # Waves are below two in size and coefficients at most one.
-    norms = np.linalg.norm(patches, axis=1)
-    if specialized.discretization.per_plate.centre:
-        norms = np.maximum(norms, _largest_patch_norms(specialized))
     load = 2 * specialized.effects.terms * norms.sum()
     if specialized.discretization.moving is not None:
         load += np.sqrt(specialized.interior_nodes)
     return SLACK * float(load)
-
-
-def _largest_patch_norms(specialized: Specialized) -> np.ndarray:
-    """Return (actuators,) upper bounds of the norms of the actuators' load fields, wherever the actuators are."""
-    areas = np.array([actuator.area for actuator in specialized.scene.actuators])
-    sides = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1)
-    covered = (sides / specialized.scheme.spacing + 2).prod(axis=1)
-    largest: np.ndarray = specialized.share.max() * np.sqrt(covered)
-    return largest
 
 
 def steps_between_checks(specialized: Specialized, plates: int) -> int | None:
@@ -62,8 +55,7 @@ def steps_between_checks(specialized: Specialized, plates: int) -> int | None:
 
 def exceeds(rate: np.ndarray, largest: float) -> np.ndarray:
     """Return (plates,), true where some rate (plates, rows, columns) is above ``largest`` or not a number."""
-    found: np.ndarray = ~(np.maximum(rate.max(axis=(1, 2)), -rate.min(axis=(1, 2))) <= largest)
-    return found
+    return np.asarray(~(np.maximum(rate.max(axis=(1, 2)), -rate.min(axis=(1, 2))) <= largest))
 
 
 def find_faults(

@@ -1,7 +1,4 @@
-"""The plain streaming path of every device, and launches that are recorded once and repeated.
-
-Repeating saves Python's overhead for each launch.
-"""
+"""The plain streaming path of every device, and launches repeated from records, which saves Python's overhead."""
 
 from __future__ import annotations
 
