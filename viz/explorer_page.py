@@ -13,7 +13,6 @@ import logging
 import math
 import os
 import secrets
-import signal
 import socket
 import sys
 import time
@@ -48,6 +47,17 @@ JPEG_QUALITY = 85
 LOGGERS = ("asyncio", "aiohttp.server", "wslink.protocol")
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]", "::1")
 BESIDE = "display: grid; grid-template-columns: 1fr 1fr; column-gap: 18px"
+NUMBERS = """
+<div style="font-weight: 600; margin-bottom: 6px">{{ title }}</div>
+<div style="font-size: 17px">Localization factor <b id="factor">{{ factor }}</b></div>
+<div style="font-size: 17px">Bound <b id="bound">{{ bound }}</b></div>
+<div style="margin-top: 4px">Kinetic energy {{ energy }}; by quadrant:</div>
+<div style="display: grid; grid-template-columns: 90px 90px; gap: 3px; margin: 4px 0">
+  <div v-for="name in ['upper left', 'upper right', 'lower left', 'lower right']" :id="name.replace(' ', '_')"
+    :title="name" style="border: 1px solid #999; padding: 2px 8px; text-align: right">{{ shares[name] }}</div>
+</div>
+<div style="min-height: 3em; color: #b2182b; font-size: 13px">{{ status }}</div>
+"""
 
 
 def missing_page() -> str | None:
@@ -71,21 +81,14 @@ def serve_page(model: LiveModel, host: str, port: int, on_ready: Callable[[str],
 
     with socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET):
         pass  # raises here what trame would only log
+    set_up_renderer()
     # JPEG cannot be compressed further; trying takes longer than drawing. Read when the server starts.
     os.environ.setdefault("WSLINK_WS_COMPRESS", "0")
     for name in LOGGERS:
         logging.getLogger(name).addFilter(_is_not_disconnection)
 
-    async def run() -> None:
-        # Where loops have no signal handlers, asyncio itself raises KeyboardInterrupt.
-        with suppress(NotImplementedError):
-            task = asyncio.current_task()
-            asyncio.get_running_loop().add_signal_handler(signal.SIGINT, lambda: task.cancel() if task else None)
-        await ExplorerPage(model).serve(host, port, on_ready)
-
-    set_up_renderer()
-    with suppress(asyncio.CancelledError, KeyboardInterrupt):
-        asyncio.run(run())
+    with suppress(KeyboardInterrupt):
+        asyncio.run(ExplorerPage(model).serve(host, port, on_ready))
 
 
 class ExplorerPage:
@@ -94,8 +97,7 @@ class ExplorerPage:
     def __init__(self, model: LiveModel) -> None:
         from trame.app import get_server
 
-        self.model = model
-        self.server = get_server(TITLE, client_type="vue3")
+        self.model, self.server = model, get_server(TITLE, client_type="vue3")
         self.plotter = make_plotter(SIZE, off_screen=True, shape=(2, 1), row_weights=list(ROW_WEIGHTS))
         self.view: ExplorerView | None = None
         self._size: tuple[int, ...] = ()
@@ -171,7 +173,7 @@ class ExplorerPage:
         state.factor = percent(reading.localization_factor)
         state.bound = "none claimed" if reading.bound is None else percent(reading.bound)
         state.energy = f"{reading.energy['plate']:.3g} J"
-        state.shares = {name.replace(" ", "_"): text for name, text in share_texts(reading).items()}
+        state.shares = share_texts(reading)
         state.status = self.model.status()
         state.playing = self.view.playing
 
@@ -179,8 +181,11 @@ class ExplorerPage:
         from trame.ui.vuetify3 import VAppLayout
         from trame.widgets import client, html, vtk
 
-        state = self.server.state
+        state, actuators = self.server.state, self.model.scene.actuators
         state.trame__title, state.picture, state.choice = TITLE, 0, ""
+        # Texts of the user are in the state, so that nothing in them is read as part of the page.
+        state.title = self.model.scene.title or TITLE
+        state.names = [f"{number}  {actuator.name}" for number, actuator in enumerate(actuators, start=1)]
         self._update(state)
         quality = {"interactive_ratio": 1, "still_ratio": 1}
         quality |= {"interactive_quality": JPEG_QUALITY, "still_quality": JPEG_QUALITY}
@@ -188,52 +193,30 @@ class ExplorerPage:
             with html.Div(style="flex: 1 1 0; min-width: 0; height: 100%", id="stage"):
                 self._remote = vtk.VtkRemoteView(self.plotter.render_window, **quality)
             with html.Div(style="flex: 0 0 390px; overflow-y: auto; padding: 14px 22px; font-size: 15px"):
-                self._add_numbers()
-                self._add_buttons()
-                self._add_sliders()
+                html.Div(NUMBERS)
+                self._add_controls()
             client.ClientStateChange(value="picture", change=(self._take, "[picture]"))
 
-    def _add_numbers(self) -> None:
-        from trame.widgets import html
-
-        self.server.state.title = self.model.scene.title or TITLE
-        html.Div("{{ title }}", style="font-weight: 600; margin-bottom: 6px")
-        html.Div("Localization factor <b id='factor'>{{ factor }}</b>", style="font-size: 17px")
-        html.Div("Bound <b id='bound'>{{ bound }}</b>", style="font-size: 17px")
-        html.Div("Kinetic energy {{ energy }}; by quadrant:", style="margin-top: 4px")
-        with html.Div(style="display: grid; grid-template-columns: 90px 90px; gap: 3px; margin: 4px 0"):
-            for key in ("upper_left", "upper_right", "lower_left", "lower_right"):
-                style = "border: 1px solid #999; padding: 2px 8px; text-align: right"
-                html.Div(f"{{{{ shares.{key} }}}}", id=key, title=key.replace("_", " "), style=style)
-        html.Div("{{ status }}", style="min-height: 3em; color: #b2182b; font-size: 13px")
-
-    def _add_buttons(self) -> None:
+    def _add_controls(self) -> None:
         from trame.widgets import html, vuetify3
 
+        model, ranges = self.model, self.model.ranges
         with html.Div(style="display: grid; grid-template-columns: 1fr 1fr 1fr; gap: 6px; margin-bottom: 8px"):
             style = {"size": "small", "style": "text-transform: none; letter-spacing: 0"}
             for choice, label in CHOICES.items():
                 colour, click = (f"choice === '{choice}' ? 'primary' : undefined",), (self._choose, f"['{choice}']")
                 vuetify3.VBtn(label, id=f"choose-{choice}", color=colour, click=click, **style)
             vuetify3.VBtn("{{ playing ? 'pause' : 'play' }}", id="pause", click=self._pause, **style)
-
-    def _add_sliders(self) -> None:
-        from trame.widgets import html
-
-        model, actuators = self.model, self.model.scene.actuators
         with html.Div(style=BESIDE):
-            _add_slider("frequency [Hz]", "frequency", model.ranges.frequency, model.set_frequency)
-            _add_slider("damping [N·s/m³]", "damping", (0.0, model.ranges.damping), model.set_damping)
-        # Names are the user's texts: in the state, so that nothing in them is read as part of the page.
-        self.server.state.names = [f"{number}  {actuator.name}" for number, actuator in enumerate(actuators, start=1)]
-        for index in range(len(actuators)):
+            _add_slider("frequency [Hz]", "frequency", ranges.frequency, model.set_frequency)
+            _add_slider("damping [N·s/m³]", "damping", (0.0, ranges.damping), model.set_damping)
+        for index in range(len(model.scene.actuators)):
+            set_actuator = partial(self._set_actuator, index)
             html.Div(f"{{{{ names[{index}] }}}}", style="font-weight: 600; margin-top: 10px; overflow-wrap: anywhere")
             with html.Div(style=BESIDE):
-                for key, label, largest in (
-                    ("magnitude", f"w [{model.scene.drive_unit}]", model.ranges.magnitude),
-                    ("phase", "φ [rad]", 2 * math.pi),
-                ):
-                    _add_slider(label, f"{key}_{index}", (0.0, largest), partial(self._set_actuator, index, key))
+                magnitude, phase = (partial(set_actuator, key) for key in ("magnitude", "phase"))
+                _add_slider(f"w [{model.scene.drive_unit}]", f"magnitude_{index}", (0.0, ranges.magnitude), magnitude)
+                _add_slider("φ [rad]", f"phase_{index}", (0.0, 2 * math.pi), phase)
 
     def _set_actuator(self, index: int, key: str, value: float) -> None:
         self.server.state.choice = ""

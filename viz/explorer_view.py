@@ -11,7 +11,7 @@ from warp_plate.result.motion import QUADRANTS, DriveResponse, SwarmSnapshot
 from warp_plate.viz.annotations import add_text, style_text
 from warp_plate.viz.captions import percent
 from warp_plate.viz.fields import DrawingScale, drawing_scale
-from warp_plate.viz.scene3d import add_plate
+from warp_plate.viz.scene3d import PlateActors
 
 if TYPE_CHECKING:
     import pyvista
@@ -51,7 +51,7 @@ class ExplorerView:
         self._reading = model.read()
         plotter.subplot(0, 0)
         field, scale = self._reading.motion.at(0.0), _fitting_scale(self._reading, None)
-        self.plate = add_plate(plotter, model.scene, field, scale, self._caption(), font_size)
+        self.plate = PlateActors(plotter, model.scene, field, scale, self._caption(), font_size)
         plotter.subplot(1, 0)
         self.search = SearchCharts(plotter, [actuator.name for actuator in model.scene.actuators], font_size)
         plotter.subplot(0, 0)

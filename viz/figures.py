@@ -15,7 +15,7 @@ from warp_plate.viz.fields import drawing_scale
 from warp_plate.viz.pictures import SUPERSAMPLING, off_screen_plotter
 from warp_plate.viz.plots.crosstalk import draw_crosstalk
 from warp_plate.viz.plots.search import draw_history, draw_robust, draw_spectrum
-from warp_plate.viz.scene3d import add_plate
+from warp_plate.viz.scene3d import PlateActors
 
 # Most plates in a row; of more recorded times, some are left out evenly.
 MOST_COLUMNS = 6
@@ -78,7 +78,7 @@ def draw_surfaces(result: Result, path: str | Path) -> Path:
             for column, index in enumerate(shown):
                 plotter.subplot(row, column)
                 text = caption(letter + case_label(name, scene), float(result.times[index]), case.localization_factor)
-                add_plate(plotter, result.case_scene(case), case.displacement[index], scale, text, font_size, bar=False)
+                PlateActors(plotter, result.case_scene(case), case.displacement[index], scale, text, font_size, bar=False)
             plotter.subplot(row, len(shown))
             add_legend(plotter, scene, scale, font_size)
         take_picture().save(path, format="PNG", compress_level=3)

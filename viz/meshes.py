@@ -16,7 +16,7 @@ import numpy as np
 from warp_plate.result.targets import outlines
 from warp_plate.scene.model import Scene
 from warp_plate.viz.fields import DrawingScale
-from warp_plate.viz.styles import edges_by_kind
+from warp_plate.viz.styles import edges_by_kind, rectangle
 
 if TYPE_CHECKING:
     import pyvista
@@ -27,11 +27,11 @@ GRID_LINES = 26
 
 
 @dataclass(frozen=True)
-class SurfacePolylines:
-    """Polylines that lie on the triangles of the surface.
+class SurfaceLines:
+    """Lines that lie on the triangles of the surface.
 
     Attributes:
-        mesh: the polylines.
+        mesh: straight segments, each within one triangle.
         nodes: (points, 3) corners of the triangle that holds each point.
         weights: (points, 3) barycentric coordinates of the points in their triangles.
     """
@@ -58,13 +58,13 @@ class PlateMeshes:
     """
 
     surface: pyvista.PolyData
-    grid_lines: SurfacePolylines
-    edges: Mapping[str, SurfacePolylines]
-    target: SurfacePolylines
-    actuators: SurfacePolylines
+    grid_lines: SurfaceLines
+    edges: Mapping[str, SurfaceLines]
+    target: SurfaceLines
+    actuators: SurfaceLines
 
     @property
-    def polylines(self) -> tuple[SurfacePolylines, ...]:
+    def all_lines(self) -> tuple[SurfaceLines, ...]:
         """All lines on the surface."""
         return self.grid_lines, *self.edges.values(), self.target, self.actuators
 
@@ -79,7 +79,7 @@ class PlateMeshes:
         self.surface.points[:, 2] = heights
         scalars = displacement if values is None else values
         self.surface.point_data[SCALARS][:] = np.asarray(scalars, dtype=float).ravel() * scale.unit_factor
-        for lines in self.polylines:
+        for lines in self.all_lines:
             lines.follow(heights)
 
 
@@ -89,22 +89,15 @@ def plate_meshes(
     """Return the meshes of one field; for the arguments see :meth:`PlateMeshes.update`."""
     import pyvista
 
-    (width, height), grid = scene.plate.size, _FlatGrid(scene.plate.size, displacement.shape[::-1])
-    ends = {
-        "left": [(0, 0), (0, height)],
-        "bottom": [(0, 0), (width, 0)],
-        "right": [(width, 0), (width, height)],
-        "top": [(0, height), (width, height)],
-    }
-    areas = [actuator.area for actuator in scene.actuators]
+    grid = _FlatGrid(scene.plate.size, displacement.shape[::-1])
     surface = pyvista.PolyData.from_regular_faces(grid.points(), grid.triangles())
     surface.point_data[SCALARS] = np.zeros(displacement.size)
     meshes = PlateMeshes(
         surface=surface,
-        grid_lines=grid.polylines(grid.inner_lines()),
-        edges={kind: grid.paths([ends[name] for name in names]) for kind, names in edges_by_kind(scene).items()},
-        target=grid.paths(outlines(scene)),
-        actuators=grid.paths([[(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)] for x0, x1, y0, y1 in areas]),
+        grid_lines=grid.lines(grid.inner_lines()),
+        edges={kind: grid.lines(list(ends.values())) for kind, ends in edges_by_kind(scene).items()},
+        target=grid.lines(outlines(scene)),
+        actuators=grid.lines([rectangle(actuator.area) for actuator in scene.actuators]),
     )
     meshes.update(displacement, scale, values)
     return meshes
@@ -112,10 +105,7 @@ def plate_meshes(
 
 @dataclass(frozen=True)
 class _FlatGrid:
-    """The undeformed grid.
-
-    Each cell is two triangles, split from its lower left to its upper right node, which fixes the course of every line
-    on the surface.
+    """The undeformed grid; each cell is two triangles, split from its lower left to its upper right node.
 
     Attributes:
         size: lengths of the plate along x and y [m].
@@ -125,13 +115,9 @@ class _FlatGrid:
     size: tuple[float, float]
     nodes: tuple[int, ...]
 
-    @property
-    def axes(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.linspace(0, self.size[0], self.nodes[0]), np.linspace(0, self.size[1], self.nodes[1])
-
     def points(self) -> np.ndarray:
         """Return (nodes, 3) positions of the nodes at rest, x fastest."""
-        x, y = np.meshgrid(*self.axes)
+        x, y = np.meshgrid(*map(np.linspace, (0, 0), self.size, self.nodes))
         return np.stack([x, y, np.zeros_like(x)], -1).reshape(-1, 3)
 
     def triangles(self) -> np.ndarray:
@@ -141,7 +127,28 @@ class _FlatGrid:
         lower, upper = np.stack([corner, right, across], -1), np.stack([corner, across, up], -1)
         return np.stack([lower, upper], axis=2).reshape(-1, 3)
 
-    def line(self, start: Sequence[float], end: Sequence[float]) -> np.ndarray:
+    def inner_lines(self) -> list[list[tuple[float, float]]]:
+        """Return the ends of grid lines inside the plate, about GRID_LINES each way."""
+        (width, height), positions = self.size, []
+        for side, nodes in zip(self.size, self.nodes, strict=True):
+            step = max(1, round((nodes - 1) / GRID_LINES))
+            positions.append(np.linspace(0, side, nodes)[step:-1:step])
+        return [[(0, y), (width, y)] for y in positions[1]] + [[(x, 0), (x, height)] for x in positions[0]]
+
+    def lines(self, paths: Sequence[Sequence[Sequence[float]] | np.ndarray]) -> SurfaceLines:
+        """Return a mesh of paths through (corners, 2) that can follow the surface."""
+        import pyvista
+
+        pieces = [self._line(*ends) for path in paths for ends in pairwise(path)]
+        points = np.concatenate([np.empty((0, 2)), *pieces])
+        last = np.cumsum([len(piece) for piece in pieces], dtype=int) - 1
+        first = np.setdiff1d(np.arange(len(points)), last)
+        segments = np.column_stack([np.full_like(first, 2), first, first + 1])
+        flat = np.column_stack([points, np.zeros(len(points))])
+        mesh = pyvista.PolyData(flat, lines=segments.ravel()) if pieces else pyvista.PolyData()
+        return SurfaceLines(mesh, *self._barycentric(points))
+
+    def _line(self, start: Sequence[float], end: Sequence[float]) -> np.ndarray:
         """Return the (points, 2) of a straight line, with a point at each crossing of a triangle's side."""
         ends = np.array([start, end], dtype=float)
         x, y = (ends / self.size * (np.array(self.nodes) - 1)).T
@@ -150,32 +157,8 @@ class _FlatGrid:
         for low, high in (x, y, x - y):
             crossings = np.arange(math.ceil(min(low, high)), math.floor(max(low, high)) + 1)
             shares.append((crossings - low) / (high - low) if low != high else np.empty(0))
-        share = np.unique(np.concatenate(shares))[:, None]
+        share = np.unique(np.concatenate(shares).round(12))[:, None]
         return (1 - share) * ends[0] + share * ends[1]
-
-    def inner_lines(self) -> list[np.ndarray]:
-        """Return grid lines inside the plate, about GRID_LINES each way."""
-        step_x, step_y = (max(1, round((n - 1) / GRID_LINES)) for n in self.nodes)
-        x, y = self.axes
-        return [
-            *(np.column_stack([x, np.full_like(x, at)]) for at in y[step_y:-1:step_y]),
-            *(np.column_stack([np.full_like(y, at), y]) for at in x[step_x:-1:step_x]),
-        ]
-
-    def paths(self, paths: Sequence[Sequence[Sequence[float]]] | Sequence[np.ndarray]) -> SurfacePolylines:
-        """Return a mesh of paths through (corners, 2) that can follow the surface."""
-        return self.polylines([np.concatenate([self.line(*ends) for ends in pairwise(path)]) for path in paths])
-
-    def polylines(self, paths: Sequence[np.ndarray]) -> SurfacePolylines:
-        """Join (points, 2) paths, with a point at each crossing, into one mesh that can follow the surface."""
-        import pyvista
-
-        points = np.concatenate([np.empty((0, 2)), *paths])
-        starts = np.cumsum([0, *map(len, paths)])
-        cells = [[end - start, *range(start, end)] for start, end in pairwise(starts)]
-        flat = np.column_stack([points, np.zeros(len(points))])
-        mesh = pyvista.PolyData(flat, lines=np.concatenate(cells)) if cells else pyvista.PolyData()
-        return SurfacePolylines(mesh, *self._barycentric(points))
 
     def _barycentric(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (points, 3) nodes of the triangles that hold the points, and (points, 3) weights."""

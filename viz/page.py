@@ -139,23 +139,13 @@ def _outlines(meshes: PlateMeshes) -> list[dict[str, Any]]:
             "points": _base64(layer.lines.mesh.points[:, :2], "<f4"),
             "nodes": _base64(layer.lines.nodes, "<i4"),
             "shares": _base64(layer.lines.weights, "<f4"),
-            "pieces": _base64(_segments(layer.lines.mesh.lines), "<i4"),
+            "pieces": _base64(layer.lines.mesh.lines.reshape(-1, 3)[:, 1:], "<i4"),
             "colour": [*_rgb(layer.colour), layer.opacity],
             "width": max(1.0, layer.width * FONT_SIZE),
             "nearer": layer.depth_offset * DEPTH_STEP,
         }
         for layer in sorted(line_layers(meshes), key=lambda layer: layer.depth_offset)
     ]
-
-
-def _segments(cells: np.ndarray) -> np.ndarray:
-    """Return the (segments, 2) point indices of polylines given as VTK cells: a count, then that many indices."""
-    segments, at = [], 0
-    while at < len(cells):
-        points = cells[at + 1 : at + 1 + cells[at]]
-        segments.append(np.column_stack([points[:-1], points[1:]]))
-        at += 1 + cells[at]
-    return np.concatenate(segments)
 
 
 def _integers(array: np.ndarray, limit: float) -> str:

@@ -15,13 +15,11 @@ from warp_plate.viz import annotations
 from warp_plate.viz.annotations import LEGEND_WIDTH, lookup_table
 from warp_plate.viz.captions import frame_caption
 from warp_plate.viz.fields import DrawingScale, common_scale, field_of
-from warp_plate.viz.meshes import SCALARS, PlateMeshes, SurfacePolylines, plate_meshes
+from warp_plate.viz.meshes import SCALARS, PlateMeshes, SurfaceLines, plate_meshes
 from warp_plate.viz.styles import EDGE_STYLES, GRID, INK, TARGET
 
 if TYPE_CHECKING:
     import pyvista
-    from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
-    from vtkmodules.vtkRenderingCore import vtkTextActor
 
 PLATES_PER_ROW = 3
 
@@ -39,83 +37,77 @@ class LineLayer:
         opacity: 0 … 1.
     """
 
-    lines: SurfacePolylines
+    lines: SurfaceLines
     colour: str
     width: float
     depth_offset: int
     opacity: float = 1.0
 
 
-@dataclass
 class PlateActors:
-    """A plate in a plotter, updated in place without rendering.
+    """A plate in the active subplot of a plotter, whose camera points at it; updated in place without rendering.
+
+    Args:
+        displacement: (ny, nx) [m], see :meth:`PlateMeshes.update` also for ``values``.
+        scale: colours and heights; pictures that are to be compared share one.
+        text: caption; the height factor is added to its last line.
+        font_size: height of the text [pixels]; line widths are relative to it.
+        bar: True to draw colour bar and legend in this subplot.
 
     Attributes:
         meshes: the drawn meshes.
-        scale: colours and heights.
         surface: actor of the surface.
         caption: text above the plate.
-        bar: colour bar; None if another subplot has it.
-        text: caption without the height factor.
     """
 
-    meshes: PlateMeshes
-    scale: DrawingScale
-    surface: pyvista.Actor
-    caption: vtkTextActor
-    bar: vtkScalarBarActor | None
-    text: str
+    def __init__(
+        self,
+        plotter: pyvista.Plotter,
+        scene: Scene,
+        displacement: np.ndarray,
+        scale: DrawingScale,
+        text: str,
+        font_size: int,
+        bar: bool = True,
+        values: np.ndarray | None = None,
+    ) -> None:
+        # Lines are blended in the order in which they are added; order-independent transparency takes twice the time.
+        plotter.renderer.SetUseOIT(False)
+        self.meshes = plate_meshes(scene, displacement, scale, values)
+        unlit = {"lighting": False, "show_scalar_bar": False}
+        self.surface = plotter.add_mesh(self.meshes.surface, scalars=SCALARS, clim=scale.clim, **unlit)
+        for layer in line_layers(self.meshes):
+            look = {"color": layer.colour, "line_width": layer.width * font_size, "opacity": layer.opacity}
+            actor = plotter.add_mesh(layer.lines.mesh, **look, **unlit)
+            actor.mapper.resolve = "polygon_offset"  # a global switch of VTK that the next line depends on
+            actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -layer.depth_offset)
+        annotations.add_axis_labels(plotter, scene.plate.size, font_size)
+        self._bar = annotations.add_legend(plotter, scene, scale, font_size) if bar else None
+        self.caption, self._text = annotations.add_text(plotter, text, (0.03, 0.97), font_size), text
+        self.rescale(scale)
+        share = annotations.free_width(plotter, font_size) if bar else 1.0
+        annotations.look_at_plate(plotter, scene.plate.size, font_size, share)
 
     def update(self, displacement: np.ndarray, values: np.ndarray | None = None, text: str | None = None) -> None:
         """Move to another field, see :meth:`PlateMeshes.update`, with another caption if a text is given."""
         self.meshes.update(displacement, self.scale, values)
-        if text is not None and text != self.text:
-            self.text = text
-            self.caption.SetInput(_with_heights(text, self.scale))
+        if text is not None and text != self._text:
+            self._text = text
+            self._set_caption()
 
     def rescale(self, scale: DrawingScale) -> None:
         """Take another scale; a call of :meth:`update` must follow."""
         self.scale = scale
-        _set_colours(self.surface, scale)
-        if self.bar is not None:
-            annotations.set_colour_bar(self.bar, scale)
-        self.caption.SetInput(_with_heights(self.text, scale))
+        self.surface.mapper.lookup_table = lookup_table(scale)
+        self.surface.mapper.scalar_range = scale.clim
+        # Between 179° and −179° lies 180°, not 0°: interpolate colours of angles, not angles.
+        self.surface.mapper.interpolate_before_map = scale.field.kind != "cyclic"
+        if self._bar is not None:
+            annotations.set_colour_bar(self._bar, scale)
+        self._set_caption()
 
-
-def add_plate(
-    plotter: pyvista.Plotter,
-    scene: Scene,
-    displacement: np.ndarray,
-    scale: DrawingScale,
-    text: str,
-    font_size: int,
-    bar: bool = True,
-    values: np.ndarray | None = None,
-) -> PlateActors:
-    """Draw one field, see :meth:`PlateMeshes.update`, into the active subplot and point its camera at the plate.
-
-    Args:
-        scale: colours and heights; pictures that are to be compared share one.
-        text: caption; the height factor is added to its last line.
-        font_size: height of the text [pixels]; line widths are relative to it.
-        bar: draw colour bar and legend in this subplot.
-    """
-    # Lines are blended in the order in which they are added; order-independent transparency takes twice the time.
-    plotter.renderer.SetUseOIT(False)
-    meshes = plate_meshes(scene, displacement, scale, values)
-    surface = plotter.add_mesh(meshes.surface, scalars=SCALARS, clim=scale.clim, lighting=False, show_scalar_bar=False)
-    _set_colours(surface, scale)
-    for layer in line_layers(meshes):
-        look = {"color": layer.colour, "line_width": layer.width * font_size, "opacity": layer.opacity}
-        actor = plotter.add_mesh(layer.lines.mesh, lighting=False, show_scalar_bar=False, **look)
-        actor.mapper.resolve = "polygon_offset"  # a global switch of VTK that the next line depends on
-        actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -layer.depth_offset)
-    annotations.add_axis_labels(plotter, scene.plate.size, font_size)
-    drawn_bar = annotations.add_legend(plotter, scene, scale, font_size) if bar else None
-    above = annotations.add_text(plotter, _with_heights(text, scale), (0.03, 0.97), font_size)
-    share = annotations.free_width(plotter, font_size) if bar else 1.0
-    annotations.look_at_plate(plotter, scene.plate.size, font_size, share)
-    return PlateActors(meshes, scale, surface, above, drawn_bar, text)
+    def _set_caption(self) -> None:
+        self.caption.SetInput(", ".join(filter(None, (self._text, self.scale.heights))))
 
 
 def line_layers(meshes: PlateMeshes) -> list[LineLayer]:
@@ -132,21 +124,8 @@ def line_layers(meshes: PlateMeshes) -> list[LineLayer]:
     return layers
 
 
-def _with_heights(text: str, scale: DrawingScale) -> str:
-    return ", ".join(part for part in (text, scale.heights) if part)
-
-
-def _set_colours(surface: pyvista.Actor, scale: DrawingScale) -> None:
-    surface.mapper.lookup_table = lookup_table(scale)
-    surface.mapper.scalar_range = scale.clim
-    # Between 179° and −179° lies 180°, not 0°: interpolate colours of angles, not angles.
-    surface.mapper.interpolate_before_map = scale.field.kind != "cyclic"
-
-
 class SideBySide:
-    """Plates of one scene in the subplots of a plotter, row by row, with a legend in the last column.
-
-    The plotter is not rendered by any method.
+    """Plates of one scene in the subplots of a plotter, row by row, with a legend in the last column; not rendered.
 
     Args:
         plotter: with the subplots of :func:`plate_subplots`.
@@ -174,7 +153,7 @@ class SideBySide:
             plotter.subplot(*divmod(index, columns))
             text, placed = frame_caption(motion, 0, scene), motion.scene or scene
             field = motion.displacement[0]
-            self.plates.append(add_plate(plotter, placed, field, self.scale, text, font_size, False, values[0]))
+            self.plates.append(PlateActors(plotter, placed, field, self.scale, text, font_size, False, values[0]))
         plotter.subplot(0, columns)
         self._bar = annotations.add_legend(plotter, scene, self.scale, font_size)
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Area, Scene
 
 INK, TARGET, GRID = "#1a1a1a", "#1b7837", "#8a8a8a"
-EDGE_NAMES = ("left", "bottom", "right", "top")
+
+# Corners (x, y) [m].
+Path = list[tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -44,16 +46,25 @@ EDGE_STYLES = {
 }
 
 
-def edge_kind(scene: Scene, name: str) -> str:
-    """Return the key of EDGE_STYLES for an edge of a scene."""
-    edge = getattr(scene.edges, name)
-    return edge if isinstance(edge, str) else "springs"
+def edges_by_kind(scene: Scene) -> dict[str, dict[str, Path]]:
+    """Return name and ends of the edges of every kind in the scene, in the order of EDGE_STYLES."""
+    width, height = scene.plate.size
+    ends: dict[str, Path] = {
+        "left": [(0, 0), (0, height)],
+        "bottom": [(0, 0), (width, 0)],
+        "right": [(width, 0), (width, height)],
+        "top": [(0, height), (width, height)],
+    }
+    kinds: dict[str, dict[str, Path]] = {kind: {} for kind in EDGE_STYLES}
+    for name, edge in scene.edges:
+        kinds[edge if isinstance(edge, str) else "springs"][name] = ends[name]
+    return {kind: edges for kind, edges in kinds.items() if edges}
 
 
-def edges_by_kind(scene: Scene) -> dict[str, list[str]]:
-    """Return the names of the edges of every kind in the scene, in the order of EDGE_STYLES."""
-    kinds = {name: edge_kind(scene, name) for name in EDGE_NAMES}
-    return {kind: names for kind in EDGE_STYLES if (names := [name for name in EDGE_NAMES if kinds[name] == kind])}
+def rectangle(area: Area) -> Path:
+    """Return the closed outline of an area."""
+    x0, x1, y0, y1 = area
+    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
 
 
 def legend_entries(scene: Scene) -> list[tuple[str, str]]:

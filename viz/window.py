@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 import time
+from collections import ChainMap
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -24,28 +26,14 @@ if TYPE_CHECKING:
     import pyvista
     from vtkmodules.vtkInteractionWidgets import vtkButtonWidget
 
-# All lengths in pixels: largest window, width of a plate, height of the strip of controls, button and its column.
-MOST_WIDE, MOST_HIGH, PLATE, STRIP, BUTTON, COLUMN = 1500, 900, 620, 150, 18, 172
+# In pixels: largest window, width of a plate, least height of a single row, strip of controls, button and its column.
+MOST_WIDE, MOST_HIGH, PLATE, LEAST_HIGH, STRIP, BUTTON, COLUMN = 1500, 900, 620, 560, 150, 18, 172
 FONT_SIZE = 15
-# Height of a plate's subplot over its width; least height of a single row [pixels].
-ASPECT, LEAST_HIGH = 0.8, 560
-# Interval of the timer [ms]; most frames a second.
-TIMER, FASTEST = 10, 60.0
+# Height of a plate's subplot over its width; interval of the timer [ms]; most frames a second.
+ASPECT, TIMER, FASTEST = 0.8, 10, 60.0
 # Factor of a key press for rate and heights.
 STEP = 1.25
 ALL = "all"
-KEYS = """space          play, pause
-left, right    previous, next frame
-, and .        slower, faster
-up, down       heights
-c              next field in colour
-d              next drive, or all
-Shift+S        screenshot
-Home           initial view
-h              these keys
-q              close
-drag, wheel    turn, zoom
-r, w, s        fit, wireframe, surface"""
 
 
 class ViewerWindow:
@@ -68,7 +56,7 @@ class ViewerWindow:
         self.plotter, self.scene, self.stem, self.rate, self.quantity = plotter, scene, stem, rate, quantity
         self.plates = SideBySide(plotter, scene, motions, quantity, FONT_SIZE)
         self.names, self.shown, self.playing = [motion.name for motion in motions], ALL, False
-        self._warp_factor = self.plates.scale.warp_factor
+        self._warp_factor, self.ratio = self.plates.scale.warp_factor, 1.0
         self._modes = motions[0].localization_factor is None
         count = self.plates.frames
         self._moments = np.arange(count) / count if self._modes else motions[0].times  # modes: in periods
@@ -78,14 +66,16 @@ class ViewerWindow:
         self._renderers = [plotter.renderers[int(plotter.renderers.loc_to_index(place))] for place in places]
         self._viewports = [renderer.GetViewport() for renderer in self._renderers]
         self._add_controls(rows)
-        self._bind_keys()
         plotter.subplot(0, 0)
-        self.keys = add_text(plotter, KEYS, (0.03, 0.8), FONT_SIZE)
+        keys = self._keys()
+        self.keys = add_text(plotter, "\n".join(f"{name:<15}{use}" for name, use, _ in keys), (0.03, 0.8), FONT_SIZE)
         style = self.keys.GetTextProperty()
         style_text(style, FONT_SIZE - 2, font="DejaVuSansMono")
         style.SetBackgroundColor(1, 1, 1)
         style.SetBackgroundOpacity(0.9)
         self.keys.VisibilityOff()
+        for name, callback in ChainMap(*(callbacks for *_, callbacks in keys)).items():
+            plotter.add_key_event(name, callback)
         self.playing = True
 
     def tick(self) -> None:
@@ -103,6 +93,10 @@ class ViewerWindow:
         self.plates.show(int(self._position))
         self._update("time", self._moments[self.plates.frame])
 
+    def go_to(self, moment: float) -> None:
+        """Stop at the frame nearest to a time [s], or to a part of the period of modes."""
+        self.step(int(np.abs(self._moments - moment).argmin()) - self.plates.frame)
+
     def play(self, playing: bool) -> None:
         """Start or stop."""
         self.playing = playing
@@ -119,10 +113,11 @@ class ViewerWindow:
         self.rate = min(max(rate, 1.0), FASTEST)
         self._update("rate", self.rate)
 
-    def exaggerate(self, warp_factor: float) -> None:
-        """Exaggerate heights by this factor."""
-        self.plates.exaggerate(max(warp_factor, 1e-3 * self._warp_factor))
-        self._update("heights", self.plates.scale.warp_factor / self._warp_factor)
+    def exaggerate(self, ratio: float) -> None:
+        """Exaggerate heights by this multiple of their first factor."""
+        self.plates.exaggerate(self._warp_factor * max(ratio, 1e-3))
+        self.ratio = self.plates.scale.warp_factor / self._warp_factor
+        self._update("heights", self.ratio)
 
     def colour_by(self, quantity: str) -> None:
         """Show another field in colour."""
@@ -155,9 +150,8 @@ class ViewerWindow:
 
     def screenshot(self) -> Path:
         """Write the window to the next free file name."""
-        number = 1
-        while (path := Path(f"{self.stem}-{number}.png")).exists():
-            number += 1
+        paths = (Path(f"{self.stem}-{number}.png") for number in itertools.count(1))
+        path = next(path for path in paths if not path.exists())
         try:
             self.plotter.screenshot(path)
             self.status.SetInput(f"wrote {path}")
@@ -166,17 +160,12 @@ class ViewerWindow:
         self.plotter.render()
         return path
 
-    def toggle_keys(self) -> None:
-        """Show or hide the list of keys."""
-        self.keys.SetVisibility(not self.keys.GetVisibility())
-        self.plotter.render()
-
     def _update(self, slider: str, value: float) -> None:
         self.sliders[slider].SetValue(value)
         self.plotter.render()
 
     def _add_controls(self, row: int) -> None:
-        """Fill the strip below the plates; PyVista calls each slider's callback once, before it is in ``sliders``."""
+        """Fill the strip below the plates."""
         plotter, moments = self.plotter, self._moments
         plotter.subplot(row, 0)
         plotter.renderer.InteractiveOff()
@@ -188,12 +177,12 @@ class ViewerWindow:
         self.case_buttons = self._add_buttons(cases if len(self.names) > 1 else {}, 34, 0, self.show_only, ALL)
         self.sliders: dict[str, Any] = {}
         for key, title, ends, value, left, right, callback in (
-            ("time", "time [periods]" if self._modes else "time [s]", moments[[0, -1]], 0.0, 0.02, 0.42, self._on_time),
+            ("time", f"time [{'periods' if self._modes else 's'}]", moments[[0, -1]], 0.0, 0.02, 0.42, self.go_to),
             ("rate", "frames per second", (1.0, FASTEST), self.rate, 0.48, 0.70, partial(setattr, self, "rate")),
-            ("heights", "heights, 1 at first", (0.0, 4.0), 1.0, 0.76, 0.98, self._on_heights),
+            ("heights", "heights, 1 at first", (0.0, 4.0), 1.0, 0.76, 0.98, self.exaggerate),
         ):
             slider = plotter.add_slider_widget(
-                callback, ends, value=max(value, ends[0]), pointa=(left, 0.70), pointb=(right, 0.70), style="modern",
+                partial(self._slide, key, callback), ends, value=max(value, ends[0]), pointa=(left, 0.70), pointb=(right, 0.70), style="modern",
                 fmt="%.4g", interaction_event="always", slider_width=0.12, tube_width=0.03, color=INK,
             )  # fmt: skip
             bar = self.sliders[key] = slider.GetRepresentation()
@@ -202,6 +191,10 @@ class ViewerWindow:
             bar.SetEndCapLength(0.0)
             style_text(bar.GetLabelProperty(), FONT_SIZE)
             add_text(plotter, title, (left, 1.0), FONT_SIZE)
+
+    def _slide(self, key: str, callback: Callable[[float], None], value: float) -> None:
+        if key in self.sliders:  # PyVista also calls back when it makes the slider
+            callback(value)
 
     def _add_buttons(
         self, labels: dict[str, str], y: int, left: int, callback: Callable[[str], None], chosen: str
@@ -221,37 +214,34 @@ class ViewerWindow:
         look = {"size": BUTTON, "border_size": 4, "color_on": "#08519c", "color_off": "#c4c4c4"}
         return add(callback=callback, value=value, position=(x, y), **look)
 
-    def _on_time(self, moment: float) -> None:
-        if "time" in self.sliders:
-            self.play(False)
-            self.go(int(np.abs(self._moments - moment).argmin()))
+    def _keys(self) -> list[tuple[str, str, dict[str, Callable[[], object]]]]:
+        """Return keys as in their list, their use, and callbacks by VTK's names of the keys."""
 
-    def _on_heights(self, ratio: float) -> None:
-        if "heights" in self.sliders:
-            self.exaggerate(ratio * self._warp_factor)
-
-    def _bind_keys(self) -> None:
         def next_of(buttons: dict[str, Any], name: str, callback: Callable[[str], None]) -> None:
-            names = list(buttons)
+            names = [*buttons, *buttons]
             if names:
-                callback(names[(names.index(name) + 1) % len(names)])
+                callback(names[names.index(name) + 1])
 
-        keys: dict[str, Callable[[], object]] = {
-            "space": lambda: self.play(not self.playing),
-            "Left": lambda: self.step(-1),
-            "Right": lambda: self.step(1),
-            "comma": lambda: self.set_rate(self.rate / STEP),
-            "period": lambda: self.set_rate(self.rate * STEP),
-            "Up": lambda: self.exaggerate(self.plates.scale.warp_factor * STEP),
-            "Down": lambda: self.exaggerate(self.plates.scale.warp_factor / STEP),
-            "c": lambda: next_of(self.field_buttons, self.quantity, self.colour_by),
-            "d": lambda: next_of(self.case_buttons, self.shown, self.show_only),
-            "S": self.screenshot,
-            "Home": self.reset_view,
-            "h": self.toggle_keys,
-        }
-        for key, callback in keys.items():
-            self.plotter.add_key_event(key, callback)
+        def show_keys() -> None:
+            self.keys.SetVisibility(not self.keys.GetVisibility())
+            self.plotter.render()
+
+        slower, faster = (partial(lambda by: self.set_rate(self.rate * by), by) for by in (1 / STEP, STEP))
+        lower, higher = (partial(lambda by: self.exaggerate(self.ratio * by), by) for by in (1 / STEP, STEP))
+        return [
+            ("space", "play, pause", {"space": lambda: self.play(not self.playing)}),
+            ("left, right", "previous, next frame", {"Left": partial(self.step, -1), "Right": partial(self.step, 1)}),
+            (", and .", "slower, faster", {"comma": slower, "period": faster}),
+            ("up, down", "heights", {"Up": higher, "Down": lower}),
+            ("c", "next field in colour", {"c": lambda: next_of(self.field_buttons, self.quantity, self.colour_by)}),
+            ("d", "next drive, or all", {"d": lambda: next_of(self.case_buttons, self.shown, self.show_only)}),
+            ("Shift+S", "screenshot", {"S": self.screenshot}),
+            ("Home", "initial view", {"Home": self.reset_view}),
+            ("h", "these keys", {"h": show_keys}),
+            ("q", "close", {}),
+            ("drag, wheel", "turn, zoom", {}),
+            ("r, w, s", "fit, wireframe, surface", {}),
+        ]
 
 
 def window_plotter(plates: int, **options: object) -> pyvista.Plotter:
@@ -274,7 +264,7 @@ def open_window(
     plotter = window_plotter(len(motions))
     window = ViewerWindow(plotter, scene, motions, quantity, stem, rate)
     if heights is not None:
-        window.exaggerate(heights)
+        window.exaggerate(heights / window.plates.scale.warp_factor)
     plotter.add_timer_event(max_steps=2**31 - 1, duration=TIMER, callback=lambda _: window.tick())
     # Ctrl-C closes the window as q does; VTK would end the process.
     before = signal.signal(signal.SIGINT, lambda *_: plotter.iren.terminate_app())

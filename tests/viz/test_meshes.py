@@ -20,13 +20,9 @@ def meshes_of(field, scene=PAPER):
     return plate_meshes(scene, field, drawing_scale([field], scene.plate.size))
 
 
-def segments(lines):
-    """(segments, 2, 3) ends of all straight pieces of a mesh of polylines."""
-    pieces, at = [], 0
-    while at < len(lines.lines):
-        pieces += itertools.pairwise(lines.points[lines.lines[at + 1 : at + 1 + lines.lines[at]]].astype(float))
-        at += 1 + lines.lines[at]
-    return np.array(pieces)
+def segments(mesh):
+    """(segments, 2, 3) ends of the pieces of lines."""
+    return mesh.points[mesh.lines.reshape(-1, 3)[:, 1:]].astype(float)
 
 
 @pytest.mark.parametrize(
@@ -89,7 +85,7 @@ def test_polylines_lie_on_the_warped_surface(random):
     triangles = Triangulation(points[:, 0], points[:, 1], meshes.surface.faces.reshape(-1, 4)[:, 1:])
     height = LinearTriInterpolator(triangles, points[:, 2])
     assert np.abs(points[:, 2]).max() > 0.01
-    for lines in meshes.polylines:
+    for lines in meshes.all_lines:
         on_line = np.concatenate([np.linspace(*ends, 7)[1:-1] for ends in segments(lines.mesh)])
         # Rounding may put points on the edge outside of all triangles.
         inside = np.clip(on_line[:, :2], 1e-7, 0.2 - 1e-7)

@@ -92,7 +92,7 @@ def test_plates_move_in_place(side_by_side):
     # All outlines are drawn above the surface.
     actors = [actor for actor in plotter.renderers[1].actors.values() if isinstance(actor, pyvista.Actor)]
     drawn, meshes = {id(actor.mapper.dataset): actor for actor in actors}, plates.plates[1].meshes
-    for lines in meshes.polylines:
+    for lines in meshes.all_lines:
         assert not drawn[id(lines.mesh)].prop.lighting
         assert drawn[id(lines.mesh)].mapper.resolve == "polygon_offset"
     colours = [drawn[id(lines.mesh)].prop.color.hex_rgb for lines in (meshes.target, meshes.actuators)]

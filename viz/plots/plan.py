@@ -16,7 +16,7 @@ from warp_plate.viz.captions import frame_caption
 from warp_plate.viz.fields import DrawingScale, common_scale, field_of
 from warp_plate.viz.plots.frame import figure
 from warp_plate.viz.scene3d import rows_and_columns
-from warp_plate.viz.styles import EDGE_STYLES, INK, TARGET, edge_kind, edges_by_kind
+from warp_plate.viz.styles import EDGE_STYLES, INK, TARGET, edges_by_kind, rectangle
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -84,23 +84,17 @@ def drawn_size(scene: Scene, length: float) -> tuple[float, float]:
 
 def draw_edges(axes: Axes, scene: Scene) -> None:
     """Draw the edges by their support, and fit the axes to the plate without ticks."""
+    for kind, edges in edges_by_kind(scene).items():
+        for ends in edges.values():
+            axes.plot(*zip(*ends, strict=True), clip_on=False, zorder=3, **EDGE_STYLES[kind].matplotlib)
     width, height = scene.plate.size
-    ends = {
-        "left": ((0, 0), (0, height)),
-        "bottom": ((0, width), (0, 0)),
-        "right": ((width, width), (0, height)),
-        "top": ((0, width), (height, height)),
-    }
-    for edge, (x, y) in ends.items():
-        axes.plot(x, y, clip_on=False, zorder=3, **EDGE_STYLES[edge_kind(scene, edge)].matplotlib)
     axes.set(aspect="equal", xlim=(0, width), ylim=(0, height), xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
 
 
 def draw_outline(axes: Axes, area: Area, colour: str, style: str = "-") -> None:
     """Draw the outline of a rectangle."""
-    x0, x1, y0, y1 = area
-    corners = [x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0]
+    corners = zip(*rectangle(area), strict=True)
     axes.plot(*corners, color=colour, linewidth=0.9, linestyle=style, clip_on=False, zorder=2)
 
 
