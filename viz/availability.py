@@ -52,10 +52,7 @@ class DrawingUnavailable(RuntimeError):
 
 
 def missing_renderer() -> str | None:
-    """Return a sentence on why VTK cannot draw off screen and what to install, or None if it can.
-
-    The first call in a process takes about half a second.
-    """
+    """Return a sentence on why VTK cannot draw off screen and what to install, or None; takes 0.5 s at first."""
     with _LOCK:  # a trial at a time, whose result is cached
         return working_window()[1]
 
@@ -94,9 +91,7 @@ def prepare() -> None:
 
 
 def set_up_renderer() -> None:
-    """Make VTK of this process draw off screen, in a window that works and without warnings, or raise
-    DrawingUnavailable.
-    """
+    """Make VTK draw off screen in this process, without warnings, or raise DrawingUnavailable."""
     if (problem := missing_renderer()) is not None:
         raise DrawingUnavailable(problem)
     os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
@@ -111,37 +106,30 @@ def set_up_renderer() -> None:
 @functools.cache
 def working_window() -> tuple[str | None, str | None]:
     """Return the VTK class of a window that draws off screen (None: VTK's own choice), and None or why none does."""
-    problem = missing_meshes()
-    if problem is not None:
+    if (problem := missing_meshes()) is not None:
         return None, problem
-    answer = ""
-    for window in _window_classes():
+    linux, chosen, answer = sys.platform.startswith("linux"), os.environ.get(WINDOW_VARIABLE), ""
+    # With a display X comes first, as for a window on the screen: GLX and EGL clash in one process.
+    known = [*([X_WINDOW] if os.environ.get("DISPLAY") else []), "vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"]
+    for window in known if linux and not chosen else [chosen or None]:
         drawn, answer = _try_window(window)
         if drawn:
             # VTK may have fallen back to another class, which gives no warnings when asked for by name.
             return None if window is None else answer, None
     last = answer.rpartition("\n")[2]
     if last.startswith(("ImportError", "ModuleNotFoundError")):
-        return None, f"the plate cannot be drawn: VTK cannot be imported ({last}): {EXTRA}"
-    if not sys.platform.startswith("linux"):
-        return None, "the plate cannot be drawn: VTK opens no off-screen OpenGL window on this machine"
-    return None, f"the plate cannot be drawn: there is no EGL or OSMesa driver for off-screen drawing; {PACKAGES}"
-
-
-def _window_classes() -> list[str | None]:
-    """Return the VTK classes to try, the best first; None is VTK's own choice, the only one outside Linux."""
-    chosen = os.environ.get(WINDOW_VARIABLE)
-    if chosen or not sys.platform.startswith("linux"):
-        return [chosen or None]
-    # With a display X comes first, as for a window on the screen: GLX and EGL clash in one process.
-    return [*([X_WINDOW] if os.environ.get("DISPLAY") else []), "vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"]
+        reason = f"VTK cannot be imported ({last}): {EXTRA}"
+    elif linux:
+        reason = f"there is no EGL or OSMesa driver for off-screen drawing; {PACKAGES}"
+    else:
+        reason = "VTK opens no off-screen OpenGL window on this machine"
+    return None, f"the plate cannot be drawn: {reason}"
 
 
 def _try_window(window: str | None) -> tuple[bool, str]:
     """Return whether a trial drawing can be seen, and the class of its window or the subprocess's error output."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-    if window is not None:
-        environment[WINDOW_VARIABLE] = window
+    environment |= {} if window is None else {WINDOW_VARIABLE: window}
     # In a session of its own, as Ctrl-C is meant for the command, not for its trial.
     options = {"env": environment, "errors": "replace", "timeout": TIMEOUT, "start_new_session": True}
     try:

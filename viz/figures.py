@@ -78,7 +78,9 @@ def draw_surfaces(result: Result, path: str | Path) -> Path:
             for column, index in enumerate(shown):
                 plotter.subplot(row, column)
                 text = caption(letter + case_label(name, scene), float(result.times[index]), case.localization_factor)
-                PlateActors(plotter, result.case_scene(case), case.displacement[index], scale, text, font_size, bar=False)
+                PlateActors(
+                    plotter, result.case_scene(case), case.displacement[index], scale, text, font_size, bar=False
+                )
             plotter.subplot(row, len(shown))
             add_legend(plotter, scene, scale, font_size)
         take_picture().save(path, format="PNG", compress_level=3)

@@ -51,22 +51,12 @@ class PlateMeshes:
 
     Attributes:
         surface: a point per node, x fastest, with point data SCALARS in the unit of the colour bar.
-        grid_lines: grid lines inside the plate.
-        edges: edges of the plate by their support, a key of EDGE_STYLES.
-        target: outlines of the targets.
-        actuators: outlines of the actuators.
+        lines: "grid" (lines inside the plate), edges by their support (a key of EDGE_STYLES), outlines of the "target"
+            or targets and of the "actuators", in drawing order; those that are there.
     """
 
     surface: pyvista.PolyData
-    grid_lines: SurfaceLines
-    edges: Mapping[str, SurfaceLines]
-    target: SurfaceLines
-    actuators: SurfaceLines
-
-    @property
-    def all_lines(self) -> tuple[SurfaceLines, ...]:
-        """All lines on the surface."""
-        return self.grid_lines, *self.edges.values(), self.target, self.actuators
+    lines: Mapping[str, SurfaceLines]
 
     def update(self, displacement: np.ndarray, scale: DrawingScale, values: np.ndarray | None = None) -> None:
         """Move to another field in place.
@@ -79,7 +69,7 @@ class PlateMeshes:
         self.surface.points[:, 2] = heights
         scalars = displacement if values is None else values
         self.surface.point_data[SCALARS][:] = np.asarray(scalars, dtype=float).ravel() * scale.unit_factor
-        for lines in self.all_lines:
+        for lines in self.lines.values():
             lines.follow(heights)
 
 
@@ -92,13 +82,13 @@ def plate_meshes(
     grid = _FlatGrid(scene.plate.size, displacement.shape[::-1])
     surface = pyvista.PolyData.from_regular_faces(grid.points(), grid.triangles())
     surface.point_data[SCALARS] = np.zeros(displacement.size)
-    meshes = PlateMeshes(
-        surface=surface,
-        grid_lines=grid.lines(grid.inner_lines()),
-        edges={kind: grid.lines(list(ends.values())) for kind, ends in edges_by_kind(scene).items()},
-        target=grid.lines(outlines(scene)),
-        actuators=grid.lines([rectangle(actuator.area) for actuator in scene.actuators]),
-    )
+    paths = {
+        "grid": grid.inner_lines(),
+        **{kind: list(ends.values()) for kind, ends in edges_by_kind(scene).items()},
+        "target": outlines(scene),
+        "actuators": [rectangle(actuator.area) for actuator in scene.actuators],
+    }
+    meshes = PlateMeshes(surface, {name: grid.lines(held) for name, held in paths.items() if held})
     meshes.update(displacement, scale, values)
     return meshes
 
@@ -136,16 +126,15 @@ class _FlatGrid:
         return [[(0, y), (width, y)] for y in positions[1]] + [[(x, 0), (x, height)] for x in positions[0]]
 
     def lines(self, paths: Sequence[Sequence[Sequence[float]] | np.ndarray]) -> SurfaceLines:
-        """Return a mesh of paths through (corners, 2) that can follow the surface."""
+        """Return lines on the surface along paths through (corners, 2)."""
         import pyvista
 
         pieces = [self._line(*ends) for path in paths for ends in pairwise(path)]
-        points = np.concatenate([np.empty((0, 2)), *pieces])
-        last = np.cumsum([len(piece) for piece in pieces], dtype=int) - 1
+        points = np.concatenate(pieces)
+        last = np.cumsum([len(piece) for piece in pieces]) - 1
         first = np.setdiff1d(np.arange(len(points)), last)
         segments = np.column_stack([np.full_like(first, 2), first, first + 1])
-        flat = np.column_stack([points, np.zeros(len(points))])
-        mesh = pyvista.PolyData(flat, lines=segments.ravel()) if pieces else pyvista.PolyData()
+        mesh = pyvista.PolyData(np.column_stack([points, np.zeros(len(points))]), lines=segments.ravel())
         return SurfaceLines(mesh, *self._barycentric(points))
 
     def _line(self, start: Sequence[float], end: Sequence[float]) -> np.ndarray:

@@ -29,10 +29,8 @@ from warp_plate.viz.styles import legend_entries
 PEAK, NAN = 32767, -32768
 # Most bytes of all values as text, and bytes of one value in base64.
 MOST_BYTES, BYTES_PER_VALUE = 20e6, 8 / 3
-# Font size of the page, for line widths [pixels].
-FONT_SIZE = 16
-# One step of the depth buffer in the page's depth −1 … 1.
-DEPTH_STEP = 2e-6
+# Font size of the page, for line widths [pixels]; one step of the depth buffer in the page's depth −1 … 1.
+FONT_SIZE, DEPTH_STEP = 16, 2e-6
 
 
 def write_page(
@@ -44,12 +42,10 @@ def write_page(
     heights: float | None = None,
 ) -> None:
     """Write the page, with the field in colour (a key of FIELDS) and the initial frame rate [1/s] and height factor."""
-    data = page_data(scene, motions, quantity, rate, heights)
     # Inside HTML, only "<" in the JSON text could end the script.
-    text = json.dumps(data).replace("<", "\\u003c")
-    folder = files("warp_plate.viz")
-    page, script = ((folder / name).read_text(encoding="utf-8") for name in ("page.html", "page.js"))
-    path.write_text(page.replace("/*SCRIPT*/", script).replace("/*DATA*/", text), encoding="utf-8")
+    data = json.dumps(page_data(scene, motions, quantity, rate, heights)).replace("<", "\\u003c")
+    page, script = (files("warp_plate.viz").joinpath(name).read_text("utf-8") for name in ("page.html", "page.js"))
+    path.write_text(page.replace("/*SCRIPT*/", script).replace("/*DATA*/", data), encoding="utf-8")
 
 
 def page_data(
@@ -68,9 +64,15 @@ def page_data(
     values = sum(len(array) for array in [*heights, *colours]) * math.prod(all_nodes)
     ny, nx = (thinned_nodes(nodes, values) for nodes in all_nodes)
     heights, colours = ([_resampled(array, (ny, nx), field) for array in arrays] for arrays in (heights, colours))
-    meshes = plate_meshes(scene, heights[0][0], scale)
+    meshes, (low, high) = plate_meshes(scene, heights[0][0], scale), scale.clim
     return {
-        **_scale_data(scale),
+        "heightWords": bool(scale.heights),
+        "title": scale.title,
+        "limits": [low / high, 1.0],
+        "ticks": [(LABEL_FORMAT % tick).replace("-", "−") for tick in np.linspace(high, low, 5)],
+        "cyclic": scale.field.kind == "cyclic",
+        "none": _rgb(scale.field.nan_colour),
+        "table": _base64(lookup_table(scale).values, "u1"),
         "name": scene.title or "Plates in motion",
         "size": list(scene.plate.size),
         "grid": [nx, ny],
@@ -99,24 +101,10 @@ def page_data(
     }
 
 
-def _scale_data(scale: DrawingScale) -> dict[str, Any]:
-    low, high = scale.clim
-    return {
-        "heightWords": bool(scale.heights),
-        "title": scale.title,
-        "limits": [low / high, 1.0],
-        "ticks": [(LABEL_FORMAT % tick).replace("-", "−") for tick in np.linspace(high, low, 5)],
-        "cyclic": scale.field.kind == "cyclic",
-        "none": _rgb(scale.field.nan_colour),
-        "table": _base64(lookup_table(scale).values, "u1"),
-    }
-
-
 def thinned_nodes(nodes: int, values: int) -> int:
     """Return how many nodes along one axis are shown, for a total number of values.
 
-    The step between shown nodes is the smallest that MOST_BYTES allows, or up to twice that if only then the last node
-    is shown.
+    The step between them is the least that MOST_BYTES allows, or up to twice that if only then the last node is shown.
     """
     least = math.ceil(math.sqrt(BYTES_PER_VALUE * values / MOST_BYTES))
     step = next((step for step in range(least, 2 * least + 1) if (nodes - 1) % step == 0), least)
@@ -156,8 +144,7 @@ def _integers(array: np.ndarray, limit: float) -> str:
 
 
 def _rgb(colour: str) -> list[float]:
-    """Return red, green and blue, 0 … 1, of #rrggbb."""
-    return [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    return [part / 255 for part in bytes.fromhex(colour[1:])]
 
 
 def _base64(array: np.ndarray, kind: str) -> str:

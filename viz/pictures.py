@@ -29,11 +29,9 @@ if TYPE_CHECKING:
 
 # Pictures are drawn larger by this factor and shrunk, as VTK's own anti-aliasing garbles subplots (VTK 9.4).
 SUPERSAMPLING = 1.25
-# Height of a plate's picture over its width.
-ASPECT = 0.78
-# Least duration of a movie, which repeats its frames [s].
-LEAST_DURATION = 6.0
-# GIF counts hundredths of a second, and most viewers slow down frames shorter than this.
+# Height of a plate's picture over its width; least duration of an MP4, which repeats its frames [s].
+ASPECT, LEAST_DURATION = 0.78, 6.0
+# In hundredths of a second, in which GIF counts; most viewers slow down shorter frames.
 SHORTEST_GIF_FRAME = 2
 
 # Called after each frame with the numbers of frames done and in all.
@@ -76,9 +74,7 @@ def draw_picture(scene: Scene, motions: Sequence[Motion], path: Path, style: Pic
 def draw_movie(
     scene: Scene, motions: Sequence[Motion], path: Path, style: PictureStyle, rate: float, on_frame: OnFrame
 ) -> None:
-    """Write all frames, as a GIF that repeats forever (at most 50 frames a second) if the path ends in .gif, else as an
-    MP4 (H.264) that every browser plays and that repeats its frames for at least six seconds.
-    """
+    """Write all frames as a GIF, at most 50 a second, or as an MP4 (H.264) of at least six seconds."""
     with off_screen_plates(scene, motions, style) as (plates, take_picture):
 
         def pictures() -> Iterator[Image.Image]:

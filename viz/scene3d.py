@@ -29,12 +29,10 @@ class LineLayer:
     """Lines on the surface and their style.
 
     Attributes:
-        lines: the lines.
         colour: #rrggbb.
         width: line width [font sizes].
         depth_offset: steps of the depth buffer towards the viewer; without it the surface would hide half of a wide
             line on a slope.
-        opacity: 0 … 1.
     """
 
     lines: SurfaceLines
@@ -112,15 +110,15 @@ class PlateActors:
 
 def line_layers(meshes: PlateMeshes) -> list[LineLayer]:
     """Return all lines of a plate in drawing order, with a target's line beside that of an edge."""
-    layers = [LineLayer(meshes.grid_lines, GRID, 0.033, 300)]
-    for kind, lines in meshes.edges.items():
-        style = EDGE_STYLES[kind]
-        layers.append(LineLayer(lines, style.colour, style.width / 18, 400 if kind == "clamped" else 560))
-    for lines, colour, width, offset in ((meshes.target, TARGET, 0.125, 500), (meshes.actuators, INK, 0.1, 600)):
-        if lines.mesh.n_points:
-            # A light rim sets the line off against dark colours.
+    styles = {"grid": (GRID, 0.033, 300), "target": (TARGET, 0.125, 500), "actuators": (INK, 0.1, 600)}
+    for kind, edge in EDGE_STYLES.items():
+        styles[kind] = (edge.colour, edge.width / 18, 400 if kind == "clamped" else 560)
+    layers = []
+    for name, lines in meshes.lines.items():
+        colour, width, offset = styles[name]
+        if name in ("target", "actuators"):  # a light rim sets the line off against dark colours
             layers.append(LineLayer(lines, "#ffffff", width + 0.1, offset - 20, 0.5))
-            layers.append(LineLayer(lines, colour, width, offset))
+        layers.append(LineLayer(lines, colour, width, offset))
     return layers
 
 
@@ -136,15 +134,13 @@ class SideBySide:
     Attributes:
         plates: one for each motion.
         scale: common scale of all plates and frames.
-        frames: number of frames.
-        frame: index of the shown frame.
+        frames: number of frames; ``frame`` is the index of the shown one.
     """
 
     def __init__(
         self, plotter: pyvista.Plotter, scene: Scene, motions: Sequence[Motion], quantity: str, font_size: int
     ) -> None:
-        self.scene = scene
-        self.motions = list(motions)
+        self.scene, self.motions = scene, list(motions)
         self.frames, self.frame = len(motions[0].times), 0
         self.scale = self._take_field(quantity)
         self.plates = []

@@ -85,7 +85,7 @@ def test_polylines_lie_on_the_warped_surface(random):
     triangles = Triangulation(points[:, 0], points[:, 1], meshes.surface.faces.reshape(-1, 4)[:, 1:])
     height = LinearTriInterpolator(triangles, points[:, 2])
     assert np.abs(points[:, 2]).max() > 0.01
-    for lines in meshes.all_lines:
+    for lines in meshes.lines.values():
         on_line = np.concatenate([np.linspace(*ends, 7)[1:-1] for ends in segments(lines.mesh)])
         # Rounding may put points on the edge outside of all triangles.
         inside = np.clip(on_line[:, :2], 1e-7, 0.2 - 1e-7)
@@ -96,18 +96,19 @@ def test_outlines_follow_target_and_actuators():
     meshes = meshes_of(np.zeros((27, 27)))
     lengths = [
         np.hypot(*np.diff(segments(lines.mesh), axis=1)[:, 0, :2].T).sum()
-        for lines in (meshes.edges["clamped"], meshes.target, meshes.actuators)
+        for lines in (meshes.lines["clamped"], meshes.lines["target"], meshes.lines["actuators"])
     ]
     assert lengths == pytest.approx([0.8, 0.4, 4 * 4 * 0.012], rel=1e-5)
     for x0, x1, y0, y1 in (actuator.area for actuator in PAPER.actuators):
         for corner in itertools.product((x0, x1), (y0, y1)):
-            assert np.hypot(*(meshes.actuators.mesh.points[:, :2] - corner).T).min() < 1e-7
+            assert np.hypot(*(meshes.lines["actuators"].mesh.points[:, :2] - corner).T).min() < 1e-7
 
 
 def test_edges_are_drawn_by_their_support(scene):
     mixed = scene(edges=("clamped", "free", {"translation": 1e6, "rotation": 1.0}, "supported"))
-    assert edges_by_kind(mixed) == {"clamped": ["left"], "supported": ["top"], "springs": ["right"], "free": ["bottom"]}
-    edges = meshes_of(np.zeros((9, 11)), mixed).edges
+    names = {kind: list(edges) for kind, edges in edges_by_kind(mixed).items()}
+    assert names == {"clamped": ["left"], "supported": ["top"], "springs": ["right"], "free": ["bottom"]}
+    edges = meshes_of(np.zeros((9, 11)), mixed).lines
     places = {"clamped": (0, 0), "supported": (1, 0.2), "springs": (0, 0.2), "free": (1, 0)}
     for kind, (axis, position) in places.items():
         points = edges[kind].mesh.points

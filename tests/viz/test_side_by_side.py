@@ -92,10 +92,12 @@ def test_plates_move_in_place(side_by_side):
     # All outlines are drawn above the surface.
     actors = [actor for actor in plotter.renderers[1].actors.values() if isinstance(actor, pyvista.Actor)]
     drawn, meshes = {id(actor.mapper.dataset): actor for actor in actors}, plates.plates[1].meshes
-    for lines in meshes.all_lines:
+    for lines in meshes.lines.values():
         assert not drawn[id(lines.mesh)].prop.lighting
         assert drawn[id(lines.mesh)].mapper.resolve == "polygon_offset"
-    colours = [drawn[id(lines.mesh)].prop.color.hex_rgb for lines in (meshes.target, meshes.actuators)]
+    colours = [
+        drawn[id(lines.mesh)].prop.color.hex_rgb for lines in (meshes.lines["target"], meshes.lines["actuators"])
+    ]
     assert colours == ["#1b7837", "#1a1a1a"]
 
 

@@ -22,8 +22,7 @@ OTHER = ("#762a83", "v")
 NUMBERED = ((2, "overlap"), (4, "moments"))
 FRONT_COLOUR, TOLERANCE_COLOUR, REFUSED_COLOUR = "#a6d9a0", "#b0b0b0", "#b2182b"
 TOLERANCES = (0.1, 0.03, 0.01, 0.003, 0.001)
-# Height of the marks of refused configurations over the largest error.
-REFUSED_HEIGHT = 2.2
+REFUSED_HEIGHT = 2.2  # of the marks of refused configurations over the largest error
 
 Row = Mapping[str, Any]
 
@@ -58,28 +57,26 @@ def draw_accuracy(record: Mapping[str, Any], path: str | Path) -> Path:
 
 def families(rows: Sequence[Row]) -> list[tuple[tuple[int, str], str]]:
     """Return the measured ((order, load), precision), in the order of FAMILIES."""
-    known = list(FAMILIES)
+    known = [*FAMILIES]
     measured = {_family(row) for row in rows if not row["as_written"]}
     return sorted(measured, key=lambda family: (known.index(family[0]) if family[0] in known else len(known), family))
 
 
 def longest_steps(rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
     """Split rows into those with the longest time step of their grid, from coarse to fine, and the others."""
-    longest: dict[tuple[int, ...], Row] = {}
-    for row in sorted(rows, key=lambda row: -float(row["time_step"])):
-        longest.setdefault(tuple(row["nodes"]), row)
+    longest = {tuple(row["nodes"]): row for row in sorted(rows, key=lambda row: float(row["time_step"]))}
     line = sorted(longest.values(), key=lambda row: -float(row["spacing"]))
     return line, [row for row in rows if not any(row is other for other in line)]
 
 
 def refused_points(all_rows: Sequence[Row], measured: Sequence[Row]) -> list[float]:
     """Return the seconds per plate that each refused or unstable row would take, from its grid's measured row."""
+    known = {(_family(row), *row["nodes"]): row for row in reversed(measured) if not row["as_written"]}
     points = []
     for row in all_rows:
-        if row["status"].partition(":")[0] in ("refused", "unstable") and row["time_step"]:
-            key = (_family(row), list(row["nodes"]))
-            same = [it for it in measured if not it["as_written"] and (_family(it), list(it["nodes"])) == key]
-            points += [it["seconds_per_plate"] * it["time_step"] / row["time_step"] for it in same[:1]]
+        same = known.get((_family(row), *row["nodes"]))
+        if same and row["status"].partition(":")[0] in ("refused", "unstable") and row["time_step"]:
+            points.append(same["seconds_per_plate"] * same["time_step"] / row["time_step"])
     return points
 
 

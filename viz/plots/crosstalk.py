@@ -12,7 +12,7 @@ import numpy as np
 from warp_plate.result.model import Result
 from warp_plate.result.targets import crosstalk, decibels, target_cases, target_outlines
 from warp_plate.viz.fields import drawing_scale
-from warp_plate.viz.plots.frame import figure
+from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.plots.plan import draw_edges, draw_field, draw_outline, drawn_size
 from warp_plate.viz.styles import INK, TARGET
 
@@ -40,12 +40,9 @@ def draw_crosstalk(result: Result, path: str | Path) -> Path:
         above, below = made.subfigures(2, 1, height_ratios=[table_height, plates_height])
         _draw_table(above.subplots(), names, crosstalk(result))
         if drawn:
-            panels = below.subplots(rows, columns, squeeze=False)
-            for axes, (target, case) in zip(panels.flat, drawn.items(), strict=False):
+            for axes, (target, case) in zip(add_panels(below, len(drawn), columns), drawn.items(), strict=True):
                 _draw_plate(axes, result, target, case)
                 axes.set_title(titles[target], fontsize=8)
-            for axes in panels.flat[len(drawn) :]:
-                axes.set_axis_off()
             size = "{:g} m × {:g} m".format(*result.scene.plate.size)
             note = f"displacement of the plate, {size}:\nred up, blue down, each in its own scale"
             below.supxlabel(note, fontsize=8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,8 +14,9 @@ from warp_plate.result.atomic_io import atomic_path
 from warp_plate.viz.availability import missing_plots
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.axis import Axis
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, FigureBase
 
 STYLE = {"axes.linewidth": 0.8, "legend.frameon": False, "svg.hashsalt": "warp-plate"}
 # Tick labels in this range are written without powers of ten.
@@ -45,6 +47,14 @@ def figure(
         made.savefig(path, dpi=dpi)
 
 
+def add_panels(figure: FigureBase, count: int, columns: int, **options: Any) -> list[Axes]:
+    """Add so many axes in rows of this many columns; the rest of the last row stays empty."""
+    grid = figure.subplots(math.ceil(count / columns), columns, squeeze=False, **options).ravel()
+    for axes in grid[count:]:
+        axes.set_visible(False)
+    return list(grid[:count])
+
+
 def save_plots(draw: Callable[[Any, Path], object], data: object, path: Path) -> tuple[list[Path], str | None]:
     """Draw ``data`` as PNG and SVG beside ``path``; return the files, and why some are missing or None."""
     if (problem := missing_plots()) is not None:
@@ -63,7 +73,7 @@ def save_plots(draw: Callable[[Any, Path], object], data: object, path: Path) ->
 def number_log_axis(axis: Axis, intervals: int = 5) -> None:
     """Label a logarithmic axis, whose limits are set, with numbers that do not overlap.
 
-    If it spans less than one decade, there are at most so many intervals between labels.
+    Below one decade there are at most so many intervals between labels.
     """
     from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullFormatter
 

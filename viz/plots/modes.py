@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_plate.scene.model import Scene
-from warp_plate.viz.plots.frame import figure
+from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.plots.plan import draw_edges, draw_outline, drawn_size, edge_handles, line_handle
 from warp_plate.viz.styles import INK
 from warp_plate.viz.styles import TARGET as PATCH
@@ -18,9 +18,8 @@ from warp_plate.viz.styles import TARGET as PATCH
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-CMAP = "RdBu_r"
 # Longer side of a plate [inch]; most plates in a row.
-LENGTH, MOST_COLUMNS = 1.9, 6
+CMAP, LENGTH, MOST_COLUMNS = "RdBu_r", 1.9, 6
 # Relative to the largest displacement: rounding errors, and the height of spots of the other sign without a meaning.
 ROUNDING, FLAT = 1e-9, 3e-3
 # Nodal lines are contours of a spline with at least this many points per side.
@@ -41,12 +40,10 @@ def draw_modes(scene: Scene, frequencies: np.ndarray, shapes: np.ndarray, path: 
     width, height = drawn_size(scene, LENGTH)
     size = (max(columns * (width + 0.15), 3.2) + 0.9, rows * (height + 0.35) + 0.45)
     with figure(path, size, font_size=8) as made:
-        panels = made.subplots(rows, columns, squeeze=False)
-        for number, (axes, frequency, shape) in enumerate(zip(panels.flat, frequencies, shapes, strict=False), 1):
+        panels = add_panels(made, count, columns)
+        for number, (axes, frequency, shape) in enumerate(zip(panels, frequencies, shapes, strict=True), 1):
             mesh = _draw_shape(axes, scene, shape)
             axes.set_title(f"{number}: {frequency_text(frequency)}", fontsize=8, pad=4)
-        for axes in panels.flat[count:]:
-            axes.set_axis_off()
         bar = made.colorbar(mesh, ax=panels, shrink=min(1.0, 1.2 / rows + 0.2), aspect=18, pad=0.02)
         bar.set_label("displacement over its largest")
         handles = [*edge_handles(scene), line_handle(INK, "nodal line", 0.9)]
@@ -97,10 +94,11 @@ def nodal_field(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray
     from scipy.interpolate import RectBivariateSpline
     from scipy.ndimage import label, maximum
 
-    (ny, nx), (width, height) = shape.shape, scene.plate.size
-    refine_x, refine_y = (math.ceil(FINE / (nodes - 1)) for nodes in (nx, ny))
-    x, y = np.linspace(0, width, nx), np.linspace(0, height, ny)
-    fine_x, fine_y = (np.linspace(0, width, (nx - 1) * refine_x + 1), np.linspace(0, height, (ny - 1) * refine_y + 1))
+    nodes = shape.shape[::-1]
+    refine_x, refine_y = refine = [math.ceil(FINE / (count - 1)) for count in nodes]
+    x, y = map(np.linspace, (0, 0), scene.plate.size, nodes)
+    fine = ((count - 1) * times + 1 for count, times in zip(nodes, refine, strict=True))
+    fine_x, fine_y = map(np.linspace, (0, 0), scene.plate.size, fine)
     # Rounding errors on a nodal line along grid nodes would make the contour jump from side to side.
     clean = np.where(np.abs(shape) < ROUNDING, 0.0, shape)
     field = RectBivariateSpline(y, x, clean)(fine_y, fine_x)

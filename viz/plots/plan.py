@@ -14,7 +14,7 @@ from warp_plate.result.targets import outlines
 from warp_plate.scene.model import Area, Scene
 from warp_plate.viz.captions import frame_caption
 from warp_plate.viz.fields import DrawingScale, common_scale, field_of
-from warp_plate.viz.plots.frame import figure
+from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.scene3d import rows_and_columns
 from warp_plate.viz.styles import EDGE_STYLES, INK, TARGET, edges_by_kind, rectangle
 
@@ -39,19 +39,15 @@ def draw_plan(scene: Scene, motions: Sequence[Motion], path: Path, quantity: str
     width, height = drawn_size(scene, LENGTH)
     size = (max(columns * (width + 0.45), 3.2) + 0.9, rows * (height + 0.75) + 0.3)
     with figure(path, size, font_size=8) as made:
-        panels = made.subplots(rows, columns, squeeze=False)
-        for axes, motion in zip(panels.flat, motions, strict=False):
+        panels = add_panels(made, len(motions), columns)
+        for index, (axes, motion) in enumerate(zip(panels, motions, strict=True)):
             values, caption = shown.values(motion), frame_caption(motion, frame, scene)
             draw_field(axes, scene, values[frame % len(values)], scale)
             _draw_outlines(axes, motion.scene or scene)
             # A field without time dependence belongs to no moment.
             axes.set_title(caption if len(values) > 1 else re.sub(", t = .*", "", caption), fontsize=8, pad=6)
-        for axes in panels.flat[len(motions) :]:
-            axes.set_axis_off()
-        for axes in panels[:, 0]:
-            axes.set_ylabel("y [m]")
-        for column in panels.T:
-            [axes for axes in column if axes.axison][-1].set_xlabel("x [m]")
+            axes.set_xlabel("x [m]" if index + columns >= len(motions) else "")
+            axes.set_ylabel("y [m]" if index % columns == 0 else "")
         bar = made.colorbar(ScalarMappable(Normalize(*scale.clim), shown.cmap), ax=panels, aspect=22, pad=0.02)
         bar.set_label(scale.title.replace("\n", " "))
         if shown.kind == "cyclic":
@@ -63,12 +59,14 @@ def draw_layout(scene: Scene, path: Path) -> None:
     """Draw edges, targets, actuators, layers and oscillators of a scene."""
     width, height = drawn_size(scene, LENGTH)
     with figure(path, (max(width, 2.6) + 0.7, height + 0.9), font_size=8, dpi=110) as made:
-        axes, handles, layers = made.subplots(), _outline_handles(scene), []
-        for x0, x1, y0, y1 in (layer.area for layer in scene.effects.layers):
-            layers = axes.fill([x0, x1, x1, x0], [y0, y0, y1, y1], color=LAYER, alpha=0.3, label="layer")
+        axes, handles = made.subplots(), _outline_handles(scene)
+        layers = [
+            axes.fill(*zip(*rectangle(layer.area), strict=True), color=LAYER, alpha=0.3, label="layer")[0]
+            for layer in scene.effects.layers
+        ]
+        handles += layers[:1]
         for oscillator in scene.effects.oscillators:
             draw_outline(axes, oscillator.area, OSCILLATOR)
-        handles += layers
         if scene.effects.oscillators:
             handles.append(line_handle(OSCILLATOR, "oscillator", 0.9))
         _draw_outlines(axes, scene)

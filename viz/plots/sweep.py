@@ -13,7 +13,7 @@ import numpy as np
 from warp_plate.result.sweep import REFUSED, Sweep
 from warp_plate.scene.keys import label_of, unit_of
 from warp_plate.scene.vary import counted
-from warp_plate.viz.plots.frame import figure, number_log_axis
+from warp_plate.viz.plots.frame import add_panels, figure, number_log_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,11 +21,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = ("#08519c", "#b2182b", "#6baed6", "#8a8a8a", "#1b7837", "#762a83", "#d95f02", "#4d4d4d")
-REFUSED_COLOUR = "#d9d9d9"
-CMAP = "viridis"
-# Most modes with a line or map of their own; most small maps, of which some are left out evenly.
-MOST_MODES, MOST_MAPS = 8, 20
-CONTOURS = 8
+REFUSED_COLOUR, CMAP = "#d9d9d9", "viridis"
+# Most modes with a line or map of their own; most small maps, of which some are left out evenly; contour lines.
+MOST_MODES, MOST_MAPS, CONTOURS = 8, 20, 8
 # Marker and size of samples by rank: the first is filled, and coinciding neighbours can both be seen.
 MARKERS = (("o", 3), ("o", 6), ("x", 4), ("+", 6), ("s", 5), ("D", 7), ("^", 5), ("v", 6))
 # Powers of ten that tick labels may have; any other power is written once, with the unit.
@@ -48,24 +46,23 @@ def draw_sweep(sweep: Sweep, path: str | Path) -> Path:
 
 def curves(sweep: Sweep) -> dict[str, tuple[str, np.ndarray]]:
     """Return the unit and the (points,) values of every scalar output by its label; NaN where not finite."""
-    found = {}
+    scalars = {}
     for name, output in sweep.outputs.items():
         values = sweep.values[name].reshape(len(sweep.plan), -1)
         finite = np.where(np.isfinite(values), values, np.nan).T
         for index, row in enumerate(finite[:MOST_MODES], 1):
-            found[f"{output.meaning} {index}" if output.axis else output.meaning] = (output.unit, row)
-    return found
+            scalars[f"{output.meaning} {index}" if output.axis else output.meaning] = (output.unit, row)
+    return scalars
 
 
 def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
     """Return the (n + 1,) edges of the cells around (n,) monotonic values, halfway between them."""
     at = np.log(values) if logarithmic else values
-    if len(at) == 1:
-        half = 0.5 if logarithmic else 0.5 * abs(float(at[0])) or 0.5
-        edges = at[0] + np.array([-half, half])
-    else:
+    if len(at) > 1:
         middle = (at[1:] + at[:-1]) / 2
-        edges = np.concatenate([[2 * at[0] - middle[0]], middle, [2 * at[-1] - middle[-1]]])
+        edges = np.array([2 * at[0] - middle[0], *middle, 2 * at[-1] - middle[-1]])
+    else:
+        edges = at[0] + np.array([-1, 1]) * (0.5 if logarithmic else 0.5 * abs(at[0]) or 0.5)
     return np.exp(edges) if logarithmic else edges
 
 
@@ -98,13 +95,13 @@ def _draw_maps(figure: Figure, sweep: Sweep) -> str:
     maps = curves(sweep)
     columns = min(2, len(maps))
     figure.set_size_inches(3.9 * columns, 0.3 + 3.0 * math.ceil(len(maps) / columns))
-    panels = _map_panels(figure, len(maps), columns)
+    panels = add_panels(figure, len(maps), columns, sharex=True, sharey=True)
     for axes, (label, (unit, values)) in zip(panels, maps.items(), strict=True):
         field = values.reshape(sweep.plan.shape)
         figure.colorbar(_draw_map(axes, sweep, field, (0, 1), _limits(field)), ax=axes).set_label(_with_unit("", unit))
         axes.set_title(label, fontsize=9)
     _label_maps(panels, sweep, columns, (0, 1), 5)
-    return "refused points are grey" if (sweep.status == REFUSED).any() else ""
+    return _refused_note(sweep)
 
 
 def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
@@ -116,7 +113,7 @@ def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
     shown = [places[index] for index in np.unique(np.linspace(0, len(places) - 1, MOST_MAPS).astype(int))]
     columns = field.shape[-3] if field.shape[-3] <= 5 and len(shown) == len(places) else min(5, len(shown))
     figure.set_size_inches(0.9 + 2.5 * columns, 0.6 + 2.2 * math.ceil(len(shown) / columns))
-    panels = _map_panels(figure, len(shown), columns)
+    panels = add_panels(figure, len(shown), columns, sharex=True, sharey=True)
     for axes, place in zip(panels, shown, strict=True):
         mesh = _draw_map(axes, sweep, field[place], (first, second), _limits(values))
         names = [f"{_with_unit(*_label_and_unit(sweep, key))}: " for key in others]
@@ -125,7 +122,7 @@ def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
     _label_maps(panels, sweep, columns, (first, second), 4, size=8)
     figure.colorbar(mesh, ax=panels, shrink=0.8).set_label(_with_unit(label, unit))
     some = f"{len(shown)} of {len(places)} maps; " if len(shown) < len(places) else ""
-    return some + ("refused points are grey" if (sweep.status == REFUSED).any() else "") or label
+    return some + _refused_note(sweep) or label
 
 
 def _draw_points(figure: Figure, sweep: Sweep) -> str:
@@ -151,13 +148,6 @@ def _draw_points(figure: Figure, sweep: Sweep) -> str:
     for key, axes in enumerate(grid[-1]):
         _set_axis(axes.xaxis, *_label_and_unit(sweep, key), 4)
     return counted(len(plan), "sample") + (f", {refused.sum()} of them refused (ticks)" if refused.any() else "")
-
-
-def _map_panels(figure: Figure, count: int, columns: int) -> list[Axes]:
-    grid = figure.subplots(math.ceil(count / columns), columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for axes in grid[count:]:
-        axes.set_visible(False)
-    return list(grid[:count])
 
 
 def _label_maps(
@@ -194,6 +184,10 @@ def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int]
     return mesh
 
 
+def _refused_note(sweep: Sweep) -> str:
+    return "refused points are grey" if (sweep.status == REFUSED).any() else ""
+
+
 def _limits(values: np.ndarray) -> tuple[float, float]:
     """Return the smallest and largest finite value; Matplotlib itself widens limits that coincide."""
     finite = values[np.isfinite(values)]
@@ -222,11 +216,11 @@ def _common_words(labels: Sequence[str]) -> tuple[str, list[str]]:
         return labels[0], list(labels)
     split = [label.split() for label in labels]
     columns = zip(*([word.strip(",") for word in words] for words in split), strict=False)
-    count = len(list(itertools.takewhile(lambda column: len(set(column)) == 1, columns)))
-    common = [word.strip(",") for word in split[0][:count]]
+    common = [words[0] for words in itertools.takewhile(lambda words: len(set(words)) == 1, columns)]
+    remainders = [" ".join(words[len(common) :]) for words in split]
     while common and common[-1] in ("of", "the", "a"):
         common.pop()
-    return " ".join(common), [" ".join(words[count:]) for words in split]
+    return " ".join(common), remainders
 
 
 def _set_axis(axis: Axis, label: str, unit: str, most: int | None = None, size: float | None = None) -> None:
