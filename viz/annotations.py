@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,7 @@ from warp_plate.viz.styles import INK, legend_entries
 if TYPE_CHECKING:
     import pyvista
     from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
-    from vtkmodules.vtkRenderingCore import vtkTextActor, vtkTextProperty
+    from vtkmodules.vtkRenderingCore import vtkBillboardTextActor3D, vtkTextActor, vtkTextProperty
 
 # Azimuth and elevation of the camera [°]: the viewer stands in front of the lower left corner.
 AZIMUTH, ELEVATION = -127.5, 40.0
@@ -43,10 +44,9 @@ def look_at_plate(plotter: pyvista.Plotter, size: tuple[float, float], font_size
     corners = np.array([(x, y, z) for x in (0, size[0]) for y in (0, size[1]) for z in (-tall, tall)])
     horizontal, vertical = corners @ right, corners @ up
     # Extents to the left and to the right: position [m], and pixels that are needed beyond it.
-    label_x, label_y = axis_labels(size)
-    label_pixels = [0.56 * font_size * len(text) for text, _ in (label_x, label_y)]
-    lefts = [(horizontal.min(), 0.0), (label_y[1] @ right, label_pixels[1])]
-    rights = [(horizontal.max(), 0.0), (label_x[1] @ right, label_pixels[0])]
+    (text_x, at_x), (text_y, at_y) = axis_labels(size)
+    lefts = [(horizontal.min(), 0.0), (at_y @ right, 0.56 * font_size * len(text_y))]
+    rights = [(horizontal.max(), 0.0), (at_x @ right, 0.56 * font_size * len(text_x))]
     margin = 0.02 * pixels_wide
     height = max(pixels_high * 0.96 - 3.4 * font_size, pixels_high / 4)
     width = share * pixels_wide - 2 * margin
@@ -77,18 +77,9 @@ def axis_labels(size: tuple[float, float]) -> tuple[tuple[str, np.ndarray], tupl
 
 def add_axis_labels(plotter: pyvista.Plotter, size: tuple[float, float], font_size: int) -> None:
     """Add name and length of x and y beside the two edges nearest to the viewer."""
-    from vtkmodules.vtkRenderingCore import vtkBillboardTextActor3D
-
-    for text, position in axis_labels(size):
-        actor = vtkBillboardTextActor3D()
-        actor.SetInput(text)
-        actor.SetPosition(*position)
-        style = actor.GetTextProperty()
-        style_text(style, font_size)
-        style.SetVerticalJustificationToTop()
-        if text.startswith("y"):
-            style.SetJustificationToRight()
-        plotter.renderer.AddViewProp(actor)
+    label_x, label_y = axis_labels(size)
+    add_text(plotter, *label_x, font_size)
+    add_text(plotter, *label_y, font_size).GetTextProperty().SetJustificationToRight()
 
 
 def free_width(plotter: pyvista.Plotter, font_size: int) -> float:
@@ -136,16 +127,17 @@ def lookup_table(scale: DrawingScale) -> pyvista.LookupTable:
 
 
 def add_text(
-    plotter: pyvista.Plotter, text: str, position: tuple[float, float], font_size: int, colour: str = INK
-) -> vtkTextActor:
-    """Add text with its upper left corner at these shares of the active subplot's width and height."""
-    from vtkmodules.vtkRenderingCore import vtkTextActor
+    plotter: pyvista.Plotter, text: str, position: Sequence[float], font_size: int, colour: str = INK
+) -> vtkTextActor | vtkBillboardTextActor3D:
+    """Add text with its upper left corner at shares of the active subplot's width and height, or at x, y, z [m]."""
+    from vtkmodules.vtkRenderingCore import vtkBillboardTextActor3D, vtkTextActor
 
-    actor = vtkTextActor()
+    actor = vtkBillboardTextActor3D() if len(position) == 3 else vtkTextActor()
     actor.SetInput(text)
     style_text(actor.GetTextProperty(), font_size, colour)
     actor.GetTextProperty().SetVerticalJustificationToTop()
-    actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
+    if len(position) == 2:
+        actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
     actor.SetPosition(*position)
     plotter.renderer.AddViewProp(actor)
     return actor

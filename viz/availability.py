@@ -28,11 +28,6 @@ _LOCK = threading.Lock()
 
 # Draws an empty white window; prints its class, and whether it is white.
 TRIAL = """
-try:
-    import resource
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-except ImportError:
-    pass
 import vtkmodules.vtkRenderingOpenGL2
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow, vtkWindowToImageFilter
 window, renderer, image = vtkRenderWindow(), vtkRenderer(), vtkWindowToImageFilter()

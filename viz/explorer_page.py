@@ -33,16 +33,14 @@ TITLE = "warp-plate explore"
 # Labels of the buttons by the choice of a drive.
 CHOICES = {"scene": "scene's own", "equal": "equal", "single": "best single"}
 CHOICES |= {"found": "best found", "exact": "exact best", "random": "random"}
-# Least duration of an iteration of the swarm, so that it can be watched [s].
-ITERATION_SECONDS = 0.1
+ITERATION_SECONDS = 0.1  # least duration of an iteration of the swarm, so that it can be watched
 # Initial size of the picture, and its font size for this size [pixels].
 SIZE, FONT_SIZE = (900, 800), 16
 # Most pictures a second. The next is drawn once the browser has taken the last but one; unchanged pictures are sent
 # only every REPEAT seconds, for browsers that have connected meanwhile.
 FRAMES_PER_SECOND, AHEAD, REPEAT = 30.0, 2, 1.0
 # Without an answer for this long, nobody is looking or a message was lost [s].
-ANSWER_TIMEOUT = 1.0
-JPEG_QUALITY = 85
+ANSWER_TIMEOUT, JPEG_QUALITY = 1.0, 85
 # Loggers that report a browser that disconnects while a picture is on its way.
 LOGGERS = ("asyncio", "aiohttp.server", "wslink.protocol")
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]", "::1")
@@ -86,7 +84,6 @@ def serve_page(model: LiveModel, host: str, port: int, on_ready: Callable[[str],
     os.environ.setdefault("WSLINK_WS_COMPRESS", "0")
     for name in LOGGERS:
         logging.getLogger(name).addFilter(_is_not_disconnection)
-
     with suppress(KeyboardInterrupt):
         asyncio.run(ExplorerPage(model).serve(host, port, on_ready))
 
@@ -165,7 +162,7 @@ class ExplorerPage:
         return True
 
     def _update(self, state: Any) -> None:
-        """Copy settings and numbers into the state, of which trame sends what has changed."""
+        """Exchange settings and numbers with the state, of which trame sends what has changed."""
         settings, reading = self.model.settings, self.model.read()
         state.frequency, state.damping = settings.frequency, settings.damping
         for index, (magnitude, phase) in enumerate(zip(settings.magnitude, settings.phase, strict=True)):
@@ -175,14 +172,14 @@ class ExplorerPage:
         state.energy = f"{reading.energy['plate']:.3g} J"
         state.shares = share_texts(reading)
         state.status = self.model.status()
-        state.playing = self.view.playing
+        self.view.playing = state.playing
 
     def _build(self) -> None:
         from trame.ui.vuetify3 import VAppLayout
         from trame.widgets import client, html, vtk
 
         state, actuators = self.server.state, self.model.scene.actuators
-        state.trame__title, state.picture, state.choice = TITLE, 0, ""
+        state.trame__title, state.picture, state.choice, state.playing = TITLE, 0, "", True
         # Texts of the user are in the state, so that nothing in them is read as part of the page.
         state.title = self.model.scene.title or TITLE
         state.names = [f"{number}  {actuator.name}" for number, actuator in enumerate(actuators, start=1)]
@@ -206,7 +203,7 @@ class ExplorerPage:
             for choice, label in CHOICES.items():
                 colour, click = (f"choice === '{choice}' ? 'primary' : undefined",), (self._choose, f"['{choice}']")
                 vuetify3.VBtn(label, id=f"choose-{choice}", color=colour, click=click, **style)
-            vuetify3.VBtn("{{ playing ? 'pause' : 'play' }}", id="pause", click=self._pause, **style)
+            vuetify3.VBtn("{{ playing ? 'pause' : 'play' }}", id="pause", click="playing = !playing", **style)
         with html.Div(style=BESIDE):
             _add_slider("frequency [Hz]", "frequency", ranges.frequency, model.set_frequency)
             _add_slider("damping [N·s/m³]", "damping", (0.0, ranges.damping), model.set_damping)
@@ -225,9 +222,6 @@ class ExplorerPage:
     def _choose(self, choice: str) -> None:
         self.server.state.choice = choice
         self.model.choose(choice, ITERATION_SECONDS)
-
-    def _pause(self) -> None:
-        self.view.playing = not self.view.playing
 
     def _take(self, picture: int) -> None:
         self._taken = max(self._taken, int(picture))

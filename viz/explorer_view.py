@@ -18,10 +18,8 @@ if TYPE_CHECKING:
 
     from warp_plate.explore.live_model import LiveModel
 
-# Time in which a period of the drive is shown [s].
-PERIOD = 1.5
-# The scale is kept while the largest displacement is between this share of its limit and the limit, so that a plate
-# that is driven harder is seen to move more.
+PERIOD = 1.5  # time in which a period of the drive is shown [s]
+# The scale is kept while the largest displacement is between this share of its limit and the limit.
 LEAST_SHARE = 0.3
 # Relative heights of the plate and of the charts below it.
 ROW_WEIGHTS = (0.7, 0.3)
@@ -45,10 +43,8 @@ class ExplorerView:
     """
 
     def __init__(self, plotter: pyvista.Plotter, model: LiveModel, font_size: int) -> None:
-        self.model = model
-        self.playing, self.angle = True, 0.0
-        self._drawn_angle = math.nan
-        self._reading = model.read()
+        self.model, self.playing, self.angle = model, True, 0.0
+        self._drawn_angle, self._reading = math.nan, model.read()
         plotter.subplot(0, 0)
         field, scale = self._reading.motion.at(0.0), _fitting_scale(self._reading, None)
         self.plate = PlateActors(plotter, model.scene, field, scale, self._caption(), font_size)
@@ -74,8 +70,10 @@ class ExplorerView:
 
     def _caption(self) -> str:
         """Return a text without the time, as changing texts take longer to draw than the plate."""
-        frequency = self._reading.scene.drive.frequency
-        return f"{frequency:.4g} Hz, shown {frequency * PERIOD:.3g} times slower\n{factor_text(self._reading)}"
+        reading, frequency = self._reading, self._reading.scene.drive.frequency
+        bound = "" if reading.bound is None else f", bound {percent(reading.bound)}"
+        factor = f"localization factor {percent(reading.localization_factor)}{bound}"
+        return f"{frequency:.4g} Hz, shown {frequency * PERIOD:.3g} times slower\n{factor}"
 
 
 class SearchCharts:
@@ -99,23 +97,23 @@ class SearchCharts:
         for mark, (_, colour) in zip(self._marks, others, strict=True):
             mark.pen.color = colour  # PyVista leaves outlines black, and a cross is all outline
         for chart, vertical in ((self.history, vtkChartLegend.BOTTOM), (self.plane, vtkChartLegend.TOP)):
-            chart.border_style = None
-            chart.legend_visible = True
+            chart.border_style, chart.legend_visible = None, True
             chart.GetLegend().SetVerticalAlignment(vertical)
-            style_text(chart.GetLegend().GetLabelProperties(), round(0.75 * font_size))
+            for part in (chart.GetLegend(), chart.x_axis, chart.y_axis):
+                style_text(part.GetLabelProperties(), round(0.75 * font_size))
             for axis in (chart.x_axis, chart.y_axis):
                 style_text(axis.GetTitleProperties(), round(0.8 * font_size))
-                style_text(axis.GetLabelProperties(), round(0.75 * font_size))
             plotter.add_chart(chart)
-        self._shown: SwarmSnapshot | None = None
-        self._set_visible(False)
+        self._shown: SwarmSnapshot | bool | None = True
+        self.show(None, None)
 
     def show(self, swarm: SwarmSnapshot | None, bound: float | None) -> bool:
         """Show the state of a search, or the hint if there is none; return whether it has changed."""
         if swarm is self._shown:
             return False
         self._shown = swarm
-        self._set_visible(swarm is not None)
+        self.history.visible = self.plane.visible = swarm is not None
+        self.hint.SetVisibility(swarm is None)
         if swarm is not None:
             self._plot(swarm, bound)
         return True
@@ -139,16 +137,6 @@ class SearchCharts:
         size = float(np.quantile(np.abs(swarm.phasors[:, 1:]), 0.9)) if self._particles else 0.0
         reach = next((step for step in REACHES if 1.1 * size < step), REACHES[-1])
         self.plane.x_range, self.plane.y_range = [-2 * reach, 2 * reach], [-reach, reach]
-
-    def _set_visible(self, visible: bool) -> None:
-        self.history.visible = self.plane.visible = visible
-        self.hint.SetVisibility(not visible)
-
-
-def factor_text(reading: DriveResponse) -> str:
-    """Return localization factor and bound in percent."""
-    text = f"localization factor {percent(reading.localization_factor)}"
-    return text + (f", bound {percent(reading.bound)}" if reading.bound is not None else "")
 
 
 def share_texts(reading: DriveResponse) -> dict[str, str]:

@@ -94,9 +94,7 @@ def drawing_scale(
     field: PlateField = DISPLACEMENT,
     values: Iterable[np.ndarray] | None = None,
 ) -> DrawingScale:
-    """Return a scale whose limit is the largest finite value, rounded up to two digits for short labels.
-
-    If nothing moves, the limit is a millionth of the unit, and heights are true.
+    """Return a scale whose limit is the largest finite value, rounded up to two digits; 1e-6 if nothing moves.
 
     Args:
         displacements: arrays of any shape [m], drawn as heights.
@@ -104,14 +102,13 @@ def drawing_scale(
         values: arrays of the field in its SI unit (default: the displacements).
     """
     heights = list(displacements)
-    tallest = max((_largest(height) for height in heights), default=0.0)
+    tallest = _largest(heights)
     warp_factor = float(f"{TALLEST * min(size) / rounded_up(tallest):.2g}") if tallest > 0 else 1.0
     if field.kind == "cyclic":
         return DrawingScale(math.pi, warp_factor, "°", 180 / math.pi, field)
     if not field.unit:
         return DrawingScale(1.0, warp_factor, "", 1.0, field)
-    limit = max((_largest(array) for array in (heights if values is None else values)), default=0.0)
-    limit = rounded_up(limit) if limit > 0 else 1e-6
+    limit = rounded_up(_largest(heights if values is None else values) or 1e-6)
     # Lengths below a nanometre are easier to read as fractions of one than as picometres.
     prefixes = PREFIXES[1:] if field.unit == "m" else PREFIXES
     prefix, unit_factor = next((pair for pair in prefixes if limit * pair[1] < 1000), PREFIXES[-1])
@@ -135,5 +132,6 @@ def rounded_up(value: float) -> float:
     return max(value, float(f"{math.ceil(value / digit * (1 - 1e-12)) * digit:.2g}"))
 
 
-def _largest(array: np.ndarray) -> float:
-    return float(np.max(np.abs(array), initial=0.0, where=np.isfinite(array)))
+def _largest(arrays: Iterable[np.ndarray]) -> float:
+    """Return the largest finite magnitude, or 0."""
+    return max((float(np.max(np.abs(array), initial=0.0, where=np.isfinite(array))) for array in arrays), default=0.0)

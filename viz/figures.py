@@ -58,15 +58,15 @@ def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
 
 
 def draw_surfaces(result: Result, path: str | Path) -> Path:
-    """Draw figure 2 of the paper as a PNG: a row for each case, a column for each recorded time.
+    """Draw figure 2 of the paper as a PNG: a row with its own scale for each case, a column for each recorded time.
 
-    Every row has its own colour limits and height factor; the camera is the same for all plates. Raises ValueError if
-    the result holds no displacement, and DrawingUnavailable if VTK cannot draw here.
+    Raises ValueError if the result holds no displacement, and DrawingUnavailable if VTK cannot draw here.
     """
     if not result.times.size:
         raise ValueError("the result holds no displacement: record.times of its scene is empty")
     cases, scene = ordered_cases(result), result.scene
-    shown = evenly_spaced(result.times.size, MOST_COLUMNS)
+    times = result.times.size
+    shown = np.linspace(0, times - 1, min(times, MOST_COLUMNS)).round().astype(int).tolist()
     width = min(730, max(520, (1600 - LEGEND_WIDTH) // len(shown)))
     size = (width * len(shown) + LEGEND_WIDTH, ROW_HEIGHT * len(cases))
     font_size = round(SUPERSAMPLING * FONT_SIZE)
@@ -85,8 +85,3 @@ def draw_surfaces(result: Result, path: str | Path) -> Path:
             add_legend(plotter, scene, scale, font_size)
         take_picture().save(path, format="PNG", compress_level=3)
     return Path(path)
-
-
-def evenly_spaced(count: int, most: int) -> list[int]:
-    """Return at most ``most`` indices below ``count``, evenly spaced, with the first and the last."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()

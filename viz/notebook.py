@@ -1,7 +1,4 @@
-"""HTML of scenes and results for notebooks: a table and a picture embedded as PNG.
-
-A sentence stands in place of the picture if a library for drawing is missing.
-"""
+"""HTML of scenes and results for notebooks: tables, and a picture as PNG or a sentence on why there is none."""
 
 from __future__ import annotations
 
@@ -28,10 +25,7 @@ Table = tuple[Sequence[str], Sequence[Sequence[str]]]
 def scene_html(scene: Scene) -> str:
     """Return the settings of a scene, its actuators, and a picture of its layout."""
     headings = ("actuator", "x, y (m)", f"magnitude ({scene.drive_unit})", "phase (rad)")
-    rows = [
-        (actuator.name, _area(actuator.area), f"{actuator.magnitude:g}", f"{actuator.phase:.4g}")
-        for actuator in scene.actuators
-    ]
+    rows = [(item.name, _area(item.area), f"{item.magnitude:g}", f"{item.phase:.4g}") for item in scene.actuators]
     picture = _picture(lambda path: draw_layout(scene, path), missing_plots())
     tables = [((), _scene_rows(scene)), (headings, rows)]
     return _html(scene.title or "Scene", tables, [], picture, "Layout of the plate")
@@ -55,8 +49,13 @@ def result_html(result: Result) -> str:
     ]
     headings = (f"actuator, {label}", f"magnitude ({scene.drive_unit})", "phase (rad)", "phase / π", *case.per_actuator)
     tables = [(("drive", "localization factor"), rows), (headings, actuators)]
-    picture = result_picture(result)
-    return _html(scene.title or result.source or "Result", tables, _notes(result), picture, f"Plate under the {label}")
+    notes = [
+        "Interrupted by Ctrl-C: the best so far is shown." if result.interrupted else "",
+        result.accuracy.get("estimate", {}).get("line", ""),
+        f"{result.node_steps:.3g} node-steps in {result.seconds.get('solve', math.nan):.2f} s on {result.device}.",
+    ]
+    title = scene.title or result.source or "Result"
+    return _html(title, tables, notes, _result_picture(result), f"Plate under the {label}")
 
 
 def shown_case(result: Result) -> tuple[str, Case]:
@@ -64,7 +63,7 @@ def shown_case(result: Result) -> tuple[str, Case]:
     return next((name, result.cases[name]) for name in ("best", *result.cases) if name in result.cases)
 
 
-def result_picture(result: Result) -> bytes | str:
+def _result_picture(result: Result) -> bytes | str:
     """Return a PNG of the displacements of the shown case, or of the search's history; or why there is none."""
     single = replace(result, cases=dict([shown_case(result)]))
     problem = missing_renderer() if result.times.size else "the result holds nothing to draw"
@@ -96,7 +95,7 @@ def _html(title: str, tables: Sequence[Table], notes: Sequence[str], picture: by
             for index, text in enumerate(texts):
                 align = "right" if index and headings else "left"
                 SubElement(line, cell, {"style": f"text-align: {align}"}).text = text or "–"
-    for note in [*notes, picture] if isinstance(picture, str) else notes:
+    for note in filter(None, [*notes, picture] if isinstance(picture, str) else notes):
         SubElement(root, "p").text = note
     if isinstance(picture, bytes):
         source = f"data:image/png;base64,{base64.b64encode(picture).decode()}"
@@ -106,17 +105,15 @@ def _html(title: str, tables: Sequence[Table], notes: Sequence[str], picture: by
 
 def _scene_rows(scene: Scene) -> list[tuple[str, str]]:
     plate, grid = scene.plate, scene.grid
-    edges = {EDGE_STYLES[kind].label: names for kind, names in edges_by_kind(scene).items()}
-    resolution = (
-        f"for a relative error of {100 * grid.accuracy:g} %"
-        if grid.accuracy is not None
-        else f"{grid.nodes[0]} × {grid.nodes[1]} nodes, order {grid.order}, load by {grid.load}, {grid.precision}"
-    )
+    edges = [f"{EDGE_STYLES[kind].label}: {', '.join(names)}" for kind, names in edges_by_kind(scene).items()]
+    resolution = f"{grid.nodes[0]} × {grid.nodes[1]} nodes, order {grid.order}, load by {grid.load}, {grid.precision}"
+    if grid.accuracy is not None:
+        resolution = f"for a relative error of {100 * grid.accuracy:g} %"
     targets = {f"target {target.name}": target for target in scene.targets} or {"target": scene.target}
     return [
         ("plate", f"{plate.size[0]:g} m × {plate.size[1]:g} m, {1000 * plate.thickness:g} mm thick"),
         ("material", f"E = {plate.young_modulus:g} Pa, ν = {plate.poisson_ratio:g}, ρ = {plate.density:g} kg/m³"),
-        ("edges", "; ".join(f"{label}: {', '.join(names)}" for label, names in edges.items())),
+        ("edges", "; ".join(edges)),
         ("grid", resolution),
         ("drive", f"{scene.drive.frequency:g} Hz"),
         ("energy averaged", f"{scene.window.start:g} … {scene.window.end:g} s"),
@@ -129,10 +126,3 @@ def _scene_rows(scene: Scene) -> list[tuple[str, str]]:
 def _area(area: Sequence[float]) -> str:
     x0, x1, y0, y1 = area
     return f"{x0:g} … {x1:g}, {y0:g} … {y1:g}"
-
-
-def _notes(result: Result) -> list[str]:
-    estimate = result.accuracy.get("estimate", {}).get("line")
-    solved = f"{result.node_steps:.3g} node-steps in {result.seconds.get('solve', math.nan):.2f} s on {result.device}."
-    interrupted = "Interrupted by Ctrl-C: the best so far is shown." if result.interrupted else None
-    return [note for note in (interrupted, estimate, solved) if note]

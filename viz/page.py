@@ -20,7 +20,7 @@ from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import AZIMUTH, ELEVATION, LABEL_FORMAT, lookup_table
 from warp_plate.viz.captions import frame_caption
-from warp_plate.viz.fields import DISPLACEMENT, MODE, DrawingScale, PlateField, common_scale, field_of
+from warp_plate.viz.fields import DISPLACEMENT, MODE, PlateField, common_scale, field_of
 from warp_plate.viz.meshes import PlateMeshes, plate_meshes
 from warp_plate.viz.scene3d import line_layers, rows_and_columns
 from warp_plate.viz.styles import legend_entries

@@ -45,9 +45,9 @@ class ViewerWindow:
         rate: frames a second.
 
     Attributes:
-        plates: the plates, side by side.
         playing: True while frames follow the clock.
         shown: name of the motion that is shown alone, or ALL.
+        ratio: factor of heights over the first factor.
     """
 
     def __init__(
@@ -58,8 +58,7 @@ class ViewerWindow:
         self.names, self.shown, self.playing = [motion.name for motion in motions], ALL, False
         self._warp_factor, self.ratio = self.plates.scale.warp_factor, 1.0
         self._modes = motions[0].localization_factor is None
-        count = self.plates.frames
-        self._moments = np.arange(count) / count if self._modes else motions[0].times  # modes: in periods
+        self._moments = np.linspace(0, 1, self.plates.frames, endpoint=False) if self._modes else motions[0].times
         self._position, self._clock = 0.0, time.perf_counter()
         rows, self._columns = rows_and_columns(len(motions))
         places = [divmod(place, self._columns) for place in range(rows * self._columns)]
@@ -178,13 +177,13 @@ class ViewerWindow:
         self.sliders: dict[str, Any] = {}
         for key, title, ends, value, left, right, callback in (
             ("time", f"time [{'periods' if self._modes else 's'}]", moments[[0, -1]], 0.0, 0.02, 0.42, self.go_to),
-            ("rate", "frames per second", (1.0, FASTEST), self.rate, 0.48, 0.70, partial(setattr, self, "rate")),
+            ("rate", "frames per second", (1.0, FASTEST), self.rate, 0.48, 0.70, self.set_rate),
             ("heights", "heights, 1 at first", (0.0, 4.0), 1.0, 0.76, 0.98, self.exaggerate),
         ):
-            slider = plotter.add_slider_widget(
-                partial(self._slide, key, callback), ends, value=max(value, ends[0]), pointa=(left, 0.70), pointb=(right, 0.70), style="modern",
-                fmt="%.4g", interaction_event="always", slider_width=0.12, tube_width=0.03, color=INK,
-            )  # fmt: skip
+            look = {"style": "modern", "fmt": "%.4g", "slider_width": 0.12, "tube_width": 0.03, "color": INK}
+            place = {"pointa": (left, 0.70), "pointb": (right, 0.70), "interaction_event": "always"}
+            slide = partial(self._slide, key, callback)
+            slider = plotter.add_slider_widget(slide, ends, value=max(value, ends[0]), **place, **look)
             bar = self.sliders[key] = slider.GetRepresentation()
             bar.SetLabelHeight(0.11)
             bar.SetSliderLength(0.006)

@@ -12,7 +12,6 @@ from warp_plate import viz
 from warp_plate.result import Case, Result
 from warp_plate.scene import Scene
 from warp_plate.viz import availability
-from warp_plate.viz.figures import evenly_spaced
 from warp_plate.viz.plots.search import plot_history
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
@@ -76,7 +75,6 @@ def test_surfaces_show_every_case_and_time(result, drawing, tmp_path):
             # Nothing is cut off at the sides.
             assert (picture[panel][70:, :5] > 250).all()
     assert (picture[[0, 1, 2, -3, -2, -1]] > 250).all()
-    assert evenly_spaced(1000, 6) == [0, 200, 400, 599, 799, 999]
 
 
 def test_history_has_the_bound_and_the_published_loss(result, tmp_path):
