@@ -152,26 +152,15 @@ def test_free_plate_moves_as_a_rigid_body():
 
 @pytest.mark.parametrize("name", LIMITS)
 def test_limits_of_the_paper_scene(name):
-    """Steady localization factor of one actuator and its bound; a quarter for equal drives; errors are covered."""
+    """Of the steady vibration: a window of whole periods after the transient has died, exp(−88·1)."""
     viscous, single, best = LIMITS[name]
-    rows = forced.converge(preset(name, viscous), SINGLE_AND_EQUAL, steady=True, counts=(16, 24, 32, 36))
-    np.testing.assert_allclose(rows[-1].localization_factors, [single, 0.25], atol=2e-4)
-    assert rows[-1].localization_factors[1] == pytest.approx(0.25, abs=1e-11)
-    assert rows[-1].bound == pytest.approx(best, abs=2e-4)
-    values = np.array([[*row.localization_factors, row.bound] for row in rows])
-    assert np.isnan([rows[0].error, rows[1].error]).all()
-    assert np.abs(values[2] - values[3]).max() <= rows[2].error
-    assert rows[3].functions == 36
-    assert rows[3].error < 1e-4
-
-
-def test_late_window_is_steady():
-    """After the transient has died (exp(−88·1)), a window of whole periods averages the steady vibration."""
-    scene = preset("paper", 88.5)
-    late = scene.model_copy(update={"window": scene.window.model_copy(update={"start": 1.0, "end": 1.0 + 29 / 290})})
-    modes = solve_modes(thin_plate(scene), 12)
-    steady = forced.steady_matrices(modes, late)
-    np.testing.assert_allclose(forced.transient_matrices(modes, late), steady, atol=1e-9 * np.abs(steady).max())
+    window = Scene.load(name).window.model_copy(update={"start": 1.0, "end": 1.0 + 29 / 290})
+    scene = preset(name, viscous, window=window)
+    matrices = forced.transient_matrices(solve_modes(thin_plate(scene), 36), scene)
+    found = forced.localization_factors(matrices, SINGLE_AND_EQUAL)
+    np.testing.assert_allclose(found, [single, 0.25], atol=2e-4)
+    assert found[1] == pytest.approx(0.25, abs=1e-9)
+    assert forced.bound(matrices)[0] == pytest.approx(best, abs=2e-4)
 
 
 def test_bound_is_reached_and_not_exceeded(random):

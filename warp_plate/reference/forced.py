@@ -23,8 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from warp_plate.reference.ritz import Modes, solve_modes
-from warp_plate.reference.thin_plate import thin_plate
+from warp_plate.reference.ritz import Modes
 from warp_plate.scene.model import Scene
 
 # Smallest |μ|, in units of one over the longest time: a critically damped mode, or a rigid one without damping, is then
@@ -32,13 +31,11 @@ from warp_plate.scene.model import Scene
 SMALLEST_SPLIT = 1e-5
 # Drives with less than this part of the largest plate energy cancel out; their ratio is one of rounding errors.
 RANK_TOLERANCE = 1e-10
-# Numbers of functions along each side that show how the references converge.
-COUNTS = (16, 24, 32, 40, 44, 48)
 
 
 @dataclass(frozen=True)
 class ModalMotion:
-    """ModalMotion of modes from rest under a unit force exp(iωt): Σ_j amplitudes_j exp(exponents_j t)."""
+    """Motion of modes from rest under a unit force exp(iωt): Σ_j amplitudes_j exp(exponents_j t)."""
 
     exponents: tuple[np.ndarray, np.ndarray, np.ndarray]  # (1,) of the drive, and twice (modes,) [1/s]
     amplitudes: tuple[np.ndarray, np.ndarray, np.ndarray]  # Thrice (modes,) [m³/N for modal forces in m]
@@ -56,15 +53,17 @@ def motion_from_rest(modes: Modes, frequency: float, longest: float) -> ModalMot
     Raises:
         ValueError: An undamped mode is driven at its natural frequency.
     """
-    plate, drive = modes.plate, 2j * math.pi * frequency
-    gamma, natural = plate.viscous / (2 * plate.surface_density), modes.angular_frequencies
+    plate, natural, omega = modes.plate, modes.angular_frequencies, 2 * math.pi * frequency
+    dynamic = plate.surface_density * (natural - omega) * (natural + omega) + 1j * plate.viscous * omega
+    if np.any(dynamic == 0):
+        raise ValueError(f"frequency = {frequency:g} Hz: the undamped plate is driven at a natural frequency")
+    steady, drive, gamma = 1 / dynamic, 1j * omega, plate.viscous / (2 * plate.surface_density)
     split = np.sqrt(gamma**2 - natural**2 + 0j)
     floor = SMALLEST_SPLIT / longest
     kept = np.abs(split) > floor
     split = np.where(kept, split, floor)
     # The slow one as a quotient: −γ + μ would cancel for strong damping.
     slow, fast = np.where(kept, -(natural**2) / (gamma + split), split - gamma), -gamma - split
-    steady = _steady_amplitudes(modes, frequency)
     return ModalMotion(
         exponents=(np.array([drive]), slow, fast),
         amplitudes=(steady, steady * (fast - drive) / (2 * split), steady * (drive - slow) / (2 * split)),
@@ -112,17 +111,6 @@ def transient_matrices(modes: Modes, scene: Scene) -> np.ndarray:
     return 0.5 * modes.plate.surface_density * np.array(matrices)
 
 
-def steady_matrices(modes: Modes, scene: Scene) -> np.ndarray:
-    """Return the matrices of :func:`transient_matrices` for the steady vibration alone, over whole periods."""
-    rate = 2j * math.pi * scene.drive.frequency * _steady_amplitudes(modes, scene.drive.frequency)
-    rates = rate * modes.patch_forces([actuator.area for actuator in scene.actuators])
-    plate = rates.conj() @ rates.T
-    target = rates.conj() @ modes.overlaps(scene.target.rectangle()) @ rates.T
-    nothing = np.zeros_like(plate)
-    matrices = [_real_matrix(nothing, plate), _real_matrix(nothing, target)]
-    return 0.5 * modes.plate.surface_density * np.array(matrices)
-
-
 def localization_factors(matrices: np.ndarray, drives: np.ndarray) -> np.ndarray:
     """Return (drives,) share of the energy in the target under phasors (drives, actuators) [N/m²]."""
     drives = np.asarray(drives, dtype=complex)
@@ -142,57 +130,6 @@ def bound(matrices: np.ndarray) -> tuple[float, np.ndarray]:
     cosine, sine = np.split(basis @ directions[:, -1], 2)
     best = cosine - 1j * sine
     return float(ratios[-1]), best / np.abs(best).max()
-
-
-@dataclass(frozen=True)
-class Converged:
-    """Results of one number of functions."""
-
-    functions: int  # Number of functions in each direction
-    angular_frequencies: np.ndarray  # First natural frequencies [rad/s]
-    localization_factors: np.ndarray  # (drives,)
-    bound: float  # Largest localization factor of any drive
-    # Estimated error of both, the largest change from either of the two rows before, for one change alone may be
-    # small by chance; NaN in the first two rows
-    error: float
-
-
-def converge(
-    scene: Scene, drives: np.ndarray, steady: bool = False, counts: Sequence[int] = COUNTS, frequencies: int = 6
-) -> list[Converged]:
-    """Return localization factors of drives and their bound, for growing numbers of functions.
-
-    Args:
-        drives: (drives, actuators) phasors [N/m²].
-        steady: Use the steady vibration instead of the scene's window.
-        counts: Numbers of functions along each side.
-        frequencies: Number of natural frequencies to keep.
-
-    Raises:
-        SceneError: ``thin_plate`` refuses the scene, or the target is not a rectangle.
-    """
-    plate = thin_plate(scene)
-    rows: list[Converged] = []
-    found = np.full((2, len(drives) + 1), math.nan)
-    for count in counts:
-        modes = solve_modes(plate, count)
-        matrices = (steady_matrices if steady else transient_matrices)(modes, scene)
-        factors, largest = localization_factors(matrices, drives), bound(matrices)[0]
-        found = np.vstack([found, [*factors, largest]])
-        error = float(np.abs(found[-1] - found[-3:-1]).max())
-        rows.append(Converged(count, modes.angular_frequencies[:frequencies], factors, largest, error))
-    return rows
-
-
-def _steady_amplitudes(modes: Modes, frequency: float) -> np.ndarray:
-    """Return (modes,) α_0 of the equations above."""
-    plate, omega = modes.plate, 2 * math.pi * frequency
-    natural = modes.angular_frequencies
-    dynamic = plate.surface_density * (natural - omega) * (natural + omega) + 1j * plate.viscous * omega
-    if np.any(dynamic == 0):
-        raise ValueError(f"frequency = {frequency:g} Hz: the undamped plate is driven at a natural frequency")
-    amplitudes: np.ndarray = 1 / dynamic
-    return amplitudes
 
 
 def _average(

@@ -119,6 +119,7 @@ class Modes:
         overlaps: np.ndarray = inside.reshape(count, -1) @ self.vectors.reshape(count, -1).T
         return overlaps
 
+
 def solve_modes(plate: ThinPlate, functions: int | tuple[int, int] = 32) -> Modes:
     """Return the modes of a plate from ``functions`` in each direction, or a pair for x and y.
 

@@ -13,8 +13,7 @@ that presses with Re(p exp(iωt)) loads the mode with
 
     Z = 4p/ab · ∫ sin(mπx/a) dx ∫ sin(nπy/b) dy,   |Z| ≤ 16|p| / (π²mn),
 
-and the plate's motion is the sum over all modes (Navier's series). Here it is cut off at m, n ≤ terms;
-:func:`truncation` bounds the rest.
+and the plate's motion is the sum over all modes (Navier's series). Here it is cut off at m, n ≤ terms.
 """
 
 from __future__ import annotations
@@ -160,34 +159,6 @@ def kinetic_energies(scene: Scene, drive: np.ndarray, terms: int = 32) -> np.nda
         sums[0] += width * height / 4 * np.einsum("t,tnm,tnm->", shares, rates, rates)
         sums[1] += np.einsum("t,tnm,tnm->", shares, across @ rates @ along, rates)
     return 0.5 * thin_plate(scene).surface_density * sums
-
-
-def truncation(scene: Scene, drive: np.ndarray, terms: int) -> tuple[float, float]:
-    """Return bounds on the displacement [m] and the velocity [m/s] of the modes left out, at any point and time.
-
-    With ν ≥ ω + γ, the equations above give |q| ≤ 3|Q| and |q̇| ≤ 4ν|Q|. In |Q| ≤ s·16P/(π²mn D k⁴), P is the sum of
-    the |Z| of the drive and s = 1/(1 − ρHω²/Dk⁴) that of the slowest mode left out. The sums over m > terms and
-    all n, and the other way round, use (α² + β²)² ≥ 16/(3√3) α³β, α² + β² ≥ 4/3^¾ α^³⸍² β^½ and integrals.
-
-    Raises:
-        ValueError: A mode left out is not above the drive and the damping.
-    """
-    plate = _supported_plate(scene)
-    (width, height), omega = plate.size, scene.drive_angular_frequency
-    gamma = plate.viscous / (2 * plate.surface_density)
-    slowest = min(wavenumber_squared(mode, plate.size) for mode in ((terms + 1, 1), (1, terms + 1)))
-    natural = math.sqrt(max(plate.rigidity / plate.surface_density * slowest**2 - gamma**2, 0))
-    if natural < omega + gamma:
-        raise ValueError(f"terms = {terms}: a mode left out is as slow as the drive or the damping; take more")
-    above = 1 / (1 - plate.surface_density * omega**2 / (plate.rigidity * slowest**2))
-    load = above * 16 / math.pi**2 * float(np.abs(drive).sum())
-    # Σ 1/m⁴ over m > terms is at most 1/(3 terms³), Σ 1/n² = π²/6; Σ m^(−5/2) and Σ n^(−3/2) likewise.
-    pairs = width * height * (width**2 + height**2) / math.pi**4 * 3 * math.sqrt(3) / 16
-    slow_pairs = math.sqrt(width * height) * (width + height) / math.pi**2 * 3**0.75 / 4
-    of_displacement = 3 * load / plate.rigidity * pairs / (3 * terms**3) * math.pi**2 / 6
-    impedance = math.sqrt(plate.rigidity * plate.surface_density)
-    of_velocity = 4 * load / impedance * slow_pairs * 2 / (3 * terms**1.5) * 2.6124
-    return of_displacement, of_velocity
 
 
 def _supported_plate(scene: Scene) -> ThinPlate:
