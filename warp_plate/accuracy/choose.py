@@ -137,8 +137,8 @@ def choose(scene: Scene, accuracy: float, device: str = "auto", phasors: np.ndar
             f"accuracy = {accuracy:g}: the reference solution of this scene is known to {uncertainty:.2g} "
             f"only; {advice}"
         )
-    more = [] if phasors is None else phasors
-    tried = np.array([*reference.drives.values(), np.ones(len(scene.actuators)), *more])
+    equal, more = np.ones(len(scene.actuators)), () if phasors is None else phasors
+    tried = np.array([*reference.drives.values(), equal, *more])
     search = GridSearch(scene, reference, SEARCH_SHARE * accuracy - uncertainty, device, tried)
     trials = _trials(search)
     kept = [trial for trial in trials.values() if trial.error <= search.tolerance]
