@@ -166,12 +166,11 @@ def bound_loss(
         for term in terms
         if term.rest_limit is not None and (form := forms[term.kind]) is not None
     ]
-    total = 0.0
-    for term in terms:
-        bound = _bound_value(term, objectives, allowed, response, forms.get(term.kind), rests)
-        if bound is None:
-            return None
-        total -= term.weight * bound.value
+    bounds = [_bound_value(term, objectives, allowed, response, forms.get(term.kind), rests) for term in terms]
+    proved = [bound for bound in bounds if bound is not None]
+    if len(proved) < len(terms):
+        return None
+    total = -sum(term.weight * bound.value for term, bound in zip(terms, proved, strict=True))
     if objectives.only_localization:
         total += 1
     if len(terms) > 1:
@@ -179,7 +178,7 @@ def bound_loss(
     if allowed.wider:  # the drive that reaches it need not be one of the search's
         sentence = "the most that any drive of this power and these largest magnitudes has; ranges may keep it lower"
         return Bound(total, "bound only", sentence)
-    return replace(bound, value=total)
+    return replace(proved[0], value=total)
 
 
 def _bound_value(

@@ -54,21 +54,22 @@ def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -
     scene, parametrization = problem.scene, problem.parametrization
     singles = magnitude_unit(scene) * np.eye(len(scene.actuators), dtype=complex)
     phasors = {"equal": singles.sum(axis=0), "single": singles[single]}
-    if parametrization.only_drives or position is None:
-        phasors["best"] = phasors["single"] if position is None else parametrization.designs(position[None]).drives[0]
-        run, peak = run_with_peak(problem.drive_solver, np.array(list(phasors.values())))
-        return EvaluatedCases(cases_from_run(phasors, run), scene, phasors, run, peak, 0)
-    run, _ = run_with_peak(problem.drive_solver, np.array(list(phasors.values())))
+    if position is None:
+        phasors["best"] = phasors["single"]
+    elif parametrization.only_drives:
+        phasors["best"] = parametrization.designs(position[None]).drives[0]
+    run, peak = run_with_peak(problem.drive_solver, np.array(list(phasors.values())))
+    cases = cases_from_run(phasors, run)
+    if position is None or parametrization.only_drives:
+        return EvaluatedCases(cases, scene, phasors, run, peak, 0)
     # The best scene runs as ``simulate`` runs it, so that what is written is what was evaluated.
     best_scene, designs = parametrization.scene_of(position), parametrization.designs(position[None])
     solver = PlateSolver(best_scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(best_scene))
     best = {"best": scene_phasors(best_scene)}
     best_run, peak = run_with_peak(solver, best["best"][None])
-    frequency, centre, delay = (
-        None if values is None else values[0] for values in (designs.frequency, designs.centre, designs.delay)
-    )
-    case = replace(cases_from_run(best, best_run)["best"], frequency=frequency, centre=centre, delay=delay)
-    cases = {**cases_from_run(phasors, run), "best": case}
+    varied = {name: getattr(designs, name) for name in ("frequency", "centre", "delay")}
+    varied = {name: values[0] for name, values in varied.items() if values is not None}
+    cases["best"] = replace(cases_from_run(best, best_run)["best"], **varied)
     return EvaluatedCases(cases, best_scene, best, best_run, peak, solver.node_steps)
 
 

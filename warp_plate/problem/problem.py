@@ -81,11 +81,6 @@ class Problem:
         return self.drive_evaluator.solver
 
     @property
-    def design_solver(self) -> PlateSolver:
-        """Solver of ``design_evaluator``."""
-        return self.design_evaluator.solver
-
-    @property
     def scene(self) -> Scene:
         """Scene with a grid and a time step that carry every position."""
         return self.parametrization.scene
@@ -105,11 +100,6 @@ class Problem:
     def nominal(self) -> Problem:
         """The same search on the nominal plate alone, with the same solvers."""
         return replace(self, scenario_losses=None)
-
-    @property
-    def only_localization(self) -> bool:
-        """True if losses are 1 − LF, or a measure of it."""
-        return self.objectives.only_localization
 
     @property
     def node_steps(self) -> int:
@@ -156,14 +146,14 @@ class Problem:
 
     def value_from_loss(self, loss: float | np.ndarray) -> float | np.ndarray:
         """Return what people want large: LF, or the weighted sum of the objectives."""
-        return 1 - loss if self.only_localization else -loss
+        return 1 - loss if self.objectives.only_localization else -loss
 
     def objective_values(self, position: np.ndarray) -> dict[str, float]:
         """Return the values of a position (dimension,), and the "bound" of their sum if one is known.
 
         Empty if only the localization factor counts, which a result has. No bound is given beyond a limit.
         """
-        if self.only_localization:
+        if self.objectives.only_localization:
             return {}
         designs = self.parametrization.designs(position[None])
         values = self.objectives.values(self.energies(designs), self._displacement_energies(designs))
@@ -182,7 +172,7 @@ class Problem:
             def losses_of(energy: np.ndarray) -> np.ndarray:
                 return apply_measure(scenario_losses.losses_from_energies(energy), self.robust)
         else:
-            matrices, ratio = self.matrices, (TARGET, PLATE) if self.only_localization else None
+            matrices, ratio = self.matrices, (TARGET, PLATE) if self.objectives.only_localization else None
 
             def losses_of(energy: np.ndarray) -> np.ndarray:
                 return self.objectives.losses(*np.split(energy, 2 if self.displacement_response else 1, axis=1))
@@ -218,7 +208,7 @@ class Problem:
     def bound(self) -> float | None:
         """Largest localization factor that any drive can reach; None where none is claimed, or for other objectives."""
         bound = self._nominal_loss_bound
-        if self.response is None or not self.only_localization or bound is None:
+        if self.response is None or not self.objectives.only_localization or bound is None:
             return None
         return 1 - bound.value if self._limited else self.response.bound()
 
@@ -228,7 +218,7 @@ class Problem:
         bound = self._nominal_loss_bound
         if bound is None:
             return ""
-        if self.only_localization and not self._limited:
+        if self.objectives.only_localization and not self._limited:
             return "attained"
         return "bound only" if bound.kind == "bound only" else "attained within limits"
 
@@ -292,8 +282,16 @@ def make_problem(
     if matrices is not None and len(matrices) != regions:
         raise SceneError(f"matrices: of {len(matrices)} regions; must be {regions}")
     responses = [None, None] if matrices is None else [*map(Response, np.split(matrices, len(evaluators))), None]
-    scenarios = _scenario_losses(scene, drives.solver.device.alias, path, name, pool)
-    if scenarios is not None:
+    scenarios, robust = None, scene.search.robust
+    if robust is not None:
+        particles = scene.search.particles
+        what = f"search.particles = {particles} with search.robust.scenarios = {robust.scenarios}"
+        refuse_beyond_memory(24.0 * particles * robust.scenarios, what)
+        drawn, alias = draw_scenarios(scene, robust.scenarios, robust.seed), drives.solver.device.alias
+        if name == "response":
+            scenarios = scenario_responses(drawn, alias, path)
+        else:
+            scenarios = simulate_scenarios(drawn, alias, path, pool)
         seconds, node_steps = seconds + scenarios.setup_cost[0], node_steps + scenarios.setup_cost[1]
     return Problem(
         parametrization, objectives, drives, designs, displacements, responses[0], responses[1], name, path,
@@ -322,18 +320,3 @@ def _measure_matrices(
         if solver is not evaluator.solver:
             seconds, node_steps = seconds + solver.compile_seconds, node_steps + solver.node_steps
     return np.concatenate(matrices), seconds, node_steps
-
-
-def _scenario_losses(
-    scene: Scene, device: str, path: str, evaluator: str, pool: WorkerPool | None
-) -> ScenarioLosses | None:
-    """Return the losses over the scenarios of a robust search; None for another search."""
-    robust, particles = scene.search.robust, scene.search.particles
-    if robust is None:
-        return None
-    what = f"search.particles = {particles} with search.robust.scenarios = {robust.scenarios}"
-    refuse_beyond_memory(24.0 * particles * robust.scenarios, what)
-    scenarios = draw_scenarios(scene, robust.scenarios, robust.seed)
-    if evaluator == "response":
-        return scenario_responses(scenarios, device, path)
-    return simulate_scenarios(scenarios, device, path, pool)

@@ -85,7 +85,7 @@ def compare(
         evaluator=problem.evaluator_name,
         budget=particles * scene.search.iterations,
         seconds={"prepare": prepared},
-        localization=problem.only_localization,
+        localization=problem.objectives.only_localization,
         trials=tuple(sorted(trials, key=lambda trial: (fitting.index(trial.method), trial.seed))),
         bound=None if bound is None else bound.value,
         bound_kind="" if bound is None else bound.kind,

@@ -142,7 +142,7 @@ QUANTITIES: Mapping[str, Quantities] = {
 
 def _best_position(problem: Problem) -> np.ndarray | None:
     """Return the best position (dimension,), or None if there is nothing to search or nothing was found."""
-    if problem.scene.search.robust is None and problem.only_localization and problem.space.dimension:
+    if problem.scene.search.robust is None and problem.objectives.only_localization and problem.space.dimension:
         try:
             return best_position(problem.space, problem.quadratic)
         except MethodError:  # a limit or a fixed number keeps the search from the eigenvector

@@ -62,7 +62,7 @@ def validate(problem: Problem, robust: np.ndarray, nominal: np.ndarray) -> tuple
     comparison = RobustComparison(
         measure=f"quantile {table.quantile:g}" if table.measure == "quantile" else table.measure,
         scenarios=table.scenarios,
-        localization=problem.only_localization,
+        localization=problem.objectives.only_localization,
         bound=None if bound is None else float(problem.value_from_loss(bound.value)),
         searched=values(problem.design_losses(designs)),
         nominal_plate=values(problem.nominal.design_losses(designs)),
