@@ -64,14 +64,7 @@ def test_figures_are_consistent(device, path):
     report = measure_all(wanted, HASTE)
     assert not report.interrupted
     for one, case in zip(report.rows, wanted, strict=True):
-        assert (one.device, one.precision, one.nodes, one.plates, one.path) == (
-            device,
-            case.precision,
-            9,
-            case.plates,
-            path,
-        )
-        assert one.measured
+        assert asdict(one).items() >= {**asdict(case), "status": "measured"}.items()
         assert 32 <= one.steps <= 1250
         assert one.steps % 2 == 0
         assert one.seconds > 0
@@ -137,6 +130,7 @@ def test_slow_and_large_cases_are_skipped(bench, monkeypatch):
     status, out, err = bench(*SMALL, "--plates", "2,100000", "--no-pictures")
     assert (status, err) == (0, "")
     assert "100000 × 9²: skipped: needs" in " ".join(out.split())
+    assert out.splitlines()[-1] == "wrote bench.json"
     rows = json.loads(Path("bench.json").read_text(encoding="utf-8"))["rows"]
     assert [one["status"].partition(":")[0] for one in rows] == ["measured", "skipped"]
     monkeypatch.setattr(measure, "LONGEST_SECONDS", 0.0)
@@ -163,22 +157,13 @@ def test_json_and_pictures(bench):
     assert b"<svg" in Path("speed.svg").read_bytes()
 
 
-def test_table(bench):
-    status, out, err = bench(*SMALL, "--plates", "3", "--path", "streaming", "--no-pictures")
-    assert (status, err) == (0, "")
-    assert "streaming" in out
-    assert out.splitlines()[-1] == "wrote bench.json"
-
-
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
         (["--plates", "0"], "--plates"),
         (["--plates", "1,x"], "--plates"),
-        (["--nodes", "4"], "--nodes"),
         (["--device", "tpu"], "tpu"),
         (["--precision", "half"], "precision"),
-        (["--path", "fast"], "path"),
         (["--out", "bench.txt"], ".json"),
         (["--out", "nowhere/bench.json"], "nowhere"),
     ],
@@ -233,37 +218,22 @@ def test_busy_machines_are_reported(monkeypatch):
         assert (machine.busy() is not None) == busy
 
 
-def test_short_runs_are_repeated():
-    for pace in (TimingBudget(0.002, 2), TimingBudget(1.0, 5)):
-        calls = []
-        times = measure.time_runs(lambda calls=calls: calls.append(1), find_device("cpu"), pace)
-        assert len(calls) == len(times) + 1  # one to warm up
-        assert len(times) >= pace.runs
-
-
 def test_plot_of_two_devices(tmp_path):
     """Lines for measured rows only, and a limit for each device."""
     pytest.importorskip("matplotlib", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
     rows = [row(device=device, plates=plates) for device in ("cpu", "cuda:0") for plates in (1, 20)]
+    rows += [row(nodes=53), row(nodes=53, nanoseconds_per_node_step=0.01)]
     skipped = row(precision="float64", status="skipped: too large", nanoseconds_per_node_step=None)
-    path = draw_bench(record(*rows, row(nodes=53), skipped), tmp_path / "bench.svg")
+    path = draw_bench(record(*rows, skipped), tmp_path / "bench.svg")
+    assert commonest_size(record(*rows)["rows"]) == 27
+    best = fastest_of_each_size(record(*rows)["rows"])
+    assert {(one["nodes"], one["nanoseconds_per_node_step"]) for one in best} == {(27, 0.06), (53, 0.01)}
     text = path.read_text(encoding="utf-8")
     for label in ("cpu, float32", "cuda:0, float32", "cuda:0, 16 B at copy bandwidth", "plates of 27 × 27 nodes"):
         assert f"<!-- {label} -->" in text
     assert "float64" not in text
-
-
-def test_failed_plots_are_reported(tmp_path):
-    pytest.importorskip("matplotlib", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
     nothing = record(row(status="skipped: too large"))
     assert save_plots(draw_bench, nothing, tmp_path / "bench.json") == ([], "no plot: nothing was measured")
     files, missing = save_plots(draw_bench, record(row()), tmp_path / "absent" / "bench.json")
     assert files == []
     assert "absent" in missing
-
-
-def test_plots_take_the_fastest_row_of_each_size():
-    rows = record(row(plates=1), row(plates=20), row(nodes=53), row(nodes=53, nanoseconds_per_node_step=0.01))["rows"]
-    assert commonest_size(rows) == 27
-    best = fastest_of_each_size(rows)
-    assert {(one["nodes"], one["nanoseconds_per_node_step"]) for one in best} == {(27, 0.06), (53, 0.01)}
