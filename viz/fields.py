@@ -115,15 +115,16 @@ def drawing_scale(
     return DrawingScale(limit, warp_factor, prefix + field.unit, unit_factor, field)
 
 
-def common_scale(scene: Scene, motions: Sequence[Motion], field: PlateField) -> DrawingScale:
-    """Return one scale for all frames of all motions."""
-    values = [field.values(motion) for motion in motions]
-    return drawing_scale([motion.displacement for motion in motions], scene.plate.size, field, values)
-
-
 def field_of(motions: Sequence[Motion], name: str) -> PlateField:
-    """Return the field of this name; natural modes have only one."""
+    """Return the field of this name, a key of FIELDS; natural modes have only one."""
     return MODE if motions[0].localization_factor is None else FIELDS[name]
+
+
+def common_scale(scene: Scene, motions: Sequence[Motion], name: str) -> tuple[DrawingScale, list[np.ndarray]]:
+    """Return one scale for all frames of all motions, and the values of the field of this name for each motion."""
+    field = field_of(motions, name)
+    values = [field.values(motion) for motion in motions]
+    return drawing_scale([motion.displacement for motion in motions], scene.plate.size, field, values), values
 
 
 def rounded_up(value: float) -> float:

@@ -57,7 +57,7 @@ def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
     return written, "; ".join(problems) or None
 
 
-def draw_surfaces(result: Result, path: str | Path) -> Path:
+def draw_surfaces(result: Result, path: str | Path) -> None:
     """Draw figure 2 of the paper as a PNG: a row with its own scale for each case, a column for each recorded time.
 
     Raises ValueError if the result holds no displacement, and DrawingUnavailable if VTK cannot draw here.
@@ -84,4 +84,3 @@ def draw_surfaces(result: Result, path: str | Path) -> Path:
             plotter.subplot(row, len(shown))
             add_legend(plotter, scene, scale, font_size)
         take_picture().save(path, format="PNG", compress_level=3)
-    return Path(path)

@@ -6,7 +6,7 @@ Heights are exaggerated: a node at (x, y) with displacement u is drawn at (x, y,
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -45,9 +45,8 @@ class SurfaceLines:
         self.mesh.points[:, 2] = np.einsum("pc,pc->p", heights[self.nodes], self.weights)
 
 
-@dataclass(frozen=True)
 class PlateMeshes:
-    """Meshes of one plate.
+    """Meshes of one plate; for the arguments see :meth:`update`.
 
     Attributes:
         surface: a point per node, x fastest, with point data SCALARS in the unit of the colour bar.
@@ -55,8 +54,22 @@ class PlateMeshes:
             or targets and of the "actuators", in drawing order; those that are there.
     """
 
-    surface: pyvista.PolyData
-    lines: Mapping[str, SurfaceLines]
+    def __init__(
+        self, scene: Scene, displacement: np.ndarray, scale: DrawingScale, values: np.ndarray | None = None
+    ) -> None:
+        import pyvista
+
+        grid = _FlatGrid(scene.plate.size, displacement.shape[::-1])
+        self.surface = pyvista.PolyData.from_regular_faces(grid.points(), grid.triangles())
+        self.surface.point_data[SCALARS] = np.zeros(displacement.size)
+        paths = {
+            "grid": grid.inner_lines(),
+            **{kind: list(ends.values()) for kind, ends in edges_by_kind(scene).items()},
+            "target": outlines(scene),
+            "actuators": [rectangle(actuator.area) for actuator in scene.actuators],
+        }
+        self.lines = {name: grid.lines(drawn) for name, drawn in paths.items() if drawn}
+        self.update(displacement, scale, values)
 
     def update(self, displacement: np.ndarray, scale: DrawingScale, values: np.ndarray | None = None) -> None:
         """Move to another field in place.
@@ -71,26 +84,6 @@ class PlateMeshes:
         self.surface.point_data[SCALARS][:] = np.asarray(scalars, dtype=float).ravel() * scale.unit_factor
         for lines in self.lines.values():
             lines.follow(heights)
-
-
-def plate_meshes(
-    scene: Scene, displacement: np.ndarray, scale: DrawingScale, values: np.ndarray | None = None
-) -> PlateMeshes:
-    """Return the meshes of one field; for the arguments see :meth:`PlateMeshes.update`."""
-    import pyvista
-
-    grid = _FlatGrid(scene.plate.size, displacement.shape[::-1])
-    surface = pyvista.PolyData.from_regular_faces(grid.points(), grid.triangles())
-    surface.point_data[SCALARS] = np.zeros(displacement.size)
-    paths = {
-        "grid": grid.inner_lines(),
-        **{kind: list(ends.values()) for kind, ends in edges_by_kind(scene).items()},
-        "target": outlines(scene),
-        "actuators": [rectangle(actuator.area) for actuator in scene.actuators],
-    }
-    meshes = PlateMeshes(surface, {name: grid.lines(held) for name, held in paths.items() if held})
-    meshes.update(displacement, scale, values)
-    return meshes
 
 
 @dataclass(frozen=True)

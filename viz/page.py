@@ -20,8 +20,8 @@ from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import AZIMUTH, ELEVATION, LABEL_FORMAT, lookup_table
 from warp_plate.viz.captions import frame_caption
-from warp_plate.viz.fields import DISPLACEMENT, MODE, PlateField, common_scale, field_of
-from warp_plate.viz.meshes import PlateMeshes, plate_meshes
+from warp_plate.viz.fields import DISPLACEMENT, MODE, PlateField, common_scale
+from warp_plate.viz.meshes import PlateMeshes
 from warp_plate.viz.scene3d import line_layers, rows_and_columns
 from warp_plate.viz.styles import legend_entries
 
@@ -52,19 +52,16 @@ def page_data(
     scene: Scene, motions: Sequence[Motion], quantity: str, rate: float, heights_factor: float | None
 ) -> dict[str, Any]:
     """Return all data of the page's script as JSON types; arrays are base64 of little-endian numbers."""
-    field = field_of(motions, quantity)
-    scale = common_scale(scene, motions, field)
-    heights = [motion.displacement for motion in motions]
+    scale, colours = common_scale(scene, motions, quantity)
+    field, frames, heights = scale.field, len(colours[0]), [motion.displacement for motion in motions]
+    peak = max(float(np.abs(np.nan_to_num(array)).max()) for array in heights) or 1.0
     if field in (DISPLACEMENT, MODE):
         peak, colours = scale.limit, []
-    else:
-        peak = max(float(np.abs(np.nan_to_num(array)).max()) for array in heights) or 1.0
-        colours = [field.values(motion) for motion in motions]
     all_nodes = heights[0].shape[1:]
     values = sum(len(array) for array in [*heights, *colours]) * math.prod(all_nodes)
     ny, nx = (thinned_nodes(nodes, values) for nodes in all_nodes)
     heights, colours = ([_resampled(array, (ny, nx), field) for array in arrays] for arrays in (heights, colours))
-    meshes, (low, high) = plate_meshes(scene, heights[0][0], scale), scale.clim
+    meshes, (low, high) = PlateMeshes(scene, heights[0][0], scale), scale.clim
     return {
         "heightWords": bool(scale.heights),
         "title": scale.title,
@@ -78,7 +75,7 @@ def page_data(
         "grid": [nx, ny],
         "thinned": "" if (ny, nx) == all_nodes else f"{nx} × {ny} of {all_nodes[1]} × {all_nodes[0]} nodes are shown.",
         "frames": len(heights[0]),
-        "colourFrames": len(field.values(motions[0])),
+        "colourFrames": frames,
         "columns": rows_and_columns(len(motions))[1],
         "rate": rate,
         "peak": peak,
@@ -94,7 +91,7 @@ def page_data(
                 "heights": _integers(heights[index], peak),
                 # null: the heights are the colours, and the outlines those of the scene.
                 "colours": _integers(colours[index], scale.limit) if colours else None,
-                "outlines": _outlines(plate_meshes(motion.scene, heights[0][0], scale)) if motion.scene else None,
+                "outlines": _outlines(PlateMeshes(motion.scene, heights[0][0], scale)) if motion.scene else None,
             }
             for index, motion in enumerate(motions)
         ],

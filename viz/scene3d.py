@@ -14,8 +14,8 @@ from warp_plate.scene.model import Scene
 from warp_plate.viz import annotations
 from warp_plate.viz.annotations import LEGEND_WIDTH, lookup_table
 from warp_plate.viz.captions import frame_caption
-from warp_plate.viz.fields import DrawingScale, common_scale, field_of
-from warp_plate.viz.meshes import SCALARS, PlateMeshes, SurfaceLines, plate_meshes
+from warp_plate.viz.fields import DrawingScale, common_scale
+from warp_plate.viz.meshes import SCALARS, PlateMeshes, SurfaceLines
 from warp_plate.viz.styles import EDGE_STYLES, GRID, INK, TARGET
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class PlateActors:
     ) -> None:
         # Lines are blended in the order in which they are added; order-independent transparency takes twice the time.
         plotter.renderer.SetUseOIT(False)
-        self.meshes = plate_meshes(scene, displacement, scale, values)
+        self.meshes = PlateMeshes(scene, displacement, scale, values)
         unlit = {"lighting": False, "show_scalar_bar": False}
         self.surface = plotter.add_mesh(self.meshes.surface, scalars=SCALARS, clim=scale.clim, **unlit)
         for layer in line_layers(self.meshes):
@@ -142,7 +142,7 @@ class SideBySide:
     ) -> None:
         self.scene, self.motions = scene, list(motions)
         self.frames, self.frame = len(motions[0].times), 0
-        self.scale = self._take_field(quantity)
+        self.scale, self._values = common_scale(scene, motions, quantity)
         self.plates = []
         _, columns = rows_and_columns(len(motions))
         for index, (motion, values) in enumerate(zip(motions, self._values, strict=True)):
@@ -163,17 +163,12 @@ class SideBySide:
 
     def colour_by(self, quantity: str) -> None:
         """Show another field in colour at the same frame and heights."""
-        self._rescale(replace(self._take_field(quantity), warp_factor=self.scale.warp_factor))
+        scale, self._values = common_scale(self.scene, self.motions, quantity)
+        self._rescale(replace(scale, warp_factor=self.scale.warp_factor))
 
     def exaggerate(self, warp_factor: float) -> None:
         """Exaggerate heights by this factor, rounded to three digits."""
         self._rescale(replace(self.scale, warp_factor=float(f"{warp_factor:.3g}")))
-
-    def _take_field(self, quantity: str) -> DrawingScale:
-        """Read a field of all motions and return its scale."""
-        field = field_of(self.motions, quantity)
-        self._values = [field.values(motion) for motion in self.motions]
-        return common_scale(self.scene, self.motions, field)
 
     def _rescale(self, scale: DrawingScale) -> None:
         self.scale = scale

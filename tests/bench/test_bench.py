@@ -224,11 +224,11 @@ def test_plot_of_two_devices(tmp_path):
     rows = [row(device=device, plates=plates) for device in ("cpu", "cuda:0") for plates in (1, 20)]
     rows += [row(nodes=53), row(nodes=53, nanoseconds_per_node_step=0.01)]
     skipped = row(precision="float64", status="skipped: too large", nanoseconds_per_node_step=None)
-    path = draw_bench(record(*rows, skipped), tmp_path / "bench.svg")
+    draw_bench(record(*rows, skipped), tmp_path / "bench.svg")
     assert commonest_size(record(*rows)["rows"]) == 27
     best = fastest_of_each_size(record(*rows)["rows"])
     assert {(one["nodes"], one["nanoseconds_per_node_step"]) for one in best} == {(27, 0.06), (53, 0.01)}
-    text = path.read_text(encoding="utf-8")
+    text = (tmp_path / "bench.svg").read_text(encoding="utf-8")
     for label in ("cpu, float32", "cuda:0, float32", "cuda:0, 16 B at copy bandwidth", "plates of 27 × 27 nodes"):
         assert f"<!-- {label} -->" in text
     assert "float64" not in text

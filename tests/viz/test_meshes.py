@@ -8,7 +8,7 @@ import pytest
 from warp_plate.scene import Scene
 from warp_plate.viz.captions import caption
 from warp_plate.viz.fields import FIELDS, DrawingScale, drawing_scale
-from warp_plate.viz.meshes import SCALARS, plate_meshes
+from warp_plate.viz.meshes import SCALARS, PlateMeshes
 from warp_plate.viz.styles import edges_by_kind
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
@@ -17,7 +17,7 @@ PAPER = Scene.load("paper")
 
 
 def meshes_of(field, scene=PAPER):
-    return plate_meshes(scene, field, drawing_scale([field], scene.plate.size))
+    return PlateMeshes(scene, field, drawing_scale([field], scene.plate.size))
 
 
 def segments(mesh):

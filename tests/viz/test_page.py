@@ -12,8 +12,8 @@ import pytest
 
 from warp_plate.result.motion import Motion
 from warp_plate.viz import page as page_module
-from warp_plate.viz.fields import FIELDS, common_scale
-from warp_plate.viz.meshes import plate_meshes
+from warp_plate.viz.fields import common_scale
+from warp_plate.viz.meshes import PlateMeshes
 from warp_plate.viz.page import NAN, PEAK, page_data, write_page
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
@@ -40,7 +40,7 @@ def decoded(text, kind):
 def test_frames_meshes_and_scale(scene):
     made, motions = scene(), [bump(1e-7), bump(3e-7)]
     data = page_data(made, motions, "velocity", 25.0, None)
-    scale = common_scale(made, motions, FIELDS["velocity"])
+    scale = common_scale(made, motions, "velocity")[0]
     assert (data["grid"], data["frames"], data["rate"]) == ([9, 9], FRAMES, 25.0)
     assert (data["factor"], data["limits"], data["title"]) == (scale.warp_factor, [-1.0, 1.0], "velocity\n[µm/s]")
     for motion, plate in zip(motions, data["plates"], strict=True):
@@ -49,7 +49,7 @@ def test_frames_meshes_and_scale(scene):
         colours = decoded(plate["colours"], "<i2").reshape(FRAMES, 9, 9) / PEAK * scale.limit
         np.testing.assert_allclose(colours, motion.velocity, atol=scale.limit / PEAK)
         assert "t = 0.0005 s" in plate["headings"][1]
-    meshes = plate_meshes(made, motions[0].displacement[0], scale)
+    meshes = PlateMeshes(made, motions[0].displacement[0], scale)
     triangles = decoded(data["triangles"], "<u4").reshape(-1, 3)
     np.testing.assert_array_equal(triangles, meshes.surface.faces.reshape(-1, 4)[:, 1:])
     weights = [decoded(outline["shares"], "<f4").reshape(-1, 3) for outline in data["outlines"]]

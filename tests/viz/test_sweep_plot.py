@@ -56,7 +56,8 @@ def test_pictures_of_all_shapes(panel, tmp_path, monkeypatch, what, vary, sample
     """Labels of ticks do not touch each other, and refused points are grey."""
     figures, save = [], Figure.savefig
     monkeypatch.setattr(Figure, "savefig", lambda self, *args, **how: (figures.append(self), save(self, *args, **how)))
-    drawn = imread(draw_sweep(random_sweep(panel, vary, what, samples), tmp_path / "a.png"))
+    draw_sweep(random_sweep(panel, vary, what, samples), tmp_path / "a.png")
+    drawn = imread(tmp_path / "a.png")
     assert min(drawn.shape[:2]) > 300
     assert drawn[..., :3].std() > 0.02
     for axis in (axis for axes in figures[0].axes if axes.get_visible() for axis in (axes.xaxis, axes.yaxis)):
@@ -76,7 +77,8 @@ def test_coinciding_curves_can_all_be_seen(panel, tmp_path, samples):
     sweep = random_sweep(panel, ["plate.thickness=4e-4:6e-4:6"], "localize", samples)
     sweep.values.update({name: np.linspace(0.2, 0.7, len(sweep.plan)) for name in sweep.values})
     sweep.values["single"], sweep.values["equal"] = (1 - sweep.values[name] for name in ("best", "bound"))
-    drawn = imread(draw_sweep(replace(sweep, status=np.ones_like(sweep.status)), tmp_path / "a.png"))[..., :3]
+    draw_sweep(replace(sweep, status=np.ones_like(sweep.status)), tmp_path / "a.png")
+    drawn = imread(tmp_path / "a.png")[..., :3]
     legend = drawn[:150] if samples is None else drawn[:, -350:]
     for colour in COLOURS[:4]:
         seen = [np.isclose(part, to_rgb(colour), atol=0.01).all(axis=2).sum() for part in (drawn, legend)]

@@ -27,7 +27,7 @@ REFUSED_HEIGHT = 2.2  # of the marks of refused configurations over the largest 
 Row = Mapping[str, Any]
 
 
-def draw_accuracy(record: Mapping[str, Any], path: str | Path) -> Path:
+def draw_accuracy(record: Mapping[str, Any], path: str | Path) -> None:
     """Plot the object that ``warp-plate accuracy --json`` prints."""
     rows = [row for row in record["rows"] if row["status"] == "ok" and row["error"]]
     if not rows:
@@ -52,7 +52,6 @@ def draw_accuracy(record: Mapping[str, Any], path: str | Path) -> Path:
             axes.plot(refused, [height] * len(refused), linestyle="", label="refused: Δt above the limit", **cross)
         _annotate(axes, record, rows)
         made.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
-    return Path(path)
 
 
 def families(rows: Sequence[Row]) -> list[tuple[tuple[int, str], str]]:

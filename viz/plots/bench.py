@@ -19,7 +19,7 @@ STYLES = {"float32": "o-", "float64": "s--"}
 BYTES_PER_NODE_STEP = 16
 
 
-def draw_bench(record: Mapping[str, Any], path: str | Path) -> Path:
+def draw_bench(record: Mapping[str, Any], path: str | Path) -> None:
     """Plot the object that ``warp-plate bench --json`` prints.
 
     Left: over the number of plates, for the size with most measurements. Right: over the nodes per side, at the fastest
@@ -41,7 +41,6 @@ def draw_bench(record: Mapping[str, Any], path: str | Path) -> Path:
             label = f"{device}, {BYTES_PER_NODE_STEP} B at copy bandwidth"
             right.axhline(limit, color=COLOURS[index % len(COLOURS)], linewidth=1.0, linestyle=":", label=label)
         made.legend(*right.get_legend_handles_labels(), loc="outside right upper")
-    return Path(path)
 
 
 def commonest_size(rows: Sequence[Mapping[str, Any]]) -> int:

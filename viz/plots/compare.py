@@ -23,7 +23,7 @@ BOUND_LABELS = {"attained": "bound: no method can pass", "bound only": "bound on
 SMALLEST_DISTANCE = 1e-12
 
 
-def draw_comparison(comparison: MethodComparison, path: str | Path) -> Path:
+def draw_comparison(comparison: MethodComparison, path: str | Path) -> None:
     """Plot the median over the seeds as lines, and worst to best seed as bands.
 
     A second row shows the distance from the bound if one is known.
@@ -43,7 +43,6 @@ def draw_comparison(comparison: MethodComparison, path: str | Path) -> Path:
         seeds = len({trial.seed for trial in comparison.trials})
         title = f"{comparison.scene.title or comparison.source}: median, best and worst of {counted(seeds, 'seed')}"
         made.suptitle(title, fontsize=9)
-    return Path(path)
 
 
 def loss_statistics(trials: Sequence[Trial], clock: str, budget: int) -> tuple[np.ndarray, np.ndarray]:

@@ -24,7 +24,7 @@ CELL, PLATE, NOTE, LETTER, LINE = (0.9, 0.42), 1.9, (3.0, 0.4), 0.07, 0.13
 PLATES_PER_ROW = 4
 
 
-def draw_crosstalk(result: Result, path: str | Path) -> Path:
+def draw_crosstalk(result: Result, path: str | Path) -> None:
     """Draw the table, and each plate at the recorded time of its largest displacement, in a scale of its own."""
     cases = target_cases(result.scene)
     drawn = {target: case for target, case in cases.items() if case in result.cases and result.times.size}
@@ -46,7 +46,6 @@ def draw_crosstalk(result: Result, path: str | Path) -> Path:
             size = "{:g} m × {:g} m".format(*result.scene.plate.size)
             note = f"displacement of the plate, {size}:\nred up, blue down, each in its own scale"
             below.supxlabel(note, fontsize=8)
-    return Path(path)
 
 
 def _draw_table(axes: Axes, names: list[str], shares: np.ndarray) -> None:

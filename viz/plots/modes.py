@@ -26,7 +26,7 @@ ROUNDING, FLAT = 1e-9, 3e-3
 FINE = 150
 
 
-def draw_modes(scene: Scene, frequencies: np.ndarray, shapes: np.ndarray, path: str | Path) -> Path:
+def draw_modes(scene: Scene, frequencies: np.ndarray, shapes: np.ndarray, path: str | Path) -> None:
     """Draw every mode with its frequency.
 
     Args:
@@ -52,7 +52,6 @@ def draw_modes(scene: Scene, frequencies: np.ndarray, shapes: np.ndarray, path: 
         if scene.effects.oscillators:
             handles.append(line_handle(PATCH, "oscillator", 0.9, ":"))
         made.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=7)
-    return Path(path)
 
 
 def layout(count: int, size: Sequence[float]) -> tuple[int, int]:

@@ -13,7 +13,7 @@ from warp_plate.result.motion import Motion
 from warp_plate.result.targets import outlines
 from warp_plate.scene.model import Area, Scene
 from warp_plate.viz.captions import frame_caption
-from warp_plate.viz.fields import DrawingScale, common_scale, field_of
+from warp_plate.viz.fields import DrawingScale, common_scale
 from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.scene3d import rows_and_columns
 from warp_plate.viz.styles import EDGE_STYLES, INK, TARGET, edges_by_kind, rectangle
@@ -33,24 +33,23 @@ def draw_plan(scene: Scene, motions: Sequence[Motion], path: Path, quantity: str
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    shown = field_of(motions, quantity)
-    scale = common_scale(scene, motions, shown)
+    scale, fields = common_scale(scene, motions, quantity)
     rows, columns = rows_and_columns(len(motions))
     width, height = drawn_size(scene, LENGTH)
     size = (max(columns * (width + 0.45), 3.2) + 0.9, rows * (height + 0.75) + 0.3)
     with figure(path, size, font_size=8) as made:
         panels = add_panels(made, len(motions), columns)
-        for index, (axes, motion) in enumerate(zip(panels, motions, strict=True)):
-            values, caption = shown.values(motion), frame_caption(motion, frame, scene)
+        for index, (axes, motion, values) in enumerate(zip(panels, motions, fields, strict=True)):
+            caption = frame_caption(motion, frame, scene)
             draw_field(axes, scene, values[frame % len(values)], scale)
             _draw_outlines(axes, motion.scene or scene)
             # A field without time dependence belongs to no moment.
             axes.set_title(caption if len(values) > 1 else re.sub(", t = .*", "", caption), fontsize=8, pad=6)
             axes.set_xlabel("x [m]" if index + columns >= len(motions) else "")
             axes.set_ylabel("y [m]" if index % columns == 0 else "")
-        bar = made.colorbar(ScalarMappable(Normalize(*scale.clim), shown.cmap), ax=panels, aspect=22, pad=0.02)
+        bar = made.colorbar(ScalarMappable(Normalize(*scale.clim), scale.field.cmap), ax=panels, aspect=22, pad=0.02)
         bar.set_label(scale.title.replace("\n", " "))
-        if shown.kind == "cyclic":
+        if scale.field.kind == "cyclic":
             bar.set_ticks([-180, -90, 0, 90, 180])
         made.legend(handles=_outline_handles(scene), loc="outside lower center", ncols=6, fontsize=7)
 

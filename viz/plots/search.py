@@ -27,7 +27,7 @@ DRIVE_COLOURS = {"robust": "#08519c", "nominal": "#d94801"}
 BINS = 24
 
 
-def draw_history(result: Result, path: str | Path) -> Path:
+def draw_history(result: Result, path: str | Path) -> None:
     """Plot 1 − localization factor, or the negative weighted sum of the objectives, against the iteration.
 
     With several targets the history is that of the first. A claimed bound is a line; the published final loss stands
@@ -37,7 +37,6 @@ def draw_history(result: Result, path: str | Path) -> Path:
         raise ValueError("the result holds no history: only a search leaves one")
     with figure(path, (5, 3.2), dpi=320) as made:
         plot_history(made.add_subplot(), result)
-    return Path(path)
 
 
 def plot_history(axes: Axes, result: Result) -> None:
@@ -72,7 +71,7 @@ def plot_history(axes: Axes, result: Result) -> None:
     axes.legend()
 
 
-def draw_spectrum(result: Result, path: str | Path) -> Path:
+def draw_spectrum(result: Result, path: str | Path) -> None:
     """Plot localization factors against frequency, a tick for each resonance, and the best drive as a point."""
     spectrum, case = result.spectrum, result.main_case
     labels = curve_labels(result.scene.search)
@@ -89,7 +88,6 @@ def draw_spectrum(result: Result, path: str | Path) -> Path:
             point = (case.frequency[0], case.localization_factor)
             axes.plot(*point, "o", color="#e6820e", markersize=5, clip_on=False, label="best of the search", zorder=4)
         made.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8)
-    return Path(path)
 
 
 def curve_labels(search: Search) -> dict[str, str]:
@@ -111,7 +109,7 @@ def curve_labels(search: Search) -> dict[str, str]:
     return {"best": best, "single": single, "equal": "equal drive"}
 
 
-def draw_robust(result: Result, path: str | Path) -> Path:
+def draw_robust(result: Result, path: str | Path) -> None:
     """Plot distributions of the robust and the nominal drive over the same validation panels.
 
     Above are histograms, below cumulative distributions, with the median and the worst 5 %.
@@ -122,7 +120,6 @@ def draw_robust(result: Result, path: str | Path) -> Path:
         _plot_histograms(above, compared)
         _plot_cumulative(below, compared)
         made.suptitle(result.scene.title or result.source, fontsize=9)
-    return Path(path)
 
 
 def _plot_histograms(axes: Axes, compared: RobustComparison) -> None:

@@ -30,7 +30,7 @@ MARKERS = (("o", 3), ("o", 6), ("x", 4), ("+", 6), ("s", 5), ("D", 7), ("^", 5),
 PLAIN_POWERS = range(-1, 4)
 
 
-def draw_sweep(sweep: Sweep, path: str | Path) -> Path:
+def draw_sweep(sweep: Sweep, path: str | Path) -> None:
     """Draw the outputs of a sweep, with refused points in grey.
 
     Over one key all outputs are lines; over two each output is a map; over more the first output is a map over the two
@@ -39,9 +39,10 @@ def draw_sweep(sweep: Sweep, path: str | Path) -> Path:
     keys, sampled = len(sweep.plan.keys), sweep.plan.sampled
     draw = _draw_points if sampled else {1: _draw_lines, 2: _draw_maps}.get(keys, _draw_small_maps)
     with figure(path, box=keys > 1 and not sampled) as made:
-        note, title = draw(made, sweep), sweep.scene.title or sweep.source
-        made.suptitle(f"{title}: {note}" if note else title, fontsize=9)
-    return Path(path)
+        notes, title = [draw(made, sweep)], sweep.scene.title or sweep.source
+        if refused := np.count_nonzero(sweep.status == REFUSED):
+            notes.append(f"{counted(refused, 'point')} refused ({'ticks' if sampled else 'grey'})")
+        made.suptitle(": ".join(filter(None, (title, "; ".join(filter(None, notes))))), fontsize=9)
 
 
 def curves(sweep: Sweep) -> dict[str, tuple[str, np.ndarray]]:
@@ -88,7 +89,7 @@ def _draw_lines(figure: Figure, sweep: Sweep) -> str:
         if len(lines) > 1:
             axes.legend(fontsize=8, ncols=min(len(lines), 6), loc="lower center", bbox_to_anchor=(0.5, 1))
     _set_axis(rows[-1].xaxis, *_label_and_unit(sweep, 0), 6)
-    return f"{counted(np.count_nonzero(refused), 'point')} refused (grey)" if refused.any() else ""
+    return ""
 
 
 def _draw_maps(figure: Figure, sweep: Sweep) -> str:
@@ -101,7 +102,7 @@ def _draw_maps(figure: Figure, sweep: Sweep) -> str:
         figure.colorbar(_draw_map(axes, sweep, field, (0, 1), _limits(field)), ax=axes).set_label(_with_unit("", unit))
         axes.set_title(label, fontsize=9)
     _label_maps(panels, sweep, columns, (0, 1), 5)
-    return _refused_note(sweep)
+    return ""
 
 
 def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
@@ -121,8 +122,7 @@ def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
         axes.set_title("\n".join(f"{name}{value:.4g}" for name, value in zip(names, held, strict=True)), fontsize=7)
     _label_maps(panels, sweep, columns, (first, second), 4, size=8)
     figure.colorbar(mesh, ax=panels, shrink=0.8).set_label(_with_unit(label, unit))
-    some = f"{len(shown)} of {len(places)} maps; " if len(shown) < len(places) else ""
-    return some + _refused_note(sweep) or label
+    return f"{len(shown)} of {len(places)} maps" if len(shown) < len(places) else label
 
 
 def _draw_points(figure: Figure, sweep: Sweep) -> str:
@@ -147,7 +147,7 @@ def _draw_points(figure: Figure, sweep: Sweep) -> str:
             row[-1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     for key, axes in enumerate(grid[-1]):
         _set_axis(axes.xaxis, *_label_and_unit(sweep, key), 4)
-    return counted(len(plan), "sample") + (f", {refused.sum()} of them refused (ticks)" if refused.any() else "")
+    return counted(len(plan), "sample")
 
 
 def _label_maps(
@@ -182,10 +182,6 @@ def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int]
             lines = axes.contour(x, y, field.T, levels=levels, colors="white", linewidths=0.7)
             axes.clabel(lines, fontsize=6, fmt="%.3g")
     return mesh
-
-
-def _refused_note(sweep: Sweep) -> str:
-    return "refused points are grey" if (sweep.status == REFUSED).any() else ""
 
 
 def _limits(values: np.ndarray) -> tuple[float, float]:
