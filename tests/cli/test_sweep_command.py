@@ -17,9 +17,7 @@ from warp_plate.result.atomic_io import check_seal
 from warp_plate.result.sweep import REFUSED, save_sweep
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies import sweep as sweeps
-from warp_plate.studies import sweep_point
-from warp_plate.studies.sweep import start_sweep
-from warp_plate.studies.sweep_point import run_here
+from warp_plate.studies.sweep import run_here, start_sweep
 
 QUICK = ("--device", "cpu", "--no-pictures")
 GRID = ("--vary", "plate.thickness=4e-4,5e-4,2e-3", "--vary", "drive.frequency=200:300:3")
@@ -101,7 +99,7 @@ def test_xarray_opens_results_by_name(panel, command):
 @pytest.fixture
 def interrupt_after(monkeypatch):
     """Interrupt the point after so many others; return a list of the points run."""
-    run_point = sweep_point.run_point
+    run_point = sweeps.run_point
 
     def patch(points):
         ran = []
@@ -112,7 +110,7 @@ def interrupt_after(monkeypatch):
             ran.append(point)
             return run_point(point)
 
-        monkeypatch.setattr(sweep_point, "run_point", run)
+        monkeypatch.setattr(sweeps, "run_point", run)
         return ran
 
     return patch
@@ -168,14 +166,14 @@ def test_no_other_file_is_replaced(panel, command, monkeypatch, interrupt_after)
         err = error_of(command("sweep", "panel.toml", *wrong, *QUICK))
         assert (message in err, "name another file by --out" in err) == (True, True), err
         assert {path: path.read_bytes() for path in Path().iterdir()} == before
-    run_point = sweep_point.run_point
+    run_point = sweeps.run_point
 
     def meanwhile(point):
         Path("late.h5").write_bytes(b"another command's")
         return run_point(point)
 
     with monkeypatch.context() as patch:
-        patch.setattr(sweep_point, "run_point", meanwhile)
+        patch.setattr(sweeps, "run_point", meanwhile)
         err = error_of(command(*SWEEP, "--out", "late.h5"))
     assert "late.h5: damaged" in err
     assert "after 9 of 9 points; resume with: warp-plate sweep --resume late.checkpoint.h5" in err

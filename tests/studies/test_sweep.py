@@ -231,10 +231,10 @@ def test_processors_of_workers_are_kept_and_not_mixed_silently(plate, tmp_path):
 def test_a_point_without_memory_is_given_up_and_others_run(plate, monkeypatch, error):
     real = QUANTITIES["check"]
 
-    def compute(scene, options):
+    def compute(scene, *options):
         if scene.drive.frequency == 250:
             raise error
-        return real.compute(scene, options)
+        return real.compute(scene, *options)
 
     monkeypatch.setitem(QUANTITIES, "check", replace(real, compute=compute))
     for pool, attempts in ((None, ""), (InlinePool(), f" after {ATTEMPTS} attempts")):

@@ -21,7 +21,7 @@ from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, ev
 from warp_plate.problem.problem import EvaluatorName, Problem, make_problem
 from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.checkpoint import Checkpoint, load_newest
-from warp_plate.result.model import Case, Result, TargetSearch
+from warp_plate.result.model import Result, TargetSearch
 from warp_plate.result.targets import best_drive_scenes, target_cases, target_regions
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError, printable
@@ -261,55 +261,56 @@ def _optional_parts(
     """Compute the optional fields of a result and their node-steps, and add their seconds; a part that is refused or
     interrupted is left out."""
 
-    def attempt(name: str, compute: Callable[[], T], default: T) -> T:
+    def attempt(name: str, compute: Callable[[], T]) -> T | None:
         started = time.perf_counter()
         try:
-            found = compute()
+            value = compute()
         except (KeyboardInterrupt, SceneError):
-            return default
-        if found:
+            return None
+        if value:
             seconds[name] = time.perf_counter() - started
-        return found
+        return value
 
-    cases, accuracy, robust, node_steps = dict(evaluated.cases), dict(end.accuracy), None, 0
-    position = end.finished_searches[0].position
+    position, compared, estimated = end.finished_searches[0].position, None, None
     if problem.scenario_losses is not None and position is not None and not interrupted:
-        compared = attempt("robust", lambda: compare_with_nominal(problem, end, position), None)
-        if compared is not None:
-            robust, cases["nominal"], node_steps = compared
+        compared = attempt("robust", lambda: compare_with_nominal(problem, end, position))
+    robust, nominal, node_steps = compared or (None, {}, 0)
     if options.estimate:
         known = reference if evaluated.scene is problem.scene else None  # that of another plate does not help
-        device, spent = problem.drive_solver.device.alias, seconds["solve"]
-        scene, phasors, run, nothing = evaluated.scene, evaluated.phasors, evaluated.run, dict[str, Any]()
-        accuracy |= attempt("estimate", lambda: estimate_error(scene, phasors, run, spent, device, known), nothing)
-    baselines: tuple[dict[str, Case], int] = ({}, 0)
-    if options.baselines:
-        baselines = attempt("baselines", lambda: baseline_cases(problem), baselines)
-    references = {name: evaluated.cases[name] for name in ("equal", "single")} | baselines[0]
-    values, more = evaluate_objectives(problem, references)
-    spectrum: dict[str, np.ndarray] = {}
+        of_run = evaluated.scene, evaluated.phasors, evaluated.run, seconds["solve"]
+        device = problem.drive_solver.device.alias
+        estimated = attempt("estimate", lambda: estimate_error(*of_run, device, known))
+    found = attempt("baselines", lambda: baseline_cases(problem)) if options.baselines else None
+    baselines, steps = found or ({}, 0)
+    references = {name: evaluated.cases[name] for name in ("equal", "single")} | baselines
+    values, more_steps = evaluate_objectives(problem, references)
+    spectrum = None
     if options.spectrum and not interrupted:
-        spectrum = attempt("spectrum", lambda: make_spectrum(problem, evaluated.cases["best"]), spectrum)
+        spectrum = attempt("spectrum", lambda: make_spectrum(problem, evaluated.cases["best"]))
     return {
-        "cases": cases | baselines[0],
-        "accuracy": accuracy,
+        "cases": {**evaluated.cases, **nominal, **baselines},
+        "accuracy": {**end.accuracy, **(estimated or {})},
         "robust": robust,
         "objective_values_by_case": values,
-        "spectrum": spectrum,
-        "node_steps": node_steps + baselines[1] + more,
+        "spectrum": spectrum or {},
+        "node_steps": node_steps + steps + more_steps,
     }
 
 
 def _search_targets(start: Checkpoint, problem: Problem, options: _Options) -> tuple[Checkpoint, Problem, bool]:
     """Search the remaining targets; return the last checkpoint, the first target's problem, and whether Ctrl-C came."""
-    count = max(len(problem.scene.targets), 1)
-    while True:
-        started, first_steps = time.perf_counter(), problem.node_steps
-        done = len(start.finished_searches)
+    count, first, interrupted = max(len(problem.scene.targets), 1), len(start.finished_searches), False
+    for index in range(first, count):
+        started = time.perf_counter()
+        if index > first:
+            problem = _next_problem(problem, index, start)
+            start = replace(start, **_initial_state(problem, start.seed))
+            start = replace(start, node_steps=start.node_steps + problem.node_steps)
+        first_steps = problem.node_steps
 
-        def on_progress(iterations: int, total: int, best: float, done: int = done) -> None:
+        def on_progress(iterations: int, total: int, best: float, before: int = index) -> None:
             if options.on_progress is not None:
-                options.on_progress(done * total + iterations, count * total, best)
+                options.on_progress(before * total + iterations, count * total, best)
 
         optimizer, interrupted = run_search(start, problem, on_progress, options.checkpoints)
         position = None if optimizer is None else optimizer.result.xbest
@@ -322,21 +323,17 @@ def _search_targets(start: Checkpoint, problem: Problem, options: _Options) -> t
             history=history_of(optimizer, problem),
             objective_values={} if position is None else problem.objective_values(position),
         )
+        solve = start.seconds.get("solve", 0.0) + time.perf_counter() - started
         start = replace(
             start,
             finished_searches=(*start.finished_searches, search),
             node_steps=start.node_steps + problem.node_steps - first_steps,
+            seconds={**start.seconds, "solve": solve},
             lost_plates=dict(Counter(start.lost_plates) + problem.lost),
         )
-        last = interrupted or done + 1 == count
-        if not last:
-            problem = _next_problem(problem, done + 1, start)
-            start = replace(start, **_initial_state(problem, start.seed))
-            start = replace(start, node_steps=start.node_steps + problem.node_steps)
-        seconds = start.seconds.get("solve", 0.0) + time.perf_counter() - started
-        start = replace(start, seconds={**start.seconds, "solve": seconds})
-        if last:
-            return start, _with_target(problem, 0) if count > 1 else problem, interrupted
+        if interrupted:
+            break
+    return start, _with_target(problem, 0) if count > 1 else problem, interrupted
 
 
 def _next_problem(problem: Problem, index: int, start: Checkpoint) -> Problem:

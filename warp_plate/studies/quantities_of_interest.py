@@ -27,57 +27,54 @@ Values = dict[str, float | np.ndarray]
 
 
 @dataclass(frozen=True)
-class QuantityOptions:
-    """Options of the computation.
-
-    Attributes:
-        device, path: see :class:`PlateSolver`.
-        count: number of values of outputs with an axis, such as modes.
-    """
-
-    device: str = "auto"
-    path: str = "auto"
-    count: int = 6
-
-
-@dataclass(frozen=True)
 class Quantities:
     """The quantities of one command.
 
     Attributes:
         outputs: units and meanings by name, the most important first.
-        compute: function that returns the values in a scene, or raises SceneError if the scene is refused.
+        compute: function of (scene, device, path, number of modes) that returns the values, or raises SceneError if the
+            scene is refused.
     """
 
     outputs: Mapping[str, SweepOutput]
-    compute: Callable[[Scene, QuantityOptions], Values]
+    compute: Callable[[Scene, str, str, int], Values]
 
 
-def localization_quantities(scene: Scene, options: QuantityOptions) -> Values:
+def _localization_quantities(scene: Scene, device: str, path: str, count: int) -> Values:
     """Return the localization factors of the equal drive, the best single actuator and the best drive, and the bound
     (NaN if none is claimed); for the first of several targets.
 
     Gram matrices are used where they apply. The best drive is then an eigenvector if the search may choose it;
     otherwise it is searched as the scene says.
     """
-    single_target = scene.model_copy(update={"targets": ()})
-    gridded = resolve_grid(at_highest_frequency(single_target), options.device).scene
-    problem = make_problem(gridded.model_copy(update={"actuators": scene.actuators}), options.device, options.path)
+    gridded = resolve_grid(at_highest_frequency(scene.model_copy(update={"targets": ()})), device).scene
+    problem = make_problem(gridded.model_copy(update={"actuators": scene.actuators}), device, path)
     if problem.response is not None and scene.search.robust is None:
         problem = replace(problem, evaluator_name="response")
     phasors = np.array(list(reference_phasors(problem.scene, problem.energies_of_phasors).values()))
     equal, single = localization_factor(problem.energies_of_phasors(phasors)).tolist()
-    if not np.isfinite([equal, single]).any():
-        _check_finite(problem, phasors)
+    if not np.isfinite([equal, single]).any() and (fault := problem.drive_solver.run(phasors[:1]).fault(0)) != "ok":
+        raise SceneError(fault)  # rather than at rest
     position, best = _best_position(problem), single
     if position is not None:
         best = float(localization_factor(problem.energies(problem.parametrization.designs(position[None])))[0])
     return {"equal": equal, "single": single, "best": best, "bound": np.nan if problem.bound is None else problem.bound}
 
 
-def simulation_quantities(scene: Scene, options: QuantityOptions) -> Values:
+def _best_position(problem: Problem) -> np.ndarray | None:
+    """Return the best position (dimension,), or None if there is nothing to search or nothing was found."""
+    if problem.scene.search.robust is None and problem.objectives.only_localization and problem.space.dimension:
+        try:
+            return best_position(problem.space, problem.quadratic)
+        except MethodError:  # a limit or a fixed number keeps the search from the eigenvector
+            pass
+    optimizer = search_optimizer(problem, problem.scene.search.seed)
+    return None if optimizer is None else minimize(optimizer, problem.losses).xbest
+
+
+def _simulation_quantities(scene: Scene, device: str, path: str, count: int) -> Values:
     """Return the localization factor, energies and peak displacement under the scene's own drive."""
-    result = simulate(scene, device=options.device, path=options.path, estimate=False)
+    result = simulate(scene, device=device, path=path, estimate=False)
     case = result.cases["drive"]
     if case.status != "ok":
         raise SceneError(case.status)
@@ -89,17 +86,17 @@ def simulation_quantities(scene: Scene, options: QuantityOptions) -> Values:
     }
 
 
-def modal_quantities(scene: Scene, options: QuantityOptions) -> Values:
+def _modal_quantities(scene: Scene, device: str, path: str, count: int) -> Values:
     """Return the lowest natural frequencies; NaN beyond those that the grid has."""
-    gridded = resolve_grid(scene, options.device).scene
+    gridded = resolve_grid(scene, device).scene
     refuse_many_nodes(gridded)
-    found = natural_modes(gridded, options.count).frequencies
-    return {"frequency": np.pad(found, (0, options.count - len(found)), constant_values=np.nan)}
+    found = natural_modes(gridded, count).frequencies
+    return {"frequency": np.pad(found, (0, count - len(found)), constant_values=np.nan)}
 
 
-def numerical_quantities(scene: Scene, options: QuantityOptions) -> Values:
+def _numerical_quantities(scene: Scene, device: str, path: str, count: int) -> Values:
     """Return the time step and its limit, and the resolution in time and space."""
-    found = check(resolve_grid(scene, options.device).scene, options.device)
+    found = check(resolve_grid(scene, device).scene, device)
     return {
         "time_step": found.time_step,
         "limit": found.limit.time_step,
@@ -116,7 +113,7 @@ QUANTITIES: Mapping[str, Quantities] = {
             "single": SweepOutput("1", "localization factor, best single actuator"),
             "equal": SweepOutput("1", "localization factor, equal drive"),
         },
-        localization_quantities,
+        _localization_quantities,
     ),
     "simulate": Quantities(
         {
@@ -125,9 +122,9 @@ QUANTITIES: Mapping[str, Quantities] = {
             "energy_target": SweepOutput("J", "kinetic energy of the target"),
             "peak_displacement": SweepOutput("m", "largest displacement"),
         },
-        simulation_quantities,
+        _simulation_quantities,
     ),
-    "modes": Quantities({"frequency": SweepOutput("Hz", "natural frequency", "mode")}, modal_quantities),
+    "modes": Quantities({"frequency": SweepOutput("Hz", "natural frequency", "mode")}, _modal_quantities),
     "check": Quantities(
         {
             "limit": SweepOutput("s", "time step, largest stable"),
@@ -135,27 +132,6 @@ QUANTITIES: Mapping[str, Quantities] = {
             "steps_a_period": SweepOutput("1", "resolution, steps in a period of the drive"),
             "points_a_wavelength": SweepOutput("1", "resolution, nodes in a bending wavelength"),
         },
-        numerical_quantities,
+        _numerical_quantities,
     ),
 }
-
-
-def _best_position(problem: Problem) -> np.ndarray | None:
-    """Return the best position (dimension,), or None if there is nothing to search or nothing was found."""
-    if problem.scene.search.robust is None and problem.objectives.only_localization and problem.space.dimension:
-        try:
-            return best_position(problem.space, problem.quadratic)
-        except MethodError:  # a limit or a fixed number keeps the search from the eigenvector
-            pass
-    optimizer = search_optimizer(problem, problem.scene.search.seed)
-    if optimizer is None:
-        return None
-    minimize(optimizer, problem.losses)
-    return optimizer.result.xbest
-
-
-def _check_finite(problem: Problem, phasors: np.ndarray) -> None:
-    """Check whether plates have no energies because of a fault rather than because they are at rest."""
-    fault = problem.drive_solver.run(phasors[:1]).fault(0)
-    if fault != "ok":
-        raise SceneError(fault)

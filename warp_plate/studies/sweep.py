@@ -1,30 +1,68 @@
-"""Quantities of interest of many scenes that differ in some of their numbers."""
+"""Quantities of interest of many scenes that differ in some of their numbers, here or on the workers of a pool."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import numpy as np
+import warp as wp
 
+import warp_plate
 from warp_plate.cluster.pool import WorkerPool
+from warp_plate.cluster.scheduler import Task, run_tasks
+from warp_plate.cluster.tasks import SceneSpec, refuse_unlike, run_task, worker_device, worker_identity
 from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
 from warp_plate.plate.files import digests
 from warp_plate.result.sweep import REFUSED, RUN, Sweep
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.keys import label_of
+from warp_plate.scene.keys import label_of, with_numbers
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import Plan, counted, make_plan, parse_vary
 from warp_plate.solve.devices import find_device, processor_of
 from warp_plate.studies.checkpointing import SweepFile
 from warp_plate.studies.provenance import versions
-from warp_plate.studies.quantities_of_interest import QUANTITIES
-from warp_plate.studies.sweep_point import PointResult, run_here, run_on_pool
+from warp_plate.studies.quantities_of_interest import QUANTITIES, Values
 
 # Called after each point with the points done, their total, and the numbers of the point.
 OnPointProgress = Callable[[int, int, str], object]
 MOST_MODES = 1000
+
+
+class Point(NamedTuple):
+    """A point of a sweep, with all that is needed to run it; the scene is plain data for another process."""
+
+    scene: Scene | SceneSpec
+    numbers: Mapping[str, float]
+    what: str
+    device: str
+    path: str
+    count: int
+
+
+class PointResult(NamedTuple):
+    """The result at a point.
+
+    Attributes:
+        values: quantities by name; None if the point was refused.
+        reason: why it was refused; "" if it was not.
+        device: device on which it ran; "" if it was given up.
+        worker: versions and processor that it ran with; empty if it was given up.
+    """
+
+    point: int
+    values: Values | None
+    reason: str
+    device: str = ""
+    worker: Mapping[str, str] = {}
+
+    @property
+    def processor(self) -> str:
+        """Name of the processor; "" if the point was given up."""
+        return self.worker.get("processor", "")
 
 
 def sweep(
@@ -113,10 +151,9 @@ def run_sweep(
         on_device_change: called with one line if workers have another kind of processor than earlier points were run on
             (default: that is refused).
     """
+    started, total, pending = time.perf_counter(), len(start.plan), start.pending.tolist()
     values = {name: array.copy() for name, array in start.values.items()}
-    status, reasons, started = start.status.copy(), dict(start.reasons), time.perf_counter()
-    total, pending = len(start.plan), start.pending.tolist()
-    current = start
+    status, reasons, current = start.status.copy(), dict(start.reasons), start
     if pool is not None and len(pending) == total:
         current = replace(start, device="", processor="")  # the workers report theirs
 
@@ -125,7 +162,7 @@ def run_sweep(
         return replace(current, values=values, status=status, reasons=reasons, seconds=seconds)
 
     def save() -> None:
-        if file is not None and len(now().pending) < total:
+        if file is not None and status.any():
             file.save(now())
 
     try:
@@ -135,12 +172,11 @@ def run_sweep(
                 if result.processor:
                     _check_processor(current, result, on_device_change)
                     current = current.moved_to(result.device, result.processor)
+                status[result.point] = REFUSED if result.values is None else RUN
                 if result.values is None:
                     reasons[result.point] = result.reason
-                else:
-                    for name, value in result.values.items():
-                        values[name][result.point] = value
-                status[result.point] = REFUSED if result.values is None else RUN
+                for name, value in (result.values or {}).items():
+                    values[name][result.point] = value
                 if on_progress is not None:
                     on_progress(done, total, _describe(result, start))
                 if file is not None and file.due():
@@ -155,6 +191,53 @@ def run_sweep(
         more = f" (and {counted(total - 1, 'point')} more)" if total > 1 else ""
         raise SceneError(f"all points are refused; {now().refusal(0)}{more}")
     return now()
+
+
+def run_point(point: Point) -> PointResult:
+    """Run a point, whose number the caller fills in."""
+    with TemporaryDirectory() as folder:
+        scene, name = point.scene, point.device or "auto"
+        if isinstance(scene, SceneSpec):
+            scene, name = scene.scene_in(folder), worker_device(name)
+        device = find_device(name)
+        values, reason = None, ""
+        try:
+            varied = with_numbers(scene, point.numbers)
+            values = QUANTITIES[point.what].compute(varied, device.alias, point.path, point.count)
+        except SceneError as error:
+            reason = str(error)
+        return PointResult(-1, values, reason, device.alias, worker_identity(device))
+
+
+def run_here(start: Sweep, points: Sequence[int]) -> Iterator[PointResult]:
+    """Yield one point after the other, run in this process; a point that runs out of memory is given up."""
+    for number, point in zip(points, _points(start, points, start.scene, start.device), strict=True):
+        try:
+            yield run_task(run_point, point)._replace(point=number)
+        except MemoryError as error:
+            yield PointResult(number, None, f"given up: {error}")
+
+
+def run_on_pool(start: Sweep, points: Sequence[int], pool: WorkerPool) -> Iterator[PointResult]:
+    """Yield points in the order in which a pool's workers finish them; one that fails in all attempts is given up.
+
+    The quantities are those of one process to the last bit if the workers have its kind of processor.
+    """
+    expected: Mapping[str, str] = {"warp_plate": warp_plate.__version__, "warp": wp.config.version}
+    arguments = _points(start, points, SceneSpec.of(start.scene), pool.device)
+    tasks = [Task(run_point, point, number) for number, point in zip(points, arguments, strict=True)]
+    for task, outcome in run_tasks(pool, tasks):
+        if outcome.failure:
+            yield PointResult(task.key, None, outcome.failure)
+            continue
+        result: PointResult = outcome.value
+        refuse_unlike(expected, result.worker)
+        expected = result.worker
+        yield result._replace(point=task.key)
+
+
+def _points(start: Sweep, points: Sequence[int], scene: Scene | SceneSpec, device: str) -> Iterator[Point]:
+    return (Point(scene, start.plan.numbers(at), start.what, device, start.path, start.count) for at in points)
 
 
 def _check_processor(current: Sweep, result: PointResult, on_device_change: Callable[[str], object] | None) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from warp_plate.result.checkpoint import ENDING
 from warp_plate.result.sweep import Sweep, load_sweep, save_sweep
@@ -16,7 +17,7 @@ from warp_plate.studies import provenance
 from warp_plate.studies.checkpointing import SweepFile
 from warp_plate.studies.sweep import start_sweep
 
-MODES = 6
+DEFAULTS = {"what": "localize", "count": 6, "path": "auto"}
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,15 @@ class SweepRequest:
     seed: int | None = None
     count: int | None = None
     path: str | None = None
+
+    def options(self, complete: bool) -> dict[str, Any]:
+        """Return the options that a sweep keeps, by its attributes; those left out have their defaults if complete."""
+        given = {name: getattr(self, name) for name in DEFAULTS}
+        return {name: DEFAULTS[name] if complete and value is None else value for name, value in given.items()}
+
+    def plan(self, scene: Scene) -> Plan:
+        """Return the points asked for; ``scene`` has the numbers to vary."""
+        return make_plan([parse_vary(scene, text) for text in self.vary or ()], self.samples, self.seed or 0)
 
 
 def open_sweep(
@@ -62,10 +72,9 @@ def open_sweep(
         sweep = _load_unfinished(file, request, resume is not None)
     else:
         assert request.scene is not None
-        plan, count = _plan(request, request.scene), MODES if request.count is None else request.count
-        what, path = request.what or "localize", request.path or "auto"
-        here = "auto" if on_workers or device is None else device
-        sweep = start_sweep(request.scene, plan, what, here, path, request.source, count)
+        scene, here = request.scene, "auto" if on_workers or device is None else device
+        options = request.options(complete=True)
+        sweep = start_sweep(scene, request.plan(scene), device=here, source=request.source, **options)
     if request.count is not None and not any(output.axis for output in sweep.outputs.values()):
         raise SceneError(f"--count {request.count}: --what {sweep.what} has no modes to count; leave it out")
     check_replaceable(target, sweep)
@@ -124,25 +133,18 @@ def check_replaceable(path: Path, sweep: Sweep) -> None:
 
 
 def _load_unfinished(file: Path, request: SweepRequest, resumed: bool) -> Sweep:
-    """Load an unfinished sweep for a request."""
+    """Load an unfinished sweep for a request, all of which must be the same if it was not named by ``--resume``."""
     advice = "start again without --resume" if resumed else f"name another file by --out, or delete {file}"
     try:
         sweep = load_sweep(file)
     except SceneError as error:
         raise error if resumed else SceneError(f"{error}; {advice}") from None
-    options: Mapping[str, object] = {"what": request.what, "count": request.count, "path": request.path}
-    if not resumed:
-        defaults: Mapping[str, object] = {"what": "localize", "count": MODES, "path": "auto"}
-        options = {name: defaults[name] if value is None else value for name, value in options.items()}
+    options = request.options(complete=not resumed)
     provenance.check_unchanged(sweep, f"sweep in {file}", options, (request.scene, sweep.scene), advice)
-    if (request.vary or not resumed) and not _plan(request, sweep.scene).same(sweep.plan):
+    if (request.vary or not resumed) and not request.plan(sweep.scene).same(sweep.plan):
         raise SceneError(
             f"--vary: the sweep in {file} began with other points ({sweep.plan.description}) and continues with "
             f"nothing else; {'leave --vary out, or ' if resumed else ''}{advice}"
         )
     # Files that the scene names are beside the scene, not beside the sweep.
     return sweep if request.scene is None else replace(sweep, scene=sweep.scene.in_folder(request.scene.folder))
-
-
-def _plan(request: SweepRequest, scene: Scene) -> Plan:
-    return make_plan([parse_vary(scene, text) for text in request.vary or ()], request.samples, request.seed or 0)

@@ -18,17 +18,18 @@ from warp_plate.studies.driver import run_search, search_optimizer
 
 def compare_with_nominal(
     problem: Problem, start: Checkpoint, position: np.ndarray
-) -> tuple[RobustComparison, Case, int] | None:
+) -> tuple[RobustComparison, dict[str, Case], int] | None:
     """Compare the position (dimension,) found by a robust search with that of the same search without uncertainty.
 
     The nominal search has the same method, seed, particles and iterations, and simulates one plate an evaluation in
-    place of one a scenario.
+    place of one a scenario. Both drives are then simulated, as two plates of one launch, in each of
+    ``search.robust.fresh`` new scenarios.
 
     Returns:
-        The comparison, the case of the nominal drive, and the node-steps beside those of the problem; None if the
-        nominal search found nothing or was interrupted.
+        The comparison, the nominal drive as the case "nominal", and the node-steps beside those of the problem; None if
+        the nominal search found nothing or was interrupted.
     """
-    nominal = problem.nominal
+    nominal, table = problem.nominal, problem.robust
     optimizer = search_optimizer(nominal, start.seed)
     if optimizer is None:
         return None
@@ -36,36 +37,20 @@ def compare_with_nominal(
     if interrupted or found is None or found.result.xbest is None:
         return None
     evaluated = evaluate_cases(nominal, start.single_actuator, found.result.xbest)
-    comparison, node_steps = validate(problem, position, found.result.xbest)
-    return comparison, evaluated.cases["best"], node_steps + evaluated.node_steps
-
-
-def validate(problem: Problem, robust: np.ndarray, nominal: np.ndarray) -> tuple[RobustComparison, int]:
-    """Evaluate the positions (dimension,) of a robust and a nominal search over ``search.robust.fresh`` new scenarios.
-
-    Both drives are simulated as two plates of one launch for each scenario.
-
-    Returns:
-        The comparison, and the node-steps of the validation scenarios.
-    """
-    table, designs = problem.robust, problem.parametrization.designs(np.stack([robust, nominal]))
-    losses, node_steps = [], 0
+    designs = problem.parametrization.designs(np.stack([position, found.result.xbest]))
+    losses, node_steps = [], evaluated.node_steps
     for scenario in draw_scenarios(problem.scene, table.fresh, table.seed, validation=True):
         panel = simulate_scenarios([scenario], problem.drive_solver.device.alias, problem.path)
         losses.append(panel.losses(designs)[:, 0])
         node_steps += sum(evaluator.node_steps for evaluator in panel.evaluators)
-
-    def values(losses: np.ndarray) -> np.ndarray:
-        return np.asarray(problem.value_from_loss(losses))
-
     bound = problem.loss_bound
     comparison = RobustComparison(
         measure=f"quantile {table.quantile:g}" if table.measure == "quantile" else table.measure,
         scenarios=table.scenarios,
         localization=problem.objectives.only_localization,
         bound=None if bound is None else float(problem.value_from_loss(bound.value)),
-        searched=values(problem.design_losses(designs)),
-        nominal_plate=values(problem.nominal.design_losses(designs)),
-        validation=values(np.stack(losses, axis=1)),
+        searched=np.asarray(problem.value_from_loss(problem.design_losses(designs))),
+        nominal_plate=np.asarray(problem.value_from_loss(nominal.design_losses(designs))),
+        validation=np.asarray(problem.value_from_loss(np.stack(losses, axis=1))),
     )
-    return comparison, node_steps
+    return comparison, {"nominal": evaluated.cases["best"]}, node_steps
