@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from warp_plate import SceneError
-from warp_plate.plate import sampled_signal as sampled
-from warp_plate.plate.sampled_signal import Samples, read_samples, resample
+from warp_plate.plate import waveforms as sampled
+from warp_plate.plate.waveforms import Samples, read_samples, resample
 from warp_plate.scene.drive import SampledSignal
 
 STEPS = 4000

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from warp_plate import Scene, SceneError
-from warp_plate.plate.sampled_signal import read_samples, resample
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import highest_frequency, make_signals
+from warp_plate.plate.waveforms import read_samples, resample
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.load import preset_text
 

@@ -11,10 +11,10 @@ import numpy as np
 from warp_plate.analysis.influence import film, rigidity, with_one_frequency
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.modes import natural_modes
-from warp_plate.plate.sampled_signal import read_samples
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.signals import carrier_frequencies, highest_frequency
 from warp_plate.plate.stability_limit import StabilityLimit
+from warp_plate.plate.waveforms import read_samples
 from warp_plate.scene.drive import SampledSignal
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device

@@ -44,8 +44,7 @@ class PerPlate:
     frequency: bool = False  # Plates may differ in frequency
     delay: bool = False  # Plates may differ in the start of the burst
     centre: bool = False  # Plates may differ in the places of their actuators
-    # Frequency and delay differ from actuator to actuator, which takes two waves for each of them and the moment
-    # form; else all actuators of a plate share them
+    # Frequency and delay differ between a plate's actuators too, which takes two waves for each and the moment form
     per_actuator: bool = False
     # (x0, x1, y0, y1) [m] of each actuator, within which it stays whole (default: the plate)
     areas: tuple[Area, ...] | None = None
@@ -58,9 +57,9 @@ def per_plate_of(scene: Scene) -> PerPlate:
     """Return what differs between plates of the scene's ``[search]``."""
     search, position, areas = scene.search, scene.search.position, None
     if position is not None:
-        moved = set(position.actuators or [actuator.name for actuator in scene.actuators])
         area = position.area or (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
-        areas = tuple(area if actuator.name in moved else actuator.area for actuator in scene.actuators)
+        moved = [actuator.name in (position.actuators or [actuator.name]) for actuator in scene.actuators]
+        areas = tuple(area if moves else actuator.area for moves, actuator in zip(moved, scene.actuators, strict=True))
     searched = [table for table in (search.frequency, search.delay) if table is not None]
     return PerPlate(
         frequency=search.frequency is not None,
@@ -124,21 +123,24 @@ def check_designs(designs: Designs, scene: Scene, per_plate: PerPlate, time_step
         given[name] = np.asarray(values, dtype=float)
         if given[name].shape != (*shape, *more):
             raise SceneError(f"designs.{name}: shape {given[name].shape} instead of {(*shape, *more)}")
-    frequency, delay = given.get("frequency"), given.get("delay")
-    if frequency is not None or delay is not None:
-        if frequency is None:
-            frequency = np.broadcast_to(actuator_frequencies(scene), shape)
-        if delay is None and scene.drive.burst is not None:
-            delay = np.broadcast_to(actuator_delays(scene), shape)
-        _check_carriers(scene, frequency, delay, time_step)
-        if carriers_of(scene, per_plate) == 1:
-            right = "one value for all actuators, or a solver with PerPlate(per_actuator=True)"
-            _refuse_unless(scene, "frequency", frequency, frequency == frequency[:, :1], right)
-            frequency = frequency[:, :1]
-            if delay is not None:
-                _refuse_unless(scene, "delay", delay, delay == delay[:, :1], right)
-                delay = delay[:, :1]
-    return PerPlateValues(frequency, delay, _edges(scene, per_plate, given["centre"]) if "centre" in given else None)
+    edges = _edges(scene, per_plate, given.pop("centre")) if "centre" in given else None
+    if given:
+        given.setdefault("frequency", np.broadcast_to(actuator_frequencies(scene), shape))
+        if scene.drive.burst is not None:
+            given.setdefault("delay", np.broadcast_to(actuator_delays(scene), shape))
+        carriers, end = carriers_of(scene, per_plate), scene.window.end
+        most = 0.5 / time_step / (1 if scene.drive.electrostatic is None else 2)
+        for name, above, limit, right in (
+            ("frequency", np.greater, most, f"0 ... {most:.6g} Hz"),
+            ("delay", np.greater_equal, end, f"0 ... {end:g} s"),
+        ):
+            if (values := given.get(name)) is not None:
+                _refuse_unless(scene, name, values, above(values, 0) & (values < limit), right)
+                if carriers == 1:
+                    right = "one value for all actuators, or a solver with PerPlate(per_actuator=True)"
+                    _refuse_unless(scene, name, values, values == values[:, :1], right)
+                given[name] = values[:, :carriers]
+    return PerPlateValues(given.get("frequency"), given.get("delay"), edges)
 
 
 def actuator_spaces(scene: Scene, per_plate: PerPlate) -> np.ndarray:
@@ -146,15 +148,6 @@ def actuator_spaces(scene: Scene, per_plate: PerPlate) -> np.ndarray:
     plate = (0.0, scene.plate.size[0], 0.0, scene.plate.size[1])
     spaces = np.array(per_plate.areas if per_plate.areas is not None else [plate] * len(scene.actuators))
     return np.clip(spaces, 0, np.repeat(scene.plate.size, 2))
-
-
-def _check_carriers(scene: Scene, frequency: np.ndarray, delay: np.ndarray | None, time_step: float) -> None:
-    """Refuse frequencies [Hz] that the steps cannot carry, and delays [s] outside the run."""
-    most = 0.5 / time_step / (1 if scene.drive.electrostatic is None else 2)
-    _refuse_unless(scene, "frequency", frequency, (frequency > 0) & (frequency < most), f"0 ... {most:.6g} Hz")
-    if delay is not None:
-        end = scene.window.end
-        _refuse_unless(scene, "delay", delay, (delay >= 0) & (delay < end), f"0 ... {end:g} s")
 
 
 def _edges(scene: Scene, per_plate: PerPlate, centre: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from warp_plate.scene.errors import SceneError
@@ -23,15 +24,13 @@ _LIMITS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory
 
 def machine_memory() -> float:
     """Return the bytes that this process may take, the machine's or a container's; infinite if unknown."""
-    limits = [math.inf]
+    limit = math.inf
     if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
-        limits.append(float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE"))
+        limit = float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
     for path in _LIMITS:
-        try:
-            limits.append(float(path.read_text()))
-        except (OSError, ValueError):  # no such limit here, or "max"
-            continue
-    return min(limits)
+        with suppress(OSError, ValueError):  # no such limit here, or "max"
+            limit = min(limit, float(path.read_text()))
+    return limit
 
 
 def refuse_beyond_memory(needed: float, what: str) -> None:
@@ -55,9 +54,8 @@ def check_grid_memory(scene: Scene, moment_form: bool) -> None:
         each += MOMENT_FORM + 32 * len(effects.oscillators)
         each += MATRICES * bool(effects.layers or effects.oscillators)
         each += FACTORISED * (effects.tension is not None and min(effects.tension.x, effects.tension.y) < 0)
-    what = f"grid.nodes = {list(scene.grid.nodes)} with {len(scene.actuators)} actuators"
-    times = f" and {len(scene.record.times)} record.times" if scene.record.times else ""
-    refuse_beyond_memory(nodes * each, what + times)
+    counts = f"{len(scene.actuators)} actuators and {len(scene.record.times)} record.times"
+    refuse_beyond_memory(nodes * each, f"grid.nodes = {list(scene.grid.nodes)} with {counts}")
 
 
 def check_steps_memory(scene: Scene, steps: int) -> None:
@@ -65,8 +63,8 @@ def check_steps_memory(scene: Scene, steps: int) -> None:
     frequencies = len({actuator.frequency for actuator in scene.actuators})
     terms = 2 * frequencies if scene.drive.electrostatic is None else 4 * frequencies + 2
     each = TERM * terms + POINT * CASES * len(scene.record.points)
-    moving = scene.effects.moving_load is not None
-    each += 24 * sum(scene.grid.nodes) * moving
-    beside = f", {len(scene.record.points)} record.points" if scene.record.points else ""
-    beside += f", a moving load on {list(scene.grid.nodes)} nodes" if moving else ""
+    beside = f", {len(scene.record.points)} record.points"
+    if scene.effects.moving_load is not None:
+        each += 24 * sum(scene.grid.nodes)
+        beside += f", a moving load on {list(scene.grid.nodes)} nodes"
     refuse_beyond_memory(float(steps) * each, f"window.end = {scene.window.end:g}: {steps} steps{beside}")

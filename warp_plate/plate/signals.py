@@ -19,8 +19,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from warp_plate.plate.sampled_signal import read_samples, resample
-from warp_plate.plate.waveforms import burst_means, tone
+from warp_plate.plate.waveforms import burst_means, read_samples, resample, tone
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 

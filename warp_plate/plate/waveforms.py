@@ -1,13 +1,38 @@
-"""Waveforms of drives over the steps of a run: tones, sweeps and the envelopes of bursts."""
+"""Waveforms of drives: tones, sweeps and the envelopes of bursts, and signals from files, resampled to the steps.
+
+A sampled signal s(t) has no phase to shift, but its analytic signal a = s + i·H(s) has, H being the Hilbert transform:
+Re(Z·a) lags behind s by the phase lag of Z at every frequency at once (Gabor, J. IEE 93(III), 1946, pp. 429-457).
+"""
 
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import scipy
 
-from warp_plate.scene.drive import Burst, Chirp
+from warp_plate.plate.files import number_rows, read_beside
+from warp_plate.scene.drive import Burst, Chirp, SampledSignal
+from warp_plate.scene.errors import SceneError
+
+# Each sample takes some 100 bytes while it is read: six minutes at 44.1 kHz.
+MOST_SAMPLES = 2**24
+# Samples per step of the run; more are a mistake, and a filter of as many products.
+MOST_A_STEP = 1000
+LOUDEST = 1e30
+FASTEST, SLOWEST = 1e7, 1e-3  # samples per second
+# Interpolation filter: half-width in samples of the slower rate, and Kaiser's β for 80 dB. It passes nine tenths of the
+# slower rate's band, is at one half at PASSED of it, and stops from its end on.
+HALF_WIDTH, BETA, PASSED = 50, 7.857, 0.95
+TABLE_STEPS = 1024  # entries of the tabulated filter per sample
+BLOCK = 2**21  # products computed at once, to limit memory
+# Part of a step by which times in a CSV, which are rounded, may be off an even spacing.
+UNEVEN = 0.05
+_WIDTHS = {(1, 8): "u1", (1, 16): "<i2", (1, 24): "u1", (1, 32): "<i4", (3, 32): "<f4", (3, 64): "<f8"}
 
 
 def tone(chirp: Chirp | None, frequency: np.ndarray | float, time_step: float, steps: int) -> np.ndarray:
@@ -73,3 +98,143 @@ def step_means(integral: Callable[[np.ndarray], np.ndarray], time_step: float, s
     edges = time_step * np.concatenate([[0.0], np.arange(steps) + 0.5])
     means: np.ndarray = np.diff(integral(edges)) / np.diff(edges)
     return means
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A sampled signal."""
+
+    values: np.ndarray  # (samples,) real, with the gain
+    rate: float  # Samples per second
+    start: float  # Time of the first sample [s]
+    repeat: bool  # Repeat the signal instead of silence after its end
+
+    def analytic(self) -> np.ndarray:
+        """Return (samples,) complex analytic signal, padded with silence unless it repeats."""
+        count = self.values.size
+        padded = count if self.repeat else scipy.fft.next_fast_len(2 * count)
+        analytic: np.ndarray = scipy.signal.hilbert(self.values, padded)[:count]
+        return analytic
+
+    def highest_frequency(self) -> float:
+        """Return the frequency [Hz] below which 99 % of the energy lies; the rest may stem from the file's ends."""
+        energy = np.cumsum(np.abs(np.fft.rfft(self.values)) ** 2)
+        return float(np.searchsorted(energy, 0.99 * energy[-1]) * self.rate / self.values.size)
+
+
+def read_samples(table: SampledSignal, folder: Path | None) -> Samples:
+    """Return the signal of the file that ``[drive.signal]`` names in the scene's folder.
+
+    Raises:
+        SceneError: There is no such file, it is too large, or it is not what its ending says.
+    """
+    data = read_beside("drive.signal.file", table.file, folder)
+    try:
+        values, rate, start = _csv(data, table.rate) if table.file.lower().endswith(".csv") else (*_wav(data), 0.0)
+        if not 2 <= values.size <= MOST_SAMPLES:
+            raise ValueError(f"{values.size} samples; 2 to {MOST_SAMPLES} are possible")
+        if not np.isfinite(values).all() or np.abs(values).max() > LOUDEST:
+            raise ValueError(f"a sample is no number, or larger than {LOUDEST:g}")
+        if not values.any():
+            raise ValueError("all samples are zero")
+        if not SLOWEST <= rate <= FASTEST:
+            raise ValueError(f"{rate:g} samples a second; {SLOWEST:g} to {FASTEST:g} are possible")
+    except ValueError as error:
+        raise SceneError(f"drive.signal.file = {table.file!r}: {error}") from None
+    return Samples(values * table.gain, rate, start, table.repeat)
+
+
+def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) -> np.ndarray:
+    """Return (steps,) analytic signal at t = n·time_step, low-passed to ``band`` times the steps' Nyquist frequency.
+
+    Each value is the sum of the samples around it under a sinc with a Kaiser window, as wide as the slower rate asks.
+    Frequencies up to 0.9 of the lower band limit pass within 1e-3; those above the limit are 80 dB down.
+
+    Raises:
+        SceneError: There are more than MOST_A_STEP samples per step.
+    """
+    if samples.rate * time_step > MOST_A_STEP:
+        raise SceneError(
+            f"drive.signal.file: {samples.rate:g} samples a second are {samples.rate * time_step:.3g} for each step of "
+            f"{time_step:g} s; at most {MOST_A_STEP} are possible: lower its rate, or write a smaller grid.time_step"
+        )
+    analytic = samples.analytic()
+    lower = min(1.0, band / (samples.rate * time_step))
+    reach = np.arange(-math.ceil(HALF_WIDTH / lower), math.ceil(HALF_WIDTH / lower) + 2)
+    distance = np.linspace(0, HALF_WIDTH, HALF_WIDTH * TABLE_STEPS + 1)
+    window = np.i0(BETA * np.sqrt(1 - (distance / HALF_WIDTH) ** 2)) / np.i0(BETA)
+    table = PASSED * lower * np.sinc(PASSED * distance) * window
+    carrier = np.zeros(steps, dtype=complex)
+    block = max(1, BLOCK // reach.size)
+    for first in range(0, steps, block):
+        step = np.arange(first, min(first + block, steps))
+        place = (step * time_step - samples.start) * samples.rate
+        heard = place >= 0 if samples.repeat else (place > reach[0]) & (place < analytic.size + reach[-1])
+        step, place = step[heard], place[heard]
+        index = np.floor(place).astype(np.int64)[:, None] + reach
+        weight = np.interp(np.abs(place[:, None] - index) * lower, distance, table, right=0.0)
+        if not samples.repeat:
+            weight *= (index >= 0) & (index < analytic.size)
+        near = analytic[index % analytic.size]
+        carrier[step] = np.einsum("nm,nm->n", near, weight)
+    return carrier
+
+
+def _wav(data: bytes) -> tuple[np.ndarray, float]:
+    """Return values and rate of a RIFF WAVE file of integers of 8 to 32 bits or floating point."""
+    if data[:4] != b"RIFF" or data[8:12] != b"WAVE":
+        raise ValueError("not a WAV file")
+    chunks: dict[bytes, bytes] = {}
+    place = 12
+    while place + 8 <= len(data):
+        name, size = struct.unpack_from("<4sI", data, place)
+        body = data[place + 8 : place + 8 + size]
+        if len(body) < size and size != 0xFFFFFFFF:  # of recorders that do not know the end yet
+            raise ValueError("the WAV file ends too early")
+        chunks.setdefault(name, body)
+        place += 8 + size + size % 2
+    form, body = chunks.get(b"fmt ", b""), chunks.get(b"data", b"")
+    if len(form) < 16:
+        raise ValueError("a WAV file without its format")
+    code, channels, rate, _, _, bits = struct.unpack_from("<HHIIHH", form)
+    if code == 0xFFFE and len(form) >= 26:  # extensible format
+        (code,) = struct.unpack_from("<H", form, 24)
+    if (code, bits) not in _WIDTHS:
+        raise ValueError(f"a WAV file of format {code} with {bits} bits; write PCM or floating point")
+    if channels != 1:
+        raise ValueError(f"{channels} channels; write one")
+    raw = np.frombuffer(body[: len(body) // (bits // 8) * (bits // 8)], dtype=_WIDTHS[code, bits])
+    if code == 3:
+        return raw.astype(float), float(rate)
+    if bits == 24:
+        low, middle, high = raw.reshape(-1, 3).astype(np.int32).T
+        raw = (low + (middle << 8) + (high << 16) + 2**23) % 2**24 - 2**23
+    return (raw.astype(float) - 128 * (bits == 8)) / 2.0 ** (bits - 1), float(rate)
+
+
+def _csv(data: bytes, rate: float | None) -> tuple[np.ndarray, float, float]:
+    """Return values, rate and start of a text table."""
+    rows = number_rows(data)
+    if len(rows) < 2:
+        raise ValueError(f"{len(rows)} samples; at least 2 are needed")
+    table = np.array([row for _, row in rows])
+    if table.shape[1] > 2:
+        raise ValueError(f"{table.shape[1]} columns instead of time and value, or one value")
+    if table.shape[1] == 1:
+        if rate is None:
+            raise ValueError("one column, so no times; write drive.signal.rate, the samples a second")
+        return table[:, 0], rate, 0.0
+    if rate is not None:
+        raise ValueError("has a column of times; delete drive.signal.rate")
+    times = table[:, 0]
+    if not np.isfinite(times).all() or np.abs(times).max() > LOUDEST:
+        raise ValueError("a time is no number")
+    step = (times[-1] - times[0]) / (times.size - 1)
+    if not step > 1e-30:
+        raise ValueError("times do not rise")
+    off = np.abs(times - times[0] - step * np.arange(times.size))
+    if off.max() > UNEVEN * step:
+        raise ValueError(f"times are not evenly spaced (sample {int(off.argmax()) + 1}); write one step throughout")
+    if times[0] < 0:
+        raise ValueError(f"starts at {times[0]:g} s; the run starts at 0")
+    return table[:, 1], 1 / step, float(times[0])
