@@ -33,9 +33,7 @@ def springs(translation, rotation):
 SPRUNG = {
     "unlike": (("free", springs(300.0, 0.0), springs(0.0, 0.1), springs(50.0, 1.0)), 0.45),
     "with held sides": ((springs(1e3, 0.05), "clamped", "supported", springs(20.0, 0.0)), 0.1),
-    "opposite": ((springs(100.0, 0.3), "free", springs(100.0, 0.3), "free"), 0.45),
     "one rigid motion": ((springs(0.0, 0.3), "supported", "free", "free"), 0.1),
-    "cantilever": (("free", "free", "free", "clamped"), 0.45),
     "free": (("free",) * 4, 0.1),
 }
 

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from warp_plate import PlateSolver, SceneError
 from warp_plate.plate.moving_load import moving_weights
@@ -146,23 +144,3 @@ def test_crossing_of_a_supported_plate(device, path, scene):
 def test_wrong_tables(wrong):
     with pytest.raises(ValueError, match=next(reversed(wrong))):
         Effects.model_validate({"moving_load": {"force": 1.0, "start": (0.0, 0.0), **wrong}})
-
-
-place, motion = st.floats(-0.3, 0.5), st.floats(-10, 10) | st.floats(-1e6, 1e6)
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=50)  # the fixture is a factory
-@given(
-    x=place, y=place, along=motion, across=motion, size=st.just(0) | st.floats(0, 0.5), start=st.floats(0, 0.3),
-    load=st.sampled_from(["overlap", "moments"]),
-)  # fmt: skip
-def test_any_path_is_followed_or_refused(loaded, x, y, along, across, size, start, load):
-    """The force on the plate never exceeds the load's, and never changes its sign."""
-    scene = loaded(load, start=(x, y), velocity=(along, across), size=size, from_time=start)
-    try:
-        force, _ = forces(scene)
-    except SceneError as error:
-        line = str(error)
-        assert "\n" not in line
-    else:
-        assert ((force > -1e-9) & (force < 3 * (1 + 1e-9))).all()

@@ -1,18 +1,12 @@
 """Drives in time: waves times coefficients are the pressure of the scene's tables at every step."""
 
-import json
-import struct
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from warp_plate import Scene, SceneError
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import highest_frequency, make_signals
 from warp_plate.plate.waveforms import read_samples, resample
-from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.load import preset_text
 
 TIME_STEP, STEPS = 1e-4, 4000
@@ -26,20 +20,13 @@ SHIFTED = np.array([[1.0] * 3, [-1j] * 3])
 def driven_scene(scene):
     """A factory of scenes with a drive."""
 
-    def make(frequencies=(None, None, None), window=(0.1, 0.5), frequency=290.0, effects=None, **drive):
-        plain = scene(window=window, frequency=frequency)
-        data = plain.model_dump(exclude_none=True)
-        data["drive"] = {"frequency": frequency, **drive}
-        for actuator, value in zip(data["actuators"], frequencies, strict=True):
-            actuator["frequency"] = value
-        data["effects"] = effects or {}
-        return type(plain).model_validate(data)
+    def make(frequencies=(None, None, None), frequency=290.0, effects=None, **drive):
+        plain = scene(window=(0.1, 0.5), frequency=frequency)
+        pairs = zip(plain.actuators, frequencies, strict=True)
+        actuators = [{**actuator.model_dump(), "frequency": value} for actuator, value in pairs]
+        return plain.with_tables(drive={"frequency": frequency, **drive}, effects=effects or {}, actuators=actuators)
 
     return make
-
-
-def phasors_of(random, plates=5, actuators=3):
-    return random.normal(size=(plates, actuators)) + 1j * random.normal(size=(plates, actuators))
 
 
 def pressure(signals, phasors):
@@ -50,7 +37,7 @@ def pressure(signals, phasors):
 
 
 def direct(phasors, carriers):
-    """Return (plates, steps, actuators) Re(Z·carrier), carriers (steps, actuators)."""
+    """Return (plates, steps, actuators) Re(Z·carrier) for carriers (steps, actuators)."""
     return (phasors[:, None, :] * carriers).real
 
 
@@ -64,19 +51,15 @@ def rise_and_fall(times, duration, ramp):
     return np.where((times >= 0) & (times <= duration), (1 - np.cos(np.pi * inside)) / 2, 0)
 
 
-def write_wav(path, values):
-    data = np.asarray(values, dtype="<f8").tobytes()
-    form = struct.pack("<HHIIHH", 3, 1, int(RATE), 0, 0, 64)
-    body = b"WAVEfmt " + struct.pack("<I", 16) + form + b"data" + struct.pack("<I", len(data)) + data
-    path.write_bytes(b"RIFF" + struct.pack("<I", len(body)) + body)
+def write_signal(folder, values):
+    np.savetxt(folder / "a.csv", np.column_stack([np.arange(len(values)) / RATE, values]), fmt="%.17g", delimiter=",")
 
 
-def test_plain_drive(driven_scene, random):
+def test_plain_drive(driven_scene, phasors):
     """Cosine and sine, the first step halved, with Re Z and −Im Z, to the last bit."""
     scene = driven_scene()
-    scheme, phasors = make_scheme(scene), phasors_of(random)
+    scheme, drives = make_scheme(scene), phasors(5, 3)
     signals = make_signals(scene, scheme.time_step, scheme.steps)
-    assert signals.terms == 2
     assert signals.linear
     assert scene.linear
     assert scene.nonharmonic_key is None
@@ -85,16 +68,16 @@ def test_plain_drive(driven_scene, random):
     expected = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     expected[0] /= 2
     np.testing.assert_array_equal(signals.wave, expected)
-    np.testing.assert_array_equal(signals.coefficients(phasors), np.stack([phasors.real, -phasors.imag], axis=1))
+    np.testing.assert_array_equal(signals.coefficients(drives), np.stack([drives.real, -drives.imag], axis=1))
 
 
-def test_frequencies_of_actuators(driven_scene, random):
-    phasors = phasors_of(random)
+def test_frequencies_of_actuators(driven_scene, phasors):
+    drives = phasors(5, 3)
     scene = driven_scene((None, 410.0, 290.0))
     signals = make_signals(scene, TIME_STEP, STEPS)
     assert signals.terms == 4
     assert highest_frequency(scene) == 410
-    np.testing.assert_allclose(pressure(signals, phasors), direct(phasors, tones(290, 410, 290)), atol=1e-10)
+    np.testing.assert_allclose(pressure(signals, drives), direct(drives, tones(290, 410, 290)), atol=1e-10)
     # With every actuator on a frequency of its own, the drive's counts for nothing.
     scene = driven_scene((200.0, 300.0, 300.0), frequency=9000.0)
     assert highest_frequency(scene) == 300
@@ -123,15 +106,15 @@ def test_burst_has_the_spectrum_of_its_formula(driven_scene, ramp, start):
     assert np.sum(envelope) * TIME_STEP == pytest.approx(flat, rel=1e-9)
 
 
-def test_repeated_burst_in_time(driven_scene, random):
+def test_repeated_burst_in_time(driven_scene, phasors):
     """Between ramps the envelope is that of the formula to the order of the step; outside it is zero."""
-    phasors = phasors_of(random)
+    drives = phasors(5, 3)
     burst = {"start": 0.0321, "duration": 0.05, "ramp": 0.01, "period": 0.07}
-    values = pressure(make_signals(driven_scene(burst=burst), TIME_STEP, STEPS), phasors)
+    values = pressure(make_signals(driven_scene(burst=burst), TIME_STEP, STEPS), drives)
     envelope = sum(rise_and_fall(TIMES - 0.0321 - 0.07 * turn, 0.05, 0.01) for turn in range(6))
     curvature = (np.pi / 0.01) ** 2 / 2
-    error = np.abs(values - envelope[:, None] * direct(phasors, tones(290, 290, 290)))
-    assert error.max() <= curvature * TIME_STEP**2 / 4 * np.abs(phasors).max()
+    error = np.abs(values - envelope[:, None] * direct(drives, tones(290, 290, 290)))
+    assert error.max() <= curvature * TIME_STEP**2 / 4 * np.abs(drives).max()
     np.testing.assert_allclose(values[:, (TIMES > 0.0823) & (TIMES < 0.1019)], 0, atol=1e-10)
     assert np.abs(values[:, TIMES < 0.0319]).max() == 0
 
@@ -152,15 +135,15 @@ def test_chirp_sweeps_and_stays(driven_scene, law, end):
     np.testing.assert_allclose(frequency, wanted, atol=1e-7 if law == "linear" else 1e-3)
 
 
-def test_chirp_of_two_starts(driven_scene, random):
+def test_chirp_of_two_starts(driven_scene, phasors):
     """An actuator's frequency is where its sweep begins."""
-    phasors = phasors_of(random)
+    drives = phasors(5, 3)
     scene = driven_scene((None, 500.0, None), chirp={"end_frequency": 600.0, "duration": 0.2})
     signals = make_signals(scene, TIME_STEP, STEPS)
     inside = np.minimum(TIMES, 0.2)
     cycles = [f * inside + (600 - f) * inside**2 / 0.4 + 600 * (TIMES - inside) for f in (290, 500, 290)]
     carriers = np.exp(2j * np.pi * np.stack(cycles, axis=1))
-    np.testing.assert_allclose(pressure(signals, phasors), direct(phasors, carriers), atol=1e-9)
+    np.testing.assert_allclose(pressure(signals, drives), direct(drives, carriers), atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -172,30 +155,30 @@ def test_chirp_of_two_starts(driven_scene, random):
         (0.0, {"burst": {"start": 0.05, "duration": 0.1}}, (None, 580.0, None), 5),
         (3.0, {"chirp": {"end_frequency": 700.0, "duration": 0.2}}, (None, 580.0, None), 9),
         (3.0, {"chirp": {"end_frequency": 700.0, "duration": 0.2}, "burst": {"duration": 0.3}}, (None,) * 3, 6),
-        (3.0, {"signal": {"file": "a.wav"}, "burst": {"start": 0.05, "duration": 0.1}}, (None, None, None), 6),
-        (0.0, {"signal": {"file": "a.wav"}}, (None, None, None), 3),
+        (3.0, {"signal": {"file": "a.csv"}, "burst": {"start": 0.05, "duration": 0.1}}, (None, None, None), 6),
+        (0.0, {"signal": {"file": "a.csv"}}, (None, None, None), 3),
     ],
 )
-def test_electrostatic_terms_are_the_square(driven_scene, random, tmp_path, bias, drive, frequencies, terms):
+def test_electrostatic_terms_are_the_square(driven_scene, random, phasors, tmp_path, bias, drive, frequencies, terms):
     """Against gain·(bias + V)² with V from the same scene without the table."""
-    write_wav(tmp_path / "a.wav", random.normal(size=4000))
-    phasors, gain = phasors_of(random), 0.7
+    write_signal(tmp_path, random.normal(size=4000))
+    drives, gain = phasors(5, 3), 0.7
     scene = driven_scene(frequencies, electrostatic={"bias": bias, "gain": gain}, **drive)
     signals = make_signals(scene, TIME_STEP, STEPS, tmp_path)
     plain = make_signals(driven_scene(frequencies, **drive), TIME_STEP, STEPS, tmp_path)
     assert signals.terms == terms
     assert not signals.linear
     assert not scene.linear
-    voltage = pressure(plain, phasors)
+    voltage = pressure(plain, drives)
     if "signal" in drive:
         # Squared, it would fill twice the band, so it is low-passed to half of it first.
         carrier = resample(read_samples(scene.drive.signal, tmp_path), TIME_STEP, STEPS, 0.5)
         envelope = np.abs(pressure(make_signals(driven_scene(burst=drive.get("burst")), TIME_STEP, STEPS), SHIFTED))
-        voltage = np.hypot(*envelope)[:, :1] * direct(phasors, carrier[:, None])
+        voltage = np.hypot(*envelope)[:, :1] * direct(drives, carrier[:, None])
     assert highest_frequency(scene) == 2 * highest_frequency(driven_scene(frequencies, **drive))
     squared = np.ones(STEPS) if "burst" not in drive else mean_square_over_square_mean(**drive["burst"])
     wanted = gain * (bias**2 + 2 * bias * voltage + squared[:, None] * voltage**2)
-    np.testing.assert_allclose(pressure(signals, phasors), wanted, atol=1e-9 if "burst" not in drive else 1e-4)
+    np.testing.assert_allclose(pressure(signals, drives), wanted, atol=1e-9 if "burst" not in drive else 1e-4)
 
 
 def mean_square_over_square_mean(duration, start=0.0, ramp=0.0, period=np.inf):
@@ -210,42 +193,34 @@ def mean_square_over_square_mean(duration, start=0.0, ramp=0.0, period=np.inf):
     return np.divide((envelope**2).mean(axis=1), mean**2, out=np.ones(STEPS), where=mean > 0)
 
 
-def test_electrostatic_mean_and_harmonics(driven_scene):
-    """Of one tone: bias² + ½|Z|² is constant, 2·bias·|Z| at f, ½|Z|² at 2f, and nothing at other lines."""
-    signals = make_signals(driven_scene(frequency=250.0, electrostatic={"bias": 3.0, "gain": 2.0}), TIME_STEP, STEPS)
-    spectrum = np.abs(np.fft.rfft(pressure(signals, np.full((1, 3), 1.5j))[0, :, 0])) / STEPS
-    lines = np.zeros(spectrum.size)
-    lines[[0, 100, 200]] = 2 * np.array([9 + 1.5**2 / 2, 3 * 1.5, 1.5**2 / 4])
-    np.testing.assert_allclose(spectrum, lines, atol=1e-10)
-
-
-@pytest.mark.parametrize("shape", ["plain", "burst", "chirp", "electrostatic", "signal"])
-def test_first_step_is_halved(driven_scene, tmp_path, shape):
+@pytest.mark.parametrize(
+    ("drive", "tolerance"),
+    [
+        ({"burst": {"duration": 0.3}}, 1e-12),
+        ({"chirp": {"end_frequency": 900.0, "duration": 0.2}}, 1e-12),
+        ({"electrostatic": {"bias": 0.5, "gain": 4 / 9}}, 1e-12),
+        ({"signal": {"file": "a.csv", "repeat": True}}, 1e-3),
+    ],
+)
+def test_first_step_is_halved(driven_scene, tmp_path, drive, tolerance):
     """A load that sets in at t = 0 gives half its impulse by the first half-step."""
-    write_wav(tmp_path / "a.wav", np.cos(2 * np.pi * 100 * np.arange(4000) / RATE))
-    drive = {
-        "plain": {},
-        "burst": {"burst": {"duration": 0.3}},
-        "chirp": {"chirp": {"end_frequency": 900.0, "duration": 0.2}},
-        "electrostatic": {"electrostatic": {"bias": 0.5, "gain": 4 / 9}},
-        "signal": {"signal": {"file": "a.wav", "repeat": True}},
-    }[shape]
+    write_signal(tmp_path, np.cos(2 * np.pi * 100 * np.arange(4000) / RATE))
     signals = make_signals(driven_scene(**drive), TIME_STEP, STEPS, tmp_path)
     load = np.einsum("t,tk->k", signals.wave[0], signals.coefficients(np.ones((1, 3), complex))[0])
-    np.testing.assert_allclose(load, 0.5, rtol=1e-3 if shape == "signal" else 1e-12)
+    np.testing.assert_allclose(load, 0.5, rtol=tolerance)
 
 
-def test_a_tone_in_a_file(driven_scene, random, tmp_path):
+def test_a_tone_in_a_file(driven_scene, phasors, tmp_path):
     """A file that repeats a tone drives as the tone itself, phase lags included."""
-    write_wav(tmp_path / "a.wav", np.cos(2 * np.pi * 290 * np.arange(8000) / RATE))
-    phasors = phasors_of(random)
-    scene = driven_scene(signal={"file": "a.wav", "repeat": True, "gain": -2.0})
+    write_signal(tmp_path, np.cos(2 * np.pi * 290 * np.arange(8000) / RATE))
+    drives = phasors(5, 3)
+    scene = driven_scene(signal={"file": "a.csv", "repeat": True, "gain": -2.0})
     signals = make_signals(scene, TIME_STEP, STEPS, tmp_path)
     assert signals.terms == 2
     assert signals.linear
     assert read_samples(scene.drive.signal, tmp_path).highest_frequency() == pytest.approx(290, abs=1)
-    wanted = direct(-2 * phasors, tones(290, 290, 290))
-    np.testing.assert_allclose(pressure(signals, phasors), wanted, atol=1e-3 * np.abs(wanted).max())
+    wanted = direct(-2 * drives, tones(290, 290, 290))
+    np.testing.assert_allclose(pressure(signals, drives), wanted, atol=1e-3 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize(
@@ -257,7 +232,6 @@ def test_a_tone_in_a_file(driven_scene, random, tmp_path):
         ("[drive.chirp]\nend_frequency = 0\nduration = 1", "drive.chirp.end_frequency = 0"),
         ("[drive.chirp]\nend_frequency = 9\nduration = 1\nlaw = 'odd'", "drive.chirp.law = 'odd'"),
         ("[drive.signal]\nfile = '../a.wav'", "drive.signal.file: '../a.wav'"),
-        ("[drive.signal]\nfile = 'a.mp3'", "drive.signal.file: 'a.mp3'"),
         ("[drive.signal]\nfile = 'a.wav'\nrate = 10", "drive.signal.rate: 'a.wav'"),
         ("[drive.signal]\nfile = 'a.wav'\n[drive.chirp]\nend_frequency = 9\nduration = 1", "drive.chirp: "),
         ("[drive.electrostatic]\nbias = nan\ngain = 1.0", "drive.electrostatic.bias = nan"),
@@ -303,42 +277,3 @@ def test_a_moving_load_s_frequency_bounds_the_step(driven_scene):
     assert highest_frequency(driven_scene(electrostatic={"gain": 1.0})) == 580
     with pytest.raises(SceneError, match=r"^effects\.moving_load\.frequency = 900: a step of .* carries less than 500"):
         make_signals(driven_scene(effects={"moving_load": load}), 1e-3, STEPS)
-
-
-positive = st.floats(1e-3, 1e3) | st.floats(min_value=0, exclude_min=True, allow_infinity=False)
-numbers = st.floats(0, 1) | st.floats(allow_nan=True)
-TABLES = st.fixed_dictionaries(
-    {},
-    optional={
-        "burst": st.fixed_dictionaries(
-            {"duration": positive}, optional={"start": numbers, "ramp": numbers, "period": numbers}
-        ),
-        "chirp": st.fixed_dictionaries(
-            {"duration": positive, "end_frequency": positive},
-            optional={"law": st.sampled_from(["linear", "logarithmic"])},
-        ),
-        "electrostatic": st.fixed_dictionaries({"gain": numbers}, optional={"bias": numbers}),
-        "signal": st.fixed_dictionaries({"file": st.text() | st.just("a.csv")}, optional={"rate": numbers}),
-    },
-)
-
-
-@settings(max_examples=60)
-@given(tables=TABLES, frequency=positive, further=st.none() | positive)
-def test_any_table_is_run_or_refused_on_one_line(tables, frequency, further):
-    """Waves are finite, or there is one line; a scene that runs reads back from its TOML."""
-    text = preset_text("paper").replace("frequency = 290.0", f"frequency = {frequency!r}")
-    for name, keys in tables.items():
-        values = (f"{key} = {json.dumps(value) if isinstance(value, str) else value!r}" for key, value in keys.items())
-        text += "\n".join(("", f"[drive.{name}]", *values))
-    text += f"\n[[actuators]]\nname = 'own'\narea = [0, 0.1, 0, 0.1]\nfrequency = {further!r}\n" if further else ""
-    try:
-        scene = Scene.parse(text, "")
-        signals = make_signals(scene, TIME_STEP, 50)
-    except SceneError as error:
-        line = str(error)
-        assert "\n" not in line
-        return
-    assert np.isfinite(signals.wave).all()
-    assert np.isfinite(signals.coefficients(np.ones((2, len(scene.actuators)), complex))).all()
-    assert Scene.parse(dump_scene(scene), "") == scene

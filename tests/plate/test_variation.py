@@ -11,8 +11,6 @@ import math
 import numpy as np
 import pytest
 import scipy.linalg
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.polynomial import legendre
 
 from warp_plate import PlateSolver, Scene, SceneError
@@ -22,17 +20,13 @@ from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.section import factors_at_nodes
 from warp_plate.reference.ritz import make_line
 from warp_plate.scene.dump import dump_scene
-from warp_plate.scene.effects import Variation
 
 SIZE, NODES = (0.2, 0.18), (13, 11)
 FUNCTIONS, POINTS = 18, 30
 RIGIDITY, RATIO, DENSITY = 1e9 * 5e-4**3 / 12 / (1 - 0.33**2), 0.33, 0.5  # the tests' plate; density: per area
 TAPERS = {
-    "thickness along x": (("supported",) * 4, {"thickness": [[1.4, 0.6]]}),
     "thickness along both": (("clamped", "free", "supported", "clamped"), {"thickness": [[0.7, 1.2], [1.0, 1.5]]}),
     "cantilever": (("clamped", "free", "free", "free"), {"thickness": [[1.5, 0.5]]}),
-    "stiffness": (("free", "supported", "clamped", "supported"), {"young_modulus": [[1.0], [3.0]]}),
-    "density": (("clamped",) * 4, {"density": [[0.5, 2.0], [1.0, 1.0]]}),
     "all": (
         ("supported", "clamped", "free", "supported"),
         {"thickness": [[1.2, 0.8]], "young_modulus": [[2.0, 1.0], [1.0, 1.0]], "density": [[1.0], [2.0]]},
@@ -193,21 +187,3 @@ def test_bad_tables_are_refused(scene, table, why):
         Scene.parse(f"{dump_scene(scene())}\n[effects.variation]\n{table}\n", "scene.toml")
     assert why in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
-
-
-@settings(max_examples=40)
-@given(content=st.binary() | st.text(alphabet="0123456789.,;e-+\n nai#").map(str.encode))
-def test_any_file_is_read_or_refused(tmp_path_factory, content):
-    folder = tmp_path_factory.getbasetemp()
-    (folder / "any.csv").write_bytes(content)
-    made = Scene.load("paper")
-    made = made.with_tables(effects={"variation": Variation(density="any.csv")})
-    made._folder = folder
-    try:
-        density = factors_at_nodes(made)["density"]
-    except SceneError as error:
-        line = str(error)
-        assert "\n" not in line
-        return
-    assert density.shape == (27, 27)
-    assert (density > 0).all()
