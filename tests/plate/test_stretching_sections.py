@@ -37,10 +37,8 @@ def test_thickness_and_modulus_that_vary(scene):
     mean_of_ramp = 1 / math.log(2)
     ramps = (({"thickness": [[1.0, 2.0]]}, mean_of_ramp), ({"young_modulus": [[2.0], [4.0]]}, 2 * mean_of_ramp))
     for tables, mean in ramps:
-        errors = [
-            make_bending(scene(nodes, SIZE, effects={"variation": tables})).stretch[1] / (SHEET * mean) - 1
-            for nodes in ((13, 13), (25, 25))
-        ]
+        made = [make_bending(scene((cells + 1, cells + 1), SIZE, effects={"variation": tables})) for cells in (12, 24)]
+        errors = [plate.stretch[1] / (SHEET * mean) - 1 for plate in made]
         assert abs(errors[0]) < 1e-3
         assert abs(errors[1]) < 0.26 * abs(errors[0])
     density = make_bending(scene(NODES, SIZE, effects={"variation": {"density": [[0.5, 2.0]]}}))
@@ -74,15 +72,10 @@ def test_layers_on_both_faces_move_as_one_sheet(scene, device, path):
     }  # fmt: skip
     layer = {"area": (0, SIZE[0], 0, SIZE[1]), "both": True, **LAYER}
     edges, stretching = ("clamped", "supported", "clamped", "clamped"), {"stretching": {}}
-    layered = scene(NODES, SIZE, edges, effects={"layers": [layer], **stretching}, frequency=90.0)
-    step = 0.8 * make_scheme(layered).limit
-    layered, same = (
-        scene(NODES, SIZE, edges, frequency=90.0, time_step=step, **tables)
-        for tables in (
-            {"effects": {"layers": [layer], **stretching}},
-            {"effects": stretching, "plate": sheet},
-        )
-    )
+    tables = {"edges": edges, "effects": {"layers": [layer], **stretching}, "frequency": 90.0}
+    step = 0.8 * make_scheme(scene(NODES, SIZE, **tables)).limit
+    layered = scene(NODES, SIZE, time_step=step, **tables)
+    same = scene(NODES, SIZE, edges, effects=stretching, frequency=90.0, time_step=step, plate=sheet)
     drives = np.array([[1, 0.3j, -0.5]])
     linear = PlateSolver(layered, device, path).run(1e-6 * drives, (0.01,)).displacement
     drives = drives * 1e-6 * throw * height / np.abs(linear).max()
