@@ -41,6 +41,10 @@ EFFECTS = {
     "orthotropic": {"orthotropic": {"Dx": 0.05, "Dy": 0.004, "D1": 0.003, "Dxy": 0.002}},
     "negative D1": {"orthotropic": {"Dx": 0.02, "Dy": 0.018, "D1": -0.017, "Dxy": 0.002}},
     "layer everywhere": {"layers": [{"area": (0.0, 1.0, 0.0, 1.0), **LAYER}]},
+    "light place": {
+        "damping": {"viscous": 3e4, "scheme": "backward"},
+        "variation": {"density": [[0.1, 1.0]]},
+    },
     "thickness 1 : 3": {"variation": {"thickness": [[1.0, 3.0, 1.0], [1.0, 1.0, 2.0]]}},
     "heavy corner": {"layers": [{"area": (0.0, 0.3, 0.0, 0.3), **LAYER, "density": 1e5}]},
     "spring": {"oscillators": [{"area": (0.4, 0.6, 0.4, 0.6), "stiffness": 1e6}]},
