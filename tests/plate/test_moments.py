@@ -1,6 +1,5 @@
 """Loads and regions by moments: the moments that the weights keep, and the order of a plate that uses them."""
 
-import itertools
 import math
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 
 from warp_plate import PlateSolver
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.weights import REGIONS, moments, overlap, patches, region_weights
+from warp_plate.plate.weights import moments, overlap, patches
 from warp_plate.reference import forced
 from warp_plate.reference.ritz import solve_modes
 from warp_plate.reference.thin_plate import thin_plate
@@ -63,24 +62,6 @@ def test_integrals_fall_as_the_fourth_power():
         positions = np.linspace(0, LENGTH, nodes)
         error = abs(positions[1] * np.sin(rate * positions) @ moments(positions, low, high) - exact)
         assert error <= (high - low) * (rate * positions[1]) ** 4 / 24
-
-
-@pytest.mark.parametrize("nodes", [(13, 12), (9, 9)])
-def test_parts_sum_to_the_plate(nodes, scene, random):
-    """Four targets that cut the plate anywhere sum to it node by node; equal quarters are mirror images."""
-    size = (0.2, 0.15)
-    for x, y in (random.uniform(0.02, 0.98, 2) * size, (0.1, 0.075)):
-        spans = itertools.product(((0, y), (y, 0.15)), ((0, x), (x, 0.2)))
-        areas = [(*along_x, *along_y) for along_y, along_x in spans]
-        made = [scene(nodes, size, order=4, load="moments", target={"area": area}) for area in areas]
-        weights = np.array([region_weights(part) for part in made])
-        plate, target = (weights[:, REGIONS.index(name)] for name in ("plate", "target"))
-        np.testing.assert_allclose(target.sum(axis=0), plate[0], rtol=0, atol=1e-13)
-        cell = size[0] / (nodes[0] - 1) * size[1] / (nodes[1] - 1)
-        exact = [(x1 - x0) * (y1 - y0) for x0, x1, y0, y1 in areas]
-        np.testing.assert_allclose(cell * target.sum(axis=(1, 2)), exact)
-    for field, (flip_y, flip_x) in zip(target, itertools.product((1, -1), repeat=2), strict=True):
-        np.testing.assert_allclose(field, target[0][::flip_y, ::flip_x], atol=1e-13)
 
 
 def test_patches_of_a_scene_keep_their_moments(scene, random):

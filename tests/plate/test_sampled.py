@@ -18,9 +18,10 @@ def tone(frequency, rate, seconds=1.0, phase=0.3):
     return np.cos(2 * np.pi * frequency * np.arange(round(seconds * rate)) / rate + phase)
 
 
-def level(samples, time_step, band=1.0):
-    """Return the largest value of the resampled signal well inside the file."""
-    return np.abs(resample(samples, time_step, STEPS, band)[STEPS // 4 : STEPS // 2]).max()
+def level(frequency, band=1.0, rate=22050.0):
+    """Return the largest value of a resampled tone well inside the file."""
+    samples = Samples(tone(frequency, rate), rate, 0.0, False)
+    return np.abs(resample(samples, 1e-4, STEPS, band)[STEPS // 4 : STEPS // 2]).max()
 
 
 def read(folder, data, name="a.csv", **keys):
@@ -51,11 +52,9 @@ def test_below_nine_tenths_of_the_slower_rate_a_tone_passes(rate, time_step):
 
 def test_above_the_steps_nyquist_frequency_a_tone_is_stopped():
     """More than 60 dB down, from just above 5 kHz to the end of the file's band; half the band, half the limit."""
-    rate = 22050.0
-    for frequency in (5001.0, 5600.0, 8000.0, rate / 2 - 100):
-        assert level(Samples(tone(frequency, rate), rate, 0.0, False), 1e-4) < 1e-3
-    assert level(Samples(tone(2600.0, rate), rate, 0.0, False), 1e-4, band=0.5) < 1e-3
-    assert level(Samples(tone(2200.0, rate), rate, 0.0, False), 1e-4, band=0.5) == pytest.approx(1, abs=1e-2)
+    assert max(level(frequency) for frequency in (5001.0, 5600.0, 8000.0, 10925.0)) < 1e-3
+    assert level(2600.0, band=0.5) < 1e-3
+    assert level(2200.0, band=0.5) == pytest.approx(1, abs=1e-2)
 
 
 def test_below_the_steps_rate_no_images_appear():
@@ -96,9 +95,8 @@ def test_the_end_does_not_reach_the_beginning():
 
 
 def test_highest_frequency_is_where_the_energy_ends():
-    both = tone(100, 8000) + 0.2 * tone(900, 8000)
-    assert Samples(both, 8000, 0.0, False).highest_frequency() == 900
-    assert Samples(both + 1e-3 * tone(3000, 8000), 8000, 0.0, False).highest_frequency() == 900
+    mixed = tone(100, 8000) + 0.2 * tone(900, 8000) + 1e-3 * tone(3000, 8000)
+    assert Samples(mixed, 8000, 0.0, False).highest_frequency() == 900
 
 
 @pytest.mark.parametrize(
@@ -127,12 +125,9 @@ def test_csv_of_one_and_two_columns(tmp_path):
     two = read(tmp_path, "\ufefftime; value\n0.10; 1\n0.12;2\n0.14;4\n")
     np.testing.assert_array_equal(two.values, [1, 2, 4])
     assert (two.rate, two.start) == (pytest.approx(50), 0.1)
-
-
-def test_times_may_be_rounded(tmp_path):
-    """44.1 kHz written with six decimals: off by 2 % of a step, but even."""
-    lines = "".join(f"{index / 44100:.6f},{index % 7}\n" for index in range(2000))
-    assert read(tmp_path, lines).rate == pytest.approx(44100, rel=1e-5)
+    # 44.1 kHz written with six decimals: off by 2 % of a step, but even.
+    rounded = "".join(f"{index / 44100:.6f},{index % 7}\n" for index in range(2000))
+    assert read(tmp_path, rounded).rate == pytest.approx(44100, rel=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -143,24 +138,20 @@ def test_times_may_be_rounded(tmp_path):
         ("a.csv", "0,1\n1,2\n", {"rate": 10.0}, "delete drive.signal.rate"),
         ("a.csv", "0,1,2\n1,2,3\n", {}, "3 columns instead of time and value"),
         ("a.csv", "0,1\n1,two\n", {}, "line 2 is not made of numbers"),
-        ("a.csv", "0.0O,1\n1,2\n2,3\n", {}, "line 1 is not made of numbers"),
         ("a.csv", "0,1_0\n1,2\n2,3\n", {}, "line 1 is not made of numbers"),
         ("a.csv", "time, s;value\n0;1,05\n1;2\n", {}, "line 2 has a comma in a number; write a decimal point"),
         ("a.csv", "0,1\n1,nan\n", {}, "no number"),
-        ("a.csv", "0,1\ninf,2\n", {}, "a time is no number"),
         ("a.csv", "0,1\n0,2\n", {}, "do not rise"),
         ("a.csv", "0,1\n1,2\n2.2,2\n3,2\n", {}, "not evenly spaced (sample 3)"),
         ("a.csv", "-1,1\n1,2\n", {}, "starts at -1 s"),
         ("a.csv", "0,0\n1,0\n", {}, "all samples are zero"),
         ("a.csv", "0,1\n1e9,1\n", {}, "samples a second"),
         ("a.csv", b"\xff\xfe1\x00", {}, "not UTF-8"),
-        ("a.wav", b"", {}, "not a WAV file"),
         ("a.wav", b"RIFF\0\0\0\0WAVE", {}, "without its format"),
         ("a.wav", wav(bytes(8), channels=2), {}, "2 channels"),
         ("a.wav", wav(bytes(8), bits=12), {}, "12 bits"),
         ("a.wav", wav(bytes(8), code=85), {}, "format 85"),
         ("a.wav", wav(b"\1\2\3\4" * 9)[:-5], {}, "ends too early"),
-        ("a.wav", wav(b"\1\2"), {}, "1 samples"),
         ("a.wav", wav(b"\1\2" * 9, rate=0), {}, "0 samples a second"),
     ],
 )  # fmt: skip
@@ -176,10 +167,9 @@ def test_bad_files_are_refused_on_one_line(tmp_path, name, content, keys, why):
 def test_nothing_outside_the_folder_is_read(tmp_path):
     (tmp_path / "secret.csv").write_text("0,1\n1,2\n")
     folder = tmp_path / "scenes"
-    folder.mkdir()
+    (folder / "folder.csv").mkdir(parents=True)
     (folder / "a.csv").symlink_to(tmp_path / "secret.csv")
     (folder / "loop.csv").symlink_to(folder / "loop.csv")
-    (folder / "folder.csv").mkdir()
     for name, why in (("a", "out of the scene's folder"), ("b", "no such"), ("folder", "no such"), ("loop", "")):
         with pytest.raises(SceneError, match=f"{name}.csv': .*{why}"):
             read_samples(SampledSignal(file=f"{name}.csv"), folder)
