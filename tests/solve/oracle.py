@@ -133,45 +133,35 @@ def random_area(random, size, least=0.2):
     return (x0, x1, y0, y1)
 
 
-def random_effects(random, size, stretching):
-    """Draw each effect with even chance, of the size that it has on panels like the paper's; never none at all."""
+def random_effects(random, size, stretching, chance=0.5):
+    """Draw each effect with a chance, of the size that it has on panels like the paper's; never none at all."""
+    draw = random.uniform
     effects = {
-        "damping": {"viscous": random.uniform(0, 100), "scheme": ("centred", "backward")[random.integers(2)]},
-        "material_damping": {"time": 10 ** random.uniform(-7, -5)},
-        "tension": {"x": random.uniform(0, 20), "y": random.uniform(0, 20)},
-        "foundation": {"stiffness": 10 ** random.uniform(3, 6), "damping": random.uniform(0, 50)},
-        "orthotropic": {"Dx": 0.02, "Dy": 0.008, "D1": random.uniform(-0.002, 0.006), "Dxy": 0.004},
+        "damping": {"viscous": draw(0, 100), "scheme": ("centred", "backward")[random.integers(2)]},
+        "material_damping": {"time": 10 ** draw(-7, -5)},
+        "tension": {"x": draw(0, 20), "y": draw(0, 20)},
+        "foundation": {"stiffness": 10 ** draw(3, 6), "damping": draw(0, 50)},
+        "orthotropic": {"Dx": 0.02, "Dy": 0.008, "D1": draw(-0.002, 0.006), "Dxy": 0.004},
         "variation": {
-            "thickness": random.uniform(0.5, 1.5, (3, 2)).tolist(),
-            "young_modulus": random.uniform(0.5, 2, (1, 4)).tolist(),
-            "density": random.uniform(0.5, 2, (2, 1)).tolist(),
+            name: draw(0.5, 1.5, shape).tolist()
+            for name, shape in (("thickness", (3, 2)), ("young_modulus", (1, 4)), ("density", (2, 1)))
         },
         "layers": [
-            {
-                "area": random_area(random, size),
-                "thickness": random.uniform(1e-4, 5e-4),
-                "young_modulus": random.uniform(0, 9e9),
-                "density": random.uniform(0, 3000),
-                "both": bool(random.integers(2)),
-            }
+            dict(zip(("thickness", "young_modulus", "density"), draw((1e-4, 0, 0), (5e-4, 9e9, 3000)), strict=True))
+            | {"area": random_area(random, size), "both": bool(random.integers(2))}
             for _ in range(random.integers(1, 4))
         ],
         "oscillators": [
-            {
-                "area": random_area(random, size),
-                "mass": random.choice([0.0, 0.003]),
-                "stiffness": random.uniform(50, 500),
-                "damping": random.choice([0.0, 0.1]),
-            }
-            for _ in range(random.integers(1, 4))
+            {"area": random_area(random, size), "mass": mass, "stiffness": draw(50, 500), "damping": damping}
+            for mass, damping in random.choice([0, 1], (random.integers(1, 4), 2)) * (0.003, 0.1)
         ],
         "moving_load": {
-            "force": 10 ** random.uniform(-4, -1),
-            "start": tuple(random.uniform(0, 1, 2) * size),
+            "force": 10 ** draw(-4, -1),
+            "start": tuple(draw(0, 1, 2) * size),
             "velocity": tuple(random.normal(size=2) * size * 100),
             "size": random.choice([0.0, 0.02, 0.05]),
         },
     }
-    kept = {name: table for name, table in effects.items() if random.random() < 0.5}
+    kept = {name: table for name, table in effects.items() if random.random() < chance}
     kept.setdefault("foundation", {"stiffness": 1e3})
     return {**kept, "stretching": {}} if stretching else kept

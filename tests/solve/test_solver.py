@@ -39,16 +39,14 @@ def test_linear_in_the_drives(device, path, precision, tolerance, scene, phasors
 
 
 def test_load_is_the_real_part_of_a_rotating_phasor(device, path, scene, random):
-    """f = Re(Z exp(iωt)), Z = magnitude · exp(−i·phase): from rest, cos ωt moves the plate in the first step, sin ωt
-    does not."""
-    made = scene(precision="float64")
-    step, solver = make_scheme(made).time_step, PlateSolver(made, device, path)
+    """Z = magnitude · exp(−i·phase): from rest, cos ωt moves the plate in the first step, sin ωt does not."""
+    solver = PlateSolver(scene(), device, path)
+    step = solver.discretization.scheme.time_step
     u = solver.run([[1, 0, 0], [-1j, 0, 0]], times=(step, 2 * step)).displacement
-    assert u[0, 0].max() > 0
-    assert u[0, 0].min() >= 0
+    assert u[0, 0].max() > u[0, 0].min() == 0
     assert not u[1, 0].any()
     assert u[1, 1].max() > 0
-    magnitude, phase = random.uniform(-2, 2, (2, 4, len(made.actuators)))
+    magnitude, phase = random.uniform(-2, 2, (2, 4, 3))
     pairs, complex_numbers = solver.run((magnitude, phase)), solver.run(magnitude * np.exp(-1j * phase))
     np.testing.assert_array_equal(pairs.energy, complex_numbers.energy)
 
