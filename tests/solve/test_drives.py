@@ -22,7 +22,7 @@ def driven(scene):
     """The factory of small scenes under a drive; ``own``: the actuators' frequencies."""
 
     def make(own=(None,) * 3, frequency=290.0, **drive):
-        kept = {name: drive.pop(name) for name in ("order", "effects", "precision", "damping") if name in drive}
+        kept = {name: drive.pop(name) for name in ("order", "damping", "time_step") if name in drive}
         made = scene(window=WINDOW, frequency=frequency, **kept)
         pairs = zip(made.model_dump()["actuators"], own, strict=True)
         actuators = [{**table, "frequency": one} for table, one in pairs]
@@ -33,10 +33,6 @@ def driven(scene):
 
 def displacement(scene, drives, device, path):
     return PlateSolver(scene, device, path).run(np.atleast_2d(drives), TIMES).displacement
-
-
-def stepped(scene, step):
-    return scene.model_copy(update={"grid": scene.grid.model_copy(update={"time_step": step})})
 
 
 @pytest.mark.parametrize("order", [2, 4])
@@ -63,7 +59,7 @@ def test_own_frequencies_superpose(device, path, driven, phasors):
     together = driven(own)
     step = make_scheme(together).time_step
     alone = [
-        displacement(stepped(driven(frequency=frequency), step), drive * np.eye(3)[actuator], device, path)
+        displacement(driven(frequency=frequency, time_step=step), drive * np.eye(3)[actuator], device, path)
         for actuator, frequency in enumerate((170.0, 290.0, 410.0))
     ]
     found = displacement(together, drive, device, path)
@@ -79,7 +75,7 @@ def test_square_of_the_voltage(device, path, bias, driven, phasors):
     step = make_scheme(squared).time_step
 
     def linear(frequency, drive):
-        return displacement(stepped(driven(frequency=frequency), step), drive, device, path)
+        return displacement(driven(frequency=frequency, time_step=step), drive, device, path)
 
     constant = gain * (bias**2 + np.abs(drives) ** 2 / 2)
     expected = linear(1e-6, constant) + linear(290.0, 2 * gain * bias * drives)
