@@ -123,15 +123,15 @@ def test_keys_that_a_method_does_not_read_are_named(method):
 
 
 @pytest.mark.parametrize(("actuators", "paper"), [(2, True), (4, False), (4, True)])
-@pytest.mark.parametrize("method", ["exact", "gradient", "cma"])
-def test_the_bound_is_reached(method, paper, actuators):
+@pytest.mark.parametrize(("method", "tolerance"), [("exact", 1e-10), ("gradient", 1e-10), ("cma", 1e-6), ("pso", 1e-2)])
+def test_the_bound_is_reached(method, tolerance, paper, actuators):
     """1 − the largest λ of A z = λ B z; for the gradient and CMA-ES to 1e-6, as is promised."""
     space = paper_space(2 * actuators - 2) if paper else magnitudes_and_phases(actuators)
     matrices = gram_matrices(actuators)
     problem = quadratic(space, matrices)
     optimizer = make_optimizer(Search(method=method, particles=20, iterations=150), space, 3, problem)
     result = minimize(optimizer, problem.losses)
-    assert 1 - result.fbest == pytest.approx(bound_of(matrices), abs=1e-6 if method == "cma" else 1e-10)
+    assert 1 - result.fbest == pytest.approx(bound_of(matrices), abs=tolerance)
     np.testing.assert_array_equal(problem.losses(result.xbest[None]), result.fbest)
     assert result.evaluations <= 20 * 150
 
@@ -258,9 +258,8 @@ def test_flat_losses():
         minimize(optimizer, lambda x, asked=seen[method]: asked.append(x) or np.ones(len(x)))
         np.testing.assert_array_equal(optimizer.result.xbest, seen[method][0][0])
     assert len(seen["gradient"]) == 4
-    sizes = list(map(len, seen["cma"]))
-    assert sizes[-1] == 2 * sizes[0] == 2 * max(8, 4 + int(3 * math.log(6)))
-    assert set(sizes) == {sizes[0], sizes[-1]}
+    sizes, first = [len(asked) for asked in seen["cma"]], max(8, 4 + int(3 * math.log(6)))
+    assert (sizes[0], sizes[-1], set(sizes)) == (first, 2 * first, {first, 2 * first})
     search, space, problem = case("gradient", stall=3)
     descents = make_optimizer(search, space, 0, problem)
     minimize(descents, lambda x: np.full(len(x), 1.0 if descents.iterations == 0 else 0.5))
@@ -381,18 +380,3 @@ def test_scales_of_losses():
     assert loss_scale([Objective(kind="contrast", weight=0.5), Objective(kind="uniformity", weight=2.0)]) == 2.5
     assert tolerance_scale(-7e-8, 0.0) == 7e-8
     assert tolerance_scale(-7e-8, 2.5) == 2.5
-
-
-def test_readings_of_the_paper_against_the_exact_bound():
-    """Inertia 0.4 finds the largest ratio for nine seeds of ten, the printed inertia of 4 for none."""
-    space, matrices = paper_space(6), gram_matrices()
-    problem = quadratic(space, matrices)
-
-    def missed(inertia):
-        swarms = [make_optimizer(Search(inertia=inertia), space, seed, problem) for seed in range(10)]
-        return np.array([bound_of(matrices) - 1 + minimize(swarm, problem.losses).fbest for swarm in swarms])
-
-    as_read = missed(0.4)
-    assert np.all(as_read > -1e-12)
-    assert np.count_nonzero(as_read < 0.002) >= 9
-    assert np.all(missed(4.0) > 0.002)

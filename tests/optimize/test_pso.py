@@ -49,15 +49,18 @@ def test_settings_of_scenes():
     assert [swarm_settings(Search(restarts=2, **keys), 0).stall for keys in ({}, {"stall": 5})] == [20, 5]
 
 
-def test_the_papers_counts():
-    evaluated = []
-    swarm = swarm_of(6)
+def test_the_papers_counts_and_a_callback():
+    """A callback that returns true ends the loop; another call goes on."""
+    evaluated, swarm, other = [], swarm_of(6), swarm_of(6)
     with pytest.raises(ValueError, match="read-only"):
         swarm.ask()[:] = 0
     result = minimize(swarm, lambda positions: evaluated.append(len(positions)) or sphere(positions))
     assert evaluated == [20] * 80
-    assert (result.evaluations, result.iterations) == (1600, 80)
-    assert swarm.stop() == {"iterations": 80}
+    assert (result.evaluations, result.iterations, swarm.stop()) == (1600, 80, {"iterations": 80})
+    assert minimize(other, sphere, lambda optimizer: optimizer.iterations == 7).iterations == 7
+    assert other.stop() == {}
+    minimize(other, sphere, lambda optimizer: None)
+    np.testing.assert_equal(swarm.state(), other.state())
 
 
 def test_first_swarm_fills_its_ranges():
@@ -113,13 +116,11 @@ def test_the_shorter_way_round():
 
 
 def test_limits_and_velocity_limit_hold():
-    lower, upper = np.array([-1.0, 0.0]), np.array([0.25, np.inf])
+    lower, upper, walls = np.array([-1.0, 0.0]), np.array([0.25, np.inf]), 0
     swarm = swarm_of(2, space_of(2, lower, upper), inertia=4, velocity_limit=0.125, iterations=30)
-    walls = 0
     while not swarm.stop():
         positions = step(swarm, sphere)
-        assert np.all((positions >= lower) & (positions <= upper))
-        assert np.all(np.abs(swarm.velocities) <= 0.125)
+        assert np.all((positions >= lower) & (positions <= upper) & (np.abs(swarm.velocities) <= 0.125))
         at_wall = (positions == lower) | (positions == upper)
         assert np.all(swarm.velocities[at_wall] == 0)
         walls += np.count_nonzero(at_wall)
@@ -136,12 +137,14 @@ def test_a_swarm_that_flies_apart_stays_finite():
 
 
 def test_restarts_keep_the_best_and_count():
-    """A flat loss stalls at once; the first swarm's one better particle stays the best."""
+    """A flat loss stalls at once; the first swarm's one better particle stays the best. The inertia begins again: a new
+    swarm's leader is at its own best, so that it moves by its inertia alone."""
     swarm = swarm_of(2, particles=5, iterations=50, stall=3, restarts=2)
-    seen = []
+    seen, velocities = [], []
 
     def flat(positions):
         seen.append(positions)
+        velocities.append(swarm.velocities.copy())
         losses = np.ones(5)
         losses[3] -= swarm.iterations == 0
         return losses
@@ -153,16 +156,7 @@ def test_restarts_keep_the_best_and_count():
     np.testing.assert_array_equal(swarm.history["best"], 0)
     assert not np.isin(seen[4], seen[3]).any()
     assert np.abs(seen[4]).max() <= 2
-
-
-def test_inertia_begins_again_with_a_restart():
-    """The leader is at its own best, so that it moves by its inertia alone."""
-    swarm = swarm_of(2, particles=4, stall=1, restarts=1)
-    for _ in range(2):
-        step(swarm, lambda positions: np.ones(4))
-    first, velocity = swarm.ask(), swarm.velocities.copy()
-    swarm.tell(first, np.ones(4))
-    np.testing.assert_allclose((swarm.ask() - first)[0], 0.4 * 0.99 * velocity[0], rtol=1e-12)
+    np.testing.assert_allclose((seen[5] - seen[4])[0], 0.4 * 0.99 * velocities[4][0], rtol=1e-12)
 
 
 @pytest.mark.parametrize(("fall", "iterations"), [(0.4e-6, 50), (0.3e-6, 4)])
@@ -209,15 +203,6 @@ def test_of_equal_losses_the_first_particle_leads():
     ring = swarm_of(2, particles=4, ring=True, inertia=0.0)
     first = step(ring, lambda positions: np.ones(4))
     np.testing.assert_array_equal(ring.ask(), first)  # each leads itself
-
-
-def test_a_callback_ends_the_loop_and_another_call_goes_on():
-    swarm, other = swarm_of(2), swarm_of(2)
-    assert minimize(swarm, sphere, lambda optimizer: optimizer.iterations == 7).iterations == 7
-    assert swarm.stop() == {}
-    minimize(swarm, sphere)
-    minimize(other, sphere, lambda optimizer: None)
-    np.testing.assert_equal(swarm.state(), other.state())
 
 
 def test_the_loop_takes_pycma():
