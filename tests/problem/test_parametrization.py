@@ -42,6 +42,10 @@ def with_magnitudes(scene, *values):
     return scene.with_tables(actuators=[actuator.model_dump() | {"magnitude": value} for actuator, value in pairs])
 
 
+def searching_up_to(end):
+    return scene_of(nodes=(9, 9), search={"frequency": {"range": [200.0, end]}})
+
+
 def positions_in(space, count=5, seed=1):
     low, high = np.maximum(space.lower, space.initial_lower), np.minimum(space.upper, space.initial_upper)
     return low + (high - low) * np.random.default_rng(seed).random((count, space.dimension))
@@ -98,18 +102,21 @@ def test_a_patch_stays_whole_within_its_area():
     assert flat.space.names == ("x of 0",)
 
 
+PHASES, DELAY = ("phase of 1", "phase of 2"), {"delay": {"range": [0, 0.005]}}
+MAGNITUDE = {"magnitude": {"range": [0, 5]}, **EQUAL}
+
+
 @pytest.mark.parametrize(
     ("search", "tables", "names"),
     [
         ({"frequency": {"range": [200, 400]}}, {}, ("frequency",)),
         ({"frequency": {"range": [200, 400], "actuators": ["2", "1"]}}, {}, ("frequency of 1, 2",)),
-        ({"delay": {"range": [0, 0.005]}}, {}, ("delay",)),
-        ({"phase": {}}, {}, ("phase of 1", "phase of 2")),
-        ({"phase": {}, "delay": {"range": [0, 0.005]}}, {}, ("phase of 0", "phase of 1", "phase of 2", "delay")),
-        ({"magnitude": {"range": [0, 1]}, "phase": {}, **EQUAL}, {}, ("phase of 1", "phase of 2")),
-        (EQUAL, {}, ("phase of 1", "phase of 2")),
-        ({"magnitude": {"range": [0, 5]}, **EQUAL}, STRETCHING, ("magnitude",)),
-        ({"magnitude": {"range": [0, 5]}, **EQUAL, "objectives": [{"kind": "velocity"}]}, {}, ("magnitude",)),
+        ({"phase": {}}, {}, PHASES),
+        ({"phase": {}, **DELAY}, {}, ("phase of 0", *PHASES, "delay")),
+        ({"phase": {}, **MAGNITUDE}, {}, PHASES),
+        (EQUAL, {}, PHASES),
+        (MAGNITUDE, STRETCHING, ("magnitude",)),
+        ({**MAGNITUDE, "objectives": [{"kind": "velocity"}]}, {}, ("magnitude",)),
     ],
 )
 def test_shared_variables_and_those_that_change_nothing(search, tables, names):
@@ -120,12 +127,9 @@ def test_shared_variables_and_those_that_change_nothing(search, tables, names):
         assert np.array_equal(parametrization.designs(np.array([[3.0]])).drives, [[3, 3, 3]])
 
 
-LIMITS = {"magnitude": st.none() | st.floats(1e-3, 1e3), "power": st.none() | st.floats(1e-3, 1e3)}
-
-
 @settings(max_examples=40)
 @given(
-    limits=st.fixed_dictionaries(LIMITS),
+    limits=st.fixed_dictionaries(dict.fromkeys(("magnitude", "power"), st.none() | st.floats(1e-3, 1e3))),
     values=st.lists(st.floats(-1e6, 1e6), min_size=6, max_size=6),
     tables=st.sampled_from([{}, STRETCHING]),
     search=st.sampled_from([{}, {"magnitude": {"range": [0.0, 10.0]}, "phase": {}}, {"phase": {}}]),
@@ -150,15 +154,6 @@ def test_designs_do_not_depend_on_how_a_batch_is_cut():
     phasors = parametrization.designs(positions).drives
     for row in (0, 7, 8447, 8448, 19_999):
         assert parametrization.designs(positions[[row]]).drives.tobytes() == phasors[row].tobytes()
-
-
-def test_the_time_step_fits_the_upper_end_of_the_range():
-    """A step that the scene leaves out is chosen for 20 steps a period there."""
-    stepped = with_common_step(scene_of(nodes=(9, 9), search={"frequency": {"range": [200.0, 3000.0]}}))
-    assert stepped.grid.time_step <= 1 / (20 * 3000)
-    assert make_scheme(scene_of(nodes=(9, 9))).time_step > stepped.grid.time_step
-    assert parametrization_of(stepped).scene_of(np.array([3000.0])).grid.time_step == stepped.grid.time_step
-    assert with_common_step(scene_of()) == scene_of()
 
 
 TO_400, TO_6000 = ({"frequency": {"range": [200.0, end]}} for end in (400.0, 6000.0))
@@ -197,14 +192,21 @@ def test_tables_that_do_not_fit_are_refused_in_one_line(search, tables, words):
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("grid", [{"nodes": (9, 9)}, {"accuracy": 0.1}])
-def test_a_range_that_takes_too_many_steps_is_refused_with_the_highest_frequency(grid):
-    made = scene_of().with_tables(grid=grid, search={"frequency": {"range": [200.0, 1e9]}})
-    with pytest.raises(SceneError, match=r"^search\.frequency\.range = \[200.0, 1000000000.0\]") as refusal:
-        at_highest_frequency(made)
-    most = float(re.search(r"([\d.e+]+) Hz or lower", str(refusal.value))[1])
-    kept = scene_of(nodes=(9, 9), search={"frequency": {"range": [200.0, most * 0.999]}})
-    assert 0.9e8 < kept.window.end / with_common_step(kept).grid.time_step <= 1e8
+def test_the_time_step_fits_the_upper_end_of_the_range():
+    """A step that the scene leaves out is chosen for 20 steps a period there; too many are refused with the highest
+    frequency that is possible."""
+    plain, (stepped, wide) = scene_of(nodes=(9, 9)), map(searching_up_to, (3000.0, 1e9))
+    stepped = with_common_step(stepped)
+    assert stepped.grid.time_step <= 1 / (20 * 3000)
+    assert make_scheme(plain).time_step > stepped.grid.time_step
+    assert parametrization_of(stepped).scene_of(np.array([3000.0])).grid.time_step == stepped.grid.time_step
+    assert with_common_step(plain) == plain
+    for grid in ({"nodes": (9, 9)}, {"accuracy": 0.1}):
+        with pytest.raises(SceneError, match=r"^search\.frequency\.range = \[200.0, 1000000000.0\]") as refusal:
+            at_highest_frequency(wide.with_tables(grid=grid))
+        most = float(re.search(r"([\d.e+]+) Hz or lower", str(refusal.value))[1])
+        kept = searching_up_to(most * 0.999)
+        assert 0.9e8 < kept.window.end / with_common_step(kept).grid.time_step <= 1e8
 
 
 @pytest.mark.parametrize("search", [{}, ALL, {"phase": {}}, {"frequency": {"range": [200, 400]}}])
