@@ -28,6 +28,8 @@ from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.cli.main import main
 from warp_plate.plate.operator import LARGEST
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.result import Result
+from warp_plate.result.motion import Motion
 from warp_plate.scene import preset_text
 from warp_plate.scene.dump import dump_scene
 from warp_plate.solve.devices import find_device
@@ -84,6 +86,23 @@ def scene_of(
             **tables,
         }
     )
+
+
+def result_of(scene, cases, **changes):
+    """Return a result of ``localize`` without a history."""
+    plain = {
+        "command": "localize", "source": "panel.toml", "device": "cpu", "seed": 0, "effects": (), "node_steps": 1,
+        "times": np.zeros(0), "trace_times": np.zeros(0), "seconds": {},
+    }  # fmt: skip
+    return Result(scene=scene, cases=cases, **{**plain, **changes})
+
+
+def motion_of(name, amplitude, lag=0.0, frames=8, start=0.0, factor=0.25):
+    """Return a motion at 200 Hz with these (ny, nx) amplitudes [m] and phase lags [rad]."""
+    turn = 2 * math.pi * np.arange(frames)[:, None, None] / frames - lag
+    times, mass = start + np.arange(frames) / frames / 200, np.full(amplitude.shape, 0.5)
+    field, velocity = np.cos(turn) * amplitude, -400 * math.pi * np.sin(turn) * amplitude
+    return Motion(name, 200.0, (start, start + 0.005), times, field, velocity, mass, factor)
 
 
 def refusal(text):

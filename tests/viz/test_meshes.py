@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from warp_plate.scene import Scene
-from warp_plate.viz.captions import caption
 from warp_plate.viz.fields import FIELDS, DrawingScale, drawing_scale
 from warp_plate.viz.meshes import SCALARS, PlateMeshes
 from warp_plate.viz.styles import edges_by_kind
@@ -57,12 +56,6 @@ def test_plates_at_rest_and_plates_that_are_not_finite_can_be_drawn():
     heights = meshes_of(field).surface.points[:, 2].reshape(27, 27)
     assert np.isfinite(heights).all()
     assert heights[3, 4] == heights[5, 6] == 0
-
-
-def test_captions():
-    assert caption("equal drive", 0.0464, 0.25) == "equal drive, t = 0.0464 s\nlocalization factor 25.00 %"
-    assert caption("drive", 0.0464, 0.25, decimals=2).startswith("drive, t = 0.05 s")
-    assert "not defined" in caption("given drive", 0.0464, float("nan"))
 
 
 def test_nodes_stand_at_the_warp_factor_times_their_displacement(random):

@@ -2,18 +2,16 @@
 
 import base64
 import io
-import os
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from conftest import result_of, start_program
 
 from warp_plate import view
-from warp_plate.result import Case, Result, save_result
+from warp_plate.result import Case, save_result
 from warp_plate.scene import Scene, SceneError
 from warp_plate.viz import notebook
 from warp_plate.viz.notebook import result_html, scene_html
@@ -31,23 +29,12 @@ def result():
         name: Case(np.array(drive, complex), {"plate": 4.0, "target": 1.0 + len(name) % 2}, field, np.zeros((0, 0)))
         for name, drive in phasors.items()
     }
-    return Result(
-        command="localize",
-        source="paper",
-        scene=Scene.load("paper"),
-        device="cpu <0>",
-        seed=0,
-        effects=("damping",),
-        cases=cases,
-        times=np.array([0.01, 0.02]),
-        trace_times=np.zeros(0),
-        seconds={"solve": 1.5},
-        node_steps=2_000_000,
-        bound=0.6867,
-        bound_kind="attained within limits",
+    return result_of(
+        Scene.load("paper"), cases, device="cpu <0>", times=np.array([0.01, 0.02]), seconds={"solve": 1.5},
+        node_steps=2_000_000, bound=0.6867, bound_kind="attained within limits",
         history={"evaluations": np.arange(5), "best": np.linspace(0.3, 0.6, 5), "mean": np.linspace(0.2, 0.5, 5)},
         accuracy={"estimate": {"line": "localization factor 0.68 ± 0.04"}},
-    )
+    )  # fmt: skip
 
 
 def rows_of(html):
@@ -150,7 +137,7 @@ def test_the_player_holds_all_that_it_shows(result):
             view(result, case, quantity=quantity, device="cpu")
 
 
-def test_scenes_and_results_show_themselves_in_ipython(result, tmp_path):
+def test_scenes_and_results_show_themselves_in_ipython(result, tmp_path, monkeypatch):
     """Importing the package registers its formatters, and so does the extension."""
     pytest.importorskip("IPython", reason="IPython is missing: pip install ipython")
     path = save_result(result, tmp_path / "run.h5")
@@ -164,9 +151,8 @@ before = Scene in html
 get_ipython().run_line_magic("load_ext", "warp_plate")
 print(before, Scene in html)
 """
-    environment = {**os.environ, "IPYTHONDIR": str(tmp_path), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    run = subprocess.run([sys.executable, "-m", "IPython", "-c", code], env=environment, capture_output=True, text=True)
-    scene, shown, last = run.stdout.splitlines()
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path))
+    scene, shown, last = start_program("-m", "IPython", "-c", code).communicate()[0].splitlines()
     assert ["drive", "290 Hz"] in rows_of(scene)
     assert ["best drive found", "25.00 %"] in rows_of(shown)
     assert last == "False True"

@@ -3,14 +3,13 @@
 import base64
 import io
 import json
-import math
 import re
 import time
 
 import numpy as np
 import pytest
+from conftest import motion_of
 
-from warp_plate.result.motion import Motion
 from warp_plate.viz import page as page_module
 from warp_plate.viz.fields import common_scale
 from warp_plate.viz.meshes import PlateMeshes
@@ -24,10 +23,7 @@ FRAMES = 10
 def bump(size):
     """A bump that oscillates on 9 × 9 nodes, up at frame 0."""
     x, y = np.meshgrid(np.linspace(0, np.pi, 9), np.linspace(0, np.pi, 9))
-    turn = 2 * math.pi * np.arange(FRAMES)[:, None, None] / FRAMES
-    field, velocity = (wave * size * np.sin(x) * np.sin(y) for wave in (np.cos(turn), -1257 * np.sin(turn)))
-    times = np.arange(FRAMES) * 5e-4
-    return Motion("best", 200.0, (0.0, 0.005), times, field, velocity, np.ones((9, 9)), 0.5)
+    return motion_of("best", size * np.sin(x) * np.sin(y), frames=FRAMES, factor=0.5)
 
 
 def decoded(text, kind):

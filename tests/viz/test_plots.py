@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import scene_of
+from conftest import result_of, scene_of
 
 from warp_plate import Scene
-from warp_plate.result import Case, Result
+from warp_plate.result import Case
 from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.viz.plots.compare import draw_comparison
 from warp_plate.viz.plots.crosstalk import draw_crosstalk
-from warp_plate.viz.plots.frame import figure, number_log_axis, save_plots
+from warp_plate.viz.plots.frame import figure, number_log_axis
 from warp_plate.viz.plots.search import curve_labels, draw_history, draw_spectrum
 from warp_plate.viz.styles import INK
 
@@ -21,6 +21,8 @@ figures = pytest.importorskip("matplotlib.figure", reason="Matplotlib is not ins
 TARGETS = ({"name": "left", "area": (0.0, 0.1, 0.0, 0.2)}, {"name": "disc", "disc": (0.15, 0.1, 0.03)})
 LONG = ("lower left quarter of the panel", "disc under the index finger")
 FREE = {"magnitude": {"range": [0.0, 2.0]}, "phase": {}, "frequency": {"range": [100.0, 400.0]}}
+
+BOUND = "bound of the drives that may be chosen"
 
 
 @pytest.fixture
@@ -54,7 +56,7 @@ def drawn(monkeypatch, tmp_path):
     return draw
 
 
-def result_of(names=(), **search):
+def searched(names=(), **search):
     """A result of a search; with several targets, the second drive has actuators elsewhere."""
     made = scene_of(nodes=(11, 11), search=search).model_dump()
     if names:
@@ -66,27 +68,14 @@ def result_of(names=(), **search):
     middles = np.array([(0.05, 0.05), (0.1, 0.1), (0.15, 0.12)])
     best = Case(np.ones(3, complex), energy, field, np.zeros((0, 3)), frequency=np.full(3, 250.0))
     cases = {"best": best} | {f"best {name}": replace(best, centre=middles) for name in names[1:]}
-    frequencies = np.linspace(100, 400, 7)
     factors = {name: np.full(7, value) for name, value in (("equal", 0.2), ("single", 0.4), ("best", 0.5))}
-    return Result(
-        command="localize",
-        source="panel.toml",
-        scene=scene,
-        device="cpu",
-        seed=0,
-        effects=(),
-        cases=cases,
-        times=np.array([0.01]),
-        trace_times=np.arange(3.0),
-        seconds={},
-        node_steps=1,
-        history={"evaluations": np.arange(1, 9), "best": np.linspace(0.1, 0.5, 8), "mean": np.linspace(0, 0.3, 8)},
-        spectrum={"frequency": frequencies, **factors, "resonances": np.array([210.0])},
-    )
+    spectrum = {"frequency": np.linspace(100, 400, 7), **factors, "resonances": np.array([210.0])}
+    history = {"evaluations": np.arange(1, 9), "best": np.linspace(0.1, 0.5, 8), "mean": np.linspace(0, 0.3, 8)}
+    return result_of(scene, cases, times=np.array([0.01]), history=history, spectrum=spectrum)
 
 
 def test_crosstalk_names_fit_and_actuators_move(drawn):
-    result = result_of(LONG, position={})
+    result = searched(LONG, position={})
     figure, words = drawn(draw_crosstalk, result)
     assert {f"drive for {name}" for name in LONG} <= {text.replace("\n", " ") for text in words}
     panels = [axes for axes in figure.get_axes() if axes.get_title()]
@@ -98,29 +87,29 @@ def test_crosstalk_names_fit_and_actuators_move(drawn):
 
 @pytest.mark.parametrize("draw", [draw_history, draw_spectrum])
 def test_plots_of_the_first_of_several_targets_say_so(drawn, draw):
-    assert f"search for target {LONG[0]}, the first of 2" in drawn(draw, result_of(LONG, **FREE))[1]
-    assert "search for" not in " ".join(drawn(draw, result_of())[1])
+    assert f"search for target {LONG[0]}, the first of 2" in drawn(draw, searched(LONG, **FREE))[1]
+    assert "search for" not in " ".join(drawn(draw, searched())[1])
 
 
 def test_means_are_named_by_the_method(drawn):
     named = {"ring": ["swarm mean"], "cma": ["mean of the generation"], "gradient": ["mean of the descents"]}
     for method, words in {**named, "exact": []}.items():
-        assert [text for text in drawn(draw_history, result_of(method=method))[1] if "mean" in text] == words
+        assert [text for text in drawn(draw_history, searched(method=method))[1] if "mean" in text] == words
 
 
 @pytest.mark.parametrize(
-    ("search", "best", "any_size"),
+    ("changes", "best", "any_size"),
     [
-        (FREE, "best drive at each frequency", True),
-        ({**FREE, "magnitude": {"range": [0.5, 2.0]}}, "bound of the drives that may be chosen", False),
-        ({**FREE, "magnitude": None}, "bound of the drives that may be chosen", False),
-        ({**FREE, "phase": None}, "bound of the drives that may be chosen", True),
-        ({**FREE, "limits": {"equal_magnitudes": True}}, "bound of the drives that may be chosen", False),
-        ({"frequency": FREE["frequency"]}, "the scene's drive", False),
+        ({}, "best drive at each frequency", True),
+        ({"magnitude": {"range": [0.5, 2.0]}}, BOUND, False),
+        ({"magnitude": None}, BOUND, False),
+        ({"phase": None}, BOUND, True),
+        ({"limits": {"equal_magnitudes": True}}, BOUND, False),
+        ({"magnitude": None, "phase": None}, "the scene's drive", False),
     ],
 )
-def test_curves_that_are_only_bounds_say_so(drawn, search, best, any_size):
-    result = result_of(**search)
+def test_curves_that_are_only_bounds_say_so(drawn, changes, best, any_size):
+    result = searched(**{**FREE, **changes})
     words = curve_labels(result.scene.search)
     assert (words["best"], "cannot" not in words["single"]) == (best, any_size)
     assert set(words.values()) <= set(drawn(draw_spectrum, result)[1])
@@ -153,15 +142,3 @@ def test_a_comparison_over_less_than_two_decades(drawn):
     comparison = MethodComparison("panel", scene, "cpu", "direct", 800, {"prepare": 0.5}, True, (trial,))
     _, words = drawn(draw_comparison, comparison)
     assert "panel: median, best and worst of 1 seed" in words
-
-
-def test_plots_are_saved_beside_the_data(tmp_path):
-    def draw(title, path):
-        with figure(path, (2, 1)) as made:
-            made.suptitle(title)
-
-    assert save_plots(draw, "a", tmp_path / "b.h5") == ([tmp_path / "b.png", tmp_path / "b.svg"], None)
-    assert (tmp_path / "b.png").read_bytes().startswith(b"\x89PNG")
-    files, problem = save_plots(draw, "a", tmp_path / "missing" / "b.h5")
-    assert files == []
-    assert "missing" in problem
