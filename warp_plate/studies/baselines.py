@@ -20,7 +20,7 @@ import numpy as np
 
 from warp_plate.analysis.superposition import LINEAR_ORDERS, LINEAR_SAMPLES, last_period, motions_of
 from warp_plate.plate.signals import carrier_frequencies
-from warp_plate.plate.weights import REGIONS, bilinear
+from warp_plate.plate.weights import REGIONS, bilinear, node_positions
 from warp_plate.problem.evaluate_cases import cases_from_run
 from warp_plate.problem.problem import Problem
 from warp_plate.result.model import Case
@@ -42,8 +42,7 @@ def baseline_phasors(solver: PlateSolver) -> dict[str, np.ndarray]:
 
 def baseline_cases(problem: Problem) -> tuple[dict[str, Case], int]:
     """Simulate the baselines of a problem's scene; return their cases by name, and the node-steps."""
-    scene, plates = problem.scene, problem.drive_solver
-    regions = problem.objectives.regions
+    scene, plates, regions = problem.scene, problem.drive_solver, problem.objectives.regions
     solver = PlateSolver(plates.discretization, plates.device.alias, problem.path, areas=regions)
     phasors = baseline_phasors(solver)
     run = solver.run(np.array(list(phasors.values())), record_times(scene), scene.record.points)
@@ -52,16 +51,15 @@ def baseline_cases(problem: Problem) -> tuple[dict[str, Case], int]:
 
 def check_baselines(scene: Scene) -> None:
     """Check that a scene has baselines: its drive has one frequency, and its motion is linear in the drives."""
-    reason = None
-    if not scene.linear:
-        reason = f"{scene.nonlinear_table} is not linear in the drives"
+    reasons = [] if scene.linear else [f"{scene.nonlinear_table} is not linear in the drives"]
     for key in ("signal", "chirp", "burst"):
-        if reason is None and getattr(scene.drive, key) is not None:
-            reason = f"drive.{key} is not a steady drive of one frequency"
-    if reason is None and len(carrier_frequencies(scene)) > 1:
-        reason = "the actuators' frequencies differ"
-    if reason is not None:
-        raise SceneError(f"baselines: {reason}; time reversal and inverse filter need one frequency and linear drives")
+        if getattr(scene.drive, key) is not None:
+            reasons.append(f"drive.{key} is not a steady drive of one frequency")
+    if not reasons and len(carrier_frequencies(scene)) > 1:
+        reasons.append("the actuators' frequencies differ")
+    if reasons:
+        needed = "time reversal and inverse filter need one frequency and linear drives"
+        raise SceneError(f"baselines: {reasons[0]}; {needed}")
 
 
 def transfer_functions(solver: PlateSolver) -> np.ndarray:
@@ -76,16 +74,14 @@ def transfer_functions(solver: PlateSolver) -> np.ndarray:
     run = solver.run(np.concatenate([np.eye(count), -1j * np.eye(count)]), times)
     motions = np.stack([motion.amplitudes[0] for motion in motions_of(run, tone, LINEAR_ORDERS)])
     # The drive Z = −i yields −iH: the mean of both halves what is left of the transient.
-    transfer: np.ndarray = (motions[:count] + 1j * motions[count:]) / 2
-    return transfer
+    return np.asarray((motions[:count] + 1j * motions[count:]) / 2)
 
 
 def time_reversal(solver: PlateSolver, transfer: np.ndarray) -> np.ndarray:
     """Return the phasors (actuators,) that focus on the centroid of the target, from (actuators, ny, nx) H."""
     scene = solver.scene
     target = solver.discretization.region_weights[REGIONS.index("target")]
-    (width, height), (ny, nx) = scene.plate.size, target.shape
-    x, y = (np.linspace(0, side, count) for side, count in ((width, nx), (height, ny)))
+    x, y = node_positions(scene)
     middle = (float(target.sum(axis=0) @ x / target.sum()), float(target.sum(axis=1) @ y / target.sum()))
     corners, shares = bilinear([middle], scene.grid.nodes, scene.plate.size)
     rows, columns = corners[0].T

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from glob import escape
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -23,10 +23,8 @@ class StudyFile(Generic[Study]):
     """A file that holds a study while it runs.
 
     Args:
-        path: path of the file.
         every: least seconds between two saves; 0 saves whenever possible, infinity only when the study is interrupted.
-        resumes: True if the study continues from the file. If not, the file is replaced and not kept as the previous
-            one.
+        resumes: True if the study continues from the file. If not, the file is not kept as the previous one.
         warn: called with one line if the file cannot be written. The study then continues, and the last file stays.
 
     Attributes:
@@ -41,15 +39,12 @@ class StudyFile(Generic[Study]):
     ) -> None:
         if not every >= 0:
             raise SceneError(f"checkpoint-every = {every:g}: must be a number of seconds, 0 or more")
-        self.path = path
-        self.every = every
+        self.path, self.every = path, every
         self.saved: Study | None = None
-        self._resumes = resumes
+        self._resumes, self._warn = resumes, warn
         self._keep_previous = resumes and is_intact(path)
         self._signature = _signature(path)
-        self._taken = False
-        self._warn = warn
-        self._warned = False
+        self._taken = self._warned = False
         self._last = time.monotonic()
 
     def due(self) -> bool:
@@ -65,7 +60,10 @@ class StudyFile(Generic[Study]):
         if self._taken_by_another():
             return
         try:
-            self._write(study)
+            if isinstance(study, Checkpoint):
+                save_checkpoint(study, self.path, self._keep_previous)
+            else:
+                save_sweep(study, self.path)
             if self.saved is None and not self._resumes:
                 previous_path(self.path).unlink(missing_ok=True)  # left by another study
         except (SceneError, OSError) as error:
@@ -80,12 +78,9 @@ class StudyFile(Generic[Study]):
         """Delete the file, the previous one, and temporary files that killed processes left."""
         if self._taken_by_another():
             return
-        left: Iterable[Path] = self.path.parent.glob(f".{escape(self.path.name)}.*.part.h5")
+        left = self.path.parent.glob(f".{escape(self.path.name)}.*.part.h5")
         for path in (self.path, previous_path(self.path), *left):
             path.unlink(missing_ok=True)
-
-    def _write(self, study: Study) -> None:
-        raise NotImplementedError
 
     def _taken_by_another(self) -> bool:
         """Return whether another process has written the file since; warn once if it has."""
@@ -99,20 +94,11 @@ class StudyFile(Generic[Study]):
 
 
 class CheckpointFile(StudyFile[Checkpoint]):
-    """The file that a search can be resumed from; the one before it is kept as ``previous_path(path)``.
-
-    See :class:`StudyFile` for the arguments.
-    """
-
-    def _write(self, study: Checkpoint) -> None:
-        save_checkpoint(study, self.path, self._keep_previous)
+    """The file that a search can be resumed from; the one before it is kept as ``previous_path(path)``."""
 
 
 class SweepFile(StudyFile[Sweep]):
-    """The file that holds the finished points of a sweep until all are done. See :class:`StudyFile`."""
-
-    def _write(self, study: Sweep) -> None:
-        save_sweep(study, self.path)
+    """The file that holds the finished points of a sweep until all are done."""
 
 
 def _signature(path: Path) -> tuple[int, ...] | None:

@@ -60,14 +60,13 @@ def compare(
         KeyboardInterrupt: Ctrl-C came before the first trial was finished.
     """
     particles = scene.search.particles
-    if evaluations is not None and evaluations < particles:
-        raise SceneError(
-            f"--evaluations {evaluations}: must be at least search.particles = {particles}, which are evaluated at once"
-        )
-    scene = resolve_grid(at_highest_frequency(scene), device).scene.model_copy(update={"actuators": scene.actuators})
     if evaluations is not None:
+        if evaluations < particles:
+            at_once = f"search.particles = {particles}, which are evaluated at once"
+            raise SceneError(f"--evaluations {evaluations}: must be at least {at_once}")
         search = scene.search.model_copy(update={"iterations": evaluations // particles})
         scene = scene.model_copy(update={"search": search})
+    scene = resolve_grid(at_highest_frequency(scene), device).scene.model_copy(update={"actuators": scene.actuators})
     started = time.perf_counter()
     problem = make_problem(scene, device, path, evaluator, pool=pool)
     prepared = time.perf_counter() - started - problem.compile_seconds
@@ -100,18 +99,17 @@ def compare(
 def _fitting_methods(methods: Sequence[str] | None, problem: Problem) -> tuple[list[str], dict[str, str]]:
     """Return the methods to try, and why others are left out, by their names."""
     fitting, skipped = [], {}
-    for method in methods or METHODS:
+    for method in dict.fromkeys(methods or METHODS):
         if method not in METHODS:
             raise SceneError(f"--methods {method}: no such method; choose from {', '.join(METHODS)}")
         try:
             _optimizer(method, problem.scene.search.seed, problem)
+            fitting.append(method)
         except SceneError as error:
             if methods:
                 raise
             skipped[method] = str(error)
-        else:
-            fitting.append(method)
-    return list(dict.fromkeys(fitting)), skipped
+    return fitting, skipped
 
 
 def _run_trials(
@@ -120,20 +118,14 @@ def _run_trials(
     """Run all trials; return the finished ones, whether they were interrupted, and plates lost with all workers."""
     search, trials = problem.scene.search, list[Trial]()
     budget = search.particles * search.iterations
-    pairs = [
-        (method, search.seed + index)
-        for index in range(seeds)
-        for method in methods
-        if index == 0 or method not in SEEDLESS
-    ]
+    pairs = [(method, index) for index in range(seeds) for method in methods if index == 0 or method not in SEEDLESS]
     try:
         for method in methods:  # what is compiled or allocated once is not counted for the first trial
-            optimizer = _optimizer(method, search.seed, problem)
-            positions = optimizer.ask()
-            optimizer.tell(positions, problem.losses(positions))
-        for index, (method, seed) in enumerate(pairs):
+            _run_trial(method, search.seed, problem, 1)
+        for number, (method, index) in enumerate(pairs):
+            seed = search.seed + index
 
-            def report(done: int, before: int = index * budget, note: str = f"{method}, seed {seed}") -> None:
+            def report(done: int, before: int = number * budget, note: str = f"{method}, seed {seed}") -> None:
                 if on_progress is not None:
                     on_progress(before + done, len(pairs) * budget, note)
 
@@ -145,7 +137,9 @@ def _run_trials(
     return trials, False, {}
 
 
-def _run_trial(method: str, seed: int, problem: Problem, budget: int, on_progress: Callable[[int], None]) -> Trial:
+def _run_trial(
+    method: str, seed: int, problem: Problem, budget: int, on_progress: Callable[[int], None] = lambda done: None
+) -> Trial:
     """Run one method from one seed until it stops or has used up its evaluations."""
     evaluated, rows, best = 0, [], np.inf
     started = time.perf_counter()

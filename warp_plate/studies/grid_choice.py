@@ -58,9 +58,7 @@ def estimate_error(
 ) -> dict[str, Any]:
     """Estimate the errors of a run of the named drives; return them as entry "estimate" of ``Result.accuracy``.
 
-    Args:
-        solve_seconds: time that the result took [s], which limits the time for the estimate.
-        reference: reference solution of the scene, if it is known.
+    The time for the estimate is limited by ``solve_seconds``, which the result took.
     """
     drives, factors = np.array(list(phasors.values())), localization_factor(run.energy)
     found = estimate(scene, drives, factors, solve_seconds, device, run.times, run.displacement, reference)

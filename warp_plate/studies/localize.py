@@ -143,24 +143,22 @@ def resume(
     """
     if baselines:
         check_baselines(checkpoint.scene)
-    started = time.perf_counter()
+    started, matrices, earlier = time.perf_counter(), checkpoint.matrices, checkpoint.earlier_devices
     provenance.check_files(checkpoint.scene, checkpoint, "search")
     device = device or provenance.same_device(checkpoint.device, checkpoint.processor, "search")
-    matrices = checkpoint.matrices
     problem = make_problem(checkpoint.scene, device, checkpoint.path, checkpoint.evaluator, matrices, pool)
     if problem.parametrization.quadratic and matrices is None:
         raise SceneError("checkpoint: the matrices of its scene's response are missing")
-    used, seconds = problem.drive_solver.device, dict(checkpoint.seconds)
-    seconds["compile"] = seconds.get("compile", 0.0) + time.perf_counter() - started
-    earlier = checkpoint.earlier_devices
+    used = problem.drive_solver.device
     if processor_of(used) != checkpoint.processor:
         earlier += f"{checkpoint.device} ({checkpoint.processor}), then "
+    compiling = checkpoint.seconds.get("compile", 0.0) + time.perf_counter() - started
     start = replace(
         checkpoint,
         device=used.alias,
         processor=processor_of(used),
         earlier_devices=earlier,
-        seconds=seconds,
+        seconds={**checkpoint.seconds, "compile": compiling},
         versions=provenance.merged_versions(checkpoint.versions),
     )
     return _run(start, problem, _Options(on_progress, checkpoints, estimate, spectrum, baselines))
@@ -220,16 +218,18 @@ def _run(start: Checkpoint, problem: Problem, options: _Options, reference: Refe
     started = time.perf_counter()
     evaluated = _evaluate_targets(problem, end.finished_searches)
     seconds["solve"] += time.perf_counter() - started
-    parts = _optional_parts(end, problem, evaluated, options, seconds, interrupted, reference)
+    known = reference if evaluated.scene is problem.scene else None  # that of another plate does not help
+    parts = _optional_parts(end, problem, evaluated, options, seconds, interrupted, known)
     node_steps = end.node_steps + problem.node_steps - before + evaluated.node_steps + parts.pop("node_steps")
+    solver = problem.design_evaluator.solver
     return Result(
         command="localize",
         source=end.source,
         scene=problem.scene,
         device=end.earlier_devices + provenance.devices_text(problem),
         seed=end.seed,
-        effects=problem.design_evaluator.solver.effects,
-        path=problem.design_evaluator.solver.describe_path(bool(problem.scene.record.points)),
+        effects=solver.effects,
+        path=solver.describe_path(bool(problem.scene.record.points)),
         times=evaluated.run.times,
         trace_times=evaluated.run.trace_times,
         seconds=seconds,
@@ -261,39 +261,32 @@ def _optional_parts(
     """Compute the optional fields of a result and their node-steps, and add their seconds; a part that is refused or
     interrupted is left out."""
 
-    def attempt(name: str, compute: Callable[[], T]) -> T | None:
+    def attempt(name: str, wanted: bool, compute: Callable[..., T | None], *arguments: Any) -> T | None:
         started = time.perf_counter()
         try:
-            value = compute()
+            value = compute(*arguments) if wanted else None
         except (KeyboardInterrupt, SceneError):
             return None
         if value:
             seconds[name] = time.perf_counter() - started
         return value
 
-    position, compared, estimated = end.finished_searches[0].position, None, None
-    if problem.scenario_losses is not None and position is not None and not interrupted:
-        compared = attempt("robust", lambda: compare_with_nominal(problem, end, position))
-    robust, nominal, node_steps = compared or (None, {}, 0)
-    if options.estimate:
-        known = reference if evaluated.scene is problem.scene else None  # that of another plate does not help
-        of_run = evaluated.scene, evaluated.phasors, evaluated.run, seconds["solve"]
-        device = problem.drive_solver.device.alias
-        estimated = attempt("estimate", lambda: estimate_error(*of_run, device, known))
-    found = attempt("baselines", lambda: baseline_cases(problem)) if options.baselines else None
-    baselines, steps = found or ({}, 0)
+    position, best, run = end.finished_searches[0].position, evaluated.cases["best"], evaluated.run
+    is_robust = problem.scenario_losses is not None and position is not None and not interrupted
+    robust, nominal, steps = attempt("robust", is_robust, compare_with_nominal, problem, end, position) or (None, {}, 0)
+    of_run = evaluated.scene, evaluated.phasors, run, seconds["solve"], problem.drive_solver.device.alias, reference
+    estimated = attempt("estimate", options.estimate, estimate_error, *of_run) or {}
+    baselines, more_steps = attempt("baselines", options.baselines, baseline_cases, problem) or ({}, 0)
     references = {name: evaluated.cases[name] for name in ("equal", "single")} | baselines
-    values, more_steps = evaluate_objectives(problem, references)
-    spectrum = None
-    if options.spectrum and not interrupted:
-        spectrum = attempt("spectrum", lambda: make_spectrum(problem, evaluated.cases["best"]))
+    values, last_steps = evaluate_objectives(problem, references)
+    spectrum = attempt("spectrum", options.spectrum and not interrupted, make_spectrum, problem, best) or {}
     return {
         "cases": {**evaluated.cases, **nominal, **baselines},
-        "accuracy": {**end.accuracy, **(estimated or {})},
+        "accuracy": {**end.accuracy, **estimated},
         "robust": robust,
         "objective_values_by_case": values,
-        "spectrum": spectrum or {},
-        "node_steps": node_steps + steps + more_steps,
+        "spectrum": spectrum,
+        "node_steps": steps + more_steps + last_steps,
     }
 
 
@@ -359,12 +352,13 @@ def _with_target(problem: Problem, index: int) -> Problem:
 
 def _evaluate_targets(problem: Problem, searches: tuple[TargetSearch, ...]) -> EvaluatedCases:
     """Simulate the cases of the first target, and the best drive of every other one."""
-    evaluated = evaluate_cases(problem, searches[0].single_actuator, searches[0].position)
+    first, *others = searches
+    evaluated = evaluate_cases(problem, first.single_actuator, first.position)
     cases, node_steps = dict(evaluated.cases), evaluated.node_steps
-    names = list(target_cases(problem.scene).values())
-    for index, search in enumerate(searches[1:], 1):
+    names = list(target_cases(problem.scene).values())[1:]
+    for index, (name, search) in enumerate(zip(names, others, strict=False), 1):  # fewer after Ctrl-C
         other = _with_target(problem, index)
         more = evaluate_cases(other, search.single_actuator, search.position)
-        cases[names[index]] = more.cases["best"]
+        cases[name] = more.cases["best"]
         node_steps += other.drive_solver.node_steps + more.node_steps
     return replace(evaluated, cases=cases, node_steps=node_steps)

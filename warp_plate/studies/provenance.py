@@ -74,30 +74,27 @@ def check_files(scene: Scene, study: Checkpoint | Sweep, what: str) -> None:
 def check_unchanged(
     study: object, name: str, options: Mapping[str, object], scenes: tuple[Scene | None, Scene], advice: str
 ) -> None:
-    """Check that a scene and options given to resume a study are those that it began with.
+    """Check that options and a scene given to resume a study are those that it began with.
 
     Args:
-        study: object with the original options as attributes; name: its kind and file, for errors.
-        options: by attribute name; None for those not given.
+        name: kind and file of the study, for errors.
+        options: values by the names of the study's attributes; None for those not given.
         scenes: the scene that is given, or None, and the original one.
         advice: what else the user can do, for errors.
     """
-    for option, value in options.items():
-        before = getattr(study, option)
-        if value is not None and value != before:
-            raise SceneError(
-                f"--{option} {value}: the {name} began with {before} and continues with nothing else; leave the option "
-                f"out, or {advice}"
-            )
-    if scenes[0] is None:
-        return
-    given, known = (dict(_leaves(scene.model_dump())) for scene in scenes if scene is not None)
-    for key in {"grid.accuracy": None, **known, **given}:
-        if given.get(key) != known.get(key):
-            raise SceneError(
-                f"{key} = {given.get(key)}: the {name} began with {known.get(key)} and continues with nothing else; "
-                f"leave it out, or {advice}"
-            )
+    changed = {
+        f"--{option} {value}": getattr(study, option)
+        for option, value in options.items()
+        if value not in (None, getattr(study, option))
+    }
+    if scenes[0] is not None:
+        given, known = (dict(_leaves(scene.model_dump())) for scene in scenes if scene is not None)
+        keys = [key for key in {"grid.accuracy": None, **known, **given} if given.get(key) != known.get(key)]
+        changed |= {f"{key} = {given.get(key)}": known.get(key) for key in keys}
+    for difference, before in changed.items():
+        raise SceneError(
+            f"{difference}: the {name} began with {before} and continues with nothing else; leave it out, or {advice}"
+        )
 
 
 def changes(study: Checkpoint | Sweep, device: str | None) -> list[str]:

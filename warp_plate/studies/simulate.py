@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -49,25 +50,22 @@ def simulate(
     if drive not in ("equal", "single"):
         phasors = scene_phasors(scene) if drive == "scene" else phasors_from_file(drive, scene)
     resolved = resolve_grid(scene, device, None if phasors is None else phasors[None])
-    scene, seconds = resolved.scene, dict(resolved.seconds)
-    if drive == "scene":
-        phasors = scene_phasors(scene)
+    scene, accuracy = resolved.scene, dict(resolved.accuracy)
     solver = PlateSolver(scene, device, path, allow_unstable=allow_unstable, areas=target_regions(scene))
     started = time.perf_counter()
-    if drive == "equal":
+    if drive == "scene":
+        phasors = scene_phasors(scene)
+    elif drive == "equal":
         phasors = np.full(len(scene.actuators), magnitude_unit(scene), dtype=complex)
     elif phasors is None:
         phasors = reference_phasors(scene, lambda phasors: solver.run(phasors).energy)[drive]
     run, peak = run_with_peak(solver, phasors[None], progress)
-    seconds |= {"compile": solver.compile_seconds, "solve": time.perf_counter() - started}
-    accuracy = dict(resolved.accuracy)
+    solved = time.perf_counter()
+    seconds = {**resolved.seconds, "compile": solver.compile_seconds, "solve": solved - started}
     if estimate and run.finite.all():
-        started = time.perf_counter()
-        try:
+        with suppress(KeyboardInterrupt, SceneError):  # the result is kept without an error estimate
             accuracy |= estimate_error(scene, {"drive": phasors}, run, seconds["solve"], device, resolved.reference)
-            seconds["estimate"] = time.perf_counter() - started
-        except (KeyboardInterrupt, SceneError):  # the result is kept without an error estimate
-            pass
+            seconds["estimate"] = time.perf_counter() - solved
     return Result(
         command="simulate",
         source=source,
@@ -91,13 +89,13 @@ def phasors_from_file(name: str, scene: Scene) -> np.ndarray:
     """Return the phasors (actuators,) of the best drive in a result file, in the unit of the scene's drives."""
     if not name.endswith(".h5"):
         raise SceneError(f"--drive {name}: must be scene, equal, single or a result file (.h5)")
-    result, actuators = load_result(Path(name)), len(scene.actuators)
+    result, unit = load_result(Path(name)), scene.drive_unit
     phasors = result.main_case.phasors
-    if phasors.shape != (actuators,):
-        raise SceneError(f"--drive {name}: holds {phasors.size} actuators, the scene has {actuators}")
-    if result.scene.drive_unit != scene.drive_unit:
+    if phasors.size != len(scene.actuators):
+        raise SceneError(f"--drive {name}: holds {phasors.size} actuators, the scene has {len(scene.actuators)}")
+    if result.scene.drive_unit != unit:
         raise SceneError(
-            f"--drive {name}: holds magnitudes in {result.scene.drive_unit}, those of the scene are in "
-            f"{scene.drive_unit}; take a result of a scene with the same kind of drive, or the scene's own drive"
+            f"--drive {name}: holds magnitudes in {result.scene.drive_unit}, those of the scene are in {unit}; take a "
+            "result of a scene with the same kind of drive, or the scene's own drive"
         )
     return phasors

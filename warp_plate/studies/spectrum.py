@@ -59,33 +59,31 @@ def factors_over(
     """
     exact, actuators = in_float64(scene), len(scene.actuators)
     solver = PlateSolver(exact, device, path, per_plate=per_plate_of(exact))
-    units, singles = unit_drives(actuators), np.eye(actuators, dtype=complex)
-    parametrization = parametrization_of(scene)
+    units, singles, parametrization = (
+        unit_drives(actuators),
+        np.eye(actuators, dtype=complex),
+        parametrization_of(scene),
+    )
     phasors = np.tile(units, (len(frequencies), 1))
     repeated = np.repeat(frequencies, len(units))[:, None] * np.ones(actuators)
     shared = (
         None if values is None else np.broadcast_to(values, (len(phasors), *values.shape)) for values in (centre, delay)
     )
     energy = solver.run(Designs(phasors, repeated, *shared)).energy.reshape(len(frequencies), len(units), -1)
-    factors: dict[str, list[float]] = {"equal": [], "single": [], "best": []}
+    rows = []
     for energy_at_frequency in energy:
         response = response_of(energy_at_frequency, actuators)
-        factors["equal"].append(_factor(response, singles.sum(axis=0)))
-        factors["single"].append(float(np.nanmax(localization_factor(response.energy(singles)))))
-        factors["best"].append(_best_factor(response, parametrization))
-    return {name: np.array(values) for name, values in factors.items()}
-
-
-def _factor(response: Response, phasors: np.ndarray) -> float:
-    """Return the localization factor of a drive (actuators,)."""
-    return float(localization_factor(response.energy(phasors[None]))[0])
+        equal, of_singles = (localization_factor(response.energy(d)) for d in (singles.sum(axis=0)[None], singles))
+        rows.append((equal[0], np.nanmax(of_singles), _best_factor(response, parametrization)))
+    return dict(zip(("equal", "single", "best"), np.array(rows, dtype=float).T, strict=True))
 
 
 def _best_factor(response: Response, parametrization: Parametrization) -> float:
     """Return the bound over the drives that the search may choose, or the factor of the scene's drive if it chooses
     none."""
     if not any(number.kind in ("magnitude", "phase") for number in parametrization.variables):
-        return _factor(response, parametrization.designs(np.zeros((1, len(parametrization.variables)))).drives[0])
+        drive = parametrization.designs(np.zeros((1, len(parametrization.variables)))).drives
+        return float(localization_factor(response.energy(drive))[0])
     bound = bound_localization(response, allowed_drives(parametrization), MOST_BOUNDED)
     return math.nan if bound is None else bound.value
 
