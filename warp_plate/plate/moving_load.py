@@ -9,6 +9,7 @@ node takes the mean over the patch of its hat function, which keeps the force an
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -105,8 +106,7 @@ def _shares(middle: np.ndarray, size: float, side: float, nodes: int, cubic: boo
 
 def _basis(place: np.ndarray, nodes: int, points: int) -> np.ndarray:
     """Return (places, nodes) Lagrange polynomials through the ``points`` nodes around each place [cells]."""
-    first, local, polynomials = _around(place, nodes, points)
-    return _scatter(first, local[:, None] ** np.arange(points) @ polynomials, nodes)
+    return _lagrange(place, np.floor(place), nodes, points, lambda at, begin: at ** np.arange(points))
 
 
 def _basis_integral(place: np.ndarray, nodes: int, points: int) -> np.ndarray:
@@ -114,9 +114,7 @@ def _basis_integral(place: np.ndarray, nodes: int, points: int) -> np.ndarray:
     powers = np.arange(1, points + 1)
 
     def within(place: np.ndarray, start: np.ndarray) -> np.ndarray:
-        first, local, polynomials = _around(place, nodes, points, start)
-        base = (start - first - (points - 1) / 2)[:, None]
-        return _scatter(first, (local[:, None] ** powers - base**powers) / powers @ polynomials, nodes)
+        return _lagrange(place, start, nodes, points, lambda at, begin: (at**powers - begin**powers) / powers)
 
     intervals = np.arange(nodes - 1.0)
     whole = np.concatenate([np.zeros((1, nodes)), np.cumsum(within(intervals + 1, intervals), axis=0)])
@@ -124,23 +122,21 @@ def _basis_integral(place: np.ndarray, nodes: int, points: int) -> np.ndarray:
     return whole[start.astype(int)] + within(place, start)
 
 
-def _around(
-    place: np.ndarray, nodes: int, points: int, start: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the nodes around places and their polynomials.
+def _lagrange(
+    place: np.ndarray,
+    start: np.ndarray,
+    nodes: int,
+    points: int,
+    monomials: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """Return (places, nodes) combinations of monomials by the coefficients of the nodes' Lagrange polynomials.
 
-    Returns:
-        First of the nodes around the interval that begins at ``start`` (default: that holds the place), the place
-        counted from their middle, and (points, points) coefficients, row k those of x^k.
+    ``monomials`` takes places and the starts of their intervals, counted from the middle of the ``points`` nodes.
     """
-    interval = np.floor(place) if start is None else start
-    first = np.clip(interval.astype(int) - (points // 2 - 1), 0, nodes - points)
+    first = np.clip(start.astype(int) - (points // 2 - 1), 0, nodes - points)
     middle = (points - 1) / 2
-    return first, place - first - middle, np.linalg.inv(np.vander(np.arange(points) - middle, increasing=True))
-
-
-def _scatter(first: np.ndarray, values: np.ndarray, nodes: int) -> np.ndarray:
-    """Return (places, nodes) zeros with the values (places, points) from node ``first`` on."""
+    coefficients = np.linalg.inv(np.vander(np.arange(points) - middle, increasing=True))
     scattered = np.zeros((first.size, nodes))
-    scattered[np.arange(first.size)[:, None], first[:, None] + np.arange(values.shape[1])] = values
+    values = monomials((place - first - middle)[:, None], (start - first - middle)[:, None]) @ coefficients
+    scattered[np.arange(first.size)[:, None], first[:, None] + np.arange(points)] = values
     return scattered

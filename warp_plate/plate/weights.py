@@ -24,7 +24,6 @@ Region = Area | Target | np.ndarray
 NO_AREAS: Mapping[str, Region] = MappingProxyType({})
 # The nodes of each side in an array (ny, nx).
 EDGE_LINES: dict[str, Any] = {"left": np.s_[:, 0], "bottom": np.s_[0], "right": np.s_[:, -1], "top": np.s_[-1]}
-_PLATE, _TARGET = REGIONS.index("plate"), REGIONS.index("target")
 
 
 def overlap(positions: np.ndarray, low: float, high: float) -> np.ndarray:
@@ -88,15 +87,14 @@ def reachable_nodes(scene: Scene, areas: np.ndarray) -> np.ndarray:
     Args:
         areas: (areas, 4) x0, x1, y0, y1 [m].
     """
-    reachable = np.zeros(scene.grid.nodes[::-1], dtype=bool)
     beyond = 2 if scene.grid.load == "moments" else 0  # nodes on each side of the area
-    for x0, x1, y0, y1 in areas:
-        spans = []
-        for low, high, side, count in ((y0, y1, 1, scene.grid.nodes[1]), (x0, x1, 0, scene.grid.nodes[0])):
-            spacing, node = scene.plate.size[side] / (count - 1), np.arange(count)
-            spans.append((node >= np.floor(low / spacing) - beyond) & (node <= np.ceil(high / spacing) + beyond))
-        reachable |= np.outer(*spans)
-    return reachable & moving_nodes(scene)
+
+    def span(axis: int, low: float, high: float) -> np.ndarray:
+        spacing, node = scene.plate.size[axis] / (scene.grid.nodes[axis] - 1), np.arange(scene.grid.nodes[axis])
+        return (node >= np.floor(low / spacing) - beyond) & (node <= np.ceil(high / spacing) + beyond)
+
+    loaded = [np.outer(span(1, y0, y1), span(0, x0, x1)) for x0, x1, y0, y1 in areas]
+    return np.any(loaded, axis=0) & moving_nodes(scene)
 
 
 def moving_nodes(scene: Scene) -> np.ndarray:
@@ -124,16 +122,16 @@ def region_weights(scene: Scene, areas: Mapping[str, Region] = NO_AREAS) -> np.n
 def localization_factor(energy: np.ndarray) -> np.ndarray:
     """Return (plates,) target's share of the energy (plates, regions), equation (5); NaN for a plate at rest."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        return energy[:, _TARGET] / energy[:, _PLATE]
+        return energy[:, REGIONS.index("target")] / energy[:, REGIONS.index("plate")]
 
 
 def bilinear(
     points: Sequence[tuple[float, float]], nodes: tuple[int, int], size: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (points, 4, 2) row and column of the nodes around points (x, y) [m], and (points, 4) their shares."""
-    where = np.asarray(points, dtype=float).reshape(-1, 2) / size * (np.array(nodes) - 1)
-    low = np.clip(np.floor(where).astype(int), 0, np.array(nodes) - 2)
-    part = where - low
+    place = np.asarray(points, dtype=float).reshape(-1, 2) / size * (np.array(nodes) - 1)
+    low = np.clip(np.floor(place).astype(int), 0, np.array(nodes) - 2)
+    part = place - low
     steps = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])  # (row, column)
     corners = low[:, None, ::-1] + steps
     across = np.where(steps[:, 1] == 1, part[:, None, 0], 1 - part[:, None, 0])
