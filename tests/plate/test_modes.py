@@ -191,8 +191,7 @@ def test_modes_with_attached_masses(scene):
         assert np.abs(shape).max() == shape.max() == 1
 
 
-def test_a_mass_on_a_patch_at_rest(scene):
-    """It swings alone, and its motion is one."""
+def test_a_mass_on_a_patch_at_rest_swings_alone(scene):
     attached = {"area": (0.0, 0.001, 0.05, 0.1), "mass": 1e-3, "stiffness": 2.0}
     found = natural_modes(scene((9, 9), effects={"oscillators": [attached]}), 1)
     assert found.frequencies[0] == pytest.approx(math.sqrt(2000.0) / (2 * math.pi), rel=1e-9)
@@ -206,7 +205,7 @@ def test_shapes_of_one_frequency_are_kept_apart(scene):
     assert found.half_waves() == [(1, 1), (1, 2), (2, 1), (2, 2), None, None, (2, 3), (3, 2)]
     assert found.frequencies[1] == pytest.approx(found.frequencies[2], rel=1e-9)
     np.testing.assert_allclose(np.abs(found.shapes).max(axis=(1, 2)), 1)
-    # All modes of the grid are computed in another way than a few.
+    # Many modes are computed in another way than a few.
     dense = natural_modes(scene((21, 21)), 200)
     np.testing.assert_allclose(dense.frequencies[:8], found.frequencies, rtol=1e-9)
     np.testing.assert_allclose(np.abs(dense.shapes[:8]), np.abs(found.shapes), atol=1e-5)
@@ -227,11 +226,5 @@ def test_losses_and_stretching_are_left_out(scene):
     lossy = {"damping": {"viscous": 50.0}, "material_damping": {"time": 1e-6}, "stretching": {}}
     bare, made = scene((13, 11), (0.2, 0.18)), scene((13, 11), (0.2, 0.18), effects=lossy)
     np.testing.assert_allclose(natural_modes(made, 5).frequencies, natural_modes(bare, 5).frequencies, rtol=1e-10)
-
-
-def test_refusals(scene):
-    made = scene()
     with pytest.raises(SceneError, match="count = 0"):
-        natural_modes(made, 0)
-    with pytest.raises(SceneError, match=r"grid\.accuracy"):
-        natural_modes(made.model_copy(update={"grid": made.grid.model_copy(update={"accuracy": 0.01})}), 3)
+        natural_modes(bare, 0)

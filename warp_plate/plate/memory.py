@@ -54,8 +54,9 @@ def check_grid_memory(scene: Scene, moment_form: bool) -> None:
         each += MOMENT_FORM + 32 * len(effects.oscillators)
         each += MATRICES * bool(effects.layers or effects.oscillators)
         each += FACTORISED * (effects.tension is not None and min(effects.tension.x, effects.tension.y) < 0)
-    counts = f"{len(scene.actuators)} actuators and {len(scene.record.times)} record.times"
-    refuse_beyond_memory(nodes * each, f"grid.nodes = {list(scene.grid.nodes)} with {counts}")
+    times = f" and {len(scene.record.times)} record.times" if scene.record.times else ""
+    what = f"grid.nodes = {list(scene.grid.nodes)} with {len(scene.actuators)} actuators{times}"
+    refuse_beyond_memory(nodes * each, what)
 
 
 def check_steps_memory(scene: Scene, steps: int) -> None:
@@ -63,7 +64,7 @@ def check_steps_memory(scene: Scene, steps: int) -> None:
     frequencies = len({actuator.frequency for actuator in scene.actuators})
     terms = 2 * frequencies if scene.drive.electrostatic is None else 4 * frequencies + 2
     each = TERM * terms + POINT * CASES * len(scene.record.points)
-    beside = f", {len(scene.record.points)} record.points"
+    beside = f", {len(scene.record.points)} record.points" if scene.record.points else ""
     if scene.effects.moving_load is not None:
         each += 24 * sum(scene.grid.nodes)
         beside += f", a moving load on {list(scene.grid.nodes)} nodes"

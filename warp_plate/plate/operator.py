@@ -69,8 +69,11 @@ class Taps:
         return factors
 
 
-def make_taps(nodes: int, low: str, high: str, order: int) -> Taps:
-    """Return the taps along an axis of ``nodes`` nodes, edges included, with the edges ``low`` and ``high``."""
+def make_taps(nodes: int, low: object, high: object, order: int) -> Taps:
+    """Return the taps along an axis of ``nodes`` nodes, edges included.
+
+    The edges ``low`` and ``high`` are "clamped", or else taken as supported.
+    """
     reach = order // 2
     bend = np.tile(INSIDE[order], (nodes, 1))
     _close(bend, low, order)
@@ -88,16 +91,12 @@ def make_taps(nodes: int, low: str, high: str, order: int) -> Taps:
 
 
 def plain_taps(scene: Scene) -> tuple[Taps, Taps]:
-    """Return the taps along x and y of a plain plate; edges of other kinds, which it does not have, as supported."""
-    sides = (("left", "right"), ("bottom", "top"))
-    held = [["clamped" if getattr(scene.edges, side) == "clamped" else "supported" for side in pair] for pair in sides]
-    taps_x, taps_y = (
-        make_taps(nodes, *pair, scene.grid.order) for nodes, pair in zip(scene.grid.nodes, held, strict=True)
-    )
-    return taps_x, taps_y
+    """Return the taps along x and y of a plain plate."""
+    edges, (nx, ny), order = scene.edges, scene.grid.nodes, scene.grid.order
+    return make_taps(nx, edges.left, edges.right, order), make_taps(ny, edges.bottom, edges.top, order)
 
 
-def _close(bend: np.ndarray, edge: str, order: int) -> None:
+def _close(bend: np.ndarray, edge: object, order: int) -> None:
     """Write the rows of the first pass next to the edge at its low end."""
     reach = order // 2
     bend[0] = 0
@@ -105,13 +104,13 @@ def _close(bend: np.ndarray, edge: str, order: int) -> None:
         bend[0, 2] = edge == "clamped"  # half of the 2u₁ that the mirror node makes
         return
     bend[1, 0] = 0  # beyond the edge
-    if edge == "supported":
-        bend[1, reach] += 1  # u₋₁ = −u₁
-    else:
+    if edge == "clamped":
         first, second = clamped_rows()
         bend[0, reach + 1 :] = np.multiply(first, DIVISOR[order])
         bend[1, reach - 1] = 0  # the edge node, which rests
         bend[1, reach:] = np.multiply(second, DIVISOR[order])
+    else:
+        bend[1, reach] += 1  # u₋₁ = −u₁
 
 
 def biharmonic(taps_x: Taps, taps_y: Taps, spacing: tuple[float, float], order: int) -> scipy.sparse.csc_array:
