@@ -3,7 +3,6 @@
 import multiprocessing
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import start_program
 from inline_pool import InlinePool
 
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, load_result, localize, resume
@@ -149,6 +149,8 @@ def doubled(value):
     """A task: twice a number, or what goes wrong at some numbers."""
     if value == 13:
         raise SceneError("value = 13: no")
+    if value == 14:
+        raise ModuleNotFoundError("No module named 'absent'", name="absent")
     if value == 17:
         raise RuntimeError("CUDA error 700: an illegal memory access\nmore of it")
     return 2 * value
@@ -165,7 +167,9 @@ def test_tasks_of_any_function(pool):
     for _ in run_tasks(pool, [Task(doubled, 1) for _ in range(50)]):
         break
     with pytest.raises(SceneError, match="a worker: value = 13: no"):
-        list(run_tasks(pool, [Task(doubled, at) for at in range(16)]))
+        list(run_tasks(pool, [Task(doubled, at) for at in range(14)]))
+    with pytest.raises(SceneError, match="a worker cannot import absent: install the same warp-plate on every worker"):
+        list(run_tasks(pool, [Task(doubled, 14)]))
     outcomes = run_tasks(pool, [Task(doubled, at, at) for at in range(100, 110)])
     assert {task.key: outcome.value for task, outcome in outcomes} == {at: 2 * at for at in range(100, 110)}
 
@@ -248,6 +252,30 @@ def test_an_error_of_the_program_is_tried_again_and_named(pool, monkeypatch):
     assert {process.pid for process in multiprocessing.active_children()} - before
 
 
+class Failing(InlinePool):
+    """A worker that ends under blocks of one size, has room for few plates, or does so many tasks and no more."""
+
+    def __init__(self, tasks_left=10**9, under=None, room=10**9):
+        super().__init__()
+        self.tasks_left, self.under, self.room = tasks_left, under, room
+
+    def worker_count(self):
+        if self.tasks_left <= 0:
+            raise WorkersGone("no worker is left: of a test")
+        return 1
+
+    def run(self, function, argument):
+        self.tasks_left -= 1
+        plates = len(argument[1])
+        if plates == self.under:
+            raise BrokenProcessPool
+        return super().run(too_large if plates > self.room else function, argument)
+
+
+def too_large(block):
+    raise RuntimeError("Failed to allocate 999 bytes on device 'cuda:0'")
+
+
 @pytest.mark.parametrize("room", [20, 0])
 def test_a_block_is_halved_until_memory_holds_it(room, scene, random):
     """Plates are given up by name if not even one has room."""
@@ -260,32 +288,6 @@ def test_a_block_is_halved_until_memory_holds_it(room, scene, random):
         why = "out of memory (Failed to allocate 999 bytes on device 'cuda:0')"
         assert evaluator.lost == {f"block given up after {ATTEMPTS} attempts: {why}": PLATES}
         assert found.node_steps == 0
-
-
-class Failing(InlinePool):
-    """A worker that ends under blocks of one size, has room for few plates, or does so many tasks and no more."""
-
-    def __init__(self, tasks_left=10**9, error=WorkersGone, under=None, room=10**9):
-        super().__init__()
-        self.tasks_left, self.error, self.under, self.room = tasks_left, error, under, room
-
-    def worker_count(self):
-        if self.tasks_left <= 0:
-            raise self.error("no worker is left: of a test")
-        return 1
-
-    def run(self, function, argument):
-        self.tasks_left -= 1
-        plates = len(argument[1])
-        if plates == self.under:
-            raise BrokenProcessPool
-
-        def allocate(block):
-            if plates > self.room:
-                raise RuntimeError("Failed to allocate 999 bytes on device 'cuda:0'")
-            return function(block)
-
-        return super().run(allocate, argument)
 
 
 def test_lost_plates_are_in_the_result(tmp_path, scene):
@@ -304,12 +306,11 @@ def test_lost_plates_are_in_the_result(tmp_path, scene):
     assert why in line
 
 
-@pytest.mark.parametrize("error", [WorkersGone, RuntimeError])
-def test_a_search_whose_workers_are_gone_can_go_on(error, tmp_path, scene):
+def test_a_search_whose_workers_are_gone_can_go_on(tmp_path, scene):
     made, path = small_search(scene), tmp_path / "panel.checkpoint.h5"
     expected = localize(made, device="cpu", estimate=False)
-    with pytest.raises(error, match="of a test"):
-        localize(made, device="cpu", estimate=False, pool=Failing(10, error), checkpoints=CheckpointFile(path, np.inf))
+    with pytest.raises(WorkersGone, match="of a test"):
+        localize(made, device="cpu", estimate=False, pool=Failing(10), checkpoints=CheckpointFile(path, np.inf))
     begun = load_checkpoint(path)
     assert 0 < begun.iterations < 4
     assert_same_result(resume(begun, "cpu", estimate=False, pool=InlinePool()), expected)
@@ -327,11 +328,6 @@ if __name__ == "__main__":
 """
 
 
-def started(folder, *arguments, **options):
-    command = [sys.executable, *arguments]
-    return subprocess.Popen(command, cwd=folder, text=True, start_new_session=True, **options)
-
-
 def alive(process):
     """True while a process runs; one that has ended may still stand in the system's table."""
     try:
@@ -344,7 +340,7 @@ def alive(process):
 def test_workers_end_with_the_program(tmp_path):
     """Though they are at work, and in a moment, even if it is killed."""
     (tmp_path / "sleeping.py").write_text(SLEEPING, encoding="utf-8")
-    process = started(tmp_path, "sleeping.py", stdout=subprocess.PIPE)
+    process = start_program("sleeping.py", cwd=tmp_path)
     workers = [int(number) for number in process.stdout.readline().split()]
     assert len(workers) == 2
     time.sleep(0.5)
@@ -365,7 +361,7 @@ def test_ctrl_c_ends_a_command_with_workers_by_its_best(tmp_path, scene, command
     assert refused[0] == 2
     assert "--device cpu: --devices cpu,cpu already says where plates run" in refused[2]
     options = ["--devices", "cpu,cpu", "--no-pictures", "--no-estimate", "--checkpoint-every", "0"]
-    process = started(tmp_path, "-m", "warp_plate", "localize", "panel.toml", *options, stderr=subprocess.PIPE)
+    process = start_program("-m", "warp_plate", "localize", file, *options, cwd=tmp_path, start_new_session=True)
     while not (tmp_path / "panel-localize.checkpoint.h5").exists() and process.poll() is None:
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
