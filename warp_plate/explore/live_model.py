@@ -81,12 +81,12 @@ class LiveModel:
     def read(self) -> DriveResponse:
         """Return the plate under the settings, or as near to them as has been simulated."""
         self._follow_search()
-        responses, phasors, reading = self._responses, self.settings.phasors, self._reading
+        responses, phasors = self._responses, self.settings.phasors
         if isinstance(responses, UnitResponses) and (
-            reading.scene is not responses.scene or not np.array_equal(reading.phasors, phasors)
+            self._reading.scene is not responses.scene or not np.array_equal(self._reading.phasors, phasors)
         ):
-            reading = self._reading = responses.read(phasors)
-        return reading
+            self._reading = responses.read(phasors)
+        return self._reading
 
     def status(self) -> str:
         """Return one line about what is being done, went wrong or is not shown; mostly empty."""
@@ -115,17 +115,15 @@ class LiveModel:
         """Set the viscous damping [N·s/m³]; it is shown as soon as it is simulated."""
         self._request(damping=float(damping))
 
-    def set_actuator(self, index: int, magnitude: float | None = None, phase: float | None = None) -> None:
-        """Set the magnitude [N/m²] or the phase lag [rad] of an actuator. Ends a search."""
+    def set_actuator(self, index: int, **changes: float) -> None:
+        """Set the ``magnitude`` [N/m²] or the ``phase`` lag [rad] of an actuator. Ends a search."""
         with self._changed:
             self._end_search()
             self._choice = None
-            magnitudes, phases = list(self.settings.magnitude), list(self.settings.phase)
-            if magnitude is not None:
-                magnitudes[index] = float(magnitude)
-            if phase is not None:
-                phases[index] = float(phase)
-            self._request(magnitude=tuple(magnitudes), phase=tuple(phases))
+            for key, value in changes.items():
+                values = list(getattr(self.settings, key))
+                values[index] = float(value)
+                self._request(**{key: tuple(values)})
 
     def choose(self, choice: str, seconds: float = 0.0) -> None:
         """Take one of the CHOICES as the drive.
@@ -189,41 +187,35 @@ class LiveModel:
 
     def _end_search(self) -> None:
         if self._search is not None:
-            self._search.end()
+            self._search.ended.set()
             self._search = None
 
     def _work(self) -> None:
         """Follow requests until the model is closed, in the worker thread."""
         try:
-            while self._follow_next():
-                pass
+            while True:
+                with self._changed:
+                    self._changed.wait_for(lambda: self._closed or not self._at_rest())
+                    settings, choice = self.settings, self._choice
+                    if self._closed:
+                        return
+                try:
+                    self._update_responses(settings)
+                    if choice is not None:
+                        self._take(*choice)
+                    self._problem = ""
+                except SceneError as error:
+                    self._problem = str(error)
+                with self._changed:
+                    self._simulated = settings
+                    self._choice = None if self._choice is choice else self._choice
+                    self._changed.notify_all()
         finally:
             with self._changed:
                 if not self._closed:  # an error of the program, whose traceback goes to standard error
                     self._problem = "the simulation has failed; the error is on standard error"
                 self._simulated, self._choice = self.settings, None
                 self._changed.notify_all()
-
-    def _follow_next(self) -> bool:
-        """Wait for a request and follow it; returns False once the model is closed."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._closed or not self._at_rest())
-            settings, choice = self.settings, self._choice
-            if self._closed:
-                return False
-        try:
-            self._update_responses(settings)
-            if choice is not None:
-                self._take(*choice)
-            self._problem = ""
-        except SceneError as error:
-            self._problem = str(error)
-        with self._changed:
-            self._simulated = settings
-            if self._choice is choice:
-                self._choice = None
-            self._changed.notify_all()
-        return True
 
     def _update_responses(self, settings: LiveSettings) -> None:
         old = self._simulated
@@ -244,19 +236,21 @@ class LiveModel:
         if choice == "found" and actuators > 1:
             with self._changed:
                 self._search = WatchedSearch(responses.scene, responses.energies, self._scale, seconds)
-        elif choice == "scene":
-            self._drive_by(scene_phasors(self.scene))
+            return
+        if choice == "scene":
+            phasors = scene_phasors(self.scene)
         elif choice == "random":
             turns = np.exp(2j * math.pi * self._random.random(actuators))
-            self._drive_by(self._scale * self._random.random(actuators) * turns)
+            phasors = self._scale * self._random.random(actuators) * turns
         elif choice == "exact":
             if not isinstance(responses, UnitResponses):
                 raise SceneError(f"exact best: {self.scene.nonlinear_table} is not linear in the drives")
-            self._drive_by(self._scale * responses.best_drive)
+            phasors = self._scale * responses.best_drive
         else:
             references = reference_phasors(self.scene, responses.energies)
-            phasors = references["equal" if choice == "equal" else "single"]
-            self._drive_by(phasors * (self._scale / magnitude_unit(self.scene)))
+            unit = self._scale / magnitude_unit(self.scene)
+            phasors = unit * references["equal" if choice == "equal" else "single"]
+        self._drive_by(phasors)
 
     def _drive_by(self, phasors: np.ndarray) -> None:
         """Request a drive (actuators,) [N/m²], scaled into the sliders' range where only ratios count."""

@@ -10,13 +10,9 @@ import numpy as np
 from warp_plate.scene.effects import Damping
 from warp_plate.scene.model import Scene
 
-# Ends of the sliders: frequencies and magnitudes as multiples of the scene's; damping as a multiple of the scene's or,
-# if it has none, as a loss factor at its frequency.
-FREQUENCY_RANGE = (0.2, 2.0)
-MAGNITUDE_RANGE = 2.0
-DAMPING_RANGE, LOSS_FACTOR_RANGE = 5.0, 0.5
-# A period has at least so many time steps, if the scene fixes the step.
-MIN_STEPS_PER_PERIOD = 4
+# Ends of the sliders as multiples of the scene's values; if it has no damping, as a loss factor at its frequency.
+FREQUENCY_RANGE, MAGNITUDE_RANGE, DAMPING_RANGE, LOSS_FACTOR_RANGE = (0.2, 2.0), 2.0, 5.0, 0.5
+MIN_STEPS_PER_PERIOD = 4  # if the scene fixes the time step
 
 
 @dataclass(frozen=True)
@@ -59,9 +55,8 @@ class LiveSettings:
 def slider_ranges(scene: Scene) -> SliderRanges:
     """Return the ends of the sliders for a scene, within what its run can carry."""
     frequency, surface_density = scene.drive.frequency, scene.plate.density * scene.plate.thickness
-    damping = (
-        DAMPING_RANGE * viscous_damping(scene) or LOSS_FACTOR_RANGE * scene.drive_angular_frequency * surface_density
-    )
+    stiff = scene.drive_angular_frequency * surface_density  # damping of a loss factor of 1
+    damping = DAMPING_RANGE * viscous_damping(scene) or LOSS_FACTOR_RANGE * stiff
     highest = FREQUENCY_RANGE[1] * frequency
     if scene.grid.time_step is not None:
         highest = max(frequency, min(highest, 1 / (MIN_STEPS_PER_PERIOD * scene.grid.time_step)))
@@ -80,13 +75,9 @@ def largest_magnitude(scene: Scene) -> float:
 
 
 def changed_scene(scene: Scene, frequency: float, damping: float) -> Scene:
-    """Return the scene at another frequency [Hz] and with other viscous damping [N·s/m³].
-
-    A scene without damping stays without the effect if ``damping`` is 0.
-    """
+    """Return the scene at another frequency [Hz] and with other viscous damping [N·s/m³], if any."""
     table = scene.effects.damping or (Damping(viscous=damping) if damping > 0 else None)
-    if table is not None:
-        table = table.model_copy(update={"viscous": damping})
+    table = table and table.model_copy(update={"viscous": damping})
     drive = scene.drive.model_copy(update={"frequency": frequency})
     return scene.model_copy(update={"drive": drive, "effects": scene.effects.model_copy(update={"damping": table})})
 

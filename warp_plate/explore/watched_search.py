@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,8 +18,8 @@ from warp_plate.result.motion import SwarmSnapshot
 from warp_plate.scene.model import Scene
 
 
-class WatchedSearch:
-    """A search of the scene's swarm for the drive with the largest localization factor.
+class WatchedSearch(threading.Thread):
+    """A search of the scene's swarm for the drive with the largest localization factor, which starts at once.
 
     Design variables of the scene's own search are left to ``localize``: here they are always the drives.
 
@@ -30,45 +31,33 @@ class WatchedSearch:
 
     Attributes:
         snapshot: The last iteration; None before the end of the first.
+        ended: Event that ends the search after the current iteration; the last snapshot stays.
     """
 
     def __init__(
         self, scene: Scene, energies: Callable[[np.ndarray], np.ndarray], scale: float, seconds: float
     ) -> None:
+        super().__init__(name="swarm", daemon=True)
         self._energies, self._scale, self._seconds = energies, scale, seconds
-        self._factors = np.empty(0)
-        self._best: list[float] = []
+        self._factors, self._best = np.empty(0), list[float]()
         self.snapshot: SwarmSnapshot | None = None
-        self._ended = threading.Event()
+        self.ended = threading.Event()
         space = parametrization_of(with_paper_search(scene)).space
-        swarm = Swarm(space, swarm_settings(scene.search, scene.search.seed))
-        self._thread = threading.Thread(target=self._run, args=(swarm,), name="swarm", daemon=True)
-        self._thread.start()
+        self._swarm = Swarm(space, swarm_settings(scene.search, scene.search.seed))
+        self.start()
 
-    def end(self) -> None:
-        """End the search after the current iteration; the last snapshot stays."""
-        self._ended.set()
-
-    def join(self) -> None:
-        """Wait until the thread has ended."""
-        self._thread.join()
-
-    def _run(self, swarm: Swarm) -> None:
-        minimize(swarm, self._losses, self._after_iteration)
+    def run(self) -> None:
+        """Search, in the thread."""
+        minimize(self._swarm, self._losses, self._after_iteration)
         if self.snapshot is not None:
-            self._take_snapshot(swarm, running=False)
+            self.snapshot = replace(self.snapshot, running=False)
 
     def _losses(self, positions: np.ndarray) -> np.ndarray:
         self._factors = localization_factor(self._energies(self._scale * paper_phasors(positions)))
-        losses: np.ndarray = 1 - self._factors
-        return losses
+        return np.asarray(1 - self._factors)
 
     def _after_iteration(self, swarm: Swarm) -> bool:
         self._best.append(1 - swarm.result.fbest)
-        self._take_snapshot(swarm, running=True)
-        return self._ended.wait(self._seconds)
-
-    def _take_snapshot(self, swarm: Swarm, running: bool) -> None:
         best, drive = np.array(self._best), swarm.result.xbest
         self.snapshot = SwarmSnapshot(
             phasors=paper_phasors(swarm.positions),
@@ -76,5 +65,6 @@ class WatchedSearch:
             best=np.where(np.isfinite(best), best, np.nan),
             best_phasors=None if drive is None else paper_phasors(drive[None])[0],
             iterations=swarm.settings.iterations,
-            running=running,
+            running=True,
         )
+        return self.ended.wait(self._seconds)
