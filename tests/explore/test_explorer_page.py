@@ -1,19 +1,17 @@
 """The explorer's page as a user meets it: the command in a process of its own, and headless Chromium."""
 
-import os
 import re
 import signal
 import socket
-import subprocess
 import sys
 import time
 import urllib.error
 import urllib.request
 
 import pytest
+from conftest import start_program
 
 from warp_plate import viz
-from warp_plate.scene.dump import dump_scene
 from warp_plate.viz.explorer_page import missing_page
 
 pytestmark = [
@@ -34,24 +32,17 @@ main(sys.argv[1:])
 
 
 @pytest.fixture
-def served(tmp_path, scene):
+def served(tmp_path, write_scene, monkeypatch):
     """The address at which ``explore`` serves a small scene and which it opens; Ctrl-C ends it quietly."""
     if (problem := missing_page() or viz.missing_renderer()) is not None:
         pytest.skip(problem)
     search = {"particles": 6, "iterations": 12}
-    made = scene(damping=120.0, window=(0.08, 0.1), title="Panel {{ 1 + 1 }} <b>", search=search)
-    (tmp_path / "panel.toml").write_text(dump_scene(made), encoding="utf-8")
+    write_scene(damping=120.0, window=(0.08, 0.1), title="Panel {{ 1 + 1 }} <b>", search=search)
     opener = tmp_path / "browser"
     opener.write_text('#!/bin/sh\necho "$1" > opened\n', encoding="utf-8")
     opener.chmod(0o755)
-    process = subprocess.Popen(
-        [sys.executable, "-c", COMMAND, "explore", "panel.toml", "--port", "0", "--device", "cpu"],
-        cwd=tmp_path,
-        env={**os.environ, "BROWSER": str(opener)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    monkeypatch.setenv("BROWSER", str(opener))
+    process = start_program("-c", COMMAND, "explore", "panel.toml", "--port", "0", "--device", "cpu")
     line = process.stdout.readline()
     address = re.search(r"http://127\.0\.0\.1:\d+/", line)
     try:
@@ -84,13 +75,13 @@ def page(browser, served):
     assert not [url for url in requests if not re.match(rf"(http|ws)://{re.escape(host)}/|data:|blob:", url)]
 
 
-def drag(page, key, pixels):
-    """Drag the thumb of a slider by a distance."""
-    box = page.locator(f"#slide-{key} .v-slider-thumb").bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.mouse.move(x, y)
+def drag(page, selector, x, y=0):
+    """Drag the middle of an element by a distance [pixels]."""
+    box = page.locator(selector).bounding_box()
+    start = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(*start)
     page.mouse.down()
-    page.mouse.move(x + pixels, y, steps=5)
+    page.mouse.move(start[0] + x, start[1] + y, steps=5)
     page.mouse.up()
 
 
@@ -109,6 +100,7 @@ def wait(holds):
 
 def test_sliders_and_buttons_change_picture_and_numbers(page):
     """All controls in one test, as starting the page takes seconds."""
+    thumb = "#slide-{} .v-slider-thumb".format
     bound = number(page, "#bound")
     assert 0 < number(page, "#factor") < bound
     assert "Panel {{ 1 + 1 }} <b>" in page.inner_text("body")
@@ -123,31 +115,27 @@ def test_sliders_and_buttons_change_picture_and_numbers(page):
     resting = stage.screenshot()
 
     # Dragging rotates it, paused or not.
-    box = stage.bounding_box()
-    page.mouse.move(box["x"] + 300, box["y"] + 250)
-    page.mouse.down()
-    page.mouse.move(box["x"] + 360, box["y"] + 230, steps=5)
-    page.mouse.up()
+    drag(page, "#stage", 60, -20)
     wait(lambda: stage.screenshot() != resting)
     wait(lambda: stage.screenshot() == stage.screenshot())
     resting = stage.screenshot()
 
     # Drives change the picture and the factor, not the bound.
     factor = number(page, "#factor")
-    drag(page, "magnitude_1", -50)
+    drag(page, thumb("magnitude_1"), -50)
     wait(lambda: number(page, "#factor") != factor)
     assert number(page, "#value-magnitude_1") < 1
     wait(lambda: stage.screenshot() != resting)
-    drag(page, "phase_2", 60)
+    drag(page, thumb("phase_2"), 60)
     wait(lambda: 0.5 < number(page, "#value-phase_2") < 6)
     assert number(page, "#bound") == bound
 
     # Frequency and damping change the bound as well.
-    drag(page, "frequency", -30)
+    drag(page, thumb("frequency"), -30)
     wait(lambda: number(page, "#bound") != bound)
     assert number(page, "#value-frequency") < 290
     bound = number(page, "#bound")
-    drag(page, "damping", 40)
+    drag(page, thumb("damping"), 40)
     wait(lambda: number(page, "#bound") != bound)
 
     # The exact best drive reaches the bound, and the sliders follow.
@@ -174,7 +162,7 @@ def test_the_picture_fits_the_browser_window(page):
 def test_browsers_may_disconnect(browser, served, tmp_path):
     """Also a browser that is still connected does not delay Ctrl-C; see the fixture."""
     wait((tmp_path / "opened").exists)
-    wait(lambda: (tmp_path / "opened").read_text(encoding="utf-8").strip() == served)
+    wait(lambda: (tmp_path / "opened").read_text("utf-8").strip() == served)
     for _ in range(2):
         tab = browser.new_page()
         tab.goto(served)
@@ -188,16 +176,13 @@ def test_browsers_may_disconnect(browser, served, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no second address of their own by default")
-def test_who_can_connect(served, tmp_path):
+def test_who_can_connect(served):
     """One server a port, at one address; the secret of the connection is given to this page only."""
     port = served.rstrip("/").rpartition(":")[2]
-    options = ["--web", "--port", port, "--device", "cpu"]
-    second = subprocess.run(
-        [sys.executable, "-m", "warp_plate", "explore", "panel.toml", *options],
-        cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE,
-    )  # fmt: skip
-    assert (second.returncode, second.stdout, second.stderr.count("\n")) == (2, "", 1)
-    assert second.stderr.startswith(f"warp-plate: --host 127.0.0.1 --port {port}: cannot be listened on: ")
+    second = start_program("-m", "warp_plate", "explore", "panel.toml", "--web", "--port", port, "--device", "cpu")
+    out, err = second.communicate(timeout=PATIENCE)
+    assert (second.returncode, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith(f"warp-plate: --host 127.0.0.1 --port {port}: cannot be listened on: ")
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.2", int(port)), PATIENCE)
 

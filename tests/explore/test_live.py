@@ -143,9 +143,8 @@ def test_choices_are_what_localize_means_by_them(panel, live):
 def test_one_actuator_and_damping_where_the_scene_has_none(scene, live):
     model = live(scene(actuators=[(0.03, 0.06, 0.04, 0.07)]))
     model.set_damping(DAMPING)
-    model.wait()
-    assert model.read().scene.effects.damping.viscous == DAMPING
     assert all(chosen(model, choice).localization_factor > 0 for choice in CHOICES)
+    assert model.read().scene.effects.damping.viscous == DAMPING
     assert model.swarm() is None
 
 
