@@ -64,7 +64,8 @@ def test_figures_are_consistent(device, path):
     report = measure_all(wanted, HASTE)
     assert not report.interrupted
     for one, case in zip(report.rows, wanted, strict=True):
-        assert asdict(one).items() >= {**asdict(case), "status": "measured"}.items()
+        assert one.measured
+        assert BenchCase(one.device, one.precision, one.nodes, one.plates, one.path) == case
         assert 32 <= one.steps <= 1250
         assert one.steps % 2 == 0
         assert one.seconds > 0
@@ -73,14 +74,15 @@ def test_figures_are_consistent(device, path):
         assert one.swarm_seconds == pytest.approx(one.seconds * 1250 / one.steps)
         specialized = Specialized(discretize(paper_like(9, one.precision)), find_device(device))
         assert one.bytes_per_plate == bytes_per_plate(specialized, 0)
-        bound = report.limits[device]
-        if path == "streaming":
-            share = one.node_steps_per_second * 4 * np.dtype(one.precision).itemsize / bound.copy_bytes_per_second
-        else:
-            operations = limits.operations_a_node_step(specialized)
-            share = one.node_steps_per_second * operations / (bound.flops[one.precision] / 2)
-        assert one.limit == ("copy" if path == "streaming" else "arithmetic")
-        assert one.share == pytest.approx(share)
+        bound, needs = report.limits[device], 4 * np.dtype(one.precision).itemsize
+        limit, most = "copy", bound.copy_bytes_per_second
+        if path != "streaming":
+            needs, limit, most = (
+                limits.operations_a_node_step(specialized),
+                "arithmetic",
+                bound.flops[one.precision] / 2,
+            )
+        assert (one.limit, one.share) == (limit, pytest.approx(one.node_steps_per_second * needs / most))
 
 
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])
@@ -120,7 +122,7 @@ def test_plates_start_from_noise(device, path):
         field[:, 2:9, 1:8] = 0
         assert not field.any()
     assert ready.state.in_phase.numpy().any()
-    ready.run(1250)
+    ready.seconds(1250)
     assert np.isfinite(ready.state.u.numpy()).all()
     assert ready.state.squares.numpy()[:, 2:9, 1:8].all()
 
@@ -141,7 +143,7 @@ def test_slow_and_large_cases_are_skipped(bench, monkeypatch):
     assert unfit.status.startswith("skipped: path = 'strips'")
 
 
-def test_json_and_pictures(bench):
+def test_json_table_and_pictures(bench):
     pytest.importorskip("matplotlib", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
     status, out, err = bench(*SMALL, "--plates", "1,3", "--json", "--out", "speed.json")
     assert (status, err) == (0, "")
@@ -154,26 +156,24 @@ def test_json_and_pictures(bench):
     assert answer.pop("files") == sorted(os.listdir()) == ["speed.json", "speed.png", "speed.svg"]
     assert json.loads(Path("speed.json").read_text(encoding="utf-8")) == answer
     assert Path("speed.png").read_bytes().startswith(b"\x89PNG")
-    assert b"<svg" in Path("speed.svg").read_bytes()
+    status, out, err = bench(*SMALL, "--plates", "3", "--path", "streaming", "--no-pictures")
+    assert (status, err) == (0, "")
+    assert "streaming" in out
+    assert out.splitlines()[-1] == "wrote bench.json"
 
 
 @pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["--plates", "0"], "--plates"),
-        (["--plates", "1,x"], "--plates"),
-        (["--device", "tpu"], "tpu"),
-        (["--precision", "half"], "precision"),
-        (["--out", "bench.txt"], ".json"),
-        (["--out", "nowhere/bench.json"], "nowhere"),
-    ],
-    ids=lambda part: "-".join(part) if isinstance(part, list) else "",
-)
-def test_bad_options(bench, arguments, named):
-    status, out, err = bench(*arguments)
+    "words",
+    ["--plates 0", "--plates 1,x", "--nodes 4", "--device tpu", "--precision half", "--path fast", "--out bench.txt",
+     "--out nowhere/bench.json"],
+)  # fmt: skip
+def test_bad_options(bench, words):
+    option, value = words.split()
+    status, out, err = bench(option, value)
     assert (status, out) == (2, "")
     assert len(err.splitlines()) == 1
-    assert named in err
+    assert option.removeprefix("--") in err
+    assert value.partition("/")[0] in err
     assert os.listdir() == []
 
 
@@ -186,8 +186,7 @@ def test_cases_cover_sizes_and_numbers_of_plates(monkeypatch):
         assert {case.nodes for case in some} == {17, 27, 53, 105, 161, 257, 513, 1025}
     assert len(make_cases(["cpu"], ["float32"], quick=True)) < len(made) / 4
     both = make_cases(["cpu"], ["float32"], [1, 2], [9, 11], "streaming")
-    pairs = [(nodes, plates, "streaming") for nodes in (9, 11) for plates in (1, 2)]
-    assert [(case.nodes, case.plates, case.path) for case in both] == pairs
+    assert both == [BenchCase("cpu", "float32", *sizes, "streaming") for sizes in ((9, 1), (9, 2), (11, 1), (11, 2))]
     monkeypatch.setenv("WARP_PLATE_THREADS", "3")
     assert machine.describe_machine(["cpu"]).threads == 3
     counts = [filling_plates("cpu", nodes) for nodes in cases.NODES]  # the same for every thread
@@ -198,18 +197,15 @@ def test_cases_cover_sizes_and_numbers_of_plates(monkeypatch):
 def test_ctrl_c_keeps_finished_rows():
     wanted = [BenchCase("cpu", "float32", 9, plates) for plates in (1, 2, 3)]
 
-    def interrupt_at(case_number):
-        def on_progress(done, case):
-            if done == case_number:
-                raise KeyboardInterrupt
+    def interrupt(done, case):
+        if case.plates == 2:
+            raise KeyboardInterrupt
 
-        return on_progress
-
-    report = measure_all(wanted, HASTE, interrupt_at(1))
+    report = measure_all(wanted, HASTE, interrupt)
     assert report.interrupted
     assert [one.plates for one in report.rows] == [1]
     with pytest.raises(KeyboardInterrupt):
-        measure_all(wanted, HASTE, interrupt_at(0))
+        measure_all(wanted[1:], HASTE, interrupt)
 
 
 def test_busy_machines_are_reported(monkeypatch):
@@ -218,22 +214,28 @@ def test_busy_machines_are_reported(monkeypatch):
         assert (machine.busy() is not None) == busy
 
 
-def test_plot_of_two_devices(tmp_path):
-    """Lines for measured rows only, and a limit for each device."""
+def test_short_runs_are_repeated():
+    """At least so many runs, for a quarter of the seconds, after one that does not count."""
+    for pace, expected in ((TimingBudget(1.0, 5), [0.0625] * 5), (TimingBudget(2.0, 3), [0.0625] * 8)):
+        seconds = iter([9.0] + [0.0625] * 20)
+        assert measure.time_runs(lambda seconds=seconds: next(seconds), pace) == expected
+
+
+def test_plots(tmp_path):
+    """Lines for measured rows only, a limit for each device, and the fastest row of each size; failures are said."""
     pytest.importorskip("matplotlib", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
     rows = [row(device=device, plates=plates) for device in ("cpu", "cuda:0") for plates in (1, 20)]
-    rows += [row(nodes=53), row(nodes=53, nanoseconds_per_node_step=0.01)]
     skipped = row(precision="float64", status="skipped: too large", nanoseconds_per_node_step=None)
-    draw_bench(record(*rows, skipped), tmp_path / "bench.svg")
-    assert commonest_size(record(*rows)["rows"]) == 27
-    best = fastest_of_each_size(record(*rows)["rows"])
-    assert {(one["nodes"], one["nanoseconds_per_node_step"]) for one in best} == {(27, 0.06), (53, 0.01)}
-    text = (tmp_path / "bench.svg").read_text(encoding="utf-8")
+    path = draw_bench(record(*rows, row(nodes=53), skipped), tmp_path / "bench.svg")
+    text = path.read_text(encoding="utf-8")
     for label in ("cpu, float32", "cuda:0, float32", "cuda:0, 16 B at copy bandwidth", "plates of 27 × 27 nodes"):
         assert f"<!-- {label} -->" in text
     assert "float64" not in text
-    nothing = record(row(status="skipped: too large"))
-    assert save_plots(draw_bench, nothing, tmp_path / "bench.json") == ([], "no plot: nothing was measured")
+    assert save_plots(draw_bench, record(skipped), path) == ([], "no plot: nothing was measured")
     files, missing = save_plots(draw_bench, record(row()), tmp_path / "absent" / "bench.json")
     assert files == []
     assert "absent" in missing
+    rows = record(row(plates=1), row(plates=20), row(nodes=53), row(nodes=53, nanoseconds_per_node_step=0.01))["rows"]
+    assert commonest_size(rows) == 27
+    best = fastest_of_each_size(rows)
+    assert {(one["nodes"], one["nanoseconds_per_node_step"]) for one in best} == {(27, 0.06), (53, 0.01)}

@@ -62,24 +62,21 @@ def make_cases(
     Raises:
         SceneError: there is no such device.
     """
-    cases: dict[BenchCase, None] = {}  # ordered, without duplicates
-    for device in devices:
-        find_device(device)
-        for precision in precisions:
-            for size, count in _sizes(device, plates, nodes, quick):
-                cases[BenchCase(device, precision, size, count, path)] = None
-    return list(cases)
+    cases = [
+        BenchCase(device, precision, *sizes, path)
+        for device in devices
+        for precision in precisions
+        for sizes in _sizes(device, plates, nodes, quick)
+    ]
+    return list(dict.fromkeys(cases))
 
 
 def _sizes(
     device: str, plates: Sequence[int] | None, nodes: Sequence[int] | None, quick: bool
 ) -> list[tuple[int, int]]:
     """Return (nodes, plates) pairs."""
-    if plates and nodes:
-        return [(size, count) for size in nodes for count in plates]
-    if not nodes:
-        few = [(PAPER_NODES, count) for count in plates or (QUICK_PLATES if quick else PLATES)]
-        if plates:
-            return few
-        return few + _sizes(device, None, QUICK_NODES if quick else NODES, quick)
-    return [(size, filling_plates(device, size)) for size in nodes]
+    if plates:
+        return [(size, count) for size in nodes or (PAPER_NODES,) for count in plates]
+    filling = [(size, filling_plates(device, size)) for size in nodes or (QUICK_NODES if quick else NODES)]
+    few = [] if nodes else [(PAPER_NODES, count) for count in (QUICK_PLATES if quick else PLATES)]
+    return few + filling

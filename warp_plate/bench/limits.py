@@ -90,19 +90,17 @@ def _copy_bytes_per_second(device: wp.Device, threads: int) -> float:
     size = min(COPY_BYTES[kind], device.free_memory // 4) if device.is_cuda else COPY_BYTES[kind]
     count = size // 4 // threads
     source, target = (wp.full(count * threads, value, dtype=wp.float32, device=device) for value in (1.0, 2.0))
-    parts = [
+    copies = [
         partial(wp.copy, target, source, dest_offset=part * count, src_offset=part * count, count=count)
         for part in range(threads)
-    ]
-    seconds = _fastest(parts * COPIES[kind], device)
-    return 2 * 4 * count * threads * COPIES[kind] / seconds
+    ] * COPIES[kind]
+    return 2 * 4 * count * len(copies) / _fastest(copies, device)
 
 
 def _flops(device: wp.Device, real: type, threads: int) -> float:
+    rows, block, depth, rounds, passes = 1, CPU_BLOCK, CPU_DEPTH, 1, CPU_PASSES
     if device.is_cuda:
         rows, block, depth, rounds, passes = device.sm_count * CUDA_THREADS, 1, CUDA_DEPTH, CUDA_ROUNDS, 1
-    else:
-        rows, block, depth, rounds, passes = 1, CPU_BLOCK, CPU_DEPTH, 1, CPU_PASSES
     kernel = make_multiply_adds(real, block, depth, rounds, compiler_flags())
     wp.load_module(module=kernel.module, device=device)
     numbers = [wp.zeros((rows, block), dtype=real, device=device) for _ in range(threads)]
@@ -117,12 +115,8 @@ def _fastest(calls: Sequence[Callable[[], object]], device: wp.Device) -> float:
     with ThreadPoolExecutor(len(calls)) as pool:
 
         def work() -> None:
-            if device.is_cuda:
-                for call in calls:
-                    call()
-            else:
-                for future in [pool.submit(call) for call in calls]:
-                    future.result()
+            run = map if device.is_cuda else pool.map
+            list(run(lambda call: call(), calls))
 
         work()
         return min(seconds_of(work, device) for _ in range(RUNS))

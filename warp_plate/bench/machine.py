@@ -34,8 +34,7 @@ def describe_machine(devices: Sequence[str]) -> Machine:
     Raises:
         SceneError: there is no such device, or WARP_PLATE_THREADS is not a number of threads.
     """
-    threads = cpu_threads()
-    models = {name: find_device(name) for name in devices}
+    threads, models = cpu_threads(), {name: find_device(name) for name in devices}
     return Machine(
         system=f"{platform.system()} {platform.release()} {platform.machine()}",
         cores=os.cpu_count() or 1,

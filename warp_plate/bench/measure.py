@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from statistics import median
 
@@ -71,37 +71,34 @@ class BenchRow:
 
 @dataclass(frozen=True)
 class BenchReport:
-    """The result of a benchmark."""
+    """The result of a benchmark; ``limits`` by device."""
 
-    machine: Machine  # machine
-    versions: Mapping[str, str]  # versions of software
-    limits: Mapping[str, DeviceLimits]  # limits by device
-    rows: Sequence[BenchRow]  # timings
-    interrupted: bool  # True if Ctrl-C ended it
-
-    def as_json(self) -> dict[str, object]:
-        """Return the report as numbers, texts, lists and mappings."""
-        return asdict(self)
+    machine: Machine
+    versions: Mapping[str, str]
+    limits: Mapping[str, DeviceLimits]
+    rows: Sequence[BenchRow]
+    interrupted: bool
 
 
 @dataclass(frozen=True)
 class PreparedCase:
     """A case with its plates and drives on the device."""
 
-    specialized: Specialized  # scene on the device
-    path: str  # path of the solver
-    advance: Advance  # function that steps plates
-    state: State  # plates
+    specialized: Specialized
+    path: str
+    advance: Advance
+    state: State
 
     @property
     def node_steps(self) -> int:
         """Number of moving nodes of all plates."""
         return self.state.capacity * self.specialized.interior_nodes
 
-    def run(self, steps: int) -> None:
-        """Run steps, half of them before the window and half in it, as in the paper."""
+    def seconds(self, steps: int) -> float:
+        """Run steps, half of them before the window and half in it, as in the paper; return their time [s]."""
         start = (PAPER_STEPS - steps) // 2
-        self.advance(self.state, self.state.capacity, start, start + steps)
+        run = partial(self.advance, self.state, self.state.capacity, start, start + steps)
+        return seconds_of(run, self.specialized.device)
 
 
 def measure_all(
@@ -112,9 +109,9 @@ def measure_all(
     """Measure the cases, and the limits of each device before its first case; Ctrl-C ends it with the rows so far.
 
     Args:
-        cases: Cases, ordered by device.
-        pace: Durations by "cpu" and "cuda".
-        on_progress: Called with the number of finished cases and the next one.
+        cases: cases, ordered by device.
+        pace: durations by "cpu" and "cuda".
+        on_progress: called with the number of finished cases and the next one.
 
     Raises:
         SceneError: there is no such device, or WARP_PLATE_THREADS is not a number of threads.
@@ -123,7 +120,6 @@ def measure_all(
     machine = describe_machine(list(dict.fromkeys(case.device for case in cases)))
     limits: dict[str, DeviceLimits] = {}
     rows: list[BenchRow] = []
-    interrupted = False
     try:
         for case in cases:
             if on_progress is not None:
@@ -136,25 +132,22 @@ def measure_all(
     except KeyboardInterrupt:
         if not rows:
             raise
-        interrupted = True
-    return BenchReport(machine, describe_versions(), limits, tuple(rows), interrupted)
+    return BenchReport(machine, describe_versions(), limits, tuple(rows), interrupted=len(rows) < len(cases))
 
 
 def measure_case(case: BenchCase, limits: DeviceLimits, pace: TimingBudget) -> BenchRow:
     """Return the timing of a case, or the reason why it was skipped."""
+    row = BenchRow(case.device, case.precision, case.nodes, case.plates)
     try:
         ready = prepare(case)
         steps = choose_steps(ready, pace.seconds)
     except SceneError as reason:
-        return BenchRow(case.device, case.precision, case.nodes, case.plates, status=f"skipped: {reason}")
-    seconds = median(time_runs(partial(ready.run, steps), ready.specialized.device, pace))
+        return replace(row, status=f"skipped: {reason}")
+    seconds = median(time_runs(partial(ready.seconds, steps), pace))
     rate = ready.node_steps * steps / seconds
     limit, share = share_of_limit(ready.specialized, ready.path, rate, limits)
-    return BenchRow(
-        device=case.device,
-        precision=case.precision,
-        nodes=case.nodes,
-        plates=case.plates,
+    return replace(
+        row,
         steps=steps,
         path=ready.path,
         seconds=seconds,
@@ -167,12 +160,13 @@ def measure_case(case: BenchCase, limits: DeviceLimits, pace: TimingBudget) -> B
     )
 
 
-def time_runs(run: Callable[[], None], device: wp.Device, pace: TimingBudget) -> list[float]:
-    """Return the time of each run [s], after one to warm up; short runs are repeated more often."""
+def time_runs(run: Callable[[], float], pace: TimingBudget) -> list[float]:
+    """Return the times of runs [s], each returned by ``run``, after one to warm up; short runs are repeated more
+    often."""
     run()
     taken: list[float] = []
     while len(taken) < pace.runs or (sum(taken) < pace.seconds / 4 and len(taken) < MOST_RUNS):
-        taken.append(seconds_of(run, device))
+        taken.append(run())
     return taken
 
 
@@ -183,7 +177,7 @@ def choose_steps(ready: PreparedCase, seconds: float) -> int:
         SceneError: the fewest steps take too long.
     """
     for steps in (4, FEWEST_STEPS, 8 * FEWEST_STEPS, PAPER_STEPS):
-        took = seconds_of(partial(ready.run, steps), ready.specialized.device)
+        took = ready.seconds(steps)
         if steps <= FEWEST_STEPS and took > LONGEST_SECONDS:
             raise SceneError(f"{steps} steps take {took:.1f} s, which is more than {LONGEST_SECONDS:g} s")
         if steps >= FEWEST_STEPS and took > seconds / 8:
@@ -205,17 +199,13 @@ def prepare(case: BenchCase) -> PreparedCase:
     needed, room = case.plates * bytes_per_plate(specialized, 0), memory_for_plates(device)
     if needed > room:
         raise SceneError(f"needs {needed / 2**30:.1f} GiB of memory, but only {room / 2**30:.1f} GiB may be used")
-    engine = Engine(specialized, case.path)
-    state = State(specialized, case.plates)
-    random = np.random.default_rng(0)
+    engine, state, random = Engine(specialized, case.path), State(specialized, case.plates), np.random.default_rng(0)
     parts = random.uniform(-1, 1, (2, case.plates, specialized.patches.shape[0]))
-    coefficients = specialized.discretization.signals.coefficients(parts[0] + 1j * parts[1])
-    state.host_coefficients.numpy()[:] = coefficients
+    state.host_coefficients.numpy()[:] = specialized.discretization.signals.coefficients(parts[0] + 1j * parts[1])
     engine.load_drives(state, case.plates)
-    inner = (case.nodes - 2, case.nodes - 2)
     for field in (state.u, state.rate):
         plate = np.zeros(field.shape[1:], dtype=case.precision)
-        plate[2 : case.nodes, 1 : case.nodes - 1] = random.uniform(-1, 1, inner)
+        plate[2 : case.nodes, 1 : case.nodes - 1] = random.uniform(-1, 1, (case.nodes - 2,) * 2)
         field.assign(np.broadcast_to(plate, field.shape))
     return PreparedCase(specialized, engine.path, engine.advance, state)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -64,7 +65,7 @@ def bench(
         output.log(warning)
     with output.progress_bar("measuring", shown=not json) as show:
         report = measure_all(cases, QUICK if quick else FULL, lambda done, case: show(done, len(cases), str(case)))
-    record = report.as_json()
+    record = asdict(report)
     written = output.write_measurements(target, record, draw_bench, pictures)
     output.report(json, lambda: record, lambda console: _print(report, console), written)
 

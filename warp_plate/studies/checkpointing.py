@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from glob import escape
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -78,7 +78,7 @@ class StudyFile(Generic[Study]):
         """Delete the file, the previous one, and temporary files that killed processes left."""
         if self._taken_by_another():
             return
-        left = self.path.parent.glob(f".{escape(self.path.name)}.*.part.h5")
+        left: Iterable[Path] = self.path.parent.glob(f".{escape(self.path.name)}.*.part.h5")
         for path in (self.path, previous_path(self.path), *left):
             path.unlink(missing_ok=True)
 

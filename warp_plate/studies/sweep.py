@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
@@ -32,7 +32,8 @@ OnPointProgress = Callable[[int, int, str], object]
 MOST_MODES = 1000
 
 
-class Point(NamedTuple):
+@dataclass(frozen=True)
+class Point:
     """A point of a sweep, with all that is needed to run it; the scene is plain data for another process."""
 
     scene: Scene | SceneSpec
