@@ -226,7 +226,8 @@ def test_plots(tmp_path):
     pytest.importorskip("matplotlib", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
     rows = [row(device=device, plates=plates) for device in ("cpu", "cuda:0") for plates in (1, 20)]
     skipped = row(precision="float64", status="skipped: too large", nanoseconds_per_node_step=None)
-    path = draw_bench(record(*rows, row(nodes=53), skipped), tmp_path / "bench.svg")
+    path = tmp_path / "bench.svg"
+    draw_bench(record(*rows, row(nodes=53), skipped), path)
     text = path.read_text(encoding="utf-8")
     for label in ("cpu, float32", "cuda:0, float32", "cuda:0, 16 B at copy bandwidth", "plates of 27 × 27 nodes"):
         assert f"<!-- {label} -->" in text
