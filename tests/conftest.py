@@ -198,17 +198,15 @@ def panel():
     patches = [(0.03, 0.06, 0.04, 0.07), (0.12, 0.17, 0.03, 0.08), (0.05, 0.13, 0.11, 0.16)]
     return Scene.model_validate(
         {
-            "plate": {
-                "size": (0.2, 0.2), "thickness": 5e-4, "young_modulus": 1e9, "poisson_ratio": 0.33, "density": 1000.0,
-            },
-            "edges": dict.fromkeys(("left", "bottom", "right", "top"), "supported"),
+            "plate": {"size": (0.2, 0.2), **MATERIAL},
+            "edges": dict.fromkeys(SIDES, "supported"),
             "window": {"start": 0.01, "end": 0.03},
             "drive": {"frequency": 200.0},
             "target": {"area": (0.0, 0.1, 0.0, 0.1)},
             "effects": {"damping": {"viscous": 300.0}},
             "actuators": [{"name": str(index), "area": area} for index, area in enumerate(patches)],
         }
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture
@@ -262,14 +260,9 @@ def browser():
         made.close()
 
 
-@pytest.fixture
-def point_scene():
-    """A factory of scenes with an actuator on every inner node, so that any field can be the load."""
-    return point_scene_of
-
-
-def point_scene_of(nodes, size=(0.2, 0.2), edges=("clamped",) * 4, precision="float64", order=2, **changes):
-    """Return a scene with an actuator on every inner node, row by row; undamped and two steps long by default."""
+def point_scene(nodes, size=(0.2, 0.2), edges=("clamped",) * 4, precision="float64", order=2, **changes):
+    """Return a scene with an actuator on every inner node, row by row, so that any field can be the load; undamped and
+    two steps long by default."""
     x, y = (np.linspace(0, length, count)[1:-1] for length, count in zip(size, nodes, strict=True))
     half_x, half_y = (length / (count - 1) / 4 for length, count in zip(size, nodes, strict=True))
     areas = [(i - half_x, i + half_x, j - half_y, j + half_y) for j in y for i in x]
@@ -296,13 +289,7 @@ def biharmonic_by_running(solver, fields):
     return first, ((2 * first - second) / (scheme.kappa * scheme.time_step) ** 2)[:, 1:-1, 1:-1]
 
 
-@pytest.fixture
-def discrete_operator():
-    """The matrix of ∇⁴ on the inner nodes, row by row, on the default path of a device."""
-    return operator_by_running
-
-
-def operator_by_running(scene, device="cpu"):
+def discrete_operator(scene, device="cpu"):
     """Return the (inner nodes, inner nodes) sparse matrix of ∇⁴ [1/m⁴] of a two-step ``point_scene``.
 
     The stencil reaches two or four nodes (its order), so unit loads five or nine nodes apart do not interact: 25 or 81

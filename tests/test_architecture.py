@@ -29,16 +29,11 @@ ROOMS = set().union(*FLOORS)
 # The libraries that only some rooms may import, and the rooms.
 OWNERS = {
     "warp": {"kernels", "solve", "accuracy", "bench", "cluster", "analysis", "studies"},
-    "pyvista": {"viz"},
-    "vtkmodules": {"viz"},
-    "matplotlib": {"viz"},
-    "trame": {"viz"},
+    **{name: {"viz"} for name in ("pyvista", "vtkmodules", "matplotlib", "trame")},
+    **{name: {"cluster"} for name in ("dask", "distributed")},
+    **{name: {"cli"} for name in ("cyclopts", "rich")},
     "h5py": {"result"},
     "pydantic": {"scene"},
-    "cyclopts": {"cli"},
-    "rich": {"cli"},
-    "dask": {"cluster"},
-    "distributed": {"cluster"},
     "cma": {"optimize"},
 }
 # Imported only inside functions, so that ``warp-plate --help`` starts quickly.
@@ -49,9 +44,8 @@ def sources():
     """Yield (path, name inside warp_plate, parsed module) of every product file."""
     for top in ("warp_plate", "kernels", "viz"):
         for path in sorted((ROOT / top).rglob("*.py")):
-            parts = path.relative_to(ROOT).with_suffix("").parts
-            names = [name for name in (parts[1:] if top == "warp_plate" else parts) if name != "__init__"]
-            yield path, ".".join(names), ast.parse(path.read_text(encoding="utf-8"))
+            parts = path.relative_to(ROOT / "warp_plate" if top == "warp_plate" else ROOT).with_suffix("").parts
+            yield path, ".".join(part for part in parts if part != "__init__"), ast.parse(path.read_text("utf-8"))
 
 
 def imports(tree):
@@ -69,23 +63,29 @@ def imports(tree):
             yield from ((name, names, late or inner) for name, names, late in imports(node))
 
 
+def strays(allowed):
+    """Return the imports for which ``allowed(room, module imported, whether inside a function)`` is false."""
+    return [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path, module, tree in sources()
+        for name, _, late in imports(tree)
+        if not allowed(room_of(module), name, late)
+    ]
+
+
 def room_of(module):
     return module.split(".")[0]
 
 
 def test_rooms_import_only_floors_below():
     floor = {room: height for height, rooms in enumerate(FLOORS) for room in rooms}
-    upward = [
-        f"{path.relative_to(ROOT)}: {name}"
-        for path, module, tree in sources()
-        if (here := room_of(module)) in ROOMS
-        for name, _, _ in imports(tree)
-        if (there := room_of(name.removeprefix("warp_plate").lstrip("."))) in ROOMS
-        and name.startswith("warp_plate.")
-        and there != here
-        and floor[there] >= floor[here]
-    ]
-    assert not upward
+
+    def allowed(here, name, late):
+        there = room_of(name.removeprefix("warp_plate."))
+        inside = name.startswith("warp_plate.") and {here, there} <= ROOMS
+        return not inside or here == there or floor[there] < floor[here]
+
+    assert not strays(allowed)
 
 
 def test_every_room_has_a_floor():
@@ -107,23 +107,11 @@ def test_no_circle_of_imports():
 
 
 def test_libraries_stay_in_their_rooms():
-    strays = [
-        f"{path.relative_to(ROOT)}: {name}"
-        for path, module, tree in sources()
-        for name, _, _ in imports(tree)
-        if room_of(module) not in OWNERS.get(name.split(".")[0], {room_of(module)})
-    ]
-    assert not strays
+    assert not strays(lambda room, name, late: room in OWNERS.get(room_of(name), {room}))
 
 
 def test_heavy_libraries_are_imported_when_needed():
-    early = [
-        f"{path.relative_to(ROOT)}: {name}"
-        for path, _, tree in sources()
-        for name, _, late in imports(tree)
-        if not late and LATE.match(name)
-    ]
-    assert not early
+    assert not strays(lambda room, name, late: late or not LATE.match(name))
 
 
 def test_every_package_is_installed():

@@ -43,14 +43,12 @@ def caught(tree, python, words):
     command = [python, "-m", "pytest", "-q", "-x", "-n", "0", *words]
     environment = {**os.environ, "PYTHONPATH": str(tree)}
     run = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, check=False)
-    if run.returncode == 0:
-        return ""
-    failed = [line for line in run.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return failed[0].split(" - ")[0] if failed else f"status {run.returncode}"
+    failed = [line.split(" - ")[0] for line in run.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return "" if run.returncode == 0 else [*failed, f"status {run.returncode}"][0]
 
 
-def judge(tree, python, fault, full):
-    """Plant a fault in a copy of the tree and return what caught it."""
+def test_fault(tree, python, fault, full):
+    """Plant a fault in a copy of the tree; return its file and what caught it."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "copy"
         shutil.copytree(tree, copy, ignore=shutil.ignore_patterns(".git", ".venv", "__pycache__", ".*_cache"))
@@ -73,7 +71,7 @@ def main():
         if options.names and fault["name"] not in options.names:
             continue
         started = time.perf_counter()
-        place, test = judge(options.tree.resolve(), options.python, fault, options.full)
+        place, test = test_fault(options.tree.resolve(), options.python, fault, options.full)
         survived += not test
         print(f"{fault['name']}: {place}: {test or 'SURVIVED'} ({time.perf_counter() - started:.0f} s)", flush=True)
     sys.exit(bool(survived))

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import discrete_operator, point_scene
 
 from warp_plate.plate.operator import DIVISOR, FEWEST_NODES, LARGEST, clamped_rows, make_taps
 from warp_plate.reference.numpy_plate import biharmonic, biharmonic_of_fourth_order, with_ghosts
@@ -107,7 +108,7 @@ def test_spectrum_of_a_plate(edges, plate):
 
 
 @pytest.mark.parametrize("order", [2, 4])
-def test_references_and_kernels_have_this_operator(edges, order, point_scene, discrete_operator):
+def test_references_and_kernels_have_this_operator(edges, order):
     """The plain NumPy plates, and the default path as measured to 1e-11 of its largest entry."""
     nodes, size = (14, 10), (0.2, 0.1)
     bend, move = on_plate(nodes, size, edges, order)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.sparse.linalg
+from conftest import discrete_operator, point_scene
 
 from warp_plate import PlateSolver
 from warp_plate.reference.series import damped_motion, grid_wavenumber_squared, mode_shape, wavenumber_squared
@@ -26,7 +27,7 @@ def observed_orders(spacings, errors):
 
 
 @pytest.fixture
-def errors(point_scene, device, path):
+def errors(device, path):
     """A function that returns (drives,) largest errors over the largest displacements, under loads shaped like a mode.
 
     Args: nodes along each axis, steps, the mode, its k² as a function of the scheme, and the order.
@@ -69,7 +70,7 @@ def test_second_order_in_time(errors):
 
 
 @pytest.mark.parametrize(("held", "order"), [("CCCC", 2), ("SCSC", 4)])
-def test_natural_frequencies(held, order, point_scene, discrete_operator):
+def test_natural_frequencies(held, order):
     """√ of the eigenvalues of the ∇⁴ that the default path computes, against a Ritz solution.
 
     Within 3 % for second order with 25 nodes a side, 1e-3 for fourth: a finer grid would show the table's last digit.

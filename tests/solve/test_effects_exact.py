@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.linalg
+from conftest import point_scene
 
 from warp_plate import PlateSolver
 from warp_plate.plate.scheme import make_scheme
@@ -63,7 +64,7 @@ def squares_of(mode, size, nodes=None):
 
 
 @pytest.fixture
-def mode_run(point_scene):
+def mode_run():
     """A function that runs a supported plate under Re(Z exp(iωt)) in the shape of a mode: times, amplitudes."""
 
     def run(effects, mode, pressure, frequency, end, part=0.5, nodes=NODES):

@@ -129,7 +129,7 @@ def test_one_actuator_leaves_nothing_to_search():
 
 
 def test_drives_of_simulate(panel):
-    """"scene" takes the file's magnitudes and phases; "equal" and "single" are the references of a search."""
+    """ "scene" takes the file's magnitudes and phases; "equal" and "single" are the references of a search."""
     found = localize(panel, device="cpu", estimate=False)
     for drive in ("equal", "single"):
         run = simulate(panel, "mine", drive, "cpu", estimate=False)
