@@ -23,7 +23,7 @@ def draw_bench(record: Mapping[str, Any], path: str | Path) -> None:
     """Plot the object that ``warp-plate bench --json`` prints.
 
     Left: over the number of plates, for the size with most measurements. Right: over the nodes per side, at the fastest
-    number of plates; dotted is the limit of methods with one launch a step, by the copy bandwidth of the device.
+    number of plates, with the limit of methods with one launch a step (dotted).
     """
     rows = [row for row in record["rows"] if row["status"] == "measured"]
     if not rows:

@@ -19,15 +19,11 @@ if TYPE_CHECKING:
 COLOURS = {"pso": "#4d4d4d", "constriction": "#d95f02", "ring": "#1b7837"}
 COLOURS |= {"cma": "#762a83", "gradient": "#08519c", "exact": "#b2182b"}
 BOUND_LABELS = {"attained": "bound: no method can pass", "bound only": "bound only: may not be reached"}
-# Smallest distance from the bound that is drawn; smaller ones are rounding errors.
-SMALLEST_DISTANCE = 1e-12
+SMALLEST_DISTANCE = 1e-12  # from the bound; smaller ones are rounding errors
 
 
 def draw_comparison(comparison: MethodComparison, path: str | Path) -> None:
-    """Plot the median over the seeds as lines, and worst to best seed as bands.
-
-    A second row shows the distance from the bound if one is known.
-    """
+    """Plot median (lines) and worst to best seed (bands), and if a bound is known, the distances from it below."""
     rows = 1 if comparison.bound is None else 2
     with figure(path, (9.0, 0.9 + 2.7 * rows)) as made:
         grid = made.subplots(rows, 2, sharex="col", sharey="row", squeeze=False)
@@ -46,10 +42,8 @@ def draw_comparison(comparison: MethodComparison, path: str | Path) -> None:
 
 
 def loss_statistics(trials: Sequence[Trial], clock: str, budget: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (iterations,) median of a clock, "evaluations" or "seconds", over the trials of a method, and the
-    (3, iterations) smallest, median and largest loss so far.
-
-    A trial that has ended keeps its last loss; evaluations extend to the budget.
+    """Return the (iterations,) median of a clock, "evaluations" or "seconds", over trials, and their (3, iterations)
+    smallest, median and largest loss so far, with the last loss of trials that have ended.
     """
     count = max(len(trial.loss) for trial in trials)
     times, losses = (
@@ -64,7 +58,6 @@ def loss_statistics(trials: Sequence[Trial], clock: str, budget: int) -> tuple[n
 
 
 def _plot(column: Sequence[Axes], comparison: MethodComparison, clock: str) -> None:
-    """Plot values, and distances from the bound if there is a second axes."""
     sign, offset = (-1, 1) if comparison.localization else (1, 0)
     for method in comparison.methods:
         clocks, losses = loss_statistics(comparison.trials_of(method), clock, comparison.budget)

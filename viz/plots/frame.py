@@ -19,22 +19,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase
 
 STYLE = {"axes.linewidth": 0.8, "legend.frameon": False, "svg.hashsalt": "warp-plate"}
-# Tick labels in this range are written without powers of ten.
-PLAIN_RANGE = (1e-4, 1e6)
-# Below the first number of decades, powers of ten alone are too few ticks; below the second, so are 1, 2 and 5.
-FEW_DECADES, FEWEST_DECADES = 2.0, 1.0
 
 
 @contextmanager
 def figure(
     path: str | Path, size: tuple[float, float] | None = None, font_size: float = 9, dpi: float = 200, box: bool = False
 ) -> Iterator[Figure]:
-    """Yield an empty figure and save it as PNG, SVG or PDF on leaving.
+    """Yield an empty figure, and save it on leaving in the format of the path's ending, PNG, SVG or PDF.
 
-    Args:
-        path: file to write; its ending chooses the format.
-        size: width and height [inch].
-        box: draw all four sides of every axes instead of the left and lower one.
+    The size is in inches; ``box`` draws all four sides of every axes instead of the left and lower one.
     """
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -71,16 +64,14 @@ def save_plots(draw: Callable[[Any, Path], object], data: object, path: Path) ->
 
 
 def number_log_axis(axis: Axis, intervals: int = 5) -> None:
-    """Label a logarithmic axis, whose limits are set, with numbers that do not overlap.
-
-    Below one decade there are at most so many intervals between labels.
-    """
+    """Label a logarithmic axis, whose limits are set, by numbers with at most so many intervals below one decade."""
     from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullFormatter
 
     low, high = axis.get_view_interval()
     decades = np.log10(high / low)
-    powers = LogLocator(subs=(1, 2, 5) if decades < FEW_DECADES else (1,))
-    axis.set_major_locator(MaxNLocator(intervals, steps=[1, 2, 5, 10]) if decades < FEWEST_DECADES else powers)
-    plain = decades < FEW_DECADES and PLAIN_RANGE[0] <= low and high <= PLAIN_RANGE[1]
+    # Below two decades, powers of ten alone are too few ticks; below one decade, so are 1, 2 and 5.
+    powers = LogLocator(subs=(1, 2, 5) if decades < 2 else (1,))
+    axis.set_major_locator(MaxNLocator(intervals, steps=[1, 2, 5, 10]) if decades < 1 else powers)
+    plain = decades < 2 and low >= 1e-4 and high <= 1e6  # without powers of ten
     axis.set_major_formatter("{x:g}" if plain else LogFormatterSciNotation(minor_thresholds=(np.inf, np.inf)))
     axis.set_minor_formatter(NullFormatter())

@@ -12,8 +12,7 @@ import numpy as np
 from warp_plate.scene.model import Scene
 from warp_plate.viz.plots.frame import add_panels, figure
 from warp_plate.viz.plots.plan import draw_edges, draw_outline, drawn_size, edge_handles, line_handle
-from warp_plate.viz.styles import INK
-from warp_plate.viz.styles import TARGET as PATCH
+from warp_plate.viz.styles import INK, TARGET
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,8 +21,7 @@ if TYPE_CHECKING:
 CMAP, LENGTH, MOST_COLUMNS = "RdBu_r", 1.9, 6
 # Relative to the largest displacement: rounding errors, and the height of spots of the other sign without a meaning.
 ROUNDING, FLAT = 1e-9, 3e-3
-# Nodal lines are contours of a spline with at least this many points per side.
-FINE = 150
+FINE = 150  # least points per side of the spline whose contours are nodal lines
 
 
 def draw_modes(scene: Scene, frequencies: np.ndarray, shapes: np.ndarray, path: str | Path) -> None:
@@ -46,11 +44,11 @@ def draw_modes(scene: Scene, frequencies: np.ndarray, shapes: np.ndarray, path: 
             axes.set_title(f"{number}: {frequency_text(frequency)}", fontsize=8, pad=4)
         bar = made.colorbar(mesh, ax=panels, shrink=min(1.0, 1.2 / rows + 0.2), aspect=18, pad=0.02)
         bar.set_label("displacement over its largest")
-        handles = [*edge_handles(scene), line_handle(INK, "nodal line", 0.9)]
+        handles = [*edge_handles(scene), line_handle("nodal line", color=INK, linewidth=0.9)]
         if scene.effects.layers:
-            handles.append(line_handle(PATCH, "layer", 0.9))
+            handles.append(line_handle("layer", color=TARGET, linewidth=0.9))
         if scene.effects.oscillators:
-            handles.append(line_handle(PATCH, "oscillator", 0.9, ":"))
+            handles.append(line_handle("oscillator", color=TARGET, linewidth=0.9, linestyle=":"))
         made.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=7)
 
 
@@ -78,9 +76,9 @@ def _draw_shape(axes: Axes, scene: Scene, shape: np.ndarray) -> object:
     if np.nanmin(field) < 0 < np.nanmax(field):
         axes.contour(fine_x, fine_y, field, levels=[0.0], colors=INK, linewidths=0.9)
     for layer in scene.effects.layers:
-        draw_outline(axes, layer.area, PATCH)
+        draw_outline(axes, layer.area, TARGET)
     for oscillator in scene.effects.oscillators:
-        draw_outline(axes, oscillator.area, PATCH, ":")
+        draw_outline(axes, oscillator.area, TARGET, ":")
     draw_edges(axes, scene)
     return mesh
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -67,7 +67,7 @@ def draw_layout(scene: Scene, path: Path) -> None:
         for oscillator in scene.effects.oscillators:
             draw_outline(axes, oscillator.area, OSCILLATOR)
         if scene.effects.oscillators:
-            handles.append(line_handle(OSCILLATOR, "oscillator", 0.9))
+            handles.append(line_handle("oscillator", color=OSCILLATOR, linewidth=0.9))
         _draw_outlines(axes, scene)
         axes.set(xlabel="x [m]", ylabel="y [m]")
         made.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=7)
@@ -97,17 +97,15 @@ def draw_outline(axes: Axes, area: Area, colour: str, style: str = "-") -> None:
 
 def edge_handles(scene: Scene) -> list[Line2D]:
     """Return legend handles of the kinds of edges in the scene."""
-    from matplotlib.lines import Line2D
-
     styles = [EDGE_STYLES[kind] for kind in edges_by_kind(scene)]
-    return [Line2D([], [], **style.matplotlib, label=style.label) for style in styles]
+    return [line_handle(style.label, **style.matplotlib) for style in styles]
 
 
-def line_handle(colour: str, label: str, width: float, style: str = "-") -> Line2D:
+def line_handle(label: str, **style: Any) -> Line2D:
     """Return a legend handle of a line."""
     from matplotlib.lines import Line2D
 
-    return Line2D([], [], color=colour, label=label, linewidth=width, linestyle=style)
+    return Line2D([], [], label=label, **style)
 
 
 def draw_field(axes: Axes, scene: Scene, values: np.ndarray, scale: DrawingScale) -> None:
@@ -135,4 +133,5 @@ def _draw_outlines(axes: Axes, scene: Scene) -> None:
 
 
 def _outline_handles(scene: Scene) -> list[Artist]:
-    return [line_handle(TARGET, "target", 1.4), line_handle(INK, "actuator", 0.9), *edge_handles(scene)]
+    target = line_handle("target", color=TARGET, linewidth=1.4)
+    return [target, line_handle("actuator", color=INK, linewidth=0.9), *edge_handles(scene)]

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 # Label of the mean loss of an iteration by method; "exact" tries one drive only.
 MEAN_LABELS = dict.fromkeys(("pso", "constriction", "ring"), "swarm mean")
 MEAN_LABELS |= {"cma": "mean of the generation", "gradient": "mean of the descents"}
-# Final loss of the swarm in the source paper: 1 − 0.72.
-PUBLISHED_LOSS = 0.28
+PUBLISHED_LOSS = 0.28  # final loss of the swarm in the source paper, 1 − 0.72
 # Colour and line width of the curves of a spectrum by name in the result.
 CURVES = {"best": ("#08519c", 1.6), "single": ("#6baed6", 1.1), "equal": ("#8a8a8a", 1.1)}
 DRIVE_COLOURS = {"robust": "#08519c", "nominal": "#d94801"}
@@ -30,8 +29,8 @@ BINS = 24
 def draw_history(result: Result, path: str | Path) -> None:
     """Plot 1 − localization factor, or the negative weighted sum of the objectives, against the iteration.
 
-    With several targets the history is that of the first. A claimed bound is a line; the published final loss stands
-    beside it for the preset "paper" only.
+    With several targets the history is that of the first. A claimed bound is a line, as is the published final loss
+    for the preset "paper".
     """
     if not result.history:
         raise ValueError("the result holds no history: only a search leaves one")
@@ -93,32 +92,27 @@ def draw_spectrum(result: Result, path: str | Path) -> None:
 def curve_labels(search: Search) -> dict[str, str]:
     """Return the labels of the curves of a spectrum by their names in a result.
 
-    If the search may choose every phase, and every magnitude from zero on, the best drive at each frequency is an
-    eigenvector. Otherwise that curve is only a bound, and a single actuator may not be among the allowed drives.
+    The best drive at each frequency is an eigenvector, and a single actuator one of the drives, if the search may
+    choose every phase, and every magnitude from zero on. Otherwise the former is only a bound.
     """
     magnitude, phase = search.magnitude, search.phase
     any_magnitude = magnitude is not None and magnitude.actuators is None and magnitude.range[0] <= 0
     any_magnitude = any_magnitude and not search.limits.equal_magnitudes
+    best = BOUND_DESCRIPTIONS["attained within limits"]
     if magnitude is None and phase is None:
         best = "the scene's drive"
-    elif phase is None or phase.actuators is not None or not any_magnitude:
-        best = BOUND_DESCRIPTIONS["attained within limits"]
-    else:
+    elif phase is not None and phase.actuators is None and any_magnitude:
         best = "best drive at each frequency"
     single = "best single actuator" if any_magnitude else "best single actuator (cannot be chosen)"
     return {"best": best, "single": single, "equal": "equal drive"}
 
 
 def draw_robust(result: Result, path: str | Path) -> None:
-    """Plot distributions of the robust and the nominal drive over the same validation panels.
-
-    Above are histograms, below cumulative distributions, with the median and the worst 5 %.
-    """
-    compared = result.robust
+    """Plot histograms and cumulative distributions of the robust and the nominal drive over the validation panels."""
     with figure(path, (5.4, 4.6), dpi=320) as made:
         above, below = made.subplots(2, 1, sharex=True, height_ratios=[1, 1.5])
-        _plot_histograms(above, compared)
-        _plot_cumulative(below, compared)
+        _plot_histograms(above, result.robust)
+        _plot_cumulative(below, result.robust)
         made.suptitle(result.scene.title or result.source, fontsize=9)
 
 
@@ -159,7 +153,6 @@ def _plot_cumulative(axes: Axes, compared: RobustComparison) -> None:
 
 
 def _write_target(axes: Axes, scene: Scene) -> None:
-    """Write the target of a search that is the first of several."""
     targets = scene.targets
     if len(targets) > 1:
         axes.set_title(f"search for target {targets[0].name}, the first of {len(targets)}", fontsize=9, wrap=True)
