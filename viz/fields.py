@@ -22,7 +22,7 @@ class PlateField:
     """A field over the plate that can be shown in colour.
 
     Attributes:
-        label: text above the colour bar, without the unit.
+        label: text above the colour bar.
         unit: SI unit without a prefix.
         kind: "signed" (limits symmetric about zero), "positive" (from zero) or "cyclic" (an angle, −π … π).
         cmap: Matplotlib name of the colour map.
@@ -89,11 +89,9 @@ class DrawingScale:
 
 
 def drawing_scale(
-    displacements: Iterable[np.ndarray],
-    size: tuple[float, float],
-    field: PlateField = DISPLACEMENT,
+    displacements: Iterable[np.ndarray], size: tuple[float, float], field: PlateField = DISPLACEMENT,
     values: Iterable[np.ndarray] | None = None,
-) -> DrawingScale:
+) -> DrawingScale:  # fmt: skip
     """Return a scale whose limit is the largest finite value, rounded up to two digits; 1e-6 if nothing moves.
 
     Args:

@@ -34,13 +34,9 @@ FONT_SIZE, DEPTH_STEP = 16, 2e-6
 
 
 def write_page(
-    scene: Scene,
-    motions: Sequence[Motion],
-    path: Path,
-    quantity: str = "displacement",
-    rate: float = 30.0,
+    scene: Scene, motions: Sequence[Motion], path: Path, quantity: str = "displacement", rate: float = 30.0,
     heights: float | None = None,
-) -> None:
+) -> None:  # fmt: skip
     """Write the page, with the field in colour (a key of FIELDS) and the initial frame rate [1/s] and height factor."""
     # Inside HTML, only "<" in the JSON text could end the script.
     data = json.dumps(page_data(scene, motions, quantity, rate, heights)).replace("<", "\\u003c")

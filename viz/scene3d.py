@@ -53,22 +53,13 @@ class PlateActors:
         bar: True to draw colour bar and legend in this subplot.
 
     Attributes:
-        meshes: the drawn meshes.
-        surface: actor of the surface.
-        caption: text above the plate.
+        surface, caption: actors of the surface and of the text above the plate.
     """
 
     def __init__(
-        self,
-        plotter: pyvista.Plotter,
-        scene: Scene,
-        displacement: np.ndarray,
-        scale: DrawingScale,
-        text: str,
-        font_size: int,
-        bar: bool = True,
-        values: np.ndarray | None = None,
-    ) -> None:
+        self, plotter: pyvista.Plotter, scene: Scene, displacement: np.ndarray, scale: DrawingScale, text: str,
+        font_size: int, bar: bool = True, values: np.ndarray | None = None,
+    ) -> None:  # fmt: skip
         # Lines are blended in the order in which they are added; order-independent transparency takes twice the time.
         plotter.renderer.SetUseOIT(False)
         self.meshes = PlateMeshes(scene, displacement, scale, values)
@@ -134,7 +125,7 @@ class SideBySide:
     Attributes:
         plates: one for each motion.
         scale: common scale of all plates and frames.
-        frames: number of frames; ``frame`` is the index of the shown one.
+        frames, frame: number of frames, and index of the shown one.
     """
 
     def __init__(

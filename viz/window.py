@@ -160,7 +160,7 @@ class ViewerWindow:
         return path
 
     def _update(self, slider: str, value: float) -> None:
-        self.sliders[slider].SetValue(value)
+        self.sliders[slider].GetRepresentation().SetValue(value)
         self.plotter.render()
 
     def _add_controls(self, row: int) -> None:
@@ -181,19 +181,15 @@ class ViewerWindow:
             ("heights", "heights, 1 at first", (0.0, 4.0), 1.0, 0.76, 0.98, self.exaggerate),
         ):
             look = {"style": "modern", "fmt": "%.4g", "slider_width": 0.12, "tube_width": 0.03, "color": INK}
-            place = {"pointa": (left, 0.70), "pointb": (right, 0.70), "interaction_event": "always"}
-            slide = partial(self._slide, key, callback)
-            slider = plotter.add_slider_widget(slide, ends, value=max(value, ends[0]), **place, **look)
-            bar = self.sliders[key] = slider.GetRepresentation()
+            place = {"pointa": (left, 0.70), "pointb": (right, 0.70)}
+            slider = plotter.add_slider_widget(lambda _: None, ends, value=max(value, ends[0]), **place, **look)
+            self.sliders[key], bar = slider, slider.GetRepresentation()
+            slider.AddObserver("InteractionEvent", lambda *_, bar=bar, call=callback: call(bar.GetValue()))
             bar.SetLabelHeight(0.11)
             bar.SetSliderLength(0.006)
             bar.SetEndCapLength(0.0)
             style_text(bar.GetLabelProperty(), FONT_SIZE)
             add_text(plotter, title, (left, 1.0), FONT_SIZE)
-
-    def _slide(self, key: str, callback: Callable[[float], None], value: float) -> None:
-        if key in self.sliders:  # PyVista also calls back when it makes the slider
-            callback(value)
 
     def _add_buttons(
         self, labels: dict[str, str], y: int, left: int, callback: Callable[[str], None], chosen: str

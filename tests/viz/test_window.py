@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import error_of, start_program
+from conftest import error_of, motion_of, start_program
 
-from warp_plate.analysis.motion import mode_motions, motions
+from warp_plate.analysis.motion import mode_motions
 from warp_plate.result import save_result
 from warp_plate.studies.simulate import simulate
 from warp_plate.viz.availability import missing_window
@@ -25,18 +25,13 @@ PATIENCE = 90.0
 
 
 @pytest.fixture
-def result(scene):
-    made = simulate(scene(damping=200.0), device="cpu", estimate=False)
-    case = made.cases["drive"]
-    return replace(made, cases={"equal": case, "single": case, "best": replace(case, phasors=2 * case.phasors)})
-
-
-@pytest.fixture
-def window(result, drawing, tmp_path):
-    """A window off screen without a timer."""
-    shown = motions(result.scene, result.cases, device="cpu")
+def window(scene, drawing, tmp_path):
+    """A window off screen without a timer; the drives have amplitudes of 100 nm and phases of their own."""
+    x, y = np.meshgrid(np.linspace(0, np.pi, 13), np.linspace(0, np.pi, 11))
+    shape = 1e-7 * np.sin(x) * np.sin(y)
+    shown = [motion_of(name, shape, lag, frames=60) for lag, name in enumerate(("equal", "single", "best"))]
     plotter = window_plotter(len(shown), off_screen=True)
-    yield ViewerWindow(plotter, result.scene, shown, "displacement", tmp_path / "shot", 30.0)
+    yield ViewerWindow(plotter, scene(), shown, "displacement", tmp_path / "shot", 30.0)
     plotter.close()
 
 
@@ -48,13 +43,21 @@ def test_frames_follow_the_clock(window, monkeypatch):
     for seconds, frame in ((0.0, 0), (0.11, 3), (0.05, 4), (1.0, 34)):
         clock[0] += seconds
         window.tick()
-        assert window.plates.frame == frame % window.plates.frames
+        assert window.plates.frame == frame
     window.step(-window.plates.frame - 1)
-    last = window.plates.frames - 1
     clock[0] += 7.0
     window.tick()
-    assert (window.playing, window.plates.frame) == (False, last)
-    assert window.sliders["time"].GetValue() == pytest.approx(window.plates.motions[0].times[last])
+    assert (window.playing, window.plates.frame) == (False, 59)
+    assert window.sliders["time"].GetRepresentation().GetValue() == pytest.approx(59 / 60 / 200)
+
+
+def test_sliders_are_followed(window):
+    for (name, slider), value in zip(window.sliders.items(), (0.0025, 12, 3), strict=True):
+        slider.GetRepresentation().SetValue(value)
+        slider.InvokeEvent("InteractionEvent")
+        assert slider.GetRepresentation().GetValue() == pytest.approx(value, rel=5e-3), name
+    assert (window.playing, window.plates.frame, window.rate) == (False, 30, 12)
+    assert window.ratio == pytest.approx(3, rel=5e-3)
 
 
 def test_heights_and_rate_have_limits(window):
@@ -100,7 +103,7 @@ def test_modes_have_periods_instead_of_times_and_no_fields(scene, drawing, tmp_p
     modes = mode_motions(scene(), [1, 2, 3, 4])
     window = ViewerWindow(plotter, scene(), modes, "displacement", tmp_path / "x", 30.0)
     window.go(15)
-    assert window.sliders["time"].GetValue() == 0.25
+    assert window.sliders["time"].GetRepresentation().GetValue() == 0.25
     assert (len(window.plates.plates), list(window.field_buttons), len(window.case_buttons)) == (4, [], 5)
     plotter.close()
 
@@ -108,18 +111,26 @@ def test_modes_have_periods_instead_of_times_and_no_fields(scene, drawing, tmp_p
 # The command ------------------------------------------------------------------------------------------------
 
 
+@pytest.fixture
+def saved(scene, tmp_path):
+    """The path of a result with three cases."""
+    made = simulate(scene(damping=200.0), device="cpu", estimate=False)
+    case = made.cases["drive"]
+    cases = {"equal": case, "single": case, "best": replace(case, phasors=2 * case.phasors)}
+    return save_result(replace(made, cases=cases), tmp_path / "panel.h5")
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only on Linux is there a system without displays")
 @pytest.mark.parametrize("display", [None, ":987"])
-def test_without_a_display_other_commands_are_named(result, tmp_path, monkeypatch, command, display):
+def test_without_a_display_other_commands_are_named(saved, monkeypatch, command, display):
     monkeypatch.delenv("DISPLAY", raising=False)
     if display is not None:
         monkeypatch.setenv("DISPLAY", display)
-    path = save_result(result, tmp_path / "result.h5")
-    assert f"warp-plate render {path}" in error_of(command("view", path))
+    assert f"warp-plate render {saved}" in error_of(command("view", saved))
 
 
 @pytest.mark.slow
-def test_the_window_opens_plays_and_closes(display, result, tmp_path, monkeypatch):
+def test_the_window_opens_plays_and_closes(display, saved, tmp_path, monkeypatch):
     """With real keys and clicks; Ctrl-C closes it too."""
     monkeypatch.setenv("DISPLAY", display)
     monkeypatch.delenv("VTK_DEFAULT_OPENGL_WINDOW", raising=False)
@@ -127,7 +138,6 @@ def test_the_window_opens_plays_and_closes(display, result, tmp_path, monkeypatc
 
     if (problem := missing_window()) is not None:
         pytest.skip(problem)
-    save_result(result, tmp_path / "panel.h5")
 
     def xdotool(*arguments):
         return subprocess.run(["xdotool", *arguments], capture_output=True, text=True, timeout=PATIENCE).stdout
