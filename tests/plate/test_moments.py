@@ -7,7 +7,7 @@ import pytest
 
 from warp_plate import PlateSolver
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.plate.weights import moments, overlap, patches
+from warp_plate.plate.weights import moments, overlap
 from warp_plate.reference import forced
 from warp_plate.reference.ritz import solve_modes
 from warp_plate.reference.thin_plate import thin_plate
@@ -52,32 +52,6 @@ def test_weights_are_those_of_four_points():
     first = moments(positions, 0.0, positions[1]) * 24
     np.testing.assert_allclose(first, [9, 19, -5, 1, 0, 0, 0, 0, 0, 0], atol=1e-12)
     np.testing.assert_allclose(moments(positions, positions[-2], LENGTH) * 24, first[::-1], atol=1e-12)
-
-
-def test_integrals_fall_as_the_fourth_power():
-    """The remainder of a cubic in the middle of its nodes is at most 9/384 h⁴ |g''''|, in an outer interval 1/24."""
-    low, high, rate = 0.031, 0.187, 40.0
-    exact = (np.cos(rate * low) - np.cos(rate * high)) / rate
-    for nodes in (11, 21, 41, 81):
-        positions = np.linspace(0, LENGTH, nodes)
-        error = abs(positions[1] * np.sin(rate * positions) @ moments(positions, low, high) - exact)
-        assert error <= (high - low) * (rate * positions[1]) ** 4 / 24
-
-
-def test_patches_of_a_scene_keep_their_moments(scene, random):
-    """∫ x^m y^n over each actuator away from the held edges, m, n ≤ 3; no load on held nodes."""
-    nodes, size = (17, 14), np.array([LENGTH, LENGTH])
-    low = random.uniform(0.16, 0.5, (5, 2)) * size
-    high = low + random.uniform(0.01, 0.3, (5, 2)) * size
-    areas = [(x0, x1, y0, y1) for (x0, y0), (x1, y1) in zip(low.tolist(), high.tolist(), strict=True)]
-    fields = patches(scene(nodes, tuple(size.tolist()), order=4, load="moments", actuators=areas))
-    x, y = (np.linspace(0, 1, count) ** POWERS[:, None] for count in nodes)
-    found = LENGTH**2 / 16 / 13 * np.einsum("kyx,ny,mx->knm", fields, y, x)
-    exact = [np.outer(exact_moments(y0, y1), exact_moments(x0, x1)) for x0, x1, y0, y1 in areas]
-    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-14 * LENGTH**2)
-    whole = patches(scene(nodes, order=4, load="moments", actuators=[(0.0, 0.2, 0.0, 0.2)]))[0]
-    assert not whole[[0, -1]].any()
-    assert not whole[:, [0, -1]].any()
 
 
 # Rims of actuators, cells along a side, and bounds of the slope. Between nodes the constant of h⁴ changes with the
