@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from warp_plate.scene.errors import toml_text
 from warp_plate.scene.model import Scene
 
 
@@ -14,43 +15,23 @@ def dump_scene(scene: Scene) -> str:
         data["grid"] = {"accuracy": scene.grid.accuracy}
     if scene.targets and scene.target == scene.targets[0].unnamed:
         del data["target"]
-    lines = [f"title = {_toml(data.pop('title'))}"]
-    lists = {key: data.pop(key) for key in ("targets", "actuators")}
-    for name, table in data.items():
-        lines += _table_lines(name, table)
-    for name, rows in lists.items():
-        for row in rows:
-            lines += ["", f"[[{name}]]", *_assignments(row)]
-    return "\n".join(lines) + "\n"
+    data |= {key: data.pop(key) for key in ("targets", "actuators")}  # at the end
+    return "\n".join(_lines("", data)) + "\n"
 
 
-def _table_lines(name: str, table: dict[str, Any]) -> list[str]:
-    """Return the lines of a table: its own keys first, then the tables inside it."""
-    plain: dict[str, Any] = {}
+def _lines(name: str, table: dict[str, Any]) -> list[str]:
+    """Return the lines of a table without its heading: its own keys first, then the tables inside it."""
+    own: list[str] = []
     nested: list[str] = []
     for key, value in table.items():
+        path = f"{name}.{key}" if name else key
         if isinstance(value, dict):
-            nested += _table_lines(f"{name}.{key}", value)
-        elif isinstance(value, list | tuple) and value and all(isinstance(item, dict) for item in value):
+            lines = _lines(path, value)
+            heading = ["", f"[{path}]"] if not lines or lines[0] else []  # not over tables alone
+            nested += heading + lines
+        elif isinstance(value, tuple) and value and isinstance(value[0], dict):
             for row in value:
-                nested += ["", f"[[{name}.{key}]]", *_assignments(row)]
+                nested += ["", f"[[{path}]]", *_lines(path, row)]
         elif value != ():
-            plain[key] = value
-    return (["", f"[{name}]", *_assignments(plain)] if plain or not nested else []) + nested
-
-
-def _assignments(table: dict[str, Any]) -> list[str]:
-    return [f"{key} = {_toml(value)}" for key, value in table.items()]
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        escaped = "".join(
-            f"\\u{ord(c):04x}" if ord(c) < 0x20 or ord(c) == 0x7F else "\\" + c if c in '"\\' else c for c in value
-        )
-        return f'"{escaped}"'
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(_toml(item) for item in value)}]"
-    return repr(value)
+            own.append(f"{key} = {toml_text(value)}")
+    return own + nested

@@ -1,8 +1,11 @@
-"""The exception for invalid input, and the escaping of text from files."""
+"""The exception for invalid input, and text for messages and files: escaped, or as TOML."""
 
 from __future__ import annotations
 
+import datetime
+import json
 import unicodedata
+from collections.abc import Mapping
 
 
 class SceneError(ValueError):
@@ -17,3 +20,16 @@ def printable(text: str) -> str:
     return "".join(
         c if c.isprintable() or c == "\n" or unicodedata.category(c) == "Zs" else ascii(c)[1:-1] for c in text
     )
+
+
+def toml_text(value: object) -> str:
+    """Return a value as TOML, tables inline."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key} = {toml_text(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_text, value)) + "]"
+    return value.isoformat() if isinstance(value, datetime.date | datetime.time) else repr(value)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import datetime
 import difflib
 import re
 import types
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, Tag, ValidationError
+
+from warp_plate.scene.errors import toml_text
 
 Location = tuple[int | str, ...]
 _LONGEST_LINE, _LONGEST_VALUE = 500, 60
@@ -30,7 +31,7 @@ _REQUIREMENTS = {
 }
 # Error types for which the requirement follows from the annotation of the field.
 _SHAPE_ERRORS = ("tuple_type", "too_short", "too_long", "model_type")
-_NOUNS: dict[Any, str] = {float: "number", int: "whole number", str: "text"}
+_NOUNS: dict[Any, str] = {float: "numbers", int: "whole numbers", str: "texts"}
 
 
 def explain_error(error: ValidationError, model: type[BaseModel]) -> str:
@@ -113,19 +114,17 @@ def _required_shape(annotation: Any, key: str, context: Mapping[str, str]) -> st
     """Describe the table or list that a key must hold."""
     if _is_table(annotation):
         return f"a table, [[{key.rpartition('[')[0]}]]" if key.endswith("]") else f"a table, [{key}]"
-    items = get_args(annotation)
-    count = "" if items[-1] is Ellipsis else str(len(items))
-    if not count and context.get("field_type"):
-        count = f"at least {context['min_length']}" if "min_length" in context else f"at most {context['max_length']}"
+    *_, last = items = get_args(annotation)
     item = _bare(items[0])
-    plural = "" if count.split(" ")[-1] == "1" else "s"
-    if _is_table(item):
-        noun = f"table{plural}, [[{key}]]"
-    elif get_origin(item) is tuple:
-        noun = f"point{plural} [x, y]"
+    if last is not Ellipsis:
+        count = f"{len(items)} "
+    elif "min_length" in context:
+        count = f"{context['min_length']} or more "
     else:
-        noun = _NOUNS.get(item, "value") + plural
-    return f"a list of {count}{' ' if count else ''}{noun}"
+        count = f"{context['max_length']} or fewer " if "max_length" in context else ""
+    if _is_table(item):
+        return f"a list of {count}tables, [[{key}]]"
+    return f"a list of {count}{'points [x, y]' if get_origin(item) is tuple else _NOUNS.get(item, 'values')}"
 
 
 def _suggestion(name: str, table: Any) -> str:
@@ -139,19 +138,7 @@ def _suggestion(name: str, table: Any) -> str:
 def _shown(value: object) -> str:
     """Return a value as TOML text, shortened to fit a line."""
     try:
-        text = _as_toml(value)
+        text = toml_text(value)
     except (ValueError, RecursionError):  # an integer of thousands of digits, or as many nested tables
         return "a value too large to show"
     return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
-
-
-def _as_toml(value: object) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key} = {_as_toml(item)}" for key, item in value.items()) + "}"
-    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
-        return "[" + ", ".join(_as_toml(item) for item in value) + "]"
-    if isinstance(value, datetime.date | datetime.time):
-        return value.isoformat()
-    return repr(value)

@@ -10,15 +10,12 @@ from functools import cached_property
 import numpy as np
 
 from warp_plate.scene.errors import SceneError, printable
-from warp_plate.scene.keys import numeric_keys, resolved_key, with_numbers
+from warp_plate.scene.keys import numeric_keys, resolved_key
 from warp_plate.scene.model import Scene
 
 MOST_POINTS = 1_000_000
 RANGE_FORMS = "START:STOP:COUNT, log:START:STOP:COUNT or a list a,b,c"
-# Sweeps hold float64 numbers, which represent every integer up to this one.
-LARGEST_INTEGER = 2**53 - 1
-# Relative and absolute distance within which a value counts as an integer: geometric ranges miss them by 1e-15.
-INTEGER_TOLERANCE = (1e-9, 1e-3)
+LARGEST_INTEGER = 2**53 - 1  # sweeps hold float64 numbers, which represent every integer up to this one
 
 
 @dataclass(frozen=True)
@@ -34,11 +31,7 @@ class VariedKey:
     integer: bool = False  # true if the key holds an integer
 
     def values(self) -> np.ndarray:
-        """Return the (count,) values of a grid.
-
-        Raises:
-            SceneError: the range has no COUNT, or a value is not an integer where the key holds one.
-        """
+        """Return the (count,) values of a grid; raise a SceneError without COUNT, or if integers are not hit."""
         if self.listed:
             values = np.array(self.listed)
         elif self.count is None:
@@ -81,7 +74,7 @@ class Plan:
     @property
     def shape(self) -> tuple[int, ...]:
         """Number of values of each key of a grid, or (samples,)."""
-        return self.coordinates[0].shape if self.sampled else tuple(len(values) for values in self.coordinates)
+        return self.coordinates[0].shape if self.sampled else tuple(map(len, self.coordinates))
 
     @cached_property
     def points(self) -> np.ndarray:
@@ -93,23 +86,13 @@ class Plan:
     @property
     def description(self) -> str:
         """Number of points and range of each key, for messages."""
-        ranges = (
-            f"{key} from {values.min():g} to {values.max():g}"
-            for key, values in zip(self.keys, self.coordinates, strict=True)
-        )
-        return ", ".join([counted(len(self), "sample" if self.sampled else "point"), *ranges])
+        ranges = zip(self.keys, self.coordinates, strict=True)
+        count = counted(len(self), "sample" if self.sampled else "point")
+        return ", ".join([count, *(f"{key} from {values.min():g} to {values.max():g}" for key, values in ranges)])
 
     def numbers(self, point: int) -> dict[str, float]:
         """Return the varied numbers of a point by key."""
         return dict(zip(self.keys, self.points[point].tolist(), strict=True))
-
-    def scene(self, scene: Scene, point: int) -> Scene:
-        """Return the scene of a point.
-
-        Raises:
-            SceneError: see ``with_numbers``.
-        """
-        return with_numbers(scene, self.numbers(point))
 
     def same(self, other: Plan) -> bool:
         """Return whether both have bit-identical points in the same order."""
@@ -118,21 +101,16 @@ class Plan:
 
 
 def parse_vary(scene: Scene, text: str) -> VariedKey:
-    """Parse one ``--vary KEY=RANGE`` for a scene.
-
-    Raises:
-        SceneError: there is no such key, or the range is not valid.
-    """
+    """Parse one ``--vary KEY=RANGE`` for a scene; raise a SceneError if there is no such key, or no valid range."""
     shown = f"--vary {printable(text if len(text) <= 100 else text[:97] + '...')}"
     name, equals, range_text = text.rpartition("=")
     if not equals or not name.strip():
         raise SceneError(f"{shown}: must be KEY=RANGE; write {RANGE_FORMS}")
     try:
         key = resolved_key(scene, name)
+        return _parse_range(key, range_text.strip(), numeric_keys(scene)[key] is int)
     except SceneError as error:
         raise SceneError(f"--vary {error}") from None
-    try:
-        return _parse_range(key, range_text.strip(), numeric_keys(scene)[key] is int)
     except ValueError as error:
         raise SceneError(f"{shown}: {error}") from None
 
@@ -148,7 +126,11 @@ def _parse_range(key: str, text: str, integer: bool) -> VariedKey:
     if len(pieces) not in (2, 3):
         raise ValueError(f"write {RANGE_FORMS}")
     start, stop = (_parse_number(piece, key, integer) for piece in pieces[:2])
-    count = _parse_count(pieces[2]) if len(pieces) == 3 else None
+    count = None
+    if len(pieces) == 3:
+        if not (pieces[2].strip().isdecimal() and 1 <= int(pieces[2][:20]) <= MOST_POINTS):
+            raise ValueError(f"COUNT = {pieces[2][:40]!r}: must be a whole number from 1 to {MOST_POINTS}")
+        count = int(pieces[2])
     if logarithmic and not (start > 0 and stop > 0):
         raise ValueError("both ends of a logarithmic range must be greater than 0")
     if start == stop and count != 1:
@@ -162,14 +144,13 @@ def make_plan(varied: Sequence[VariedKey], samples: int | None = None, seed: int
     """Return the full grid of the varied keys, or a number of samples drawn from a Latin hypercube.
 
     Raises:
-        SceneError: no key is varied, or one twice; there are too many points; see ``VariedKey.values``.
+        SceneError: no key is varied, or one twice; there are too many points, or no whole numbers.
     """
     keys = tuple(item.key for item in varied)
     if not keys:
         raise SceneError(f"--vary: nothing is varied; write --vary KEY=RANGE, RANGE being {RANGE_FORMS}")
-    for index, key in enumerate(keys):
-        if key in keys[:index]:
-            raise SceneError(f"--vary {key}: is varied twice")
+    if (twice := next((key for key in keys if keys.count(key) > 1), None)) is not None:
+        raise SceneError(f"--vary {twice}: is varied twice")
     logarithmic = tuple(item.logarithmic for item in varied)
     if samples is not None:
         if not 1 <= samples <= MOST_POINTS:
@@ -193,10 +174,9 @@ def counted(number: int, noun: str) -> str:
 
 
 def _nearest_integers(values: np.ndarray) -> np.ndarray:
-    """Return the integers that values equal up to rounding, NaN elsewhere."""
+    """Return the integers that values equal up to rounding, NaN elsewhere; geometric ranges miss them by 1e-15."""
     nearest = np.rint(values)
-    relative, absolute = INTEGER_TOLERANCE
-    return np.where(np.abs(values - nearest) <= np.minimum(relative * np.abs(nearest), absolute), nearest, np.nan)
+    return np.where(np.abs(values - nearest) <= np.minimum(1e-9 * np.abs(nearest), 1e-3), nearest, np.nan)
 
 
 def _parse_number(text: str, key: str, integer: bool) -> float:
@@ -209,17 +189,8 @@ def _parse_number(text: str, key: str, integer: bool) -> float:
     if not integer:
         return value
     if abs(value) > LARGEST_INTEGER:
-        raise ValueError(
-            f"{text[:40].strip()} is beyond ±{LARGEST_INTEGER} (2^53 - 1), the largest whole numbers of {key} that a "
-            "sweep can hold in float64"
-        )
+        raise ValueError(f"{text[:40].strip()} is beyond ±{LARGEST_INTEGER} (2^53 - 1); a sweep's numbers are float64")
     nearest = float(_nearest_integers(np.array(value)))
     if math.isnan(nearest):
         raise ValueError(f"{key} holds whole numbers only")
     return nearest
-
-
-def _parse_count(text: str) -> int:
-    if not (text.strip().isdecimal() and 1 <= int(text[:20]) <= MOST_POINTS):
-        raise ValueError(f"COUNT = {text[:40]!r}: must be a whole number from 1 to {MOST_POINTS}")
-    return int(text)
