@@ -1,15 +1,13 @@
 """Drives without a search: transfer functions against traces, and the property that defines each drive."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import scene_of
+from conftest import output_of, scene_of
 
-from warp_plate import PlateSolver, SceneError, load_result
+from warp_plate import PlateSolver, Scene, SceneError, load_result
 from warp_plate.plate.weights import REGIONS, region_weights
-from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.baselines import (
     REGULARISATION,
     baseline_phasors,
@@ -70,7 +68,7 @@ def test_a_common_frequency_of_all_actuators_overrides_that_of_the_drive():
     for actuator in named["actuators"]:
         actuator["frequency"] = FREQUENCY
     named["grid"]["time_step"] = PlateSolver(made, "cpu").specialized.scheme.time_step
-    other = transfer_functions(PlateSolver(type(made).model_validate(named), "cpu"))
+    other = transfer_functions(PlateSolver(Scene.model_validate(named), "cpu"))
     np.testing.assert_allclose(other, reference, atol=1e-9 * np.abs(reference).max())
 
 
@@ -80,35 +78,23 @@ def test_a_common_frequency_of_all_actuators_overrides_that_of_the_drive():
         ({"effects": {"stretching": {}}}, "effects.stretching"),
         ({"drive": {"frequency": 290.0, "burst": {"start": 0.0, "duration": 0.005}}}, "drive.burst"),
         ({"drive": {"frequency": 290.0, "chirp": {"end_frequency": 400.0, "duration": 0.01}}}, "drive.chirp"),
-        ({"actuators": None}, "frequencies differ"),
+        ({"actuators": [{"name": "x", "area": (0.03, 0.06, 0.03, 0.06), "frequency": 200.0}]}, "frequencies differ"),
     ],
 )
 def test_other_scenes_are_refused_by_name(tables, reason):
-    made = scene_of()
-    if "actuators" in tables:
-        actuators = [actuator.model_dump() for actuator in made.actuators]
-        actuators[0]["frequency"] = 200.0
-        tables = {"actuators": actuators}
-    other = type(made).model_validate({**made.model_dump(exclude_unset=True), **tables})
+    plain = scene_of().model_dump(exclude_unset=True)
+    tables = {**tables, "actuators": [*plain["actuators"], *tables.get("actuators", ())]}
     with pytest.raises(SceneError, match=reason):
-        transfer_functions(PlateSolver(other, "cpu"))
-
-
-def write_panel(**tables):
-    search = {"particles": 4, "iterations": 3}
-    made = scene_of(damping=130.0, window=(0.03, 0.05), search=search, **tables)
-    Path("panel.toml").write_text(dump_scene(made), encoding="utf-8")
+        transfer_functions(PlateSolver(Scene.model_validate({**plain, **tables}), "cpu"))
 
 
 COMMAND = ("localize", "panel.toml", "--device", "cpu", "--baselines", "--no-pictures", "--no-estimate")
 
 
-def test_localize_shows_them_beside_the_drive_found(command, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    write_panel(record={"times": [0.04]})
-    status, out, err = command(*COMMAND, "--json")
-    assert (status, err) == (0, "")
-    factors = json.loads(out)["localization_factor"]
+def test_localize_shows_them_beside_the_drive_found(command, write_scene):
+    search = {"particles": 4, "iterations": 3}
+    write_scene(damping=130.0, window=(0.03, 0.05), search=search, record={"times": [0.04]})
+    factors = json.loads(output_of(command(*COMMAND, "--json")))["localization_factor"]
     assert set(factors) == {"equal", "single", "best", "bound", "time_reversal", "inverse_filter"}
     assert max(value for name, value in factors.items() if name != "bound") <= factors["bound"]
     result = load_result("panel-localize.h5")
@@ -116,6 +102,6 @@ def test_localize_shows_them_beside_the_drive_found(command, tmp_path, monkeypat
         np.testing.assert_allclose(result.cases[name].phasors, phasors, atol=1e-9)
         assert result.cases[name].localization_factor == factors[name]
     assert len({case.displacement.shape for case in result.cases.values()}) == 1
-    _, out, _ = command(*COMMAND)
+    out = output_of(command(*COMMAND))
     assert "time reversal to the target's middle" in out
     assert "regularised inverse filter" in out

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from conftest import scene_of
 from inline_pool import InlinePool
+from test_resume import assert_same
 
 from warp_plate import Scene, localize
 from warp_plate.plate.scheme import make_scheme
@@ -15,17 +16,6 @@ SEARCH = {"particles": 8, "iterations": 12, "seed": 3}
 @pytest.fixture
 def panel():
     return scene_of(damping=88.5, precision="float32", search=SEARCH)
-
-
-def assert_same_search(one, other):
-    """Check that two results have bit-identical searches and cases."""
-    assert (one.bound, one.evaluations, one.node_steps) == (other.bound, other.evaluations, other.node_steps)
-    for name in ("best", "mean", "evaluations"):
-        np.testing.assert_array_equal(one.history[name], other.history[name])
-    for name, case in one.cases.items():
-        assert case.energy == other.cases[name].energy
-        np.testing.assert_array_equal(case.phasors, other.cases[name].phasors)
-        np.testing.assert_array_equal(case.displacement, other.cases[name].displacement)
 
 
 @pytest.mark.parametrize("evaluator", ["direct", "response"])
@@ -59,19 +49,14 @@ def test_contents_of_a_result(device, path, evaluator):
         assert case.trace.shape == (1, result.trace_times.size)
         assert np.isfinite(case.displacement).all()
     assert set(result.versions) == {"warp_plate", "warp", "numpy", "python"}
-
-
-def test_node_steps_count_all_plates():
-    """Moving nodes × steps × plates: 21 for the bound, 3 single actuators, the swarm, and 3 cases."""
-    scene = scene_of(search=SEARCH)
-    plate = simulate(scene, device="cpu", estimate=False).node_steps
-    assert plate == 11 * 11 * make_scheme(scene).steps
-    assert localize(scene, device="cpu", estimate=False).node_steps == plate * (21 + 3 + 96 + 3)
+    # Moving nodes × steps × plates: 21 for the matrices, 3 cases; single actuators and the swarm if simulated.
+    plates = 21 + 3 + (3 + 96 if evaluator == "direct" else 0)
+    assert result.node_steps == 11 * 11 * make_scheme(scene).steps * plates
 
 
 def test_the_seed_determines_every_bit(device, path, panel):
     first, again, other = (localize(panel, "", device, seed, path=path, estimate=False) for seed in (5, 5, 6))
-    assert_same_search(first, again)
+    assert_same(first, again)
     assert not np.array_equal(first.history["best"], other.history["best"])
 
 
@@ -106,20 +91,6 @@ def test_the_device_of_a_result_names_its_workers(evaluator, words):
     assert words in result.device
 
 
-def test_ctrl_c_keeps_the_best_so_far(device, path, panel):
-    def stop(done, total, best):
-        if done == 5:
-            raise KeyboardInterrupt
-
-    result = localize(panel, "", device, on_progress=stop, path=path, estimate=False)
-    full = localize(panel, "", device, path=path, estimate=False)
-    assert result.interrupted
-    assert result.evaluations == 40
-    np.testing.assert_array_equal(result.history["best"], full.history["best"][:5])
-    assert result.cases["best"].localization_factor == pytest.approx(result.history["best"][-1], abs=2e-6)
-    assert result.bound == full.bound
-
-
 def test_one_actuator_leaves_nothing_to_search():
     scene = scene_of(actuators=[(0.03, 0.06, 0.04, 0.07)], damping=88.5, search=SEARCH)
     result = localize(scene, device="cpu", estimate=False)
@@ -134,10 +105,8 @@ def test_drives_of_simulate(panel):
     for drive in ("equal", "single"):
         run = simulate(panel, "mine", drive, "cpu", estimate=False)
         assert run.cases["drive"].energy == found.cases[drive].energy
-    actuators = tuple(
-        actuator.model_copy(update={"magnitude": magnitude, "phase": phase})
-        for actuator, magnitude, phase in zip(panel.actuators, (1.0, -0.5, 2.0), (0.0, 1.0, -2.0), strict=True)
-    )
+    changes = ({"magnitude": 1.0, "phase": 0.0}, {"magnitude": -0.5, "phase": 1.0}, {"magnitude": 2.0, "phase": -2.0})
+    actuators = tuple(one.model_copy(update=new) for one, new in zip(panel.actuators, changes, strict=True))
     written = simulate(panel.model_copy(update={"actuators": actuators}), "mine", device="cpu", estimate=False)
     expected = [1, -0.5 * np.exp(-1j), 2 * np.exp(2j)]
     np.testing.assert_allclose(written.cases["drive"].phasors, expected, rtol=1e-14)

@@ -1,6 +1,6 @@
 """An interrupted search continues to the result of an uninterrupted one."""
 
-from dataclasses import fields, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -16,31 +16,9 @@ SEARCH = {"search": {"particles": 8, "iterations": 9, "seed": 3}, "record": {"po
 
 def assert_same(one, other):
     """Check that two results are bit-identical, apart from timings and error estimates."""
-    arrays = {"cases", "times", "trace_times", "history"}
-    for name in {field.name for field in fields(one)} - {"seconds", "accuracy"} - arrays:
-        assert getattr(one, name) == getattr(other, name), name
-    np.testing.assert_array_equal(one.times, other.times)
-    assert one.history.keys() == other.history.keys()
-    for name in one.history:
-        np.testing.assert_array_equal(one.history[name], other.history[name])
-    assert one.cases.keys() == other.cases.keys()
-    for name, case in one.cases.items():
-        assert case.energy == other.cases[name].energy
-        for part in ("phasors", "displacement", "trace"):
-            np.testing.assert_array_equal(getattr(case, part), getattr(other.cases[name], part))
-
-
-@pytest.fixture
-def stopped(tmp_path):
-    """Search until ``on_progress`` or the solver raises KeyboardInterrupt, and return the checkpoint."""
-
-    def run(scene, *options, on_progress=None):
-        file = CheckpointFile(tmp_path / "one.checkpoint.h5", np.inf)
-        result = localize(scene, "mine", *options, on_progress=on_progress, estimate=False, checkpoints=file)
-        assert result.interrupted
-        return load_checkpoint(file.path)
-
-    return run
+    left, right = asdict(one), asdict(other)
+    for name in left.keys() - {"seconds", "accuracy"}:
+        np.testing.assert_equal(left[name], right[name], name)
 
 
 def stop_after(iterations):
@@ -51,17 +29,30 @@ def stop_after(iterations):
     return on_progress
 
 
+def stopped(folder, scene, *options, after=None):
+    """Search until so many iterations are done or the solver raises KeyboardInterrupt; return result and checkpoint."""
+    file = CheckpointFile(folder / "one.checkpoint.h5", np.inf)
+    on_progress = None if after is None else stop_after(after)
+    result = localize(scene, "mine", *options, on_progress=on_progress, estimate=False, checkpoints=file)
+    assert result.interrupted
+    return result, load_checkpoint(file.path)
+
+
 @pytest.mark.parametrize(("evaluator", "iterations"), [("direct", 8), ("response", 4)])
-def test_bit_identical_from_any_iteration(evaluator, iterations, device, path, stopped):
+def test_bit_identical_from_any_iteration(evaluator, iterations, device, path, tmp_path):
     scene = scene_of(damping=88.5, precision="float32", **SEARCH)
     options = (device, None, evaluator, path)
-    checkpoint = stopped(scene, *options, on_progress=stop_after(iterations))
+    result, checkpoint = stopped(tmp_path, scene, *options, after=iterations)
     assert (checkpoint.iterations, checkpoint.progress) == (iterations, f"{iterations} of 9 iterations")
-    assert_same(resume(checkpoint, estimate=False), localize(scene, "mine", *options, estimate=False))
+    full = localize(scene, "mine", *options, estimate=False)
+    assert (result.evaluations, result.bound) == (8 * iterations, full.bound)
+    np.testing.assert_array_equal(result.history["best"], full.history["best"][:iterations])
+    assert result.cases["best"].localization_factor == pytest.approx(result.history["best"][-1], abs=2e-6)
+    assert_same(resume(checkpoint, estimate=False), full)
 
 
 @pytest.mark.parametrize("call", [3, 10])
-def test_interrupted_between_ask_and_tell(call, stopped, monkeypatch):
+def test_interrupted_between_ask_and_tell(call, tmp_path, monkeypatch):
     """Positions are new and their losses unknown; nothing is lost or counted twice."""
     scene = scene_of(damping=88.5, **SEARCH)
     full = localize(scene, "mine", "cpu", estimate=False)
@@ -75,14 +66,14 @@ def test_interrupted_between_ask_and_tell(call, stopped, monkeypatch):
         return answer
 
     monkeypatch.setattr(PlateSolver, "run", interrupted)
-    checkpoint = stopped(scene, "cpu")
+    _, checkpoint = stopped(tmp_path, scene, "cpu")
     assert checkpoint.iterations == call - 3  # after the response and the single actuators
     assert_same(resume(checkpoint, estimate=False), full)
 
 
-def test_interrupted_again_and_again(stopped, tmp_path):
+def test_interrupted_again_and_again(tmp_path):
     scene = scene_of(effects={"stretching": {}, "damping": {"viscous": 88.5}}, **SEARCH)
-    checkpoint = stopped(scene, "cpu", on_progress=stop_after(1))
+    _, checkpoint = stopped(tmp_path, scene, "cpu", after=1)
     for iterations in range(2, 9):
         file = CheckpointFile(tmp_path / "two.checkpoint.h5", np.inf, resumes=True)
         resume(checkpoint, on_progress=stop_after(iterations), estimate=False, checkpoints=file)
@@ -93,10 +84,10 @@ def test_interrupted_again_and_again(stopped, tmp_path):
     assert_same(found, localize(scene, "mine", "cpu", estimate=False))
 
 
-def test_the_chosen_grid_is_kept(stopped, monkeypatch):
+def test_the_chosen_grid_is_kept(tmp_path, monkeypatch):
     """The choice depends on timings, so it is kept in the checkpoint."""
     written = scene_of(damping=88.5, **SEARCH).model_copy(update={"grid": type(scene_of().grid)(accuracy=0.3)})
-    checkpoint = stopped(written, "cpu", on_progress=stop_after(2))
+    _, checkpoint = stopped(tmp_path, written, "cpu", after=2)
     assert checkpoint.scene_as_written == written
     monkeypatch.setattr(grid_choice, "choose", None)
     found = resume(checkpoint, estimate=False)
@@ -105,21 +96,19 @@ def test_the_chosen_grid_is_kept(stopped, monkeypatch):
     assert found.accuracy["asked"] == 0.3
 
 
-def test_another_device_must_be_named(stopped, tmp_path):
-    checkpoint = stopped(scene_of(**SEARCH), "cpu", on_progress=stop_after(2))
+def test_another_device_must_be_named(tmp_path):
+    _, checkpoint = stopped(tmp_path, scene_of(**SEARCH), "cpu", after=2)
     elsewhere = replace(checkpoint, device="cuda:7", processor="another one")
-    with pytest.raises(SceneError, match=r"began on cuda:7 \(another one\).*--device") as refused:
+    with pytest.raises(SceneError, match=r"^the search began on cuda:7 \(another one\).*--device \w+$"):
         resume(elsewhere)
-    assert "\n" not in str(refused.value)
     file = CheckpointFile(tmp_path / "two.checkpoint.h5", np.inf, resumes=True)
     resume(elsewhere, "cpu", on_progress=stop_after(4), estimate=False, checkpoints=file)
     moved = load_checkpoint(file.path)
     assert (moved.device, moved.processor) == (checkpoint.device, checkpoint.processor)
-    found = resume(moved, estimate=False)
+    older = replace(moved, versions={**checkpoint.versions, "warp": "0.1"})
+    found = resume(older, estimate=False)
     assert found.device.startswith("cuda:7 (another one), then cpu")
-    assert found.versions == checkpoint.versions
-    older = resume(replace(checkpoint, versions={**checkpoint.versions, "warp": "0.1"}), estimate=False)
-    assert older.versions["warp"] == f"0.1, then {checkpoint.versions['warp']}"
+    assert found.versions == {**checkpoint.versions, "warp": f"0.1, then {checkpoint.versions['warp']}"}
 
 
 @pytest.mark.parametrize(("every", "expected"), [(0.0, [*range(1, 10)]), (np.inf, [])])
@@ -139,11 +128,10 @@ def test_checkpoints_while_a_search_runs(every, expected, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_files_of_other_searches_are_left_alone(tmp_path, stopped):
+def test_files_of_other_searches_are_left_alone(tmp_path):
     """A previous checkpoint of another search, and a file that another process writes meanwhile."""
-    checkpoint, lines = stopped(scene_of(**SEARCH), "cpu", on_progress=stop_after(2)), []
-    path = tmp_path / "a.checkpoint.h5"
-    other = replace(checkpoint, seed=99)
+    (_, checkpoint), lines = stopped(tmp_path, scene_of(**SEARCH), "cpu", after=2), []
+    path, other = tmp_path / "a.checkpoint.h5", replace(checkpoint, seed=99)
     save_checkpoint(other, path)
     save_checkpoint(other, previous_path(path))
     file = CheckpointFile(path, warn=lines.append)

@@ -1,22 +1,20 @@
 """Robust searches: what they gain over the nominal drive, their bound, checkpoints, files, tables and pictures."""
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
-from conftest import scene_of
+from conftest import output_of, scene_of
+from test_resume import assert_same, stopped
 
 from warp_plate.problem.problem import make_problem
 from warp_plate.problem.scenario_losses import apply_measure
 from warp_plate.result import load_result, save_result
-from warp_plate.result.checkpoint import load_checkpoint
-from warp_plate.scene.dump import dump_scene
-from warp_plate.studies.checkpointing import CheckpointFile
 from warp_plate.studies.compare import compare
 from warp_plate.studies.localize import localize, resume
 
 TOLERANCES = {"young_modulus": 0.15, "gain": 0.1, "place": 0.004, "scenarios": 16, "fresh": 60}
-VALUES = ("validation", "searched", "nominal_plate")
 
 
 def robust(effects=None, seed=0, precision="float64", search=None, **tolerances):
@@ -80,46 +78,28 @@ def test_what_is_not_quadratic_is_simulated(scene):
 
 
 def test_an_interrupted_search_resumes_bit_identically(tmp_path):
-    scene, file = robust(precision="float32", fresh=4, scenarios=3), tmp_path / "search.checkpoint.h5"
-    full = localize(scene, device="cpu", estimate=False)
-
-    def stop(done, total, best):
-        if done == 5:
-            raise KeyboardInterrupt
-
-    cut = localize(scene, device="cpu", estimate=False, on_progress=stop, checkpoints=CheckpointFile(file, 0))
-    assert cut.interrupted
+    """The resumed result holds the comparison, and so does its file."""
+    scene = robust(precision="float32", fresh=4, scenarios=3)
+    full = localize(scene, "mine", "cpu", estimate=False)
+    cut, checkpoint = stopped(tmp_path, scene, "cpu", after=5)
     assert cut.robust is None
-    again = resume(load_checkpoint(file), estimate=False)
-    assert again.evaluator == full.evaluator == "response"
-    np.testing.assert_array_equal(again.history["best"], full.history["best"])
-    for name in VALUES:
-        np.testing.assert_array_equal(getattr(again.robust, name), getattr(full.robust, name))
-    for name in ("best", "nominal"):
-        np.testing.assert_array_equal(again.cases[name].phasors, full.cases[name].phasors)
-    assert full.node_steps == again.node_steps
+    again = resume(checkpoint, estimate=False)
+    assert again.evaluator == "response"
+    assert_same(again, full)
+    read = load_result(save_result(full, tmp_path / "result.h5"))
+    np.testing.assert_equal(asdict(read.robust), asdict(full.robust))
 
 
-def test_results_keep_the_comparison(tmp_path):
-    result = localize(robust(fresh=5, scenarios=2), device="cpu", estimate=False)
-    read = load_result(save_result(result, tmp_path / "result.h5")).robust
-    for name in ("measure", "scenarios", "localization", "bound"):
-        assert getattr(read, name) == getattr(result.robust, name)
-    for name in VALUES:
-        np.testing.assert_array_equal(getattr(read, name), getattr(result.robust, name))
-
-
-def test_the_command_shows_both_drives(tmp_path, command):
-    path = tmp_path / "panel.toml"
-    path.write_text(dump_scene(robust(fresh=6, scenarios=2)), encoding="utf-8")
-    options = ("localize", path, "--out", tmp_path / "found.h5", "--no-pictures", "--no-estimate", "--device", "cpu")
-    found = json.loads(command(*options, "--json")[1])
+def test_the_command_shows_both_drives(write_scene, command):
+    write_scene(robust(fresh=6, scenarios=2))
+    options = ("localize", "panel.toml", "--no-pictures", "--no-estimate", "--device", "cpu")
+    found = json.loads(output_of(command(*options, "--json")))
     rows = found["robust"]
     assert {"mean", "worst_5_percent", "worst", "nominal_plate", "searched", "bound", "measure"} <= set(rows)
     assert rows["nominal_plate"]["nominal"] == pytest.approx(found["localization_factor"]["nominal"])
     assert rows["worst"]["robust"] == min(rows["fresh"]["robust"])
     assert len(rows["fresh"]["nominal"]) == 6
-    text = command(*options)[1]
+    text = output_of(command(*options))
     assert "Over 6 fresh scenarios" in text
     assert "mean of the worst 5 %" in text
 

@@ -1,20 +1,20 @@
 """A drive for each of several targets: searches, crosstalk, files, tables, pictures and checkpoints."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from conftest import scene_of
+from conftest import output_of, scene_of
+from test_resume import assert_same, stopped
 
 from warp_plate import PlateSolver, Scene, load_result, localize, resume
 from warp_plate.problem import problem
 from warp_plate.result import save_result
-from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.result.targets import best_drive_scenes, crosstalk, decibels, target_cases, target_regions
-from warp_plate.scene.dump import dump_scene
-from warp_plate.studies.checkpointing import CheckpointFile
+from warp_plate.studies.simulate import simulate
 
 TARGETS = (
     {"name": "disc", "disc": (0.06, 0.06, 0.03)},
@@ -50,17 +50,17 @@ def test_each_search_equals_that_of_a_single_target(found):
     """Bit-identical drives, displacements, bounds and histories."""
     scene = panel()
     assert list(found.cases) == ["equal", "single", "best", "best left", "best three corners"]
-    assert found.evaluations == 3 * 8 * 9
+    assert (found.evaluations, found.bound, found.scene.target) == (216, found.target_searches[0].bound, scene.target)
     for index, case in enumerate(target_cases(scene).values()):
-        single = localize(single_target(scene, index), "mine", "cpu", estimate=False)
+        single, search = (
+            localize(single_target(scene, index), "mine", "cpu", estimate=False),
+            found.target_searches[index],
+        )
         np.testing.assert_array_equal(found.cases[case].phasors, single.cases["best"].phasors)
         np.testing.assert_array_equal(found.cases[case].displacement, single.cases["best"].displacement)
         assert found.cases[case].localization_factor == single.cases["best"].localization_factor
-        assert found.target_searches[index].bound == single.bound
-        for name, values in single.history.items():
-            np.testing.assert_array_equal(found.target_searches[index].history[name], values)
-    assert found.bound == found.target_searches[0].bound
-    assert found.scene.target == scene.target
+        assert search.bound == single.bound
+        np.testing.assert_equal(search.history, single.history)
 
 
 def test_crosstalk_is_the_share_of_each_target_under_each_drive(found):
@@ -88,45 +88,22 @@ def test_gram_matrices_are_measured_once(kind, measured, monkeypatch):
     np.testing.assert_array_equal(several.cases["best three corners"].phasors, single.cases["best"].phasors)
 
 
-def stop_at(count):
-    def on_progress(done, total, best):
-        assert total == 27
-        if done == count:
-            raise KeyboardInterrupt
-
-    return on_progress
-
-
 @pytest.mark.parametrize(("count", "index", "iterations"), [(9, 0, 9), (25, 2, 7)])
 def test_an_interrupted_search_resumes_bit_identically(count, index, iterations, found, tmp_path):
-    file = CheckpointFile(tmp_path / "one.checkpoint.h5", np.inf)
-    left = localize(panel(), "mine", "cpu", on_progress=stop_at(count), estimate=False, checkpoints=file)
-    assert left.interrupted
+    left, checkpoint = stopped(tmp_path, panel(), "cpu", after=count)
     assert len(left.target_searches) == index + 1
     shares = crosstalk(left)
     assert np.isfinite(shares[: index + 1]).all()
     assert np.isnan(shares[index + 1 :]).all()
-    checkpoint = load_checkpoint(file.path)
     name = TARGETS[index]["name"]
     assert checkpoint.progress == f"{iterations} of 9 iterations of target {index + 1} of 3 ({name!r})"
-    resumed = resume(checkpoint, estimate=False)
-    assert (resumed.node_steps, resumed.evaluations) == (found.node_steps, found.evaluations)
-    for name, case in found.cases.items():
-        np.testing.assert_array_equal(resumed.cases[name].phasors, case.phasors)
-        assert resumed.cases[name].energy == case.energy
-    for one, other in zip(resumed.target_searches, found.target_searches, strict=True):
-        assert (one.bound, one.single_actuator, one.evaluations) == (
-            other.bound, other.single_actuator, other.evaluations,
-        )  # fmt: skip
-        np.testing.assert_array_equal(one.position, other.position)
+    assert_same(resume(checkpoint, estimate=False), found)
 
 
 def test_files_keep_the_searches(found, tmp_path):
     again = load_result(save_result(found, tmp_path / "result.h5"))
-    np.testing.assert_array_equal(crosstalk(again), crosstalk(found))
-    assert [search.bound for search in again.target_searches] == [search.bound for search in found.target_searches]
-    last, expected = again.target_searches[2], found.target_searches[2]
-    np.testing.assert_array_equal(last.history["best"], expected.history["best"])
+    np.testing.assert_equal([asdict(search) for search in again.target_searches],
+                            [asdict(search) for search in found.target_searches])  # fmt: skip
     with h5py.File(tmp_path / "result.h5") as file:
         np.testing.assert_array_equal(file["crosstalk"][:], crosstalk(found))
         assert json.loads(file["crosstalk"].attrs["targets"]) == ["disc", "left", "three corners"]
@@ -134,19 +111,17 @@ def test_files_keep_the_searches(found, tmp_path):
     assert list(scenes) == ["best", "best left", "best three corners"]
     for index, (case, scene) in enumerate(scenes.items()):
         assert scene.target == scene.targets[index].unnamed
-        phasors = np.array([[actuator.magnitude * np.exp(-1j * actuator.phase) for actuator in scene.actuators]])
-        energy = PlateSolver(scene, "cpu").run(phasors).energy[0]
-        assert energy[1] / energy[0] == pytest.approx(found.cases[case].localization_factor, rel=1e-4)
+        drive = simulate(scene, device="cpu", estimate=False).cases["drive"]
+        assert drive.localization_factor == pytest.approx(found.cases[case].localization_factor, rel=1e-4)
 
 
 QUICK = ("panel.toml", "--device", "cpu", "--no-estimate", "--no-pictures")
 
 
-def test_the_commands(command, tmp_path, monkeypatch):
+def test_the_commands(command, write_scene):
     """Tables, a scene for each target, and JSON; simulate shows the energy of every target."""
-    monkeypatch.chdir(tmp_path)
-    Path("panel.toml").write_text(dump_scene(panel()), encoding="utf-8")
-    _, out, _ = command("localize", *QUICK, "--evaluator", "response")
+    write_scene(panel())
+    out = output_of(command("localize", *QUICK, "--evaluator", "response"))
     assert "localization factor, target disc" in out
     assert [out.count(f"Drive found for {name}") for name in ("disc", "left", "three corners")] == [1, 1, 1]
     assert "Crosstalk: share of the plate's kinetic energy in" in out
@@ -154,12 +129,12 @@ def test_the_commands(command, tmp_path, monkeypatch):
     assert [Path(f"panel-localize.best{part}.toml").exists() for part in ("", ".2", ".3", ".4")] == [1, 1, 1, 0]
     second = Scene.load("panel-localize.best.2.toml")
     assert second.target == second.targets[1].unnamed
-    record = json.loads(command("localize", *QUICK, "--json")[1])["crosstalk"]
+    record = json.loads(output_of(command("localize", *QUICK, "--json")))["crosstalk"]
     assert record["targets"] == ["disc", "left", "three corners"]
     assert record["cases"] == list(record["drives"]) == ["best", "best left", "best three corners"]
     assert np.shape(record["share"]) == np.shape(record["decibels"]) == (3, 3)
     assert len(record["bound"]) == 3
     assert [one["actuator"] for one in record["drives"]["best left"]] == ["0", "1", "2"]
-    energy = json.loads(command("simulate", *QUICK, "--json")[1])["energy"]
+    energy = json.loads(output_of(command("simulate", *QUICK, "--json")))["energy"]
     assert list(energy) == ["plate", "target", "target disc", "target left", "target three corners"]
     assert energy["target"] == energy["target disc"]
