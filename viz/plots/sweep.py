@@ -42,7 +42,7 @@ def draw_sweep(sweep: Sweep, path: str | Path) -> None:
         notes, title = [draw(made, sweep)], sweep.scene.title or sweep.source
         if refused := np.count_nonzero(sweep.status == REFUSED):
             notes.append(f"{counted(refused, 'point')} refused ({'ticks' if sampled else 'grey'})")
-        made.suptitle(": ".join(filter(None, (title, "; ".join(filter(None, notes))))), fontsize=9)
+        made.suptitle(": ".join(filter(None, (title, "; ".join(filter(None, notes))))), fontsize=9, wrap=True)
 
 
 def curves(sweep: Sweep) -> dict[str, tuple[str, np.ndarray]]:
@@ -122,7 +122,7 @@ def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
         axes.set_title("\n".join(f"{name}{value:.4g}" for name, value in zip(names, held, strict=True)), fontsize=7)
     _label_maps(panels, sweep, columns, (first, second), 4, size=8)
     figure.colorbar(mesh, ax=panels, shrink=0.8).set_label(_with_unit(label, unit))
-    return f"{len(shown)} of {len(places)} maps" if len(shown) < len(places) else label
+    return f"{len(shown)} of {len(places)} maps" if len(shown) < len(places) else ""
 
 
 def _draw_points(figure: Figure, sweep: Sweep) -> str:
