@@ -1,4 +1,4 @@
-"""Every table and key of a scene file appears in the documentation."""
+"""Every table and key of a scene file appears in the documentation, and every number has a unit."""
 
 from pathlib import Path
 
@@ -7,17 +7,25 @@ from pydantic import BaseModel
 
 from warp_plate import Scene
 from warp_plate.cli.localize import localize
+from warp_plate.scene.keys import UNITS
 from warp_plate.scene.search import OBJECTIVE_UNITS, Limits, Objective, Search
 
 DOCS = Path(__file__).parents[2] / "docs"
 TEXT = "\n".join(page.read_text(encoding="utf-8") for page in sorted(DOCS.glob("*.md")))
+UNITLESS = {
+    *("poisson_ratio", "nodes", "order", "accuracy", "gain", "weight", "quantile", "without_oscillators"),
+    *("particles", "iterations", "restarts", "inertia", "decay", "cognitive", "social", "velocity_limit", "stall"),
+    *("seed", "scenarios", "fresh"),
+}
+
+
+def types_in(kind):
+    """Return the types in an annotation, in unions and tuples as well."""
+    return [kind, *(inner for part in getattr(kind, "__args__", ()) for inner in types_in(part))]
 
 
 def tables_in(kind):
-    """Return the tables that a key may hold, in unions and tuples as well."""
-    if isinstance(kind, type) and issubclass(kind, BaseModel):
-        return [kind]
-    return [table for part in getattr(kind, "__args__", ()) for table in tables_in(part)]
+    return [table for table in types_in(kind) if isinstance(table, type) and issubclass(table, BaseModel)]
 
 
 def tables_of(model, prefix=""):
@@ -29,11 +37,15 @@ def tables_of(model, prefix=""):
 
 
 @pytest.mark.parametrize(("name", "model"), list(tables_of(Scene)))
-def test_every_table_and_key_is_documented(name, model):
+def test_every_table_and_key_is_documented_and_every_number_has_a_unit(name, model):
     last = name.split(".")[-1]
     keys = [key for key, field in model.model_fields.items() if not tables_in(field.annotation)]
     assert f"`{last}`" in TEXT or f"{name}]" in TEXT or f".{last}`" in TEXT
     assert not [key for key in keys if f"`{key}`" not in TEXT and f"{key} = " not in TEXT]
+    for key in keys:
+        if {int, float} & set(types_in(model.model_fields[key].annotation)):
+            ends = [".".join([*name.split(".")[index:], key]) for index in range(name.count(".") + 2)]
+            assert set(ends) & set(UNITS) or key in UNITLESS, (name, key)
 
 
 def test_keys_stand_in_the_rows_of_their_table():
