@@ -65,11 +65,10 @@ def missing_page() -> str | None:
 
 
 def serve_page(model: LiveModel, host: str, port: int, on_ready: Callable[[str], object]) -> None:
-    """Serve a live model until Ctrl-C.
+    """Serve a live model until Ctrl-C, and call ``on_ready`` with the address of the page.
 
     Args:
         port: 0 takes any free one.
-        on_ready: called with the address of the page.
 
     Raises:
         DrawingUnavailable: VTK cannot draw here.

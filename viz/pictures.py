@@ -34,8 +34,7 @@ ASPECT, LEAST_DURATION = 0.78, 6.0
 # In hundredths of a second, in which GIF counts; most viewers slow down shorter frames.
 SHORTEST_GIF_FRAME = 2
 
-# Called after each frame with the numbers of frames done and in all.
-OnFrame = Callable[[int, int], object]
+OnFrame = Callable[[int, int], object]  # called with the numbers of frames done and in all
 TakePicture = Callable[[], "Image.Image"]
 
 
@@ -125,8 +124,7 @@ def _write_mp4(path: Path, pictures: Iterator[Image.Image], size: tuple[int, int
 
 def largest_frame(motions: Sequence[Motion], quantity: str = "displacement") -> int:
     """Return the frame where the field is largest in any plate, or the displacement if the field is constant."""
-    field = field_of(motions, quantity)
-    values = [field.values(motion) for motion in motions]
+    values = [field_of(motions, quantity).values(motion) for motion in motions]
     if len(values[0]) == 1:
         values = [motion.displacement for motion in motions]
     peaks = [np.abs(np.nan_to_num(array, posinf=0, neginf=0)).max(axis=(1, 2)) for array in values]

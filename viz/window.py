@@ -151,11 +151,12 @@ class ViewerWindow:
         """Write the window to the next free file name."""
         paths = (Path(f"{self.stem}-{number}.png") for number in itertools.count(1))
         path = next(path for path in paths if not path.exists())
+        text = f"wrote {path}"
         try:
             self.plotter.screenshot(path)
-            self.status.SetInput(f"wrote {path}")
         except OSError as error:
-            self.status.SetInput(f"{path}: cannot be written: {error.strerror}")
+            text = f"{path}: cannot be written: {error.strerror}"
+        self.status.SetInput(text)
         self.plotter.render()
         return path
 

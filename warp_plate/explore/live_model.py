@@ -44,8 +44,7 @@ class LiveModel:
         progress: Called during the first simulation, which is done when the constructor returns.
 
     Attributes:
-        ranges: Ends of the sliders.
-        settings: Positions of the sliders.
+        ranges, settings: Ends and positions of the sliders.
 
     Raises:
         SceneError: The load does not repeat with the drive, or see :class:`PlateSolver`. Later errors are reported by
@@ -126,16 +125,13 @@ class LiveModel:
                 self._request(**{key: tuple(values)})
 
     def choose(self, choice: str, seconds: float = 0.0) -> None:
-        """Take one of the CHOICES as the drive.
+        """Take one of the CHOICES as the drive; a ValueError is raised for another.
 
         Args:
             choice: "scene": the scene's own; "equal": all actuators alike; "single": the best single actuator;
                 "found": the best so far of a search by the scene's swarm, which begins now; "exact": the drive that
                 attains the bound; "random": any.
             seconds: Least duration of an iteration of that search [s].
-
-        Raises:
-            ValueError: There is no such choice.
         """
         if choice not in CHOICES:
             raise ValueError(f"choice = {choice!r}: there are: {', '.join(CHOICES)}")
