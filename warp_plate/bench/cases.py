@@ -20,13 +20,13 @@ FILLING_A_THREAD, FILLING_A_GPU = 128, 65536
 
 @dataclass(frozen=True)
 class BenchCase:
-    """A case to measure."""
+    """A case to measure: a number of plates of ``nodes`` × ``nodes``."""
 
-    device: str  # Warp's name of the device
-    precision: str  # precision of the time steps
-    nodes: int  # nodes of each side
-    plates: int  # number of plates
-    path: str = "auto"  # path of the solver
+    device: str
+    precision: str
+    nodes: int
+    plates: int
+    path: str = "auto"
 
     def __str__(self) -> str:
         return f"{self.device}, {self.precision}, {self.plates} × {self.nodes}²"
@@ -40,10 +40,8 @@ def all_devices() -> list[str]:
 
 def filling_plates(device: str, nodes: int) -> int:
     """Return a number of plates of ``nodes`` × ``nodes`` that keeps all cores or multiprocessors busy."""
-    share = (PAPER_NODES - 2) ** 2 / (nodes - 2) ** 2
-    if find_device(device).is_cuda:
-        return max(1, round(FILLING_A_GPU * share))
-    return cpu_threads() * max(1, round(FILLING_A_THREAD * share))
+    unit, many = (1, FILLING_A_GPU) if find_device(device).is_cuda else (cpu_threads(), FILLING_A_THREAD)
+    return unit * max(1, round(many * (PAPER_NODES - 2) ** 2 / (nodes - 2) ** 2))
 
 
 def make_cases(

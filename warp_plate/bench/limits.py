@@ -25,7 +25,6 @@ from warp_plate.solve.cpu import compiler_flags
 from warp_plate.solve.devices import cpu_threads
 from warp_plate.solve.specialize import Specialized
 
-REALS = {"float32": wp.float32, "float64": wp.float64}
 # Numbers moved: displacement and rate, read and written.
 NUMBERS_MOVED = 4
 # Operations of the two Laplacians (three additions and a multiply-add each), the update (two multiply-adds and an
@@ -42,10 +41,11 @@ RUNS = 5
 
 @dataclass(frozen=True)
 class DeviceLimits:
-    """Measured limits of a device."""
+    """Measured limits of a device: bytes read and written together, and operations by precision, a fused multiply-add
+    being two [1/s]."""
 
-    copy_bytes_per_second: float  # bytes read and written together [1/s]
-    flops: Mapping[str, float]  # operations by precision, a fused multiply-add being two [1/s]
+    copy_bytes_per_second: float
+    flops: Mapping[str, float]
 
 
 def seconds_of(work: Callable[[], None], device: wp.Device) -> float:
@@ -65,7 +65,7 @@ def measure_limits(device: wp.Device, precisions: Iterable[str]) -> DeviceLimits
     """
     threads = cpu_threads() if device.is_cpu else 1
     copied = _copy_bytes_per_second(device, threads)
-    return DeviceLimits(copied, {name: _flops(device, REALS[name], threads) for name in precisions})
+    return DeviceLimits(copied, {name: _flops(device, getattr(wp, name), threads) for name in precisions})
 
 
 def share_of_limit(specialized: Specialized, path: str, rate: float, limits: DeviceLimits) -> tuple[str, float]:
@@ -79,9 +79,8 @@ def share_of_limit(specialized: Specialized, path: str, rate: float, limits: Dev
 
 def operations_a_node_step(specialized: Specialized) -> float:
     """Return the floating-point operations of a node-step, averaged over the nodes and steps of a scene."""
-    scheme = specialized.scheme
-    loaded = specialized.support.shape[0] / specialized.interior_nodes
-    summed = (scheme.window[1] - scheme.window[0]) / scheme.steps
+    (start, end), steps = specialized.scheme.window, specialized.scheme.steps
+    loaded, summed = specialized.support.shape[0] / specialized.interior_nodes, (end - start) / steps
     return LAPLACIANS + UPDATE + LOAD * loaded + SUM * summed
 
 

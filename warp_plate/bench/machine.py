@@ -19,13 +19,19 @@ QUIET = 0.3
 
 @dataclass(frozen=True)
 class Machine:
-    """The machine of a measurement."""
+    """The machine of a measurement.
 
-    system: str  # operating system
-    cores: int  # cores of the CPU
-    threads: int  # threads that the simulation uses
-    load: float | None  # load average of the minute before; None on systems without it
-    devices: Mapping[str, str]  # models by Warp's name of the device
+    Attributes:
+        threads: number of threads that the simulation uses.
+        load: load average of the minute before; None on systems without it.
+        devices: models by Warp's name of the device.
+    """
+
+    system: str
+    cores: int
+    threads: int
+    load: float | None
+    devices: Mapping[str, str]
 
 
 def describe_machine(devices: Sequence[str]) -> Machine:
@@ -34,17 +40,12 @@ def describe_machine(devices: Sequence[str]) -> Machine:
     Raises:
         SceneError: there is no such device, or WARP_PLATE_THREADS is not a number of threads.
     """
-    threads, models = cpu_threads(), {name: find_device(name) for name in devices}
-    return Machine(
-        system=f"{platform.system()} {platform.release()} {platform.machine()}",
-        cores=os.cpu_count() or 1,
-        threads=threads,
-        load=_load_average(),
-        devices={
-            name: processor_of(model) + ("" if model.is_cuda else f", {threads} threads")
-            for name, model in models.items()
-        },
-    )
+    threads, models = cpu_threads(), {}
+    for name in devices:
+        device = find_device(name)
+        models[name] = processor_of(device) + ("" if device.is_cuda else f", {threads} threads")
+    system = f"{platform.system()} {platform.release()} {platform.machine()}"
+    return Machine(system, os.cpu_count() or 1, threads, _load_average(), models)
 
 
 def describe_versions() -> dict[str, str]:

@@ -46,19 +46,19 @@ QUICK = {"cpu": TimingBudget(0.2, 3), "cuda": TimingBudget(0.1, 5)}
 
 @dataclass(frozen=True)
 class BenchRow:
-    """Timing of one case; None where it was skipped."""
+    """Timing of one case, with the path that it ran on; None where it was skipped."""
 
-    device: str  # Warp's name of the device
-    precision: str  # precision of the time steps
-    nodes: int  # nodes of each side
-    plates: int  # number of plates
+    device: str
+    precision: str
+    nodes: int
+    plates: int
     steps: int | None = None  # steps of a timed run
-    path: str | None = None  # path of the solver
+    path: str | None = None
     seconds: float | None = None  # median time of a run [s]
-    node_steps_per_second: float | None = None  # rate [1/s]
-    nanoseconds_per_node_step: float | None = None  # its inverse [ns]
+    node_steps_per_second: float | None = None
+    nanoseconds_per_node_step: float | None = None
     swarm_seconds: float | None = None  # time of the paper's 1250 steps [s]
-    bytes_per_plate: int | None = None  # device memory of a plate
+    bytes_per_plate: int | None = None  # on the device
     limit: str | None = None  # limit that applies, "copy" or "arithmetic"
     share: float | None = None  # share of this limit
     status: str = "measured"  # or "skipped: ..."

@@ -47,9 +47,7 @@ def wavenumber_squared(mode: tuple[int, int], size: tuple[float, float]) -> floa
     return (m * math.pi / width) ** 2 + (n * math.pi / height) ** 2
 
 
-def grid_wavenumber_squared(
-    mode: tuple[int, int], size: tuple[float, float], spacing: tuple[float, float]
-) -> float:
+def grid_wavenumber_squared(mode: tuple[int, int], size: tuple[float, float], spacing: tuple[float, float]) -> float:
     """Return k² [1/m²] of the mode under the five-point Laplacian: (4/h²) sin²(mπh/2a) for each direction."""
     return sum(
         (2 / step * math.sin(order * math.pi * step / (2 * length))) ** 2

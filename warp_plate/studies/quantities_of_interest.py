@@ -28,13 +28,8 @@ Values = dict[str, float | np.ndarray]
 
 @dataclass(frozen=True)
 class Quantities:
-    """The quantities of one command.
-
-    Attributes:
-        outputs: units and meanings by name, the most important first.
-        compute: function of (scene, device, path, number of modes) that returns the values, or raises SceneError if the
-            scene is refused.
-    """
+    """The quantities of one command, the most important first, and the function of (scene, device, path, number of
+    modes) that computes them or raises SceneError."""
 
     outputs: Mapping[str, SweepOutput]
     compute: Callable[[Scene, str, str, int], Values]
