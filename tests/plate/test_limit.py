@@ -35,7 +35,7 @@ EFFECTS = {
     "backward damping, huge": {"damping": {"viscous": 1e8, "scheme": "backward"}},
     "bed": {"foundation": {"stiffness": 1e6}},
     "stiff bed": {"foundation": {"stiffness": 1e12, "damping": 30.0}},
-    "tension": {"tension": {"x": 500.0, "y": 20.0}},
+    "tension": {"tension": {"x": 500.0, "y": 20.0}, "damping": {"viscous": 4e3, "scheme": "backward"}},
     "material damping": {"material_damping": {"time": 1e-5}},
     "material damping under tension": {"material_damping": {"time": 1e-4}, "tension": {"x": 1e5, "y": 1e5}},
     "orthotropic": {"orthotropic": {"Dx": 0.05, "Dy": 0.004, "D1": 0.003, "Dxy": 0.002}},
