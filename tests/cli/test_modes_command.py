@@ -1,4 +1,4 @@
-"""``warp-plate modes``: its table, JSON and picture, and invalid options."""
+"""``warp-plate modes``: its table, JSON and picture, and the grid of ``--accuracy``."""
 
 import json
 import math
@@ -23,76 +23,50 @@ EFFECTS = {
 }
 
 
-@pytest.fixture
-def panel(write_scene):
-    """A small scene with all kinds of edges and some effects, in a file of the working folder."""
-    return write_scene(nodes=(19, 15), size=(0.3, 0.2), edges=EDGES, effects=EFFECTS)
-
-
-def test_json_and_picture(command, panel):
+def test_json_table_and_picture(command, write_scene):
+    """Of a scene with all kinds of edges and some effects, and of a free plate."""
     pytest.importorskip("matplotlib")
-    record, expected = (
-        json.loads(output_of(command("modes", "panel.toml", "--count", 4, "--json"))),
-        natural_modes(panel, 4),
-    )
+    expected = natural_modes(write_scene(nodes=(19, 15), size=(0.3, 0.2), edges=EDGES, effects=EFFECTS), 7)
+    record = json.loads(output_of(command("modes", "panel.toml", "--count", 7, "--json", "--out", "m.svg")))
     assert record["frequencies"] == pytest.approx(expected.frequencies.tolist())
     assert record["frequencies_stepped"] == pytest.approx(expected.stepped.tolist())
     assert record["half_waves"] == [None if pair is None else list(pair) for pair in expected.half_waves()]
-    assert [row[0] for row in record["oscillators"]] == [None] * 4
+    assert [row[0] for row in record["oscillators"]] == [None] * 7
     assert [row[1] for row in record["oscillators"]] == pytest.approx(expected.oscillators[:, 1].tolist())
     assert (record["nodes"], record["order"], record["scene"]) == ([19, 15], 2, "panel.toml")
     assert record["left_out"] == ["damping of the foundation", "stretching"]
-    assert record["files"] == ["panel-modes.png"]
-    assert Path("panel-modes.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_table(command, panel):
+    assert record["files"] == ["m.svg"]
+    drawn = Path("m.svg").read_text(encoding="utf-8")
+    for number, frequency in enumerate(expected.frequencies, 1):
+        assert f"{number}: {frequency_text(frequency)}" in drawn
+    for words in ("clamped", "supported", "on springs", "free", "nodal line", "layer", "oscillator"):
+        assert f"<!-- {words} -->" in drawn
     out = output_of(command("modes", "panel.toml", "--no-pictures"))
-    for frequency in natural_modes(panel, 6).frequencies:
-        assert f"{frequency:.2f}" in out
-    assert "19 × 15 nodes" in out
-    assert "mass 1" in out
+    left_out = "Not included in natural modes: damping of the foundation, stretching."
+    for part in ("19 × 15 nodes", "mass 1", left_out, *(f"{frequency:.2f}" for frequency in expected.frequencies[:6])):
+        assert part in out
     assert "mass 0" not in out
-    assert "Not included in natural modes: damping of the foundation, stretching." in out
-    assert not Path("panel-modes.png").exists()
-
-
-def test_rigid_motions_are_named(command, write_scene):
     write_scene(edges=("free",) * 4)
     assert output_of(command("modes", "panel.toml", "--no-pictures", "--count", 4)).count("0 (rigid)") == 3
+    assert sorted(path.name for path in Path().iterdir()) == ["m.svg", "panel.toml"]
 
 
-def test_accuracy_chooses_the_grid(command, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    answer = command("modes", "paper-supported", "--accuracy", "5%", "--count", 3, "--json", "--no-pictures")
+def test_accuracy_chooses_the_grid(command, write_scene, panel):
+    write_scene(panel)
+    answer = command("modes", "panel.toml", "--accuracy", "20%", "--count", 3, "--json", "--no-pictures")
     record = json.loads(output_of(answer))
     # π²κ(m² + n²)/2πa², κ = 0.1530 m²/s, a = 0.2 m.
     exact = np.array([2, 5, 5]) * math.pi / 2 * math.sqrt(1e9 * 5e-4**2 / 12 / (1 - 0.33**2) / 1000) / 0.04
-    np.testing.assert_allclose(record["frequencies"], exact, rtol=0.02)
-    assert record["nodes"] != [27, 27] or record["order"] == 4
+    np.testing.assert_allclose(record["frequencies"], exact, rtol=0.05)
+    assert (record["nodes"], record["order"]) != ([27, 27], 2)
 
 
-@pytest.mark.parametrize(("count", "ending"), [(1, ".pdf"), (7, ".svg")])
-def test_pictures_of_any_number(panel, tmp_path, count, ending):
-    """Each mode has a title; the legend shows the kinds of edges and effects."""
-    pytest.importorskip("matplotlib")
-    found = natural_modes(panel, count)
-    path = tmp_path / f"shapes{ending}"
-    draw_modes(panel, found.frequencies, found.shapes, path)
-    assert path.stat().st_size > 1000
-    if ending == ".svg":
-        text = path.read_text(encoding="utf-8")
-        for number, frequency in enumerate(found.frequencies, 1):
-            assert f"{number}: {frequency_text(frequency)}" in text
-        for words in ("clamped", "supported", "on springs", "free", "nodal line", "layer", "oscillator"):
-            assert f"<!-- {words} -->" in text
-
-
-def test_nodal_field(scene):
+def test_nodal_lines(scene, tmp_path):
     """The second mode of a clamped square has its zeros on the middle line; the first has none, not even in the
     corners, where its sign changes by a part in thousands."""
     clamped = scene((21, 21), (0.2, 0.2))
-    first, second = (nodal_field(clamped, shape) for shape in natural_modes(clamped, 2).shapes)
+    modes = natural_modes(clamped, 2)
+    first, second = (nodal_field(clamped, shape) for shape in modes.shapes)
     assert (first[2][np.isfinite(first[2])] > 0).all()
     x, y, field = second
     assert field.shape == (y.size, x.size)
@@ -101,3 +75,6 @@ def test_nodal_field(scene):
     assert (above == -below[0]).all()
     assert np.nanmax(np.abs(field[np.isclose(y, 0.1)])) == 0
     assert np.isnan(field[:, [0, -1]]).all()
+    pytest.importorskip("matplotlib")
+    draw_modes(clamped, modes.frequencies[:1], modes.shapes[:1], tmp_path / "one.pdf")
+    assert (tmp_path / "one.pdf").stat().st_size > 1000
