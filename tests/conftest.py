@@ -259,6 +259,16 @@ def browser():
         made.close()
 
 
+def drag(page, selector, x, y=0):
+    """Drag the middle of an element of a page by a distance [pixels]."""
+    box = page.locator(selector).last.bounding_box()
+    start = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(start[0] + x, start[1] + y, steps=5)
+    page.mouse.up()
+
+
 def point_scene(nodes, size=(0.2, 0.2), edges=("clamped",) * 4, precision="float64", order=2, **changes):
     """Return a scene with an actuator on every inner node, row by row, so that any field can be the load; undamped and
     two steps long by default."""

@@ -123,7 +123,7 @@ def working_window() -> tuple[str | None, str | None]:
 
 def _try_window(window: str | None) -> tuple[bool, str]:
     """Return whether a trial drawing can be seen, and the class of its window or the subprocess's error output."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     environment |= {} if window is None else {WINDOW_VARIABLE: window}
     # In a session of its own, as Ctrl-C is meant for the command, not for its trial.
     options = {"env": environment, "errors": "replace", "timeout": TIMEOUT, "start_new_session": True}

@@ -9,7 +9,7 @@ import urllib.error
 import urllib.request
 
 import pytest
-from conftest import start_program
+from conftest import drag, start_program
 
 from warp_plate import viz
 from warp_plate.viz.explorer_page import missing_page
@@ -73,16 +73,6 @@ def page(browser, served):
     host = served.split("/")[2]
     assert len(requests) > 5
     assert not [url for url in requests if not re.match(rf"(http|ws)://{re.escape(host)}/|data:|blob:", url)]
-
-
-def drag(page, selector, x, y=0):
-    """Drag the middle of an element by a distance [pixels]."""
-    box = page.locator(selector).bounding_box()
-    start = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.mouse.move(*start)
-    page.mouse.down()
-    page.mouse.move(start[0] + x, start[1] + y, steps=5)
-    page.mouse.up()
 
 
 def number(page, selector):

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from conftest import motion_of
+from conftest import drag, motion_of
 
 from warp_plate.viz import page as page_module
 from warp_plate.viz.fields import common_scale
@@ -170,19 +170,14 @@ def test_playing_stepping_turning_and_heights(opened):
     assert page.inner_text("#title") == "displacement\n[nm]"
     assert "clamped" in page.inner_text("#key")
 
-    box = page.locator("#plates canvas").nth(1).bounding_box()
-    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.mouse.move(*middle)
-    page.mouse.down()
-    page.mouse.move(middle[0] + 80, middle[1] + 30, steps=3)
-    page.mouse.up()
+    drag(page, "#plates canvas", 80, 30)
     turned = pixels(page)
     assert (turned != before).any(axis=-1).mean() > 0.05
     page.mouse.wheel(0, 600)
     until(page, "camera.zoom < 0.9")
     # Zoomed out, less of the picture is not white.
     assert (pixels(page).min(axis=-1) < 240).sum() < 0.8 * (turned.min(axis=-1) < 240).sum()
-    page.mouse.dblclick(*middle)
+    page.locator("#plates canvas").last.dblclick()
     until(page, "camera.zoom === 1")
     assert (pixels(page) == before).all()
 
