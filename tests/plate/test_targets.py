@@ -153,7 +153,7 @@ def paper_with(lines):
         ("[target]", "target.area: no shape is given", "area, disc, polygon and mask"),
         ("[target]\narea = [0.0, 0.1, 0.0, 0.1]\ndisc = [0.1, 0.1, 0.05]", "target.disc: area is given too", "one of"),
         ("[target]\ndisc = [0.1, 0.1, 0.0]", "target.disc[2] = 0.0", "greater than 0"),
-        ("[target]\ndisc = [0.1, 0.1, 0.11]", "target.disc: [0.1, 0.1, 0.11]", "whole disc in 0 ... 0.2"),
+        ("[target]\ndisc = [0.1, 0.1, 0.11]", "target.disc: [0.1, 0.1, 0.11]", "radius in 0 ... 0.2"),
         ("[target]\ndisc = [0.1, 0.1, 1e-9]", "target.disc: a radius of 1e-09 m", "at least 1e-07"),
         ("[target]\npolygon = [[0, 0], [0.1, 0], [0.1, 0.3]]", "target.polygon[2]: [0.1, 0.3]", "0 ... 0.2"),
         ("[target]\npolygon = [[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]", "target.polygon: the sides", "0 and 2"),
@@ -165,7 +165,7 @@ def paper_with(lines):
         ('[[targets]]\nname = "a"\ndiscs = [0.1, 0.1, 0.05]', "targets[0].discs: unknown key", "'disc'"),
         (f"{NAMED_A}\n{NAMED_A}", "targets[1].name: 'a' is taken", "its own"),
         (f"{NAMED_A}\n[target]\narea = [0.0, 0.1, 0.0, 0.1]", "target: there are [[targets]] too", "one of the two"),
-        ('[[targets]]\nname = "a/b"\ndisc = [0.1, 0.1, 0.05]', "targets[0].name = 'a/b'", "without '/'"),
+        ('[[targets]]\nname = "a/b"\ndisc = [0.1, 0.1, 0.05]', 'targets[0].name = "a/b"', "without '/'"),
     ],
 )  # fmt: skip
 def test_bad_shapes_are_refused(lines, named, right):

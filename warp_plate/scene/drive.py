@@ -28,14 +28,9 @@ class Burst(Table):
     @model_validator(mode="after")
     def _ramps_and_period_fit(self) -> Burst:
         if 2 * self.ramp > self.duration * (1 + 1e-12):
-            raise ValueError(
-                f"ramp: rise and fall of {self.ramp:g} s each are longer than duration = {self.duration:g} s; the "
-                f"longest ramp is {self.duration / 2:g} s"
-            )
+            raise ValueError(f"ramp: {self.ramp:g} s is more than half of duration, {self.duration / 2:g} s")
         if self.period is not None and self.period < self.duration:
-            raise ValueError(
-                f"period: {self.period:g} s is shorter than duration = {self.duration:g} s; bursts must not overlap"
-            )
+            raise ValueError(f"period: {self.period:g} s is shorter than a burst, duration = {self.duration:g} s")
         return self
 
 

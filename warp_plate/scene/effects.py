@@ -59,10 +59,8 @@ class Orthotropic(Table):
     @model_validator(mode="after")
     def _positive_definite(self) -> Orthotropic:
         if self.Dx * self.Dy * (1 - 1e-9) <= self.D1**2:
-            raise ValueError(
-                f"D1: {self.D1:g} N·m gives negative energies; its magnitude must be below √(Dx Dy) = "
-                f"{(self.Dx * self.Dy) ** 0.5:g}"
-            )
+            root = (self.Dx * self.Dy) ** 0.5
+            raise ValueError(f"D1: {self.D1:g} N·m gives negative energies; |D1| must be below √(Dx Dy) = {root:g}")
         return self
 
 

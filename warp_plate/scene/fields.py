@@ -67,26 +67,17 @@ def check_file_name(key: str, name: str, suffixes: tuple[str, ...]) -> None:
     """Raise ValueError, naming ``key``, unless this is a file name without folders and with one of the suffixes."""
     if not _FILE_NAME.fullmatch(name) or not name.lower().endswith(suffixes) or name.lower() in suffixes:
         shown = name if len(name) <= 60 else name[:57] + "..."
-        raise ValueError(
-            f"{key}: {shown!r} is not the name of a {' or '.join(suffixes)} file; write the name, without folders, of "
-            "a file beside the scene file"
-        )
+        kinds = " or ".join(suffixes)
+        raise ValueError(f"{key}: {shown!r} is no {kinds} file beside the scene file; write its name without folders")
 
 
 def check_area(key: str, area: Area, size: tuple[float, float]) -> None:
     """Raise ValueError, naming ``key``, unless a rectangle [m] is wide enough and lies on a plate of this size [m]."""
-    x0, x1, y0, y1 = area
-    if x1 <= x0 or y1 <= y0:
-        raise ValueError(f"{key}: {list(area)} has no inside; write x0, x1, y0, y1 with x0 < x1 and y0 < y1")
-    slack_x, slack_y = (1e-9 * side for side in size)
-    if x0 < -slack_x or y0 < -slack_y or x1 > size[0] + slack_x or y1 > size[1] + slack_y:
-        raise ValueError(
-            f"{key}: {list(area)} reaches off the plate; x must stay in 0 ... {size[0]:g}, y in 0 ... {size[1]:g} "
-            "(metres)"
-        )
-    for low, high, side, axis in ((x0, x1, size[0], "x"), (y0, y1, size[1], "y")):
+    for axis, low, high, side in (("x", *area[:2], size[0]), ("y", *area[2:], size[1])):
+        head = f"{key}: {list(area)}"
+        if high <= low:
+            raise ValueError(f"{head} has no inside; write x0, x1, y0, y1 with x0 < x1 and y0 < y1")
+        if low < -1e-9 * side or high > side + 1e-9 * side:
+            raise ValueError(f"{head} reaches off the plate; {axis} must stay in 0 ... {side:g} (metres)")
         if high - low < NARROWEST * side:
-            raise ValueError(
-                f"{key}: {list(area)} is {high - low:.3g} m wide along {axis}; the least is {NARROWEST:g} of the "
-                f"plate's side, {NARROWEST * side:.3g} m"
-            )
+            raise ValueError(f"{head} is {high - low:.3g} m wide along {axis}; at least {NARROWEST * side:.3g} m")

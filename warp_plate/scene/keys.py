@@ -4,10 +4,11 @@ and replacement."""
 from __future__ import annotations
 
 import difflib
+import operator
 import re
-import types
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Union, get_args, get_origin
+from functools import reduce
+from typing import Any, get_args
 
 from pydantic import BaseModel
 
@@ -61,17 +62,16 @@ _PART = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
 def numeric_keys(scene: Scene) -> dict[str, type]:
     """Return the type, int or float, of every key that holds one number or is optional and would hold one.
 
-    If the scene has several targets, ``target`` is one of them and its keys are left out.
+    Of several targets, ``target`` is one, so its keys are left out.
     """
-    keys = _numeric_keys_of(scene, "")
-    return {key: kind for key, kind in keys if not (scene.targets and key.startswith("target."))}
+    return {key: kind for key, kind in _numbers_in(scene, "") if not (scene.targets and key.startswith("target."))}
 
 
 def resolved_key(scene: Scene, key: str) -> str:
     """Return the key with names replaced by indices: ``actuators[0].phase`` for ``actuators.lower left.phase``.
 
     Raises:
-        SceneError: the scene has no such key, or it does not hold a number; the message suggests similar keys.
+        SceneError: the scene has no such key, or it holds no number; the message suggests similar keys.
     """
     known, resolved = numeric_keys(scene), key.strip()
     for table in NAMED:
@@ -102,10 +102,7 @@ def with_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
     kinds = numeric_keys(scene)
     for key, value in numbers.items():
         *path, last = _parts(key)
-        table: Any = tables
-        for part in path:
-            table = table[part]
-        table[last] = kinds[key](value)
+        reduce(operator.getitem, path, tables)[last] = kinds[key](value)
     return Scene.from_tables(tables).in_folder(scene.folder)
 
 
@@ -130,31 +127,20 @@ def label_of(scene: Scene, key: str) -> str:
     return " ".join(words[1:] if words[0] == "effects" else words)
 
 
-def _numeric_keys_of(value: object, key: str) -> Iterator[tuple[str, type]]:
+def _numbers_in(value: object, key: str, annotation: Any = None) -> Iterator[tuple[str, type]]:
     if isinstance(value, BaseModel):
         for name, field in type(value).model_fields.items():
-            inner, inner_key = getattr(value, name), f"{key}.{name}" if key else name
-            kind = _number_type(field.annotation) if inner is None else None
-            if kind is not None:
-                yield inner_key, kind
-            else:
-                yield from _numeric_keys_of(inner, inner_key)
+            yield from _numbers_in(getattr(value, name), f"{key}.{name}" if key else name, field.annotation)
     elif isinstance(value, tuple):
         for index, inner in enumerate(value):
-            yield from _numeric_keys_of(inner, f"{key}[{index}]")
+            yield from _numbers_in(inner, f"{key}[{index}]")
     elif isinstance(value, int | float) and not isinstance(value, bool):
         yield key, type(value)
-
-
-def _number_type(annotation: Any) -> type | None:
-    """Return int or float if an optional field holds such a number."""
-    if annotation in (int, float):
-        return annotation
-    if get_origin(annotation) is Annotated:
-        return _number_type(get_args(annotation)[0])
-    if get_origin(annotation) in (Union, types.UnionType):
-        return next((kind for kind in map(_number_type, get_args(annotation)) if kind), None)
-    return None
+    elif value is None:  # the first of X | None, which may be Annotated
+        kind = get_args(annotation)[0]
+        kind = getattr(kind, "__origin__", kind)
+        if kind in (int, float):
+            yield key, kind
 
 
 def _parts(key: str) -> list[str | int]:
@@ -168,10 +154,10 @@ def _why_unknown(scene: Scene, key: str, known: list[str]) -> str:
     optional = _optional_table(scene, key)
     if optional:
         return f"the scene has no {optional}; write it in the scene file to vary what is in it"
-    close = set(difflib.get_close_matches(key, known, n=4, cutoff=0.6))
+    close = difflib.get_close_matches(key, known, n=4)
     head, tail = re.split(r"[.\[]", key)[0], re.split(r"[.\]]", key)[-1]
     similar = (
-        [other for other in known if other in close]
+        sorted(close, key=known.index)
         or [other for other in known if tail and other.endswith(f".{tail}")]
         or [other for other in known if other.startswith((f"{head}.", f"{head}["))]
         or known
@@ -182,13 +168,13 @@ def _why_unknown(scene: Scene, key: str, known: list[str]) -> str:
 def _optional_table(scene: Scene, key: str) -> str | None:
     """Return the optional table or list that a key lies in and the scene lacks; None if there is none."""
     value: Any = scene
-    outer = ""
-    for part in _parts(key)[:-1]:
-        if not isinstance(part, str) or not isinstance(value, BaseModel) or part not in type(value).model_fields:
+    names = [str(part) for part in _parts(key)[:-1]]
+    for depth, name in enumerate(names, 1):
+        if not isinstance(value, BaseModel) or name not in type(value).model_fields:
             return None
-        value, outer = getattr(value, part), f"{outer}.{part}" if outer else part
-        if value is None or value == ():
-            return outer
+        value = getattr(value, name)
+        if value in (None, ()):
+            return ".".join(names[:depth])
     return None
 
 

@@ -58,10 +58,10 @@ class Plate(Table):
     """Geometry and material of the plate."""
 
     size: tuple[Positive, Positive]  # sides along x and y [m]
-    thickness: Positive  # thickness [m]
-    young_modulus: Annotated[float, Field(ge=1e3, le=1e13)]  # Young's modulus [Pa]
-    poisson_ratio: Annotated[float, Field(ge=-0.99, lt=0.5)]  # Poisson's ratio
-    density: Annotated[float, Field(ge=1, le=1e5)]  # density [kg/m³]
+    thickness: Positive  # [m]
+    young_modulus: Annotated[float, Field(ge=1e3, le=1e13)]  # [Pa]
+    poisson_ratio: Annotated[float, Field(ge=-0.99, lt=0.5)]
+    density: Annotated[float, Field(ge=1, le=1e5)]  # [kg/m³]
 
     @model_validator(mode="after")
     def _thin(self) -> Plate:
@@ -71,10 +71,8 @@ class Plate(Table):
     def check_thin(self, thickness: float, head: str = "") -> None:
         """Raise ValueError, beginning with ``head``, unless a thickness [m] is small against the sides."""
         if thickness > min(self.size) / 5:
-            raise ValueError(
-                f"{head}{thickness:g} m is not thin for a side of {min(self.size):g} m; "
-                "a Kirchhoff-Love plate is thinner than a fifth of its side (lengths are in metres)"
-            )
+            limit = "a plate is thinner than a fifth of its side (lengths are in metres)"
+            raise ValueError(f"{head}{thickness:g} m is not thin for a side of {min(self.size):g} m; {limit}")
 
 
 class Edges(Table):
@@ -106,10 +104,8 @@ class Grid(Table):
             raise ValueError(f"nodes: {list(self.nodes)} are too few for order = 4, which takes 9 or more a side")
         chosen = self.model_fields_set - {"accuracy"}
         if self.accuracy is not None and chosen:
-            raise ValueError(
-                f"accuracy: {self.accuracy:g} chooses nodes, order, load, time_step and precision; delete it, or "
-                f"delete {', '.join(sorted(chosen))}"
-            )
+            keys = ", ".join(sorted(chosen))
+            raise ValueError(f"accuracy: {self.accuracy:g} chooses all other keys; delete it, or delete {keys}")
         return self
 
 
@@ -177,11 +173,7 @@ class Scene(Table):
 
     @staticmethod
     def parse(text: str, name: str) -> Scene:
-        """Return the scene of a TOML text; ``name`` begins the message of an error.
-
-        Raises:
-            SceneError: the text is not TOML, or a key is unknown or wrong.
-        """
+        """Return the scene of a TOML text, or raise a SceneError that begins with ``name``."""
         tables = parse_toml(text, name)
         try:
             return Scene.from_tables(tables)
@@ -190,11 +182,7 @@ class Scene(Table):
 
     @staticmethod
     def from_tables(tables: Mapping[str, Any]) -> Scene:
-        """Return the scene of tables by their names.
-
-        Raises:
-            SceneError: a key is unknown or wrong.
-        """
+        """Return the scene of tables by their names, or raise a SceneError if a key is unknown or wrong."""
         try:
             return Scene.model_validate(tables)
         except ValidationError as error:
@@ -222,10 +210,10 @@ class Scene(Table):
             areas |= {f"effects.{name}[{index}].area": row.area for index, row in enumerate(rows)}
         for key, area in areas.items():
             check_area(key, area, size)
-        _check_names("actuators", [actuator.name for actuator in actuators])
+        _check_names("actuators", actuators)
         for key, target in self.targets_by_key.items():
             target.check(key, size)
-        _check_names("targets", [target.name for target in self.targets])
+        _check_names("targets", self.targets)
         if self.targets and self.target not in [target.unnamed for target in self.targets]:
             raise ValueError("target: there are [[targets]] too, and it is none of them; write one of the two")
         for index, layer in enumerate(self.effects.layers):
@@ -244,9 +232,7 @@ class Scene(Table):
         (width, height), end = self.plate.size, self.window.end
         for index, time in enumerate(self.record.times):
             if time > end * (1 + 1e-9):
-                raise ValueError(
-                    f"record.times[{index}]: {time:g} s is after the run, which ends at window.end = {end:g} s"
-                )
+                raise ValueError(f"record.times[{index}]: {time:g} s is after the run, window.end = {end:g} s")
         for index, (x, y) in enumerate(self.record.points):
             if not (0 <= x <= width and 0 <= y <= height):
                 raise ValueError(f"record.points[{index}]: {[x, y]} is off the plate of {[width, height]} m")
@@ -289,21 +275,13 @@ class Scene(Table):
         return self
 
     def with_tables(self, **tables: Any) -> Scene:
-        """Return the scene with some of its tables replaced, checked again.
-
-        Raises:
-            SceneError: the tables do not fit together.
-        """
+        """Return the scene with some tables replaced, or raise a SceneError if they do not fit together."""
         # A grid that is chosen for an accuracy must not name anything else.
         grid = {"grid": self.grid} if self.grid.accuracy is not None else {}
         return Scene.from_tables({**self.model_dump(), **grid, **tables})._with_folder(self._folder)
 
     def with_accuracy(self, accuracy: float) -> Scene:
-        """Return the scene with an accuracy in place of its grid.
-
-        Raises:
-            SceneError: the accuracy is out of range.
-        """
+        """Return the scene with an accuracy in place of its grid, or raise a SceneError if it is out of range."""
         try:
             return self.model_copy(update={"grid": Grid(accuracy=accuracy)})
         except ValidationError as error:
@@ -350,9 +328,8 @@ class Scene(Table):
         return 2 * math.pi * self.drive.frequency
 
 
-def _check_names(table: str, names: Sequence[str]) -> None:
-    seen: set[str] = set()
+def _check_names(table: str, rows: Sequence[Actuator | NamedTarget]) -> None:
+    names = [row.name for row in rows]
     for index, name in enumerate(names):
-        if name in seen:
+        if name in names[:index]:
             raise ValueError(f"{table}[{index}].name: {name!r} is taken; give each {table.removesuffix('s')} its own")
-        seen.add(name)

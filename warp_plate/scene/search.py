@@ -116,30 +116,19 @@ class Robust(Table):
     def check(self, effects: Effects, load: str) -> None:
         """Raise ValueError, naming the key, if nothing varies or a key does not apply to the scene."""
         if not any((self.young_modulus, self.thickness, self.damping, self.gain, self.place, self.without_oscillators)):
-            raise ValueError(
-                "search.robust: all scenarios are alike; write a tolerance such as young_modulus = 0.05, or delete it"
-            )
+            raise ValueError("search.robust: all scenarios are alike; write a tolerance such as young_modulus = 0.05")
         # The default is allowed, because dumped scenes contain it.
         if self.measure != "quantile" and self.quantile != type(self).model_fields["quantile"].default:
-            raise ValueError(
-                f"search.robust.quantile = {self.quantile:g}: applies to measure = 'quantile' only, but measure is "
-                f"{self.measure!r}; change it, or delete quantile"
-            )
+            raise ValueError(f"search.robust.quantile = {self.quantile:g}: is for measure = 'quantile'; delete it")
         foundation_damping = effects.foundation is not None and effects.foundation.damping
         if self.damping and not (effects.damping or effects.material_damping or foundation_damping):
-            raise ValueError(
-                f"search.robust.damping: {self.damping:g} of no damping; write [effects.damping], or delete the key"
-            )
+            raise ValueError(f"search.robust.damping: {self.damping:g} of no damping; write [effects.damping]")
         if self.without_oscillators and not effects.oscillators:
-            raise ValueError(
-                f"search.robust.without_oscillators: {self.without_oscillators:g}, but there is none; write "
-                "[[effects.oscillators]], or delete the key"
-            )
+            share = f"search.robust.without_oscillators: {self.without_oscillators:g}"
+            raise ValueError(f"{share}, but there is none; write [[effects.oscillators]]")
         if self.place and load == "nodes":
-            raise ValueError(
-                f'search.robust.place: grid.load = "nodes" moves an actuator by whole nodes, not by {self.place:g} m; '
-                'write load = "overlap" or "moments"'
-            )
+            grid = 'grid.load = "nodes" moves actuators by whole nodes; write load = "overlap" or "moments"'
+            raise ValueError(f"search.robust.place: {self.place:g} m, but {grid}")
 
 
 class Search(Table):
@@ -178,18 +167,14 @@ class Search(Table):
 
     def check_limits(self, names: Sequence[str]) -> None:
         """Raise ValueError, naming the key, if limits exclude every magnitude that the named actuators may have."""
-        free, limits = self.magnitude, self.limits
-        if free is None:
+        if self.magnitude is None:
             return
-        low = free.range[0]
+        limits, low = self.limits, self.magnitude.range[0]
+        range_text = f"search.magnitude.range[0] = {low:g}; raise it or lower the range"
         if limits.magnitude is not None and limits.magnitude < low:
-            raise ValueError(
-                f"search.limits.magnitude = {limits.magnitude:g}: below search.magnitude.range[0] = {low:g}; raise it "
-                "or lower the range"
-            )
-        least = low**2 * sum(free.actuators is None or name in free.actuators for name in names)
+            raise ValueError(f"search.limits.magnitude = {limits.magnitude:g}: below {range_text}")
+        varied = self.magnitude.actuators
+        least = low**2 * sum(varied is None or name in varied for name in names)
         if limits.power is not None and limits.power < least * (1 - 1e-9):
-            raise ValueError(
-                f"search.limits.power = {limits.power:g}: below {least:g}, the sum of squares of "
-                f"search.magnitude.range[0] = {low:g}; raise it or lower the range"
-            )
+            squares = f"below {least:g}, the sum of squares of {range_text}"
+            raise ValueError(f"search.limits.power = {limits.power:g}: {squares}")

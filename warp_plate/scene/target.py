@@ -84,14 +84,11 @@ class Target(Table):
         if self.area is not None:
             check_area(f"{key}.area", self.area, size)
         if self.disc is not None:
-            x, y, radius = self.disc
-            if min(x - radius, y - radius) < -1e-9 * min(size) or any(
-                middle + radius > side * (1 + 1e-9) for middle, side in zip((x, y), size, strict=True)
-            ):
-                raise ValueError(
-                    f"{key}.disc: {[x, y, radius]} reaches off the plate; write x, y, radius with the whole disc "
-                    f"in 0 ... {size[0]:g}, 0 ... {size[1]:g} (metres)"
-                )
+            *middle, radius = self.disc
+            inside = f"in 0 ... {size[0]:g}, 0 ... {size[1]:g} (metres)"
+            for at, side in zip(middle, size, strict=True):
+                if at - radius < -1e-9 * min(size) or at + radius > side * (1 + 1e-9):
+                    raise ValueError(f"{key}.disc: {list(self.disc)} is off the plate; write x, y, radius {inside}")
             if 2 * radius < NARROWEST * max(size):
                 raise ValueError(f"{key}.disc: a radius of {radius:.3g} m; at least {NARROWEST / 2 * max(size):.3g} m")
         if self.polygon is not None:
@@ -118,19 +115,14 @@ def area_within(corners: np.ndarray) -> float:
 def _check_polygon(key: str, corners: np.ndarray, size: tuple[float, float]) -> None:
     for index, (x, y) in enumerate(corners.tolist()):
         if not all(-1e-9 * side <= at <= side * (1 + 1e-9) for at, side in zip((x, y), size, strict=True)):
-            raise ValueError(
-                f"{key}[{index}]: {[x, y]} is off the plate; x must stay in 0 ... {size[0]:g}, "
-                f"y in 0 ... {size[1]:g} (metres)"
-            )
+            inside = f"0 ... {size[0]:g}, 0 ... {size[1]:g} (metres)"
+            raise ValueError(f"{key}[{index}]: {[x, y]} is off the plate; x, y must stay in {inside}")
     if np.ptp(corners, axis=0).min() < NARROWEST * max(size):
         raise ValueError(f"{key}: is less than {NARROWEST * max(size):.3g} m wide along x or y; write a wider one")
-    crossed = _crossed_sides(corners / size)
-    if crossed is not None:
+    if (crossed := _crossed_sides(corners / size)) is not None:
         first, second = crossed
-        raise ValueError(
-            f"{key}: the sides that begin at corners {first} and {second} meet or cross; write the corners in "
-            "their order along the outline, and none twice"
-        )
+        sides = f"the sides that begin at corners {first} and {second} meet or cross"
+        raise ValueError(f"{key}: {sides}; write the corners in their order along the outline, none twice")
     if abs(area_within(corners)) < (NARROWEST**2) * size[0] * size[1]:
         raise ValueError(f"{key}: its corners lie on one line, so it has no inside")
 
