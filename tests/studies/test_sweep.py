@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from conftest import scene_of, start_program
 from inline_pool import InlinePool
+from test_resume import stop_after
 
 from warp_plate import SceneError, load_sweep, sweep
 from warp_plate.cluster.scheduler import ATTEMPTS
 from warp_plate.plate.modes import natural_modes
 from warp_plate.result.sweep import NOT_RUN, REFUSED, RUN, save_sweep
+from warp_plate.scene.keys import with_numbers
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.checkpointing import SweepFile
 from warp_plate.studies.localize import localize
@@ -45,7 +47,7 @@ def test_quantities_are_those_of_the_commands(plate):
     plan = plan_of(plate, "drive.frequency=250,290", "actuators[1].phase=0,1.5")
     found = {what: sweep(plate, plan, what, device="cpu", count=3).values for what in QUANTITIES}
     for point in (0, 3):
-        scene = plan.scene(plate, point)
+        scene = with_numbers(plate, plan.numbers(point))
         at = {what: {name: array[point] for name, array in values.items()} for what, values in found.items()}
         single = simulate(scene, device="cpu", estimate=False)
         assert at["simulate"] == {
@@ -116,14 +118,6 @@ def test_a_file_returns_what_was_saved(plate, tmp_path, samples):
     assert read.plan.logarithmic == (False, True)
     assert (read.scene, read.what, read.count, read.outputs) == (plate, "modes", 2, found.outputs)
     assert_same(read, found)
-
-
-def stop_after(points):
-    def on_progress(done, total, note):
-        if done == points:
-            raise KeyboardInterrupt
-
-    return on_progress
 
 
 def test_a_sweep_interrupted_anywhere_resumes_to_the_same(plate, tmp_path, random):
@@ -255,11 +249,12 @@ def test_a_killed_process_leaves_a_file_that_resumes(plate, write_scene):
 
 
 def test_files_that_the_scene_names_must_not_change(tmp_path):
-    (tmp_path / "thick.csv").write_text("1.0,1.1\n", encoding="utf-8")
+    path = tmp_path / "thick.csv"
+    path.write_text("1.0,1.1\n", encoding="utf-8")
     varied = scene_of(effects={"variation": {"thickness": "thick.csv"}}).in_folder(tmp_path)
     start = start_sweep(varied, plan_of(varied, "drive.frequency=200,300"), "check", "cpu")
     assert (run_sweep(start).status == RUN).all()
-    (tmp_path / "thick.csv").write_text("1.0,1.2\n", encoding="utf-8")
+    path.write_text("1.0,1.2\n", encoding="utf-8")
     with pytest.raises(SceneError, match="has changed since the sweep began"):
         resume_sweep(start)
 

@@ -58,20 +58,17 @@ class Line:
         if derivative:
             coefficients = legendre.legder(coefficients, derivative, scl=2 / self.length, axis=1)
         s = 2 * np.asarray(x, dtype=float) / self.length - 1
-        values: np.ndarray = coefficients @ legendre.legvander(s, coefficients.shape[1] - 1).T
-        return values
+        return np.asarray(coefficients @ legendre.legvander(s, coefficients.shape[1] - 1).T)
 
     def products(self, low: float, high: float, first: int = 0, second: int = 0) -> np.ndarray:
         """Return (functions, functions) ∫ of two derivatives, row times column, from low to high [m]."""
         x, weights = _gauss(self.coefficients.shape[1], low, high)
-        products: np.ndarray = (self.values(x, first) * weights) @ self.values(x, second).T
-        return products
+        return np.asarray((self.values(x, first) * weights) @ self.values(x, second).T)
 
     def integrals(self, low: float, high: float) -> np.ndarray:
         """Return (functions,) integrals from low to high [m]."""
         x, weights = _gauss(self.coefficients.shape[1], low, high)
-        integrals: np.ndarray = self.values(x) @ weights
-        return integrals
+        return np.asarray(self.values(x) @ weights)
 
 
 @dataclass(frozen=True)
@@ -102,8 +99,7 @@ class Modes:
 
     def shapes(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return (modes, points of y, points of x) shapes Φ [1/m] on the grid of x and y [m]."""
-        shapes: np.ndarray = self.along_y.values(y).T @ self.vectors @ self.along_x.values(x)
-        return shapes
+        return np.asarray(self.along_y.values(y).T @ self.vectors @ self.along_x.values(x))
 
     def patch_forces(self, areas: Sequence[Area]) -> np.ndarray:
         """Return (areas, modes) ∫ Φ dA [m] over rectangles x0, x1, y0, y1 [m]: modal forces of a pressure of one."""
@@ -116,8 +112,7 @@ class Modes:
         x0, x1, y0, y1 = area
         inside = self.along_y.products(y0, y1) @ self.vectors @ self.along_x.products(x0, x1)
         count = len(self.vectors)
-        overlaps: np.ndarray = inside.reshape(count, -1) @ self.vectors.reshape(count, -1).T
-        return overlaps
+        return np.asarray(inside.reshape(count, -1) @ self.vectors.reshape(count, -1).T)
 
 
 def solve_modes(plate: ThinPlate, functions: int | tuple[int, int] = 32) -> Modes:

@@ -19,7 +19,8 @@ and the plate's motion is the sum over all modes (Navier's series). Here it is c
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -31,8 +32,6 @@ from warp_plate.scene.model import Scene
 # A span of time in which the fastest v² turns by PANEL_TURN [rad] takes PANEL_POINTS of Gauss's points: exact to
 # rounding.
 PANEL_TURN, PANEL_POINTS = 16.0, 16
-# Number of amplitudes (modes × times) held at once.
-AMPLITUDES_AT_ONCE = 2_000_000
 
 
 def mode_shape(mode: tuple[int, int], size: tuple[float, float], x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -83,8 +82,7 @@ def damped_motion(
     if derivative:
         steady, start, speed = 1j * omega * steady, speed - gamma * start, -gamma * speed - squared * start
     cosine, sine = _decays(np.asarray(time), squared, gamma)
-    motion: np.ndarray = (steady * np.exp(1j * omega * time)).real + start * cosine + speed * sine
-    return motion
+    return np.asarray((steady * np.exp(1j * omega * time)).real + start * cosine + speed * sine)
 
 
 def _decays(time: np.ndarray, squared: np.ndarray, gamma: float) -> tuple[np.ndarray, np.ndarray]:
@@ -137,9 +135,9 @@ def displacement(
     Raises:
         SceneError: The scene has another edge or effect.
     """
-    along, across = _shapes(scene.plate.size, x, y, terms)
-    field: np.ndarray = across.T @ _amplitudes(scene, drive, np.asarray(times), terms, derivative) @ along
-    return field
+    (width, height), orders = scene.plate.size, np.arange(1, terms + 1) * math.pi
+    along, across = np.sin(np.outer(orders / width, x)), np.sin(np.outer(orders / height, y))
+    return np.asarray(across.T @ _amplitudes(scene, drive, np.asarray(times), terms, derivative) @ along)
 
 
 def kinetic_energies(scene: Scene, drive: np.ndarray, terms: int = 32) -> np.ndarray:
@@ -150,13 +148,18 @@ def kinetic_energies(scene: Scene, drive: np.ndarray, terms: int = 32) -> np.nda
     Raises:
         SceneError: The target is not a rectangle.
     """
-    (width, height), (x0, x1, y0, y1) = scene.plate.size, scene.target.rectangle()
+    plate, (width, height), (x0, x1, y0, y1) = _supported_plate(scene), scene.plate.size, scene.target.rectangle()
     along, across = _sine_products(width, x0, x1, terms), _sine_products(height, y0, y1, terms)
-    sums = np.zeros(2)
-    for rates, shares in _window_rates(scene, drive, terms):
-        sums[0] += width * height / 4 * np.einsum("t,tnm,tnm->", shares, rates, rates)
-        sums[1] += np.einsum("t,tnm,tnm->", shares, across @ rates @ along, rates)
-    return 0.5 * thin_plate(scene).surface_density * sums
+    fastest = math.sqrt(plate.rigidity / plate.surface_density) * wavenumber_squared((terms, terms), plate.size)
+    start, end = scene.window.start, scene.window.end
+    turn = 2 * max(fastest, scene.drive_angular_frequency) * (end - start)
+    panels, sums = np.linspace(start, end, max(1, math.ceil(turn / PANEL_TURN)) + 1), np.zeros(2)
+    s, weights = legendre.leggauss(PANEL_POINTS)
+    for low, high in pairwise(panels):
+        rates = _amplitudes(scene, drive, low + (s + 1) / 2 * (high - low), terms, derivative=1)
+        products = np.stack([width * height / 4 * rates, across @ rates @ along])
+        sums += np.einsum("rtnm,tnm,t->r", products, rates, weights / 2) / (len(panels) - 1)
+    return 0.5 * plate.surface_density * sums
 
 
 def _supported_plate(scene: Scene) -> ThinPlate:
@@ -181,33 +184,10 @@ def _amplitudes(scene: Scene, drive: np.ndarray, times: np.ndarray, terms: int, 
     )
 
 
-def _window_rates(scene: Scene, drive: np.ndarray, terms: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield chunks of (times, terms, terms) q̇ [m/s] and (times,) shares of the window, by Gauss's rule in panels."""
-    plate = _supported_plate(scene)
-    start, end = scene.window.start, scene.window.end
-    fastest = math.sqrt(plate.rigidity / plate.surface_density) * wavenumber_squared((terms, terms), plate.size)
-    turn = 2 * max(fastest, scene.drive_angular_frequency) * (end - start)
-    panels = max(1, math.ceil(turn / PANEL_TURN))
-    s, weights = legendre.leggauss(PANEL_POINTS)
-    offsets, shares = (s + 1) / 2 * (end - start) / panels, weights / 2 / panels
-    chunk = max(1, AMPLITUDES_AT_ONCE // (terms**2 * PANEL_POINTS))
-    for first in range(0, panels, chunk):
-        starts = start + (end - start) / panels * np.arange(first, min(first + chunk, panels))
-        times = (starts[:, None] + offsets).ravel()
-        yield _amplitudes(scene, drive, times, terms, derivative=1), np.tile(shares, starts.size)
-
-
-def _shapes(size: tuple[float, float], x: np.ndarray, y: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return (terms, points) sines along x and along y."""
-    orders = np.arange(1, terms + 1)
-    return np.sin(np.outer(orders * math.pi / size[0], x)), np.sin(np.outer(orders * math.pi / size[1], y))
-
-
 def _sine_integral(wavenumber: np.ndarray, low: float, high: float) -> np.ndarray:
     """Return ∫ sin(kx) dx from low to high, as a product that does not cancel on a narrow patch."""
     middle, half = (low + high) / 2, (high - low) / 2
-    integral: np.ndarray = 2 / wavenumber * np.sin(wavenumber * middle) * np.sin(wavenumber * half)
-    return integral
+    return np.asarray(2 / wavenumber * np.sin(wavenumber * middle) * np.sin(wavenumber * half))
 
 
 def _sine_products(length: float, low: float, high: float, terms: int) -> np.ndarray:
@@ -215,13 +195,11 @@ def _sine_products(length: float, low: float, high: float, terms: int) -> np.nda
     orders = np.arange(1, terms + 1)
     difference, total = orders[:, None] - orders, orders[:, None] + orders
     of_difference, of_total = (_cosine_integral(order, length, low, high) for order in (difference, total))
-    products: np.ndarray = (of_difference - of_total) / 2
-    return products
+    return np.asarray((of_difference - of_total) / 2)
 
 
 def _cosine_integral(order: np.ndarray, length: float, low: float, high: float) -> np.ndarray:
     """Return ∫ cos(order·πx/length) dx from low to high."""
     k = order * math.pi / length
     middle, half = (low + high) / 2, (high - low) / 2
-    integral: np.ndarray = 2 * half * np.cos(k * middle) * np.sinc(k * half / math.pi)
-    return integral
+    return np.asarray(2 * half * np.cos(k * middle) * np.sinc(k * half / math.pi))

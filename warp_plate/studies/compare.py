@@ -11,13 +11,12 @@ import numpy as np
 from warp_plate.cluster.pool import WorkerPool, WorkersGone
 from warp_plate.interrupts import check_interrupt, deferred_interrupts
 from warp_plate.optimize.optimizer import Optimizer
-from warp_plate.problem.design_variables import at_highest_frequency
 from warp_plate.problem.methods import make_optimizer
 from warp_plate.problem.problem import EvaluatorName, Problem, make_problem
 from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.studies.grid_choice import resolve_grid
+from warp_plate.studies.grid_choice import resolve_search_grid
 from warp_plate.studies.provenance import devices_text, versions
 
 METHODS = ("pso", "constriction", "ring", "cma", "gradient", "exact")
@@ -66,8 +65,7 @@ def compare(
             raise SceneError(f"--evaluations {evaluations}: must be at least {at_once}")
         search = scene.search.model_copy(update={"iterations": evaluations // particles})
         scene = scene.model_copy(update={"search": search})
-    scene = resolve_grid(at_highest_frequency(scene), device).scene.model_copy(update={"actuators": scene.actuators})
-    started = time.perf_counter()
+    scene, started = resolve_search_grid(scene, device).scene, time.perf_counter()
     problem = make_problem(scene, device, path, evaluator, pool=pool)
     prepared = time.perf_counter() - started - problem.compile_seconds
     if evaluator is None and problem.response is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from warp_plate.accuracy.choose import choose
 from warp_plate.accuracy.estimate import estimate
 from warp_plate.accuracy.reference_solution import ReferenceSolution
 from warp_plate.plate.weights import localization_factor
+from warp_plate.problem.design_variables import at_highest_frequency
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Run
 
@@ -46,6 +47,12 @@ def resolve_grid(scene: Scene, device: str, phasors: np.ndarray | None = None) -
     choice = choose(scene, scene.grid.accuracy, device, phasors)
     accuracy = {"asked": scene.grid.accuracy, "expected": choice.error, "reason": choice.reason}
     return ResolvedGrid(choice.scene, accuracy, {"choose": time.perf_counter() - started}, choice.reference)
+
+
+def resolve_search_grid(scene: Scene, device: str) -> ResolvedGrid:
+    """Choose the grid for a search by its highest frequency, which is the most demanding."""
+    resolved = resolve_grid(at_highest_frequency(scene), device)
+    return replace(resolved, scene=resolved.scene.model_copy(update={"actuators": scene.actuators}))
 
 
 def estimate_error(

@@ -16,7 +16,6 @@ from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.plate.files import digests
 from warp_plate.plate.weights import REGIONS
-from warp_plate.problem.design_variables import at_highest_frequency
 from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, evaluate_objectives, reference_phasors
 from warp_plate.problem.problem import EvaluatorName, Problem, make_problem
 from warp_plate.result.atomic_io import write_atomically
@@ -32,7 +31,7 @@ from warp_plate.studies import provenance
 from warp_plate.studies.baselines import baseline_cases, check_baselines
 from warp_plate.studies.checkpointing import CheckpointFile
 from warp_plate.studies.driver import OnProgress, history_of, run_search, search_optimizer
-from warp_plate.studies.grid_choice import estimate_error, resolve_grid
+from warp_plate.studies.grid_choice import estimate_error, resolve_search_grid
 from warp_plate.studies.spectrum import make_spectrum
 from warp_plate.studies.validation import compare_with_nominal
 
@@ -92,13 +91,9 @@ def localize(
     if baselines:
         check_baselines(scene)
     files = digests(scene)
-    # The highest frequency of the search is the most demanding for a grid.
-    resolved = resolve_grid(at_highest_frequency(scene), device)
-    started = time.perf_counter()
-    gridded = resolved.scene.model_copy(update={"actuators": scene.actuators})
-    problem = make_problem(gridded, device, path, evaluator, pool=pool)
-    initial = _initial_state(problem, seed)
-    compiling = problem.compile_seconds
+    resolved, started = resolve_search_grid(scene, device), time.perf_counter()
+    problem = make_problem(resolved.scene, device, path, evaluator, pool=pool)
+    initial, compiling = _initial_state(problem, seed), problem.compile_seconds
     start = Checkpoint(
         scene_as_written=scene,
         source=source,

@@ -12,14 +12,13 @@ from warp_plate.optimize.optimizer import MethodError, minimize
 from warp_plate.optimize.quadratic import best_position
 from warp_plate.plate.modes import natural_modes, refuse_many_nodes
 from warp_plate.plate.weights import localization_factor
-from warp_plate.problem.design_variables import at_highest_frequency
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.problem import Problem, make_problem
 from warp_plate.result.sweep import SweepOutput
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.studies.driver import search_optimizer
-from warp_plate.studies.grid_choice import resolve_grid
+from warp_plate.studies.grid_choice import resolve_grid, resolve_search_grid
 from warp_plate.studies.simulate import simulate
 
 # By name: one number, or (count,) where the output has an axis.
@@ -42,8 +41,7 @@ def _localization_quantities(scene: Scene, device: str, path: str, count: int) -
     Gram matrices are used where they apply. The best drive is then an eigenvector if the search may choose it;
     otherwise it is searched as the scene says.
     """
-    gridded = resolve_grid(at_highest_frequency(scene.model_copy(update={"targets": ()})), device).scene
-    problem = make_problem(gridded.model_copy(update={"actuators": scene.actuators}), device, path)
+    problem = make_problem(resolve_search_grid(scene.model_copy(update={"targets": ()}), device).scene, device, path)
     if problem.response is not None and scene.search.robust is None:
         problem = replace(problem, evaluator_name="response")
     phasors = np.array(list(reference_phasors(problem.scene, problem.energies_of_phasors).values()))
