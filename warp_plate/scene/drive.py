@@ -1,4 +1,4 @@
-"""The table ``[drive]`` and the tables in it: the voltage of the actuators over time; and the table of a moving load.
+"""The table ``[drive]``, the voltage of the actuators over time, and the table of a moving load.
 
 Actuator k applies Re(Z_k · carrier_k(t)) · envelope(t), where Z_k is its phasor. By default the carrier is exp(iωt)
 and the envelope is one.
@@ -103,15 +103,14 @@ class MovingLoad(Table):
         return self
 
 
-def check_drive(drive: Drive, frequencies: Sequence[float | None], delays: Sequence[float | None], end: float) -> None:
-    """Check the frequencies [Hz] and delays [s] of the actuators and the burst against the drive and the run.
+def check_drive(drive: Drive, actuators: Sequence[tuple[float | None, float | None]], end: float) -> None:
+    """Check (frequency [Hz], delay [s]) of the actuators, and the burst, against the drive and the end [s] of the run.
 
     Raises:
-        ValueError: an actuator has a frequency although a file is the carrier, or a delay without a burst, or a burst
-            starts after ``end`` of the run [s]; the message begins with the key.
+        ValueError: a file replaces a frequency, a delay has no burst, or a burst starts too late; names the key.
     """
     after = f"s is after the run, which ends at window.end = {end:g} s"
-    for index, (frequency, delay) in enumerate(zip(frequencies, delays, strict=True)):
+    for index, (frequency, delay) in enumerate(actuators):
         key = f"actuators[{index}]"
         if delay is not None and drive.burst is None:
             raise ValueError(f"{key}.delay: there is no burst to delay; write [drive.burst], or delete the delay")

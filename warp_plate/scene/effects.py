@@ -11,8 +11,7 @@ from pydantic_core import PydanticCustomError
 from warp_plate.scene.drive import MovingLoad
 from warp_plate.scene.fields import Area, Flag, Moderate, NotNegative, Positive, Table, check_file_name
 
-# Larger variations are mistakes, or make the time step vanish.
-LEAST_FACTOR, MOST_FACTOR = 1e-3, 1e3
+LEAST_FACTOR, MOST_FACTOR = 1e-3, 1e3  # larger variations are mistakes, or make the time step vanish
 
 
 class Damping(Table):
@@ -135,10 +134,8 @@ class Oscillator(Table):
 
 
 class Stretching(Table):
-    """Stretching at large amplitude, after Berger, for an isotropic plate with in-plane fixed edges.
-
-    The mean squared slope causes the tension N = 6D/(H² area) ∫ |∇u|² dA, −N∇²u on the left of the equation of motion.
-    """
+    """Stretching at large amplitude, after Berger, for an isotropic plate with in-plane fixed edges: the tension
+    N = 6D/(H² area) ∫ |∇u|² dA, −N∇²u on the left of the equation of motion."""
 
 
 class Effects(Table):

@@ -29,22 +29,14 @@ def preset_names() -> list[str]:
 
 
 def preset_text(name: str) -> str:
-    """Return the TOML text of a preset, comments included.
-
-    Raises:
-        SceneError: no preset has this name.
-    """
+    """Return the TOML text of a preset, or raise a SceneError if no preset has this name."""
     if name not in preset_names():
         raise SceneError(f"{name!r} is not a preset; the presets are: {', '.join(preset_names())}")
     return (_PRESETS / f"{name}.toml").read_text(encoding="utf-8")
 
 
 def read_scene_text(source: str | Path) -> tuple[str, Path | None]:
-    """Return the TOML text of a preset or a file, and the folder of the file (None for a preset).
-
-    Raises:
-        SceneError: there is no such preset or file, or it cannot be read.
-    """
+    """Return the text of a preset or a file, or raise a SceneError; with the folder of the file (None for a preset)."""
     name, path = str(source), Path(source)
     if name in preset_names():
         return preset_text(name), None
@@ -63,11 +55,7 @@ def read_scene_text(source: str | Path) -> tuple[str, Path | None]:
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
-    """Return the tables of a TOML text; ``name`` begins the message of an error.
-
-    Raises:
-        SceneError: the text is not TOML.
-    """
+    """Return the tables of a TOML text, or raise a SceneError that begins with ``name``."""
     if _DEEP_KEY.search(_TEXT.sub("s", text)):
         raise SceneError(f"{name}: a key has ten parts or more; the tables of a scene have at most three")
     try:

@@ -163,11 +163,7 @@ class Scene(Table):
 
     @staticmethod
     def load(source: str | Path) -> Scene:
-        """Return the scene of a preset's name or of a TOML file.
-
-        Raises:
-            SceneError: there is no such preset or file, it is not TOML, or a key is unknown or wrong.
-        """
+        """Return the scene of a preset's name or of a TOML file, or raise a SceneError that names what is wrong."""
         text, folder = read_scene_text(source)
         return Scene.parse(text, str(source)).in_folder(folder)
 
@@ -218,8 +214,7 @@ class Scene(Table):
             raise ValueError("target: there are [[targets]] too, and it is none of them; write one of the two")
         for index, layer in enumerate(self.effects.layers):
             self.plate.check_thin(layer.thickness, f"effects.layers[{index}].thickness: ")
-        frequencies, delays = ([getattr(actuator, name) for actuator in actuators] for name in ("frequency", "delay"))
-        check_drive(self.drive, frequencies, delays, self.window.end)
+        check_drive(self.drive, [(row.frequency, row.delay) for row in actuators], self.window.end)
         self.search.check_limits([actuator.name for actuator in actuators])
         if self.search.robust is not None:
             self.search.robust.check(self.effects, self.grid.load)
@@ -268,17 +263,15 @@ class Scene(Table):
 
     def in_folder(self, folder: Path | None) -> Scene:
         """Return the scene with the folder of the files that it names; None if it names no files."""
-        return self.model_copy()._with_folder(folder if self.names_files else None)
-
-    def _with_folder(self, folder: Path | None) -> Scene:
-        self._folder = folder
-        return self
+        scene = self.model_copy()
+        scene._folder = folder if self.names_files else None
+        return scene
 
     def with_tables(self, **tables: Any) -> Scene:
         """Return the scene with some tables replaced, or raise a SceneError if they do not fit together."""
         # A grid that is chosen for an accuracy must not name anything else.
         grid = {"grid": self.grid} if self.grid.accuracy is not None else {}
-        return Scene.from_tables({**self.model_dump(), **grid, **tables})._with_folder(self._folder)
+        return Scene.from_tables({**self.model_dump(), **grid, **tables}).in_folder(self._folder)
 
     def with_accuracy(self, accuracy: float) -> Scene:
         """Return the scene with an accuracy in place of its grid, or raise a SceneError if it is out of range."""
@@ -298,7 +291,6 @@ class Scene(Table):
 
     @property
     def linear(self) -> bool:
-        """True if displacements are linear in the drives."""
         return self.nonlinear_table is None
 
     @property

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
-from warp_plate.scene.errors import SceneError
+from warp_plate.scene.errors import SceneError, toml_text
 from warp_plate.scene.fields import NARROWEST, Area, Coordinate, PartName, Positive, Table, check_area, check_file_name
 
 Corner = tuple[Coordinate, Coordinate]
@@ -18,9 +18,8 @@ SHAPES = ("area", "disc", "polygon", "mask")
 class Target(Table):
     """A region of the plate, given by exactly one of its shapes.
 
-    A mask is a CSV file beside the scene file with values from 0 to 1, the fraction of the plate that belongs to the
-    target around each of its points: rows from y = 0 to the opposite side, columns from x = 0, evenly spaced from edge
-    to edge, with bilinear interpolation.
+    A mask is a CSV file beside the scene file with the fraction 0 ... 1 of the plate that belongs to the target around
+    each of its points: rows along y, columns along x, evenly spaced from edge to edge, with bilinear interpolation.
     """
 
     area: Area | None = None  # rectangle x0, x1, y0, y1 [m]
@@ -51,15 +50,10 @@ class Target(Table):
         value = getattr(self, self.shape)
         if self.shape == "polygon" and len(value) > 6:
             return f"polygon of {len(value)} corners"
-        numbers = value if self.mask is not None else [list(x) if isinstance(x, tuple) else x for x in value]
-        return f"{self.shape} = {numbers!r}"
+        return f"{self.shape} = {toml_text(value)}"
 
     def rectangle(self) -> Area:
-        """Return the rectangle x0, x1, y0, y1 [m].
-
-        Raises:
-            SceneError: the target has another shape, for which reference solutions have no integrals.
-        """
+        """Return the rectangle x0, x1, y0, y1 [m], or raise a SceneError if the target has another shape."""
         if self.area is None:
             raise SceneError(f"target.{self.description}: the reference solutions take rectangles only")
         return self.area

@@ -23,8 +23,8 @@ class VariedKey:
     """A key of the scene and the range of its values."""
 
     key: str  # one of ``numeric_keys``
-    start: float  # first value
-    stop: float  # last value
+    start: float
+    stop: float
     count: int | None = None  # number of values; None if the range has none
     logarithmic: bool = False  # true if values are spaced by a constant factor
     listed: tuple[float, ...] = ()  # values of a list; empty for a range
