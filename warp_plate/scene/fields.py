@@ -67,8 +67,8 @@ def check_file_name(key: str, name: str, suffixes: tuple[str, ...]) -> None:
     """Raise ValueError, naming ``key``, unless this is a file name without folders and with one of the suffixes."""
     if not _FILE_NAME.fullmatch(name) or not name.lower().endswith(suffixes) or name.lower() in suffixes:
         shown = name if len(name) <= 60 else name[:57] + "..."
-        kinds = " or ".join(suffixes)
-        raise ValueError(f"{key}: {shown!r} is no {kinds} file beside the scene file; write its name without folders")
+        kind, right = " or ".join(suffixes), "write one beside the scene file, without folders"
+        raise ValueError(f"{key}: {shown!r} is not the name of a {kind} file; {right}")
 
 
 def check_area(key: str, area: Area, size: tuple[float, float]) -> None:
