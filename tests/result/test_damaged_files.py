@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import scene_of
 
 from warp_plate import CheckpointFile, SceneError, load_checkpoint, load_result, localize, resume, save_result
 from warp_plate.result.atomic_io import SEAL_BYTES, atomic_paths, make_seal, write_atomically
@@ -18,8 +19,6 @@ SMALL = {"search": {"particles": 4, "iterations": 3}, "record": {"points": ((0.1
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     """A checkpoint and a result, as bytes by kind, with the function that reads each."""
-    from conftest import scene_of
-
     folder = tmp_path_factory.mktemp("written")
     file = CheckpointFile(folder / "a.checkpoint.h5", 0)
     result = localize(scene_of((9, 9), damping=88.5, **SMALL), "panel", "cpu", estimate=False, checkpoints=file)
@@ -64,11 +63,10 @@ def test_a_changed_file_is_refused(kind, written, tmp_path, random):
 def test_other_files_are_refused(kind, written, tmp_path, random):
     _, read = written[kind]
     path, noise = tmp_path / "a.h5", random.bytes(5000)
-    other = written["result" if kind == "checkpoint" else "checkpoint"][0]
     for content in (b"", b"plate", noise, noise + make_seal(noise), make_seal(b"")):
         path.write_bytes(content)
         assert "damaged" in refused(read, path)
-    path.write_bytes(other)
+    path.write_bytes(written["result" if kind == "checkpoint" else "checkpoint"][0])
     assert f"not a {kind} of warp-plate" in refused(read, path)
     refused(read, tmp_path)
     assert "no such file" in refused(read, tmp_path / "none.h5")

@@ -6,9 +6,10 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from conftest import result_of
 from scipy.io import wavfile
 
-from warp_plate.result import Case, Result
+from warp_plate.result import Case
 from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
 from warp_plate.result.export.time_series import (
     BLOCK,
@@ -28,25 +29,20 @@ NEEDS_VTK = "PyVista is not installed: pip install 'warp-plate[viz]'"
 @pytest.fixture
 def result(random, scene):
     """A plate that is not square, with names that formats must quote."""
-    made = scene(NODES, SIZE, record={"times": TIMES, "points": POINTS})
+    x0, x1, y0, y1 = 0.05, 0.1, 0.04, 0.08
     names = ('left, "upper"', "größer & <right>", "3")
-    actuators = tuple(
-        actuator.model_copy(update={"name": name}) for actuator, name in zip(made.actuators, names, strict=True)
-    )
-
-    def case():
-        return Case(
+    actuators = [{"name": name, "area": (x0 + k / 20, x1 + k / 20, y0, y1 + k / 50)} for k, name in enumerate(names)]
+    made = scene(NODES, SIZE, record={"times": TIMES, "points": POINTS}).with_tables(actuators=actuators)
+    cases = {
+        name: Case(
             phasors=random.normal(size=3) + 1j * random.normal(size=3),
             energy={"plate": 2.0, "target": 1.0},
             displacement=random.normal(scale=1e-7, size=(3, *NODES[::-1])).astype(np.float32),
             trace=random.normal(scale=1e-7, size=(2, 150)).astype(np.float32),
         )
-
-    return Result(
-        command="localize", source="panel.toml", scene=made.model_copy(update={"actuators": actuators}), device="cpu",
-        seed=0, effects=(), cases={name: case() for name in ("best", "equal")}, times=np.array(TIMES),
-        trace_times=8e-5 * np.arange(150), seconds={}, node_steps=1,
-    )  # fmt: skip
+        for name in ("best", "equal")
+    }
+    return result_of(made, cases, times=np.array(TIMES), trace_times=8e-5 * np.arange(150))
 
 
 def displacements(result):
@@ -82,9 +78,9 @@ def test_a_pvd_series_reads_back_in_vtk(result, tmp_path):
         reader.set_active_time_value(time)
         (mesh,) = reader.read()
         check_field(mesh, result, index)
-        assert mesh.field_data["TimeValue"] == [time]
         array = mesh.GetPointData().GetArray("displacement_best")
         assert array.GetInformation().Get(array.UNITS_LABEL()) == "m"
+        assert mesh.field_data["TimeValue"] == [time]
 
 
 def test_a_vtkhdf_series_reads_back_in_vtk(result, tmp_path):
@@ -160,6 +156,8 @@ def test_a_drive_csv_plays_the_drive(result, tmp_path):
     ("frequency", "rate", "duration"), [(290.1, 48000, 1.0), (290.123, 44100, 0.05), (0.25, 8000, 4.0)]
 )
 def test_signals_repeat_as_well_as_they_can(frequency, rate, duration):
+    assert whole_periods(290.0, 48000, 0.25) == (58, 9600, 0.0)  # the longest of several
+    assert whole_periods(290.1, 48000, 10.0) == (2901, 480_000, 0.0)
     periods, samples, seam = whole_periods(frequency, rate, duration)
     exact = Fraction(str(frequency))
     most = int(Fraction(str(duration)) * exact)
@@ -168,11 +166,6 @@ def test_signals_repeat_as_well_as_they_can(frequency, rate, duration):
     # No other number of periods does better.
     errors = [abs(round(count * rate / exact) - count * rate / exact) for count in range(most // 2 + 1, most + 1)]
     assert abs(seam) <= float(360 * exact / rate * min(errors)) + 1e-12
-
-
-def test_the_longest_seamless_loop_is_chosen():
-    assert whole_periods(290.0, 48000, 0.25) == (58, 9600, 0.0)
-    assert whole_periods(290.1, 48000, 10.0) == (2901, 480_000, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -114,7 +114,6 @@ def test_other_programs_find_the_documented_names_and_units(result, tmp_path):
 def test_the_phase_lag_is_positive_and_zero_for_an_idle_actuator():
     case = Case(np.array([2, -1j, 1j, 0]), {"target": 0.0, "plate": 0.0}, np.zeros(0), np.zeros(0))
     np.testing.assert_allclose(case.phase, [0, np.pi / 2, 3 * np.pi / 2, 0])
-    np.testing.assert_allclose(case.magnitude, [2, 1, 1, 0])
     assert np.isnan(case.localization_factor)
 
 
@@ -129,6 +128,15 @@ def refused(path, change):
     (line,) = str(caught.value).splitlines()
     assert line.startswith(f"{path}: ")
     return line
+
+
+def replace_member(parent, name, value):
+    """Replace an attribute or dataset; None removes it, a dictionary has the options of a dataset."""
+    del parent[name]
+    if isinstance(value, dict):
+        parent.create_dataset(name, **value)
+    elif value is not None:
+        parent[name] = value
 
 
 @pytest.mark.parametrize(
@@ -151,14 +159,8 @@ def refused(path, change):
     ],
 )  # fmt: skip
 def test_wrong_datasets_are_refused_by_name(result, tmp_path, name, values, words):
-    def change(file):
-        del file[name]
-        if isinstance(values, dict):
-            file.create_dataset(name, **values)
-        elif values is not None:
-            file[name] = values
-
-    assert words in refused(save_result(result, tmp_path / "run.h5"), change)
+    path = save_result(result, tmp_path / "run.h5")
+    assert words in refused(path, lambda file: replace_member(file, name, values))
 
 
 @pytest.mark.parametrize(
@@ -170,10 +172,5 @@ def test_wrong_datasets_are_refused_by_name(result, tmp_path, name, values, word
     ],
 )  # fmt: skip
 def test_wrong_attributes_are_refused_in_one_line(result, tmp_path, name, value):
-    def change(file):
-        del file.attrs[name]
-        if value is not None:
-            file.attrs[name] = value
-
-    line = refused(save_result(result, tmp_path / "run.h5"), change)
+    line = refused(save_result(result, tmp_path / "run.h5"), lambda file: replace_member(file.attrs, name, value))
     assert f" {name} " in line or "its scene" in line or "damaged" in line
