@@ -29,26 +29,17 @@ PREVIOUS_ENDING = ".checkpoint.previous.h5"
 class Checkpoint:
     """A search between two iterations. Together with the device it determines the rest of the search to the last bit.
 
-    Attributes:
-        scene: The scene with its grid, aimed at the target that is being searched.
-        files: SHA-256 digests of the files that the scene names, by their keys.
-        earlier_devices: Other devices that the search ran on before, for people.
-        path: Kernels that were asked for.
-        matrices: (regions, 2 actuators, 2 actuators) Gram matrices of the response; None for other evaluators.
-        search_state: State of the optimizer; None if a single actuator leaves nothing to search.
-        finished_searches: Searches for earlier targets, if the scene has several.
-
-    Other attributes are those of :class:`Result`, so far.
+    Attributes without a comment are those of :class:`Result`, so far.
     """
 
     scene_as_written: Annotated[Scene, "asked"]
-    scene: Scene
+    scene: Scene  # with its grid, aimed at the target that is being searched
     source: str
-    files: Mapping[str, str]
+    files: Mapping[str, str]  # SHA-256 digests of the files that the scene names, by their keys
     device: str
     processor: str
-    earlier_devices: Annotated[str, "earlier"]
-    path: str
+    earlier_devices: Annotated[str, "earlier"]  # other devices that the search ran on before, for people
+    path: str  # kernels that were asked for
     evaluator: Annotated[str, Attribute(Literal["direct", "response"])]
     seed: int
     accuracy: Mapping[str, Any]
@@ -56,12 +47,14 @@ class Checkpoint:
     versions: Mapping[str, str]
     node_steps: int
     single_actuator: Annotated[int, "single"]
+    # (regions, 2 actuators, 2 actuators) Gram matrices of the response; None for other evaluators
     matrices: Annotated[
         np.ndarray | None,
         Dataset("J/(N/m^2)^2", "energy of each region by the drives' real parts", (None, "parts", "parts")),
     ]
+    # State of the optimizer; None if a single actuator leaves nothing to search
     search_state: Annotated[Mapping[str, Any] | None, SearchState(), "swarm"]
-    finished_searches: Annotated[tuple[TargetSearch, ...], "searches"] = ()
+    finished_searches: Annotated[tuple[TargetSearch, ...], "searches"] = ()  # for earlier targets
     lost_plates: Annotated[Counts, "lost"] = field(default_factory=dict)
 
     @property

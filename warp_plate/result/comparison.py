@@ -21,13 +21,7 @@ METHODS = Attribute(tuple[str, ...])
 
 @dataclass(frozen=True)
 class Trial:
-    """A run of one method from one seed.
-
-    Attributes:
-        evaluations: (iterations,) positions tried so far.
-        seconds: (iterations,) time of the method and of its evaluations so far [s].
-        loss: (iterations,) smallest loss so far.
-    """
+    """A run of one method from one seed."""
 
     method: Annotated[str, ELSEWHERE]
     seed: Annotated[int, ELSEWHERE]

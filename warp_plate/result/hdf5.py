@@ -30,16 +30,16 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import h5py
 import numpy as np
-from pydantic import NonNegativeInt, TypeAdapter
 
 from warp_plate.result.atomic_io import check_seal, make_seal, write_atomically
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.fields import Count, as_kind
 from warp_plate.scene.model import Scene
 
 T = TypeVar("T")
 Sizes = dict[str, int]  # lengths of named dimensions, as far as known
-Counts = Mapping[str, NonNegativeInt]
+Counts = Mapping[str, Count]
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def write_fields(group: h5py.Group, value: Any) -> None:
 def read_fields(cls: type[T], group: h5py.Group, sizes: Sizes | None = None, **given: Any) -> T:
     """Return an instance of a data class with the fields ``given`` and those that :func:`write_fields` wrote.
 
-    Lengths of named dimensions that ``sizes`` does not hold are set by the scene, or else by the first dataset.
+    Lengths of named dimensions are those in ``sizes``, or set by the scene, or else by the first dataset.
     """
     known = dict(sizes or {})
     for attribute, name, layout, optional in _fields(cls):
@@ -137,7 +137,7 @@ class Attribute(Layout):
         try:
             value = value.item() if isinstance(value, np.generic) else value
             value = json.loads(value) if get_origin(self.kind) in (Mapping, tuple) else value
-            return TypeAdapter(NonNegativeInt if self.kind is int else self.kind).validate_python(value)
+            return as_kind(value, self.kind)
         except (ValueError, TypeError):
             kind = getattr(self.kind, "__name__", self.kind)
             raise SceneError(f"attribute {_full_path(group, name)} is not of the kind {kind}") from None
@@ -287,8 +287,7 @@ def read_array(
     wanted = found.shape if shape is None else shape
     if len(wanted) != found.ndim or any(a not in (None, b) for a, b in zip(wanted, found.shape, strict=True)):
         raise SceneError(f"{path} has shape {found.shape} instead of {wanted} (None: any length)")
-    values: np.ndarray = (found.asstr() if text else found)[()]
-    return values
+    return np.asarray((found.asstr() if text else found)[()])
 
 
 def _full_path(item: h5py.HLObject, name: str) -> str:

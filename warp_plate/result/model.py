@@ -104,12 +104,9 @@ class Case:
     Attributes:
         phasors: (actuators,) complex amplitudes Z [``Scene.drive_unit``] of the load Re(Z exp(iωt)).
         energy: Kinetic energy averaged over the window [J], by region: "plate", "target" and further ones.
-        displacement: (times, ny, nx) displacement [m].
-        trace: (points, steps) displacement at the recorded points [m].
         status: "ok", or the reason why the energies are NaN.
-        frequency: (actuators,) frequencies [Hz]; None if they are the scene's.
-        centre: (actuators, 2) positions x, y of the actuators' centres [m]; None if they are the scene's.
-        delay: (actuators,) burst starts [s]; None if they are the scene's.
+
+    Frequencies, centres and burst starts are None if they are the scene's.
     """
 
     phasors: Annotated[np.ndarray, _Phasors()]

@@ -18,29 +18,20 @@ QUADRANTS = ("lower left", "lower right", "upper left", "upper right")
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of one plate, frame by frame.
-
-    Attributes:
-        frequency: Frequency of the drive or mode [Hz].
-        span: Start and end [s] of the frames, which divide it evenly up to half a time step; it ends one frame after
-            the last.
-        times: (frames,) times [s].
-        displacement: (frames, ny, nx) displacement [m], for a mode relative to its largest.
-        velocity: (frames, ny, nx) velocity [m/s or 1/s]; of a drive half a time step later, as in the kernels.
-        surface_density: (ny, nx) mass per area [kg/m²].
-        localization_factor: Localization factor of the drive over the scene's window; None for a mode.
-        scene: Scene of a plate with frequencies or positions of its own; None if it is the common one.
-    """
+    """Motion of one plate, frame by frame."""
 
     name: str
-    frequency: float
+    frequency: float  # frequency of the drive or mode [Hz]
+    # Start and end [s]; the frames divide it evenly up to half a time step, and it ends one frame after the last
     span: tuple[float, float]
-    times: np.ndarray
-    displacement: np.ndarray
-    velocity: np.ndarray
-    surface_density: np.ndarray
-    localization_factor: float | None = None
-    scene: Scene | None = None
+    times: np.ndarray  # (frames,) times [s]
+    displacement: np.ndarray  # (frames, ny, nx) displacement [m], for a mode relative to its largest
+    velocity: np.ndarray  # (frames, ny, nx) velocity [m/s or 1/s]; of a drive half a time step later, as in the kernels
+    surface_density: np.ndarray  # (ny, nx) mass per area [kg/m²]
+    localization_factor: float | None = None  # of the drive over the scene's window; None for a mode
+    scene: Scene | None = (
+        None  # scene of a plate with frequencies or positions of its own; None if it is the common one
+    )
 
     @cached_property
     def kinetic_energy(self) -> np.ndarray:
@@ -78,17 +69,11 @@ class Motion:
 
 @dataclass(frozen=True)
 class SteadyMotion:
-    """Steady motion of a plate, u(θ) = Re Σ amplitudes[k] exp(i orders[k] θ) at the phase θ = ωt of the drive.
+    """Steady motion of a plate, u(θ) = Re Σ amplitudes[k] exp(i orders[k] θ) at the phase θ = ωt of the drive."""
 
-    Attributes:
-        orders: (orders,) integer multiples of the drive's frequency.
-        amplitudes: (orders, ny, nx) complex amplitudes [m].
-        residual: RMS of the motion that does not repeat with the drive (start-up motion), relative to all motion.
-    """
-
-    orders: np.ndarray
-    amplitudes: np.ndarray
-    residual: float = 0.0
+    orders: np.ndarray  # (orders,) integer multiples of the drive's frequency
+    amplitudes: np.ndarray  # (orders, ny, nx) complex amplitudes [m]
+    residual: float = 0.0  # RMS of the motion that does not repeat with the drive, relative to all motion
 
     def at(self, phase: float) -> np.ndarray:
         """Return the (ny, nx) displacement [m] at a phase of the drive [rad]."""
@@ -107,21 +92,13 @@ class SteadyMotion:
 
 @dataclass(frozen=True)
 class DriveResponse:
-    """A drive, and the motion and energies of the plate under it.
+    """A drive, and the motion and energies of the plate under it."""
 
-    Attributes:
-        scene: The scene with the current frequency and damping.
-        phasors: (actuators,) complex amplitudes of the drive [N/m²].
-        motion: Steady motion of the plate.
-        energy: Energy averaged over the window [J] by region: "plate", "target" and the ``QUADRANTS``.
-        bound: Upper bound of the localization factor over all drives; None if unknown.
-    """
-
-    scene: Scene
-    phasors: np.ndarray
+    scene: Scene  # with the current frequency and damping
+    phasors: np.ndarray  # (actuators,) complex amplitudes of the drive [N/m²]
     motion: SteadyMotion
-    energy: Mapping[str, float]
-    bound: float | None
+    energy: Mapping[str, float]  # average over the window [J] of the regions "plate", "target" and the ``QUADRANTS``
+    bound: float | None  # upper bound of the localization factor over all drives; None if unknown
 
     @property
     def localization_factor(self) -> float:
@@ -134,19 +111,12 @@ class DriveResponse:
 
 @dataclass(frozen=True)
 class SwarmSnapshot:
-    """A particle swarm at one iteration.
+    """A particle swarm at one iteration."""
 
-    Attributes:
-        phasors: (particles, actuators) drives of the particles, relative to the first actuator.
-        factors: (particles,) localization factors.
-        best: (iterations,) best localization factor after each iteration.
-        best_phasors: (actuators,) best drive; None before the first finite one.
-    """
-
-    phasors: np.ndarray
-    factors: np.ndarray
-    best: np.ndarray
-    best_phasors: np.ndarray | None
+    phasors: np.ndarray  # (particles, actuators) drives of the particles, relative to the first actuator
+    factors: np.ndarray  # (particles,) localization factors
+    best: np.ndarray  # (iterations,) best localization factor after each iteration
+    best_phasors: np.ndarray | None  # (actuators,) best drive; None before the first finite one
     iterations: int
     running: bool
 

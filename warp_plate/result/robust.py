@@ -27,9 +27,6 @@ class RobustComparison:
         measure: Measure over the scenarios that the robust search maximized.
         scenarios: Number of scenarios of the search.
         localization: True if the values are localization factors.
-        bound: Upper bound of the measure over all drives; None if unknown.
-        searched: (2,) measure over the scenarios of the search.
-        nominal_plate: (2,) values for the plate without scatter.
         validation: (2, validation scenarios) values in scenarios that the search did not use.
     """
 

@@ -43,37 +43,24 @@ class SweepOutput:
 
 @dataclass(frozen=True)
 class Sweep:
-    """Outputs of a command at the points of a plan.
-
-    Attributes:
-        scene: The scene as written, before anything is varied.
-        files: SHA-256 digests of the files that the scene names, by their keys.
-        what: Name of the set of outputs, such as "localize".
-        count: Length of the outputs' own axis.
-        device: Device of the last points; "" until the first worker reports one.
-        processor: Model of its processor; "" likewise.
-        earlier_devices: Other devices that points were run on before, for people.
-        values: (points,) or (points, count) values of each output; NaN where a point is not run or refused.
-        status: (points,) ``NOT_RUN``, ``RUN`` or ``REFUSED``.
-        reasons: Reasons why points were refused, by point.
-        seconds: Wall time spent on points so far [s].
-    """
+    """Outputs of a command at the points of a plan."""
 
     source: str
-    scene: Scene
-    files: Mapping[str, str]
+    scene: Scene  # as written, before anything is varied
+    files: Mapping[str, str]  # SHA-256 digests of the files that the scene names, by their keys
     plan: Annotated[Plan, hdf5.ELSEWHERE]
-    what: str
-    count: int
-    device: str
-    processor: str
-    earlier_devices: Annotated[str, "earlier"]
+    what: str  # name of the set of outputs, such as "localize"
+    count: int  # length of the outputs' own axis
+    device: str  # of the last points; "" until the first worker reports one
+    processor: str  # model of the device's processor; "" likewise
+    earlier_devices: Annotated[str, "earlier"]  # other devices that points were run on before, for people
     path: str
     outputs: Annotated[Mapping[str, SweepOutput], hdf5.ELSEWHERE]
+    # (points,) or (points, count) values of each output; NaN where a point is not run or refused
     values: Annotated[Mapping[str, np.ndarray], hdf5.ELSEWHERE]
-    status: Annotated[np.ndarray, hdf5.ELSEWHERE]
-    reasons: Annotated[Mapping[int, str], hdf5.ELSEWHERE]
-    seconds: float
+    status: Annotated[np.ndarray, hdf5.ELSEWHERE]  # (points,) ``NOT_RUN``, ``RUN`` or ``REFUSED``
+    reasons: Annotated[Mapping[int, str], hdf5.ELSEWHERE]  # why points were refused, by point
+    seconds: float  # wall time spent on points so far [s]
     versions: Mapping[str, str]
 
     @property
@@ -124,8 +111,34 @@ class Sweep:
 
 def save_sweep(sweep: Sweep, path: str | Path) -> Path:
     """Write a sweep file atomically and return its path, or raise a SceneError."""
+    plan, scene = sweep.plan, sweep.scene
     with FORMAT.create(path) as file:
-        _write(file, sweep)
+        hdf5.write_fields(file, sweep)
+        file.attrs["title"] = scene.title
+        KEYS.write(file, "keys", plan.keys)
+        LOGARITHMIC.write(file, "logarithmic", plan.logarithmic)
+        OUTPUTS.write(file, "outputs", {name: asdict(output) for name, output in sweep.outputs.items()})
+        hdf5.Attribute(bool).write(file, "finished", sweep.finished)
+        axes = ["sample"] if plan.sampled else plan.keys
+        if plan.sampled:
+            _write_along(file, "sample", np.arange(len(plan)), "1", "number of the sample")
+        for key, values in zip(plan.keys, plan.coordinates, strict=True):
+            unit = unit_of(scene, key).replace("²", "^2").replace("³", "^3").replace("·", "*")
+            _write_along(file, key, values, unit, label_of(scene, key), axes if plan.sampled else ())
+        for axis in dict.fromkeys(output.axis for output in sweep.outputs.values() if output.axis):
+            _write_along(file, axis, np.arange(1, sweep.count + 1), "1", f"number of the {axis}")
+        for name, output in sweep.outputs.items():
+            own = [output.axis] if output.axis else []
+            _write_along(file, name, sweep.shaped(name), output.unit, output.meaning, [*axes, *own])
+        status = sweep.status.astype("i1").reshape(plan.shape)
+        _write_along(file, "status", status, "1", "what became of the point", axes)
+        file["status"].attrs["flag_values"] = np.array([NOT_RUN, RUN, REFUSED], dtype="i1")
+        file["status"].attrs["flag_meanings"] = "not_run run refused"
+        reasons = np.array([sweep.reasons.get(point, "") for point in range(len(plan))], dtype=h5py.string_dtype())
+        _write_along(file, "reason", reasons.reshape(plan.shape), "1", "why the point was refused", axes)
+        if plan.sampled:
+            for name in (*sweep.outputs, "status", "reason"):
+                file[name].attrs["coordinates"] = " ".join(plan.keys)
     return Path(path)
 
 
@@ -157,36 +170,6 @@ def _read_plan(file: h5py.File, scene: Scene) -> Plan:
     if not 1 <= len(plan) <= MOST_POINTS:
         raise SceneError(f"the sweep has {len(plan)} points")
     return plan
-
-
-def _write(file: h5py.File, sweep: Sweep) -> None:
-    plan, scene = sweep.plan, sweep.scene
-    hdf5.write_fields(file, sweep)
-    file.attrs["title"] = scene.title
-    KEYS.write(file, "keys", plan.keys)
-    LOGARITHMIC.write(file, "logarithmic", plan.logarithmic)
-    OUTPUTS.write(file, "outputs", {name: asdict(output) for name, output in sweep.outputs.items()})
-    hdf5.Attribute(bool).write(file, "finished", sweep.finished)
-    axes = ["sample"] if plan.sampled else plan.keys
-    if plan.sampled:
-        _write_along(file, "sample", np.arange(len(plan)), "1", "number of the sample")
-    for key, values in zip(plan.keys, plan.coordinates, strict=True):
-        unit = unit_of(scene, key).replace("²", "^2").replace("³", "^3").replace("·", "*")
-        _write_along(file, key, values, unit, label_of(scene, key), axes if plan.sampled else ())
-    for axis in dict.fromkeys(output.axis for output in sweep.outputs.values() if output.axis):
-        _write_along(file, axis, np.arange(1, sweep.count + 1), "1", f"number of the {axis}")
-    for name, output in sweep.outputs.items():
-        own = [output.axis] if output.axis else []
-        _write_along(file, name, sweep.shaped(name), output.unit, output.meaning, [*axes, *own])
-    status = sweep.status.astype("i1").reshape(plan.shape)
-    _write_along(file, "status", status, "1", "what became of the point", axes)
-    file["status"].attrs["flag_values"] = np.array([NOT_RUN, RUN, REFUSED], dtype="i1")
-    file["status"].attrs["flag_meanings"] = "not_run run refused"
-    reasons = np.array([sweep.reasons.get(point, "") for point in range(len(plan))], dtype=h5py.string_dtype())
-    _write_along(file, "reason", reasons.reshape(plan.shape), "1", "why the point was refused", axes)
-    if plan.sampled:
-        for name in (*sweep.outputs, "status", "reason"):
-            file[name].attrs["coordinates"] = " ".join(plan.keys)
 
 
 def _write_along(file: h5py.File, name: str, values: Any, unit: str, meaning: str, axes: Iterable[str] = ()) -> None:

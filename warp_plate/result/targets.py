@@ -70,8 +70,7 @@ def target_outlines(scene: Scene, key: str, target: Target) -> list[np.ndarray]:
 
     Those of a mask are its contours at ½; none if its file is gone, as beside a moved result.
     """
-    corners = target.corners(DISC_CORNERS)
-    if corners is not None:
+    if (corners := target.corners(DISC_CORNERS)) is not None:
         return [np.concatenate([corners, corners[:1]])]
     from contourpy import contour_generator
 

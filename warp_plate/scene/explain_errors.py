@@ -129,8 +129,7 @@ def _required_shape(annotation: Any, key: str, context: Mapping[str, str]) -> st
 
 def _suggestion(name: str, table: Any) -> str:
     known = list(table.model_fields) if _is_table(table) else []
-    close = difflib.get_close_matches(name, known, n=1)
-    if close:
+    if close := difflib.get_close_matches(name, known, n=1):
         return f"; did you mean {close[0]!r}?"
     return f"; known here: {', '.join(known)}" if known else ""
 

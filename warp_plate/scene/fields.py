@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeInt, TypeAdapter
 from pydantic_core import PydanticCustomError
 
 # Far beyond any panel, yet fourth powers and products of such numbers are still finite.
@@ -50,6 +50,7 @@ Positive = Annotated[float, Field(gt=0), AfterValidator(_moderate)]
 NotNegative = Annotated[float, Field(ge=0), AfterValidator(_moderate)]
 # These are never divided by, so they may be arbitrarily small.
 Coordinate = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+Count = NonNegativeInt
 Instant = Annotated[float, Field(ge=0, le=LARGEST)]
 Area = tuple[Coordinate, Coordinate, Coordinate, Coordinate]
 # TOML has true and false, so no text or number is taken for one of them.
@@ -59,6 +60,12 @@ Text = Annotated[str, AfterValidator(_without("\0", "the character NUL"))]
 Name = Annotated[str, Field(min_length=1), AfterValidator(_without("\0", "the character NUL"))]
 # A name that is part of the path of an HDF5 dataset.
 PartName = Annotated[Name, AfterValidator(_without("/", "'/'"))]
+
+
+def as_kind(value: object, kind: Any) -> Any:
+    """Return a value as an annotated kind, of which an int is 0 or more; raise ValueError if it is of another kind."""
+    return TypeAdapter(Count if kind is int else kind).validate_python(value)
+
 
 _FILE_NAME = re.compile(r"[^/\\:\x00-\x1f\x7f]+")
 

@@ -93,7 +93,7 @@ def with_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
     Raises:
         SceneError: the numbers are not valid; the message names the key at fault.
     """
-    tables: dict[str, Any] = scene.model_dump(mode="json")
+    tables: Any = scene.model_dump(mode="json")
     if scene.targets:
         del tables["target"]
     if scene.grid.accuracy is not None or "grid.accuracy" in numbers:
