@@ -8,7 +8,7 @@ from pydantic import BaseModel
 from warp_plate import Scene
 from warp_plate.cli.localize import localize
 from warp_plate.scene.keys import UNITS
-from warp_plate.scene.search import OBJECTIVE_UNITS, Limits, Objective, Search
+from warp_plate.scene.search import OBJECTIVE_UNITS, Limits, Objective
 
 DOCS = Path(__file__).parents[2] / "docs"
 TEXT = "\n".join(page.read_text(encoding="utf-8") for page in sorted(DOCS.glob("*.md")))
@@ -46,24 +46,6 @@ def test_every_table_and_key_is_documented_and_every_number_has_a_unit(name, mod
         if {int, float} & set(types_in(model.model_fields[key].annotation)):
             ends = [".".join([*name.split(".")[index:], key]) for index in range(name.count(".") + 2)]
             assert set(ends) & set(UNITS) or key in UNITLESS, (name, key)
-
-
-def test_keys_stand_in_the_rows_of_their_table():
-    """Names such as ``name`` and ``area`` belong to several tables of docs/scene.md."""
-    rows, table = [], ""
-    for line in (DOCS / "scene.md").read_text(encoding="utf-8").splitlines():
-        if line.startswith("|"):
-            cell = line.split("|")[1]
-            table = cell if "[" in cell else table
-            rows.append((table, cell))
-    for name, keys in (
-        ("`[search]`", [key for key, field in Search.model_fields.items() if not tables_in(field.annotation)]),
-        ("`[target]`", ("area", "disc", "polygon", "mask")),
-        ("`[[targets]]`", ("name", "area", "disc", "polygon", "mask")),
-        ("`[[search.objectives]]`", ("kind", "weight", "rest_limit")),
-    ):
-        cells = [cell for table, cell in rows if name in table]
-        assert not [key for key in keys if not any(f"`{key}`" in cell for cell in cells)]
 
 
 def test_help_of_localize_lists_limits_and_objectives():

@@ -9,7 +9,6 @@ from warp_plate import Scene, localize
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.problem.design_variables import make_design_variables, with_common_step
 from warp_plate.problem.parametrization import parametrization_of
-from warp_plate.scene.search import Objective, Search
 
 DOCS = Path(__file__).parents[2] / "docs"
 EXAMPLES = sorted((DOCS / "examples").glob("*.toml"))
@@ -31,21 +30,6 @@ def test_examples_can_be_searched_and_are_documented(path):
     assert f"examples/{path.name}" in "\n".join(page.read_text(encoding="utf-8") for page in DOCS.glob("*.md"))
     command = re.search(r"#\s+warp-plate localize .*docs/examples/(\S+)\n", path.read_text(encoding="utf-8"))
     assert command[1] == path.name
-
-
-def test_examples_cover_all_variables_objectives_limits_shapes_and_methods():
-    scenes = [Scene.load(path) for path in EXAMPLES] + [Scene.load("paper")]
-    searches = [scene.search for scene in scenes]
-    for table in ("magnitude", "phase", "frequency", "position", "delay", "robust", "restarts"):
-        assert any(getattr(search, table) for search in searches), table
-    for key in ("magnitude", "power", "equal_magnitudes"):
-        assert any(getattr(search.limits, key) for search in searches), key
-    kinds = {objective.kind for search in searches for objective in search.objectives}
-    assert kinds == set(Objective.model_fields["kind"].annotation.__args__)
-    assert {search.method for search in searches} == set(Search.model_fields["method"].annotation.__args__)
-    targets = [target for scene in scenes for target in (scene.targets or (scene.target,))]
-    for shape in ("area", "disc", "polygon", "mask"):
-        assert any(getattr(target, shape) for target in targets), shape
 
 
 @pytest.mark.slow

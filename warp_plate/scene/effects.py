@@ -81,9 +81,8 @@ Factors = Annotated[
 class Variation(Table):
     """Thickness, Young's modulus and density that vary over the plate, as factors on those of ``[plate]``.
 
-    Each is an array, or the name of a CSV file beside the scene file that holds one: rows from y = 0 to the opposite
-    side, columns from x = 0, evenly spaced from edge to edge, with bilinear interpolation. A single row holds for all
-    y, a single column for all x. Bending stiffness is proportional to E H³, mass to ρH.
+    Each is an array, or the name of a CSV file beside the scene file with one: rows along y, columns along x, evenly
+    spaced from edge to edge, with bilinear interpolation. A single row holds for all y, a single column for all x.
     """
 
     thickness: Factors | None = None

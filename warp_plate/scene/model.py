@@ -198,7 +198,7 @@ class Scene(Table):
     @model_validator(mode="after")
     def _tables_fit_together(self) -> Scene:
         actuators, size = self.actuators, self.plate.size
-        areas = {f"actuators[{i}].area ({actuator.name!r})": actuator.area for i, actuator in enumerate(actuators)}
+        areas = {f"actuators[{index}].area ({row.name!r})": row.area for index, row in enumerate(actuators)}
         if self.search.position is not None and self.search.position.area is not None:
             areas["search.position.area"] = self.search.position.area
         for name in ("layers", "oscillators"):
@@ -235,9 +235,8 @@ class Scene(Table):
     @property
     def uniform(self) -> bool:
         """True if the plate is isotropic, homogeneous, and clamped or supported along all edges."""
-        effects = self.effects
-        plain_edges = all(edge in ("clamped", "supported") for _, edge in self.edges)
-        return plain_edges and not (effects.orthotropic or effects.variation or effects.layers)
+        varied = self.effects.orthotropic or self.effects.variation or self.effects.layers
+        return not varied and all(edge in ("clamped", "supported") for _, edge in self.edges)
 
     @property
     def names_files(self) -> bool:
@@ -249,8 +248,7 @@ class Scene(Table):
     @property
     def targets_by_key(self) -> dict[str, Target]:
         """All targets by key: ``target``, or ``targets[0]``, ``targets[1]``, ..."""
-        several: dict[str, Target] = {f"targets[{index}]": target for index, target in enumerate(self.targets)}
-        return several or {"target": self.target}
+        return {f"targets[{index}]": row for index, row in enumerate(self.targets)} or {"target": self.target}
 
     def aimed_at(self, index: int) -> Scene:
         """Return the scene with another one of its ``targets`` as ``target``."""

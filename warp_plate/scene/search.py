@@ -73,9 +73,8 @@ OBJECTIVE_UNITS = {"localization": "1", "contrast": "dB", "velocity": "m/s", "di
 class Objective(Table):
     """A term of the weighted sum that is maximised.
 
-    "localization": fraction of the kinetic energy that lies in the target. "contrast": mean kinetic energy density of
-    the target over that of the rest [dB]. "velocity", "displacement": RMS over target and window [m/s, m].
-    "uniformity": 1 if the kinetic energy density is the same all over the target.
+    "localization": fraction of the kinetic energy in the target. "contrast": mean kinetic energy density of the target
+    over that of the rest [dB]. "velocity", "displacement": RMS over target and window. "uniformity": 1 for an even one.
     """
 
     kind: Literal["localization", "contrast", "velocity", "displacement", "uniformity"] = "localization"

@@ -49,8 +49,7 @@ class VariedKey:
     def sample(self, fractions: np.ndarray) -> np.ndarray:
         """Return the (n,) values at fractions 0 ... 1 of the range; listed values have equal parts of it."""
         if self.listed:
-            index = (fractions * len(self.listed)).astype(int)
-            return np.array(self.listed)[np.minimum(index, len(self.listed) - 1)]
+            return np.take(self.listed, (fractions * len(self.listed)).astype(int), mode="clip")
         low, high = min(self.start, self.stop), max(self.start, self.stop)
         if self.integer and not self.logarithmic:
             return np.minimum(np.floor(low + fractions * (high - low + 1)), high)
