@@ -167,10 +167,10 @@ def test_nothing_outside_the_folder_is_read(tmp_path):
         read_samples(SampledSignal(file="a.csv"), None)
 
 
-def read_or_refused(folder, content, name, keys):
+def read_or_refused(folder, content, name):
     """Read samples that can be resampled, or get one line."""
     try:
-        samples = read(folder, content, name, **keys)
+        samples = read(folder, content, name)
     except SceneError as error:
         line = str(error)
         assert "\n" not in line
@@ -193,20 +193,6 @@ def test_a_wav_file_cut_anywhere_is_refused(tmp_path):
             read(tmp_path, content[:length], "a.wav")
 
 
-def test_a_csv_file_cut_anywhere_keeps_its_whole_lines(tmp_path):
-    """The last line cannot be told from a whole one."""
-    lines = [f"{0.01 * index:.2f},{value}" for index, value in enumerate(SAMPLES)]
-    content = "time,value\n" + "\n".join(lines) + "\n"
-    whole = read(tmp_path, content)
-    for length in range(len(content)):
-        try:
-            part = read(tmp_path, content[:length])
-        except SceneError:
-            continue
-        np.testing.assert_array_equal(part.values[:-1], whole.values[: part.values.size - 1])
-        assert (part.start, part.rate) == (0, pytest.approx(whole.rate, rel=0.06))
-
-
 @pytest.mark.parametrize("name", ["a.wav", "a.csv"])
 def test_a_file_with_any_byte_changed_is_read_or_refused(tmp_path_factory, name):
     folder = tmp_path_factory.getbasetemp()
@@ -214,7 +200,7 @@ def test_a_file_with_any_byte_changed_is_read_or_refused(tmp_path_factory, name)
     content = wav(SAMPLES.tobytes()) if name == "a.wav" else rows.encode()
     for place, byte in enumerate(content):
         flipped = bytes([byte ^ (1, 0x10, 0x80, 0xFF)[place % 4]])
-        read_or_refused(folder, content[:place] + flipped + content[place + 1 :], name, {})
+        read_or_refused(folder, content[:place] + flipped + content[place + 1 :], name)
 
 
 def test_long_signals_are_refused(tmp_path):

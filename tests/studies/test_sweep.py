@@ -1,21 +1,19 @@
 """Sweeps: quantities as the commands find them, refused points, files, workers, and resuming."""
 
 import math
-import time
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import scene_of, start_program
+from conftest import scene_of
 from inline_pool import InlinePool
 from test_resume import stop_after
 
 from warp_plate import SceneError, load_sweep, sweep
 from warp_plate.cluster.scheduler import ATTEMPTS
 from warp_plate.plate.modes import natural_modes
-from warp_plate.result.sweep import NOT_RUN, REFUSED, RUN, save_sweep
+from warp_plate.result.sweep import REFUSED, RUN, save_sweep
 from warp_plate.scene.keys import with_numbers
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.checkpointing import SweepFile
@@ -229,23 +227,6 @@ def test_a_point_without_memory_is_given_up_and_others_run(plate, monkeypatch, e
     error = RuntimeError("a fault of the program")
     with pytest.raises(RuntimeError, match="a fault of the program"):
         sweep(plate, ["drive.frequency=200:300:3"], "check", device="cpu")
-
-
-def test_a_killed_process_leaves_a_file_that_resumes(plate, write_scene):
-    write_scene(plate)
-    options = ["--what", "modes", "--checkpoint-every", "0", "--no-pictures", "--device", "cpu"]
-    vary, file = "plate.thickness=4e-4:9e-4:40", Path("panel-sweep.checkpoint.h5")
-    process = start_program("-m", "warp_plate", "sweep", "panel.toml", "--vary", vary, *options)
-    while not file.exists() and process.poll() is None:
-        time.sleep(0.005)
-    time.sleep(0.1)
-    process.kill()
-    process.communicate()
-    left, full = load_sweep(file), sweep(plate, [vary], "modes", device="cpu")
-    assert_same(run_sweep(resume_sweep(left)), full)
-    done = left.status == RUN
-    np.testing.assert_array_equal(left.values["frequency"][done], full.values["frequency"][done])
-    assert np.isnan(left.values["frequency"][left.status == NOT_RUN]).all()
 
 
 def test_files_that_the_scene_names_must_not_change(tmp_path):
