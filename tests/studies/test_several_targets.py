@@ -11,6 +11,7 @@ from conftest import output_of, scene_of
 from test_resume import assert_same, stopped
 
 from warp_plate import PlateSolver, Scene, load_result, localize, resume
+from warp_plate.plate.scheme import make_scheme
 from warp_plate.problem import problem
 from warp_plate.result import save_result
 from warp_plate.result.targets import best_drive_scenes, crosstalk, decibels, target_cases, target_regions
@@ -51,6 +52,8 @@ def test_each_search_equals_that_of_a_single_target(found):
     scene = panel()
     assert list(found.cases) == ["equal", "single", "best", "best left", "best three corners"]
     assert (found.evaluations, found.bound, found.scene.target) == (216, found.target_searches[0].bound, scene.target)
+    # Gram matrices once; for each target single actuators, the swarm and three cases.
+    assert found.node_steps == 11 * 11 * make_scheme(found.scene).steps * (21 + 3 * (3 + 72 + 3))
     for index, case in enumerate(target_cases(scene).values()):
         single, search = (
             localize(single_target(scene, index), "mine", "cpu", estimate=False),
