@@ -142,7 +142,7 @@ def test_objectives_that_a_scene_cannot_have_are_refused(scene):
     ("objectives", "named"),
     [
         ("[]", " = []"),
-        ("[{ kind = 'loudness' }]", "[0].kind = 'loudness'"),
+        ("[{ kind = 'loudness' }]", '[0].kind = "loudness"'),
         ("[{ weight = 0 }]", "[0].weight = 0"),
         ("[{ kind = 'contrast', rest_limit = 1.0 }]", "[0].rest_limit"),
         ("[{ kind = 'velocity', rest_limit = -1 }]", "[0].rest_limit = -1"),
