@@ -89,7 +89,12 @@ def test_every_command_with_what_is_no_scene(name, folder, command):
     refused(command(name, "panel.toml", "panel.toml"))
 
 
-def test_init_into_what_is_no_new_file(folder, command):
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_pipes_and_folders_are_no_files(folder, command):
+    """Reading a pipe that nobody writes to would never end."""
+    os.mkfifo("pipe")
+    for words in (["render", "pipe"], ["view", "pipe"], ["localize", "--resume", "pipe"]):
+        assert "pipe: " in refused(command(*words))
     before = files()
     for out in ("", ".", "file", "folder.h5", "no/x.toml", "file/x", "a\0b", "\ud800", LONG, "/"):
         refused(command("init", "paper", "--out", out))
@@ -112,24 +117,16 @@ def test_the_longest_file_names(folder, command):
     assert files() == before
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
-@pytest.mark.parametrize("words", [["render", "pipe"], ["view", "pipe"], ["localize", "--resume", "pipe"]])
-def test_a_pipe_is_not_a_result(words, folder, command):
-    """Reading a pipe that nobody writes to would never end."""
-    os.mkfifo("pipe")
-    assert "pipe: " in refused(command(*words))
+def test_more_than_fits_into_memory(folder, write_scene, command, monkeypatch):
+    """Scenes and swarms that never fit, and an allocation that fails."""
+    with monkeypatch.context() as patch:
+        patch.setattr(memory, "machine_memory", lambda: 2.0**10)
+        for name in ("localize", "simulate"):
+            assert "GiB of memory" in refused(command(name, "panel.toml", "--no-pictures"))
+        write_scene(name="swarm", search={"particles": 10_000_000})
+        patch.setattr(memory, "machine_memory", lambda: 2.0**28)
+        assert "search.particles = 10000000" in refused(command("localize", "swarm.toml", "--no-pictures"))
 
-
-def test_scenes_and_swarms_beyond_memory(folder, write_scene, command, monkeypatch):
-    monkeypatch.setattr(memory, "machine_memory", lambda: 2.0**10)
-    for name in ("localize", "simulate"):
-        assert "GiB of memory" in refused(command(name, "panel.toml", "--no-pictures"))
-    write_scene(name="swarm", search={"particles": 10_000_000})
-    monkeypatch.setattr(memory, "machine_memory", lambda: 2.0**28)
-    assert "search.particles = 10000000" in refused(command("localize", "swarm.toml", "--no-pictures"))
-
-
-def test_memory_that_runs_out(folder, command, monkeypatch):
     def none_left(*arguments, **options):
         raise MemoryError("Unable to allocate 4 TiB")
 

@@ -15,18 +15,9 @@ from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.stability_limit import find_limit
 
 
-@pytest.fixture
-def limit(write_scene):
-    """The stability limit of a scene in a file of the working folder, whose time step is 1.05 times as long."""
-    limit = make_scheme(scene_of()).limit
-    write_scene(name="unstable", time_step=1.05 * limit, window=(200 * limit, 1000 * limit))
-    return limit
-
-
 def test_numbers_and_words_of_the_paper(command):
     found = json.loads(output_of(command("check", "paper", "--device", "cpu", "--json")))
-    assert found["time_step"] == 8e-5
-    assert found["limit"] == pytest.approx(9.633e-5, rel=1e-3)
+    assert (found["time_step"], found["limit"]) == (8e-5, pytest.approx(9.633e-5, rel=1e-3))
     assert (found["steps"], found["stable"], found["growth_a_step"], found["path"]) == (1250, True, 1, "resident")
     assert sum(found["limit_shares"].values()) == pytest.approx(1)
     assert found["steps_a_period"] == pytest.approx(1 / (290 * 8e-5))
@@ -39,14 +30,16 @@ def test_numbers_and_words_of_the_paper(command):
         assert part in words
 
 
-def test_frequencies_are_those_of_the_grid():
-    """Compared with all modes of a small grid with springs and a suspended mass."""
+def test_frequencies_and_limit_are_those_of_the_grid():
+    """Compared with all modes of a small grid with springs and a suspended mass; the limit is the solver's."""
     suspended = {"area": (0.05, 0.1, 0.05, 0.1), "mass": 0.01, "stiffness": 500.0}
     scene = scene_of((9, 9), effects={"oscillators": [suspended], "foundation": {"stiffness": 1e4}})
     found, modes = check(scene, "cpu"), natural_modes(scene, 1000).frequencies
     assert found.slowest_frequency == pytest.approx(modes[0], rel=1e-9)
     assert found.fastest_frequency == pytest.approx(modes[-1], rel=1e-3)
     assert check(scene_of(edges=("free",) * 4), "cpu").slowest_frequency > 0
+    scene = scene_of(effects={"material_damping": {"time": 1e-5}})
+    assert check(scene, "cpu").limit.time_step == find_limit(scene)[0].time_step == make_scheme(scene).limit
 
 
 def test_the_amplitude_up_to_which_stretching_is_stable(device, path):
@@ -67,35 +60,23 @@ def test_the_amplitude_up_to_which_stretching_is_stable(device, path):
     np.testing.assert_array_equal(wild.displacement[[0, 2]], calm.displacement[[0, 2]])
 
 
-@pytest.mark.parametrize("name", ["simulate", "localize", "check"])
-def test_unstable_steps_are_refused_with_both_numbers(name, command, limit):
-    err = error_of(command(name, "unstable.toml"))
-    assert f"unstable.toml: grid.time_step = {1.05 * limit:g}" in err
-    assert f"the stability limit of {limit:.6g} s" in err
-
-
-def test_check_reports_the_growth(command, limit):
+def test_unstable_steps(command, write_scene):
+    """They are refused with both numbers; if they are allowed, the growth and the status are reported."""
+    limit, options = make_scheme(scene_of()).limit, ("--no-pictures", "--no-estimate", "--device", "cpu")
+    write_scene(name="unstable", time_step=1.05 * limit, window=(200 * limit, 1000 * limit))
+    for name in ("simulate", "localize", "check"):
+        err = error_of(command(name, "unstable.toml"))
+        assert f"unstable.toml: grid.time_step = {1.05 * limit:g}" in err
+        assert f"the stability limit of {limit:.6g} s" in err
     found = json.loads(output_of(command("check", "unstable.toml", "--allow-unstable", "--json", "--device", "cpu")))
-    assert not found["stable"]
     # λΔt² = 4·1.05²: the root of z + 1/z = 2 − λΔt² outside the unit circle.
     assert found["growth_a_step"] == pytest.approx(-np.roots([1, 4 * 1.05**2 - 2, 1]).min(), rel=1e-6)
-    assert found["limit"] == pytest.approx(limit)
-
-
-def test_simulate_reports_the_status(command, limit):
-    options = ("--no-pictures", "--no-estimate", "--device", "cpu")
+    assert (found["stable"], found["limit"]) == (False, pytest.approx(limit))
     record = json.loads(command("simulate", "unstable.toml", "--allow-unstable", "--json", *options)[1])
     assert record["localization_factor"] is None
     assert record["status"].startswith("grew without bound by t = ")
     assert record["status"] in record["warnings"][0]
     assert load_result("unstable-simulate.h5").cases["drive"].status == record["status"]
     assert float(record["status"].split()[-2]) < 150 * limit  # of 1000 steps
-    _, words, _ = command("simulate", "unstable.toml", "--allow-unstable", *options)
-    assert "grew without bound by t" in words
-    assert "nan" not in words
-    assert json.loads(command("simulate", "paper", "--json", *options)[1])["status"] == "ok"
-
-
-def test_the_limit_is_that_of_the_solver():
-    scene = scene_of(effects={"material_damping": {"time": 1e-5}})
-    assert check(scene, "cpu").limit.time_step == find_limit(scene)[0].time_step == make_scheme(scene).limit
+    words = command("simulate", "unstable.toml", "--allow-unstable", *options)[1]
+    assert ("grew without bound by t" in words, "nan" in words) == (True, False)

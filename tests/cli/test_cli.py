@@ -5,7 +5,6 @@ import os
 import re
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 from conftest import error_of, output_of, scene_of, start_program
@@ -47,7 +46,6 @@ def test_localize_json_and_result_file(command, panel):
     assert [entry["evaluations"] for entry in record["history"]] == [6, 12, 18, 24, 30]
     assert set(record["history"][0]) == {"evaluations", "best", "mean"}
     assert record["history"][-1]["best"] == pytest.approx(factors["best"], abs=2e-6)
-    assert record["node_steps"] % (11 * 11) == 0
     assert record["files"] == ["panel-localize.h5", "panel-localize.best.toml"]
     assert files() == ["panel-localize.best.toml", "panel-localize.h5", "panel.toml"]
     result = load_result("panel-localize.h5")
@@ -55,17 +53,14 @@ def test_localize_json_and_result_file(command, panel):
     assert {name: case.localization_factor for name, case in result.cases.items()} | {"bound": result.bound} == factors
     phasors = [entry["magnitude"] * np.exp(-1j * entry["phase"]) for entry in record["drive"]]
     np.testing.assert_allclose(result.cases["best"].phasors, phasors, rtol=1e-12)
-    with h5py.File("panel-localize.h5") as file:  # readable without this program
-        assert file["cases/best/displacement"].shape == (2, 13, 13)
-        assert file["cases/best/displacement"].attrs["units"] == "m"
-        assert "long_name" in file["history/best"].attrs
     again, other = (json.loads(command("localize", "panel.toml", "--seed", s, "--json", *QUICK)[1]) for s in (4, 5))
     assert again["history"] == record["history"]
     assert other["history"] != record["history"]
 
 
-def test_simulate_every_kind_of_drive(command, panel):
-    """A result file stands for its best drive, or the only one; a second run replaces the first one's result."""
+def test_simulate_every_kind_of_drive(command, panel, write_scene):
+    """A result file stands for its best drive, or the only one; a second run replaces the first one's result. A drive
+    in another unit is refused."""
     factors = json.loads(command("localize", "panel.toml", "--json", *QUICK)[1])["localization_factor"]
     for drive, name in (("equal", "equal"), ("single", "single"), ("panel-localize.h5", "best"), ("again.h5", "best")):
         _, out, _ = command("simulate", "panel.toml", "--drive", drive, "--out", "again.h5", "--json", *QUICK)
@@ -74,15 +69,9 @@ def test_simulate_every_kind_of_drive(command, panel):
         assert record["localization_factor"] == pytest.approx(record["energy"]["target"] / record["energy"]["plate"])
         assert record["peak_displacement"] > 0
     assert files() == ["again.h5", "panel-localize.best.toml", "panel-localize.h5", "panel.toml"]
-
-
-def test_a_drive_in_another_unit_is_refused(command, panel, write_scene):
     drive = {"frequency": 290.0, "electrostatic": {"bias": 1.0, "gain": 1.0}}
     write_scene(panel.with_tables(drive=drive), "volts")
-    for name, unit in (("volts", "V"), ("panel", "N/m^2")):
-        command("simulate", f"{name}.toml", *QUICK)
-        with h5py.File(f"{name}-simulate.h5") as file:
-            assert file["cases/drive/magnitude"].attrs["units"] == unit
+    command("simulate", "volts.toml", *QUICK)
     error = error_of(command("simulate", "panel.toml", "--drive", "volts-simulate.h5", *QUICK))
     assert "--drive volts-simulate.h5: holds magnitudes in V, those of the scene are in N/m²" in error
 
@@ -148,34 +137,25 @@ def process(*arguments, **options):
     return started.returncode, out, err
 
 
-def test_as_a_process(panel):
-    """Streams are free of messages of Warp, CUDA and VTK."""
-    record = json.loads(output_of(process("localize", "panel.toml", "--json", *QUICK)))
-    assert record["scene"] == "panel.toml"
-    assert output_of(process("--version")).strip() == warp_plate.__version__
-    listed = output_of(process("--help"))
-    assert all(name in listed for name in ("localize", "simulate", "init"))
+def test_as_a_process(command, panel):
+    """Streams are free of messages of Warp, CUDA and VTK, also in a terminal without Greek letters."""
+    assert json.loads(output_of(process("localize", "panel.toml", "--json", *QUICK)))["scene"] == "panel.toml"
+    assert "13 \\xd7 13 nodes" in output_of(process("modes", "panel.toml", "--no-pictures", encoding="ascii"))
+    assert output_of(command("--version")).strip() == warp_plate.__version__
+    assert all(name in output_of(command("--help")) for name in ("localize", "simulate", "init"))
 
 
-def test_a_reader_that_leaves_is_no_error(panel):
+def test_standard_output_that_is_closed_or_full(panel):
     """``warp-plate ... | head`` closes the pipe, and the command ends quietly."""
     read, write = os.pipe()
     os.close(read)
-    _, _, err = process("simulate", "panel.toml", "--json", *QUICK, stdout=write)
+    assert process("simulate", "panel.toml", "--json", *QUICK, stdout=write)[2] == ""
     os.close(write)
-    assert err == ""
     assert Path("panel-simulate.h5").exists()
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a device that is always full")
-def test_a_full_standard_output(panel):
-    with open("/dev/full", "w") as full:
-        answer = process("simulate", "panel.toml", "--json", *QUICK, stdout=full)
-    assert answer == (2, None, "warp-plate: No space left on device\n")
-
-
-def test_a_terminal_without_greek_letters(panel):
-    assert "13 \\xd7 13 nodes" in output_of(process("modes", "panel.toml", "--no-pictures", encoding="ascii"))
+    if Path("/dev/full").exists():  # on Linux
+        with open("/dev/full", "w") as full:
+            answer = process("check", "panel.toml", "--json", "--device", "cpu", stdout=full)
+        assert answer == (2, None, "warp-plate: No space left on device\n")
 
 
 def test_names_in_a_scene_are_printed_verbatim(command, write_scene):

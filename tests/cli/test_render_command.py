@@ -48,11 +48,14 @@ def frames_of(path):
             yield np.asarray(movie.convert("RGB")).astype(int)
 
 
-def test_a_picture_is_the_default(render, drawing, tmp_path):
+def test_pictures(render, drawing, tmp_path):
+    """The default, and the paper's figures."""
     assert files_of(render("--json")) == ["panel.png"]
-    assert [path.name for path in tmp_path.iterdir()] == ["panel.png"]
     (picture,) = frames_of(tmp_path / "panel.png")
     assert ((picture.max(axis=-1) - picture.min(axis=-1)) > 100).sum() > 300
+    files = files_of(render("--figures", "paper", "--json"))
+    assert files == ["panel-figure-2.png", *(f"panel-figure-3.{form}" for form in ("png", "svg", "pdf"))]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["panel.png", *files])
 
 
 def test_movies_play_all_frames(render, drawing, tmp_path):
@@ -87,32 +90,21 @@ def test_pages_and_plans_need_no_window(render, monkeypatch, tmp_path):
     try:
         output_of(render("--out", "a.html", "--out", "a.svg", "--out", "a.pdf", "--field", "phase"))
         output_of(render("--out", "b.png", "--plan", "--time", "0.0095"))
+        output_of(render("--modes", "3", "--out", "modes.html"))
         assert "the plate cannot be drawn" in error_of(render("--out", "c.png"))
     finally:
         availability.working_window.cache_clear()
     assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
     assert "phase lag" in (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "displacement\\nover its largest" in (tmp_path / "modes.html").read_text(encoding="utf-8")
     assert "<svg" in (tmp_path / "a.svg").read_text(encoding="utf-8")
     (picture,) = frames_of(tmp_path / "b.png")
     assert ((picture.max(axis=-1) - picture.min(axis=-1)) > 100).sum() > 1000
     assert not list(tmp_path.glob(".*"))
 
 
-def test_the_papers_figures(render, drawing, tmp_path):
-    files = files_of(render("--figures", "paper", "--json"))
-    assert files == ["panel-figure-2.png", *(f"panel-figure-3.{form}" for form in ("png", "svg", "pdf"))]
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(files)
-    assert "svg" in (tmp_path / "panel-figure-3.svg").read_text(encoding="utf-8")[:400]
-
-
-def test_mode_shapes(render, tmp_path):
-    output_of(render("--modes", "3", "--out", "modes.html"))
-    assert "displacement\\nover its largest" in (tmp_path / "modes.html").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize(
-    ("options", "complaint"),
-    [
+def test_invalid_options_are_named(render, tmp_path):
+    for options, complaint in (
         ("--out a.jpg", "--out a.jpg: must end in .png, .svg, .pdf, .gif, .mp4 or .html"),
         ("--out no/a.png", "--out no/a.png: no such folder: no"),
         ("--width 10", "--width 10: must be from 120 to 4000 pixels"),
@@ -125,12 +117,10 @@ def test_mode_shapes(render, tmp_path):
         ("--time 7", "--time 7: must be from 0 to 0.012 s"),
         ("--time 0.001 --start 0.01", "--time 0.001: must lie between --start and --end, 0.01 and 0.012 s"),
         ("--start 0.01 --end 7", "start = 0.01, end = 7: must lie within the run"),
-    ],
-)
-def test_invalid_options_are_named(render, tmp_path, options, complaint):
-    out = [] if "--out" in options else ["--out", "a.html"]
-    assert complaint in error_of(render(*options.split(), *out))
-    assert not list(tmp_path.iterdir())
+    ):
+        out = [] if "--out" in options else ["--out", "a.html"]
+        assert complaint in error_of(render(*options.split(), *out))
+        assert not list(tmp_path.iterdir())
 
 
 def test_a_moment_is_the_frame_of_pictures(searched):

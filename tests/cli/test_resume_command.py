@@ -5,6 +5,7 @@ import re
 import signal
 import sys
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,25 +37,22 @@ def left(panel):
     return file.path
 
 
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
+def test_what_would_change_the_result_is_refused_by_name(command, panel, left, write_scene):
+    write_scene(panel.with_tables(plate={**panel.plate.model_dump(), "thickness": 1e-3}), "thicker")
+    first, second, *rest = panel.actuators
+    moved = (first, second.model_copy(update={"area": first.area}), *rest)
+    write_scene(panel.model_copy(update={"actuators": moved}), "moved")
+    before = left.read_bytes()
+    for options, named in (
         ("--seed 3", "--seed 3: the search in panel-localize.checkpoint.h5 began with 0"),
         ("--evaluator response", "--evaluator response: the search in .* began with direct"),
         ("--path streaming", "--path streaming: the search in .* began with auto"),
         ("--accuracy 1%", "--accuracy: grid.accuracy = 0.01: the search in .* began with None"),
         ("thicker.toml", "thicker.toml: plate.thickness = 0.001: the search in .* began with 0.0005"),
         ("moved.toml", r"moved.toml: actuators\[1\].area = "),
-    ],
-)
-def test_what_would_change_the_result_is_refused_by_name(options, named, command, panel, left, write_scene):
-    write_scene(panel.with_tables(plate={**panel.plate.model_dump(), "thickness": 1e-3}), "thicker")
-    first, second, *rest = panel.actuators
-    moved = (first, second.model_copy(update={"area": first.area}), *rest)
-    write_scene(panel.model_copy(update={"actuators": moved}), "moved")
-    before = left.read_bytes()
-    assert re.search(named, error_of(command("localize", "--resume", left, *options.split(), "--no-pictures")))
-    assert left.read_bytes() == before
+    ):
+        assert re.search(named, error_of(command("localize", "--resume", left, *options.split(), "--no-pictures")))
+        assert left.read_bytes() == before
     assert not Path("panel-localize.h5").exists()
 
 
@@ -75,7 +73,7 @@ def test_the_command_resumes(command, panel, left):
             assert result.cases[name].energy == case.energy
 
 
-def test_a_damaged_checkpoint_gives_way_to_the_one_before(command, panel, left):
+def test_a_damaged_checkpoint_gives_way_to_the_one_before(command, left):
     previous = previous_path(left)
     assert previous == Path("panel-localize.checkpoint.previous.h5")
     previous.write_bytes(left.read_bytes())
@@ -89,20 +87,16 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(command, panel, left):
     assert error.startswith("warp-plate: panel-localize.checkpoint.h5: damaged: ")
 
 
-def modified(file):
-    """Modification time [ns]; 0 if the file is missing, as while it is being replaced."""
-    try:
-        return file.stat().st_mtime_ns
-    except FileNotFoundError:
-        return 0
-
-
 def killed(arguments, seconds):
     """Start the command and kill it some time after it has written a checkpoint; return whether it ended before."""
-    process = start_program("-m", "warp_plate", *arguments)
-    before = modified(FILE)
-    while process.poll() is None and modified(FILE) in (0, before):
-        time.sleep(0.002)
+
+    def modified():
+        return FILE.stat().st_mtime_ns if FILE.exists() else None
+
+    before, process = modified(), start_program("-m", "warp_plate", *arguments)
+    with suppress(FileNotFoundError):  # while it is being replaced
+        while process.poll() is None and modified() in (None, before):
+            time.sleep(0.002)
     time.sleep(seconds)
     process.kill()
     _, err = process.communicate()

@@ -42,17 +42,6 @@ def test_table_and_files(panel, command):
     assert sorted(path.name for path in Path().iterdir()) == [*files, "panel.toml"]
 
 
-def test_json(panel, command):
-    record = json.loads(output_of(command(*SWEEP, "--what", "modes", "--count", 2, "--json")))
-    assert (record["what"], record["shape"], record["sampled"]) == ("modes", [3, 3], False)
-    assert record["varied"] == {"plate.thickness": [4e-4, 5e-4, 2e-3], "drive.frequency": [200.0, 250.0, 300.0]}
-    assert np.array(record["outputs"]["frequency"], dtype=float).shape == (3, 3, 2)
-    assert record["outputs"]["frequency"][2][0] == [None, None]
-    assert record["refused"][0]["at"] == {"plate.thickness": 2e-3, "drive.frequency": 200.0}
-    assert record["units"] == {"frequency": "Hz"}
-    assert "! drive.frequency has no effect" in command("sweep", "--resume", "panel-sweep.h5", "--no-pictures")[1]
-
-
 def test_many_points_are_summarised_and_counted(panel, command, monkeypatch):
     notes = []
     monkeypatch.setattr(output, "progress_bar", lambda *_: nullcontext(lambda *shown: notes.append(shown)))
@@ -68,16 +57,23 @@ def test_many_points_are_summarised_and_counted(panel, command, monkeypatch):
     assert notes[-1] == (41, 41, "41 of 41: plate thickness 0.0005")
 
 
-def test_xarray_opens_results_by_name(panel, command):
+def test_json_and_what_xarray_reads(panel, command):
     """A grid has a dimension for each key; samples have keys as coordinates."""
+    record = json.loads(output_of(command(*SWEEP, "--what", "modes", "--count", 2, "--json")))
+    kept = load_sweep("panel-sweep.h5")
+    assert (record["what"], record["shape"], record["sampled"]) == ("modes", [3, 3], False)
+    assert record["varied"] == {"plate.thickness": [4e-4, 5e-4, 2e-3], "drive.frequency": [200.0, 250.0, 300.0]}
+    np.testing.assert_array_equal(np.array(record["outputs"]["frequency"], dtype=float), kept.shaped("frequency"))
+    assert record["outputs"]["frequency"][2][0] == [None, None]
+    assert record["refused"][0]["at"] == {"plate.thickness": 2e-3, "drive.frequency": 200.0}
+    assert record["units"] == {"frequency": "Hz"}
+    assert "! drive.frequency has no effect" in command("sweep", "--resume", "panel-sweep.h5", "--no-pictures")[1]
+    check_seal(Path("panel-sweep.h5"))
     xarray = pytest.importorskip("xarray")
     pytest.importorskip("h5netcdf")
-    command(*SWEEP, "--what", "modes", "--count", 2)
-    kept = load_sweep("panel-sweep.h5")
     with xarray.open_dataset("panel-sweep.h5", engine="h5netcdf") as data:
         assert dict(data.sizes) == {"plate.thickness": 3, "drive.frequency": 3, "mode": 2}
         assert data["frequency"].dims == ("plate.thickness", "drive.frequency", "mode")
-        np.testing.assert_array_equal(data["frequency"].values, kept.shaped("frequency"))
         selected = data["frequency"].sel({"plate.thickness": 5e-4, "drive.frequency": 250.0, "mode": 2})
         assert float(selected) == kept.shaped("frequency")[1, 1, 1]
         assert data["drive.frequency"].attrs == {"units": "Hz", "long_name": "drive frequency"}
@@ -85,7 +81,6 @@ def test_xarray_opens_results_by_name(panel, command):
         assert "above the stability limit" in str(data["reason"].values[2, 0])
         assert str(data["reason"].values[0, 0]) == ""
         assert (data["status"] == REFUSED).sum() == 3
-    check_seal(Path("panel-sweep.h5"))
     ranges = ("--vary", "plate.thickness=4e-4:5e-4", "drive.frequency=200:300", "--samples", 6, "--seed", 3)
     assert command("sweep", "panel.toml", *ranges, *QUICK, "--out", "drawn.h5")[0] == 0
     kept = load_sweep("drawn.h5")
@@ -151,8 +146,8 @@ def test_an_interrupted_sweep_is_resumed(panel, command, interrupt_after):
     assert Path("panel-sweep.h5").read_bytes() != done
 
 
-def test_no_other_file_is_replaced(panel, command, monkeypatch, interrupt_after):
-    """Neither a sweep of other points or quantities, nor another command's file, also one made meanwhile."""
+def test_no_other_file_is_replaced(panel, command):
+    """Neither a sweep of other points or quantities, nor another command's file."""
     assert command(*SWEEP)[0] == 0
     Path("panel-localize.h5").write_bytes(b"another command's")
     Path("other-sweep.checkpoint.h5").write_bytes(b"another command's")
@@ -166,40 +161,11 @@ def test_no_other_file_is_replaced(panel, command, monkeypatch, interrupt_after)
         err = error_of(command("sweep", "panel.toml", *wrong, *QUICK))
         assert (message in err, "name another file by --out" in err) == (True, True), err
         assert {path: path.read_bytes() for path in Path().iterdir()} == before
-    run_point = sweeps.run_point
-
-    def meanwhile(point):
-        Path("late.h5").write_bytes(b"another command's")
-        return run_point(point)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(sweeps, "run_point", meanwhile)
-        err = error_of(command(*SWEEP, "--out", "late.h5"))
-    assert "late.h5: damaged" in err
-    assert "after 9 of 9 points; resume with: warp-plate sweep --resume late.checkpoint.h5" in err
-    assert Path("late.h5").read_bytes() == b"another command's"
-    Path("late.h5").unlink()
-    ran = interrupt_after(0)
-    assert command("sweep", "--resume", "late.checkpoint.h5", "--no-pictures")[0] == 0
-    assert (load_sweep("late.h5").finished, ran) == (True, [])
-
-
-def test_workers_that_are_gone_leave_a_file(panel, command, monkeypatch):
-    def two_points(start, pending, pool):
-        yield from run_here(start, pending[:2])
-        raise WorkersGone("no worker is left")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(sweeps, "run_on_pool", two_points)
-        err = error_of(command("sweep", "panel.toml", *GRID, "--what", "check", "--devices", "cpu", "--no-pictures"))
-    assert "no worker is left; there is a checkpoint after 2 of 9 points; resume with: " in err
-    status, out, _ = command("sweep", "--resume", "panel-sweep.h5", "--devices", "cpu", "--no-pictures", "--json")
-    assert status == 0
-    assert np.isfinite(np.array(json.loads(out)["outputs"]["limit"][:2], dtype=float)).all()
 
 
 def test_the_device_beside_a_cluster_is_that_of_its_workers(panel, command, monkeypatch, interrupt_after):
-    """In all commands with workers: this machine need not have it, and continues with what they report."""
+    """In all commands with workers: this machine need not have it, and continues with what they report. Workers that
+    are gone leave a file."""
     opened = []
 
     @contextmanager
@@ -224,6 +190,15 @@ def test_the_device_beside_a_cluster_is_that_of_its_workers(panel, command, monk
     assert (status, "the result may differ" in err) == (0, True)
     assert "(A GPU), then " in json.loads(out)["device"]
     assert opened == ["cuda:99"] * 3 + [None, "cuda:99"]
+
+    def two_points(start, pending, pool):
+        yield from run_here(start, pending[:2])
+        raise WorkersGone("no worker is left")
+
+    monkeypatch.setattr(sweeps, "run_on_pool", two_points)
+    interrupt_after(9)
+    err = error_of(command("sweep", "panel.toml", *GRID, "--what", "check", *away, "--out", "gone.h5"))
+    assert "no worker is left; there is a checkpoint after 2 of 9 points; resume with: " in err
 
 
 def test_options_beside_an_unfinished_sweep_must_be_the_same(panel, command, interrupt_after, write_scene):
