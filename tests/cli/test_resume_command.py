@@ -145,14 +145,10 @@ def test_files_that_the_scene_names_must_be_the_same(command, panel):
     checkpoints = CheckpointFile(FILE, np.inf)
     localize(scene, "panel", "cpu", on_progress=stop_after(195), estimate=False, checkpoints=checkpoints)
     kept, resuming = FILE.read_bytes(), ["localize", "--resume", FILE, *QUICK]
-    for content, named in (
-        (None, "effects.variation.thickness = 'map.csv': no such file beside the scene file"),
-        ("1.0, 1.2\n0.9, 1.0\n", "effects.variation.thickness: the file has changed since the search began"),
-    ):
-        if content is not None:
-            Path("map.csv").write_text(content, encoding="utf-8")
-        assert named in error_of(command(*resuming))
-        assert FILE.read_bytes() == kept
+    assert "effects.variation.thickness = 'map.csv': no such file beside the" in error_of(command(*resuming))
+    Path("map.csv").write_text("1.0, 1.2\n0.9, 1.0\n", encoding="utf-8")
+    assert "effects.variation.thickness: the file has changed since the search" in error_of(command(*resuming))
+    assert FILE.read_bytes() == kept
     full = localize(scene, "panel", "cpu", estimate=False)
     assert command(*resuming, "scenes/panel.toml")[0] == 0
     assert load_result("panel-localize.h5").cases["best"].energy == full.cases["best"].energy

@@ -15,9 +15,8 @@ from warp_plate.cli import output
 from warp_plate.cluster.pool import WorkersGone
 from warp_plate.result.atomic_io import check_seal
 from warp_plate.result.sweep import REFUSED, save_sweep
-from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies import sweep as sweeps
-from warp_plate.studies.sweep import run_here, start_sweep
+from warp_plate.studies.sweep import run_here
 
 QUICK = ("--device", "cpu", "--no-pictures")
 GRID = ("--vary", "plate.thickness=4e-4,5e-4,2e-3", "--vary", "drive.frequency=200:300:3")
@@ -45,14 +44,9 @@ def test_table_and_files(panel, command):
 def test_many_points_are_summarised_and_counted(panel, command, monkeypatch):
     notes = []
     monkeypatch.setattr(output, "progress_bar", lambda *_: nullcontext(lambda *shown: notes.append(shown)))
-    words = " ".join(
-        output_of(
-            command("sweep", "panel.toml", "--vary", "plate.thickness=4e-4:5e-4:41", "--what", "modes", *QUICK)
-        ).split()
-    )
-    assert "frequency 1, smallest" in words
-    assert "frequency 6, largest" in words
-    assert "no effect" not in words
+    options = ("--vary", "plate.thickness=4e-4:5e-4:41", "--what", "modes", *QUICK)
+    words = " ".join(output_of(command("sweep", "panel.toml", *options)).split())
+    assert [part in words for part in ("frequency 1, smallest", "frequency 6, largest", "no effect")] == [1, 1, 0]
     assert notes[0] == (0, 41, "0 of 41 points")
     assert notes[-1] == (41, 41, "41 of 41: plate thickness 0.0005")
 
@@ -69,6 +63,8 @@ def test_json_and_what_xarray_reads(panel, command):
     assert record["units"] == {"frequency": "Hz"}
     assert "! drive.frequency has no effect" in command("sweep", "--resume", "panel-sweep.h5", "--no-pictures")[1]
     check_seal(Path("panel-sweep.h5"))
+    with pytest.raises(SceneError, match="frequency has shape"):
+        load_sweep(save_sweep(replace(kept, values={"frequency": np.zeros((9, 5))}), "contradicting.h5"))
     xarray = pytest.importorskip("xarray")
     pytest.importorskip("h5netcdf")
     with xarray.open_dataset("panel-sweep.h5", engine="h5netcdf") as data:
@@ -111,43 +107,45 @@ def interrupt_after(monkeypatch):
     return patch
 
 
-def test_an_interrupted_sweep_is_resumed(panel, command, interrupt_after):
-    """By --resume, or by the same command again; to bit-identical results."""
+def test_an_interrupted_sweep_is_resumed(panel, command, interrupt_after, write_scene):
+    """By --resume, or by the same command again; to bit-identical results, and with the same options only."""
     command(*SWEEP, "--out", "full.h5")
-    resuming = ("sweep", "--resume", "panel-sweep.h5", "--no-pictures")
+    write_scene(name="other", damping=80, time_step=2e-4)
+    resume, file = ("--resume", "panel-sweep.h5"), Path("panel-sweep.checkpoint.h5")
     interrupt_after(4)
     status, out, err = command(*SWEEP)
     assert (status, out) == (130, "")
-    assert "after 4 of 9 points; resume with: warp-plate sweep --resume panel-sweep.checkpoint.h5" in err
-    for words, limit, status, ran, told in (
-        (resuming, 3, 130, 3, "after 7 of 9 points"),
+    assert f"after 4 of 9 points; resume with: warp-plate sweep --resume {file}" in err
+    before = file.read_bytes()
+    for wrong, message in (
+        ((*resume, "--what", "check"), f"--what check: the sweep in {file} began with localize"),
+        (("other.toml", *resume), f"effects.damping.viscous = 80.0: the sweep in {file} began"),
+        ((*resume, "--vary", "drive.frequency=1,2"), f"--vary: the sweep in {file} began"),
+        ((*resume, "--samples", 5), "--samples 5: are drawn from the ranges of --vary"),
+        (("panel.toml", *GRID[:2]), f"name another file by --out, or delete {file}"),
+        (("--resume", "nothing.h5"), "nothing.h5: no such file"),
+        (("--resume", "other.checkpoint.h5", "--out", "panel-sweep.h5"), "holds another unfinished sweep"),
+    ):
+        Path("other.checkpoint.h5").write_bytes(before)
+        assert message in error_of(command("sweep", *wrong))
+    assert file.read_bytes() == before
+    for words, limit, status, ran, line in (
+        (("sweep", *resume, "--no-pictures"), 3, 130, 3, "after 7 of 9 points"),
         (SWEEP, 9, 0, 2, "7 of 9 points done; continuing"),
+        (("sweep", "--resume", "full.h5", "--no-pictures"), 0, 0, 0, "9 of 9 points done; nothing is left"),
     ):
         points = interrupt_after(limit)
         answer = command(*words)
-        assert (answer[0], len(points), told in answer[2]) == (status, ran, True)
-    assert not Path("panel-sweep.checkpoint.h5").exists()
+        assert (answer[0], len(points), line in answer[2]) == (status, ran, True)
+    assert not file.exists()
     made, full = (load_sweep(name) for name in ("panel-sweep.h5", "full.h5"))
     for name, values in full.values.items():
         np.testing.assert_array_equal(made.values[name], values)
     assert made.reasons == full.reasons
-    # A finished sweep starts again; its file stays until the new one is finished.
-    done = Path("panel-sweep.h5").read_bytes()
-    interrupt_after(2)
-    assert command(*SWEEP)[0] == 130
-    assert Path("panel-sweep.h5").read_bytes() == done
-    for words, limit, told in (
-        (("sweep", "--resume", "full.h5", "--no-pictures"), 0, "9 of 9 points done; nothing is left"),
-        (resuming, 9, "panel-sweep.checkpoint.h5: 2 of 9 points done; continuing"),
-    ):
-        interrupt_after(limit)
-        status, _, err = command(*words)
-        assert (status, told in err) == (0, True)
-    assert Path("panel-sweep.h5").read_bytes() != done
 
 
-def test_no_other_file_is_replaced(panel, command):
-    """Neither a sweep of other points or quantities, nor another command's file."""
+def test_only_the_same_sweep_is_replaced(panel, command, interrupt_after):
+    """By its new result, once that is finished."""
     assert command(*SWEEP)[0] == 0
     Path("panel-localize.h5").write_bytes(b"another command's")
     Path("other-sweep.checkpoint.h5").write_bytes(b"another command's")
@@ -161,6 +159,13 @@ def test_no_other_file_is_replaced(panel, command):
         err = error_of(command("sweep", "panel.toml", *wrong, *QUICK))
         assert (message in err, "name another file by --out" in err) == (True, True), err
         assert {path: path.read_bytes() for path in Path().iterdir()} == before
+    result = Path("panel-sweep.h5")
+    interrupt_after(2)
+    assert (command(*SWEEP)[0], result.read_bytes()) == (130, before[result])
+    interrupt_after(9)
+    status, _, err = command("sweep", "--resume", result, "--no-pictures")
+    assert (status, "panel-sweep.checkpoint.h5: 2 of 9 points done; continuing" in err) == (0, True)
+    assert result.read_bytes() != before[result]
 
 
 def test_the_device_beside_a_cluster_is_that_of_its_workers(panel, command, monkeypatch, interrupt_after):
@@ -201,28 +206,8 @@ def test_the_device_beside_a_cluster_is_that_of_its_workers(panel, command, monk
     assert "no worker is left; there is a checkpoint after 2 of 9 points; resume with: " in err
 
 
-def test_options_beside_an_unfinished_sweep_must_be_the_same(panel, command, interrupt_after, write_scene):
-    write_scene(name="other", damping=80, time_step=2e-4)
-    interrupt_after(2)
-    command(*SWEEP)
-    before, resume = Path("panel-sweep.checkpoint.h5").read_bytes(), ("--resume", "panel-sweep.h5")
-    for wrong, message in (
-        ((*resume, "--what", "check"), "--what check: the sweep in panel-sweep.checkpoint.h5 began with localize"),
-        (("other.toml", *resume), "effects.damping.viscous = 80.0: the sweep in panel-sweep.checkpoint.h5 began"),
-        ((*resume, "--vary", "drive.frequency=1,2"), "--vary: the sweep in panel-sweep.checkpoint.h5 began"),
-        ((*resume, "--samples", 5), "--samples 5: are drawn from the ranges of --vary"),
-        (("panel.toml", *GRID[:2]), "name another file by --out, or delete panel-sweep.checkpoint.h5"),
-        (("--resume", "nothing.h5"), "nothing.h5: no such file"),
-        (("--resume", "other.checkpoint.h5", "--out", "panel-sweep.h5"), "holds another unfinished sweep"),
-    ):
-        Path("other.checkpoint.h5").write_bytes(before)
-        assert message in error_of(command("sweep", *wrong))
-    assert Path("panel-sweep.checkpoint.h5").read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_bad_input_is_one_line(panel, command):
+    for arguments, message in (
         ((), "sweep needs a SCENE"),
         (("panel.toml",), "--vary: nothing is varied; write --vary KEY=RANGE, RANGE being START:STOP:COUNT"),
         (("panel.toml", "--vary", "drive.freqency=1:2:3"), "similar keys: drive.frequency"),
@@ -231,15 +216,6 @@ def test_options_beside_an_unfinished_sweep_must_be_the_same(panel, command, int
         (("panel.toml", *GRID, "--count", 3), "--count 3: --what localize has no modes to count; leave it out"),
         (("panel.toml", *GRID, "--seed", 3), "--seed 3: is the seed of samples"),
         (("panel.toml", "--vary", "plate.thickness=0.1,0.2"), "all points are refused; at plate.thickness = 0.1"),
-    ],
-)
-def test_bad_input_is_one_line(panel, command, arguments, message):
-    assert message in error_of(command("sweep", *arguments, "--device", "cpu"))
-    assert not Path("panel-sweep.h5").exists()
-
-
-def test_a_file_that_contradicts_itself_is_refused(panel):
-    plan = make_plan([parse_vary(panel, "drive.frequency=200,300")])
-    start = start_sweep(panel, plan, "modes", "cpu")
-    with pytest.raises(SceneError, match="frequency has shape"):
-        load_sweep(save_sweep(replace(start, values={"frequency": np.zeros((2, 5))}), "a.h5"))
+    ):
+        assert message in error_of(command("sweep", *arguments, "--device", "cpu"))
+    assert [str(path) for path in Path().iterdir()] == ["panel.toml"]
