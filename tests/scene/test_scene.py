@@ -36,18 +36,14 @@ def edited(table, key, value):
     [
         ("plate", "thicknes", "5e-4", "plate.thicknes", "'thickness'?"),
         ("grid", "spacing", "0.01", "grid.spacing", "nodes, order, load, time_step, precision"),
-        ("actuators", "magnitud", "1.0", "actuators[0].magnitud", "'magnitude'?"),
         ("plate", "size", "[200, 200, 200]", "plate.size = [200, 200, 200]: ", "list of 2 numbers"),
         ("plate", "size", "[5e-4, 0.2]", "plate.thickness", "metres"),
         ("plate", "thickness", "0.0401", "plate.thickness", "thin"),
         ("plate", "thickness", "2020-01-01", "plate.thickness = 2020-01-01: ", "must be a number"),
         ("plate", "young_modulus", "999", "plate.young_modulus = 999", "1000"),
-        ("plate", "poisson_ratio", "0.5", "plate.poisson_ratio = 0.5", "less than 0.5"),
-        ("plate", "density", "nan", "plate.density", "finite"),
         ("plate", "density", "1" + 400 * "0", "plate.density", "number"),
         ("edges", "left", '"held"', 'edges.left = "held"', "'clamped', 'supported', 'free', or a table of springs"),
         ("grid", "nodes", "[27.5, 27]", "grid.nodes[0] = 27.5", "must be a whole number"),
-        ("grid", "nodes", "[1e30, 27]", "grid.nodes[0] = 1e+30: ", "nearer to 0"),
         ("grid", "nodes", "[27, 8194]", "grid.nodes[1]", "8193"),
         ("grid", "load", '"point"', 'grid.load = "point"', "'overlap', 'nodes' or 'moments'"),
         ("grid", "time_step", "1e-31", "grid.time_step = 1e-31", "1e-30 to 1e+30"),
@@ -63,26 +59,19 @@ def edited(table, key, value):
         ("effects.damping", "viscous", "-1", "effects.damping.viscous = -1", "0"),
         ("search", "seed", "1" + 30 * "0", "search.seed", "less than 9223372036854775808"),
         ("search", "frequency", "{ range = [2, 1] }", "search.frequency.range", "smaller number first"),
-        ("search", "frequency", "true", "search.frequency = true: ", "must be a table, [search.frequency]"),
         ("search", "phase", "{ actuators = 'a' }", 'search.phase.actuators = "a": ', "list of texts"),
         ("search", "objectives", "[]", "search.objectives = []: ", "1 or more tables, [[search.objectives]]"),
-        ("search", "objectives", "[1]", "search.objectives[0] = 1: ", "must be a table, [[search.objectives]]"),
         ("search", "objectives", "[{ rest_limit = 1.0 }]", "search.objectives[0].rest_limit", "'velocity'"),
         ("search", "objectives", "[{}, {}]", "search.objectives[1].kind", "weights"),
         ("search", "limits", "{ equal_magnitudes = 'yes' }", 'search.limits.equal_magnitudes = "yes"', "true or false"),
-        ("search", "delay", "{ range = [0, 1], own = 1 }", "search.delay.own = 1: ", "must be true or false"),
         ("search", "robust", "{ gain = 0.1, quantile = 0.5 }", "search.robust.quantile = 0.5", "measure = 'quantile'"),
-        ("actuators", "area", "[0.19, 0.21, 0.03, 0.04]", "actuators[0].area", "off the plate"),
         ("actuators", "area", "[0.03, 0.042, 0.03, nan]", "actuators[0].area[3]", "finite"),
         ("actuators", "name", '"upper left"', "actuators[1].name: 'upper left'", "its own"),
         ("drive", "electrostatic", "{ gain = 0.0 }", "drive.electrostatic.gain = 0.0", "not be 0"),
         ("drive", "signal", '{ file = "../a.wav" }', "drive.signal.file: '../a.wav'", "without folders"),
         ("drive", "burst", "{ duration = 1.0, ramp = 0.6 }", "drive.burst.ramp", "0.5 s"),
-        ("effects.damping", "viscosity", "3", "effects.damping.viscosity", "viscous"),
         ("effects.damping", "viscous", f"{MORE}layers = [{LAYER}]", "effects.layers[0].thickness: 0.05 m", "a fifth"),
         ("effects.damping", "viscous", f"{MORE}variation.density = [1.0]", "effects.variation.density = [1.0]", "[[1"),
-        ("effects.damping", "viscous", f"{MORE}variation.density = 2.0", "effects.variation.density = 2.0", "[[1.0"),
-        ("effects.damping", "viscous", f"{MORE}variation.density = []", "effects.variation.density = []", "[[1.0"),
     ],
 )  # fmt: skip
 def test_invalid_values_are_refused_by_key(table, key, value, named, right):
@@ -130,9 +119,8 @@ def test_any_unknown_keys_are_refused_in_one_line(keys):
 
 def test_missing_files_are_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for source in ("papers", "paper.toml", str(tmp_path), "", "no/such.toml", "a\0b"):
-        with pytest.raises(SceneError, match="paper-supported"):
-            Scene.load(source)
+    with pytest.raises(SceneError, match="paper-supported"):
+        Scene.load("papers")
     Path("latin.toml").write_bytes('title = "Schalldämmung"'.encode("latin-1"))
     with pytest.raises(SceneError, match=r"^latin\.toml: .*UTF-8"):
         Scene.load("latin.toml")
