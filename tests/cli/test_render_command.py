@@ -2,12 +2,14 @@
 
 import json
 import subprocess
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from conftest import error_of, output_of, scene_of
 
+from warp_plate.analysis.motion import motions
+from warp_plate.cli.motion_options import FrameOptions
+from warp_plate.cli.render import frame_at, frames_around
 from warp_plate.result import load_result, save_result
 from warp_plate.studies.localize import localize
 from warp_plate.viz import availability, pictures
@@ -66,19 +68,16 @@ def test_movies_play_all_frames(render, drawing, tmp_path):
 
     options = "--out a.gif --out a.mp4 --frames 6 --rate 12 --case best --json"
     assert files_of(render(*options.split())) == ["a.gif", "a.mp4"]
-    frames = list(frames_of(tmp_path / "a.gif"))
+    frames = np.array(list(frames_of(tmp_path / "a.gif")))
     assert len(frames) == 6
-    assert all((one != other).any() for one, other in pairwise(frames))
-    assert all((frame[0] == 255).all() for frame in frames)
-    height, width = (side // 2 * 2 for side in frames[0].shape[:2])
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", "a.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
-    read = subprocess.run(command, capture_output=True, check=True)
-    about = read.stderr.decode()
-    for words in ("Video: h264", "yuv420p", f"{width}x{height}", "12 fps"):
-        assert words in about
+    assert (np.diff(frames, axis=0) != 0).any(axis=(1, 2, 3)).all()
+    assert (frames[:, 0] == 255).all()
+    height, width = (side // 2 * 2 for side in frames.shape[1:3])
+    words = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", "a.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    read = subprocess.run(words, capture_output=True, check=True)
+    assert all(part in read.stderr.decode() for part in ("Video: h264", "yuv420p", f"{width}x{height}", "12 fps"))
     played = np.frombuffer(read.stdout, np.uint8).reshape(-1, height, width, 3).astype(int)
-    # Repeated to last six seconds.
-    assert len(played) == 72
+    assert len(played) == 72  # repeated to last six seconds
     assert np.abs(played[6] - frames[0][:height, :width]).mean() < 4
     assert np.abs(played[0] - played[3]).mean() > np.abs(played[0] - played[6]).mean()
 
@@ -125,21 +124,14 @@ def test_invalid_options_are_named(render, tmp_path):
 
 def test_a_moment_is_the_frame_of_pictures(searched):
     """--time selects a frame of the period from there on, or of the last one."""
-    from warp_plate.analysis.motion import motions
-    from warp_plate.cli.motion_options import FrameOptions
-    from warp_plate.cli.render import frame_at, frames_around
-
     result = load_result(searched)
     period = 1 / result.scene.drive.frequency
-
-    def span(time, start=None):
+    for time, start, span in (
+        (0.004, None, (0.004, 0.004 + period)), (0.0119, None, (0.012 - period, 0.012)), (None, 0.001, (0.001, None))
+    ):  # fmt: skip
         around = frames_around(result, time, FrameOptions(start=start))
-        return around.start, around.end
-
-    assert span(0.004) == pytest.approx((0.004, 0.004 + period))
-    assert span(0.0119) == pytest.approx((0.012 - period, 0.012))
-    assert span(None, 0.001) == (0.001, None)
-    shown = motions(result.scene, result.cases, span(0.0119), device="cpu")
+        assert (around.start, around.end) == pytest.approx(span)
+    shown = motions(result.scene, result.cases, (0.012 - period, 0.012), device="cpu")
     moment = shown[0].times[frame_at(shown, 0.0119, "displacement")]
     assert moment == pytest.approx(0.0119, abs=period / 20)
 

@@ -74,17 +74,16 @@ def test_the_command_resumes(command, panel, left):
 
 
 def test_a_damaged_checkpoint_gives_way_to_the_one_before(command, left):
+    """The file before it is used; if that is damaged too, the newer one is named."""
     previous = previous_path(left)
-    assert previous == Path("panel-localize.checkpoint.previous.h5")
     previous.write_bytes(left.read_bytes())
-    left.write_bytes(b"x" + left.read_bytes()[1:])
+    left.write_bytes(b"x")
     status, _, err = command("localize", "--resume", left, *QUICK)
     assert (status, len(err.splitlines())) == (0, 1)
     assert "panel-localize.checkpoint.previous.h5, 5 of 200 iterations" in err
-    left.write_bytes(b"x")
     previous.write_bytes(b"y")
-    error = error_of(command("localize", "--resume", left, *QUICK))
-    assert error.startswith("warp-plate: panel-localize.checkpoint.h5: damaged: ")
+    left.write_bytes(b"x")
+    assert "panel-localize.checkpoint.h5: damaged: " in error_of(command("localize", "--resume", left, *QUICK))
 
 
 def killed(arguments, seconds):
