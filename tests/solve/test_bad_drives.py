@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import scene_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -15,11 +16,9 @@ SIZES = st.floats(10 * SMALLEST_DRIVE, LARGEST_DRIVE / 10)
 PARTS = st.just(0.0) | SIZES | SIZES.map(lambda size: -size)
 
 
-@pytest.fixture(scope="module", params=["float32", "float64"])
-def solver(request):
-    from conftest import scene_of
-
-    return PlateSolver(scene_of(damping=88.5, precision=request.param, window=(0.002, 0.006)), "cpu")
+@pytest.fixture(scope="module")
+def solver():
+    return PlateSolver(scene_of(damping=88.5, precision="float32", window=(0.002, 0.006)), "cpu")
 
 
 def refused(solver, *arguments, **options):
@@ -29,7 +28,7 @@ def refused(solver, *arguments, **options):
     return str(caught.value)
 
 
-@settings(max_examples=25)
+@settings(max_examples=20)
 @given(
     drives=arrays.arrays(
         st.sampled_from([np.float64, np.complex128]), st.tuples(st.integers(0, 6), st.just(ACTUATORS)),
@@ -58,27 +57,22 @@ def test_a_bad_drive_harms_no_other(solver, drives, good):
     assert set(faults[~bad & ~near]) <= {"ok"}
 
 
-@given(shape=arrays.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4))
-def test_another_shape_is_refused(solver, shape):
-    if len(shape) != 2 or shape[1] != ACTUATORS:
+def test_values_that_are_no_drives_are_refused(solver):
+    for shape in ((), (3,), (0, 0), (2, 4), (1, 1, 3), (2, 3, 1, 1)):
         assert "drives: shape" in refused(solver, np.zeros(shape))
-
-
-@pytest.mark.parametrize(
-    "drives",
-    [
-        None, "abc", {1: 2}, object(), [[1, None, 2]], [[1, 2, 3], [1, 2]], [[10**400, 1, 1]], iter([[1, 2, 3]]),
+    for drives in (
+        None, "abc", {1: 2}, [[1, None, 2]], [[1, 2, 3], [1, 2]], [[10**400, 1, 1]], iter([[1, 2, 3]]),
         np.ma.masked_array([[1.0, 2, 3]], mask=[[0, 1, 0]]), ([[1, 2, 3]], [[0, 0]]), ([[1j, 1, 1]], [[0, 0, 0]]),
-        ([["a"] * 3], [[1] * 3]), ([[1, 2, 3]], [[0, 0, 0]], [[0, 0, 0]]), np.array([["2026-01-01"] * 3], "M8[D]"),
-        np.array([[b"1"] * 3]),
-    ],
-    ids=range(15),
-)  # fmt: skip
-def test_values_that_are_no_drives_are_refused(solver, drives):
-    assert refused(solver, drives).startswith("drives: ")
+        ([[1, 2, 3]], [[0, 0, 0]], [[0, 0, 0]]), np.array([["2026-01-01"] * 3], "M8[D]"), np.array([[b"1"] * 3]),
+    ):  # fmt: skip
+        assert refused(solver, drives).startswith("drives: ")
 
 
-def test_magnitudes_and_phases_that_are_not_finite_are_reported(solver):
+def test_magnitudes_and_phases(solver):
+    """Pairs Z = magnitude · exp(−i·phase) of numbers; those that are not finite are reported."""
+    magnitude, phase = np.random.default_rng(0).uniform(-2, 2, (2, 4, 3))
+    expected = solver.run(magnitude * np.exp(-1j * phase)).energy
+    np.testing.assert_array_equal(solver.run((magnitude, phase)).energy, expected)
     for magnitude, phase in ([[np.inf, 1, 1]], 0.0), ([[1, 1, 1]], np.nan), ([[1, 1, 1]], [[0, np.inf, 0]]):
         assert not solver.run((np.array(magnitude), np.array(phase))).finite.any()
 
@@ -89,14 +83,10 @@ def test_numbers_of_every_kind_are_accepted(solver):
         np.testing.assert_array_equal(solver.run(np.array([[1, 0, 1]], dtype=dtype)).energy, expected)
 
 
-@pytest.mark.parametrize(
-    ("name", "values"),
-    [
-        *(("times", bad) for bad in (5, ("a",), ((0.001, 0.002),), (np.inf,), (None,), (0.004, -0.001), (0.007,))),
-        *(("points", bad) for bad in ((5,), ((0.1,),), ((0.1, 0.1, 0.1),), (("a", "b"),), ((np.nan, 0.1),))),
-        *(("points", bad) for bad in (((0.1, 0.1), (0.21, 0.1)), ((0.1, -0.01),), ((0.1, 0.1), (0.1,)))),
-    ],
-    ids=range(15),
-)
-def test_bad_times_and_points_are_refused(solver, name, values):
-    assert refused(solver, [[1, 1, 1]], **{name: values}).startswith(name)
+def test_bad_times_and_points_are_refused(solver):
+    for times in 5, ("a",), ((0.001, 0.002),), (np.inf,), (None,), (0.004, -0.001), (0.007,):
+        assert refused(solver, [[1, 1, 1]], times=times).startswith("times")
+    for points in (
+        (5,), ((0.1,),), ((0.1, 0.1, 0.1),), (("a", "b"),), ((np.nan, 0.1),), ((0.1, 0.1), (0.21, 0.1)), ((0.1, -0.01),)
+    ):  # fmt: skip
+        assert refused(solver, [[1, 1, 1]], points=points).startswith("points")

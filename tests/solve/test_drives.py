@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from oracle import check_run, reference
 
-from warp_plate import PlateSolver, Scene, SceneError
+from warp_plate import PlateSolver, SceneError
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.studies.localize import localize
 
@@ -104,17 +104,3 @@ def test_search_under_squares_keeps_to_the_volts_of_the_scene(driven):
     assert "no error estimate" in found.accuracy["estimate"]["line"]
     with pytest.raises(SceneError, match=r"^evaluator = 'response': drive\.electrostatic is not linear"):
         localize(made, device="cpu", evaluator="response")
-
-
-def test_files_lie_beside_the_scene(tmp_path, driven):
-    """A scene that was read from a file finds the signal there, from wherever the program is called."""
-    from warp_plate.scene.dump import dump_scene
-
-    made = driven(signal={"file": "tone.csv"})
-    (tmp_path / "scene.toml").write_text(dump_scene(made), encoding="utf-8")
-    (tmp_path / "tone.csv").write_text("\n".join(f"{n / 8000},{np.sin(n)}" for n in range(200)))
-    read = Scene.load(tmp_path / "scene.toml")
-    assert read.folder == tmp_path
-    assert PlateSolver(read, "cpu").run(np.ones((1, 3)), TIMES).displacement.any()
-    with pytest.raises(SceneError, match=r"^drive\.signal\.file = 'tone\.csv': this scene was not read from a file"):
-        PlateSolver(made, "cpu")

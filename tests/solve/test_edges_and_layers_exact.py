@@ -11,22 +11,16 @@ from test_effects_exact import DENSITY, NODES, ORTHOTROPIC, RATIO, RIGIDITY, SIZ
 
 from warp_plate.plate.bending import make_bending, stiffness_matrix, system
 
-FREE = ("free",) * 4
 LAYER = {"thickness": 3e-4, "young_modulus": 4e9, "density": 1800.0}
 # Two grids, the second of half the spacing; the middle of the plate is between two nodes, or on one.
 BETWEEN_NODES = ((18, 15), (34, 29))
 ON_A_NODE = ((65, 57), (129, 113))
 # Springs (translation, rotation) at x = 0 and a of a plate whose other sides are supported, and effects.
 LEVY = {
-    "free": (0.0, 0.0, {}),
-    "soft": (2e3, 0.05, {}),
-    "stiff": (5e4, 0.5, {}),
+    "free": (0.0, 0.0, {"tension": {"x": 8.0, "y": 5.0}}),
     "rotation alone": (0.0, 0.2, {}),
     "translation alone": (2e4, 0.0, {}),
-    "orthotropic": (0.0, 0.0, {"orthotropic": ORTHOTROPIC}),
     "orthotropic on springs": (1e4, 0.1, {"orthotropic": ORTHOTROPIC, "foundation": {"stiffness": 5e4}}),
-    "pulled": (0.0, 0.0, {"tension": {"x": 8.0, "y": 5.0}}),
-    "pulled on springs": (5e3, 0.1, {"tension": {"x": 8.0, "y": 5.0}}),
 }
 
 
@@ -109,9 +103,7 @@ def test_edges_on_springs_and_free_ones_by_levys_solution(scene, name):
     assert abs(errors[1]) < max(0.3 * abs(errors[0]), 1e-5)
 
 
-@pytest.mark.parametrize(
-    ("part", "grids"), [(0.5, BETWEEN_NODES), (0.5, ON_A_NODE), (0.25, ON_A_NODE), (0.615, ON_A_NODE)]
-)
+@pytest.mark.parametrize(("part", "grids"), [(0.5, BETWEEN_NODES), (0.615, ON_A_NODE)])
 def test_layer_on_a_strip_of_the_plate_by_levys_solution(scene, part, grids):
     """The strip 0 … part·a of a supported plate is thickened on both faces: X has other exponents on either side of the
     step, where X, X′, moment and shear are continuous. Second order, whether the step is between two nodes, on one,
@@ -150,26 +142,16 @@ def test_layer_on_a_strip_of_the_plate_by_levys_solution(scene, part, grids):
     assert abs(errors[1]) < 0.3 * abs(errors[0])
 
 
-@pytest.mark.parametrize("cut", [0.05, 0.061])
-def test_a_layer_keeps_the_symmetry_of_a_square(scene, cut):
-    """Swapping x and y swaps the rigidities: the mean over a cell that is cut both ways prefers neither."""
-    layer = {"area": (cut, 0.13, 0.04, 0.117), **LAYER}
-    turned = {"area": (0.04, 0.117, cut, 0.13), **LAYER}
-    one, other = (make_bending(scene((21, 21), effects={"layers": [made]})) for made in (layer, turned))
-    for field, swapped in (("bend_xx", "bend_yy"), ("bend_xy", "bend_xy"), ("twist", "twist"), ("mass", "mass")):
-        np.testing.assert_allclose(getattr(one, field), getattr(other, swapped).T, rtol=1e-12)
-
-
 def test_rigid_motions_of_a_free_plate_bend_nothing(scene):
-    """Motions 1, x and y, with layers, orthotropic rigidities, and edges free or on springs of zero."""
+    """Motions 1, x and y, with a layer and orthotropic rigidities."""
     x, y = np.meshgrid(np.linspace(0, SIZE[0], NODES[0]), np.linspace(0, SIZE[1], NODES[1]))
     layer = {"area": (0.03, 0.09, 0.05, 0.18), **LAYER}
-    for edges in (FREE, ({"translation": 0.0, "rotation": 0.0},) * 4):
-        bending = make_bending(scene(NODES, SIZE, edges, effects={"orthotropic": ORTHOTROPIC, "layers": [layer]}))
-        matrix = stiffness_matrix(bending)
-        for motion in (np.ones_like(x), x, y):
-            assert np.abs(matrix @ motion.ravel()).max() < 1e-12 * abs(matrix).max() * np.abs(motion).max()
-        twisted = (x * y).ravel()
-        # xy has no curvature but a twist of one: ½ · 4D_xy times the area, with the layer's share (1 − ν)/2 of D.
-        energy = 0.5 * twisted @ (matrix @ twisted)
-        assert energy == pytest.approx(0.5 * bending.twist.sum() * np.prod(bending.spacing), rel=1e-9)
+    effects = {"orthotropic": ORTHOTROPIC, "layers": [layer]}
+    bending = make_bending(scene(NODES, SIZE, ("free",) * 4, effects=effects))
+    matrix = stiffness_matrix(bending)
+    for motion in (np.ones_like(x), x, y):
+        assert np.abs(matrix @ motion.ravel()).max() < 1e-12 * abs(matrix).max() * np.abs(motion).max()
+    twisted = (x * y).ravel()
+    # xy has no curvature but a twist of one: ½ · 4D_xy times the area, with the layer's share (1 − ν)/2 of D.
+    energy = 0.5 * twisted @ (matrix @ twisted)
+    assert energy == pytest.approx(0.5 * bending.twist.sum() * np.prod(bending.spacing), rel=1e-9)
