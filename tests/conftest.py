@@ -286,13 +286,13 @@ def point_scene(nodes, size=(0.2, 0.2), edges=("clamped",) * 4, precision="float
 
 
 def discrete_operator(scene):
-    """Return the (inner nodes, inner nodes) matrix of ∇⁴ [1/m⁴], row by row, on the default path of the CPU.
+    """Return the (inner nodes, inner nodes) matrix of ∇⁴ [1/m⁴], row by row, by kernels that serve any grid.
 
     The scene is a two-step ``point_scene``, and each plate has one unit load. It is at rest at t = 0, so u(Δt) has the
     shape of the load, and no load acts at the second step: u(2Δt) − u(Δt) = u(Δt) − (κΔt)²∇⁴u(Δt), which gives ∇⁴u.
     """
     scheme, count = make_scheme(scene), len(scene.actuators)
-    run = PlateSolver(scene, "cpu").run(np.eye(count), times=(scheme.time_step, 2 * scheme.time_step))
+    run = PlateSolver(scene, "cpu", "streaming").run(np.eye(count), times=(scheme.time_step, 2 * scheme.time_step))
     first, second = np.moveaxis(run.displacement[..., 1:-1, 1:-1].reshape(count, 2, count), 1, 0)
     return ((2 * first - second) / (scheme.kappa * scheme.time_step) ** 2 / np.diag(first)[:, None]).T
 

@@ -1,4 +1,7 @@
-"""Orders of accuracy: transients of a supported plate and natural frequencies, of second and of fourth order."""
+"""Orders of accuracy: transients of a supported plate and natural frequencies, of second and of fourth order.
+
+On the streaming path, whose kernels serve grids of any size; ``test_paths`` compares the others.
+"""
 
 import csv
 from pathlib import Path
@@ -26,33 +29,28 @@ def observed_orders(spacings, errors):
     return (np.diff(np.log(errors), axis=0).T / np.diff(np.log(spacings))).T
 
 
-@pytest.fixture
-def errors(device, path):
-    """A function that returns (drives,) largest errors over the largest displacements, under loads shaped like a mode.
+def errors(nodes, steps, mode, wavenumber, order=2):
+    """Return (drives,) largest errors over the largest displacements, under loads shaped like a mode.
 
     Args: nodes along each axis, steps, the mode, its k² as a function of the scheme, and the order.
     """
-
-    def run(nodes, steps, mode, wavenumber, order=2):
-        made = point_scene(
-            (nodes, nodes), SIZE, SUPPORTED, order=order, time_step=END / steps, window=(0.0, END),
-            frequency=FREQUENCY, damping=VISCOUS,
-        )  # fmt: skip
-        shape = mode_shape(mode, SIZE, *(np.linspace(0, length, nodes) for length in SIZE))
-        solver = PlateSolver(made, device, path)
-        scheme, loads = solver.discretization.scheme, DRIVES[:, None] * shape[1:-1, 1:-1].reshape(1, -1)
-        found = solver.run(loads, TIMES)
-        np.testing.assert_allclose(found.times, TIMES, rtol=1e-12)
-        stiffness = scheme.rigidity * wavenumber(scheme) ** 2
-        amplitudes = [damped_motion(TIMES, stiffness, scheme.surface_density, VISCOUS, Z, FREQUENCY) for Z in DRIVES]
-        exact = np.array(amplitudes)[..., None, None] * shape
-        return np.abs(found.displacement - exact).max(axis=(1, 2, 3)) / np.abs(exact).max(axis=(1, 2, 3))
-
-    return run
+    made = point_scene(
+        (nodes, nodes), SIZE, SUPPORTED, order=order, time_step=END / steps, window=(0.0, END),
+        frequency=FREQUENCY, damping=VISCOUS,
+    )  # fmt: skip
+    shape = mode_shape(mode, SIZE, *(np.linspace(0, length, nodes) for length in SIZE))
+    solver = PlateSolver(made, "cpu", "streaming")
+    scheme, loads = solver.discretization.scheme, DRIVES[:, None] * shape[1:-1, 1:-1].reshape(1, -1)
+    found = solver.run(loads, TIMES)
+    np.testing.assert_allclose(found.times, TIMES, rtol=1e-12)
+    stiffness = scheme.rigidity * wavenumber(scheme) ** 2
+    amplitudes = [damped_motion(TIMES, stiffness, scheme.surface_density, VISCOUS, Z, FREQUENCY) for Z in DRIVES]
+    exact = np.array(amplitudes)[..., None, None] * shape
+    return np.abs(found.displacement - exact).max(axis=(1, 2, 3)) / np.abs(exact).max(axis=(1, 2, 3))
 
 
 @pytest.mark.parametrize("order", [2, 4])
-def test_order_in_space(errors, order):
+def test_order_in_space(order):
     """The exact transient of one sine mode, on grids with Δt ∝ h², so that the error in time falls as h⁴."""
     cells, mode = np.array([12, 24]), (1, 1) if order == 2 else (2, 1)
     found = [errors(n + 1, 240 * n**2 // 36, mode, lambda _: wavenumber_squared(mode, SIZE), order) for n in cells]
@@ -60,7 +58,7 @@ def test_order_in_space(errors, order):
     assert observed_orders(1 / cells, found)[-1] == pytest.approx([order] * 2, abs=0.1)
 
 
-def test_second_order_in_time(errors):
+def test_second_order_in_time():
     """A sine mode is a mode of the grid too, with its own k²: with that, only the time steps are in error."""
     counts, mode = np.array([240, 480, 960]), (2, 1)
     found = [
@@ -71,7 +69,7 @@ def test_second_order_in_time(errors):
 
 @pytest.mark.parametrize(("held", "order"), [("CCCC", 2), ("SCSC", 4)])
 def test_natural_frequencies(held, order):
-    """√ of the eigenvalues of the ∇⁴ that the default path computes, against a Ritz solution.
+    """√ of the eigenvalues of the ∇⁴ that plates compute, against a Ritz solution.
 
     Within 3 % for second order with 25 nodes a side, 1e-3 for fourth: a finer grid would show the table's last digit.
     Between coarse grids some of its slopes are still on their way to 4.

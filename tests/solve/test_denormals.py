@@ -9,13 +9,11 @@ from warp_plate import PlateSolver
 from warp_plate.plate.scheme import make_scheme
 
 TINY = np.finfo(np.float32).tiny
-BED = {"effects": {"foundation": {"stiffness": 1e4}}}
 # How plates run on a CPU: nodes, sides [m], plates, and tables; the first as a team.
 WAYS = {
     "team": ((97, 89), (0.2, 0.2), 1, {}),
-    "singly": ((97, 89), (0.2, 0.2), 3, {}),
     "in groups": ((105, 9), (0.2, 0.0154), 32, {}),
-    "moment form": ((105, 9), (0.2, 0.0154), 3, BED),
+    "moment form": ((105, 9), (0.2, 0.0154), 3, {"effects": {"foundation": {"stiffness": 1e4}}}),
 }
 
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from oracle import check_run, reference
 
-from warp_plate import PlateSolver, SceneError
+from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.scheme import make_scheme
+from warp_plate.scene.dump import dump_scene
 from warp_plate.studies.localize import localize
 
 WINDOW = (0.004, 0.012)
@@ -35,8 +36,7 @@ def displacement(scene, drives, device, path):
     return PlateSolver(scene, device, path).run(np.atleast_2d(drives), TIMES).displacement
 
 
-@pytest.mark.parametrize("order", [2, 4])
-@pytest.mark.parametrize("name", [*CARRIERS, "file"])
+@pytest.mark.parametrize(("name", "order"), [*((name, 2) for name in CARRIERS), ("file", 4)])
 def test_one_carrier_takes_the_paths_of_a_tone(device, path, name, order, driven, phasors, tmp_path):
     """Against plain NumPy under the same carrier; the kernels are those of a tone."""
     if name == "file":
@@ -44,7 +44,10 @@ def test_one_carrier_takes_the_paths_of_a_tone(device, path, name, order, driven
         tap = np.stack([times, np.exp(-400 * times) * np.sin(3000 * times)], axis=1)
         np.savetxt(tmp_path / "tap.csv", tap, delimiter=",")
         made = driven(order=order, damping=60.0, signal={"file": "tap.csv"})
-        made._folder = tmp_path
+        with pytest.raises(SceneError, match=r"^drive\.signal\.file = 'tap\.csv': this scene was not read from a file"):
+            PlateSolver(made, "cpu")
+        (tmp_path / "scene.toml").write_text(dump_scene(made), encoding="utf-8")
+        made = Scene.load(tmp_path / "scene.toml")  # finds the signal beside it
     else:
         made = driven(order=order, damping=60.0, **CARRIERS[name])
     solver, drives = PlateSolver(made, device, path), phasors(3, 3)
@@ -66,11 +69,10 @@ def test_own_frequencies_superpose(device, path, driven, phasors):
     np.testing.assert_allclose(found, sum(alone), rtol=0, atol=1e-10 * np.abs(found).max())
 
 
-@pytest.mark.parametrize("bias", [0.0, 3.0])
-def test_square_of_the_voltage(device, path, bias, driven, phasors):
+def test_square_of_the_voltage(device, path, driven, phasors):
     """gain·(bias + V)² moves the plate as a constant, a tone and a tone of twice the frequency do, each in a linear
     scene; without a voltage the bias still does."""
-    gain, drives = 0.7, np.concatenate([phasors(1, 3), np.zeros((1, 3))])
+    bias, gain, drives = 3.0, 0.7, np.concatenate([phasors(1, 3), np.zeros((1, 3))])
     squared = driven(electrostatic={"bias": bias, "gain": gain})
     step = make_scheme(squared).time_step
 
@@ -82,7 +84,7 @@ def test_square_of_the_voltage(device, path, bias, driven, phasors):
     expected += linear(580.0, gain / 2 * drives**2)
     found = displacement(squared, drives, device, path)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(found).max())
-    assert found[1].any() == (bias != 0)
+    assert found[1].any()
 
 
 def test_fourth_order_knows_one_frequency(driven):

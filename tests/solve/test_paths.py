@@ -23,15 +23,13 @@ CASES = [
     for mix, edges in enumerate(EDGE_MIXES)
     for index, (name, plate) in enumerate(SMALL.items())
 ]
-# The smallest plates of either order, no padding, a warp's full width, one column more, higher than a warp, and walked
-# row by row, by a team of CPU threads or by one.
+# The smallest plates of either order, a warp's full width, one column more, higher than a warp, and walked row by row,
+# by a team of CPU threads or by one.
 SIZES = {
     "smallest": (2, (5, 5), (0.2, 0.2)),
     "smallest of fourth order": (4, (9, 9), (0.2, 0.2)),
-    "no padding": (2, (16, 9), (0.2, 0.2)),
     "full warp": (4, (32, 11), (0.2, 0.0645161290322581)),
     "a column over": (2, (33, 6), (0.2, 0.1)),
-    "high of fourth order": (4, (9, 43), (0.05, 0.35)),
     "high": (2, (7, 43), (0.05, 0.35)),
     "large of fourth order": (4, (97, 89), (0.096, 0.088)),
     "large": (2, (97, 89), (0.096, 0.088)),

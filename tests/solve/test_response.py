@@ -24,7 +24,11 @@ def test_energies_and_bound_agree_with_plates(device, path, scene, phasors):
     solver = PlateSolver(scene(damping=88.5, actuators=PATCHES), device, path)
     response, drives = measure_response(solver), phasors(300, 3)
     plates = solver.run(drives).energy
-    np.testing.assert_allclose(response.energy(drives), plates, rtol=1e-11)
+    energies = response.energy(drives)
+    np.testing.assert_allclose(energies, plates, rtol=1e-11)
+    # A matrix product would sum in another order for another number of rows.
+    for first, count in ((0, 1), (3, 2), (100, 64)):
+        np.testing.assert_array_equal(response.energy(drives[first : first + count]), energies[first : first + count])
     assert localization_factor(plates).max() <= response.bound() + 1e-12
     best = response.best_drive()
     assert np.abs(best).max() == pytest.approx(1, rel=1e-12)
@@ -51,7 +55,7 @@ def test_bound_of_random_matrices(rank, random):
     The ratio of a drive that B nearly cancels is one of rounding errors: those with a millionth of the energy keep ten
     digits of the ratio.
     """
-    for _ in range(10):
+    for _ in range(4):
         factor = random.normal(size=(6, rank))
         orthogonal, _ = np.linalg.qr(random.normal(size=(rank, rank)))
         shares = orthogonal * random.uniform(0, 1, rank) @ orthogonal.T
@@ -74,15 +78,6 @@ def test_known_matrices():
     drives = unit_drives(3)
     assert len({tuple(drive) for drive in drives}) == len(drives) == 21
     np.testing.assert_array_equal(drives[:6], np.concatenate([np.eye(3), -1j * np.eye(3)]))
-
-
-def test_energies_do_not_depend_on_the_batch(scene, phasors):
-    """A matrix product would: its library sums in another order for another number of rows."""
-    response = measure_response(PlateSolver(scene(damping=88.5), "cpu"))
-    drives = phasors(1001, 3)
-    whole = response.energy(drives)
-    for first, count in ((0, 1), (3, 2), (100, 64), (1, 1000)):
-        np.testing.assert_array_equal(response.energy(drives[first : first + count]), whole[first : first + count])
 
 
 def test_localization_factor_of_a_plate_at_rest_is_nan():
