@@ -24,6 +24,7 @@ from typing import Literal
 import numpy as np
 
 from warp_plate.optimize.quadratic import quadratic_forms
+from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import has_design_tables, only_ratios
 from warp_plate.problem.objectives import MOST_DECIBELS, PLATE, TARGET, Objectives
 from warp_plate.problem.parametrization import Parametrization
@@ -37,6 +38,7 @@ NEAR = 1e-6
 MOST_ACTUATORS = 40
 # Factors by which the drive at which the multipliers point is tried, largest magnitude one to begin with.
 SCALES = np.geomspace(1e-3, 1e3, 241)
+MULTIPLIERS = "the dual of the semidefinite relaxation under the drive's limits"
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Bound:
 
     Attributes:
         value: bound in the unit of the bounded quantity.
-        kind: "attained" if a drive comes within NEAR of it.
+        kind: "attained" if a drive within NEAR of it is known; "bound only" leaves open whether there is one.
         sentence: reason, for people.
     """
 
@@ -60,7 +62,7 @@ class AllowedDrives:
 
     Attributes:
         lower: (actuators,) least magnitudes; −∞ where a magnitude may be of any sign.
-        upper: (actuators,) largest magnitudes; the same as ``lower`` where they are fixed.
+        upper: (actuators,) largest magnitudes; ``lower`` where they are fixed.
         phase: (actuators,) fixed phases [rad]; NaN where a phase is searched.
         power: largest Σ magnitude².
         equal: whether all magnitudes are the same.
@@ -77,8 +79,7 @@ class AllowedDrives:
     def basis(self) -> np.ndarray:
         """Return (2M, parameters): z = basis @ parameters are the drives of the fixed phases.
 
-        There are two parameters for an actuator whose phase is searched, one where it is fixed, none where its
-        magnitude must be zero.
+        An actuator has two parameters where its phase is searched, one where it is fixed, none where it must be off.
         """
         columns = []
         for unit, phase, most in zip(np.eye(len(self.phase)), self.phase, self.upper, strict=True):
@@ -87,12 +88,10 @@ class AllowedDrives:
         return np.array(columns).T.reshape(2 * len(self.phase), -1)
 
 
-def bound_localization(
-    response: Response, allowed: AllowedDrives, most_actuators: int = MOST_ACTUATORS
-) -> Bound | None:
+def bound_localization(response: Response, allowed: AllowedDrives) -> Bound | None:
     """Return the bound of the localization factor in a linear scene; None where no drive moves the plate.
 
-    With limits and more than ``most_actuators`` actuators it is the eigenvalue of the drives without limits.
+    With limits and more than MOST_ACTUATORS actuators it is the eigenvalue of the drives without limits.
     """
     plate, basis = response.matrices[PLATE], allowed.basis()
     reduced = basis.T @ response.matrices @ basis
@@ -102,20 +101,18 @@ def bound_localization(
     value *= 1 + ROUNDING  # no drive passes it by rounding either
 
     def ratio(drives: np.ndarray) -> np.ndarray:
-        energy = response.energy(drives)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return energy[:, TARGET] / energy[:, PLATE]
+        return localization_factor(response.energy(drives))
 
-    sentence = "the largest eigenvalue of the energies' matrices"
-    if _best_allowed(ratio, basis @ parameters, allowed) >= value * (1 - NEAR):
-        return Bound(value, "attained", f"{sentence}, which a drive reaches")
+    reached = _best_allowed(ratio, basis @ parameters, allowed)
+    bound = _bound(value, reached, "the largest eigenvalue of the energies' matrices")
     # If a multiple of any drive is allowed, limits say nothing about a ratio.
-    if (allowed.equal or (allowed.lower > 0).any()) and len(allowed.phase) <= most_actuators:
+    limited = (allowed.equal or (allowed.lower > 0).any()) and len(allowed.phase) <= MOST_ACTUATORS
+    if bound.kind == "bound only" and limited:
         limits = [(plate, 0.0, 1.0, False), *_magnitude_limits(allowed)]
         least, nearest = _majorant(response.matrices[TARGET], limits, basis, np.diag(plate))
         if least < value:
-            return _bound_of_multipliers(least, _best_allowed(ratio, nearest, allowed))
-    return Bound(value, "bound only", f"{sentence}; no drive that keeps all limits is known to reach it")
+            return _bound(least, _best_allowed(ratio, nearest, allowed), MULTIPLIERS)
+    return bound
 
 
 def bound_energy(
@@ -129,10 +126,9 @@ def bound_energy(
     if not basis.shape[1] or len(allowed.phase) > MOST_ACTUATORS:
         return None
     forms, largest = np.array([matrix, *(other for other, _ in others)]), [value for _, value in others]
-    sizes = np.diag(matrix) + sum(np.diag(other) for other, _ in others)
     limits = [(other, -value, 0.0, False) for other, value in others]
     limits = [(np.zeros_like(matrix), 1.0, 1.0, True), *limits, *_magnitude_limits(allowed)]
-    least, nearest = _majorant(matrix, limits, basis, sizes)
+    least, nearest = _majorant(matrix, limits, basis, np.diag(matrix) + sum(map(np.diag, forms[1:])))
     if not math.isfinite(least):
         return None
 
@@ -143,7 +139,7 @@ def bound_energy(
             return energies[:, 0] / over
         return np.where(over <= 1 + 1e-12, energies[:, 0], -np.inf)
 
-    return _bound_of_multipliers(least, _best_allowed(energy, nearest, allowed))
+    return _bound(least, _best_allowed(energy, nearest, allowed), MULTIPLIERS)
 
 
 def bound_loss(
@@ -154,8 +150,8 @@ def bound_loss(
 ) -> Bound | None:
     """Return the lower bound of a search's loss; None where none is claimed.
 
-    ``response`` and ``displacement`` are the energies of all drives and those of ½ ∫ ρH u² dA, for objectives that need
-    displacements; None where they are not quadratic forms.
+    ``response`` has the energies of all drives, ``displacement`` those of ½ ∫ ρH u² dA for objectives that need them;
+    None where they are not quadratic forms.
     """
     if response is None or not parametrization.quadratic:
         return None
@@ -171,8 +167,7 @@ def bound_loss(
     if len(proved) < len(terms):
         return None
     total = -sum(term.weight * bound.value for term, bound in zip(terms, proved, strict=True))
-    if objectives.only_localization:
-        total += 1
+    total += objectives.only_localization
     if len(terms) > 1:
         return Bound(total, "bound only", "the sum of what each objective alone could reach")
     if allowed.wider:  # the drive that reaches it need not be one of the search's
@@ -232,7 +227,7 @@ def allowed_drives(parametrization: Parametrization) -> AllowedDrives:
 
 
 # A limit zᵀ matrix z + entry · τ² ≤ (or =) constant, with τ one more number beside z: matrix, entry, constant, and
-# whether it is an equation. In a ratio τ is arbitrary, for a ratio does not depend on the drive's size.
+# whether it is an equation. Of an energy τ² = 1; in a ratio, which does not depend on the drive's size, τ is arbitrary.
 _Limit = tuple[np.ndarray, float, float, bool]
 
 
@@ -259,28 +254,22 @@ def _majorant(
 ) -> tuple[float, np.ndarray]:
     """Return the bound of zᵀ objective z, and the z (2M,) at which its multipliers point.
 
-    ``sizes``: (2M,) energies of the units: actuators of very different size must not make each other look like
-    rounding.
+    z is zero, so that no drive is tried, where the slack's smallest eigenvector lies along τ alone, and where no
+    multipliers are found. ``sizes``: (2M,) energies of the units, in which actuators of very different size are scaled
+    to be alike.
     """
     sizes = np.where(sizes > 0, sizes, 1.0)
     scaled = basis / np.sqrt((basis**2 * sizes[:, None]).sum(axis=0))
-    matrices, entries, constants, equations = zip(*limits, strict=True)
-    lifted = int(any(entries))
-    wide = np.pad(scaled, (0, lifted))
+    matrices, entries, constants, equations = map(np.array, zip(*limits, strict=True))
+    lifted = int(entries.any())
+    wide, padded = np.pad(scaled, (0, lifted)), np.array([np.pad(form, (0, lifted)) for form in (objective, *matrices)])
     if lifted:  # τ in a unit in which it is about as large as the rest
-        norms = [np.abs(scaled.T @ matrix @ scaled).max() for matrix in matrices]
-        ratios = [abs(entry) / norm for norm, entry in zip(norms, entries, strict=True) if entry and norm]
-        wide[-1, -1] = 1 / math.sqrt(max(ratios, default=1.0))
-
-    def widened(matrix: np.ndarray, entry: float) -> np.ndarray:
-        padded = np.pad(matrix, (0, lifted))
-        if lifted:
-            padded[-1, -1] = entry
-        reduced: np.ndarray = wide.T @ padded @ wide
-        return reduced
-
-    reduced = np.array([widened(*pair) for pair in zip(matrices, entries, strict=True)])
-    least, slack = least_majorant(widened(objective, 0.0), reduced, np.array(constants), np.array(equations))
+        norms = np.abs(scaled.T @ matrices @ scaled).max(axis=(1, 2))
+        known = (entries != 0) & (norms != 0)
+        wide[-1, -1] = 1 / math.sqrt(np.max(np.abs(entries[known]) / norms[known])) if known.any() else 1.0
+        padded[1:, -1, -1] = entries
+    reduced = wide.T @ padded @ wide
+    least, slack = least_majorant(reduced[0], reduced[1:], constants, equations)
     if not math.isfinite(least) or not slack.any():
         return least, np.zeros(len(basis))
     return least, scaled @ np.linalg.eigh(slack)[1][: basis.shape[1], 0]
@@ -288,11 +277,10 @@ def _majorant(
 
 def _best_allowed(quantity: Callable[[np.ndarray], np.ndarray], z: np.ndarray, allowed: AllowedDrives) -> float:
     """Return the largest quantity of the drives near ±z, (2M,), that keep the limits; −∞ if none does."""
-    best = -math.inf
-    if not np.abs(z).max() > 0:
-        return best
+    if not z.any():
+        return -math.inf
     named = [*allowed.lower, *allowed.upper, math.sqrt(allowed.power / len(allowed.phase))]
-    typical = max((value for value in named if 0 < value < math.inf), default=1.0)
+    typical, best = max((value for value in named if 0 < value < math.inf), default=1.0), -math.inf
     for real, imaginary in (np.split(z, 2), np.split(-z, 2)):
         phasors = real - 1j * imaginary
         held = ~np.isnan(allowed.phase)
@@ -312,16 +300,15 @@ def _within_limits(sizes: np.ndarray, allowed: AllowedDrives) -> np.ndarray:
     sizes = np.concatenate([sizes, np.clip(sizes, lower, allowed.upper)])
     power = (sizes**2).sum(axis=1, keepdims=True)
     sizes = sizes * np.sqrt(np.minimum(1.0, allowed.power / np.where(power > 0, power, 1.0)))
-    low, high = (limit - sign * 1e-12 * np.abs(limit) for limit, sign in ((lower, 1), (allowed.upper, -1)))
+    low, high = lower - 1e-12 * np.abs(lower), allowed.upper + 1e-12 * np.abs(allowed.upper)
     kept = ((sizes >= low) & (sizes <= high)).all(axis=1)
     if allowed.equal:
         kept &= np.ptp(np.abs(sizes), axis=1) <= 1e-12 * np.abs(sizes).max(axis=1)
     return sizes[kept]
 
 
-def _bound_of_multipliers(least: float, reached: float) -> Bound:
-    """Return the bound by multipliers, attained if a drive reaches it."""
-    sentence = "the dual of the semidefinite relaxation under the drive's limits"
-    if reached >= least * (1 - NEAR):
-        return Bound(least, "attained", f"{sentence}, which a drive reaches")
-    return Bound(least, "bound only", f"{sentence}; the best drive may lie below it")
+def _bound(value: float, reached: float, reason: str) -> Bound:
+    """Return an upper bound, attained if the value ``reached`` by a drive comes within NEAR of it."""
+    if reached >= value * (1 - NEAR):
+        return Bound(value, "attained", f"{reason}, which a drive reaches")
+    return Bound(value, "bound only", f"{reason}; no drive that keeps all limits is known to reach it")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, Literal
 
 import numpy as np
@@ -79,14 +80,11 @@ def make_design_variables(scene: Scene) -> tuple[DesignVariable, ...]:
     _check_fixed_magnitudes(scene)
     makers: tuple[Callable[[Scene, Any], Iterable[DesignVariable]], ...]
     makers = (_magnitudes, _phases, _frequencies, _positions, _delays)
-    tables = [getattr(scene.search, name) for name in TABLES]
-    pairs = [(make, table) for make, table in zip(makers, tables, strict=True) if table is not None]
-    variables = tuple(variable for make, table in pairs for variable in make(scene, table))
+    tables = {make: getattr(scene.search, name) for make, name in zip(makers, TABLES, strict=True)}
+    variables = tuple(chain.from_iterable(make(scene, table) for make, table in tables.items() if table is not None))
     if not variables:
-        raise SceneError(
-            "search: no variable changes the motion; name more actuators, or write one of "
-            f"{', '.join(f'[search.{name}]' for name in TABLES)}"
-        )
+        names = ", ".join(f"[search.{name}]" for name in TABLES)
+        raise SceneError(f"search: no variable changes the motion; name more actuators, or write one of {names}")
     return variables
 
 
@@ -129,11 +127,9 @@ def at_highest_frequency(scene: Scene) -> Scene:
             f"{MOST_STEPS * table.range[1] / most:.3g} steps until window.end = {scene.window.end:g} s, and at most "
             f"{MOST_STEPS:.3g} are possible; end the range at {most:.4g} Hz or lower"
         )
-    named = set(_named_actuators(scene, "frequency"))
-    actuators = [
-        actuator.model_dump() | ({"frequency": table.range[1]} if index in named else {})
-        for index, actuator in enumerate(scene.actuators)
-    ]
+    actuators = [actuator.model_dump() for actuator in scene.actuators]
+    for index in _named_actuators(scene, "frequency"):
+        actuators[index]["frequency"] = table.range[1]
     return scene.with_tables(actuators=actuators)
 
 
@@ -171,17 +167,15 @@ def _ranged(
     scene: Scene, kind: Kind, separate: bool, fixed: Sequence[float] | np.ndarray, ends: tuple[float, float]
 ) -> list[DesignVariable]:
     """Return a variable for each actuator that the table names, or one for all, that begins within its limits."""
-    named, limits = _named_actuators(scene, kind), {"lower": ends[0], "upper": ends[1]}
+    named = _named_actuators(scene, kind)
     groups = [(actuator,) for actuator in named] if separate else [named]
-    return [_variable(scene, kind, group, fixed[group[0]], ends, **limits) for group in groups]
+    return [_variable(scene, kind, group, fixed[group[0]], ends, lower=ends[0], upper=ends[1]) for group in groups]
 
 
 def _magnitudes(scene: Scene, table: FreeMagnitude) -> list[DesignVariable]:
     equal = scene.search.limits.equal_magnitudes
     if equal and len(_named_actuators(scene, "magnitude")) < len(scene.actuators):
-        raise SceneError(
-            "search.magnitude.actuators: limits.equal_magnitudes gives all actuators the same; delete one of them"
-        )
+        raise SceneError("search.magnitude.actuators: limits.equal_magnitudes gives all the same; delete one of them")
     if equal and only_ratios(scene):  # one magnitude of all changes nothing
         return []
     return _ranged(scene, "magnitude", not equal, [actuator.magnitude for actuator in scene.actuators], table.range)
@@ -196,9 +190,9 @@ def _phases(scene: Scene, table: FreePhase) -> Iterator[DesignVariable]:
     transient = drive.burst or drive.chirp or drive.signal or scene.effects.moving_load
     if len(named) == len(scene.actuators) and not transient:
         named = named[1:]
-    turn = 2 * math.pi
     for actuator in named:
-        yield _variable(scene, "phase", (actuator,), scene.actuators[actuator].phase, (0.0, turn), period=turn)
+        fixed, turn = scene.actuators[actuator].phase, 2 * math.pi
+        yield _variable(scene, "phase", (actuator,), fixed, (0.0, turn), period=turn)
 
 
 def _frequencies(scene: Scene, table: FreeFrequency) -> list[DesignVariable]:

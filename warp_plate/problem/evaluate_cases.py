@@ -19,9 +19,6 @@ from warp_plate.solve.peak import run_with_peak
 from warp_plate.solve.run import Run
 from warp_plate.solve.solver import PlateSolver
 
-# Values by objective, by case.
-CaseValues = dict[str, dict[str, float]]
-
 
 @dataclass(frozen=True)
 class EvaluatedCases:
@@ -30,8 +27,7 @@ class EvaluatedCases:
     Attributes:
         cases: cases by name: "equal", "single" and "best".
         scene: scene of ``run``.
-        phasors: (actuators,) phasors of the plates of ``run``, by case: of the best, or of all three where these
-            differ in nothing else.
+        phasors: (actuators,) phasors of the plates of ``run``: of the best case, or of all that differ in nothing else.
         run: the run.
         peak: largest displacement of the best case [m], see ``Result``.
         node_steps: node-steps of solvers beside the problem's.
@@ -46,10 +42,9 @@ class EvaluatedCases:
 
 
 def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -> EvaluatedCases:
-    """Run the reference drives at the scene's own frequency and places, and the best position.
+    """Run the reference drives at the scene's own frequency and places, and the best position (dimension,).
 
-    ``single`` is the index of the best single actuator; ``position`` (dimension,) is None if there is no best one, and
-    that actuator stands for it.
+    ``single`` is the index of the best single actuator, which stands for the best position where that is None.
     """
     scene, parametrization = problem.scene, problem.parametrization
     singles = magnitude_unit(scene) * np.eye(len(scene.actuators), dtype=complex)
@@ -67,8 +62,8 @@ def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -
     solver = PlateSolver(best_scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(best_scene))
     best = {"best": scene_phasors(best_scene)}
     best_run, peak = run_with_peak(solver, best["best"][None])
-    varied = {name: getattr(designs, name) for name in ("frequency", "centre", "delay")}
-    varied = {name: values[0] for name, values in varied.items() if values is not None}
+    names = ("frequency", "centre", "delay")
+    varied = {name: values[0] for name in names if (values := getattr(designs, name)) is not None}
     cases["best"] = replace(cases_from_run(best, best_run)["best"], **varied)
     return EvaluatedCases(cases, best_scene, best, best_run, peak, solver.node_steps)
 
@@ -96,12 +91,12 @@ def cases_from_run(phasors: dict[str, np.ndarray], run: Run) -> dict[str, Case]:
     }
 
 
-def evaluate_objectives(problem: Problem, cases: Mapping[str, Case]) -> tuple[CaseValues, int]:
+def evaluate_objectives(problem: Problem, cases: Mapping[str, Case]) -> tuple[dict[str, dict[str, float]], int]:
     """Evaluate cases at the scene's own frequency and places under objectives that they were not optimised for.
 
     Returns:
-        ``Objectives.values`` by case, and node-steps. Empty if only the localization factor counts, which a case has,
-        if each of several targets has objectives of its own, or if Ctrl-C interrupts it.
+        ``Objectives.values`` by objective, by case, and node-steps. Empty if only the localization factor counts, which
+        a case has, if each of several targets has objectives of its own, or if Ctrl-C interrupts it.
     """
     objectives, solver = problem.objectives, problem.drive_solver
     if objectives.only_localization or problem.scene.targets:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from warp_plate.optimize.cma_es import CovarianceSearch
@@ -41,9 +41,7 @@ def make_optimizer(
     """Return the method of a table ``[search]``.
 
     Args:
-        search: the table.
-        space: of positions.
-        seed: random seed.
+        search, space, seed: the table, the space of positions and the random seed.
         problem: where losses follow from quadratic forms of the drive, which "gradient" and "exact" need.
         state: go on from this state (see ``Optimizer.state``), to the last bit (default: from the beginning).
 
@@ -56,16 +54,13 @@ def make_optimizer(
         entry_bytes = NUMBER_BYTES + (MATRIX_BYTES * dimension if method == "gradient" else 0.0)
         what = f"search.particles = {search.particles} with {dimension} numbers each"
         refuse_beyond_memory(search.particles * (entry_bytes * dimension + PARTICLE_BYTES), what)
-    optimizer: Optimizer
+    makers: dict[str, Callable[[], Optimizer]] = {
+        "exact": lambda: ExactSearch(space, problem),
+        "cma": lambda: CovarianceSearch(space, _settings(search, seed)),
+        "gradient": lambda: GradientSearch(space, problem, _settings(search, seed)),
+    }
     try:
-        if method == "exact":
-            optimizer = ExactSearch(space, problem)
-        elif method == "cma":
-            optimizer = CovarianceSearch(space, _settings(search, seed))
-        elif method == "gradient":
-            optimizer = GradientSearch(space, problem, _settings(search, seed))
-        else:
-            optimizer = Swarm(space, swarm_settings(search, seed))
+        optimizer = makers.get(method, lambda: Swarm(space, swarm_settings(search, seed)))()
     except MethodError as error:
         raise SceneError(f"search.method = {method!r}: {error}") from None
     if state is not None:

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -155,19 +155,17 @@ def _target_cells(discretization: Discretization) -> dict[str, np.ndarray]:
     """Return weights (ny, nx) of the target's parts in a raster over its bounding box, without the empty ones."""
     scene = discretization.scene
     key = next(iter(scene.targets_by_key))
-    x0, x1, y0, y1 = bounds(scene, key, scene.target)
-    sides = []
-    for low, high, side, nodes in zip((x0, y0), (x1, y1), scene.plate.size, scene.grid.nodes, strict=True):
+    box, sides = np.reshape(bounds(scene, key, scene.target), (2, 2)), []
+    for (low, high), side, nodes in zip(box.tolist(), scene.plate.size, scene.grid.nodes, strict=True):
         count = int((high - low) / (side / (nodes - 1)) / CELL_NODES + 1e-6)
         sides.append(np.linspace(low, high, min(max(count, 1), MOST_CELLS) + 1))
     along_x, along_y = sides
-    least = 1e-6 * (along_x[1] - along_x[0]) * (along_y[1] - along_y[0])
-    cells = {}
-    for row, y_ends in enumerate(pairwise(along_y.tolist())):
-        for column, x_ends in enumerate(pairwise(along_x.tolist())):
-            field = shape_weights(scene, key, scene.target, (*x_ends, *y_ends))
-            if field.sum() * discretization.cell > least:
-                cells[f"cell {row} {column}"] = field
+    least, cells = 1e-6 * (along_x[1] - along_x[0]) * (along_y[1] - along_y[0]), {}
+    rows, columns = (enumerate(pairwise(side.tolist())) for side in (along_y, along_x))
+    for (row, y_ends), (column, x_ends) in product(rows, columns):
+        field = shape_weights(scene, key, scene.target, (*x_ends, *y_ends))
+        if field.sum() * discretization.cell > least:
+            cells[f"cell {row} {column}"] = field
     if len(cells) < 2:
         raise SceneError(
             f"target.{scene.target.description}: has fewer than {2 * CELL_NODES} nodes along x and y, too few for "
@@ -192,7 +190,5 @@ def _decibels(densities: np.ndarray) -> np.ndarray:
 def _uniformity(energy: np.ndarray, areas: np.ndarray) -> np.ndarray:
     """Return uniformities (plates,) of energies (plates, cells) in cells of these areas; NaN for a plate at rest."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        largest = np.abs(energy).max(axis=1, keepdims=True)  # squares of small energies would be lost
-        share = energy / largest
-        uniformity: np.ndarray = share.sum(axis=1) ** 2 / (areas.sum() * (share**2 / areas).sum(axis=1))
-    return uniformity
+        share = energy / np.abs(energy).max(axis=1, keepdims=True)  # squares of small energies would be lost
+        return np.asarray(share.sum(axis=1) ** 2 / (areas.sum() * (share**2 / areas).sum(axis=1)))

@@ -39,9 +39,9 @@ class Parametrization:
     @cached_property
     def space(self) -> SearchSpace:
         """The numbers of a position without their meaning."""
-        columns = [(one.lower, one.upper, *one.initial, one.period) for one in self.variables]
+        rows = [(variable.lower, variable.upper, *variable.initial, variable.period) for variable in self.variables]
         names = tuple(variable.name for variable in self.variables)
-        return SearchSpace(names, *np.array(columns, dtype=float).reshape(-1, 5).T)
+        return SearchSpace(names, *np.array(rows, dtype=float).reshape(-1, 5).T)
 
     @property
     def only_drives(self) -> bool:
@@ -90,14 +90,9 @@ class Parametrization:
         if not has_design_tables(self.scene) and not self.scene.search.limits.equal_magnitudes:
             with np.errstate(divide="ignore", invalid="ignore"):
                 phasors = np.nan_to_num(phasors / np.abs(phasors[:, :1]))
-        values = {
-            "magnitude": np.abs(phasors),
-            "phase": np.mod(-np.angle(phasors), 2 * math.pi),
-            "frequency": designs.frequency,
-            "x": None if designs.centre is None else designs.centre[:, :, 0],
-            "y": None if designs.centre is None else designs.centre[:, :, 1],
-            "delay": designs.delay,
-        }
+        x, y = (None, None) if designs.centre is None else np.moveaxis(designs.centre, 2, 0)
+        values = {"frequency": designs.frequency, "x": x, "y": y, "delay": designs.delay}
+        values |= {"magnitude": np.abs(phasors), "phase": np.mod(-np.angle(phasors), 2 * math.pi)}
         positions = np.empty((len(designs), len(self.variables)))
         for column, variable in zip(positions.T, self.variables, strict=True):
             array = values[variable.kind]
@@ -141,13 +136,14 @@ class Parametrization:
     def _fixed(self) -> dict[str, np.ndarray]:
         """(actuators,) values of each kind as the scene has them; in the paper's reading magnitude 1 and phase 0."""
         actuators, tables = self.scene.actuators, has_design_tables(self.scene)
+        x, y = actuator_centres(self.scene).T
         return {
             "magnitude": np.array([actuator.magnitude if tables else 1.0 for actuator in actuators]),
             "phase": np.array([actuator.phase if tables else 0.0 for actuator in actuators]),
             "frequency": actuator_frequencies(self.scene),
-            "x": actuator_centres(self.scene)[:, 0],
-            "y": actuator_centres(self.scene)[:, 1],
             "delay": actuator_delays(self.scene),
+            "x": x,
+            "y": y,
         }
 
     def _rotate(self, phase: np.ndarray, rotations: np.ndarray) -> None:
@@ -202,5 +198,4 @@ def magnitude_unit(scene: Scene) -> float:
 
 def _scale_down(most: float, sizes: np.ndarray) -> np.ndarray:
     """Return factors (n,) that bring sizes (n,) down to ``most``; one where they are no larger."""
-    factors: np.ndarray = most / np.maximum(sizes, most)
-    return factors
+    return np.asarray(most / np.maximum(sizes, most))

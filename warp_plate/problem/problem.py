@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
@@ -57,7 +57,7 @@ class Problem:
         displacement_response: Gram matrices of ``displacement_evaluator``; None as for ``response``.
         evaluator_name: "direct" simulates plates, "response" takes energies from Gram matrices.
         path: path of the kernels, as asked for.
-        setup_cost: seconds of compilation and node-steps of measurements before the search.
+        setup_cost: seconds of compilation and node-steps before the search.
         pool: workers that run batches; None if this process does.
         scenario_losses: losses over the scenarios of a robust search; None for other searches.
     """
@@ -165,26 +165,22 @@ class Problem:
     @cached_property
     def quadratic(self) -> Quadratic | None:
         """The problem for methods that need no plates; None if these are simulated, or energies not quadratic."""
-        ratio = None
-        if self.scenario_losses is not None:
-            scenario_losses, matrices = self.scenario_losses, self.scenario_losses.matrices
-
-            def losses_of(energy: np.ndarray) -> np.ndarray:
-                return apply_measure(scenario_losses.losses_from_energies(energy), self.robust)
-        else:
-            matrices, ratio = self.matrices, (TARGET, PLATE) if self.objectives.only_localization else None
-
-            def losses_of(energy: np.ndarray) -> np.ndarray:
-                return self.objectives.losses(*np.split(energy, 2 if self.displacement_response else 1, axis=1))
-
+        scenario_losses = self.scenario_losses
+        matrices = self.matrices if scenario_losses is None else scenario_losses.matrices
         if matrices is None:
             return None
+
+        def losses_of(energy: np.ndarray) -> np.ndarray:
+            if scenario_losses is not None:
+                return apply_measure(scenario_losses.losses_from_energies(energy), self.robust)
+            return self.objectives.losses(*np.split(energy, 2 if self.displacement_response else 1, axis=1))
+
         return Quadratic(
             matrices=matrices,
             phasors=lambda positions: self.parametrization.designs(positions).drives,
             positions=lambda phasors: self.parametrization.positions_of(Designs(phasors)),
             losses_of=losses_of,
-            ratio=ratio,
+            ratio=(TARGET, PLATE) if scenario_losses is None and self.objectives.only_localization else None,
         )
 
     @cached_property
@@ -263,17 +259,19 @@ def make_problem(
     parametrization = parametrization_of(with_common_step(scene))
     scene, quadratic = parametrization.scene, parametrization.quadratic
     if evaluator == "response" and not quadratic:
-        raise SceneError(f"evaluator = 'response': {_why_not_quadratic(parametrization)}; write 'direct'")
+        kinds = [variable.kind for variable in parametrization.variables if variable.kind not in ("magnitude", "phase")]
+        reason = f"no Gram matrix holds where {', '.join(dict.fromkeys(kinds))} is searched"
+        reason = reason if scene.linear else f"{scene.nonlinear_table} is not linear in the drives"
+        raise SceneError(f"evaluator = 'response': {reason}; write 'direct'")
     name = evaluator or ("response" if scene.search.robust is not None and quadratic else "direct")
     grid = discretize(scene)
     objectives = make_objectives(grid)
-    drives = designs = make_evaluator(grid, device, path, pool, areas=objectives.regions)
+    evaluator_on = partial(make_evaluator, device=device, path=path, pool=pool, areas=objectives.regions)
+    drives = designs = evaluator_on(grid)
     if not parametrization.only_drives:
         grid = discretize(scene, per_plate_of(scene))
-        designs = make_evaluator(grid, device, path, pool, areas=objectives.regions)
-    displacements = None
-    if objectives.needs_displacement:
-        displacements = make_evaluator(grid, device, path, pool, areas=objectives.regions, quantity="displacement")
+        designs = evaluator_on(grid)
+    displacements = evaluator_on(grid, quantity="displacement") if objectives.needs_displacement else None
     evaluators = [drives] if displacements is None else [drives, displacements]
     seconds, node_steps = 0.0, 0
     if matrices is None and quadratic:
@@ -282,9 +280,8 @@ def make_problem(
     if matrices is not None and len(matrices) != regions:
         raise SceneError(f"matrices: of {len(matrices)} regions; must be {regions}")
     responses = [None, None] if matrices is None else [*map(Response, np.split(matrices, len(evaluators))), None]
-    scenarios, robust = None, scene.search.robust
+    scenarios, robust, particles = None, scene.search.robust, scene.search.particles
     if robust is not None:
-        particles = scene.search.particles
         what = f"search.particles = {particles} with search.robust.scenarios = {robust.scenarios}"
         refuse_beyond_memory(24.0 * particles * robust.scenarios, what)
         drawn, alias = draw_scenarios(scene, robust.scenarios, robust.seed), drives.solver.device.alias
@@ -297,13 +294,6 @@ def make_problem(
         parametrization, objectives, drives, designs, displacements, responses[0], responses[1], name, path,
         (seconds, node_steps), pool, scenarios,
     )  # fmt: skip
-
-
-def _why_not_quadratic(parametrization: Parametrization) -> str:
-    if not parametrization.scene.linear:
-        return f"{parametrization.scene.nonlinear_table} is not linear in the drives"
-    kinds = [variable.kind for variable in parametrization.variables if variable.kind not in ("magnitude", "phase")]
-    return f"no Gram matrix holds where {', '.join(dict.fromkeys(kinds))} is searched"
 
 
 def _measure_matrices(

@@ -54,8 +54,8 @@ class ScenarioLosses:
 
     Attributes:
         scenarios: plates of each scenario.
-        matrices: (scenarios · regions, 2M, 2M) Gram matrices with gains, scenario by scenario, those of displacements
-            after those of velocities; None where plates are simulated.
+        matrices: (scenarios · regions, 2M, 2M) Gram matrices with gains, each scenario's of velocities before those of
+            displacements; None where plates are simulated.
         setup_cost: seconds of compilation and node-steps of solvers that are not kept.
     """
 
@@ -81,8 +81,8 @@ class ScenarioLosses:
         """Return losses (plates, scenarios) of energies (plates, scenarios · regions), in the order of ``matrices``."""
         objectives = [plates.objectives for plates in self.scenarios]
         sets, parts = 2 if objectives[0].needs_displacement else 1, np.split(energy, len(objectives), axis=1)
-        columns = [each.losses(*np.split(part, sets, axis=1)) for each, part in zip(objectives, parts, strict=True)]
-        return np.stack(columns, axis=1)
+        pairs = zip(objectives, parts, strict=True)
+        return np.stack([terms.losses(*np.split(part, sets, axis=1)) for terms, part in pairs], axis=1)
 
     def quadratic_forms(self) -> Iterator[tuple[Any, ...]]:
         """Yield each scenario's objectives and Gram matrices, of velocities and, if needed, of displacements."""
@@ -100,13 +100,11 @@ def apply_measure(losses: np.ndarray, robust: Robust) -> np.ndarray:
     """
     failed = ~np.isfinite(losses).all(axis=1)
     finite = np.where(failed[:, None], 0.0, losses)
-    if robust.measure == "mean":
-        measure = finite.mean(axis=1)
-    elif robust.measure == "worst":
-        measure = finite.max(axis=1)
-    else:
+    if robust.measure == "quantile":
         # The least of the scenarios' losses that this part of them does not pass, not a value between two of them.
         measure = np.quantile(finite, robust.quantile, axis=1, method="inverted_cdf")
+    else:
+        measure = finite.mean(axis=1) if robust.measure == "mean" else finite.max(axis=1)
     return np.where(failed, np.nan, measure)
 
 
@@ -118,8 +116,8 @@ def simulate_scenarios(
     Raises:
         SceneError: see :class:`PlateSolver` and ``make_objectives``.
     """
-    share = 1 / len(scenarios)
-    return ScenarioLosses(tuple(_scenario_plates(scenario, device, path, pool, share) for scenario in scenarios))
+    plates = (_scenario_plates(scenario, device, path, pool, 1 / len(scenarios)) for scenario in scenarios)
+    return ScenarioLosses(tuple(plates))
 
 
 def scenario_responses(scenarios: Sequence[Scenario], device: str = "auto", path: str = "auto") -> ScenarioLosses:

@@ -33,19 +33,14 @@ def least_majorant(
     """Return the bound Σ μ_i c_i and the slack S(μ), (n, n), whose smallest eigenvector is near the z of the maximum.
 
     They are infinity and empty where no multipliers are found. The value lies above the exact one of its μ by the
-    largest rounding error.
-
-    Args:
-        objective: (n, n) symmetric A.
-        matrices: (limits, n, n) symmetric C_i.
-        values: (limits,) c_i.
-        equation: (limits,) whether zᵀC_i z = c_i.
+    largest rounding error. Arguments: symmetric A (n, n) and C_i (limits, n, n), c_i (limits,), and (limits,) whether
+    zᵀC_i z = c_i.
     """
     size = float(np.abs(objective).max())
     if size == 0:
         return 0.0, np.zeros_like(objective)
-    norms = np.abs(matrices).max(axis=(1, 2))
-    norms = np.where(norms > 0, norms, 1.0)
+    largest = np.abs(matrices).max(axis=(1, 2))
+    norms = np.where(largest > 0, largest, 1.0)
     dual = _Dual(objective / size, matrices / norms[:, None, None], values / norms, equation)
     start = dual.inside()
     if start is None:
@@ -67,8 +62,7 @@ class _Dual:
 
     def slack(self, multipliers: np.ndarray) -> np.ndarray:
         """Return S(μ), shape (n, n)."""
-        slack: np.ndarray = np.tensordot(multipliers, self.matrices, 1) - self.objective
-        return slack
+        return np.asarray(np.tensordot(multipliers, self.matrices, 1) - self.objective)
 
     def barrier(self, multipliers: np.ndarray, weight: float) -> float:
         """Return φ; infinity outside."""

@@ -42,9 +42,7 @@ class Scenario:
 
     def designs(self, designs: Designs) -> Designs:
         """Return the nominal designs on this panel: drives with its gains, and searched places with its offsets."""
-        centre = designs.centre
-        if centre is not None:
-            centre = _on_plate(self.scene, centre + self.offset)
+        centre = None if designs.centre is None else _on_plate(self.scene, designs.centre + self.offset)
         return replace(designs, drives=designs.drives * self.gain, centre=centre)
 
 
@@ -57,13 +55,11 @@ def draw_scenarios(scene: Scene, count: int, seed: int, validation: bool = False
     Raises:
         SceneError: a scenario is no plate, or has no stable run; they take more memory than there is.
     """
-    robust = scene.search.robust
+    robust, actuators = scene.search.robust, len(scene.actuators)
     if robust is None:
         raise SceneError("search.robust: is missing; without it there are no scenarios")
-    actuators = len(scene.actuators)
-    refuse_beyond_memory(
-        count * (SCENE_BYTES + ACTUATOR_BYTES * actuators), f"search.robust: {count} scenarios of {actuators} actuators"
-    )
+    what = f"search.robust: {count} scenarios of {actuators} actuators"
+    refuse_beyond_memory(count * (SCENE_BYTES + ACTUATOR_BYTES * actuators), what)
     numbers = np.random.default_rng([seed, int(validation)]).random((count, 4 + 3 * actuators))
     scenarios = [_scenario(scene, robust, row) for row in numbers]
     grid = scene.grid.model_copy(update={"time_step": _common_step(scene, scenarios)})
@@ -86,11 +82,11 @@ def _scenario(scene: Scene, robust: Robust, numbers: np.ndarray) -> Scenario:
     panel, gains, offsets = np.split(numbers, [4, 4 + len(scene.actuators)])
     tolerances = np.array([robust.young_modulus, robust.thickness, robust.damping])
     stiffness, thickness, damping = (1 + tolerances * (2 * panel[:3] - 1)).tolist()
-    offset = robust.place * (2 * offsets.reshape(-1, 2) - 1)
-    plate = scene.plate
-    varied = {"young_modulus": plate.young_modulus * stiffness, "thickness": plate.thickness * thickness}
+    offset, plate = robust.place * (2 * offsets.reshape(-1, 2) - 1), scene.plate.model_dump()
+    plate["young_modulus"] *= stiffness
+    plate["thickness"] *= thickness
     variant = scene.with_tables(
-        plate={**plate.model_dump(), **varied},
+        plate=plate,
         effects=_effects(scene, stiffness, thickness, damping, bool(panel[3] < robust.without_oscillators)),
         actuators=_moved_actuators(scene, offset),
         search={**scene.search.model_dump(), "robust": None},
