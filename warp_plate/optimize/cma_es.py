@@ -64,10 +64,9 @@ class CovarianceSearch(Optimizer):
     def _learn(self, losses: np.ndarray) -> None:
         finite, worst = losses[np.isfinite(losses)], 0.0
         if finite.size:
-            least, most = float(finite.min()), float(finite.max())
-            size = tolerance_scale(least, self.settings.loss_scale)
+            size = tolerance_scale(float(finite.min()), self.settings.loss_scale)
             self._cloud.opts.set({name: part * size for name, part in TOLERANCES.items()})
-            worst = tolerance_scale(most, self.settings.loss_scale) + most
+            worst = tolerance_scale(float(finite.max()), self.settings.loss_scale) + float(finite.max())
         # The cloud goes by ranks alone, but knows no infinity.
         self._cloud.tell(self._points, np.where(np.isfinite(losses), losses, worst))
         self._losses.append(losses)
@@ -99,9 +98,7 @@ class CovarianceSearch(Optimizer):
     def _ended(self) -> dict[str, Any]:
         """Return why the present cloud should go no further."""
         reasons = dict(self._cloud.stop()) if self.iterations > self._began_at else {}
-        if self.stalled(self._began_at):
-            reasons["stall"] = self.settings.stall
-        return reasons
+        return reasons | ({"stall": self.settings.stall} if self.stalled(self._began_at) else {})
 
     def _begin(self) -> Any:
         """Return a cloud around a place drawn from the initial ranges."""
@@ -114,9 +111,6 @@ class CovarianceSearch(Optimizer):
             "popsize": self._population(self._restarts),
             "bounds": [[value if np.isfinite(value) else None for value in limit.tolist()] for limit in limits],
             "randn": self._random.randn,  # NumPy's global generator stays untouched
-            "seed": np.nan,
-            "verbose": -9,
-            "verb_log": 0,
-            "maxiter": np.inf,
+            **{"seed": np.nan, "verbose": -9, "verb_log": 0, "maxiter": np.inf},
         }
         return self._cma.CMAEvolutionStrategy(np.clip(middle, *limits), INITIAL_SIZE, options)

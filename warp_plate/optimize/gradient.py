@@ -54,28 +54,25 @@ class GradientSearch(Optimizer):
         self.random = np.random.default_rng(settings.seed)
         self._limits = space.to_unit(space.lower), space.to_unit(space.upper)
         starts, dimension = settings.particles, space.dimension
-        self.base, self.loss = np.zeros((starts, dimension)), np.full(starts, np.inf)
-        self.slope, self.direction = np.zeros((starts, dimension)), np.zeros((starts, dimension))
+        self.base, self.slope, self.direction = np.zeros((3, starts, dimension))
         self.inverse = np.zeros((starts, dimension, dimension))
-        self.step, self.tries = np.ones(starts), np.zeros(starts)
+        self.loss, self.step, self.tries = np.full(starts, np.inf), np.ones(starts), np.zeros(starts)
         self.restarts_left = np.full(starts, float(settings.restarts))
         self._draw(np.arange(starts))
 
     def stop(self) -> dict[str, int]:
         """Return {"evaluations": number}, {"converged": descents}, {"stall": iterations}, or nothing to go on."""
-        reasons = {}
-        if self.evaluations >= self.settings.evaluations:
-            reasons["evaluations"] = self.evaluations
-        if not (self.restarts_left >= 0).any():
-            reasons["converged"] = self.settings.particles
-        if self.settings.stall is not None and self.stalled():
-            reasons["stall"] = self.settings.stall
-        return reasons
+        reasons = {
+            "evaluations": self.evaluations if self.evaluations >= self.settings.evaluations else None,
+            "converged": None if (self.restarts_left >= 0).any() else self.settings.particles,
+            "stall": self.settings.stall if self.stalled() else None,
+        }
+        return {reason: number for reason, number in reasons.items() if number is not None}
 
     def _propose(self) -> np.ndarray:
         """Return the next position of each descent that has not ended, as far as the budget goes."""
-        room = self.settings.evaluations - self.evaluations
-        self._active = rows = np.flatnonzero(self.restarts_left >= 0)[: max(room, 0)]
+        room = max(self.settings.evaluations - self.evaluations, 0)
+        self._active = rows = np.flatnonzero(self.restarts_left >= 0)[:room]
         self._points = np.clip(self.base[rows] + self.step[rows, None] * self.direction[rows], *self._limits)
         return self.space.from_unit(self._points)
 
@@ -117,8 +114,7 @@ class GradientSearch(Optimizer):
         factor = (1 + (change * product).sum(axis=1) / curved) / curved
         mixed = moved[:, :, None] * product[:, None, :]
         inverse += factor[:, None, None] * moved[:, :, None] * moved[:, None, :]
-        inverse -= (mixed + mixed.transpose(0, 2, 1)) / curved[:, None, None]
-        self.inverse[rows] = inverse
+        self.inverse[rows] = inverse - (mixed + mixed.transpose(0, 2, 1)) / curved[:, None, None]
 
     def _set_direction(self, rows: np.ndarray) -> None:
         """Choose the direction to try next from the base; where it promises nothing, the descent has converged."""

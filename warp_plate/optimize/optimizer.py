@@ -28,23 +28,14 @@ class MethodError(ValueError):
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """Settings that all methods share.
+    """Settings that all methods share."""
 
-    Attributes:
-        particles: positions in an iteration; of CMA-ES in the first population, of descents at most.
-        iterations: particles × iterations is the largest number of evaluations.
-        restarts: largest number of restarts; of descents, of each.
-        stall: iterations without progress after which a search restarts or ends (default: it does not).
-        seed: random seed.
-        loss_scale: see :func:`tolerance_scale`.
-    """
-
-    particles: int = 20
-    iterations: int = 80
-    restarts: int = 0
-    stall: int | None = None
+    particles: int = 20  # positions in an iteration; of CMA-ES in the first population, of descents at most
+    iterations: int = 80  # particles × iterations is the largest number of evaluations
+    restarts: int = 0  # largest number of restarts; of descents, of each
+    stall: int | None = None  # iterations without progress after which a search restarts or ends; None: it does not
     seed: int = 0
-    loss_scale: float = 1.0
+    loss_scale: float = 1.0  # see ``tolerance_scale``
 
     @property
     def evaluations(self) -> int:
@@ -54,17 +45,10 @@ class SearchSettings:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Best position of a search; the first four attributes are named as pycma's.
+    """Best position of a search, with counts; named as pycma's."""
 
-    Attributes:
-        xbest: (dimension,) best position; None before any finite loss.
-        fbest: its loss; infinity before any finite loss.
-        evaluations: number of losses.
-        iterations: number of iterations.
-    """
-
-    xbest: np.ndarray | None
-    fbest: float
+    xbest: np.ndarray | None  # (dimension,); None before any finite loss
+    fbest: float  # its loss; infinity before any finite loss
     evaluations: int
     iterations: int
 
@@ -81,8 +65,6 @@ class Optimizer(ABC):
     """Base of the search methods.
 
     Attributes:
-        space: the numbers that are searched.
-        settings: of the method.
         positions: (n, dimension) positions that :meth:`ask` gave last, read-only.
         asked: whether their losses are still to be told.
         best_position: (dimension,) best position so far; NaN before any finite loss.
@@ -96,10 +78,8 @@ class Optimizer(ABC):
 
     def __init__(self, space: SearchSpace, settings: SearchSettings) -> None:
         self.space, self.settings = space, settings
-        self.positions = np.empty((0, space.dimension))
-        self.asked = False
-        self.best_position = np.full(space.dimension, np.nan)
-        self.best_loss = math.inf
+        self.positions, self.asked = np.empty((0, space.dimension)), False
+        self.best_position, self.best_loss = np.full(space.dimension, np.nan), math.inf
         self.rows: list[list[float]] = []
 
     @property
@@ -199,10 +179,9 @@ class Optimizer(ABC):
             value = getattr(self, name)
             if isinstance(value, np.random.Generator):
                 value.bit_generator.state = state[name]
-            elif isinstance(value, np.ndarray):
-                setattr(self, name, as_shape(state, name, value.shape))
             else:
-                setattr(self, name, type(value)(state[name]))
+                array = isinstance(value, np.ndarray)
+                setattr(self, name, as_shape(state, name, value.shape) if array else type(value)(state[name]))
 
     @abstractmethod
     def _propose(self) -> np.ndarray:
@@ -214,11 +193,7 @@ class Optimizer(ABC):
 
 
 def as_shape(state: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Return an array of a state as float64 numbers; −1 in ``shape`` stands for any length.
-
-    Raises:
-        ValueError: the array has another shape.
-    """
+    """Return an array of a state as float64 numbers; raises ValueError unless its shape fits, −1 being any length."""
     values = np.array(state[name], dtype=float)
     if values.ndim != len(shape) or any(want not in (-1, have) for want, have in zip(shape, values.shape, strict=True)):
         raise ValueError(f"search state: {name} of shape {values.shape}: must be {shape}")
@@ -228,13 +203,10 @@ def as_shape(state: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> np.
 def minimize(
     optimizer: Any, objective: Callable[[np.ndarray], ArrayLike], callback: Callable[[Any], object] | None = None
 ) -> Any:
-    """Run an :class:`Optimizer`, or pycma's ``CMAEvolutionStrategy``, until it stops or the callback returns true.
+    """Run an :class:`Optimizer`, or pycma's ``CMAEvolutionStrategy``, and return its ``result``.
 
-    ``objective`` takes positions, shape (n, dimension), and returns their losses, shape (n,); ``callback`` takes the
-    optimizer after each iteration. A search that it ended goes on when this function is called again.
-
-    Returns:
-        ``optimizer.result``.
+    ``objective`` takes positions (n, dimension) and returns their losses (n,). ``callback`` takes the optimizer after
+    each iteration, and ends the loop by returning true; the search goes on when this function is called again.
     """
     while not optimizer.stop():
         solutions = optimizer.ask()

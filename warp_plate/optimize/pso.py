@@ -36,23 +36,14 @@ LARGEST = 1e100
 
 @dataclass(frozen=True)
 class SwarmSettings(SearchSettings):
-    """Settings of a particle swarm, beside those of all methods.
+    """Settings of a particle swarm, beside those of all methods."""
 
-    Attributes:
-        inertia: w of equation (7).
-        decay: k of equation (7).
-        cognitive: c1 of equation (7).
-        social: c2 of equation (7).
-        velocity_limit: largest size of a velocity component (default: no limit).
-        ring: whether G is the best of the particle and its two neighbours in a ring, not of all particles.
-    """
-
-    inertia: float = 0.4
-    decay: float = 0.99
-    cognitive: float = 2.0
-    social: float = 2.0
-    velocity_limit: float | None = None
-    ring: bool = False
+    inertia: float = 0.4  # w of equation (7)
+    decay: float = 0.99  # k
+    cognitive: float = 2.0  # c1
+    social: float = 2.0  # c2
+    velocity_limit: float | None = None  # largest size of a velocity component
+    ring: bool = False  # G is the best of the particle and its two neighbours in a ring, not of all particles
 
     @classmethod
     def constriction(cls, **others: Any) -> SwarmSettings:
@@ -68,10 +59,9 @@ class SwarmSettings(SearchSettings):
 
 
 class Swarm(Optimizer):
-    """The paper's particle swarm.
+    """The paper's particle swarm; ``positions`` are X.
 
     Attributes:
-        positions: (particles, dimension) X.
         velocities: (particles, dimension) V, by which the particles moved last.
         personal_positions: (particles, dimension) P, where each particle's loss was smallest.
         personal_losses: (particles,) that loss; infinite until a particle has had a finite one.
@@ -90,7 +80,6 @@ class Swarm(Optimizer):
         self.random = np.random.default_rng(settings.seed)
         self.restarts = self.restarted_at = 0
         self.earlier_loss = math.inf  # best of the swarms before the last restart
-        self.improved_loss = math.inf  # best of this swarm when it last made progress, at iteration improved_at
         self._draw()
         self._begin()
 
@@ -149,6 +138,7 @@ class Swarm(Optimizer):
         """Forget the personal bests of the swarm before."""
         self.personal_positions = self.positions.copy()
         self.personal_losses = np.full(self.settings.particles, np.inf)
+        # Best of this swarm when it last made progress, and the iteration of that.
         self.leader, self.improved_loss, self.improved_at = 0, math.inf, self.iterations
 
     def _move(self) -> None:
@@ -174,11 +164,9 @@ class Swarm(Optimizer):
 
     def _best_neighbours(self) -> np.ndarray:
         """Return (particles,) the index of the best of a particle and its two neighbours; itself if equal."""
-        itself, losses = np.arange(self.settings.particles), self.personal_losses
-        best = itself
-        for other in (np.roll(itself, 1), np.roll(itself, -1)):
-            best = np.where(losses[other] < losses[best], other, best)
-        return best
+        itself = np.arange(self.settings.particles)
+        group = np.stack([itself, np.roll(itself, 1), np.roll(itself, -1)])
+        return group[np.argmin(self.personal_losses[group], axis=0), itself]
 
     def _limit_velocities(self) -> None:
         limit = LARGEST if self.settings.velocity_limit is None else self.settings.velocity_limit

@@ -50,13 +50,13 @@ class Quadratic:
     losses_of: Callable[[np.ndarray], np.ndarray]
     ratio: tuple[int, int] | None = None
 
-    def energies(self, phasors: np.ndarray) -> np.ndarray:
-        """Return the energies (n, regions) of phasors (n, M)."""
-        return quadratic_forms(self.matrices, phasors)
+    def energies(self, positions: np.ndarray) -> np.ndarray:
+        """Return the energies (n, regions) of positions (n, dimension)."""
+        return quadratic_forms(self.matrices, self.phasors(positions))
 
     def losses(self, positions: np.ndarray) -> np.ndarray:
         """Return the losses (n,) of positions (n, dimension)."""
-        return self.losses_of(self.energies(self.phasors(positions)))
+        return self.losses_of(self.energies(positions))
 
     def losses_and_slopes(self, positions: np.ndarray, space: SearchSpace) -> tuple[np.ndarray, np.ndarray]:
         """Return the losses (n,) and ∂loss/∂x (n, dimension) of positions (n, dimension) in a space."""
@@ -67,12 +67,10 @@ class Quadratic:
             losses = self.losses_of(energy)
             dloss_dz = 2 * np.einsum("pr,pra->pa", _slopes(self.losses_of, energy), products)
             slopes = np.empty(positions.shape)
-            for column, span in enumerate(space.span):
-                tried = (positions[:, column] + step for step in (STEP * span, -STEP * span))
-                high, low = (np.clip(values, space.lower[column], space.upper[column]) for values in tried)
-                z_high, z_low = (
-                    real_parts(self.phasors(_with_column(positions, column, values))) for values in (high, low)
-                )
+            for column, (span, *ends) in enumerate(zip(space.span, space.lower, space.upper, strict=True)):
+                high, low = (np.clip(positions[:, column] + step, *ends) for step in (STEP * span, -STEP * span))
+                tried = (_with_column(positions, column, values) for values in (high, low))
+                z_high, z_low = (real_parts(self.phasors(row)) for row in tried)
                 slopes[:, column] = ((z_high - z_low) * dloss_dz).sum(axis=1) / (high - low)
             return losses, slopes
 
@@ -137,9 +135,9 @@ def best_position(space: SearchSpace, problem: Quadratic | None) -> np.ndarray:
     if problem.ratio is None:
         raise MethodError("is for the localization factor alone; write 'gradient'")
     first, second = problem.ratio
-    ratio, phasors = _eigen_phasors(space, problem, problem.matrices[first], problem.matrices[second])
+    ratio, phasors = _eigen_phasors(space, problem, *problem.matrices[[first, second]])
     position = problem.positions(_scaled(space, problem, phasors)[None])[0]
-    energy = problem.energies(problem.phasors(position[None]))[0]
+    energy = problem.energies(position[None])[0]
     with np.errstate(invalid="ignore", divide="ignore"):
         reached = energy[first] / energy[second]
     if not reached >= ratio * (1 - NEAR):

@@ -59,8 +59,7 @@ class SearchSpace:
         positions = self.initial_lower + self.span * points
         if wrap:
             self.wrap(positions)
-        clipped: np.ndarray = np.clip(positions, self.lower, self.upper)
-        return clipped
+        return np.asarray(np.clip(positions, self.lower, self.upper))
 
     def to_unit(self, positions: np.ndarray) -> np.ndarray:
         """Return the points (n, dimension) of positions: 0 and 1 at the ends of the initial ranges."""
