@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import warp as wp
 
@@ -60,21 +61,13 @@ def make_cases(
     Raises:
         SceneError: there is no such device.
     """
-    cases = [
-        BenchCase(device, precision, *sizes, path)
-        for device in devices
-        for precision in precisions
-        for sizes in _sizes(device, plates, nodes, quick)
-    ]
+    cases = []
+    for device in devices:
+        if plates:
+            sizes = list(product(nodes or (PAPER_NODES,), plates))
+        else:
+            few = () if nodes else QUICK_PLATES if quick else PLATES
+            filled = nodes or (QUICK_NODES if quick else NODES)
+            sizes = [(PAPER_NODES, count) for count in few] + [(size, filling_plates(device, size)) for size in filled]
+        cases += [BenchCase(device, precision, *size, path) for precision, size in product(precisions, sizes)]
     return list(dict.fromkeys(cases))
-
-
-def _sizes(
-    device: str, plates: Sequence[int] | None, nodes: Sequence[int] | None, quick: bool
-) -> list[tuple[int, int]]:
-    """Return (nodes, plates) pairs."""
-    if plates:
-        return [(size, count) for size in nodes or (PAPER_NODES,) for count in plates]
-    filling = [(size, filling_plates(device, size)) for size in nodes or (QUICK_NODES if quick else NODES)]
-    few = [] if nodes else [(PAPER_NODES, count) for count in (QUICK_PLATES if quick else PLATES)]
-    return few + filling

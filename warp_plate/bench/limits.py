@@ -89,10 +89,8 @@ def _copy_bytes_per_second(device: wp.Device, threads: int) -> float:
     size = min(COPY_BYTES[kind], device.free_memory // 4) if device.is_cuda else COPY_BYTES[kind]
     count = size // 4 // threads
     source, target = (wp.full(count * threads, value, dtype=wp.float32, device=device) for value in (1.0, 2.0))
-    copies = [
-        partial(wp.copy, target, source, dest_offset=part * count, src_offset=part * count, count=count)
-        for part in range(threads)
-    ] * COPIES[kind]
+    starts = [part * count for part in range(threads)] * COPIES[kind]
+    copies = [partial(wp.copy, target, source, start, start, count) for start in starts]
     return 2 * 4 * count * len(copies) / _fastest(copies, device)
 
 

@@ -40,10 +40,8 @@ def describe_machine(devices: Sequence[str]) -> Machine:
     Raises:
         SceneError: there is no such device, or WARP_PLATE_THREADS is not a number of threads.
     """
-    threads, models = cpu_threads(), {}
-    for name in devices:
-        device = find_device(name)
-        models[name] = processor_of(device) + ("" if device.is_cuda else f", {threads} threads")
+    threads, models = cpu_threads(), {name: processor_of(find_device(name)) for name in devices}
+    models |= {name: f"{model}, {threads} threads" for name, model in models.items() if find_device(name).is_cpu}
     system = f"{platform.system()} {platform.release()} {platform.machine()}"
     return Machine(system, os.cpu_count() or 1, threads, _load_average(), models)
 

@@ -108,18 +108,14 @@ def measure_all(
 ) -> BenchReport:
     """Measure the cases, and the limits of each device before its first case; Ctrl-C ends it with the rows so far.
 
-    Args:
-        cases: cases, ordered by device.
-        pace: durations by "cpu" and "cuda".
-        on_progress: called with the number of finished cases and the next one.
+    ``pace`` has the durations by "cpu" and "cuda"; ``on_progress`` takes the number of finished cases and the next one.
 
     Raises:
         SceneError: there is no such device, or WARP_PLATE_THREADS is not a number of threads.
         KeyboardInterrupt: no case has been measured yet.
     """
     machine = describe_machine(list(dict.fromkeys(case.device for case in cases)))
-    limits: dict[str, DeviceLimits] = {}
-    rows: list[BenchRow] = []
+    limits, rows = dict[str, DeviceLimits](), list[BenchRow]()
     try:
         for case in cases:
             if on_progress is not None:
@@ -161,8 +157,7 @@ def measure_case(case: BenchCase, limits: DeviceLimits, pace: TimingBudget) -> B
 
 
 def time_runs(run: Callable[[], float], pace: TimingBudget) -> list[float]:
-    """Return the times of runs [s], each returned by ``run``, after one to warm up; short runs are repeated more
-    often."""
+    """Return the times of runs [s], as ``run`` returns them, after one to warm up; short runs are repeated more."""
     run()
     taken: list[float] = []
     while len(taken) < pace.runs or (sum(taken) < pace.seconds / 4 and len(taken) < MOST_RUNS):

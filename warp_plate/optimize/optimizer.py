@@ -123,7 +123,7 @@ class Optimizer(ABC):
         return self.positions
 
     def tell(self, solutions: ArrayLike, losses: ArrayLike) -> None:
-        """Take the losses, shape (n,), of the positions that :meth:`ask` gave; losses that are not finite are worst.
+        """Take the losses (n,) of the positions that :meth:`ask` gave; losses that are not finite are worst.
 
         Raises:
             ValueError: `solutions` are not those positions, or `losses` has another shape.

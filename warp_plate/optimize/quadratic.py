@@ -104,12 +104,11 @@ def _with_column(array: np.ndarray, column: int, values: np.ndarray) -> np.ndarr
 
 
 class ExactSearch(Optimizer):
-    """The best position, found without any evaluation, in the shape of a search with one iteration."""
+    """The position of :func:`best_position`, in the shape of a search with one iteration."""
 
     FORMAT = "exact 2"
 
     def __init__(self, space: SearchSpace, problem: Quadratic | None) -> None:
-        """Find the position; raises MethodError as :func:`best_position` does."""
         super().__init__(space, SearchSettings())
         self.positions = best_position(space, problem)[None]
 
@@ -179,7 +178,5 @@ def _scaled(space: SearchSpace, problem: Quadratic, phasors: np.ndarray) -> np.n
         magnitudes = problem.positions(phasors[None])[0]
         positive = limited & (magnitudes > 0)
         room = (space.upper[positive] / magnitudes[positive]).min(initial=np.inf)
-        if not 1 + NEAR < room < np.inf:
-            break
-        phasors = phasors * room
+        phasors = phasors * room if 1 + NEAR < room < np.inf else phasors
     return phasors
