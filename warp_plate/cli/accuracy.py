@@ -86,7 +86,13 @@ def _print(report: AccuracyReport, device: str, console: Console) -> None:
         laws.add_row(law.family, *("–" if power is None else f"{power:.2f}" for power in powers))
     console.print(laws, "")
     console.print(_recommendations(report), "")
-    _print_missing(report, console)
+    missing: dict[str, list[str]] = {}
+    for row in report.rows:
+        if not row.measured:
+            status, _, reason = row.status.partition(": ")
+            missing.setdefault(f"{_kind(row)}, {row.precision}: {status}", []).append(f"{_size(row)} ({reason})")
+    for kind, grids in missing.items():
+        console.print(f"{kind}: {', '.join(grids)}")
     if report.interrupted:
         console.print("Interrupted by Ctrl-C; measurements up to then are shown.")
 
@@ -106,19 +112,6 @@ def _recommendations(report: AccuracyReport) -> Table:
             cells = [use, percent(row.error or 0.0), *map(seconds_text, seconds)]
         made.add_row(percent(recommended.tolerance), *cells)
     return made
-
-
-def _print_missing(report: AccuracyReport, console: Console) -> None:
-    """Print every refused configuration in full, and the grids and expected times of those that were skipped."""
-    skipped: dict[str, list[str]] = {}
-    for row in report.rows:
-        kind, reason = f"{_kind(row)}, {row.precision}", row.status.partition(": ")[2]
-        if row.status.startswith("skipped"):
-            skipped.setdefault(kind, []).append(f"{_size(row)} ({reason.removeprefix('would take ')})")
-        elif not row.measured:
-            console.print(f"{kind}, {_size(row)}: {row.status}")
-    for kind, sizes in skipped.items():
-        console.print(f"{kind}: skipped because of the time limit: {', '.join(sizes)}")
 
 
 def _kind(row: AccuracyRow) -> str:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from rich.console import Console
 
 from warp_plate.cli import options, output
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 
 def check(

@@ -1,27 +1,14 @@
-"""The application: all commands, each from its own module."""
+"""The application: each command is the function that its module is named after."""
 
 from __future__ import annotations
 
 import sys
+from importlib import import_module
 
 import cyclopts
 
 import warp_plate
-from warp_plate.cli.accuracy import accuracy
-from warp_plate.cli.bench import bench
-from warp_plate.cli.check import check
-from warp_plate.cli.compare import compare
-from warp_plate.cli.effects import effects
-from warp_plate.cli.explore import explore
-from warp_plate.cli.export import export
-from warp_plate.cli.init import init
-from warp_plate.cli.localize import localize
-from warp_plate.cli.modes import modes
 from warp_plate.cli.output import log
-from warp_plate.cli.render import render
-from warp_plate.cli.simulate import simulate
-from warp_plate.cli.sweep import sweep
-from warp_plate.cli.view import view
 from warp_plate.scene.errors import SceneError
 
 app = cyclopts.App(
@@ -31,11 +18,9 @@ app = cyclopts.App(
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
-COMMANDS = (
-    localize, compare, sweep, simulate, check, modes, effects, accuracy, view, explore, render, export, init, bench,
-)  # fmt: skip
-for command in COMMANDS:
-    app.command(command)
+COMMANDS = "localize compare sweep simulate check modes effects accuracy view explore render export init bench"
+for name in COMMANDS.split():
+    app.command(getattr(import_module(f"warp_plate.cli.{name}"), name))
 
 
 def run(arguments: list[str] | None = None) -> None:

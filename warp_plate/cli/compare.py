@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from warp_plate.cli import options, output
-from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,8 +26,8 @@ def compare(
     /,
     *,
     methods: str | None = None,
-    seeds: options.Integer = 10,
-    evaluations: options.Integer | None = None,
+    seeds: options.Count = 10,
+    evaluations: options.Count | None = None,
     evaluator: Literal["direct", "response"] | None = None,
     workers: options.WorkerOptions = options.DEFAULT_WORKERS,
     out: Path | None = None,
@@ -56,9 +55,6 @@ def compare(
         The file of results (.h5; default: SCENE-compare.h5 in this folder).
     """
     target = output.output_file(out, f"{Path(scene).stem}-compare.h5")
-    for option, value in (("--seeds", seeds), ("--evaluations", evaluations)):
-        if value is not None and not 1 <= value <= 10**9:
-            raise SceneError(f"{option} {value}: must be an integer from 1 to 10^9")
     names = None if methods is None else [name.strip() for name in methods.split(",")]
     loaded = output.load_scene(scene)
     from warp_plate.result.comparison import save_comparison

@@ -7,39 +7,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from warp_plate.cli import options, output
-from warp_plate.cli.motion_options import (
-    DEFAULT_FRAMES,
-    DEFAULT_PLAYBACK,
-    FrameOptions,
-    select_cases,
-    select_motions,
-)
+from warp_plate.cli import motion_options, options, output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
     from warp_plate.result.model import Case, Result
 
 Format = Literal["pvd", "vtkhdf", "traces-csv", "drive-wav", "drive-csv"]
-# Endings that are added to the result's name.
-ENDINGS: dict[Format, str] = {
-    "pvd": ".pvd",
-    "vtkhdf": ".vtkhdf",
-    "traces-csv": "-traces.csv",
-    "drive-wav": "-drive.wav",
-    "drive-csv": "-drive.csv",
-}
-# Options that each format takes beside --case.
+# Ending that is added to the result's name, and options beside --case.
 SERIES, SIGNAL = ("start", "end", "frames", "device"), ("rate", "duration", "full-scale")
-OPTIONS: dict[Format, tuple[str, ...]] = {
-    "pvd": SERIES,
-    "vtkhdf": SERIES,
-    "traces-csv": (),
-    "drive-wav": (*SIGNAL, "encoding"),
-    "drive-csv": SIGNAL,
+FORMATS: dict[Format, tuple[str, tuple[str, ...]]] = {
+    "pvd": (".pvd", SERIES),
+    "vtkhdf": (".vtkhdf", SERIES),
+    "traces-csv": ("-traces.csv", ()),
+    "drive-wav": ("-drive.wav", (*SIGNAL, "encoding")),
+    "drive-csv": ("-drive.csv", SIGNAL),
 }
-# Samples a second of a drive, its longest duration [s], and the amplitude of 1.0 (None: the drive's largest).
-DEFAULTS = {"rate": 48000, "duration": 1.0, "full_scale": None}
 # With fewer times than this ParaView shows pictures rather than a motion.
 FEW_TIMES = 10
 
@@ -49,7 +32,7 @@ def export(
     /,
     *,
     to: Format,
-    shown: FrameOptions = DEFAULT_FRAMES,
+    shown: motion_options.FrameOptions = motion_options.DEFAULT_FRAMES,
     rate: int | None = None,
     duration: float | None = None,
     full_scale: float | None = None,
@@ -80,18 +63,19 @@ def export(
     out
         The file to write (default: RESULT with another ending, in this folder).
     """
-    target = output.output_file(out, f"{result.stem}{ENDINGS[to]}")
+    ending, known = FORMATS[to]
+    target = output.output_file(out, f"{result.stem}{ending}")
     series = {name: getattr(shown, name) for name in SERIES}
     signal = {"rate": rate, "duration": duration, "full-scale": full_scale, "encoding": encoding}
     for name, value in {**series, **signal}.items():
-        if value is not None and name not in OPTIONS[to]:
+        if value is not None and name not in known:
             raise SceneError(f"--{name} {value}: has no effect with --to {to}; leave it out")
     if shown.device is not None and shown.start is shown.end is shown.frames is None:
         raise SceneError(f"--device {shown.device}: nothing is run without --frames, --start or --end; leave it out")
     from warp_plate.result import load_result
 
     loaded = load_result(result)
-    cases = select_cases(loaded, result, shown.case)
+    cases = motion_options.select_cases(loaded, result, shown.case)
     try:
         if to == "drive-wav" or to == "drive-csv":
             if shown.case and len(cases) > 1:
@@ -115,7 +99,7 @@ def export(
 
 
 def _write_series(
-    result: Result, file: Path, options: FrameOptions, to: Format, target: Path, quiet: bool
+    result: Result, file: Path, options: motion_options.FrameOptions, to: Format, target: Path, quiet: bool
 ) -> tuple[list[Path], dict[str, Any]]:
     """Write the recorded displacements, or those of another run if the options ask for one; return files and record."""
     from warp_plate.result.export.paraview import write_pvd, write_vtkhdf
@@ -126,7 +110,7 @@ def _write_series(
         times = result.times
         fields = {f"displacement_{case}": result.cases[case].displacement for case in names}
     else:
-        motions = select_motions(result, file, options, DEFAULT_PLAYBACK, quiet)
+        motions = motion_options.select_motions(result, file, options, motion_options.DEFAULT_PLAYBACK, quiet)
         times, fields = motions[0].times, {f"displacement_{motion.name}": motion.displacement for motion in motions}
         fields |= {f"velocity_{motion.name}": motion.velocity for motion in motions}
     # Actuators are drawn at their positions in the first case.
@@ -141,8 +125,9 @@ def _write_drive(
     """Write the drive of a case as audio or text; return files and record."""
     from warp_plate.result.export.time_series import make_drive_signal, write_drive_csv, write_wav
 
-    given = {name.replace("-", "_"): options[name] for name in SIGNAL if options[name] is not None}
-    signal = make_drive_signal(result.case_scene(case), case, **{**DEFAULTS, **given})
+    rate, duration, full_scale = (options[name] for name in SIGNAL)
+    duration = 1.0 if duration is None else duration
+    signal = make_drive_signal(result.case_scene(case), case, 48000 if rate is None else rate, duration, full_scale)
     if to == "drive-wav":
         files = write_wav(signal, target, options["encoding"] or "float32")
     else:

@@ -16,10 +16,6 @@ if TYPE_CHECKING:
     from warp_plate.result.model import Result
     from warp_plate.studies.checkpointing import CheckpointFile
 
-EVALUATIONS = {
-    "direct": ("plate", "simulated for the search"),
-    "response": ("drive", "evaluated by the search on Gram matrices"),
-}
 CASE_LABELS = {
     "equal": "all actuators alike",
     "single": "best single actuator",
@@ -207,8 +203,8 @@ def _print(result: Result, console: Console) -> None:
     options.print_failures(result, console, "the best drive so far is shown")
     if result.source == "paper":
         console.print(NOT_REPRODUCED)
-    unit, verb = EVALUATIONS[result.evaluator]
-    output.print_cost(result, console, f"{counted(result.evaluations, unit)} {verb}, in all ")
+    unit, way = ("plate", "") if result.evaluator == "direct" else ("drive", " on Gram matrices")
+    output.print_cost(result, console, f"{counted(result.evaluations, unit)} in the search{way}, in all ")
 
 
 def _print_factors(result: Result, console: Console) -> None:

@@ -22,7 +22,7 @@ def modes(
     scene: options.SceneName,
     /,
     *,
-    count: options.Integer = 6,
+    count: options.Count = 6,
     accuracy: options.Accuracy | None = None,
     out: Path | None = None,
     pictures: options.Pictures = True,
@@ -38,8 +38,6 @@ def modes(
         The picture of the shapes with their nodal lines (.png, .svg or .pdf; default: SCENE-modes.png in this folder).
     """
     target = output.output_file(out, f"{Path(scene).stem}-modes.png", ENDINGS)
-    if count < 1:
-        raise SceneError(f"--count {count}: must be at least 1")
     loaded = output.load_scene(scene, accuracy)
     from warp_plate.plate.modes import natural_modes, refuse_many_nodes
     from warp_plate.studies.grid_choice import resolve_grid

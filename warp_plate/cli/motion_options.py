@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from warp_plate.cli import output
 from warp_plate.scene.errors import SceneError
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from warp_plate.result.model import Case, Result
     from warp_plate.result.motion import Motion
 
-MOST_SHAPES = 6
 # Limits of the frames a second.
 RATES = (1, 120)
 # Shortest time in which a period is played [s].
@@ -41,7 +41,7 @@ class FrameOptions:
     case: Annotated[list[str] | None, Parameter(negative="")] = None
     start: float | None = None
     end: float | None = None
-    frames: int | None = None
+    frames: Annotated[int | None, Parameter(validator=Number(gte=2))] = None
     device: str | None = None
 
 
@@ -58,7 +58,7 @@ class PlaybackOptions:
     """
 
     field: Literal["displacement", "velocity", "energy", "rms-velocity", "phase"] = "displacement"
-    modes: int = 0
+    modes: Annotated[int, Parameter(validator=Number(gte=0, lte=6))] = 0
     rate: float | None = None
     heights: float | None = None
 
@@ -87,8 +87,6 @@ def select_motions(
     """Return the motions to show of a result, whose file is named in errors."""
     from warp_plate.analysis.motion import motions
 
-    if options.frames is not None and options.frames < 2:
-        raise SceneError(f"--frames {options.frames}: must be at least 2")
     if playback.modes:
         return _mode_shapes(result, options.frames, playback)
     span = None
@@ -107,8 +105,6 @@ def _mode_shapes(result: Result, frames: int | None, playback: PlaybackOptions) 
     from warp_plate.plate.modes import refuse_many_nodes
 
     count = playback.modes
-    if not 0 < count <= MOST_SHAPES:
-        raise SceneError(f"--modes {count}: must be from 1 to {MOST_SHAPES}")
     if playback.field != "displacement":
         raise SceneError(f"--field {playback.field}: mode shapes have displacements only; leave out --modes")
     try:

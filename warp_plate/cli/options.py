@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import cyclopts
-from cyclopts import Parameter
+from cyclopts import Parameter, validators
 
 from warp_plate.cli import output
 from warp_plate.scene.errors import SceneError
@@ -32,6 +32,7 @@ def _integer(kind: object, tokens: Sequence[cyclopts.Token]) -> int:
 
 
 Integer = Annotated[int, Parameter(converter=_integer)]
+Count = Annotated[int, Parameter(converter=_integer, validator=validators.Number(gte=1, lte=10**9))]
 Flag = Annotated[bool, Parameter(negative="")]
 
 _PRESETS = "paper, touch-panel, ...; warp-plate init --help lists them"

@@ -7,15 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 
-from warp_plate.cli import options, output
-from warp_plate.cli.motion_options import (
-    DEFAULT_FRAMES,
-    DEFAULT_PLAYBACK,
-    FrameOptions,
-    PlaybackOptions,
-    select_motions,
-)
+from warp_plate.cli import motion_options, options, output
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -25,7 +19,6 @@ if TYPE_CHECKING:
 
 PLOTS, MOVIES = (".svg", ".pdf"), (".gif", ".mp4")
 ENDINGS = (".png", *PLOTS, *MOVIES, ".html")
-WIDTHS = (120, 4000)
 
 
 def render(
@@ -34,11 +27,11 @@ def render(
     *,
     out: Annotated[list[Path] | None, Parameter(negative="")] = None,
     figures: Literal["paper"] | None = None,
-    playback: PlaybackOptions = DEFAULT_PLAYBACK,
-    shown: FrameOptions = DEFAULT_FRAMES,
+    playback: motion_options.PlaybackOptions = motion_options.DEFAULT_PLAYBACK,
+    shown: motion_options.FrameOptions = motion_options.DEFAULT_FRAMES,
     plan: options.Flag = False,
     time: float | None = None,
-    width: int = 560,
+    width: Annotated[int, Parameter(validator=Number(gte=120, lte=4000))] = 560,
     json: options.Json = False,
 ) -> None:
     """Draw pictures, movies and pages of a result; needs no display.
@@ -62,8 +55,6 @@ def render(
     """
     given = out or ([] if figures else [Path(f"{result.stem}.png")])
     targets = [output.output_file(path, ".png", ENDINGS) for path in given]
-    if not WIDTHS[0] <= width <= WIDTHS[1]:
-        raise SceneError(f"--width {width}: must be from {WIDTHS[0]} to {WIDTHS[1]} pixels")
     playback.check()
     from warp_plate.result import load_result
     from warp_plate.viz.availability import DrawingUnavailable
@@ -76,7 +67,7 @@ def render(
             files += _paper_figures(loaded, result)
         if targets:
             _check_drawable(targets, plan)
-            motions = select_motions(loaded, result, frames_around(loaded, time, shown), playback, json)
+            motions = motion_options.select_motions(loaded, result, frames_around(loaded, time, shown), playback, json)
             frame, rate = frame_at(motions, time, playback.field), playback.frame_rate(motions)
             style = PictureStyle(playback.field, width, playback.heights)
             for target in targets:
@@ -103,7 +94,9 @@ def _check_drawable(targets: list[Path], plan: bool) -> None:
             raise SceneError(problem)
 
 
-def frames_around(result: Result, time: float | None, shown: FrameOptions) -> FrameOptions:
+def frames_around(
+    result: Result, time: float | None, shown: motion_options.FrameOptions
+) -> motion_options.FrameOptions:
     """Return the options with the period around a time that is given without ``--start`` and ``--end``."""
     if time is None or shown.start is not None or shown.end is not None:
         return shown

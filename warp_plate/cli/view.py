@@ -4,14 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from warp_plate.cli import options
-from warp_plate.cli.motion_options import (
-    DEFAULT_FRAMES,
-    DEFAULT_PLAYBACK,
-    FrameOptions,
-    PlaybackOptions,
-    select_motions,
-)
+from warp_plate.cli import motion_options, options
 from warp_plate.scene.errors import SceneError
 
 
@@ -19,8 +12,8 @@ def view(
     result: options.ResultFile,
     /,
     *,
-    playback: PlaybackOptions = DEFAULT_PLAYBACK,
-    frames: FrameOptions = DEFAULT_FRAMES,
+    playback: motion_options.PlaybackOptions = motion_options.DEFAULT_PLAYBACK,
+    frames: motion_options.FrameOptions = motion_options.DEFAULT_FRAMES,
 ) -> None:
     """Show the plates of a result in motion, in a window; the key h lists what its keys do.
 
@@ -36,7 +29,7 @@ def view(
             f"no window can be opened: {problem}; write pictures, movies or a page with 'warp-plate render {result}'"
             ", or look in a browser with 'warp-plate explore SCENE'"
         )
-    motions = select_motions(loaded, result, frames, playback, quiet=False)
+    motions = motion_options.select_motions(loaded, result, frames, playback, quiet=False)
     from warp_plate.viz.window import open_window
 
     pictures, rate = Path(f"{result.stem}-view"), playback.frame_rate(motions)
