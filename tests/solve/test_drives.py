@@ -96,8 +96,8 @@ def test_fourth_order_knows_one_frequency(driven):
 def test_search_under_squares_keeps_to_the_volts_of_the_scene(driven):
     """No bound is claimed, and a magnitude of one stands for the largest of the scene's."""
     made = driven(electrostatic={"bias": 50.0, "gain": 1e-3})
-    tables = made.model_dump()["actuators"]
-    volts = [{**table, "magnitude": one} for table, one in zip(tables, (20.0, 120.0, 80.0), strict=True)]
+    pairs = zip(made.model_dump()["actuators"], (20.0, 120.0, 80.0), strict=True)
+    volts = [{**table, "magnitude": volt} for table, volt in pairs]
     made = made.with_tables(actuators=volts, search={"particles": 4, "iterations": 2})
     found = localize(made, device="cpu", estimate=True)
     assert found.bound is None

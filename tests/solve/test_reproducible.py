@@ -23,15 +23,11 @@ SCENES = {
 
 def digest(result):
     """Return a hash of all numbers that a search found."""
-    found = hashlib.sha256(repr((result.bound, result.evaluations, result.node_steps)).encode())
-    for values in result.history.values():
-        found.update(np.ascontiguousarray(values).tobytes())
-    for name in sorted(result.cases):
-        case = result.cases[name]
-        found.update(repr((name, sorted(case.energy.items()))).encode())
-        for values in (case.phasors, case.displacement, case.trace):
-            found.update(np.ascontiguousarray(values).tobytes())
-    return found.hexdigest()
+    numbers = [result.bound, result.evaluations, result.node_steps, *map(np.ndarray.tobytes, result.history.values())]
+    for name, case in sorted(result.cases.items()):
+        fields = (case.phasors, case.displacement, case.trace)
+        numbers += [name, sorted(case.energy.items()), *map(np.ndarray.tobytes, fields)]
+    return hashlib.sha256(repr(numbers).encode()).hexdigest()
 
 
 @pytest.mark.parametrize(("name", "evaluator"), [("fourth order", "direct"), ("effects", "response")])

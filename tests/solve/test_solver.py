@@ -34,16 +34,6 @@ def test_linear_in_the_drives(device, path, precision, tolerance, scene, phasors
     np.testing.assert_allclose(run.energy[4:], expected, rtol=1e-5 if precision == "float32" else 1e-12)
 
 
-def test_load_is_the_real_part_of_a_rotating_phasor(device, path, scene):
-    """From rest, cos ωt moves the plate in the first step, sin ωt does not."""
-    solver = PlateSolver(scene(), device, path)
-    step = solver.discretization.scheme.time_step
-    u = solver.run([[1, 0, 0], [-1j, 0, 0]], times=(step, 2 * step)).displacement
-    assert u[0, 0].max() > u[0, 0].min() == 0
-    assert not u[1, 0].any()
-    assert u[1, 1].max() > 0
-
-
 @pytest.mark.parametrize(("precision", "order"), [("float32", 2), ("float64", 4)])
 def test_a_plate_does_not_depend_on_its_batch(device, path, precision, order, scene, phasors):
     """Alone, at any place of a batch, in groups or chunks of any size, again: the same bits.
