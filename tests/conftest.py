@@ -87,6 +87,11 @@ def scene_of(
     )
 
 
+def areas_of(scene):
+    """Return the ends (actuators, axis, 2) of a scene's patches [m]."""
+    return np.array([actuator.area for actuator in scene.actuators]).reshape(-1, 2, 2)
+
+
 def result_of(scene, cases, **changes):
     """Return a result of ``localize`` without a history."""
     plain = {

