@@ -9,7 +9,10 @@ from warp_plate.cluster.tasks import run_task
 class InlinePool(WorkerPool):
     """Runs each task when it is submitted."""
 
-    description, device = "this process", "cpu"
+    description = "this process"
+
+    def __init__(self, device="cpu"):
+        super().__init__(device)
 
     def worker_count(self):
         return 1

@@ -88,10 +88,12 @@ class AllowedDrives:
         return np.array(columns).T.reshape(2 * len(self.phase), -1)
 
 
-def bound_localization(response: Response, allowed: AllowedDrives) -> Bound | None:
+def bound_localization(
+    response: Response, allowed: AllowedDrives, most_actuators: int = MOST_ACTUATORS
+) -> Bound | None:
     """Return the bound of the localization factor in a linear scene; None where no drive moves the plate.
 
-    With limits and more than MOST_ACTUATORS actuators it is the eigenvalue of the drives without limits.
+    With limits and more than ``most_actuators`` actuators it is the eigenvalue of the drives without limits.
     """
     plate, basis = response.matrices[PLATE], allowed.basis()
     reduced = basis.T @ response.matrices @ basis
@@ -106,7 +108,7 @@ def bound_localization(response: Response, allowed: AllowedDrives) -> Bound | No
     reached = _best_allowed(ratio, basis @ parameters, allowed)
     bound = _bound(value, reached, "the largest eigenvalue of the energies' matrices")
     # If a multiple of any drive is allowed, limits say nothing about a ratio.
-    limited = (allowed.equal or (allowed.lower > 0).any()) and len(allowed.phase) <= MOST_ACTUATORS
+    limited = (allowed.equal or (allowed.lower > 0).any()) and len(allowed.phase) <= most_actuators
     if bound.kind == "bound only" and limited:
         limits = [(plate, 0.0, 1.0, False), *_magnitude_limits(allowed)]
         least, nearest = _majorant(response.matrices[TARGET], limits, basis, np.diag(plate))
