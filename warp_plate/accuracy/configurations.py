@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -155,7 +156,7 @@ def make_configurations(scene: Scene) -> list[Configuration]:
         steps = [aligned(scene, fraction * longest) for fraction in TIME_STEP_FRACTIONS]
         steps.append(TOO_LONG * stability_limit(scene, order, base.nodes))
         made += [replace(base, time_step=step) for step in steps]
-    return sorted(dict.fromkeys(made), key=lambda made: cost_of_run(scene, made))
+    return sorted(dict.fromkeys(made), key=partial(cost_of_run, scene))
 
 
 def percent(value: float) -> str:

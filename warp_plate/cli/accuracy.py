@@ -90,7 +90,8 @@ def _print(report: AccuracyReport, device: str, console: Console) -> None:
     for row in report.rows:
         if not row.measured:
             status, _, reason = row.status.partition(": ")
-            missing.setdefault(f"{_kind(row)}, {row.precision}: {status}", []).append(f"{_size(row)} ({reason})")
+            grid = f"{_size(row)} ({reason})" if reason else _size(row)
+            missing.setdefault(f"{_kind(row)}, {row.precision}: {status}", []).append(grid)
     for kind, grids in missing.items():
         console.print(f"{kind}: {', '.join(grids)}")
     if report.interrupted:

@@ -274,7 +274,7 @@ def write_files(
     return files + drawn, missing
 
 
-def write_measurements(path: Path, record: Mapping[str, object], draw: Callable[..., Path], pictures: bool) -> Drawn:
+def write_measurements(path: Path, record: Mapping[str, object], draw: Callable[..., object], pictures: bool) -> Drawn:
     """Save measurements as a JSON file with their plots."""
     from warp_plate.result.atomic_io import write_atomically
     from warp_plate.viz.plots.frame import save_plots

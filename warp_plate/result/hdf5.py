@@ -137,7 +137,7 @@ class Attribute(Layout):
         try:
             value = value.item() if isinstance(value, np.generic) else value
             value = json.loads(value) if get_origin(self.kind) in (Mapping, tuple) else value
-            return as_kind(value, self.kind)
+            return as_kind(tuple(value) if isinstance(value, list) else value, self.kind)
         except (ValueError, TypeError):
             kind = getattr(self.kind, "__name__", self.kind)
             raise SceneError(f"attribute {_full_path(group, name)} is not of the kind {kind}") from None
@@ -193,8 +193,8 @@ class Datasets(Layout):
         values, known = {}, dict(sizes)
         inner = member(group, name) if name in group else {}
         for key in (self.names or inner) if inner else ():
-            is_group = isinstance(member(inner, key, h5py.HLObject), h5py.Group)
-            values[key] = (self if is_group else self.layout(key)).read(inner, key, known)
+            nested = not self.names and isinstance(member(inner, key, h5py.HLObject), h5py.Group)
+            values[key] = (self if nested else self.layout(key)).read(inner, key, known)
         return values
 
 

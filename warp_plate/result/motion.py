@@ -29,9 +29,7 @@ class Motion:
     velocity: np.ndarray  # (frames, ny, nx) velocity [m/s or 1/s]; of a drive half a time step later, as in the kernels
     surface_density: np.ndarray  # (ny, nx) mass per area [kg/m²]
     localization_factor: float | None = None  # of the drive over the scene's window; None for a mode
-    scene: Scene | None = (
-        None  # scene of a plate with frequencies or positions of its own; None if it is the common one
-    )
+    scene: Scene | None = None  # of a plate with frequencies or positions of its own; None if it is the common one
 
     @cached_property
     def kinetic_energy(self) -> np.ndarray:

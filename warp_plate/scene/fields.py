@@ -63,8 +63,8 @@ PartName = Annotated[Name, AfterValidator(_without("/", "'/'"))]
 
 
 def as_kind(value: object, kind: Any) -> Any:
-    """Return a value as an annotated kind, of which an int is 0 or more; raise ValueError if it is of another kind."""
-    return TypeAdapter(Count if kind is int else kind).validate_python(value)
+    """Return a value of an annotated kind, or raise a ValueError; an int must be 0 or more, a bool may be 0 or 1."""
+    return TypeAdapter(Count if kind is int else kind).validate_python(value, strict=kind is not bool)
 
 
 _FILE_NAME = re.compile(r"[^/\\:\x00-\x1f\x7f]+")

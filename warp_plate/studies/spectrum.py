@@ -59,11 +59,8 @@ def factors_over(
     """
     exact, actuators = in_float64(scene), len(scene.actuators)
     solver = PlateSolver(exact, device, path, per_plate=per_plate_of(exact))
-    units, singles, parametrization = (
-        unit_drives(actuators),
-        np.eye(actuators, dtype=complex),
-        parametrization_of(scene),
-    )
+    units, singles = unit_drives(actuators), np.eye(actuators, dtype=complex)
+    parametrization = parametrization_of(scene)
     phasors = np.tile(units, (len(frequencies), 1))
     repeated = np.repeat(frequencies, len(units))[:, None] * np.ones(actuators)
     shared = (
