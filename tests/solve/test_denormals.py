@@ -36,6 +36,4 @@ def test_fronts_end_in_zeros(way, scene):
     assert not ((np.abs(flushed) > 0) & (np.abs(flushed) < TINY)).any()
     assert ((np.abs(kept) > 0) & (np.abs(kept) < TINY)).any()
     np.testing.assert_allclose(flushed, kept, rtol=0, atol=1e-6 * np.abs(kept).max())
-    # The caller's own denormals are kept.
-    assert np.float32(1e-40) * np.float32(0.5) > 0
-    assert 1e-310 * 0.5 > 0
+    assert np.float32(1e-40) * np.float32(0.5) > 0  # the caller's own denormals are kept

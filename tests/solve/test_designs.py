@@ -162,7 +162,6 @@ def test_patches_within_areas(device, path, burst_scene):
 DRIVES = {
     "tone": {"burst": None},
     "bursts": {"burst": {"duration": 0.002, "ramp": 0.0006, "period": 0.003}},
-    "no ramp": {"burst": {"duration": 0.002}},
     "linear sweep": {"chirp": {"end_frequency": 400.0, "duration": 0.005}},
     "logarithmic sweep": {"chirp": {"end_frequency": 400.0, "duration": 0.005, "law": "logarithmic"}},
     "squares": {"electrostatic": {"gain": 2.0}},

@@ -40,33 +40,23 @@ def random_drive(random, end, frequency):
     return drive, random.choice([frequency, 0.7 * frequency, 2 * frequency], 3) if apart else [None] * 3
 
 
-@pytest.fixture
-def mix(scene, random):
-    """A factory of scenes with a random mix of effects and edges, a step near the limit, and a few drives."""
-
-    def draw(nodes, size, precision="float64", stretching=False, plates=2, effects=None):
-        effects = effects or random_effects(random, size, stretching)
-        edges, areas = [random_edge(random) for _ in range(4)], [random_area(random, size) for _ in range(3)]
-        asked = {"actuators": areas, "load": ("overlap", "moments")[random.integers(2)], "effects": effects}
-        step = random.uniform(0.5, 0.9) * make_scheme(scene(nodes, size, edges, **asked)).limit
-        drive, frequencies = random_drive(random, STEPS * step, random.uniform(0.005, 0.05) / step)
-        if stretching:
-            drive.pop("electrostatic", None)  # squares of these drives would be far too large
-        window = (STEPS / 3 * step, STEPS * step)
-        made = scene(nodes, size, edges, precision=precision, window=window, time_step=step, drive=drive, **asked)
-        actuators = zip(made.model_dump()["actuators"], frequencies, strict=True)
-        made = made.with_tables(actuators=[{**table, "frequency": frequency} for table, frequency in actuators])
-        drives = random.normal(size=(plates, 3)) + 1j * random.normal(size=(plates, 3))
-        return made, drives * bending_load(made) if stretching else drives
-
-    return draw
-
-
 @pytest.mark.parametrize("number", [n if n < 5 else pytest.param(n, marks=pytest.mark.slow) for n in range(20)])
-def test_random_mixes(device, path, number, mix, random):
-    """Every grid in both precisions, with other effects each time; every third mix stretches."""
+def test_random_mixes(device, path, number, scene, random, phasors):
+    """Every grid in both precisions, near the limit, with other effects each time; every third mix stretches."""
     nodes, size = GRIDS[number % len(GRIDS)]
-    made, drives = mix(nodes, size, ("float64", "float32")[number % 2], stretching=number % 3 == 2)
+    precision, stretching = ("float64", "float32")[number % 2], number % 3 == 2
+    asked = {"effects": random_effects(random, size, stretching), "edges": [random_edge(random) for _ in range(4)]}
+    asked["actuators"] = [random_area(random, size) for _ in range(3)]
+    asked["load"] = ("overlap", "moments")[random.integers(2)]
+    step = random.uniform(0.5, 0.9) * make_scheme(scene(nodes, size, **asked)).limit
+    drive, frequencies = random_drive(random, STEPS * step, random.uniform(0.005, 0.05) / step)
+    if stretching:
+        drive.pop("electrostatic", None)  # squares of these drives would be far too large
+    window = (STEPS / 3 * step, STEPS * step)
+    made = scene(nodes, size, precision=precision, window=window, time_step=step, drive=drive, **asked)
+    actuators = zip(made.model_dump()["actuators"], frequencies, strict=True)
+    made = made.with_tables(actuators=[{**table, "frequency": frequency} for table, frequency in actuators])
+    drives = phasors(2, 3) * (bending_load(made) if stretching else 1)
     times = np.sort(random.uniform(0, 1, 3)) * made.window.end
     points = [(0.0, 0.0), tuple(random.uniform(0, 1, 2) * size)]
     print(made.edges, made.effects, made.drive, made.actuators)

@@ -4,7 +4,7 @@ import pytest
 import warp as wp
 
 from warp_plate import Scene
-from warp_plate.kernels import moment_form, streaming
+from warp_plate.kernels import moment_form
 from warp_plate.kernels.effects import KernelEffects
 from warp_plate.plate.discretization import discretize
 from warp_plate.solve.devices import find_device
@@ -40,11 +40,8 @@ def test_only_effects_that_are_on_are_in_the_code(on, tmp_path):
     assert {effect: f").{member})" in code for effect, member in MEMBERS.items()} == dict.fromkeys(MEMBERS, on)
 
 
-def test_a_plain_scene_takes_the_plain_kernels(tmp_path):
+def test_a_plain_scene_takes_the_plain_kernels():
     specialized = Specialized(discretize(Scene.load("paper")), find_device("cpu"))
     assert specialized.effects == KernelEffects(damping=True)
     assert specialized.scheme.bending is None
     assert choose_path(specialized) == "resident"
-    for damping in (True, False):
-        kernel = streaming.make_update_nodes(KernelEffects(damping), wp.float32)
-        assert (").decay)" in code_of(kernel, tmp_path / str(damping))) == damping
