@@ -5,14 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from warp_plate import PlateSolver
-from warp_plate.plate.discretization import discretize
 from warp_plate.plate.weights import localization_factor
-from warp_plate.problem.bounds import AllowedDrives, allowed_drives, bound_energy, bound_localization, bound_loss
-from warp_plate.problem.objectives import PLATE, TARGET, make_objectives
-from warp_plate.problem.parametrization import parametrization_of
+from warp_plate.problem.bounds import AllowedDrives, allowed_drives, bound_energy, bound_localization
+from warp_plate.problem.objectives import PLATE, TARGET
+from warp_plate.problem.problem import make_problem
 from warp_plate.problem.semidefinite import least_majorant
-from warp_plate.solve.response import Response, measure_response
+from warp_plate.solve.response import Response
 
 INFINITE, SEARCHED = math.inf, math.nan
 
@@ -150,15 +148,6 @@ SEARCHES = {
 }  # fmt: skip
 
 
-def pieces(scene):
-    """Return the parametrization, the objectives and the Gram matrices of velocities and displacements."""
-    grid = discretize(scene)
-    objectives = make_objectives(grid)
-    quantities = ("velocity", "displacement") if objectives.needs_displacement else ("velocity",)
-    solvers = [PlateSolver(grid, "cpu", areas=objectives.regions, quantity=quantity) for quantity in quantities]
-    return parametrization_of(scene), objectives, *map(measure_response, solvers)
-
-
 @pytest.mark.parametrize("search", SEARCHES.values(), ids=SEARCHES)
 def test_no_position_has_less_loss_and_every_drive_is_allowed(scene, random, search):
     made = scene((9, 9), damping=130.0, window=(0.01, 0.02), search=search)
@@ -166,21 +155,20 @@ def test_no_position_has_less_loss_and_every_drive_is_allowed(scene, random, sea
     actuators[2]["phase"] = 0.7
     if not search.get("limits", {}).get("equal_magnitudes"):
         actuators[2]["magnitude"] = -0.6
-    parametrization, objectives, *responses = pieces(made.with_tables(actuators=actuators))
-    bound = bound_loss(parametrization, objectives, *responses)
-    space = parametrization.space
-    phasors = parametrization.designs(space.from_unit(random.random((20_000, space.dimension)))).drives
-    losses = objectives.losses(*(response.energy(phasors) for response in responses))
+    problem = make_problem(made.with_tables(actuators=actuators), "cpu", evaluator="response")
+    bound, objectives = problem.loss_bound, problem.objectives
+    positions = problem.space.from_unit(random.random((20_000, problem.space.dimension)))
+    losses, phasors = problem.losses(positions), problem.parametrization.designs(positions).drives
     assert np.isfinite(bound.value)
     assert np.nanmin(losses) >= bound.value - 1e-9 * abs(bound.value)
     assert bound.kind == "bound only" or len(objectives.terms) == 1
     if search == SEARCHES["displacement"]:
         assert losses.min() <= 0.8 * bound.value
     if search == SEARCHES["velocity, rest"]:  # so much energy there lets LF / (1 − LF) times as much into the target
-        rest, factor = objectives.masses[1] * 2e-4**2 / 2, responses[0].bound()
+        rest, factor = objectives.masses[1] * 2e-4**2 / 2, problem.response.bound()
         speed = math.sqrt(2 * rest * factor / (1 - factor) / objectives.masses[0])
         assert bound.value == pytest.approx(-speed, rel=1e-3)
-    limits = allowed_drives(parametrization)
+    limits = allowed_drives(problem.parametrization)
     turned = phasors * np.exp(1j * np.where(np.isnan(limits.phase), -np.angle(phasors), limits.phase))
     assert np.abs(turned.imag).max() < 1e-12
     assert ((turned.real >= limits.lower - 1e-12) & (turned.real <= limits.upper + 1e-12)).all()
@@ -192,12 +180,10 @@ def test_the_drive_that_reaches_a_bound_may_lie_outside_the_range(scene):
     kinds = []
     for lowest in (0.05, 0.0):
         search = {**SEARCHES["displacement"], "magnitude": {"range": (lowest, 200.0)}, "limits": {"power": 1e4}}
-        kinds.append(bound_loss(*pieces(scene((9, 9), search=search))).kind)
+        kinds.append(make_problem(scene((9, 9), search=search), "cpu").loss_bound.kind)
     assert kinds == ["bound only", "attained"]
 
 
 def test_no_loss_is_bounded_without_gram_matrices(scene):
-    moved, objectives, response = pieces(scene((9, 9), search={"position": {}}))
-    assert bound_loss(moved, objectives, response) is None
-    assert bound_loss(parametrization_of(scene((9, 9))), objectives, None) is None
-    assert bound_loss(*pieces(scene((9, 9), search=SEARCHES["displacement"]))[:3]) is None
+    for tables in ({"search": {"position": {}}}, {"effects": {"stretching": {}}}):
+        assert make_problem(scene((9, 9), **tables), "cpu").loss_bound is None

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from conftest import PAPER, refusal
 
 from warp_plate import PlateSolver, SceneError
 from warp_plate.plate.discretization import discretize
@@ -128,22 +127,6 @@ def test_objectives_that_a_scene_cannot_have_are_refused(scene):
     ):
         with pytest.raises(SceneError, match=f"^{line}"):
             objectives_of(scene_with(scene, *kinds, target=target, **keys))
-
-
-WRONG = {
-    "[]": " = []",
-    "[{ kind = 'loudness' }]": '[0].kind = "loudness"',
-    "[{ weight = 0 }]": "[0].weight = 0",
-    "[{ kind = 'velocity', rest_limit = -1 }]": "[0].rest_limit = -1",
-    "[{ kind = 'velocity' }, { kind = 'velocity' }]": "[1].kind: 'velocity'",
-}
-
-
-def test_wrong_objectives_are_refused_in_one_line():
-    head, _, rest = PAPER.partition("[search]")
-    for objectives, named in WRONG.items():
-        tables = f"[search]\nobjectives = {objectives}\n{rest[rest.index('[[actuators]]') :]}"
-        assert refusal(head + tables).startswith("search.objectives" + named)
 
 
 def test_uniformity_of_cells(scene):

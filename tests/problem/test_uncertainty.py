@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import areas_of
+from conftest import areas_of, scene_of
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.cluster.evaluator import Evaluator
@@ -32,15 +32,9 @@ VALUES = {
 }
 
 
-@pytest.fixture
-def robust(scene):
-    """Make small scenes with ``[search.robust]``."""
-
-    def make(effects=DAMPED, search=None, time_step=None, frequency=290.0, precision="float64", **keys):
-        tables = {"effects": effects, "search": {"robust": keys, **(search or {})}}
-        return scene(time_step=time_step, frequency=frequency, precision=precision, **tables)
-
-    return make
+def robust(effects=DAMPED, search=None, grid=None, **keys):
+    """Return a small scene with ``[search.robust]``; grid: arguments of ``scene_of``, such as the precision."""
+    return scene_of(effects=effects, search={"robust": keys, **(search or {})}, **(grid or {}))
 
 
 def factors(scene, scenarios, value):
@@ -48,7 +42,7 @@ def factors(scene, scenarios, value):
     return np.array([value(scenario.scene) for scenario in scenarios]) / value(scene)
 
 
-def test_the_seed_alone_decides(robust):
+def test_the_seed_alone_decides():
     """Not the number of scenarios either, nor another tolerance; scenarios are scenes that read back and run."""
     made = robust(EFFECTS, **TOLERANCES, without_oscillators=0.5)
     first, same, other, validation = (draw_scenarios(made, 4, *seed) for seed in ((5,), (5,), (6,), (5, True)))
@@ -67,14 +61,14 @@ def test_the_seed_alone_decides(robust):
     assert PlateSolver(first[0].scene, "cpu").run(np.ones((1, 3), complex)).finite.all()
 
 
-def test_one_time_step_is_stable_for_all(robust):
+def test_one_time_step_is_stable_for_all():
     """The scene's own where it is stable; else the one that the stiffest would choose."""
 
     def steps_of(time_step=None):
-        made = robust(EFFECTS, frequency=50.0, time_step=time_step, **TOLERANCES)
+        made = robust(EFFECTS, grid={"frequency": 50.0, "time_step": time_step}, **TOLERANCES)
         return {scenario.scene.grid.time_step for scenario in draw_scenarios(made, 8, 4)}
 
-    made = robust(EFFECTS, frequency=50.0, **TOLERANCES)
+    made = robust(EFFECTS, grid={"frequency": 50.0}, **TOLERANCES)
     limits = [make_scheme(scenario.scene).limit for scenario in draw_scenarios(made, 8, 4)]
     (step,) = steps_of()
     assert 0.8 * min(limits) < step <= 0.9 * min(limits)
@@ -82,36 +76,30 @@ def test_one_time_step_is_stable_for_all(robust):
     assert steps_of(0.99 * make_scheme(made).limit) == {step}
 
 
-BAD = {
-    ": all scenarios are alike": {},
-    ".damping: 0.1 of no damping": {"damping": 0.1},
-    ".without_oscillators: 0.5": {"without_oscillators": 0.5},
-    ".gain = 1.0": {"gain": 1.0},
-    '.measure = "best"': {"gain": 0.1, "measure": "best"},
-    ".quantile = 1.0": {"gain": 0.1, "quantile": 1.0},
-}
-
-
 def test_scenes_without_such_scenarios_are_refused(scene):
-    for line, keys in BAD.items():
+    for line, keys, load in (
+        (": all scenarios are alike", {}, "overlap"),
+        (".damping: 0.1 of no damping", {"damping": 0.1}, "overlap"),
+        (".without_oscillators: 0.5", {"without_oscillators": 0.5}, "overlap"),
+        (r'.place: 0\.002 m, but grid\.load = "nodes" moves', {"place": 0.002}, "nodes"),
+    ):
         with pytest.raises(SceneError, match="^search.robust" + line):
-            scene().with_tables(search={"robust": keys})
-    with pytest.raises(SceneError, match=r'^search\.robust\.place: 0\.002 m, but grid\.load = "nodes" moves'):
-        scene(load="nodes").with_tables(search={"robust": {"place": 0.002}})
+            scene(load=load).with_tables(search={"robust": keys})
     thick = {**scene().plate.model_dump(), "thickness": 0.035}
-    with pytest.raises(SceneError, match=r"thickness: .* is not thin"):
-        draw_scenarios(scene(search={"robust": {"thickness": 0.5}}).with_tables(plate=thick), 20, 0)
-    with pytest.raises(SceneError, match=r"search\.robust: is missing"):
-        draw_scenarios(scene(), 3, 0)
-    with pytest.raises(SceneError, match=r"search\.robust: 100000000 scenarios .* GiB"):
-        draw_scenarios(scene(search={"robust": {"gain": 0.1}}), 10**8, 0)
+    for made, count, line in (
+        (robust(thickness=0.5).with_tables(plate=thick), 20, "thickness: .* is not thin"),
+        (scene(), 3, "search.robust: is missing"),
+        (robust(gain=0.1), 10**8, "search.robust: 100000000 scenarios .* GiB"),
+    ):
+        with pytest.raises(SceneError, match=line):
+            draw_scenarios(made, count, 0)
     halves = [{"name": "left", "area": (0.0, 0.1, 0.0, 0.2)}, {"name": "right", "area": (0.1, 0.2, 0.0, 0.2)}]
-    tables = {key: value for key, value in scene().model_dump().items() if key != "target"}
+    tables = scene().model_dump(exclude={"target"})
     with pytest.raises(SceneError, match=r"^search\.robust: not with several \[\[targets\]\]"):
         Scene.from_tables({**tables, "targets": halves, "search": {"robust": {"gain": 0.1}}})
 
 
-def test_draws_are_even_within_the_tolerances(robust):
+def test_draws_are_even_within_the_tolerances():
     """Mean and spread of an even distribution, 1/√3 of the tolerance, to four standard errors. A patch that would leave
     the plate stops at its edge; one factor goes for all damping of the panel."""
     tolerances, count = {**TOLERANCES, "place": 0.08}, 120
@@ -135,7 +123,7 @@ def test_draws_are_even_within_the_tolerances(robust):
         assert effects.oscillators in ((), made.effects.oscillators)
 
 
-def test_orthotropic_rigidities_follow_modulus_and_thickness(robust):
+def test_orthotropic_rigidities_follow_modulus_and_thickness():
     rigidities = {"Dx": 0.02, "Dy": 0.01, "D1": 0.004, "Dxy": 0.005}
     (drawn,) = draw_scenarios(robust({"orthotropic": rigidities}, young_modulus=0.1, thickness=0.1), 1, 0)
     factor = (drawn.scene.plate.young_modulus / 1e9) * (drawn.scene.plate.thickness / 5e-4) ** 3
@@ -144,7 +132,7 @@ def test_orthotropic_rigidities_follow_modulus_and_thickness(robust):
 
 
 @pytest.mark.parametrize("several", [False, True])
-def test_gram_matrices_give_the_losses_of_plates(device, path, robust, phasors, several):
+def test_gram_matrices_give_the_losses_of_plates(device, path, phasors, several):
     """In float64; polarization costs a few digits of sixteen. Plates run as scenes of their own, to the last bit."""
     tables = {"effects": FINGERED, "search": {"objectives": SEVERAL}, "without_oscillators": 0.5} if several else {}
     scenarios = draw_scenarios(robust(**tables, **TOLERANCES), 3, 2)
@@ -163,9 +151,9 @@ def test_gram_matrices_give_the_losses_of_plates(device, path, robust, phasors, 
         assert np.ptp(losses, axis=1).min() > 1e-4
 
 
-def test_bits_do_not_depend_on_how_a_batch_is_cut(robust, phasors, monkeypatch):
+def test_bits_do_not_depend_on_how_a_batch_is_cut(phasors, monkeypatch):
     """Neither on plates beside each other, nor on memory for a few only; a drive beyond all numbers fails alone."""
-    made = robust(FINGERED, precision="float32", **TOLERANCES, without_oscillators=0.5)
+    made = robust(FINGERED, grid={"precision": "float32"}, **TOLERANCES, without_oscillators=0.5)
     scenarios, drives = draw_scenarios(made, 3, 3), phasors(9, 3)
     drives[4] = 1e200
     designs = Designs(drives)
@@ -188,7 +176,7 @@ def test_bits_do_not_depend_on_how_a_batch_is_cut(robust, phasors, monkeypatch):
     np.testing.assert_array_equal(responses.losses(designs), losses)
 
 
-def test_scenarios_share_kernels_wherever_their_actuators_are(robust):
+def test_scenarios_share_kernels_wherever_their_actuators_are():
     """On CUDA the rows that some actuator loads are compiled in: all scenarios have those of their wider areas."""
     scenarios = draw_scenarios(robust(**{**TOLERANCES, "place": 0.05}), 6, 0)
     solvers = [evaluator.solver for evaluator in simulate_scenarios(scenarios, "cpu").evaluators]
@@ -198,7 +186,7 @@ def test_scenarios_share_kernels_wherever_their_actuators_are(robust):
 
 
 @pytest.mark.parametrize("searched", [False, True])
-def test_actuators_are_off_by_their_offsets(device, path, robust, phasors, searched):
+def test_actuators_are_off_by_their_offsets(device, path, phasors, searched):
     """A scene written out with its patches where they are moves the same; a patch stops at an edge of the plate."""
     made = robust(search={"position": {}} if searched else {}, **{**TOLERANCES, "place": 0.02})
     scenario = draw_scenarios(made, 1, 4)[0]
