@@ -41,11 +41,10 @@ RUNS = 5
 
 @dataclass(frozen=True)
 class DeviceLimits:
-    """Measured limits of a device: bytes read and written together, and operations by precision, a fused multiply-add
-    being two [1/s]."""
+    """Measured limits of a device."""
 
-    copy_bytes_per_second: float
-    flops: Mapping[str, float]
+    copy_bytes_per_second: float  # read and written together
+    flops: Mapping[str, float]  # by precision; a fused multiply-add is two
 
 
 def seconds_of(work: Callable[[], None], device: wp.Device) -> float:

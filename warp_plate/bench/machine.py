@@ -19,19 +19,13 @@ QUIET = 0.3
 
 @dataclass(frozen=True)
 class Machine:
-    """The machine of a measurement.
-
-    Attributes:
-        threads: number of threads that the simulation uses.
-        load: load average of the minute before; None on systems without it.
-        devices: models by Warp's name of the device.
-    """
+    """The machine of a measurement."""
 
     system: str
     cores: int
-    threads: int
-    load: float | None
-    devices: Mapping[str, str]
+    threads: int  # that the simulation uses
+    load: float | None  # load average of the minute before; None on systems without it
+    devices: Mapping[str, str]  # models by Warp's name of the device
 
 
 def describe_machine(devices: Sequence[str]) -> Machine:

@@ -76,6 +76,7 @@ class Swarm(Optimizer):
         "earlier_loss", "restarts", "restarted_at",
     )  # fmt: skip
     settings: SwarmSettings
+    improved_loss: float
 
     def __init__(self, space: SearchSpace, settings: SwarmSettings) -> None:
         super().__init__(space, settings)

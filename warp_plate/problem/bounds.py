@@ -45,36 +45,24 @@ MULTIPLIERS = "the dual of the semidefinite relaxation under the drive's limits"
 class Bound:
     """A proved bound.
 
-    Attributes:
-        value: bound in the unit of the bounded quantity.
-        kind: "attained" if a drive within NEAR of it is known; "bound only" leaves open whether there is one.
-        sentence: reason, for people.
+    It is "attained" if a drive within NEAR of it is known; "bound only" leaves open whether there is one.
     """
 
-    value: float
+    value: float  # in the unit of the bounded quantity
     kind: Literal["attained", "bound only"]
-    sentence: str
+    sentence: str  # reason, for people
 
 
 @dataclass(frozen=True)
 class AllowedDrives:
-    """A set of drives; magnitudes are in the unit of drives.
+    """A set of drives; magnitudes are in the unit of drives."""
 
-    Attributes:
-        lower: (actuators,) least magnitudes; −∞ where a magnitude may be of any sign.
-        upper: (actuators,) largest magnitudes; ``lower`` where they are fixed.
-        phase: (actuators,) fixed phases [rad]; NaN where a phase is searched.
-        power: largest Σ magnitude².
-        equal: whether all magnitudes are the same.
-        wider: whether the set holds drives that cannot be chosen, so that one of them may be what reaches a bound.
-    """
-
-    lower: np.ndarray
-    upper: np.ndarray
-    phase: np.ndarray
-    power: float = math.inf
-    equal: bool = False
-    wider: bool = False
+    lower: np.ndarray  # (actuators,) least magnitudes; −∞ where a magnitude may be of any sign
+    upper: np.ndarray  # (actuators,) largest magnitudes; ``lower`` where they are fixed
+    phase: np.ndarray  # (actuators,) fixed phases [rad]; NaN where a phase is searched
+    power: float = math.inf  # largest Σ magnitude²
+    equal: bool = False  # all magnitudes are the same
+    wider: bool = False  # the set holds drives that cannot be chosen, one of which may be what reaches a bound
 
     def basis(self) -> np.ndarray:
         """Return (2M, parameters): z = basis @ parameters are the drives of the fixed phases.

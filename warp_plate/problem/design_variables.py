@@ -29,27 +29,16 @@ Kind = Literal["magnitude", "phase", "frequency", "x", "y", "delay"]
 
 @dataclass(frozen=True)
 class DesignVariable:
-    """A number of a position.
+    """A number of a position."""
 
-    Attributes:
-        name: name for people.
-        kind: quantity.
-        actuators: indices of the actuators that have it in common.
-        fixed: the scene's own value.
-        initial: range in which a search begins.
-        lower: lower limit.
-        upper: upper limit.
-        period: period of a number that wraps; ∞ for all others.
-    """
-
-    name: str
+    name: str  # for people
     kind: Kind
-    actuators: tuple[int, ...]
-    fixed: float
-    initial: tuple[float, float]
+    actuators: tuple[int, ...]  # indices of the actuators that have it in common
+    fixed: float  # the scene's own value
+    initial: tuple[float, float]  # range in which a search begins
     lower: float = -math.inf
     upper: float = math.inf
-    period: float = math.inf
+    period: float = math.inf  # of a number that wraps; ∞ for all others
 
 
 def has_design_tables(scene: Scene) -> bool:
