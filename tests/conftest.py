@@ -264,6 +264,13 @@ def browser():
         made.close()
 
 
+def pixels(picture):
+    """Return the (height, width, 3) colours 0 … 255 of a picture's path or file object."""
+    from PIL import Image
+
+    return np.asarray(Image.open(picture).convert("RGB"), dtype=int)
+
+
 def drag(page, selector, x, y=0):
     """Drag the middle of an element of a page by a distance [pixels]."""
     box = page.locator(selector).last.bounding_box()
