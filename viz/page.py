@@ -56,7 +56,8 @@ def page_data(
     all_nodes = heights[0].shape[1:]
     values = sum(len(array) for array in [*heights, *colours]) * math.prod(all_nodes)
     ny, nx = (thinned_nodes(nodes, values) for nodes in all_nodes)
-    heights, colours = ([_resampled(array, (ny, nx), field) for array in arrays] for arrays in (heights, colours))
+    heights = [_resampled(array, (ny, nx), DISPLACEMENT) for array in heights]
+    colours = [_resampled(array, (ny, nx), field) for array in colours]
     meshes, (low, high) = PlateMeshes(scene, heights[0][0], scale), scale.clim
     return {
         "heightWords": bool(scale.heights),

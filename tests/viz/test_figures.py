@@ -1,16 +1,21 @@
-"""Pictures of whole results, and what is said where nothing can be drawn."""
+"""Pictures of whole results, what is said where nothing can be drawn, and scenes and results in notebooks."""
 
+import base64
+import io
+import re
 import sys
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from conftest import result_of, start_program
+from conftest import pixels, result_of, start_program
 
-from warp_plate import viz
-from warp_plate.result import Case
-from warp_plate.scene import Scene
-from warp_plate.viz import availability
+from warp_plate import view, viz
+from warp_plate.result import Case, save_result
+from warp_plate.scene import Scene, SceneError
+from warp_plate.viz import availability, notebook
+from warp_plate.viz.notebook import result_html, scene_html
 from warp_plate.viz.plots.search import plot_history
 
 pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
@@ -27,10 +32,14 @@ def result():
         waves = [np.outer(np.sin((3 + step) * x), np.sin((rank + 2) * x)) for step in range(len(TIMES))]
         energy = {"target": share * 1e-9, "plate": 1e-9}
         cases[name] = Case(np.ones(4, complex), energy, 2e-7 * 10.0**-rank * np.stack(waves), np.zeros((0, 3)))
+    cases["best"] = replace(cases["best"], phasors=np.array([1, 0.5j, 0.25, 0]))
     best = np.maximum.accumulate(0.68 - 0.3 * np.exp(-np.arange(80) / 9) * (1 + np.sin(np.arange(80))) / 2)
     history = {"evaluations": np.arange(20, 1601, 20), "best": best, "mean": best - 0.1}
-    held = {"source": "paper", "times": np.array(TIMES), "bound": 0.6867, "history": history}
-    return result_of(Scene.load("paper"), cases, **held)
+    return result_of(
+        Scene.load("paper"), cases, source="paper", device="cpu <0>", times=np.array(TIMES), seconds={"solve": 1.5},
+        node_steps=2_000_000, bound=0.6867, bound_kind="attained within limits", history=history,
+        accuracy={"estimate": {"line": "localization factor 0.68 ± 0.04"}},
+    )  # fmt: skip
 
 
 @pytest.fixture
@@ -41,15 +50,14 @@ def new_trial():
     availability.working_window.cache_clear()
 
 
-def pixels(path):
-    from matplotlib.image import imread
-
-    return np.round(imread(path)[..., :3] * 255).astype(int)
-
-
-def test_surfaces_show_every_case_and_time(result, drawing, tmp_path):
-    viz.draw_surfaces(result, tmp_path / "figure.png")
-    picture = pixels(tmp_path / "figure.png")
+def test_all_pictures_that_a_result_holds(result, drawing, tmp_path):
+    """Surfaces show every case and time; the history has the width of a column of the paper."""
+    written, problem = viz.draw_all(result, tmp_path / "paper")
+    assert problem is None
+    assert written == [tmp_path / "paper-history.png", tmp_path / "paper-surfaces.png"]
+    assert sorted(tmp_path.iterdir()) == written
+    history, picture = map(pixels, written)
+    assert history.shape[1] == 1600
     assert picture.shape[1] == pytest.approx(1600, abs=50)
     red = picture[..., 0] - picture[..., 2]
     for row in np.split(np.arange(len(picture)), 3):
@@ -64,38 +72,23 @@ def test_surfaces_show_every_case_and_time(result, drawing, tmp_path):
     assert (picture[[0, 1, 2, -3, -2, -1]] > 250).all()
 
 
-def test_history_has_the_bound_and_the_published_loss(result, tmp_path):
-    from matplotlib import rc_context
-
-    with rc_context({"svg.fonttype": "none"}):
-        viz.draw_history(result, tmp_path / "history.svg")
-        viz.draw_history(replace(result, source="panel.toml", bound=None), tmp_path / "other.svg")
-    text, without = ((tmp_path / name).read_text(encoding="utf-8") for name in ("history.svg", "other.svg"))
-    for label in ("iteration", "best so far", "swarm mean", "bound: 0.3133", "published: 0.28"):
-        assert f">{label}<" in text, label
-    assert "bound" not in without
-    assert "published" not in without
-    viz.draw_history(result, tmp_path / "history.png")
-    assert pixels(tmp_path / "history.png").shape[1] == 1600
-
-
 def test_the_best_loss_never_rises_and_infinite_means_are_gaps(result):
+    """Beside the bound and the published loss, of results that have them."""
     from matplotlib.figure import Figure
 
+    def lines(**changes):
+        plot_history(axes := Figure().add_subplot(), replace(result, history=history, **changes))
+        return {line.get_label(): line.get_ydata() for line in axes.get_lines()}
+
     history = {"best": np.array([0.3, 0.5, 0.4]), "mean": np.array([0.1, -np.inf, 0.2])}
-    axes = Figure().add_subplot()
-    plot_history(axes, replace(result, history=history))
-    lines = {line.get_label(): line.get_ydata() for line in axes.get_lines()}
-    np.testing.assert_allclose(lines["best so far"], [0.7, 0.5, 0.5])
-    np.testing.assert_allclose(lines["swarm mean"], [0.9, np.nan, 0.8])
-    assert lines["bound: 0.3133"][0] == pytest.approx(1 - 0.6867)
+    drawn, without = lines(), lines(source="panel.toml", bound=None)
+    np.testing.assert_allclose(drawn["best so far"], [0.7, 0.5, 0.5])
+    np.testing.assert_allclose(drawn["swarm mean"], [0.9, np.nan, 0.8])
+    assert (drawn["bound: 0.3133"][0], drawn["published: 0.28"][0]) == (pytest.approx(1 - 0.6867), 0.28)
+    assert set(without) == {"best so far", "swarm mean"}
 
 
-def test_all_pictures_that_a_result_holds(result, drawing, tmp_path):
-    written, problem = viz.draw_all(result, tmp_path / "paper")
-    assert problem is None
-    assert sorted(written) == sorted(tmp_path.iterdir())
-    assert {path.name for path in written} == {"paper-surfaces.png", "paper-history.png"}
+def test_missing_data_and_folders_are_reported(result, drawing, tmp_path):
     empty = replace(result, history={}, times=np.zeros(0))
     assert viz.draw_all(empty, tmp_path / "empty") == ([], None)
     for draw, match in ((viz.draw_surfaces, "no displacement"), (viz.draw_history, "no history")):
@@ -110,24 +103,23 @@ def test_all_pictures_that_a_result_holds(result, drawing, tmp_path):
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the packages are named for Linux")
-def test_if_vtk_crashes_only_surfaces_are_missing(result, monkeypatch, new_trial, tmp_path):
-    monkeypatch.setattr(availability, "TRIAL", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
-    written, problem = viz.draw_all(result, tmp_path / "paper")
-    assert written == [tmp_path / "paper-history.png"]
-    assert "apt-get install libegl1 libgl1-mesa-dri" in problem
-    assert "\n" not in problem
-    with pytest.raises(viz.DrawingUnavailable, match="no EGL or OSMesa driver"):
-        viz.draw_surfaces(result, tmp_path / "paper.png")
-
-
 @pytest.mark.parametrize(
     ("trial", "reason"),
-    [("raise ImportError('libX.so.1: cannot open')", "libX.so.1"), ("import time; time.sleep(9)", "cannot be drawn")],
+    [
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "apt-get install libegl1 libgl1-mesa-dri"),
+        ("raise ImportError('libX.so.1: cannot open')", "libX.so.1"),
+        ("import time; time.sleep(9)", "cannot be drawn"),
+    ],
 )
-def test_failed_trials_are_reported(monkeypatch, new_trial, trial, reason):
+def test_if_vtk_fails_only_surfaces_are_missing(result, monkeypatch, new_trial, tmp_path, trial, reason):
     monkeypatch.setattr(availability, "TRIAL", trial)
     monkeypatch.setattr(availability, "TIMEOUT", 1.0)
-    assert reason in viz.missing_renderer()
+    written, problem = viz.draw_all(result, tmp_path / "paper")
+    assert written == [tmp_path / "paper-history.png"]
+    assert reason in problem
+    assert "\n" not in problem
+    with pytest.raises(viz.DrawingUnavailable, match=reason):
+        viz.draw_surfaces(result, tmp_path / "paper.png")
 
 
 def test_missing_packages_are_named(result, monkeypatch, new_trial, tmp_path):
@@ -137,25 +129,126 @@ def test_missing_packages_are_named(result, monkeypatch, new_trial, tmp_path):
     assert all(words in problem for words in ("PyVista", "Matplotlib", "pip install 'warp-plate[viz]'"))
 
 
-def run_python(code):
-    """Return what a program wrote on standard output and error."""
-    return tuple(text.strip() for text in start_program("-c", code).communicate())
-
-
-def test_off_screen_drawing_is_quiet(drawing):
+def test_off_screen_drawing_is_quiet_and_loads_libraries_when_needed(drawing):
+    """Not on import; neither does it load the solver."""
     code = """
-from warp_plate.viz.availability import set_up_renderer
-set_up_renderer()
+import sys
+import warp_plate.viz, warp_plate.viz.notebook
+print({"pyvista", "vtkmodules", "matplotlib", "PIL", "warp", "IPython"} & set(sys.modules))
+warp_plate.viz.availability.set_up_renderer()
 import pyvista
 plotter = pyvista.Plotter(off_screen=True, window_size=[64, 64])
 plotter.add_mesh(pyvista.Sphere())
 print(plotter.screenshot(return_img=True).std() > 0)
 plotter.close()
 """
-    assert run_python(code) == ("True", "")
+    assert start_program("-c", code).communicate() == ("set()\nTrue\n", "")
 
 
-def test_importing_loads_neither_drawing_libraries_nor_the_solver():
-    heavy = {"pyvista", "vtkmodules", "matplotlib", "PIL", "warp", "IPython"}
-    code = f"import sys, warp_plate.viz, warp_plate.viz.notebook; print(sorted({heavy!r} & set(sys.modules)))"
-    assert run_python(code) == ("[]", "")
+# Notebooks --------------------------------------------------------------------------------------------------
+
+
+def rows_of(html):
+    """Texts of all rows of all tables."""
+    return [["".join(cell.itertext()) for cell in line] for line in ElementTree.fromstring(html).iter("tr")]
+
+
+def picture_of(html):
+    """The embedded PNG as integers."""
+    (image,) = ElementTree.fromstring(html).iter("img")
+    return pixels(io.BytesIO(base64.b64decode(image.get("src").removeprefix("data:image/png;base64,"))))
+
+
+def test_scenes_show_their_settings(monkeypatch):
+    monkeypatch.setattr(notebook, "missing_plots", lambda: "install it")
+    made, name = Scene.load("touch-panel").model_dump(exclude_none=True), "<script>alert('&')</script>"
+    made |= {"grid": {"accuracy": 0.01}, "title": 'a < b & "c" > d'}
+    made["actuators"] = [{"name": name, "area": (0.03, 0.06, 0.01, 0.07)}]
+    html = scene_html(scene := Scene.model_validate(made))
+    rows = dict(row[:2] for row in rows_of(html))
+    assert "<script" not in html
+    assert "install it" in html
+    assert ElementTree.fromstring(html).find("strong").text == scene.title
+    assert rows[name] == "0.03 … 0.06, 0.01 … 0.07"
+    assert rows["drive"] == f"{scene.drive.frequency:g} Hz"
+    assert rows["grid"] == "for a relative error of 1 %"
+    assert rows["effects"].split(", ") == [name.replace("_", " ") for name, value in scene.effects if value]
+
+
+def test_the_layout_is_drawn(scene):
+    """Colours stand where the parts of the scene are: blue layers, orange oscillators, green targets."""
+    layer = {"area": (0.12, 0.18, 0.12, 0.18), "thickness": 1e-4, "young_modulus": 1e9, "density": 1.0}
+    effects = {"layers": [layer], "oscillators": [{"area": (0.13, 0.17, 0.02, 0.06), "stiffness": 3.0}]}
+    made = scene(edges=("clamped", {"translation": 1e3}, "free", "supported"), effects=effects)
+    assert ["edges", "clamped: left; supported: top; on springs: bottom; free: right"] in rows_of(scene_html(made))
+    picture = picture_of(scene_html(made))
+    red, green, blue = np.moveaxis(picture, -1, 0)
+    drawn = {"green": (green - red > 60), "purple": (blue - green > 15) & (red > green), "orange": (red - blue > 150)}
+    assert all(mask.sum() > 30 for mask in drawn.values())
+    # y points up: the target is at the lower left, the layer at the upper right.
+    middle = {name: np.argwhere(mask[: int(0.8 * len(mask))]).mean(axis=0) for name, mask in drawn.items()}
+    assert middle["green"][0] > middle["purple"][0]
+    assert middle["green"][1] < middle["purple"][1]
+
+
+def test_results_show_tables_and_a_picture(drawing, result):
+    html = result_html(result)
+    rows = rows_of(html)
+    assert rows[1:4] == [["equal drive", "25.00 %"], ["single actuator", "63.67 %"], ["best drive found", "68.53 %"]]
+    assert rows[4][1] == "68.67 %"
+    assert ["upper left", "0.5000", "4.7124", "1.5000"] in rows
+    text = "\n".join(ElementTree.fromstring(html).itertext())
+    assert "localization factor 0.68 ± 0.04" in text
+    assert "2e+06 node-steps in 1.50 s on cpu <0>." in text
+    picture = picture_of(html)
+    # Red crests, blue troughs, a green target.
+    for strong, weak in ((0, 2), (2, 0), (1, 0)):
+        assert (picture[..., strong] - picture[..., weak] > 60).sum() > 100
+
+
+def test_without_drawing_libraries_tables_remain(result, monkeypatch):
+    monkeypatch.setattr(notebook, "missing_renderer", lambda: "install a renderer")
+    assert picture_of(result_html(result)).std() > 0  # the history
+    monkeypatch.setattr(notebook, "missing_plots", lambda: "install Matplotlib")
+    assert "install Matplotlib" in result_html(result)
+    simulation = replace(result, cases={"drive": result.cases["best"]}, history={}, bound=None, interrupted=True)
+    html = result_html(simulation)
+    assert "install a renderer" in html
+    assert "Interrupted" in html
+    assert [row[0] for row in rows_of(html)][:2] == ["drive", "given drive"]
+    assert "nothing to draw" in result_html(replace(simulation, times=np.zeros(0)))
+
+
+def test_the_player_holds_all_that_it_shows(result):
+    shown = view(result, "best", "equal", frames=8, quantity="velocity", device="cpu", height=500)
+    frame = ElementTree.fromstring(shown._repr_html_())
+    assert (frame.tag, frame.get("sandbox"), frame.get("height")) == ("iframe", "allow-scripts", "500")
+    assert frame.get("srcdoc") == shown.html
+    for text in ("best drive found, t = ", "equal drive, t = ", "velocity"):
+        assert text in shown.html
+    assert not re.search(r"""(src|href)=["']?(https?:)?//""", shown.html)
+    assert "equal drive" not in view(result, frames=4, device="cpu").html
+    for case, quantity in (("worst", "phase"), ("best", "colour")):
+        with pytest.raises(SceneError, match=r"= '(worst|colour)': must be one of"):
+            view(result, case, quantity=quantity, device="cpu")
+
+
+def test_scenes_and_results_show_themselves_in_ipython(result, tmp_path, monkeypatch):
+    """Importing the package registers its formatters, and so does the extension."""
+    pytest.importorskip("IPython", reason="IPython is missing: pip install ipython")
+    path = save_result(result, tmp_path / "run.h5")
+    code = f"""
+from warp_plate import Scene, load_result
+html = get_ipython().display_formatter.formatters["text/html"]
+for value in (Scene.load("paper"), load_result({str(path)!r})):
+    print(html.lookup(value)(value))
+html.pop(Scene)
+before = Scene in html
+get_ipython().run_line_magic("load_ext", "warp_plate")
+print(before, Scene in html)
+"""
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path))
+    scene, shown, last = start_program("-m", "IPython", "-c", code).communicate()[0].splitlines()
+    assert ["drive", "290 Hz"] in rows_of(scene)
+    assert ["best drive found", "68.53 %"] in rows_of(shown)
+    assert last == "False True"

@@ -5,15 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import result_of, scene_of
+from conftest import pixels, result_of, scene_of
 
 from warp_plate import Scene
 from warp_plate.result import Case
 from warp_plate.result.comparison import MethodComparison, Trial
+from warp_plate.result.sweep import REFUSED
+from warp_plate.scene.vary import make_plan, parse_vary
+from warp_plate.studies.quantities_of_interest import QUANTITIES
+from warp_plate.studies.sweep import start_sweep
 from warp_plate.viz.plots.compare import draw_comparison
 from warp_plate.viz.plots.crosstalk import draw_crosstalk
 from warp_plate.viz.plots.frame import figure, number_log_axis
 from warp_plate.viz.plots.search import curve_labels, draw_history, draw_spectrum
+from warp_plate.viz.plots.sweep import COLOURS, REFUSED_COLOUR, cell_edges, draw_sweep
 from warp_plate.viz.styles import INK
 
 figures = pytest.importorskip("matplotlib.figure", reason="Matplotlib is not installed: pip install 'warp-plate[viz]'")
@@ -38,7 +43,8 @@ def drawn(monkeypatch, tmp_path):
         save(figure, *args, **options)
 
     def writes(text, renderer):
-        if text.get_visible() and text.get_text().strip():
+        # Labels of contours stand at any angle, and may touch.
+        if text.get_visible() and text.get_text().strip() and text.get_rotation() % 90 == 0:
             box = text.get_window_extent(renderer).transformed(saved[-1].transFigure.inverted())
             boxes[text] = (text.get_text(), box)  # the last one, as layout draws the figure several times
         write(text, renderer)
@@ -142,3 +148,70 @@ def test_a_comparison_over_less_than_two_decades(drawn):
     comparison = MethodComparison("panel", scene, "cpu", "direct", 800, {"prepare": 0.5}, True, (trial,))
     _, words = drawn(draw_comparison, comparison)
     assert "panel: median, best and worst of 1 seed" in words
+
+
+# Sweeps -----------------------------------------------------------------------------------------------------
+
+LINE, PAIR = ["drive.frequency=log:200:300:12"], ["drive.frequency=300:200:4", "effects.damping.viscous=log:1:100:3"]
+FOUR = [f"{key}=1:2:3" for key in ("drive.frequency", "plate.thickness", "window.end", "plate.density")]
+
+
+def random_sweep(vary, what="localize", samples=None):
+    """A sweep with random values, some points refused and one value infinite."""
+    panel = scene_of(damping=88.5, time_step=2e-4)
+    plan = make_plan([parse_vary(panel, words) for words in vary], samples)
+    begun = start_sweep(panel, plan, what, "cpu", count=3)
+    values = {name: np.random.default_rng(1).random(output.shape) for name, output in begun.values.items()}
+    status = np.ones(len(plan), dtype="i1")
+    status[::5] = REFUSED
+    for output in values.values():
+        output[::5] = np.nan
+    next(iter(values.values())).flat[-1] = np.inf
+    return replace(begun, values=values, status=status, reasons=dict.fromkeys(range(0, len(plan), 5), "no"))
+
+
+def count(picture, colour):
+    """The number of pixels of a colour."""
+    return (np.abs(picture - list(bytes.fromhex(colour[1:]))) < 3).all(axis=2).sum()
+
+
+@pytest.mark.parametrize(
+    ("what", "vary", "samples"),
+    [
+        *((what, LINE, None) for what in QUANTITIES),
+        ("localize", ["drive.frequency=290"], None),
+        ("modes", ["plate.thickness=4e-4:6e-4", "target.area[1]=0.05:0.15", "plate.density=log:900:1500"], 20),
+        ("modes", PAIR, None),
+        ("check", ["drive.frequency=290", "effects.damping.viscous=0,1,5"], None),
+        ("modes", ["drive.frequency=1,2", "effects.damping.viscous=1,2", "plate.thickness=log:1e-4:2e-4:3"], None),
+        ("localize", FOUR, None),
+    ],
+)
+def test_sweeps_of_all_shapes(drawn, tmp_path, what, vary, samples):
+    """Refused points are grey, or ticks."""
+    figure, _ = drawn(draw_sweep, random_sweep(vary, what, samples))
+    picture = pixels(tmp_path / "plot.png")
+    assert min(picture.shape[:2]) > 300
+    assert count(picture, REFUSED_COLOUR if samples is None else "#8a8a8a") > 100
+    if (what, vary) == ("check", LINE):
+        assert [axes.get_ylabel() for axes in figure.axes] == ["time step [s]", "resolution"]
+        assert figure.axes[-1].get_xlabel() == "drive frequency [Hz]"
+
+
+@pytest.mark.parametrize("samples", [None, 5])
+def test_coinciding_curves_can_all_be_seen(tmp_path, samples):
+    """Every colour of the legend is in the panels, though best and bound coincide."""
+    sweep = random_sweep(["plate.thickness=4e-4:6e-4:6"], "localize", samples)
+    sweep.values.update({name: np.linspace(0.2, 0.7, len(sweep.plan)) for name in sweep.values})
+    sweep.values["single"], sweep.values["equal"] = (1 - sweep.values[name] for name in ("best", "bound"))
+    draw_sweep(replace(sweep, status=np.ones_like(sweep.status)), tmp_path / "a.png")
+    picture = pixels(tmp_path / "a.png")
+    legend = picture[:150] if samples is None else picture[:, -350:]
+    assert all(count(picture, colour) > count(legend, colour) + 40 for colour in COLOURS[:4])
+
+
+def test_cell_edges_lie_halfway_between_values():
+    np.testing.assert_allclose(cell_edges(np.array([1.0, 2.0, 4.0]), False), [0.5, 1.5, 3.0, 5.0])
+    np.testing.assert_allclose(cell_edges(np.array([1.0, 100.0]), True), [0.1, 10.0, 1000.0])
+    low, high = cell_edges(np.array([0.0]), False)
+    assert low < 0 < high
