@@ -185,7 +185,7 @@ def _trials(search: GridSearch) -> dict[Order, TrialRun]:
 def find_confirmed_grid(
     search: GridSearch, order: Order, precision: Precision, first: float, most_cost: float = math.inf
 ) -> TrialRun:
-    """Return :func:`find_coarsest_grid`, confirmed by a somewhat finer grid that also keeps the tolerance.
+    """Return the grid of :func:`find_coarsest_grid`, confirmed by a somewhat finer grid that also keeps the tolerance.
 
     Errors of coarse grids may pass through zero, so a single grid may keep the tolerance by chance.
     """
@@ -271,7 +271,7 @@ def _checked(search: GridSearch, trial: TrialRun) -> tuple[Configuration, float]
 
 
 def _seconds_a_plate(scene: Scene, device: str) -> float:
-    """Return the time that a plate takes among several [s], after a run to warm up."""
+    """Return the time per plate of a batch [s], measured after a warm-up run."""
     solver = PlateSolver(scene, device)
     plates = CUDA_PLATES if solver.device.is_cuda else 4 * solver.specialized.threads
     phasors = np.ones((plates, len(scene.actuators)), dtype=complex)

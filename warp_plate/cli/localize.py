@@ -50,7 +50,7 @@ def localize(
     pictures: options.Pictures = True,
     json: options.Json = False,
 ) -> None:
-    """Search the drive that puts most of the plate's kinetic energy into the target.
+    """Search for the drive that puts most of the plate's kinetic energy into the target.
 
     Every actuator's magnitude and phase is searched, with those of the first actuator fixed at 1 and 0. In a scene that
     is not linear in its drives (stretching, electrostatic force, a moving load) the magnitude of the first actuator is
@@ -67,7 +67,7 @@ def localize(
     With [[targets]] a drive is searched for each, and the crosstalk between them is shown. The scene with the best
     drive is written beside the result as OUT.best.toml, which simulate runs.
 
-    With [search.robust] drives are judged on many panels drawn within tolerances; the best one is compared on fresh
+    With [search.robust] drives are evaluated on many panels drawn within tolerances; the best one is compared on fresh
     panels with what the same search finds for the nominal panel (docs/robust.md).
 
     Ctrl-C ends the search with the best drive so far and leaves a checkpoint beside the result, from which --resume

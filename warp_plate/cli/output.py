@@ -116,8 +116,7 @@ def table(*headings: str, title: str | None = None) -> Table:
 
 
 def print_uncropped(console: Console, made: Table) -> None:
-    """Print a table whatever the width of the terminal: a number without its last digits is another number. Only
-    headings and the first column may wrap."""
+    """Print a table without cropping numbers, however narrow the terminal; headings and the first column may wrap."""
     for index, column in enumerate(made.columns):
         cells = [str(cell) for cell in column.cells]
         wrapped, fixed = ([column.header, *cells], []) if index == 0 else ([column.header], cells)
@@ -258,7 +257,7 @@ def prepare_pictures(pictures: bool) -> None:
 def write_files(
     path: Path, save: Callable[[Path], object], draw: Callable[[Path], Drawn], pictures: bool = True
 ) -> Drawn:
-    """Save a file whole even if Ctrl-C comes, draw its pictures beside it, and return the files written."""
+    """Save a file, completely even on Ctrl-C, draw its pictures beside it, and return the files written."""
     from warp_plate.interrupts import deferred_interrupts
 
     files: list[Path] = []

@@ -1,4 +1,4 @@
-"""From the options ``--devices`` and ``--cluster`` to a pool of workers."""
+"""Pools of workers for the options ``--devices`` and ``--cluster``."""
 
 from __future__ import annotations
 

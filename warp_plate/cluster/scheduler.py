@@ -1,4 +1,4 @@
-"""Run tasks on a pool until each is done: again where a worker ended, in halves where memory was short."""
+"""Run tasks on a pool; repeat them if a worker ended, and halve them if memory was short."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from warp_plate.cluster.pool import WorkerPool
 from warp_plate.interrupts import check_interrupt
 from warp_plate.scene.errors import SceneError
 
-# A task is given up after so many failures.
+# Number of failures after which a task is given up.
 ATTEMPTS = 3
-# Tasks for each worker, so that the next one is there when it is done with one.
+# Tasks queued for each worker, so that it need not wait for the next one.
 TASKS_PER_WORKER = 2
-# Seconds between looks at Ctrl-C and at who is there.
+# Seconds between checks for Ctrl-C and for workers that came or went.
 POLL_SECONDS = 0.2
 
 

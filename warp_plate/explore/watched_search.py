@@ -1,4 +1,4 @@
-"""A particle swarm in a thread of its own, to be looked at while it searches."""
+"""A particle swarm that runs in a thread of its own and can be observed while it searches."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from warp_plate.scene.model import Scene
 
 
 class WatchedSearch(threading.Thread):
-    """A search of the scene's swarm for the drive with the largest localization factor, which starts at once.
+    """A thread that searches for the drive with the largest localization factor; it starts when it is made.
 
-    Design variables of the scene's own search are left to ``localize``: here they are always the drives.
+    The design variables are always the drives, whatever the scene searches.
 
     Args:
         scene: The scene, at the current frequency and damping.

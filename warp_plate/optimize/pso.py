@@ -6,7 +6,7 @@ with position X, velocity V and personal best position P, and with G the best po
     V(l+1) = w k^l V(l) + c1 U (P - X) + c2 U (G - X)        w inertia, k decay, c1 cognitive, c2 social        (7)
     X(l+1) = X(l) + V(l+1)                                   l = 1, 2, ...; U uniform in [0, 1)                 (8)
 
-Where the paper is read otherwise than printed, or leaves a choice:
+Deviations from the printed text, and choices that it leaves open:
 
 - (7) is printed without "- X". Particles would then be thrown past the best positions, not drawn to them.
 - w = 4 with k = 0.99 keeps w k^l above 1 for all 80 iterations, and velocities grow without end. The default is 0.4;
@@ -102,7 +102,7 @@ class Swarm(Optimizer):
             self._draw()
             self._begin()
         elif self.iterations and math.isinf(self.personal_losses[self.leader]):
-            self._draw()  # no finite loss so far, so nothing to be drawn to: look elsewhere
+            self._draw()  # no finite loss so far, so there is no best position to move towards
         elif self.iterations:
             self._move()
         return self.positions
@@ -116,7 +116,7 @@ class Swarm(Optimizer):
         best = float(self.personal_losses[self.leader])
         if best < self.earlier_loss:
             self.best_position = self.personal_positions[self.leader].copy()
-        # Compared with the last loss that counted, so that many small steps together do count.
+        # Compared with the loss at the last progress, so that small improvements add up to progress.
         least = STALL_TOLERANCE * tolerance_scale(best, self.settings.loss_scale)
         if best < self.improved_loss - least:
             self.improved_loss, self.improved_at = best, self.iterations

@@ -1,4 +1,4 @@
-"""The space that a method searches: limits, where a search begins, and which numbers wrap."""
+"""The search space: limits, initial ranges, and components that wrap."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class SearchSpace:
-    """The numbers of a position, without their meaning.
+    """The components of a position, without their meaning.
 
     Attributes:
         names: (dimension,) names for people, such as "phase of upper left".
@@ -30,7 +30,7 @@ class SearchSpace:
 
     @property
     def dimension(self) -> int:
-        """Number of numbers in a position."""
+        """Number of components of a position."""
         return len(self.names)
 
     @cached_property

@@ -7,8 +7,8 @@ under equal magnitudes, say, any d with Σ d_k = 0 has
 
     zᵀA z = zᵀ(A + diag d) z ≤ λ(d) zᵀB z,    λ(d) the largest eigenvalue of (A + diag d) z = λ B z,
 
-and so for every d; the least λ(d) is the bound. A fixed phase leaves its actuator one real number instead of two, which
-narrows the matrices themselves.
+and so for every d; the least λ(d) is the bound. A fixed phase leaves its actuator one real parameter instead of two, so
+that the matrices are smaller.
 
 The loss is −Σ weight · value, or 1 − LF, and no value can be above its own bound; so no loss is below −Σ weight ·
 bound. That sum is reached only if one drive reaches all bounds: of several terms it is called a bound only.
@@ -34,9 +34,9 @@ from warp_plate.solve.response import Response, largest_ratio
 
 # Relative distance within which a drive that keeps all limits must come for its bound to be called attained.
 NEAR = 1e-6
-# Above so many actuators the multipliers are not sought: their cost grows as the fourth power.
+# Largest number of actuators for which multipliers are computed: their cost grows as the fourth power.
 MOST_ACTUATORS = 40
-# Factors by which the drive at which the multipliers point is tried, largest magnitude one to begin with.
+# Factors tried for the drive that the multipliers suggest, which is scaled to a largest magnitude of one.
 SCALES = np.geomspace(1e-3, 1e3, 241)
 MULTIPLIERS = "the dual of the semidefinite relaxation under the drive's limits"
 

@@ -12,7 +12,7 @@ The annotation of a field says how it is stored:
 Fields with another layout, all arrays among them, or with another name in the file say so in their annotation:
 ``Annotated[np.ndarray, Dataset("s", "times of the traces", ("steps",)), "trace_times"]``.
 
-Files are written in one piece with a seal, and read without trust in their content: links, data in other files and
+Files are written atomically with a checksum, and their content is checked on reading: links, data in other files and
 datasets larger than their file are refused, and a missing or unexpected value raises a SceneError that names it.
 """
 

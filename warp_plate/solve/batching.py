@@ -1,4 +1,4 @@
-"""A batch of plates under way on a device, and how a large batch is cut into parts."""
+"""A batch of plates on a device, and the division of a large batch into parts."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import State, bytes_per_plate
 from warp_plate.solve.status import exceeds, find_faults, steps_between_checks
 
-# A launch does at most about this much work, so that progress is shown and Ctrl-C is heard.
+# Approximate limit of the work of a launch, so that progress is shown and Ctrl-C is noticed.
 SEGMENT_NODE_STEPS = {"cpu": 1e9, "cuda": 5e10}
 # A part of a large batch on CUDA: eight times the 2112 plates of the paper's scene that an H200 runs side by side.
 # While it is stepped, the host prepares the next one.
 PART_NODE_STEPS = 1.32e10
-# The largest share of a CUDA device's free memory that plates take. On CPU they take this many bytes, and are no more
-# than one launch takes to the end of the run, but FEWEST_PLATES at least.
+# Largest share of a CUDA device's free memory that plates take; bytes that they take on CPU. A batch on CPU is also no
+# larger than one launch can finish, or than FEWEST_PLATES if that is more.
 CUDA_MEMORY_SHARE = 0.6
 CPU_BYTES = 256 * 2**20
 FEWEST_PLATES = 64
@@ -31,7 +31,7 @@ SMALLEST_DRIVE, LARGEST_DRIVE = 1e-130, 1e130
 
 
 class PlateBatch:
-    """Plates in one state, from rest at t = 0; results are in SI units.
+    """A batch of plates, stepped from rest at t = 0; results are in SI units.
 
     Attributes:
         engine: The compiled kernels.

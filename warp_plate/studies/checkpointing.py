@@ -14,7 +14,7 @@ from warp_plate.result.checkpoint import Checkpoint, previous_path, save_checkpo
 from warp_plate.result.sweep import Sweep, save_sweep
 from warp_plate.scene.errors import SceneError
 
-# Default of the seconds between two checkpoints.
+# Default interval between two checkpoints [s].
 EVERY = 30.0
 Study = TypeVar("Study", Checkpoint, Sweep)
 
@@ -28,7 +28,7 @@ class StudyFile(Generic[Study]):
         warn: called with one line if the file cannot be written. The study then continues, and the last file stays.
 
     Attributes:
-        saved: what was written last, or None.
+        saved: study that was written last, or None.
 
     Raises:
         SceneError: ``every`` is negative or NaN.

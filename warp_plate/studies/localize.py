@@ -63,7 +63,7 @@ def localize(
     pool: WorkerPool | None = None,
     baselines: bool = False,
 ) -> Result:
-    """Search the drive with the largest share of the plate's kinetic energy in the target.
+    """Search for the drive with the largest share of the plate's kinetic energy in the target.
 
     A scene with several targets has one search after the other, and a best drive for each (see ``result.targets``).
     The grid of a scene with ``grid.accuracy`` is chosen first, for the first target. Ctrl-C ends the search early; the
