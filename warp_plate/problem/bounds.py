@@ -62,7 +62,7 @@ class AllowedDrives:
     phase: np.ndarray  # (actuators,) fixed phases [rad]; NaN where a phase is searched
     power: float = math.inf  # largest Σ magnitude²
     equal: bool = False  # all magnitudes are the same
-    wider: bool = False  # the set holds drives that cannot be chosen, one of which may be what reaches a bound
+    wider: bool = False  # the set contains drives that are not allowed, one of which may attain the bound
 
     def basis(self) -> np.ndarray:
         """Return (2M, parameters): z = basis @ parameters are the drives of the fixed phases.
