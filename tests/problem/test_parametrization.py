@@ -232,5 +232,7 @@ def test_drives_are_scaled_where_only_ratios_matter_and_clipped_elsewhere():
     position = np.array([[4.0, -0.9, 0.0, 0.0]])
     small = parametrized({"limits": {"magnitude": 0.5}}).designs(position).drives
     assert np.allclose(small, [[0.125, 0.5, -0.1125]], rtol=1e-14)
+    powered = parametrized({"limits": {"power": 4.0}}).designs(position).drives
+    assert np.allclose(powered, np.array([[1, 4, -0.9]]) * 2 / np.sqrt(17.81), rtol=1e-14)
     clipped = parametrized({"limits": {"magnitude": 0.75}}, **STRETCHING).designs(position).drives
     assert np.allclose(clipped, [[0.75, 0.75, -0.75]])
