@@ -14,7 +14,7 @@ from warp_plate.result import load_result, save_result
 from warp_plate.studies.compare import compare
 from warp_plate.studies.localize import localize, resume
 
-TOLERANCES = {"young_modulus": 0.15, "gain": 0.1, "place": 0.004, "scenarios": 16, "fresh": 60}
+TOLERANCES = {"young_modulus": 0.15, "gain": 0.1, "place": 0.004, "scenarios": 3}
 
 
 def robust(effects=None, seed=0, precision="float64", search=None, **tolerances):
@@ -26,10 +26,11 @@ def robust(effects=None, seed=0, precision="float64", search=None, **tolerances)
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_the_robust_drive_beats_the_nominal_one_in_the_worst_cases(seed):
     """Over validation scenarios; on the nominal panel the nominal drive stays better."""
-    scene = robust(seed=seed, search={"method": "gradient", "iterations": 60}, measure="quantile", scenarios=32)
+    uncertain = {"measure": "quantile", "young_modulus": 0.3, "scenarios": 8, "fresh": 20}
+    scene = robust(seed=seed, search={"method": "gradient"}, **uncertain)
     compared = localize(scene, device="cpu", estimate=False).robust
     rows = compared.rows()
     assert rows["worst_5_percent"][0] > rows["worst_5_percent"][1]
@@ -41,7 +42,7 @@ def test_the_robust_drive_beats_the_nominal_one_in_the_worst_cases(seed):
 
 @pytest.mark.parametrize("measure", ["mean", "quantile"])
 def test_losses_are_the_measure_over_scenarios_and_exceed_the_bound(measure, random):
-    problem = make_problem(robust(measure=measure, scenarios=5), "cpu")
+    problem = make_problem(robust(measure=measure), "cpu")
     assert problem.scenario_losses is not None
     assert problem.evaluator_name == "response"
     positions = random.normal(size=(40, problem.space.dimension))
@@ -52,7 +53,7 @@ def test_losses_are_the_measure_over_scenarios_and_exceed_the_bound(measure, ran
     assert np.all(losses > problem.loss_bound.value)
     nominal = problem.objectives.losses(problem.response.energy(designs.drives))
     np.testing.assert_array_equal(problem.nominal.losses(positions), nominal)
-    direct = make_problem(robust(measure=measure, scenarios=5), "cpu", evaluator="direct")
+    direct = make_problem(robust(measure=measure), "cpu", evaluator="direct")
     assert (direct.quadratic, direct.loss_bound) == (None, None)
     np.testing.assert_allclose(direct.losses(positions), losses, rtol=1e-9)
 
@@ -60,8 +61,8 @@ def test_losses_are_the_measure_over_scenarios_and_exceed_the_bound(measure, ran
 @pytest.mark.parametrize(
     "scene",
     [
-        robust(search={"position": {}, "phase": {}}, scenarios=3),
-        robust({"damping": {"viscous": 20.0}, "stretching": {}}, scenarios=3),
+        robust(search={"position": {}, "phase": {}}),
+        robust({"damping": {"viscous": 20.0}, "stretching": {}}),
     ],
     ids=["positions", "stretching"],
 )
@@ -79,7 +80,7 @@ def test_what_is_not_quadratic_is_simulated(scene):
 
 def test_an_interrupted_search_resumes_bit_identically(tmp_path):
     """The resumed result holds the comparison, and so does its file."""
-    scene = robust(precision="float32", fresh=4, scenarios=3)
+    scene = robust(precision="float32", fresh=4)
     full = localize(scene, "mine", "cpu", estimate=False)
     cut, checkpoint = stopped(tmp_path, scene, "cpu", after=5)
     assert cut.robust is None
@@ -91,7 +92,7 @@ def test_an_interrupted_search_resumes_bit_identically(tmp_path):
 
 
 def test_the_command_shows_both_drives(write_scene, command):
-    write_scene(robust(fresh=6, scenarios=2))
+    write_scene(robust(fresh=6))
     options = ("localize", "panel.toml", "--no-pictures", "--no-estimate", "--device", "cpu")
     found = json.loads(output_of(command(*options, "--json")))
     rows = found["robust"]
@@ -105,7 +106,7 @@ def test_the_command_shows_both_drives(write_scene, command):
 
 
 def test_methods_are_compared_by_robust_losses():
-    scene = robust(scenarios=3)
+    scene = robust()
     found = compare(scene, methods=("gradient", "ring"), seeds=1, device="cpu", evaluations=64)
     problem = make_problem(scene, "cpu")
     assert found.evaluator == "response"

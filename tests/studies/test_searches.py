@@ -1,20 +1,18 @@
 """Small searches for each kind of design variable, from the scene to the files."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import scene_of
 from test_resume import assert_same, stopped
 
-from warp_plate import PlateSolver, Scene, SceneError, load_result, localize, resume
+from warp_plate import PlateSolver, Scene, load_result, localize, resume
 from warp_plate.analysis.motion import motions
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.result import save_result
 from warp_plate.result.export.time_series import make_drive_signal
-from warp_plate.scene.model import Grid
 from warp_plate.solve.response import largest_ratio, measure_response
 from warp_plate.studies.simulate import simulate
 from warp_plate.studies.spectrum import factors_over, resonances
@@ -48,9 +46,10 @@ def searched(name, particles=6, iterations=5, precision="float32", **tables):
 
 @pytest.mark.parametrize("name", SEARCHES)
 def test_the_scene_found_simulates_to_the_result(name, tmp_path):
-    """The best of the search, its case, its scene and the file of the result agree."""
-    result = localize(searched(name), device="cpu", estimate=False, spectrum=False)
-    best = result.cases["best"]
+    """The best of the search, its case, its scene and the file of the result agree; the spectrum of a common frequency
+    covers the range and bounds what the search finds."""
+    result = localize(searched(name), device="cpu", estimate=False)
+    best, spectrum = result.cases["best"], result.spectrum
     # Kernels differ between a batch of plates with parameters of their own and a scene of its own.
     assert best.localization_factor == pytest.approx(result.history["best"][-1], abs=2e-5)
     assert np.all(np.diff(result.history["best"]) >= 0)
@@ -60,23 +59,22 @@ def test_the_scene_found_simulates_to_the_result(name, tmp_path):
     loaded = load_result(save_result(result, tmp_path / "one.h5"))
     np.testing.assert_equal(loaded.cases["best"].per_actuator, best.per_actuator)
     assert loaded.case_scene(loaded.cases["best"]) == result.case_scene(best)
+    np.testing.assert_equal(loaded.spectrum, spectrum)
     assert not loaded.cases["equal"].per_actuator
     assert {heading for kind, heading in TITLES.items() if kind in SEARCHES[name]} <= best.per_actuator.keys()
     assert (result.bound is not None) == (name in ("magnitude", "phase"))
+    assert bool(spectrum) == (name == "frequency")
+    if spectrum:
+        assert spectrum["frequency"][[0, -1]].tolist() == [100, 400]
+        assert np.all(spectrum["best"] >= spectrum["equal"] - 1e-9)
+        assert best.localization_factor <= np.interp(best.frequency[0], spectrum["frequency"], spectrum["best"]) + 0.02
 
 
-def test_an_interrupted_search_of_everything_resumes_bit_identically(tmp_path):
-    scene = searched("all")
-    _, checkpoint = stopped(tmp_path, scene, "cpu", after=3)
-    assert_same(resume(checkpoint, estimate=False), localize(scene, "mine", "cpu", estimate=False))
-    other = checkpoint.scene.with_tables(search={**SEARCHES["phase"], "particles": 6, "iterations": 5})
-    with pytest.raises(SceneError, match="checkpoint: "):
-        resume(replace(checkpoint, scene=other), estimate=False)
-
-
-@pytest.mark.parametrize("method", ["ring", "constriction", "gradient"])
-def test_other_methods_resume_bit_identically(method, tmp_path):
-    scene = searched("phase")
+@pytest.mark.parametrize(
+    ("name", "method"), [("all", "pso"), ("phase", "ring"), ("phase", "constriction"), ("phase", "gradient")]
+)
+def test_an_interrupted_search_resumes_bit_identically(name, method, tmp_path):
+    scene = searched(name)
     scene = scene.with_tables(search={**scene.search.model_dump(), "method": method})
     _, checkpoint = stopped(tmp_path, scene, "cpu", after=2)
     assert_same(resume(checkpoint, estimate=False), localize(scene, "mine", "cpu", estimate=False))
@@ -86,25 +84,11 @@ def test_history_holds_the_weighted_sum_of_other_objectives():
     scene = searched("magnitude")
     objectives = [{"kind": "velocity", "weight": 1e3}, {"kind": "displacement", "weight": 1e5}]
     scene = scene.with_tables(search={**scene.search.model_dump(), "objectives": objectives})
-    direct = localize(scene, device="cpu", estimate=False)
-    by_matrices = localize(scene, device="cpu", estimate=False, evaluator="response")
+    direct, by_matrices = (localize(scene, "", "cpu", None, name, estimate=False) for name in ("direct", "response"))
     assert direct.bound is None
     assert not direct.only_localization
     np.testing.assert_allclose(direct.history["best"], by_matrices.history["best"], rtol=1e-3)
     assert direct.history["best"][0] > 0
-
-
-@pytest.mark.parametrize("name", ["frequency", "own frequencies"])
-def test_a_grid_for_an_accuracy_resolves_every_frequency(name):
-    """The grid is chosen at the end of the range; the scene keeps its own frequency."""
-    scene = searched(name)
-    result = localize(
-        scene.model_copy(update={"grid": Grid(accuracy=0.3)}), device="cpu", estimate=False, spectrum=False
-    )
-    assert result.accuracy["asked"] == 0.3
-    assert result.scene.drive.frequency == scene.drive.frequency
-    assert result.scene.grid.time_step <= 1 / 20 / scene.search.frequency.range[1]
-    assert np.isfinite(result.cases["best"].localization_factor)
 
 
 @pytest.fixture
@@ -205,26 +189,11 @@ def test_resonances_are_the_natural_frequencies_in_the_range():
     np.testing.assert_allclose(resonances(scene, low, high), expected, rtol=1e-9)
 
 
-def test_the_spectrum_of_a_search(tmp_path):
-    """It covers the range, bounds what the search finds, and is kept in the file."""
-    result = localize(searched("frequency"), device="cpu", estimate=False)
-    spectrum, best = result.spectrum, result.cases["best"]
-    assert spectrum["frequency"][[0, -1]].tolist() == [100, 400]
-    assert np.all(spectrum["best"] >= spectrum["equal"] - 1e-9)
-    assert best.localization_factor <= np.interp(best.frequency[0], spectrum["frequency"], spectrum["best"]) + 0.02
-    np.testing.assert_equal(load_result(save_result(result, tmp_path / "one.h5")).spectrum, spectrum)
-
-
-def test_no_spectrum_if_drives_do_not_superpose_or_frequencies_differ():
-    scene = searched("frequency", effects={"damping": {"viscous": 60.0}, "stretching": {}})
-    assert localize(scene, device="cpu", estimate=False).spectrum == {}
-    assert localize(searched("own frequencies"), device="cpu", estimate=False).spectrum == {}
-
-
 def test_a_search_without_any_finite_plate_says_so(write_scene, command):
-    search = {"magnitude": {"range": [1e8, 1e9]}, "particles": 3, "iterations": 2}
+    search = {"magnitude": {"range": [1e8, 1e9]}, "frequency": {"range": [100, 400]}, "particles": 3, "iterations": 2}
     effects = {"damping": {"viscous": 60.0}, "stretching": {}}
     write_scene(nodes=(11, 11), window=(0.004, 0.008), search=search, effects=effects)
     record = json.loads(command("localize", "panel.toml", *QUICK, "--json")[1])
     assert record["history"][-1]["best"] is None
+    assert not record["spectrum"]
     assert record["warnings"][0].startswith("No plate that the search tried has energies")

@@ -23,8 +23,6 @@ from warp_plate.studies.simulate import simulate
 from warp_plate.studies.sweep import run_sweep, start_sweep
 from warp_plate.studies.sweep_file import check_replaceable, resume_sweep, save_finished
 
-GRID = ("plate.thickness=4e-4:2e-3:5", "drive.frequency=200,300")
-
 
 @pytest.fixture
 def plate():
@@ -34,11 +32,6 @@ def plate():
 
 def plan_of(scene, *vary, samples=None):
     return make_plan([parse_vary(scene, text) for text in vary], samples, 0)
-
-
-def assert_same(one, other):
-    for name in ("values", "status", "reasons"):
-        np.testing.assert_equal(getattr(one, name), getattr(other, name))
 
 
 def test_quantities_are_those_of_the_commands(plate):
@@ -107,34 +100,29 @@ def test_keys_without_effect(plate):
     assert sweep(plate, two, samples=3, device="cpu").keys_without_effect == ()
 
 
-@pytest.mark.parametrize("samples", [None, 7])
-def test_a_file_returns_what_was_saved(plate, tmp_path, samples):
-    vary = ["plate.thickness=4e-4,5e-4,2e-3", "drive.frequency=log:200:300:2"]
-    found = sweep(plate, vary, "modes", samples=samples, device="cpu", count=2)
-    read = load_sweep(save_sweep(found, tmp_path / "a.h5"))
-    assert read.plan.same(found.plan)
-    assert read.plan.logarithmic == (False, True)
-    assert (read.scene, read.what, read.count, read.outputs) == (plate, "modes", 2, found.outputs)
-    assert_same(read, found)
-
-
 def test_a_sweep_interrupted_anywhere_resumes_to_the_same(plate, tmp_path, random):
-    plan, file, described = plan_of(plate, *GRID), tmp_path / "a.h5", []
+    vary = ["plate.thickness=4e-4:2e-3:5", "drive.frequency=log:200:300:2"]
+    plan, file, described = plan_of(plate, *vary), tmp_path / "a.h5", []
 
     def on_progress(done, total, note):
         described.append(note)
         if random.random() < 0.4:
             raise KeyboardInterrupt
 
-    current = start_sweep(plate, plan, "simulate", "cpu")
+    current = start_sweep(plate, plan, "modes", "cpu", count=2)
     while not current.finished:
         kept = SweepFile(file, math.inf, resumes=file.exists())
         try:
             current = run_sweep(current, on_progress, kept)
         except KeyboardInterrupt:
             current = resume_sweep(load_sweep(file))
-    assert_same(current, sweep(plate, plan, "simulate", device="cpu"))
+    full, read = sweep(plate, plan, "modes", device="cpu", count=2), load_sweep(save_sweep(current, file))
+    for name in ("values", "status", "reasons"):
+        np.testing.assert_equal(getattr(read, name), getattr(full, name))
     assert len(described) == len(set(described)) == len(plan)  # no point is run twice
+    assert read.plan.same(plan)
+    assert read.plan.logarithmic == (False, True)
+    assert (read.scene, read.what, read.count, read.outputs) == (plate, "modes", 2, full.outputs)
 
 
 class Killing(InlinePool):
@@ -154,19 +142,25 @@ class Killing(InlinePool):
 
 
 def test_points_whose_workers_end_are_tried_again_and_then_given_up(plate, random, tmp_path):
-    (tmp_path / "thick.csv").write_text("1.0,1.1\n", encoding="utf-8")
+    """The workers have the files that the scene names, which must not change before a sweep goes on."""
+    path = tmp_path / "thick.csv"
+    path.write_text("1.0,1.1\n", encoding="utf-8")
     varied = plate.with_tables(effects={"variation": {"thickness": "thick.csv"}}).in_folder(tmp_path)
     plan = plan_of(varied, "drive.frequency=200:300:6", "plate.thickness=5e-4,0.1")
-    pool = Killing(random, 220.0)
-    here, there = sweep(varied, plan, "modes", device="cpu"), sweep(varied, plan, "modes", device="cpu", pool=pool)
+    start, pool = start_sweep(varied, plan, "modes", "cpu"), Killing(random, 220.0)
+    here, there = run_sweep(start), run_sweep(start, pool=pool)
     lost = plan.points[:, 0] == 220.0
     assert lost.sum() == 2
     assert pool.killed >= 2 * ATTEMPTS
+    assert there.devices_used == here.devices_used
     np.testing.assert_array_equal(there.values["frequency"][~lost], here.values["frequency"][~lost])
     np.testing.assert_array_equal(there.status[~lost], here.status[~lost])
     for point, reason in there.reasons.items():
         given_up = f"given up after {ATTEMPTS} attempts: its worker ended"
         assert reason == (given_up if lost[point] else here.reasons[point])
+    path.write_text("1.0,1.2\n", encoding="utf-8")
+    with pytest.raises(SceneError, match="has changed since the sweep began"):
+        resume_sweep(start)
 
 
 class Away(InlinePool):
@@ -182,9 +176,8 @@ class Away(InlinePool):
 
 
 def test_processors_of_workers_are_kept_and_not_mixed_silently(plate, tmp_path):
-    plan, file, lines = plan_of(plate, "drive.frequency=200:300:4"), tmp_path / "a.h5", []
-    start = start_sweep(plate, plan, "check")
-    here = f"{start.device} ({start.processor})"
+    file, lines = tmp_path / "a.h5", []
+    start = start_sweep(plate, plan_of(plate, "drive.frequency=200:300:4"), "check")
     with pytest.raises(KeyboardInterrupt):
         run_sweep(start, stop_after(1), SweepFile(file, math.inf), Away())
     half = load_sweep(file)
@@ -194,20 +187,15 @@ def test_processors_of_workers_are_kept_and_not_mixed_silently(plate, tmp_path):
         resume_sweep(half)
     with pytest.raises(SceneError, match=r"cuda:0 \(A GPU\) and continues on cuda:0 \(Another\).* --device cuda$"):
         run_sweep(resume_sweep(half, on_workers=True), pool=Away("Another"))
-    without = InlinePool()
-    without.device = "cuda:99"
-    with pytest.raises(SceneError, match="device = 'cuda:99': not on this machine"):
-        run_sweep(start, pool=without)
     kept = SweepFile(file, math.inf, resumes=True)
     with pytest.raises(KeyboardInterrupt):
         run_sweep(resume_sweep(half, on_workers=True), stop_after(3), kept, Away("Another"), lines.append)
-    (line,) = lines
-    assert "continues on cuda:0 (Another)" in line
+    assert len(lines) == 1
     full = run_sweep(resume_sweep(load_sweep(file), start.device))
-    assert load_sweep(save_sweep(full, file)).devices_used == f"cuda:0 (A GPU), then cuda:0 (Another), then {here}"
+    used = f"cuda:0 (A GPU), then cuda:0 (Another), then {start.device} ({start.processor})"
+    assert load_sweep(save_sweep(full, file)).devices_used == used
     assert resume_sweep(full, "cuda:99") is full  # nothing is left to run
     assert run_sweep(resume_sweep(half, on_workers=True), pool=Away()).devices_used == "cuda:0 (A GPU)"
-    assert run_sweep(start, pool=Killing(np.random.default_rng(0), 200.0)).devices_used == here
 
 
 @pytest.mark.parametrize("error", [RuntimeError("Failed to allocate 9 bytes\non device 'cuda:0'"), MemoryError("9")])
@@ -229,36 +217,16 @@ def test_a_point_without_memory_is_given_up_and_others_run(plate, monkeypatch, e
         sweep(plate, ["drive.frequency=200:300:3"], "check", device="cpu")
 
 
-def test_files_that_the_scene_names_must_not_change(tmp_path):
-    path = tmp_path / "thick.csv"
-    path.write_text("1.0,1.1\n", encoding="utf-8")
-    varied = scene_of(effects={"variation": {"thickness": "thick.csv"}}).in_folder(tmp_path)
-    start = start_sweep(varied, plan_of(varied, "drive.frequency=200,300"), "check", "cpu")
-    assert (run_sweep(start).status == RUN).all()
-    path.write_text("1.0,1.2\n", encoding="utf-8")
-    with pytest.raises(SceneError, match="has changed since the sweep began"):
-        resume_sweep(start)
-
-
 def test_a_result_replaces_only_one_of_the_same_sweep(plate, tmp_path):
     plan, path = plan_of(plate, "drive.frequency=200,300"), tmp_path / "a.h5"
     found, unfinished = sweep(plate, plan, "check", device="cpu"), tmp_path / "a.checkpoint.h5"
     save_sweep(found, path)
     check_replaceable(path, replace(found, seconds=9.0, device="cuda:0"))
-    check_replaceable(tmp_path / "none.h5", found)
-    others = {
-        "another scene": start_sweep(scene_of(damping=80.0), plan, "check"),
-        "--what check": start_sweep(plate, plan, "simulate"),
-        r"other points \(2 points, drive.frequency": start_sweep(plate, plan_of(plate, "drive.frequency=2,3"), "check"),
-        "--count 6": start_sweep(plate, plan, "check", count=5),
-    }
-    for words, other in others.items():
-        with pytest.raises(SceneError, match=rf"h5: holds a sweep of {words}.*; name another file by --out"):
-            check_replaceable(path, other)
+    with pytest.raises(SceneError, match="h5: holds a sweep of another scene; name another file by --out"):
+        check_replaceable(path, start_sweep(scene_of(damping=80.0), plan, "check"))
     # All points are kept where the result cannot be written.
-    other = replace(found, count=5)
     with pytest.raises(SceneError, match="holds a sweep of --count 6"):
-        save_finished(other, path, SweepFile(unfinished))
+        save_finished(replace(found, count=5), path, SweepFile(unfinished))
     assert load_sweep(unfinished).finished
     save_finished(found, path, SweepFile(unfinished, resumes=True))
     assert not unfinished.exists()
