@@ -86,8 +86,8 @@ class Estimate:
             text += f", displacement ± {percent(moved)}"
         if self.price is None:
             return text
-        cost, grid = f"{two_digits(self.price.cost)} times as much", self.price.configuration.grid_text
-        return f"{text}; {percent(self.price.tolerance)} costs {cost} ({grid})"
+        times = "" if 0.95 < self.price.cost < 1.05 else f"{two_digits(self.price.cost)} times "
+        return f"{text}; {percent(self.price.tolerance)} costs {times}as much ({self.price.configuration.grid_text})"
 
     def as_json(self) -> dict[str, object]:
         """Return the estimate as numbers and texts."""

@@ -89,7 +89,8 @@ def _print(report: AccuracyReport, device: str, console: Console) -> None:
     missing: dict[str, list[str]] = {}
     for row in report.rows:
         if not row.measured:
-            status, _, reason = row.status.partition(": ")
+            status = row.status.replace("skipped: would take", "skipped because of the time limit:")
+            status, _, reason = status.partition(": ")
             grid = f"{_size(row)} ({reason})" if reason else _size(row)
             missing.setdefault(f"{_kind(row)}, {row.precision}: {status}", []).append(grid)
     for kind, grids in missing.items():

@@ -83,7 +83,6 @@ class Swarm(Optimizer):
         self.random = np.random.default_rng(settings.seed)
         self.restarts = self.restarted_at = 0
         self.earlier_loss = math.inf  # best of the swarms before the last restart
-        self.improved_loss = math.inf
         self._draw()
         self._begin()
 
