@@ -96,11 +96,8 @@ def sweep(
     with output.resumable(file, "sweep"):
         with workers.open_pool() as pool, output.progress_bar("sweeping", not json) as show:
             show(len(start.plan) - len(start.pending), len(start.plan), start.progress)
-
-            def on_progress(done: int, total: int, note: str) -> None:
-                show(done, total, f"{done} of {total}: {note}")
-
-            result = run_sweep(start, on_progress, file, pool, on_device_change)
+            note = "{} of {}: {}".format
+            result = run_sweep(start, lambda *done: show(*done[:2], note(*done)), file, pool, on_device_change)
         draw = partial(save_plots, draw_sweep, result)
         written = output.write_files(target, lambda path: save_finished(result, path, file), draw, pictures)
     output.report(json, partial(_as_json, result), partial(_print, result), written)
