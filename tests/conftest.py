@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 import zlib
 from functools import lru_cache
 from pathlib import Path
@@ -262,6 +263,14 @@ def browser():
         made = started.chromium.launch(executable_path=found, args=["--no-sandbox"])
         yield made
         made.close()
+
+
+def until(condition, patience=60.0):
+    """Wait until a condition holds, on a busy machine at most so long [s]."""
+    end = time.monotonic() + patience
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
 
 
 def pixels(picture):

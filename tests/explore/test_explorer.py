@@ -1,40 +1,218 @@
-"""The explorer's picture as data, and refusals of the command."""
+"""The explorer: its live model shows at once what plates do when they are run; its picture as data; refusals."""
 
 import math
+import threading
+import time
+from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
-from conftest import error_of
+from conftest import error_of, until
 
+from warp_plate import PlateSolver, SceneError, localize
+from warp_plate.analysis.superposition import ORDERS, last_period
 from warp_plate.explore import live_model
-from warp_plate.explore.live_model import LiveModel
+from warp_plate.explore.live_model import CHOICES, LiveModel
+from warp_plate.explore.settings import changed_scene, slider_ranges
+from warp_plate.plate.weights import localization_factor
 from warp_plate.result.motion import QUADRANTS, DriveResponse, SteadyMotion, SwarmSnapshot
 from warp_plate.viz import explorer_page
 from warp_plate.viz.explorer_view import LEAST_SHARE, PERIOD, ExplorerView, share_texts
 from warp_plate.viz.pictures import make_plotter
 
-pyvista = pytest.importorskip("pyvista", reason="PyVista is not installed: pip install 'warp-plate[viz]'")
+# Damped so strongly that the motion is steady when the run ends, and not so strongly that low modes creep.
+DAMPING = 120.0
+SEARCH = {"particles": 12, "iterations": 15}
 
 
 @pytest.fixture
-def model(scene):
-    made = LiveModel(scene(damping=120.0, window=(0.08, 0.1), search={"particles": 6, "iterations": 8}), "cpu")
-    yield made
-    made.close()
+def panel(scene):
+    """Three actuators, steady at the end."""
+    return scene(damping=DAMPING, window=(0.08, 0.1), search=SEARCH)
+
+
+@pytest.fixture
+def live():
+    """A factory of live models on the CPU, which are closed at the end."""
+    with ExitStack() as models:
+        yield lambda scene: models.enter_context(closing(LiveModel(scene, "cpu")))
+
+
+@pytest.fixture
+def model(live, panel):
+    return live(panel)
 
 
 @pytest.fixture
 def view(model, drawing):
-    plotter = make_plotter((900, 800), off_screen=True, shape=(2, 1))
-    made = ExplorerView(plotter, model, 16)
-    made.plotter = plotter
-    yield made
-    plotter.close()
+    with closing(make_plotter((900, 800), off_screen=True, shape=(2, 1))) as plotter:
+        made = ExplorerView(plotter, model, 16)
+        made.plotter = plotter
+        yield made
 
 
-def points(chart_plot):
-    """(points, 2) of a plot of a chart."""
-    return np.column_stack([chart_plot.x, chart_plot.y])
+def after(model, **changes):
+    """The reading after changes, such as frequency=250.0 or choice="equal"."""
+    for name, value in changes.items():
+        (model.choose if name == "choice" else getattr(model, f"set_{name}"))(value)
+    model.wait()
+    return model.read()
+
+
+def test_frequency_and_damping_are_simulated_again(panel, model):
+    for frequency, damping in ((240.0, DAMPING), (290.0, 500.0), (290.0, 0.0)):
+        reading = after(model, frequency=frequency, damping=damping)
+        run = PlateSolver(changed_scene(panel, frequency, damping), "cpu").run(np.ones((1, 3)))
+        assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
+        assert (reading.scene.drive.frequency, reading.scene.effects.damping.viscous) == (frequency, damping)
+
+
+def test_a_reading_does_not_wait_for_a_simulation(model, monkeypatch):
+    """While the worker simulates, the old responses stay and drives still move; then the latest frequency is shown."""
+    real, go_on = live_model.unit_responses, threading.Event()
+
+    def slow(*arguments):
+        assert go_on.wait(60)
+        return real(*arguments)
+
+    monkeypatch.setattr(live_model, "unit_responses", slow)
+    for frequency in np.linspace(150, 200, 20):
+        model.set_frequency(frequency)
+    assert model.status() == "simulating ..."
+    model.set_actuator(0, magnitude=0.5)
+    model.set_actuator(1, phase=math.pi / 2)
+    for frequency in (290.0, 200.0):
+        assert model.read().scene.drive.frequency == frequency
+        # The lag is φ as in cos(ωt − φ).
+        np.testing.assert_allclose(model.read().phasors, [0.5, -1j, 1], atol=1e-15)
+        go_on.set()
+        model.wait()
+    assert model.status() == ""
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_what_cannot_be_simulated_is_reported_and_the_rest_goes_on(scene, live, monkeypatch):
+    """A damping that makes the given step, taken backward, unstable; an error, as of a device out of memory."""
+
+    def fail(*_):
+        raise RuntimeError("out of memory")
+
+    with pytest.raises(SceneError, match="above the stability limit"):
+        live(scene(time_step=1e-3))
+    model = live(scene(damping=10.0, scheme="backward", time_step=1.2e-4))
+    before = model.read()
+    assert after(model, damping=1e5).scene is before.scene
+    assert "above the stability limit" in model.status()
+    assert after(model, damping=20.0).scene.effects.damping.viscous == 20.0
+    assert "limit" not in model.status()
+    monkeypatch.setattr(live_model, "unit_responses", fail)
+    assert after(model, frequency=200.0).scene.drive.frequency == 290.0
+    assert model.status().startswith("the simulation has failed")
+
+
+def test_slider_ranges_are_within_what_the_run_can_carry(panel, scene):
+    ranges = slider_ranges(panel)
+    assert (ranges.magnitude, ranges.damping) == (2.0, 5 * DAMPING)
+    assert ranges.frequency == pytest.approx((58, 580))
+    short = scene(window=(0.0, 0.005), time_step=8e-4, nodes=(7, 7))
+    assert slider_ranges(short).frequency == pytest.approx((200, 312.5))
+    # A loss factor of 0.5 where the scene has no damping: 0.5 ωρH.
+    assert slider_ranges(short).damping == pytest.approx(0.5 * short.drive_angular_frequency * 0.5)
+
+
+def test_choices_are_what_localize_means_by_them(panel, model):
+    result = localize(panel, device="cpu", estimate=False)
+    for choice in ("equal", "single"):
+        # A run in float64 against one in the scene's precision.
+        expected = result.cases[choice].localization_factor
+        assert after(model, choice=choice).localization_factor == pytest.approx(expected, rel=1e-6)
+    exact = after(model, choice="exact")
+    assert exact.localization_factor == pytest.approx(exact.bound, rel=1e-9) == pytest.approx(result.bound, rel=1e-9)
+    first, second = (after(model, choice="random").phasors for _ in range(2))
+    assert np.abs(first - second).min() > 0
+    np.testing.assert_allclose(after(model, choice="scene").phasors, [1, 1, 1])
+    for choice in CHOICES:
+        after(model, choice=choice)
+        assert max(model.settings.magnitude) <= model.ranges.magnitude * (1 + 1e-12)
+        assert all(0 <= phase < 2 * math.pi for phase in model.settings.phase)
+    with pytest.raises(ValueError, match="'best': there are: scene, equal"):
+        model.choose("best")
+    assert tuple(explorer_page.CHOICES) == CHOICES
+
+
+def test_one_actuator_and_damping_where_the_scene_has_none(scene, live):
+    model = live(scene(actuators=[(0.03, 0.06, 0.04, 0.07)]))
+    model.set_damping(DAMPING)
+    assert all(after(model, choice=choice).localization_factor > 0 for choice in CHOICES)
+    assert model.read().scene.effects.damping.viscous == DAMPING
+    assert model.swarm() is None
+
+
+def test_a_search_is_watched(panel, model):
+    """Particles and best at each iteration; the plate is that of the best, as localize finds it."""
+    model.choose("found", seconds=0.02)
+    seen = {}
+    while (swarm := model.swarm()) is None or swarm.running:
+        if swarm is not None:
+            seen[swarm.best.size] = swarm
+        time.sleep(0.002)
+    model.wait()
+    last = model.swarm()
+    assert len(seen) > 5
+    assert (last.running, last.best.size, last.iterations) == (False, 15, 15)
+    assert np.all(np.diff(last.best) >= 0)
+    for swarm in seen.values():
+        assert swarm.phasors.shape == (12, 3)
+        np.testing.assert_array_equal(swarm.phasors[:, 0], 1)
+    assert last.factors.max() <= last.best[-1] <= model.read().bound
+    assert model.read().localization_factor == pytest.approx(last.best[-1], rel=1e-12)
+    history = localize(panel, device="cpu", evaluator="response", estimate=False).history["best"]
+    np.testing.assert_allclose(last.best, history, rtol=1e-9)
+    # A search ends when a slider is moved: what it finds after that is not taken.
+    model.choose("found", seconds=0.02)
+    until(lambda: model.swarm() is not None and model.swarm().running)
+    model.set_actuator(0, magnitude=0.25)
+    assert model.swarm() is None
+    time.sleep(0.05)
+    assert model.read().phasors[0] == pytest.approx(0.25 * np.exp(-1j * model.settings.phase[0]))
+    # Its drives are those of another frequency.
+    for frequency in (200.0, 220.0):
+        assert after(model, choice="found", frequency=frequency).scene.drive.frequency == frequency
+        assert model.settings.frequency == frequency
+
+
+def test_stretching_is_simulated_for_each_drive(scene, live):
+    """Where the plate moves by its thickness and more, ten times the drive is not ten times the motion."""
+    effects = {"stretching": {}, "damping": {"viscous": DAMPING}}
+    film = scene(frequency=60.0, window=(0.08, 0.1), effects=effects, search=SEARCH)
+    model, shown, solver = live(film), [], PlateSolver(film, "cpu")
+    times = last_period(film, solver.specialized.scheme.time_step, 5)
+    for magnitude in (10.0, 100.0):
+        for index in range(3):
+            model.set_actuator(index, magnitude=magnitude)
+        model.wait()
+        reading, run = model.read(), solver.run(np.full((1, 3), magnitude), times)
+        assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
+        assert reading.bound is None
+        shown.append(reading.motion)
+        field = run.displacement[0, 2]
+        at = reading.motion.at(film.drive_angular_frequency * run.times[2])
+        np.testing.assert_allclose(at, field, atol=0.02 * np.abs(field).max())
+    np.testing.assert_array_equal(shown[0].orders, ORDERS)
+    assert shown[1].peak() < 9.8 * shown[0].peak()
+    # A swarm of simulated plates, no exact best, and a drive that no run survives.
+    after(model, choice="found")
+    assert model.read().localization_factor == pytest.approx(model.swarm().best[-1], rel=1e-6)
+    before = model.settings
+    after(model, choice="exact")
+    assert model.status().startswith("exact best: effects.stretching is not linear")
+    assert model.settings == before
+    model.set_actuator(0, magnitude=1e12)
+    model.wait()
+    assert "grew without bound" in model.status()
+
+
+# The picture ------------------------------------------------------------------------------------------------
 
 
 def test_the_plate_follows_the_model(view, model):
@@ -49,21 +227,12 @@ def test_the_plate_follows_the_model(view, model):
     assert view.angle == pytest.approx(2 * math.pi * 0.5 / PERIOD)
     assert (pictures[0] != pictures[2]).any()
     assert (np.ptp(pictures[0], axis=2) > 60).mean() > 0.01
-
-
-def test_a_paused_plate_changes_only_with_the_model(view, model):
+    # A paused plate changes only with the model.
     view.playing = False
-    view.advance(0.2)
-    assert view.angle == 0
     assert not view.advance(0.2)
-    for change in (
-        lambda: model.set_actuator(1, magnitude=0.5),
-        lambda: model.set_frequency(250.0),
-        lambda: model.choose("found"),
-        lambda: model.set_actuator(1, phase=0.5),
-    ):
-        change()
-        model.wait()
+    model.set_actuator(1, magnitude=0.5)
+    for change in ({}, {"frequency": 250.0}, {"choice": "found"}):
+        after(model, **change)
         assert view.advance(0.2)
         assert not view.advance(0.2)
 
@@ -87,9 +256,7 @@ def test_caption_and_scale_follow(view, model):
     assert limit >= peak > first.limit
     limit, peak = drive(0.1 * LEAST_SHARE)
     assert LEAST_SHARE * limit <= peak <= limit
-    model.set_frequency(250.0)
-    model.choose("exact")
-    model.wait()
+    after(model, frequency=250.0, choice="exact")
     view.advance(0)
     text, bound = view.plate.caption.GetInput(), f"{100 * model.read().bound:.2f} %"
     assert text.startswith("250 Hz")
@@ -100,27 +267,26 @@ def test_the_swarm_is_drawn(view, model):
     charts = view.search
     assert not charts.history.visible
     assert charts.hint.GetVisibility()
-    model.choose("found", seconds=0.01)
-    model.wait()
+    after(model, choice="found")
     view.advance(0)
     swarm = model.swarm()
     assert charts.history.visible
     assert not charts.hint.GetVisibility()
-    bound, best, factors = [points(plot) for plot in (*charts.history.plots("line"), *charts.history.plots("scatter"))]
-    np.testing.assert_allclose(best, np.column_stack([np.arange(1, 9), swarm.best]))
-    np.testing.assert_allclose(factors, np.column_stack([np.full(6, 8), swarm.factors]))
+    bound, best, factors, *rest = [
+        np.column_stack([plot.x, plot.y])
+        for plot in (*charts.history.plots("line"), *charts.history.plots("scatter"), *charts.plane.plots("scatter"))
+    ]
+    np.testing.assert_allclose(best, np.column_stack([np.arange(1, 16), swarm.best]))
+    np.testing.assert_allclose(factors, np.column_stack([np.full(12, 15), swarm.factors]))
     np.testing.assert_allclose(bound[:, 1], model.read().bound)
-    *particles, first_mark, second_mark = (points(plot) for plot in charts.plane.plots("scatter"))
-    for index, (drawn, mark) in enumerate(zip(particles, (first_mark, second_mark), strict=True), start=1):
+    for index, (drawn, mark) in enumerate(zip(rest[:2], rest[2:], strict=True), start=1):
         phasors, found = swarm.phasors[:, index], swarm.best_phasors[index]
         np.testing.assert_allclose(drawn, np.column_stack([phasors.real, phasors.imag]))
         np.testing.assert_allclose(mark, [[found.real, found.imag]])
     model.set_actuator(0, magnitude=0.5)
     view.advance(0)
     assert not charts.history.visible
-
-
-def test_a_swarm_without_a_finite_loss_and_without_a_bound(view):
+    # Without a finite loss and without a bound.
     swarm = SwarmSnapshot(
         np.ones((4, 3), complex), np.full(4, np.nan), np.array([np.nan]), best_phasors=None, iterations=5, running=True
     )
@@ -135,19 +301,11 @@ def test_texts_of_a_plate_at_rest(scene):
     assert set(share_texts(reading).values()) == {"—"}
 
 
-def test_the_buttons_are_the_choices_of_the_model():
-    assert tuple(explorer_page.CHOICES) == live_model.CHOICES
-
-
 def test_refusals_name_the_library_the_port_or_the_device(write_scene, monkeypatch, command, drawing):
     write_scene(damping=120.0)
     if explorer_page.missing_page():
         pytest.skip("the page cannot be served here")
-    for words, *options in (
-        ("cuda:99", "--device", "cuda:99"),
-        ("--port -1", "--port", -1),
-        ("70000", "--port", 70000),
-    ):
-        assert words in error_of(command("explore", "panel.toml", "--web", *options))
+    for option, value in (("--device", "cuda:99"), ("--port", -1), ("--port", 70000)):
+        assert str(value) in error_of(command("explore", "panel.toml", "--web", option, value))
     monkeypatch.setattr(explorer_page.importlib.util, "find_spec", lambda name: None)
     assert "pip install 'warp-plate[web]'" in error_of(command("explore", "panel.toml"))

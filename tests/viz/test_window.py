@@ -9,7 +9,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from conftest import error_of, motion_of, pixels, start_program
+from conftest import error_of, motion_of, pixels, start_program, until
 
 from warp_plate.analysis.motion import mode_motions
 from warp_plate.result import save_result
@@ -128,26 +128,24 @@ def test_the_window_opens_plays_and_closes(display, saved, tmp_path, monkeypatch
     if (problem := missing_window()) is not None:
         pytest.skip(problem)
 
-    def xdotool(*arguments):
-        return subprocess.run(["xdotool", *arguments], capture_output=True, text=True, timeout=PATIENCE).stdout
+    def xdotool(*words):
+        subprocess.run(["xdotool", *map(str, words)], check=True, timeout=PATIENCE)
 
     def opened():
         process = start_program("-m", "warp_plate", "view", "panel.h5", "--device", "cpu", cwd=tmp_path)
-        window = xdotool("search", "--sync", "--onlyvisible", "--name", "warp-plate view").split()[0]
-        xdotool("mousemove", "--window", window, "400", "200")  # keys go to the window below the mouse
-        return process, window
+        # Keys go to the window below the mouse.
+        at = ("mousemove", "--window", "%1", 400, 200)
+        xdotool("search", "--sync", "--onlyvisible", "--name", "warp-plate view", *at)
+        return process
 
     def picture(number):
         xdotool("key", "S")
-        path, end = tmp_path / f"panel-view-{number}.png", time.monotonic() + PATIENCE
-        while not (path.exists() and path.stat().st_size):
-            assert process.poll() is None
-            assert time.monotonic() < end
-            time.sleep(0.05)
+        path = tmp_path / f"panel-view-{number}.png"
+        until(lambda: process.poll() is not None or (path.exists() and path.stat().st_size), PATIENCE)
         time.sleep(0.2)
         return pixels(path)[:-160]  # without the controls
 
-    process, window = opened()
+    process = opened()
     xdotool("key", "space")
     still = picture(1)
     assert (np.ptp(still, axis=-1) > 100).sum() > 2000
@@ -158,12 +156,12 @@ def test_the_window_opens_plays_and_closes(display, saved, tmp_path, monkeypatch
         still = picture(number)
         assert (still != before).any(axis=-1).sum() > 300, key
     # The button "play", at the left of the strip of controls.
-    xdotool("mousemove", "--window", window, "28", str(len(still) + 160 - 73), "click", "1")
+    xdotool("search", "--name", "warp-plate view", "mousemove", "--window", "%1", 28, len(still) + 160 - 73, "click", 1)
     time.sleep(0.5)
     assert (picture(8) != still).any()
     xdotool("key", "q")
     assert (process.communicate(timeout=PATIENCE)[1], process.returncode) == ("", 0)
-    process, _ = opened()
+    process = opened()
     time.sleep(1.0)
     process.send_signal(signal.SIGINT)
     assert (process.communicate(timeout=PATIENCE)[1], process.returncode) == ("", 0)
