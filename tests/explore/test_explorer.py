@@ -212,9 +212,6 @@ def test_stretching_is_simulated_for_each_drive(scene, live):
     assert "grew without bound" in model.status()
 
 
-# The picture ------------------------------------------------------------------------------------------------
-
-
 def test_the_plate_follows_the_model(view, model):
     pictures = []
     for seconds in (0.0, 0.1, 0.4):

@@ -99,9 +99,6 @@ def test_missing_data_and_folders_are_reported(result, drawing, tmp_path):
     assert problem.count("cannot be written") == 2
 
 
-# Availability -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the packages are named for Linux")
 @pytest.mark.parametrize(
     ("trial", "reason"),
@@ -143,9 +140,6 @@ print(plotter.screenshot(return_img=True).std() > 0)
 plotter.close()
 """
     assert start_program("-c", code).communicate() == ("set()\nTrue\n", "")
-
-
-# Notebooks --------------------------------------------------------------------------------------------------
 
 
 def rows_of(html):

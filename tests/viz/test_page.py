@@ -28,9 +28,6 @@ def decoded(text, kind):
     return np.frombuffer(base64.b64decode(text), kind)
 
 
-# Data -------------------------------------------------------------------------------------------------------
-
-
 def test_frames_meshes_and_scale(scene):
     made, motions = scene(), [bump(1e-7), bump(3e-7)]
     data = page_data(made, motions, "velocity", 25.0, None)
@@ -79,9 +76,6 @@ def test_fine_grids_are_thinned(scene, monkeypatch, quantity):
     if quantity == "phase":  # which nodes at rest lack
         assert (data["colourFrames"], data["cyclic"]) == (1, True)
         np.testing.assert_array_equal(shown.reshape(5, 5), np.pad(np.zeros((3, 3)), 1, constant_values=NAN))
-
-
-# Browser ----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -130,9 +130,6 @@ def test_lines_follow_target_actuators_and_edges(scene):
             assert np.hypot(*(drawn[name].mesh.points[:, :2] - corner).T).min() < 1e-7
 
 
-# Plotters ---------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def plotter(drawing):
     """A plotter for two plates."""

@@ -101,9 +101,6 @@ def test_modes_have_periods_instead_of_times_and_no_fields(scene, drawing, tmp_p
         assert window.plates.plates[2].caption.GetInput() == modes[2].name
 
 
-# The command ------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def saved(scene, tmp_path):
     """The path of a result with three cases."""
