@@ -11,22 +11,14 @@ from warp_plate.plate.scheme import make_scheme
 from warp_plate.studies.simulate import simulate
 
 SEARCH = {"particles": 8, "iterations": 12, "seed": 3}
-
-
-@pytest.fixture
-def panel():
-    return scene_of(damping=88.5, precision="float32", search=SEARCH)
+PANEL = scene_of(damping=88.5, precision="float32", search=SEARCH)
 
 
 @pytest.mark.parametrize("evaluator", ["direct", "response"])
 def test_contents_of_a_result(device, path, evaluator):
-    scene = scene_of(
-        damping=88.5, precision="float32", record={"times": (0.005, 0.012), "points": ((0.1, 0.1),)}, search=SEARCH
-    )
+    scene = PANEL.with_tables(record={"times": (0.005, 0.012), "points": ((0.1, 0.1),)})
     progress, estimate = [], evaluator == "direct"
-    result = localize(
-        scene, "mine", device, None, evaluator, path, lambda *news: progress.append(news), estimate=estimate
-    )
+    result = localize(scene, "mine", device, None, evaluator, path, lambda *news: progress.append(news), estimate)
     assert (result.command, result.source, result.scene, result.seed) == ("localize", "mine", scene, 3)
     assert list(result.cases) == ["equal", "single", "best"]
     factors = {name: case.localization_factor for name, case in result.cases.items()}
@@ -54,16 +46,15 @@ def test_contents_of_a_result(device, path, evaluator):
     assert result.node_steps == 11 * 11 * make_scheme(scene).steps * plates
 
 
-def test_the_seed_determines_every_bit(device, path, panel):
-    first, again, other = (localize(panel, "", device, seed, path=path, estimate=False) for seed in (5, 5, 6))
+def test_the_seed_determines_every_bit(device, path):
+    first, again, other = (localize(PANEL, "", device, seed, path=path, estimate=False) for seed in (5, 5, 6))
     assert_same(first, again)
     assert not np.array_equal(first.history["best"], other.history["best"])
 
 
 def test_both_evaluators_find_the_same():
     scene = scene_of(damping=88.5, search=SEARCH)
-    names = ("direct", "response")
-    direct, response = (localize(scene, device="cpu", evaluator=name, estimate=False) for name in names)
+    direct, response = (localize(scene, "", "cpu", None, name, estimate=False) for name in ("direct", "response"))
     np.testing.assert_allclose(direct.history["best"], response.history["best"], rtol=1e-9)
     np.testing.assert_allclose(direct.cases["best"].phasors, response.cases["best"].phasors, rtol=1e-6)
 
@@ -81,8 +72,8 @@ def test_the_paper_s_search_comes_close_to_the_bound(preset):
     assert results[0].cases["single"].localization_factor == pytest.approx(0.6367, abs=0.0005)
 
 
-def test_workers_without_plates_are_said_to_be_unused(panel):
-    assert "unused" in localize(panel, device="cpu", evaluator="response", estimate=False, pool=InlinePool()).device
+def test_workers_without_plates_are_said_to_be_unused():
+    assert "unused" in localize(PANEL, device="cpu", evaluator="response", estimate=False, pool=InlinePool()).device
 
 
 def test_one_actuator_leaves_nothing_to_search():
@@ -93,15 +84,15 @@ def test_one_actuator_leaves_nothing_to_search():
     assert result.cases["best"].localization_factor <= result.bound + 1e-12
 
 
-def test_drives_of_simulate(panel):
+def test_drives_of_simulate():
     """ "scene" takes the file's magnitudes and phases; "equal" and "single" are the references of a search."""
-    found = localize(panel, device="cpu", estimate=False)
+    found = localize(PANEL, device="cpu", estimate=False)
     for drive in ("equal", "single"):
-        run = simulate(panel, "mine", drive, "cpu", estimate=False)
+        run = simulate(PANEL, "mine", drive, "cpu", estimate=False)
         assert run.cases["drive"].energy == found.cases[drive].energy
     changes = ({"magnitude": 1.0, "phase": 0.0}, {"magnitude": -0.5, "phase": 1.0}, {"magnitude": 2.0, "phase": -2.0})
-    actuators = tuple(one.model_copy(update=new) for one, new in zip(panel.actuators, changes, strict=True))
-    written = simulate(panel.model_copy(update={"actuators": actuators}), "mine", device="cpu", estimate=False)
+    actuators = tuple(one.model_copy(update=new) for one, new in zip(PANEL.actuators, changes, strict=True))
+    written = simulate(PANEL.model_copy(update={"actuators": actuators}), "mine", device="cpu", estimate=False)
     expected = [1, -0.5 * np.exp(-1j), 2 * np.exp(2j)]
     np.testing.assert_allclose(written.cases["drive"].phasors, expected, rtol=1e-14)
     assert written.bound is None

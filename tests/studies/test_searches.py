@@ -105,7 +105,7 @@ QUICK = ("--device", "cpu", "--no-estimate", "--no-pictures")
 def test_the_command_writes_the_scene_that_it_found(panel, command):
     record = json.loads(command("localize", "panel.toml", *QUICK, "--json")[1])
     assert record["files"] == ["panel-localize.h5", "panel-localize.best.toml"]
-    assert {"frequency", "centre", "magnitude", "phase"} <= record["drive"][0].keys()
+    assert {"magnitude", "phase"} <= record["drive"][0].keys()
     assert len(record["spectrum"]["frequency"]) >= 61
     again = json.loads(command("simulate", "panel-localize.best.toml", *QUICK, "--json")[1])
     assert any(line.startswith("search.inertia = 0.3: method = 'constriction'") for line in record["warnings"])
@@ -115,11 +115,10 @@ def test_the_command_writes_the_scene_that_it_found(panel, command):
     assert found.drive.frequency == record["drive"][0]["frequency"]
     x0, x1, y0, y1 = found.actuators[0].area
     np.testing.assert_allclose([(x0 + x1) / 2, (y0 + y1) / 2], record["drive"][0]["centre"], rtol=1e-14)
-    _, out, _ = command("localize", "panel.toml", *QUICK, "--no-spectrum")
-    result = load_result("panel-localize.h5")
+    out = command("localize", "panel.toml", *QUICK, "--no-spectrum")[1]
     assert "x (m)" in out
-    assert f"{result.cases['best'].frequency[0]:.5g}" in out
-    assert not result.spectrum
+    assert f"{found.drive.frequency:.5g}" in out
+    assert not load_result("panel-localize.h5").spectrum
 
 
 def test_motions_and_signals_use_the_frequency_and_positions_of_a_case(panel):
@@ -131,20 +130,16 @@ def test_motions_and_signals_use_the_frequency_and_positions_of_a_case(panel):
     assert found.scene.actuators[0].area != result.scene.actuators[0].area
     assert found.span == equal.span
     assert found.span[1] - found.span[0] == pytest.approx(1 / min(290, best.frequency[0]))
-    solver = PlateSolver(result.driven_scene(best), "cpu")
-    field = solver.run(best.phasors[None], (float(found.times[3]),)).displacement[0, 0]
-    np.testing.assert_array_equal(found.displacement[3], field.astype(np.float32))
-    signal = make_drive_signal(result.case_scene(best), best, 48000, 1.0)
-    assert signal.frequency == best.frequency[0]
+    run = PlateSolver(result.driven_scene(best), "cpu").run(best.phasors[None], (float(found.times[3]),))
+    np.testing.assert_array_equal(found.displacement[3], run.displacement[0, 0].astype(np.float32))
+    assert make_drive_signal(result.case_scene(best), best, 48000, 1.0).frequency == best.frequency[0]
     pytest.importorskip("pyvista")
     from warp_plate.viz.page import page_data
 
     page = page_data(result.scene, [equal, found], "displacement", 30.0, None)
     assert page["plates"][0]["outlines"] is None
-    outlines = page["plates"][1]["outlines"]
-    moved = [one != other for one, other in zip(outlines, page["outlines"], strict=True)]
-    assert any(moved)  # those of the actuators
-    assert not all(moved)
+    moved = [one != other for one, other in zip(page["plates"][1]["outlines"], page["outlines"], strict=True)]
+    assert (any(moved), all(moved)) == (True, False)  # those of the actuators
 
 
 def best_of_all_phases(response):
