@@ -40,14 +40,9 @@ EFFECTS = {
     "material damping under tension": {"material_damping": {"time": 1e-4}, "tension": {"x": 1e5, "y": 1e5}},
     "orthotropic": {"orthotropic": {"Dx": 0.05, "Dy": 0.004, "D1": 0.003, "Dxy": 0.002}},
     "negative D1": {"orthotropic": {"Dx": 0.02, "Dy": 0.018, "D1": -0.017, "Dxy": 0.002}},
-    "layer everywhere": {"layers": [{"area": (0.0, 1.0, 0.0, 1.0), **LAYER}]},
-    "light place": {
-        "damping": {"viscous": 3e4, "scheme": "backward"},
-        "variation": {"density": [[0.1, 1.0]]},
-    },
+    "light place": {"damping": {"viscous": 3e4, "scheme": "backward"}, "variation": {"density": [[0.1, 1.0]]}},
     "thickness 1 : 3": {"variation": {"thickness": [[1.0, 3.0, 1.0], [1.0, 1.0, 2.0]]}},
     "heavy corner": {"layers": [{"area": (0.0, 0.3, 0.0, 0.3), **LAYER, "density": 1e5}]},
-    "spring": {"oscillators": [{"area": (0.4, 0.6, 0.4, 0.6), "stiffness": 1e6}]},
     "heavy mass": {"oscillators": [{"area": (0.45, 0.7, 0.3, 0.6), "mass": 50.0, "stiffness": 1e5, "damping": 3.0}]},
     "light mass": {"oscillators": [{"area": (0.45, 0.7, 0.3, 0.6), "mass": 1e-6, "stiffness": 1e3}]},
     "dashpot": {"oscillators": [{"area": (0.1, 0.4, 0.3, 0.9), "damping": 20.0}]},
@@ -142,11 +137,9 @@ def test_fourth_order(nodes, loss, edges, scene):
 
 @pytest.mark.parametrize(
     ("name", "edge", "order"),
-    [
-        ("nothing", "clamped", 2), ("nothing", "clamped", 4), ("nothing", "free", 2), ("nothing", "supported", 4),
-        ("backward damping", "supported", 2), ("stiff bed", "free", 2), ("tension", "clamped", 2),
-        ("material damping", "supported", 2), ("orthotropic", "clamped", 2), ("negative D1", "free", 2),
-    ],
+    [("nothing", "free", 2), ("nothing", "clamped", 4), ("nothing", "supported", 4), ("negative D1", "free", 2),
+     ("backward damping", "supported", 2), ("stiff bed", "free", 2), ("tension", "clamped", 2),
+     ("material damping", "supported", 2), ("orthotropic", "clamped", 2)],
 )  # fmt: skip
 def test_formulas(name, edge, order, scene):
     """The coarsest grids that a formula serves, where it is furthest off."""

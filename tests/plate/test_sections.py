@@ -12,6 +12,7 @@ import math
 import numpy as np
 import pytest
 import scipy.linalg
+from conftest import refusal
 from numpy.polynomial import legendre
 
 from warp_plate import Scene, SceneError
@@ -138,10 +139,10 @@ def test_a_plate_with_layers_on_both_faces(scene):
         np.testing.assert_allclose(made.mass, 2 * DENSITY + 2 * LAYER["density"] * LAYER["thickness"], rtol=1e-12)
 
 
-def in_folder(folder, scene, content, key="thickness"):
-    """Return the scene from a file whose variation is in another file beside it."""
+def in_folder(folder, scene, content):
+    """Return the scene from a file whose variation of thickness is in another file beside it."""
     (folder / "a.csv").write_text(content, encoding="utf-8")
-    text = dump_scene(scene) + f'\n[effects.variation]\n{key} = "a.csv"\n'
+    text = f'{dump_scene(scene)}\n[effects.variation]\nthickness = "a.csv"\n'
     (folder / "scene.toml").write_text(text, encoding="utf-8")
     return Scene.load(folder / "scene.toml")
 
@@ -152,14 +153,10 @@ def test_rows_of_a_file_lie_along_y(scene, tmp_path):
     made = in_folder(tmp_path, scene((5, 9), SIZE), "# factors\n" + "\n".join(",".join(map(str, row)) for row in rows))
     found = factors_at_nodes(made)["thickness"]
     assert found.shape == (9, 5)
-    np.testing.assert_allclose(found[[0, 0, 0, -1, -1], [0, 2, -1, 0, 3]], [1.0, 1.1, 1.2, 1.3, 1.7])
-    assert found[4, 0] == pytest.approx(1.15)
+    np.testing.assert_allclose(found[[0, 0, 0, -1, -1, 4], [0, 2, -1, 0, 3, 0]], [1.0, 1.1, 1.2, 1.3, 1.7, 1.15])
     inline = scene((5, 9), SIZE, effects={"variation": {"thickness": rows}})
     np.testing.assert_array_equal(found, factors_at_nodes(inline)["thickness"])
-    assert Scene.parse(dump_scene(inline), "").effects == inline.effects
-    finer = made.with_tables(grid={"nodes": (9, 17)})
-    assert factors_at_nodes(finer)["thickness"].shape == (17, 9)
-    assert (factors_at_nodes(made)["density"] == 1).all()
+    assert factors_at_nodes(made.with_tables(grid={"nodes": (9, 17)}))["thickness"].shape == (17, 9)
     with pytest.raises(SceneError, match="its folder is unknown"):
         make_scheme(scene(effects={"variation": {"density": "a.csv"}}))
 
@@ -170,7 +167,6 @@ def test_rows_of_a_file_lie_along_y(scene, tmp_path):
         ("x,y\n", "holds no numbers"),
         ("1,2\n3\n", "line 2 has 1 columns instead of 2 as above it"),
         ("1,2\n1,nan\n", "line 2, column 2: nan is no number from 0.001 to 1000"),
-        ("1,0\n", "line 1, column 2: 0 is no number"),
         ("1,99\n", "0.0495 m is not thin for a side of 0.18 m"),
     ],
 )
@@ -193,7 +189,4 @@ def test_bad_files_are_refused_on_one_line(scene, tmp_path, content, why):
     ],
 )
 def test_bad_tables_are_refused(scene, table, why):
-    with pytest.raises(SceneError) as caught:
-        Scene.parse(f"{dump_scene(scene())}\n[effects.variation]\n{table}\n", "scene.toml")
-    assert why in str(caught.value)
-    assert len(str(caught.value).splitlines()) == 1
+    assert why in refusal(f"{dump_scene(scene())}\n[effects.variation]\n{table}\n")

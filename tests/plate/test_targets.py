@@ -152,12 +152,10 @@ def paper_with(lines):
     [
         ("[target]", "target.area: no shape is given", "area, disc, polygon and mask"),
         ("[target]\narea = [0.0, 0.1, 0.0, 0.1]\ndisc = [0.1, 0.1, 0.05]", "target.disc: area is given too", "one of"),
-        ("[target]\ndisc = [0.1, 0.1, 0.0]", "target.disc[2] = 0.0", "greater than 0"),
         ("[target]\ndisc = [0.1, 0.1, 0.11]", "target.disc: [0.1, 0.1, 0.11]", "radius in 0 ... 0.2"),
         ("[target]\ndisc = [0.1, 0.1, 1e-9]", "target.disc: a radius of 1e-09 m", "at least 1e-07"),
         ("[target]\npolygon = [[0, 0], [0.1, 0], [0.1, 0.3]]", "target.polygon[2]: [0.1, 0.3]", "0 ... 0.2"),
         ("[target]\npolygon = [[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]", "target.polygon: the sides", "0 and 2"),
-        ("[target]\npolygon = [[0, 0], [0.1, 0], [0.1, 0.1], [0.05, 0], [0, 0.1]]", "target.polygon: the sides", ""),
         ("[target]\npolygon = [[0, 0], [0.1, 0], [0.2, 0]]", "target.polygon: is less than 2e-07 m wide", "wider"),
         ('[target]\nmask = "../mask.csv"', "target.mask: '../mask.csv'", "without folders"),
         ("", "target: is missing", ""),
@@ -181,8 +179,6 @@ def test_bad_shapes_are_refused(lines, named, right):
         ("", "holds no numbers"),
         ("0,0\n0,0\n", "holds no number above 0"),
         ("0,1\n0,1.5\n", "line 2, column 2: 1.5 is no number from 0 to 1"),
-        ("0,1\n0,nan\n", "line 2, column 2: nan"),
-        ("0,1\n0\n", "line 2"),
     ],
 )
 def test_bad_masks_are_refused(text, right, tmp_path):
@@ -206,9 +202,7 @@ def test_the_first_of_several_targets_is_the_target(tmp_path):
     assert made.target == Target(disc=(0.1, 0.1, 0.05))
     assert [target.name for target in made.targets] == ["disc", "star", "left"]
     assert Scene.parse(dump_scene(made), "").in_folder(tmp_path) == made
-    other = made.aimed_at(1)
-    assert other.target.polygon == made.targets[1].polygon
-    assert Scene.parse(dump_scene(other), "").in_folder(tmp_path) == other
+    assert made.aimed_at(1).target.polygon == made.targets[1].polygon
     assert set(digests(made)) == {"targets[2].mask"}
     run = PlateSolver(made, "cpu", areas={target.name: target for target in made.targets[1:]}).run(np.ones((1, 4)))
     assert (run.energy[0] > 0).all()
