@@ -69,17 +69,10 @@ def look_at_plate(plotter: pyvista.Plotter, size: tuple[float, float], font_size
 
 
 def axis_labels(size: tuple[float, float]) -> tuple[tuple[str, np.ndarray], tuple[str, np.ndarray]]:
-    """Return the labels of x and y and their positions [m] beside the two edges nearest to the viewer."""
+    """Return name and length of x and y, and their positions [m] beside the two edges nearest to the viewer."""
     (width, height), away = size, 0.06 * min(size)
     label_x = (f"x: 0 … {width:g} m", np.array([width / 2, -away, 0.0]))
     return label_x, (f"y: 0 … {height:g} m", np.array([-away, height / 2, 0.0]))
-
-
-def add_axis_labels(plotter: pyvista.Plotter, size: tuple[float, float], font_size: int) -> None:
-    """Add name and length of x and y beside the two edges nearest to the viewer."""
-    label_x, label_y = axis_labels(size)
-    add_text(plotter, *label_x, font_size)
-    add_text(plotter, *label_y, font_size).GetTextProperty().SetJustificationToRight()
 
 
 def free_width(plotter: pyvista.Plotter, font_size: int) -> float:
@@ -153,7 +146,6 @@ def style_text(text: vtkTextProperty, font_size: int, colour: str = INK, font: s
     text.SetFontFile(f"{get_data_path()}/fonts/ttf/{font}.ttf")
     text.SetFontSize(font_size)
     text.SetColor(*pyvista.Color(colour).float_rgb)
-    text.BoldOff()
-    text.ItalicOff()
-    text.ShadowOff()
+    for switch_off in (text.BoldOff, text.ItalicOff, text.ShadowOff):
+        switch_off()
     text.SetLineSpacing(1.2)

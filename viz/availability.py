@@ -132,6 +132,5 @@ def _try_window(window: str | None) -> tuple[bool, str]:
     except subprocess.TimeoutExpired:
         return False, f"no answer in {TIMEOUT:g} s"
     answer = trial.stdout.split()
-    if trial.returncode == 0 and answer[-1:] == ["True"]:
-        return True, answer[-2]
-    return False, trial.stderr.strip()
+    drawn = trial.returncode == 0 and answer[-1:] == ["True"]
+    return drawn, answer[-2] if drawn else trial.stderr.strip()

@@ -65,14 +65,9 @@ def missing_page() -> str | None:
 
 
 def serve_page(model: LiveModel, host: str, port: int, on_ready: Callable[[str], object]) -> None:
-    """Serve a live model until Ctrl-C, and call ``on_ready`` with the address of the page.
+    """Serve a live model until Ctrl-C, at any free port if it is 0; call ``on_ready`` with the address of the page.
 
-    Args:
-        port: 0 takes any free one.
-
-    Raises:
-        DrawingUnavailable: VTK cannot draw here.
-        OSError: the address is in use or not of this machine.
+    Raises DrawingUnavailable if VTK cannot draw here, and OSError if the address is in use or not of this machine.
     """
     from warp_plate.viz.availability import set_up_renderer
 
@@ -206,13 +201,12 @@ class ExplorerPage:
         with html.Div(style=BESIDE):
             _add_slider("frequency [Hz]", "frequency", ranges.frequency, model.set_frequency)
             _add_slider("damping [N·s/m³]", "damping", (0.0, ranges.damping), model.set_damping)
+        sliders = (("magnitude", f"w [{model.scene.drive_unit}]", ranges.magnitude), ("phase", "φ [rad]", 2 * math.pi))
         for index in range(len(model.scene.actuators)):
-            set_actuator = partial(self._set_actuator, index)
             html.Div(f"{{{{ names[{index}] }}}}", style="font-weight: 600; margin-top: 10px; overflow-wrap: anywhere")
             with html.Div(style=BESIDE):
-                magnitude, phase = (partial(set_actuator, key) for key in ("magnitude", "phase"))
-                _add_slider(f"w [{model.scene.drive_unit}]", f"magnitude_{index}", (0.0, ranges.magnitude), magnitude)
-                _add_slider("φ [rad]", f"phase_{index}", (0.0, 2 * math.pi), phase)
+                for key, label, end in sliders:
+                    _add_slider(label, f"{key}_{index}", (0.0, end), partial(self._set_actuator, index, key))
 
     def _set_actuator(self, index: int, key: str, value: float) -> None:
         self.server.state.choice = ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,10 +91,9 @@ class SearchCharts:
         self._best = self.history.line([0], [0], color="#08519c", width=2.5, label="best so far")
         self._factors = self.history.scatter([0], [0], color="#6baed6", size=5, style="o", label="particles now")
         others = list(zip(actuators[1:], COLOURS * len(actuators), strict=False))
-        self._particles = [
-            self.plane.scatter([0], [0], color=colour, size=5, style="o", label=name) for name, colour in others
-        ]
-        self._marks = [self.plane.scatter([0], [0], color=colour, size=14, style="x") for _, colour in others]
+        scatter = partial(self.plane.scatter, [0], [0])
+        self._particles = [scatter(color=colour, size=5, style="o", label=name) for name, colour in others]
+        self._marks = [scatter(color=colour, size=14, style="x") for _, colour in others]
         for mark, (_, colour) in zip(self._marks, others, strict=True):
             mark.pen.color = colour  # PyVista leaves outlines black, and a cross is all outline
         for chart, vertical in ((self.history, vtkChartLegend.BOTTOM), (self.plane, vtkChartLegend.TOP)):
@@ -114,11 +114,8 @@ class SearchCharts:
         self._shown = swarm
         self.history.visible = self.plane.visible = swarm is not None
         self.hint.SetVisibility(swarm is None)
-        if swarm is not None:
-            self._plot(swarm, bound)
-        return True
-
-    def _plot(self, swarm: SwarmSnapshot, bound: float | None) -> None:
+        if swarm is None:
+            return True
         iterations = np.arange(1, swarm.best.size + 1)
         self._best.update(iterations, swarm.best)
         self._factors.update(np.full(swarm.factors.size, iterations[-1]), swarm.factors)
@@ -137,6 +134,7 @@ class SearchCharts:
         size = float(np.quantile(np.abs(swarm.phasors[:, 1:]), 0.9)) if self._particles else 0.0
         reach = next((step for step in REACHES if 1.1 * size < step), REACHES[-1])
         self.plane.x_range, self.plane.y_range = [-2 * reach, 2 * reach], [-reach, reach]
+        return True
 
 
 def share_texts(reading: DriveResponse) -> dict[str, str]:

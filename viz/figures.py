@@ -30,20 +30,18 @@ def draw_all(result: Result, stem: str | Path) -> tuple[list[Path], str | None]:
     """
     compared = result.robust is not None and bool(np.isfinite(result.robust.validation).any())
     several = bool(result.scene.targets) and result.command == "localize"
-    jobs = [
-        ("history", draw_history, bool(result.history)),
-        ("robust", draw_robust, compared),
-        ("spectrum", draw_spectrum, bool(result.spectrum)),
-        ("crosstalk", draw_crosstalk, several),
-        ("surfaces", draw_surfaces, bool(result.times.size)),
-    ]
+    jobs = {
+        draw_history: result.history,
+        draw_robust: compared,
+        draw_spectrum: result.spectrum,
+        draw_crosstalk: several,
+        draw_surfaces: result.times.size,
+    }
     if result.times.size:
         prepare()
     written, problems = [], []
-    for name, draw, held in jobs:
-        if not held:
-            continue
-        path = Path(f"{stem}-{name}.png")
+    for draw in (draw for draw, held in jobs.items() if held):
+        path = Path(f"{stem}-{draw.__name__.removeprefix('draw_')}.png")
         problem = missing_renderer() if draw is draw_surfaces else missing_plots()
         if problem is None:
             try:

@@ -40,10 +40,6 @@ class SurfaceLines:
     nodes: np.ndarray
     weights: np.ndarray
 
-    def follow(self, heights: np.ndarray) -> None:
-        """Lift every point onto the surface with these (nodes,) heights [m], x fastest."""
-        self.mesh.points[:, 2] = np.einsum("pc,pc->p", heights[self.nodes], self.weights)
-
 
 class PlateMeshes:
     """Meshes of one plate; for the arguments see :meth:`update`.
@@ -83,20 +79,15 @@ class PlateMeshes:
         scalars = displacement if values is None else values
         self.surface.point_data[SCALARS][:] = np.asarray(scalars, dtype=float).ravel() * scale.unit_factor
         for lines in self.lines.values():
-            lines.follow(heights)
+            lines.mesh.points[:, 2] = np.einsum("pc,pc->p", heights[lines.nodes], lines.weights)
 
 
 @dataclass(frozen=True)
 class _FlatGrid:
-    """The undeformed grid; each cell is two triangles, split from its lower left to its upper right node.
+    """The undeformed grid; each cell is two triangles, split from its lower left to its upper right node."""
 
-    Attributes:
-        size: lengths of the plate along x and y [m].
-        nodes: numbers of nodes along x and y.
-    """
-
-    size: tuple[float, float]
-    nodes: tuple[int, ...]
+    size: tuple[float, float]  # [m]
+    nodes: tuple[int, ...]  # along x and y
 
     def points(self) -> np.ndarray:
         """Return (nodes, 3) positions of the nodes at rest, x fastest."""

@@ -26,19 +26,12 @@ PLATES_PER_ROW = 3
 
 @dataclass(frozen=True)
 class LineLayer:
-    """Lines on the surface and their style.
-
-    Attributes:
-        colour: #rrggbb.
-        width: line width [font sizes].
-        depth_offset: steps of the depth buffer towards the viewer; without it the surface would hide half of a wide
-            line on a slope.
-    """
+    """Lines and their style; without the offset, the surface would hide half of a wide line on a slope."""
 
     lines: SurfaceLines
-    colour: str
-    width: float
-    depth_offset: int
+    colour: str  # #rrggbb
+    width: float  # [font sizes]
+    depth_offset: int  # steps of the depth buffer towards the viewer
     opacity: float = 1.0
 
 
@@ -70,19 +63,21 @@ class PlateActors:
             actor = plotter.add_mesh(layer.lines.mesh, **look, **unlit)
             actor.mapper.resolve = "polygon_offset"  # a global switch of VTK that the next line depends on
             actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0, -layer.depth_offset)
-        annotations.add_axis_labels(plotter, scene.plate.size, font_size)
+        label_x, label_y = annotations.axis_labels(scene.plate.size)
+        annotations.add_text(plotter, *label_x, font_size)
+        annotations.add_text(plotter, *label_y, font_size).GetTextProperty().SetJustificationToRight()
         self._bar = annotations.add_legend(plotter, scene, scale, font_size) if bar else None
         self.caption, self._text = annotations.add_text(plotter, text, (0.03, 0.97), font_size), text
         self.rescale(scale)
+        self.update(displacement, values)
         share = annotations.free_width(plotter, font_size) if bar else 1.0
         annotations.look_at_plate(plotter, scene.plate.size, font_size, share)
 
     def update(self, displacement: np.ndarray, values: np.ndarray | None = None, text: str | None = None) -> None:
         """Move to another field, see :meth:`PlateMeshes.update`, with another caption if a text is given."""
         self.meshes.update(displacement, self.scale, values)
-        if text is not None and text != self._text:
-            self._text = text
-            self._set_caption()
+        self._text = self._text if text is None else text
+        self.caption.SetInput(", ".join(filter(None, (self._text, self.scale.heights))))
 
     def rescale(self, scale: DrawingScale) -> None:
         """Take another scale; a call of :meth:`update` must follow."""
@@ -93,10 +88,6 @@ class PlateActors:
         self.surface.mapper.interpolate_before_map = scale.field.kind != "cyclic"
         if self._bar is not None:
             annotations.set_colour_bar(self._bar, scale)
-        self._set_caption()
-
-    def _set_caption(self) -> None:
-        self.caption.SetInput(", ".join(filter(None, (self._text, self.scale.heights))))
 
 
 def line_layers(meshes: PlateMeshes) -> list[LineLayer]:

@@ -22,14 +22,12 @@ class EdgeStyle:
         width: line width [pt].
         dashes: Matplotlib line style of plots; lines in 3-D are solid.
         label: text of the legend.
-        symbol: sample of the line as text.
     """
 
     colour: str
     width: float
     dashes: str
     label: str
-    symbol: str
 
     @property
     def matplotlib(self) -> dict[str, Any]:
@@ -39,10 +37,10 @@ class EdgeStyle:
 
 
 EDGE_STYLES = {
-    "clamped": EdgeStyle(INK, 3.2, "-", "clamped", "━━"),
-    "supported": EdgeStyle(INK, 1.2, "-", "supported", "──"),
-    "springs": EdgeStyle("#e6820e", 2.2, ":", "on springs", "━━"),
-    "free": EdgeStyle(GRID, 1.2, "--", "free", "──"),
+    "clamped": EdgeStyle(INK, 3.2, "-", "clamped"),
+    "supported": EdgeStyle(INK, 1.2, "-", "supported"),
+    "springs": EdgeStyle("#e6820e", 2.2, ":", "on springs"),
+    "free": EdgeStyle(GRID, 1.2, "--", "free"),
 }
 
 
@@ -70,5 +68,5 @@ def rectangle(area: Area) -> Path:
 def legend_entries(scene: Scene) -> list[tuple[str, str]]:
     """Return text and colour of every kind of outline."""
     styles = [EDGE_STYLES[kind] for kind in edges_by_kind(scene)]
-    edges = [(f"{style.symbol} {style.label}", style.colour) for style in styles]
+    edges = [(f"{'━━' if style.width > 2 else '──'} {style.label}", style.colour) for style in styles]
     return [("□ target", TARGET), ("□ actuator", INK), *edges]

@@ -68,8 +68,7 @@ class ViewerWindow:
         plotter.subplot(0, 0)
         keys = self._keys()
         self.keys = add_text(plotter, "\n".join(f"{name:<15}{use}" for name, use, _ in keys), (0.03, 0.8), FONT_SIZE)
-        style = self.keys.GetTextProperty()
-        style_text(style, FONT_SIZE - 2, font="DejaVuSansMono")
+        style_text(style := self.keys.GetTextProperty(), FONT_SIZE - 2, font="DejaVuSansMono")
         style.SetBackgroundColor(1, 1, 1)
         style.SetBackgroundOpacity(0.9)
         self.keys.VisibilityOff()
@@ -151,12 +150,11 @@ class ViewerWindow:
         """Write the window to the next free file name."""
         paths = (Path(f"{self.stem}-{number}.png") for number in itertools.count(1))
         path = next(path for path in paths if not path.exists())
-        text = f"wrote {path}"
         try:
             self.plotter.screenshot(path)
+            self.status.SetInput(f"wrote {path}")
         except OSError as error:
-            text = f"{path}: cannot be written: {error.strerror}"
-        self.status.SetInput(text)
+            self.status.SetInput(f"{path}: cannot be written: {error.strerror}")
         self.plotter.render()
         return path
 
@@ -214,21 +212,19 @@ class ViewerWindow:
         """Return keys as in their list, their use, and callbacks by VTK's names of the keys."""
 
         def next_of(buttons: dict[str, Any], name: str, callback: Callable[[str], None]) -> None:
-            names = [*buttons, *buttons]
-            if names:
+            if names := [*buttons, *buttons]:
                 callback(names[names.index(name) + 1])
 
         def show_keys() -> None:
             self.keys.SetVisibility(not self.keys.GetVisibility())
             self.plotter.render()
 
-        slower, faster = (partial(lambda by: self.set_rate(self.rate * by), by) for by in (1 / STEP, STEP))
-        lower, higher = (partial(lambda by: self.exaggerate(self.ratio * by), by) for by in (1 / STEP, STEP))
+        rates, heights = (("comma", 1 / STEP), ("period", STEP)), (("Up", STEP), ("Down", 1 / STEP))
         return [
             ("space", "play, pause", {"space": lambda: self.play(not self.playing)}),
             ("left, right", "previous, next frame", {"Left": partial(self.step, -1), "Right": partial(self.step, 1)}),
-            (", and .", "slower, faster", {"comma": slower, "period": faster}),
-            ("up, down", "heights", {"Up": higher, "Down": lower}),
+            (", and .", "slower, faster", {key: lambda by=by: self.set_rate(self.rate * by) for key, by in rates}),
+            ("up, down", "heights", {key: lambda by=by: self.exaggerate(self.ratio * by) for key, by in heights}),
             ("c", "next field in colour", {"c": lambda: next_of(self.field_buttons, self.quantity, self.colour_by)}),
             ("d", "next drive, or all", {"d": lambda: next_of(self.case_buttons, self.shown, self.show_only)}),
             ("Shift+S", "screenshot", {"S": self.screenshot}),

@@ -67,7 +67,7 @@ def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
     return np.exp(edges) if logarithmic else edges
 
 
-def _draw_lines(figure: Figure, sweep: Sweep) -> str:
+def _draw_lines(figure: Figure, sweep: Sweep) -> None:
     groups, logarithmic = _by_unit(sweep), sweep.plan.logarithmic[0]
     figure.set_size_inches(6.4, 0.8 + 2.6 * len(groups))
     rows = figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0]
@@ -89,20 +89,18 @@ def _draw_lines(figure: Figure, sweep: Sweep) -> str:
         if len(lines) > 1:
             axes.legend(fontsize=8, ncols=min(len(lines), 6), loc="lower center", bbox_to_anchor=(0.5, 1))
     _set_axis(rows[-1].xaxis, *_label_and_unit(sweep, 0), 6)
-    return ""
 
 
-def _draw_maps(figure: Figure, sweep: Sweep) -> str:
+def _draw_maps(figure: Figure, sweep: Sweep) -> None:
     maps = curves(sweep)
     columns = min(2, len(maps))
     figure.set_size_inches(3.9 * columns, 0.3 + 3.0 * math.ceil(len(maps) / columns))
     panels = add_panels(figure, len(maps), columns, sharex=True, sharey=True)
     for axes, (label, (unit, values)) in zip(panels, maps.items(), strict=True):
         field = values.reshape(sweep.plan.shape)
-        figure.colorbar(_draw_map(axes, sweep, field, (0, 1), _limits(field)), ax=axes).set_label(_with_unit("", unit))
+        figure.colorbar(_draw_map(axes, sweep, field, (0, 1), values), ax=axes).set_label(_with_unit("", unit))
         axes.set_title(label, fontsize=9)
     _label_maps(panels, sweep, columns, (0, 1), 5)
-    return ""
 
 
 def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
@@ -116,7 +114,7 @@ def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
     figure.set_size_inches(0.9 + 2.5 * columns, 0.6 + 2.2 * math.ceil(len(shown) / columns))
     panels = add_panels(figure, len(shown), columns, sharex=True, sharey=True)
     for axes, place in zip(panels, shown, strict=True):
-        mesh = _draw_map(axes, sweep, field[place], (first, second), _limits(values))
+        mesh = _draw_map(axes, sweep, field[place], (first, second), values)
         names = [f"{_with_unit(*_label_and_unit(sweep, key))}: " for key in others]
         held = (plan.coordinates[key][step] for key, step in zip(others, place, strict=True))
         axes.set_title("\n".join(f"{name}{value:.4g}" for name, value in zip(names, held, strict=True)), fontsize=7)
@@ -162,14 +160,16 @@ def _label_maps(
             _set_axis(axes.yaxis, *_label_and_unit(sweep, keys[1]), size=size)
 
 
-def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int], limits: tuple[float, float]) -> Any:
-    """Draw (first key, second key) values as colours with contour lines; return the mesh for a colour bar."""
+def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int], values: np.ndarray) -> Any:
+    """Draw (first key, second key) values as colours, within the range of all values, with contour lines."""
     from matplotlib.ticker import MaxNLocator
 
     x, y = (sweep.plan.coordinates[key] for key in keys)
     log_x, log_y = (sweep.plan.logarithmic[key] for key in keys)
     axes.set(facecolor=REFUSED_COLOUR, xscale="log" if log_x else "linear", yscale="log" if log_y else "linear")
     edges = cell_edges(x, log_x), cell_edges(y, log_y)
+    # Matplotlib itself widens limits that coincide.
+    limits = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else (0.0, 1.0)
     mesh = axes.pcolormesh(*edges, field.T, cmap=CMAP, vmin=limits[0], vmax=limits[1], rasterized=True)
     finite = field[np.isfinite(field)]
     constant = not finite.size or np.ptp(finite) <= 1e-6 * np.abs(finite).max()
@@ -182,12 +182,6 @@ def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int]
             lines = axes.contour(x, y, field.T, levels=levels, colors="white", linewidths=0.7)
             axes.clabel(lines, fontsize=6, fmt="%.3g")
     return mesh
-
-
-def _limits(values: np.ndarray) -> tuple[float, float]:
-    """Return the smallest and largest finite value; Matplotlib itself widens limits that coincide."""
-    finite = values[np.isfinite(values)]
-    return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
 
 
 def _label_and_unit(sweep: Sweep, key: int) -> tuple[str, str]:
