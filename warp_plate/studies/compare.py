@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -40,24 +41,47 @@ def compare(
 ) -> MethodComparison:
     """Run every method from every seed, methods in turn so that disturbances of the machine affect all alike.
 
-    Ctrl-C and the loss of all workers end the comparison and keep the finished trials. Seconds of a trial are those of
-    its optimizer and its losses, after one iteration of each method that is not counted; the time for the Gram
-    matrices, which all methods share, is kept apart.
+    Ctrl-C and the loss of all workers keep the finished trials. Seconds of a trial are those of its optimizer and its
+    losses, after one iteration of each method that is not counted; those of the Gram matrices are kept apart.
 
     Args:
         methods: some of METHODS (default: all that fit the scene).
         seeds: number of seeds, from the scene's own on.
-        device, path: see :class:`PlateSolver`.
         evaluator: see ``localize`` (default: "response" where it applies, else "direct").
         evaluations: evaluations of each trial (default: the scene's particles × iterations).
-        on_progress: called after each iteration.
-        pool: see ``localize``.
+        device, path, on_progress, pool: see ``localize``.
 
     Raises:
-        SceneError: a named method does not fit the scene, there are fewer evaluations than particles, or see
-            :func:`make_problem`.
+        SceneError: a named method does not fit the scene, or the scene cannot be searched with so many evaluations.
         KeyboardInterrupt: Ctrl-C came before the first trial was finished.
     """
+    problem, prepared = _prepare(scene, device, path, evaluator, evaluations, pool)
+    fitting, skipped = _fitting_methods(methods, problem)
+    fields = _run_trials(fitting, seeds, problem, on_progress)
+    if (bound := problem.loss_bound) is not None:
+        fields |= {"bound": bound.value, "bound_kind": bound.kind, "bound_sentence": bound.sentence}
+    return MethodComparison(
+        source=source,
+        scene=problem.scene,
+        device=devices_text(problem),
+        evaluator=problem.evaluator_name,
+        seconds={"prepare": prepared},
+        localization=problem.objectives.only_localization,
+        skipped=skipped,
+        versions=versions(),
+        **fields,
+    )
+
+
+def _prepare(
+    scene: Scene,
+    device: str,
+    path: str,
+    evaluator: EvaluatorName | None,
+    evaluations: int | None,
+    pool: WorkerPool | None,
+) -> tuple[Problem, float]:
+    """Return the problem that all trials have in common, and the seconds that its Gram matrices took."""
     particles = scene.search.particles
     if evaluations is not None:
         if evaluations < particles:
@@ -72,26 +96,7 @@ def compare(
         problem = replace(problem, evaluator_name="response")
     if not problem.space.dimension:
         raise SceneError("actuators: a single one leaves nothing to search, so there is nothing to compare")
-    fitting, skipped = _fitting_methods(methods, problem)
-    trials, interrupted, lost = _run_trials(fitting, seeds, problem, on_progress)
-    bound = problem.loss_bound
-    return MethodComparison(
-        source=source,
-        scene=problem.scene,
-        device=devices_text(problem),
-        evaluator=problem.evaluator_name,
-        budget=particles * scene.search.iterations,
-        seconds={"prepare": prepared},
-        localization=problem.objectives.only_localization,
-        trials=tuple(sorted(trials, key=lambda trial: (fitting.index(trial.method), trial.seed))),
-        bound=None if bound is None else bound.value,
-        bound_kind="" if bound is None else bound.kind,
-        bound_sentence="" if bound is None else bound.sentence,
-        skipped=skipped,
-        interrupted=interrupted,
-        versions=versions(),
-        lost_plates=dict(problem.lost) | lost,
-    )
+    return problem, prepared
 
 
 def _fitting_methods(methods: Sequence[str] | None, problem: Problem) -> tuple[list[str], dict[str, str]]:
@@ -112,9 +117,9 @@ def _fitting_methods(methods: Sequence[str] | None, problem: Problem) -> tuple[l
 
 def _run_trials(
     methods: Sequence[str], seeds: int, problem: Problem, on_progress: OnTrialProgress | None
-) -> tuple[list[Trial], bool, dict[str, int]]:
-    """Run all trials; return the finished ones, whether they were interrupted, and plates lost with all workers."""
-    search, trials = problem.scene.search, list[Trial]()
+) -> dict[str, Any]:
+    """Run all trials; return the budget, the finished ones, whether they were interrupted, and the plates lost."""
+    search, trials, interrupted, lost = problem.scene.search, list[Trial](), False, dict[str, int]()
     budget = search.particles * search.iterations
     pairs = [(method, index) for index in range(seeds) for method in methods if index == 0 or method not in SEEDLESS]
     try:
@@ -131,8 +136,13 @@ def _run_trials(
     except (KeyboardInterrupt, WorkersGone) as reason:
         if not trials:
             raise
-        return trials, True, {str(reason): search.particles} if isinstance(reason, WorkersGone) else {}
-    return trials, False, {}
+        interrupted, lost = True, {str(reason): search.particles} if isinstance(reason, WorkersGone) else {}
+    return {
+        "budget": budget,
+        "trials": tuple(sorted(trials, key=lambda trial: (methods.index(trial.method), trial.seed))),
+        "interrupted": interrupted,
+        "lost_plates": dict(problem.lost) | lost,
+    }
 
 
 def _run_trial(

@@ -85,32 +85,10 @@ def localize(
     Raises:
         SceneError: see :class:`PlateSolver`; or the scene has no baselines.
     """
-    seed = scene.search.seed if seed is None else seed
-    if not 0 <= seed < 2**63:
-        raise SceneError(f"seed = {seed}: must be an integer from 0 to 2^63 - 1")
     if baselines:
         check_baselines(scene)
-    files = digests(scene)
-    resolved, started = resolve_search_grid(scene, device), time.perf_counter()
-    problem = make_problem(resolved.scene, device, path, evaluator, pool=pool)
-    initial, compiling = _initial_state(problem, seed), problem.compile_seconds
-    start = Checkpoint(
-        scene_as_written=scene,
-        source=source,
-        files=files,
-        device=problem.drive_solver.device.alias,
-        processor=processor_of(problem.drive_solver.device),
-        earlier_devices="",
-        path=path,
-        evaluator=problem.evaluator_name,
-        seed=seed,
-        accuracy=resolved.accuracy,
-        seconds={**resolved.seconds, "compile": compiling, "solve": time.perf_counter() - started - compiling},
-        versions=provenance.versions(),
-        node_steps=problem.node_steps,
-        **initial,
-    )
-    return _run(start, problem, _Options(on_progress, checkpoints, estimate, spectrum, baselines), resolved.reference)
+    start, problem, reference = _new_search(scene, source, device, seed, evaluator, path, pool)
+    return _run(start, problem, _Options(on_progress, checkpoints, estimate, spectrum, baselines), reference)
 
 
 def resume(
@@ -194,6 +172,42 @@ def save_best_scenes(result: Result, path: Path) -> list[Path]:
     return files
 
 
+def _new_search(
+    scene: Scene,
+    source: str,
+    device: str,
+    seed: int | None,
+    evaluator: EvaluatorName | None,
+    path: str,
+    pool: WorkerPool | None,
+) -> tuple[Checkpoint, Problem, ReferenceSolution | None]:
+    """Return the checkpoint of iteration 0, its problem, and the reference solution if the grid was chosen by one."""
+    seed = scene.search.seed if seed is None else seed
+    if not 0 <= seed < 2**63:
+        raise SceneError(f"seed = {seed}: must be an integer from 0 to 2^63 - 1")
+    files = digests(scene)
+    resolved, started = resolve_search_grid(scene, device), time.perf_counter()
+    problem = make_problem(resolved.scene, device, path, evaluator, pool=pool)
+    initial, compiling = _initial_state(problem, seed), problem.compile_seconds
+    start = Checkpoint(
+        scene_as_written=scene,
+        source=source,
+        files=files,
+        device=problem.drive_solver.device.alias,
+        processor=processor_of(problem.drive_solver.device),
+        earlier_devices="",
+        path=path,
+        evaluator=problem.evaluator_name,
+        seed=seed,
+        accuracy=resolved.accuracy,
+        seconds={**resolved.seconds, "compile": compiling, "solve": time.perf_counter() - started - compiling},
+        versions=provenance.versions(),
+        node_steps=problem.node_steps,
+        **initial,
+    )
+    return start, problem, resolved.reference
+
+
 def _initial_state(problem: Problem, seed: int) -> dict[str, Any]:
     """Return the fields of a checkpoint that differ from target to target, before the first iteration."""
     phasors = reference_phasors(problem.scene, problem.energies_of_phasors)
@@ -216,17 +230,12 @@ def _run(start: Checkpoint, problem: Problem, options: _Options, reference: Refe
     known = reference if evaluated.scene is problem.scene else None  # that of another plate does not help
     parts = _optional_parts(end, problem, evaluated, options, seconds, interrupted, known)
     node_steps = end.node_steps + problem.node_steps - before + evaluated.node_steps + parts.pop("node_steps")
-    solver = problem.design_evaluator.solver
     return Result(
         command="localize",
         source=end.source,
         scene=problem.scene,
         device=end.earlier_devices + provenance.devices_text(problem),
         seed=end.seed,
-        effects=solver.effects,
-        path=solver.describe_path(bool(problem.scene.record.points)),
-        times=evaluated.run.times,
-        trace_times=evaluated.run.trace_times,
         seconds=seconds,
         bound=first.bound,
         bound_kind=first.bound_kind,
@@ -240,6 +249,7 @@ def _run(start: Checkpoint, problem: Problem, options: _Options, reference: Refe
         peak_displacement=evaluated.peak,
         target_searches=end.finished_searches if problem.scene.targets else (),
         lost_plates=end.lost_plates,
+        **provenance.run_fields(problem.design_evaluator.solver, evaluated.run),
         **parts,
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -16,11 +17,19 @@ from warp_plate.result.sweep import Sweep
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import device_aliases, find_device, processor_of
+from warp_plate.solve.run import Run
+from warp_plate.solve.solver import PlateSolver
 
 
 def device_name(device: wp.Device) -> str:
     """Return the alias of a device with the name of the GPU or the processor's architecture."""
     return f"{device.alias} ({device.name or platform.machine()})"
+
+
+def run_fields(solver: PlateSolver, run: Run) -> dict[str, Any]:
+    """Return the fields of a result that tell how a run was computed and when it was recorded."""
+    path = solver.describe_path(bool(solver.scene.record.points))
+    return {"effects": solver.effects, "path": path, "times": run.times, "trace_times": run.trace_times}
 
 
 def devices_text(problem: Problem) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +18,10 @@ from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.peak import run_with_peak
+from warp_plate.solve.run import Run
 from warp_plate.solve.solver import PlateSolver, Progress
-from warp_plate.studies.grid_choice import estimate_error, resolve_grid
-from warp_plate.studies.provenance import device_name, versions
+from warp_plate.studies.grid_choice import ResolvedGrid, estimate_error, resolve_grid
+from warp_plate.studies.provenance import device_name, run_fields, versions
 
 
 def simulate(
@@ -32,57 +34,63 @@ def simulate(
     estimate: bool = True,
     allow_unstable: bool = False,
 ) -> Result:
-    """Run a scene under one drive and record what it asks for under ``[record]``.
-
-    The grid of a scene with ``grid.accuracy`` is chosen first.
+    """Run a scene under one drive, on the grid for its ``grid.accuracy``, and record what ``[record]`` asks for.
 
     Args:
-        drive: "scene" (the magnitudes and phases of the scene's actuators), "equal", "single" (the best single
-            actuator), or the name of a result file, whose best drive is taken.
+        drive: "scene" (the magnitudes and phases of its actuators), "equal", "single" (the best single actuator), or
+            the name of a result file, whose best drive is taken.
         progress: called with (node-steps done, in all).
-        estimate: whether to estimate the error of the localization factor.
-        allow_unstable: see :class:`PlateSolver`.
+        estimate, allow_unstable: see ``localize`` and :class:`PlateSolver`.
 
     Raises:
         SceneError: see :class:`PlateSolver` and :func:`phasors_from_file`.
     """
-    phasors = None
-    if drive not in ("equal", "single"):
-        phasors = scene_phasors(scene) if drive == "scene" else phasors_from_file(drive, scene)
-    resolved = resolve_grid(scene, device, None if phasors is None else phasors[None])
-    scene, accuracy = resolved.scene, dict(resolved.accuracy)
+    resolved, phasors = _resolve(scene, drive, device)
+    scene = resolved.scene
     solver = PlateSolver(scene, device, path, allow_unstable=allow_unstable, areas=target_regions(scene))
     started = time.perf_counter()
-    if drive == "scene":
-        phasors = scene_phasors(scene)
-    elif drive == "equal":
-        phasors = np.full(len(scene.actuators), magnitude_unit(scene), dtype=complex)
-    elif phasors is None:
-        phasors = reference_phasors(scene, lambda phasors: solver.run(phasors).energy)[drive]
+    if phasors is None:
+        phasors = reference_phasors(scene, lambda phasors: solver.run(phasors).energy)["single"]
     run, peak = run_with_peak(solver, phasors[None], progress)
-    solved = time.perf_counter()
-    seconds = {**resolved.seconds, "compile": solver.compile_seconds, "solve": solved - started}
-    if estimate and run.finite.all():
-        with suppress(KeyboardInterrupt, SceneError):  # the result is kept without an error estimate
-            accuracy |= estimate_error(scene, {"drive": phasors}, run, seconds["solve"], device, resolved.reference)
-            seconds["estimate"] = time.perf_counter() - solved
+    solved = time.perf_counter() - started
+    seconds = {**resolved.seconds, "compile": solver.compile_seconds, "solve": solved}
+    estimated = _estimate(resolved, phasors, run, seconds, device) if estimate and run.finite.all() else {}
     return Result(
         command="simulate",
         source=source,
         scene=scene,
         device=device_name(solver.device),
         seed=scene.search.seed,
-        effects=solver.effects,
-        path=solver.describe_path(bool(scene.record.points)),
         cases=cases_from_run({"drive": phasors}, run),
-        times=run.times,
-        trace_times=run.trace_times,
         seconds=seconds,
         node_steps=solver.node_steps,
         versions=versions(),
-        accuracy=accuracy,
+        accuracy={**resolved.accuracy, **estimated},
         peak_displacement=peak,
+        **run_fields(solver, run),
     )
+
+
+def _resolve(scene: Scene, drive: str, device: str) -> tuple[ResolvedGrid, np.ndarray | None]:
+    """Return the scene with a grid, and the phasors of a drive, None if they are to be found by simulation."""
+    if drive in ("equal", "single"):
+        equal = np.full(len(scene.actuators), magnitude_unit(scene), dtype=complex)
+        return resolve_grid(scene, device), equal if drive == "equal" else None
+    phasors = scene_phasors(scene) if drive == "scene" else phasors_from_file(drive, scene)
+    return resolve_grid(scene, device, phasors[None]), phasors
+
+
+def _estimate(
+    resolved: ResolvedGrid, phasors: np.ndarray, run: Run, seconds: dict[str, float], device: str
+) -> dict[str, Any]:
+    """Return the estimated error and add its seconds; empty if it is refused or interrupted, as a result is kept."""
+    started = time.perf_counter()
+    with suppress(KeyboardInterrupt, SceneError):
+        drives = {"drive": phasors}
+        found = estimate_error(resolved.scene, drives, run, seconds["solve"], device, resolved.reference)
+        seconds["estimate"] = time.perf_counter() - started
+        return found
+    return {}
 
 
 def phasors_from_file(name: str, scene: Scene) -> np.ndarray:

@@ -146,51 +146,37 @@ def run_sweep(
     bit-identical.
 
     Args:
-        on_progress: called after each point.
         file: written at intervals, and when Ctrl-C or an error ends the sweep.
-        pool: see :func:`sweep`.
+        on_progress, pool: see :func:`sweep`.
         on_device_change: called with one line if workers have another kind of processor than earlier points were run on
             (default: that is refused).
     """
     started, total, pending = time.perf_counter(), len(start.plan), start.pending.tolist()
     values = {name: array.copy() for name, array in start.values.items()}
-    status, reasons, current = start.status.copy(), dict(start.reasons), start
+    current = replace(start, values=values, status=start.status.copy())
     if pool is not None and len(pending) == total:
-        current = replace(start, device="", processor="")  # the workers report theirs
+        current = replace(current, device="", processor="")  # the workers report theirs
 
     def now() -> Sweep:
-        seconds = start.seconds + time.perf_counter() - started
-        return replace(current, values=values, status=status, reasons=reasons, seconds=seconds)
-
-    def save() -> None:
-        if file is not None and status.any():
-            file.save(now())
+        return replace(current, seconds=start.seconds + time.perf_counter() - started)
 
     try:
         with deferred_interrupts():
             points = run_here(start, pending) if pool is None else run_on_pool(start, pending, pool)
             for done, result in enumerate(points, total - len(pending) + 1):
-                if result.processor:
-                    _check_processor(current, result, on_device_change)
-                    current = current.moved_to(result.device, result.processor)
-                status[result.point] = REFUSED if result.values is None else RUN
-                if result.values is None:
-                    reasons[result.point] = result.reason
-                for name, value in (result.values or {}).items():
-                    values[name][result.point] = value
+                current = _with_result(current, result, on_device_change)
                 if on_progress is not None:
                     on_progress(done, total, _describe(result, start))
                 if file is not None and file.due():
-                    save()
+                    file.save(now())
                 check_interrupt()
-    except SecondInterrupt:
+    except BaseException as error:
+        if file is not None and current.status.any() and not isinstance(error, SecondInterrupt):
+            file.save(now())
         raise
-    except BaseException:
-        save()
-        raise
-    if (status == REFUSED).all():
+    if (current.status == REFUSED).all():
         more = f" (and {counted(total - 1, 'point')} more)" if total > 1 else ""
-        raise SceneError(f"all points are refused; {now().refusal(0)}{more}")
+        raise SceneError(f"all points are refused; {current.refusal(0)}{more}")
     return now()
 
 
@@ -241,19 +227,23 @@ def _points(start: Sweep, points: Sequence[int], scene: Scene | SceneSpec, devic
     return (Point(scene, start.plan.numbers(at), start.what, device, start.path, start.count) for at in points)
 
 
-def _check_processor(current: Sweep, result: PointResult, on_device_change: Callable[[str], object] | None) -> None:
-    """Report that a point was run on another kind of processor than those before it."""
-    if current.processor in ("", result.processor):
-        return
-    before, now = f"{current.device} ({current.processor})", f"{result.device} ({result.processor})"
-    change = f"the sweep began on {before} and continues on {now}, which rounds differently"
-    if on_device_change is None:
-        kind = result.device.partition(":")[0]
-        raise SceneError(
-            f"{change}, so the result would not be bit-identical: take workers of the first kind, or name theirs to "
-            f"continue anyway, --device {kind}"
-        )
-    on_device_change(f"{change}: the result may differ")
+def _with_result(sweep: Sweep, result: PointResult, on_device_change: Callable[[str], object] | None) -> Sweep:
+    """Return a sweep with the result at a point, which is written into its arrays, and with the device of the point."""
+    if result.processor:
+        if sweep.processor not in ("", result.processor):
+            before, now = f"{sweep.device} ({sweep.processor})", f"{result.device} ({result.processor})"
+            change = f"the sweep began on {before} and continues on {now}, which rounds differently"
+            if on_device_change is None:
+                raise SceneError(
+                    f"{change}, so the result would not be bit-identical: take workers of the first kind, or name "
+                    f"theirs to continue anyway, --device {result.device.partition(':')[0]}"
+                )
+            on_device_change(f"{change}: the result may differ")
+        sweep = sweep.moved_to(result.device, result.processor)
+    sweep.status[result.point] = REFUSED if result.values is None else RUN
+    for name, value in (result.values or {}).items():
+        sweep.values[name][result.point] = value
+    return replace(sweep, reasons={**sweep.reasons, result.point: result.reason}) if result.values is None else sweep
 
 
 def _describe(result: PointResult, sweep: Sweep) -> str:
