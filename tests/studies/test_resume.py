@@ -71,19 +71,6 @@ def test_interrupted_between_ask_and_tell(tmp_path, monkeypatch):
     assert_same(resume(checkpoint, estimate=False), full)
 
 
-def test_interrupted_again_and_again(tmp_path):
-    scene = scene_of(effects={"stretching": {}, "damping": {"viscous": 88.5}}, **SEARCH)
-    _, checkpoint = stopped(tmp_path, scene, "cpu", after=1)
-    for iterations in (2, 5, 8):
-        file = CheckpointFile(tmp_path / "two.checkpoint.h5", np.inf, resumes=True)
-        resume(checkpoint, on_progress=stop_after(iterations), estimate=False, checkpoints=file)
-        checkpoint = load_checkpoint(file.path)
-        assert checkpoint.iterations == iterations
-    found = resume(checkpoint, estimate=False)
-    assert found.bound is None
-    assert_same(found, localize(scene, "mine", "cpu", estimate=False))
-
-
 def test_the_chosen_grid_is_kept(tmp_path, monkeypatch):
     """The choice depends on timings, so it is kept in the checkpoint; it serves all frequencies of the search."""
     search = {**SEARCH["search"], "frequency": {"range": [100.0, 400.0]}}
