@@ -149,10 +149,11 @@ class Swarm(Optimizer):
         settings, space = self.settings, self.space
         self.velocities *= settings.inertia * settings.decay ** (self.iterations - self.restarted_at)
         leaders = self.personal_positions[self._best_neighbours() if settings.ring else self.leader]
+        leaders = np.broadcast_to(leaders, self.positions.shape)
         blocks = [slice(first, first + BLOCK) for first in range(0, len(self.positions), BLOCK)]
         for factor, goals in ((settings.cognitive, self.personal_positions), (settings.social, leaders)):
             for rows in blocks:
-                way = np.broadcast_to(goals, self.positions.shape)[rows] - self.positions[rows]
+                way = goals[rows] - self.positions[rows]
                 space.shorten(way)
                 draws = self.random.random(way.shape)
                 draws *= factor
