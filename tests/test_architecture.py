@@ -14,7 +14,8 @@ else:
 ROOT = Path(__file__).parents[1]
 # From the ground up. A room may import itself and the rooms of the floors below it.
 FLOORS = (
-    {"interrupts", "scene", "kernels", "optimize"},
+    {"interrupts", "row_blocks"},
+    {"scene", "kernels", "optimize"},
     {"plate"},
     {"reference", "result"},
     {"solve", "viz"},

@@ -29,11 +29,10 @@ import numpy as np
 
 from warp_plate.optimize.optimizer import STALL_TOLERANCE, Optimizer, SearchSettings, tolerance_scale
 from warp_plate.optimize.space import SearchSpace
+from warp_plate.row_blocks import over_blocks
 
 # Largest velocity, so that the positions of a swarm that flies apart stay finite.
 LARGEST = 1e100
-# Particles moved at once; the arrays of so many stay in a core's cache.
-BLOCK = 4096
 
 
 @dataclass(frozen=True)
@@ -135,7 +134,7 @@ class Swarm(Optimizer):
         self.positions = np.clip(lowest + (highest - lowest) * self.random.random(shape), space.lower, space.upper)
         slowest, fastest = (sign * (space.initial_upper - space.initial_lower) / 2 for sign in (-1, 1))
         self.velocities = slowest + (fastest - slowest) * self.random.random(shape)
-        self._limit_velocities()
+        self._limit(self.velocities)
 
     def _begin(self) -> None:
         """Forget the personal bests of the swarm before."""
@@ -146,26 +145,40 @@ class Swarm(Optimizer):
 
     def _move(self) -> None:
         """Apply equations (7) and (8). A particle that would leave the limits stops at the wall."""
-        settings, space = self.settings, self.space
-        self.velocities *= settings.inertia * settings.decay ** (self.iterations - self.restarted_at)
-        leaders = self.personal_positions[self._best_neighbours() if settings.ring else self.leader]
-        leaders = np.broadcast_to(leaders, self.positions.shape)
-        blocks = [slice(first, first + BLOCK) for first in range(0, len(self.positions), BLOCK)]
-        for factor, goals in ((settings.cognitive, self.personal_positions), (settings.social, leaders)):
-            for rows in blocks:
-                way = goals[rows] - self.positions[rows]
+        settings, space, personal = self.settings, self.space, self.personal_positions
+        inertia = settings.inertia * settings.decay ** (self.iterations - self.restarted_at)
+        leaders = personal[self._best_neighbours() if settings.ring else self.leader]
+        leaders = np.broadcast_to(leaders, personal.shape)
+        before, self.positions = self.positions, np.empty_like(personal)
+
+        def move(rows: slice) -> None:
+            positions, velocities = self.positions[rows], self.velocities[rows]
+            velocities *= inertia
+            terms = ((settings.cognitive, personal, 0), (settings.social, leaders, personal.size))
+            for factor, goals, drawn in terms:
+                way = goals[rows] - before[rows]
                 space.shorten(way)
-                draws = self.random.random(way.shape)
+                draws = self._numbers_after(drawn + rows.start * space.dimension, way.shape)
                 draws *= factor
                 way *= draws
-                self.velocities[rows] += way
-        self._limit_velocities()
-        self.positions = self.positions + self.velocities
-        for column in np.flatnonzero(np.isfinite(space.lower) | np.isfinite(space.upper)):
-            numbers, lower, upper = self.positions[:, column], space.lower[column], space.upper[column]
-            self.velocities[(numbers < lower) | (numbers > upper), column] = 0.0
-            np.clip(numbers, lower, upper, out=numbers)
-        space.wrap(self.positions)
+                velocities += way
+            self._limit(velocities)
+            np.add(before[rows], velocities, out=positions)
+            for column in np.flatnonzero(np.isfinite(space.lower) | np.isfinite(space.upper)):
+                numbers, lower, upper = positions[:, column], space.lower[column], space.upper[column]
+                velocities[(numbers < lower) | (numbers > upper), column] = 0.0
+                np.clip(numbers, lower, upper, out=numbers)
+            space.wrap(positions)
+
+        over_blocks(move, len(personal))
+        source: Any = self.random.bit_generator
+        source.advance(2 * personal.size)
+
+    def _numbers_after(self, skipped: int, shape: tuple[int, ...]) -> np.ndarray:
+        """Return the uniform numbers that the generator would draw after ``skipped`` others, leaving it as it is."""
+        source: Any = np.random.PCG64(0)
+        source.state = self.random.bit_generator.state
+        return np.random.Generator(source.advance(skipped)).random(shape)
 
     def _best_neighbours(self) -> np.ndarray:
         """Return (particles,) the index of the best of a particle and its two neighbours; itself if equal."""
@@ -173,9 +186,9 @@ class Swarm(Optimizer):
         group = np.stack([itself, np.roll(itself, 1), np.roll(itself, -1)])
         return group[np.argmin(self.personal_losses[group], axis=0), itself]
 
-    def _limit_velocities(self) -> None:
+    def _limit(self, velocities: np.ndarray) -> None:
         limit = LARGEST if self.settings.velocity_limit is None else self.settings.velocity_limit
-        np.clip(self.velocities, -limit, limit, out=self.velocities)
+        np.clip(velocities, -limit, limit, out=velocities)
 
     def _restore(self, state: Mapping[str, Any]) -> None:
         super()._restore(state)

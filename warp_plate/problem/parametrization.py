@@ -17,10 +17,10 @@ import numpy as np
 
 from warp_plate.optimize.space import SearchSpace
 from warp_plate.plate.designs import Designs
-from warp_plate.plate.row_blocks import over_blocks
 from warp_plate.plate.scene_overrides import actuator_centres, scene_with
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.problem.design_variables import DesignVariable, has_design_tables, make_design_variables, only_ratios
+from warp_plate.row_blocks import over_blocks
 from warp_plate.scene.model import Scene
 
 
