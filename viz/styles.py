@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from warp_plate.scene.model import Area, Scene
+from warp_plate.scene.fields import Area
+from warp_plate.scene.model import Scene
 
 INK, TARGET, GRID = "#1a1a1a", "#1b7837", "#8a8a8a"
 

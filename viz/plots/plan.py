@@ -11,7 +11,8 @@ import numpy as np
 
 from warp_plate.result.motion import Motion
 from warp_plate.result.targets import outlines
-from warp_plate.scene.model import Area, Scene
+from warp_plate.scene.fields import Area
+from warp_plate.scene.model import Scene
 from warp_plate.viz.captions import frame_caption
 from warp_plate.viz.fields import DrawingScale, common_scale
 from warp_plate.viz.plots.frame import add_panels, figure

@@ -195,7 +195,9 @@ def find_warnings(scene: Scene, peak_displacement: float | None) -> list[Finding
     Raises:
         SceneError: the file of ``[drive.signal]`` cannot be read.
     """
-    findings = [_thinness(scene), _points(scene), _added_mass(scene), _left_at_start(scene)]
+    findings = [_thinness(scene), _added_mass(scene), _left_at_start(scene)]
+    if scene.modal_only_key is None:
+        findings.insert(1, _points(scene))
     if peak_displacement is not None:
         findings.insert(0, _amplitude(scene, peak_displacement))
     return findings if scene.drive.signal is None else [*findings, _signal(scene, scene.drive.signal)]
@@ -238,13 +240,13 @@ def explain_missing_energies(scene: Scene, status: str = "its numbers grew beyon
 
     A linear plate cannot grow below the stability limit, which does not include the tension of stretching.
     """
-    scheme = make_scheme(scene, allow_unstable=True)
-    if not scheme.stable:
+    scheme = None if scene.modal_only_key is not None else make_scheme(scene, allow_unstable=True)
+    if scheme is not None and not scheme.stable:
         cause = (
             f"the time step of {scheme.time_step:.6g} s is above the stability limit of {scheme.limit:.6g} s; write a "
             "shorter grid.time_step."
         )
-    elif scene.effects.stretching is None:
+    elif scheme is None or scene.effects.stretching is None:
         cause = f"check the drive (magnitudes are in {scene.drive_unit}, precision is {scene.grid.precision})."
     else:
         cause = (
@@ -300,23 +302,27 @@ def _added_mass(scene: Scene) -> Finding:
 
 
 def _left_at_start(scene: Scene) -> Finding:
-    """Return the finding about start-up motion, which decays at the rate c/2ρH + time·ω²/2, without oscillators.
+    """Return the finding about start-up motion, which decays at the rate c/2ρH + time·ω²/2 + ζω, without oscillators.
 
     ω is the lowest frequency of the drive, near which the strongest modes lie. The square of a voltage also has a
     constant part, whose step at t = 0 excites the lowest modes.
     """
     name, key, effects = "start-up motion left", with_one_frequency(scene).nonperiodic_key, scene.effects
+    if scene.steady:
+        sentence = f"The motion is the steady one ({scene.modal_only_key}), without start-up motion."
+        return Finding(name, 0.0, MOST_LEFT, sentence, False)
     if key is not None:
         sentence = f"The motion does not become steady ({key}), so its start-up motion is not judged."
         return Finding(name, math.nan, MOST_LEFT, sentence, False)
     viscous = effects.damping.viscous if effects.damping else 0.0
     viscous += effects.foundation.damping if effects.foundation else 0.0
     rate = viscous / (2 * scene.plate.density * scene.plate.thickness)
-    if effects.material_damping:
+    if effects.material_damping or effects.modal_damping:
         lowest = min(carrier_frequencies(scene))
         if scene.drive.electrostatic is not None:
             lowest = min(lowest, slowest_frequency(scene))
-        rate += effects.material_damping.time * (2 * math.pi * lowest) ** 2 / 2
+        rate += effects.material_damping.time * (2 * math.pi * lowest) ** 2 / 2 if effects.material_damping else 0.0
+        rate += float(np.min(effects.modal_damping.ratio)) * 2 * math.pi * lowest if effects.modal_damping else 0.0
     value = math.exp(-rate * scene.window.start)
     fact = (
         f"When the window opens, {100 * value:.2g} % of the start-up motion is left (threshold {100 * MOST_LEFT:g} %)"

@@ -18,7 +18,9 @@ from warp_plate.scene.effects import (
     Effects,
     Foundation,
     Layer,
+    LossFactor,
     MaterialDamping,
+    ModalDamping,
     Orthotropic,
     Oscillator,
     Stretching,
@@ -26,11 +28,12 @@ from warp_plate.scene.effects import (
     Variation,
 )
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Area, Edges, ElasticEdge, Scene
+from warp_plate.scene.fields import Area
+from warp_plate.scene.model import Edges, ElasticEdge, Scene
 from warp_plate.solve.peak import peak_of, sample_times
 from warp_plate.solve.solver import PlateSolver
 
-# Loss factor at the drive's frequency of both kinds of damping, typical of plastics and glued joints.
+# Loss factor at the drive's frequency of all kinds of damping, typical of plastics and glued joints.
 LOSS_FACTOR = 0.02
 # Tables of the drive, and a second frequency relative to the drive's.
 DRIVES, OTHER_FREQUENCY = ("burst", "chirp", "signal", "electrostatic"), 0.9
@@ -268,6 +271,8 @@ def _typical_effects(scene: Scene) -> dict[str, tuple[object, str]]:
             MaterialDamping(time=retardation),
             f"{retardation:.2g} s (loss factor {LOSS_FACTOR:g} at the drive's frequency)",
         ),
+        "loss_factor": (LossFactor(eta=LOSS_FACTOR), f"loss factor {LOSS_FACTOR:g}"),
+        "modal_damping": (ModalDamping(ratio=LOSS_FACTOR / 2), f"damping ratio {LOSS_FACTOR / 2:g} of all modes"),
         "tension": (
             Tension(x=tension, y=tension),
             f"{tension:.2g} N/m along x and y (a tenth of π²D/L², the buckling load of a supported strip)",

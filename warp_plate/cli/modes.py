@@ -73,6 +73,8 @@ def _left_out(scene: Scene) -> list[str]:
     present = {
         "damping": effects.damping is not None,
         "material damping": effects.material_damping is not None,
+        "loss factor": effects.loss_factor is not None,
+        "modal damping": effects.modal_damping is not None,
         "damping of the foundation": effects.foundation is not None and effects.foundation.damping > 0,
         "damping of oscillators": any(oscillator.damping > 0 for oscillator in effects.oscillators),
         "stretching": effects.stretching is not None,

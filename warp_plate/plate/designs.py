@@ -9,7 +9,8 @@ import numpy as np
 
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies, waves_apart
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Area, Scene
+from warp_plate.scene.fields import Area
+from warp_plate.scene.model import Scene
 
 # Part of the plate's side by which rounding may take an actuator over the border of its area.
 SLACK = 1e-9

@@ -68,7 +68,7 @@ def refuse_many_nodes(scene: Scene) -> None:
 
 
 def natural_modes(scene: Scene, count: int) -> NaturalModes:
-    """Return the first ``count`` modes of the scene's grid, or all if the grid has fewer.
+    """Return the first ``count`` undamped modes of the scene's grid, or all if the grid has fewer.
 
     Modes of one frequency are turned so that a weight of x² + y²/2 about the middle does not couple them: sides stay
     recognizable and every machine gives the same. The peak of a shape is positive.
@@ -78,6 +78,8 @@ def natural_modes(scene: Scene, count: int) -> NaturalModes:
     """
     if count < 1:
         raise SceneError(f"count = {count}: must be at least 1")
+    effects = scene.effects.model_copy(update={"loss_factor": None, "modal_damping": None})  # which are not stepped
+    scene = scene.model_copy(update={"effects": effects})
     scheme = make_scheme(scene)
     stiffness, masses, moving = _matrices(scene, scheme)
     scale = (scheme.kappa * (math.pi / max(scene.plate.size)) ** 2) ** 2

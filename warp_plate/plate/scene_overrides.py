@@ -38,6 +38,8 @@ def scene_with(
         if values is not None:
             for actuator, value in zip(actuators, values.tolist(), strict=True):
                 actuator[name] = value if abs(value) >= SMALLEST else 0.0
+                if name == "magnitude":
+                    actuator["force"] = None
     for name, values, table, key in (
         ("frequency", frequency, drive, "frequency"),
         ("delay", delay, drive["burst"], "start"),

@@ -20,7 +20,8 @@ from numpy.polynomial import legendre
 
 from warp_plate.plate.files import read_table
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Area, Scene, Target
+from warp_plate.scene.fields import Area
+from warp_plate.scene.model import Scene, Target
 from warp_plate.scene.target import area_within
 
 # Corners of the polygon for a disc, which has its area and an outline off by at most 2e-7 of the radius.

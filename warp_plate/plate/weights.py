@@ -16,7 +16,8 @@ import numpy as np
 
 from warp_plate.plate.shapes import shape_weights
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Area, Scene, Target
+from warp_plate.scene.fields import Area
+from warp_plate.scene.model import Scene, Target
 
 REGIONS = ("plate", "target")
 # x0, x1, y0, y1 [m] of a rectangle; a shape; or weights (ny, nx) in cells.

@@ -21,6 +21,15 @@ from warp_plate.scene.search import Robust
 # Memory of a scenario's scene and of each of its actuators [bytes].
 SCENE_BYTES, ACTUATOR_BYTES = 20_000.0, 2_000.0
 
+# Tables and keys of the damping of the panel, but for that of oscillators.
+DAMPING = (
+    ("damping", "viscous"),
+    ("material_damping", "time"),
+    ("loss_factor", "eta"),
+    ("modal_damping", "ratio"),
+    ("foundation", "damping"),
+)
+
 
 @dataclass(frozen=True)
 class Scenario:
@@ -49,7 +58,8 @@ class Scenario:
 def draw_scenarios(scene: Scene, count: int, seed: int, validation: bool = False) -> tuple[Scenario, ...]:
     """Draw scenarios of a scene with ``[search.robust]`` and a grid; the nominal scene is none of them.
 
-    All have one time step: the scene's own where it is stable for each, else the one that the stiffest would choose.
+    All have one time step: the scene's own where it is stable for each, else the one that the stiffest would choose;
+    scenes that cannot be stepped keep theirs.
     ``validation`` draws from another random stream.
 
     Raises:
@@ -62,6 +72,8 @@ def draw_scenarios(scene: Scene, count: int, seed: int, validation: bool = False
     refuse_beyond_memory(count * (SCENE_BYTES + ACTUATOR_BYTES * actuators), what)
     numbers = np.random.default_rng([seed, int(validation)]).random((count, 4 + 3 * actuators))
     scenarios = [_scenario(scene, robust, row) for row in numbers]
+    if scene.modal_only_key is not None:
+        return tuple(scenarios)
     grid = scene.grid.model_copy(update={"time_step": _common_step(scene, scenarios)})
     return tuple(replace(drawn, scene=drawn.scene.model_copy(update={"grid": grid})) for drawn in scenarios)
 
@@ -97,9 +109,11 @@ def _scenario(scene: Scene, robust: Robust, numbers: np.ndarray) -> Scenario:
 def _effects(scene: Scene, stiffness: float, thickness: float, damping: float, bare: bool) -> dict[str, Any]:
     """Return the table ``[effects]`` with factors; one for all damping of the panel, not for that of oscillators."""
     tables = scene.effects.model_dump()
-    for table, key in (("damping", "viscous"), ("material_damping", "time"), ("foundation", "damping")):
+    for table, key in DAMPING:
         if tables[table] is not None:
-            tables[table][key] *= damping
+            value = tables[table][key]
+            listed = isinstance(value, tuple)  # a number for each mode
+            tables[table][key] = tuple(damping * number for number in value) if listed else value * damping
     if tables["orthotropic"] is not None:  # rigidities in place of EH³
         rigidity = tables["orthotropic"].items()
         tables["orthotropic"] = {key: value * stiffness * thickness**3 for key, value in rigidity}

@@ -33,7 +33,8 @@ import scipy
 from numpy.polynomial import legendre
 
 from warp_plate.reference.thin_plate import Held, ThinPlate
-from warp_plate.scene.model import Area, ElasticEdge
+from warp_plate.scene.fields import Area
+from warp_plate.scene.model import ElasticEdge
 
 # Number of geometric conditions of an edge: on the displacement, then on the slope. Springs have none.
 CONDITIONS = {"free": 0, "supported": 1, "clamped": 2}

@@ -9,7 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
-from warp_plate.scene.model import Area, Scene
+from warp_plate.scene.fields import Area
+from warp_plate.scene.model import Scene
 
 # Nodes that move less than this fraction of the largest amplitude have no phase.
 STILL = 1e-4

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from warp_plate.scene.actuator import Actuator
 from warp_plate.scene.fields import Flag, Gain, Instant, Moderate, NotNegative, Positive, Table, check_file_name
 
 Place = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -103,20 +104,23 @@ class MovingLoad(Table):
         return self
 
 
-def check_drive(drive: Drive, actuators: Sequence[tuple[float | None, float | None]], end: float) -> None:
-    """Check (frequency [Hz], delay [s]) of the actuators, and the burst, against the drive and the end [s] of the run.
+def check_drive(drive: Drive, actuators: Sequence[Actuator], end: float) -> None:
+    """Check actuators, and the burst, against the drive and the end [s] of the run.
 
     Raises:
-        ValueError: a file replaces a frequency, a delay has no burst, or a burst starts too late; names the key.
+        ValueError: a file replaces a frequency, voltages a force, a delay has no burst, or a burst starts too late;
+            names the key.
     """
     after = f"s is after the run, which ends at window.end = {end:g} s"
-    for index, (frequency, delay) in enumerate(actuators):
-        key = f"actuators[{index}]"
+    for index, actuator in enumerate(actuators):
+        key, delay = f"actuators[{index}]", actuator.delay
         if delay is not None and drive.burst is None:
             raise ValueError(f"{key}.delay: there is no burst to delay; write [drive.burst], or delete the delay")
         if delay is not None and delay >= end:
             raise ValueError(f"{key}.delay: {delay:g} {after}")
-        if frequency is not None and drive.signal is not None:
+        if actuator.frequency is not None and drive.signal is not None:
             raise ValueError(f"{key}.frequency: drive.signal replaces the carrier of all actuators; delete one of them")
+        if actuator.force is not None and drive.electrostatic is not None:
+            raise ValueError(f"{key}.force: {actuator.force:g} N, but drive.electrostatic takes volts; write magnitude")
     if drive.burst is not None and drive.burst.start >= end:
         raise ValueError(f"drive.burst.start: {drive.burst.start:g} {after}")

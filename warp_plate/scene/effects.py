@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
-from warp_plate.scene.drive import MovingLoad
+from warp_plate.scene.drive import Drive, MovingLoad
 from warp_plate.scene.fields import Area, Flag, Moderate, NotNegative, Positive, Table, check_file_name
 
 LEAST_FACTOR, MOST_FACTOR = 1e-3, 1e3  # larger variations are mistakes, or make the time step vanish
@@ -27,6 +28,43 @@ class MaterialDamping(Table):
     """Kelvin-Voigt damping of the plate's material: bending moments follow u + time·u̇ instead of u."""
 
     time: NotNegative  # retardation time [s]; a mode of angular frequency ω has the loss factor time·ω
+
+
+Fraction = Annotated[NotNegative, Field(lt=1)]
+Fractions = Annotated[tuple[Fraction, ...], Field(min_length=1)]
+# A number for all modes, or one for each in order, the last of which holds for all higher modes.
+PerMode = Annotated[
+    Annotated[Fraction, Tag("number")] | Annotated[Fractions, Tag("list")],
+    Discriminator(lambda value: "list" if isinstance(value, list | tuple) else "number"),
+]
+
+
+class LossFactor(Table):
+    """Hysteretic damping: the bending stiffness times 1 + iη, a loss factor that no frequency changes.
+
+    It is defined for steady tones alone. A list gives the loss factor of each mode as a whole.
+    """
+
+    eta: PerMode  # loss factor η
+
+    def of_modes(self, count: int) -> np.ndarray:
+        """Return (count,) loss factors of the lowest modes."""
+        return _of_modes(self.eta, count)
+
+
+class ModalDamping(Table):
+    """Viscous damping of each mode, 2ζω on its velocity, added to all other damping."""
+
+    ratio: PerMode  # damping ratio ζ
+
+    def of_modes(self, count: int) -> np.ndarray:
+        """Return (count,) damping ratios of the lowest modes."""
+        return _of_modes(self.ratio, count)
+
+
+def _of_modes(values: float | tuple[float, ...], count: int) -> np.ndarray:
+    listed = np.atleast_1d(values)
+    return listed[np.minimum(np.arange(count), len(listed) - 1)]
 
 
 class Tension(Table):
@@ -142,6 +180,8 @@ class Effects(Table):
 
     damping: Damping | None = None
     material_damping: MaterialDamping | None = None
+    loss_factor: LossFactor | None = None
+    modal_damping: ModalDamping | None = None
     tension: Tension | None = None
     foundation: Foundation | None = None
     orthotropic: Orthotropic | None = None
@@ -150,3 +190,22 @@ class Effects(Table):
     oscillators: tuple[Oscillator, ...] = ()
     stretching: Stretching | None = None
     moving_load: MovingLoad | None = None
+
+
+def check_modal_tables(effects: Effects, drive: Drive) -> None:
+    """Raise ValueError, naming both keys, if the damping of modes cannot go with another effect or the drive."""
+    nonlinear = {"effects.stretching": effects.stretching, "drive.electrostatic": drive.electrostatic}
+    transient = {f"drive.{name}": getattr(drive, name) for name in ("burst", "chirp", "signal")}
+    transient["effects.moving_load"] = effects.moving_load
+    for name, others, reason in (
+        ("loss_factor", transient, "a loss factor is defined for steady tones alone"),
+        ("loss_factor", nonlinear, "only a linear plate has it"),
+        ("modal_damping", nonlinear, "only a linear plate has modes"),
+    ):
+        other = next((key for key, value in others.items() if value is not None), None)
+        if getattr(effects, name) is not None and other is not None:
+            raise ValueError(f"effects.{name}: {reason}; delete it or {other}")
+    loss = effects.loss_factor
+    if effects.modal_damping is not None and loss is not None and isinstance(loss.eta, tuple):
+        reason = "effects.loss_factor.eta lists the damping of each mode"
+        raise ValueError(f"effects.modal_damping: {reason}; delete one of them")

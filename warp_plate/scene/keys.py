@@ -56,6 +56,8 @@ INDEX_NAMES = {
     "disc": ("x", "y", "radius"),
     "range": ("smallest", "largest"),
 }
+# Of these keys of an actuator a file has one.
+ALTERNATIVES = {"magnitude": "force", "force": "magnitude"}
 _PART = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
 
 
@@ -88,7 +90,8 @@ def resolved_key(scene: Scene, key: str) -> str:
 def with_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
     """Return the scene, checked again, with other numbers at some of ``numeric_keys``; integers where these are kept.
 
-    ``grid.accuracy`` replaces the other keys of the grid.
+    ``grid.accuracy`` replaces the other keys of the grid, the force of an actuator its magnitude and the other way
+    round.
 
     Raises:
         SceneError: the numbers are not valid; the message names the key at fault.
@@ -100,9 +103,12 @@ def with_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
         changed = {"accuracy", *(_parts(key)[1] for key in numbers if key.startswith("grid."))}
         tables["grid"] = {key: value for key, value in tables["grid"].items() if key in changed}
     kinds = numeric_keys(scene)
-    for key, value in numbers.items():
-        *path, last = _parts(key)
-        reduce(operator.getitem, path, tables)[last] = kinds[key](value)
+    places = {key: (reduce(operator.getitem, path, tables), last) for key in numbers for *path, last in [_parts(key)]}
+    for key, (table, last) in places.items():
+        if key.startswith("actuators") and last in ALTERNATIVES:
+            table.pop(ALTERNATIVES[last], None)
+    for key, (table, last) in places.items():
+        table[last] = kinds[key](numbers[key])
     return Scene.from_tables(tables).in_folder(scene.folder)
 
 

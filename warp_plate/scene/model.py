@@ -10,16 +10,14 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Discriminator, Field, PrivateAttr, Tag, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
+from warp_plate.scene.actuator import Actuator
 from warp_plate.scene.drive import Drive, check_drive
-from warp_plate.scene.effects import Effects
+from warp_plate.scene.effects import Effects, check_modal_tables
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.explain_errors import explain_error
 from warp_plate.scene.fields import (
-    Area,
     Coordinate,
     Instant,
-    Moderate,
-    Name,
     NotNegative,
     Positive,
     Table,
@@ -130,17 +128,6 @@ class Record(Table):
     points: tuple[tuple[Coordinate, Coordinate], ...] = ()
 
 
-class Actuator(Table):
-    """A patch that presses on the plate."""
-
-    name: Name  # name, different for each actuator
-    area: Area  # rectangle x0, x1, y0, y1 [m]
-    magnitude: Moderate = 1.0  # amplitude of the pressure [N/m²], or of the voltage [V] under ``[drive.electrostatic]``
-    phase: Moderate = 0.0  # phase lag [rad]
-    frequency: Positive | None = None  # frequency [Hz] (default: that of the drive)
-    delay: Instant | None = None  # start of the burst [s] (default: that of the drive)
-
-
 class Scene(Table):
     """The complete input of a run, in SI units; read one with :meth:`load`.
 
@@ -214,7 +201,8 @@ class Scene(Table):
             raise ValueError("target: there are [[targets]] too, and it is none of them; write one of the two")
         for index, layer in enumerate(self.effects.layers):
             self.plate.check_thin(layer.thickness, f"effects.layers[{index}].thickness: ")
-        check_drive(self.drive, [(row.frequency, row.delay) for row in actuators], self.window.end)
+        check_drive(self.drive, actuators, self.window.end)
+        check_modal_tables(self.effects, self.drive)
         self.search.check_limits([actuator.name for actuator in actuators])
         if self.search.robust is not None:
             self.search.robust.check(self.effects, self.grid.load)
@@ -290,6 +278,17 @@ class Scene(Table):
     @property
     def linear(self) -> bool:
         return self.nonlinear_table is None
+
+    @property
+    def modal_only_key(self) -> str | None:
+        """First key that only the modal engine knows, because it has no time steps; None if none."""
+        tables = ("loss_factor", "modal_damping")
+        return next((f"effects.{name}" for name in tables if getattr(self.effects, name) is not None), None)
+
+    @property
+    def steady(self) -> bool:
+        """True if the response is the steady one: energies are means over all time, and ``window`` is not read."""
+        return self.effects.loss_factor is not None
 
     @property
     def nonharmonic_key(self) -> str | None:

@@ -119,8 +119,9 @@ class Robust(Table):
         # The default is allowed, because dumped scenes contain it.
         if self.measure != "quantile" and self.quantile != type(self).model_fields["quantile"].default:
             raise ValueError(f"search.robust.quantile = {self.quantile:g}: is for measure = 'quantile'; delete it")
-        foundation_damping = effects.foundation is not None and effects.foundation.damping
-        if self.damping and not (effects.damping or effects.material_damping or foundation_damping):
+        of_plate = (effects.damping, effects.material_damping, effects.loss_factor, effects.modal_damping)
+        of_foundation = effects.foundation is not None and effects.foundation.damping
+        if self.damping and not (any(of_plate) or of_foundation):
             raise ValueError(f"search.robust.damping: {self.damping:g} of no damping; write [effects.damping]")
         if self.without_oscillators and not effects.oscillators:
             share = f"search.robust.without_oscillators: {self.without_oscillators:g}"

@@ -1,0 +1,99 @@
+"""``force`` of an actuator: the total force of its patch, in place of the pressure ``magnitude``."""
+
+import numpy as np
+import pytest
+from conftest import PAPER, refusal, scene_of
+
+from warp_plate import Scene, SceneError
+from warp_plate.plate.discretization import discretize
+from warp_plate.plate.scene_overrides import actuator_centres, scene_phasors, scene_with
+from warp_plate.problem.uncertainty import draw_scenarios
+from warp_plate.scene.dump import dump_scene
+from warp_plate.scene.keys import label_of, resolved_key, unit_of, with_numbers
+from warp_plate.studies.simulate import simulate
+from warp_plate.studies.sweep import sweep
+
+PATCH = (0.03, 0.06, 0.05, 0.07)  # 6e-4 m²
+AREA = 6e-4
+
+
+def pressed(force=None, magnitude=None, **tables):
+    """Return a scene with this force [N] or magnitude [N/m²] on PATCH, beside an actuator of magnitude 1."""
+    given = {key: value for key, value in (("force", force), ("magnitude", magnitude)) if value is not None}
+    rows = [{"name": "a", "area": PATCH, **given}, {"name": "b", "area": (0.1, 0.15, 0.1, 0.15)}]
+    return scene_of(**tables).with_tables(actuators=rows)
+
+
+def test_a_force_is_the_pressure_times_the_area():
+    made, same = pressed(force=-0.3), pressed(magnitude=-500.0)
+    assert made.actuators[0].magnitude == pytest.approx(-500)
+    np.testing.assert_allclose(scene_phasors(made), [-500, 1])
+    # Patches by overlap keep the force: the sum of pressure times covered area over all nodes.
+    grid = discretize(made)
+    assert made.actuators[0].magnitude * grid.patches[0].sum() * grid.cell == pytest.approx(-0.3)
+    energy, expected = (simulate(scene, device="cpu").cases["drive"].energy for scene in (made, same))
+    assert energy == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("force", [0.0, 0.3, -1 / 3, 1e20])
+def test_it_survives_dumps_and_copies(force):
+    made = pressed(force=force)
+    assert made.actuators[0].force == force
+    for again in (made.with_tables(), Scene.parse(dump_scene(made), ""), with_numbers(made, {})):
+        assert again == made
+    text = dump_scene(made)
+    assert ("force = " in text, text.count("magnitude = ")) == (True, 1)  # that of the other actuator
+    assert Scene.from_tables(made.model_dump(mode="json")) == made
+
+
+def test_it_is_varied_and_stays_when_the_patch_changes():
+    for made in (pressed(force=0.3), pressed(magnitude=5.0)):
+        changed = with_numbers(made, {"actuators[0].force": 0.6}).actuators[0]
+        assert (changed.force, changed.magnitude) == (0.6, pytest.approx(1000))
+        changed = with_numbers(made, {"actuators[0].magnitude": 7.0}).actuators[0]
+        assert (changed.force, changed.magnitude) == (None, 7.0)
+        with pytest.raises(SceneError, match=r"^actuators\[0\]\.force: .* beside magnitude = 7"):
+            with_numbers(made, {"actuators[0].force": 0.6, "actuators[0].magnitude": 7.0})
+    wider = with_numbers(pressed(force=0.3), {"actuators[0].area[1]": 0.09}).actuators[0]
+    assert (wider.force, wider.magnitude) == (0.3, pytest.approx(250))
+    key = resolved_key(made, "actuators.a.force")
+    assert (key, unit_of(made, key), label_of(made, key)) == ("actuators[0].force", "N", "actuator a force")
+
+
+def test_a_sweep_over_the_force():
+    """Energies go with the square of the force."""
+    made = scene_of(actuators=[PATCH]).with_tables(actuators=[{"name": "a", "area": PATCH, "force": 1.0}])
+    found = sweep(made, ["actuators.a.force=0.5,1,2"], what="simulate", device="cpu")
+    energy = found.shaped("energy_plate")
+    np.testing.assert_allclose(energy / energy[1], [0.25, 1, 4], rtol=1e-9)
+
+
+def test_other_drives_places_and_scenarios():
+    made = pressed(force=0.3, search={"robust": {"place": 0.01, "thickness": 0.05}})
+    other = scene_with(made, magnitude=np.array([2.0, 3.0]))
+    assert [(row.force, row.magnitude) for row in other.actuators] == [(None, 2.0), (None, 3.0)]
+    moved = scene_with(made, centre=actuator_centres(made) + 0.003).actuators[0]
+    assert (moved.force, moved.magnitude) == (0.3, pytest.approx(500))
+    for drawn in draw_scenarios(made, 3, 0):
+        row = drawn.scene.actuators[0]
+        assert row.area != PATCH
+        assert (row.force, row.magnitude) == (0.3, pytest.approx(500))
+
+
+@pytest.mark.parametrize(
+    ("keys", "line"),
+    [
+        ("force = 1.0\nmagnitude = 1.0", "actuators[4].force: 1 N, beside magnitude = 1; delete one of them"),
+        ("force = 1e28", "actuators[4].force: 1e+28 N on 0.0001 m² press with 1e+32 N/m²"),
+        ("force = inf", "actuators[4].force = inf: must be a finite number"),
+        ("force = 1.0\n[drive.electrostatic]\ngain = 1.0", "actuators[4].force: 1 N, but drive.electrostatic"),
+    ],
+)
+def test_refusals(keys, line):
+    assert refusal(f"{PAPER}[[actuators]]\nname = 'more'\narea = [0.09, 0.1, 0.09, 0.1]\n{keys}").startswith(line)
+
+
+def test_a_wrong_area_is_the_fault_reported():
+    text = f"{PAPER}[[actuators]]\nname = 'more'\nforce = 1.0\narea = "
+    assert refusal(text + "[0.1, 0.1, 0.0, 0.1]").startswith("actuators[4].area")
+    assert refusal(text + "[0.1, 0.1]").startswith("actuators[4].area")

@@ -1,0 +1,139 @@
+"""Tables that only the modal engine knows, ``[effects.loss_factor]`` and ``[effects.modal_damping]``."""
+
+import numpy as np
+import pytest
+from conftest import PAPER, refusal, scene_of
+
+from warp_plate import Scene, SceneError
+from warp_plate.analysis.check import find_warnings
+from warp_plate.plate.modes import natural_modes
+from warp_plate.plate.scheme import make_scheme
+from warp_plate.problem.uncertainty import draw_scenarios
+from warp_plate.scene.dump import dump_scene
+from warp_plate.scene.keys import label_of, numeric_keys, unit_of, with_numbers
+from warp_plate.studies.simulate import simulate
+
+ETA, RATIO = "[effects.loss_factor]\neta = {}\n", "[effects.modal_damping]\nratio = {}\n"
+BURST = {"frequency": 290.0, "burst": {"duration": 0.01}}
+CHIRP = {"frequency": 290.0, "chirp": {"end_frequency": 400.0, "duration": 0.01}}
+SIGNAL = {"frequency": 290.0, "signal": {"file": "a.wav"}}
+VOLTS = {"frequency": 290.0, "electrostatic": {"gain": 1.0}}
+
+
+@pytest.mark.parametrize(
+    ("table", "line"),
+    [
+        (ETA.format(1.0), "effects.loss_factor.eta = 1.0: must be less than 1"),
+        (ETA.format(-0.1), "effects.loss_factor.eta = -0.1: must be 0 or more"),
+        (ETA.format("[0.1, 1.5]"), "effects.loss_factor.eta[1] = 1.5: must be less than 1"),
+        (ETA.format("[]"), "effects.loss_factor.eta = []: must be a list of 1 or more numbers"),
+        (ETA.format("'a'"), 'effects.loss_factor.eta = "a": must be a number'),
+        (RATIO.format("true\nzeta = 1"), "effects.modal_damping.zeta: unknown key"),
+        (RATIO.format("nan"), "effects.modal_damping.ratio = nan: must be a finite number"),
+        (RATIO.format("1"), "effects.modal_damping.ratio = 1: must be less than 1"),
+        ("[effects.modal_damping]", "effects.modal_damping.ratio: is missing"),
+    ],
+)
+def test_wrong_values_are_refused_by_key(table, line):
+    assert refusal(PAPER + table).startswith(line)
+
+
+@pytest.mark.parametrize(
+    ("effects", "tables", "keys"),
+    [
+        ({"loss_factor": {"eta": 0.0}}, {"drive": BURST}, ("effects.loss_factor: ", "drive.burst")),
+        ({"loss_factor": {"eta": 0.1}}, {"drive": CHIRP}, ("effects.loss_factor: ", "drive.chirp")),
+        ({"loss_factor": {"eta": 0.1}}, {"drive": SIGNAL}, ("effects.loss_factor: ", "drive.signal")),
+        ({"loss_factor": {"eta": [0.1]}}, {"drive": VOLTS}, ("effects.loss_factor: ", "drive.electrostatic")),
+        ({"modal_damping": {"ratio": 0.1}}, {"drive": VOLTS}, ("effects.modal_damping: ", "drive.electrostatic")),
+        ({"modal_damping": {"ratio": 0.1}, "stretching": {}}, {}, ("effects.modal_damping: ", "effects.stretching")),
+        ({"loss_factor": {"eta": 0.1}, "stretching": {}}, {}, ("effects.loss_factor: ", "effects.stretching")),
+        (
+            {"loss_factor": {"eta": 0.1}, "moving_load": {"force": 1.0, "start": [0.1, 0.1]}},
+            {},
+            ("effects.loss_factor: ", "effects.moving_load"),
+        ),
+        (
+            {"loss_factor": {"eta": [0.1]}, "modal_damping": {"ratio": 0.1}},
+            {},
+            ("effects.modal_damping: ", "effects.loss_factor.eta"),
+        ),
+    ],
+)
+def test_what_has_no_such_damping_is_refused_by_both_keys(effects, tables, keys):
+    with pytest.raises(SceneError) as caught:
+        Scene.from_tables({**scene_of().model_dump(), "effects": effects, **tables})
+    assert str(caught.value).startswith(keys[0])
+    assert keys[1] in str(caught.value)
+
+
+def test_transients_and_other_damping_go_with_modal_damping():
+    effects = {"damping": {"viscous": 1.0}, "loss_factor": {"eta": 0.1}, "modal_damping": {"ratio": 0.01}}
+    assert scene_of(effects=effects).steady
+    made = scene_of(effects={"modal_damping": {"ratio": 0.01}}, drive=BURST)
+    assert (made.steady, made.linear, made.modal_only_key) == (False, True, "effects.modal_damping")
+    assert scene_of(damping=1.0).modal_only_key is None
+
+
+def test_the_last_value_of_a_list_holds_for_all_higher_modes():
+    effects = scene_of(effects={"loss_factor": {"eta": 0.1}, "modal_damping": {"ratio": 0.2}}).effects
+    np.testing.assert_array_equal(effects.loss_factor.of_modes(3), [0.1, 0.1, 0.1])
+    np.testing.assert_array_equal(effects.modal_damping.of_modes(2), [0.2, 0.2])
+    loss = scene_of(effects={"loss_factor": {"eta": [0.1, 0.0, 0.3]}}).effects.loss_factor
+    np.testing.assert_array_equal(loss.of_modes(5), [0.1, 0.0, 0.3, 0.3, 0.3])
+    np.testing.assert_array_equal(loss.of_modes(2), [0.1, 0.0])
+
+
+@pytest.mark.parametrize(("eta", "key"), [(0.1, "eta"), ([0.1, 0.2], "eta[1]")])
+def test_numbers_survive_a_dump_and_are_varied(eta, key):
+    made, key = scene_of(effects={"loss_factor": {"eta": eta}}), f"effects.loss_factor.{key}"
+    assert Scene.parse(dump_scene(made), "") == made.with_tables() == made
+    assert numeric_keys(made)[key] is float
+    assert (unit_of(made, key), bool(label_of(made, key))) == ("1", True)
+    varied = with_numbers(made, {key: 0.5}).effects.loss_factor
+    np.testing.assert_array_equal(varied.of_modes(2), [np.ravel(eta)[0], 0.5] if key.endswith("]") else [0.5, 0.5])
+
+
+@pytest.mark.parametrize("effects", [{"loss_factor": {"eta": 0.1}}, {"modal_damping": {"ratio": [0.1]}}])
+def test_time_stepping_refuses_them_by_name(effects, command, write_scene):
+    made, key = write_scene(effects=effects), f"effects.{next(iter(effects))}"
+    assert made.modal_only_key == key
+    with pytest.raises(SceneError, match=f'^{key}: .*"modal".*effects.damping'):
+        make_scheme(made)
+    with pytest.raises(SceneError, match=f"^{key}: "):
+        simulate(made, device="cpu")
+    for name in ("check", "effects"):
+        status, _, line = command(name, "panel.toml", "--device", "cpu")
+        assert status == 2
+        assert len(line.splitlines()) == 1
+        assert f"panel.toml: {key}: " in line
+
+
+def test_undamped_modes_of_the_grid_do_not_depend_on_them():
+    plain, damped = scene_of(), scene_of(effects={"loss_factor": {"eta": 0.1}, "modal_damping": {"ratio": 0.1}})
+    np.testing.assert_array_equal(natural_modes(damped, 4).frequencies, natural_modes(plain, 4).frequencies)
+
+
+def test_start_up_motion():
+    """It decays at ζω, the slowest mode's; a steady response has none."""
+    for effects, left in (({"loss_factor": {"eta": 0.1}}, 0.0), ({"modal_damping": {"ratio": [0.2, 0.1]}}, None)):
+        made = scene_of(effects=effects)
+        found = {number.name: number for number in find_warnings(made, 0.0)}
+        decayed = np.exp(-0.1 * 2 * np.pi * 290 * made.window.start) if left is None else left
+        assert found["start-up motion left"].value == pytest.approx(decayed)
+        assert found["start-up motion left"].exceeded == (decayed > 0.01)
+        assert "points a wavelength" not in found  # there is no grid
+
+
+def test_scenarios_scale_all_damping_of_the_panel():
+    effects = {"damping": {"viscous": 80.0}, "loss_factor": {"eta": 0.1}, "modal_damping": {"ratio": [0.1, 0.2]}}
+    made = scene_of(effects={**effects, "loss_factor": {"eta": 0.1}}, search={"robust": {"damping": 0.5}})
+    for drawn in draw_scenarios(made, 4, 1):
+        factor = drawn.scene.effects.damping.viscous / 80
+        assert 0.5 <= factor <= 1.5
+        assert drawn.scene.effects.loss_factor.eta == pytest.approx(0.1 * factor)
+        assert drawn.scene.effects.modal_damping.ratio == pytest.approx((0.1 * factor, 0.2 * factor))
+        assert drawn.scene.grid == made.grid
+    alone = scene_of(effects={"loss_factor": {"eta": [0.1, 0.2]}}, search={"robust": {"damping": 0.5}})
+    (drawn,) = draw_scenarios(alone, 1, 1)
+    assert drawn.scene.effects.loss_factor.eta[1] == pytest.approx(2 * drawn.scene.effects.loss_factor.eta[0])
