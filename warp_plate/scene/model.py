@@ -16,6 +16,7 @@ from warp_plate.scene.effects import Effects, check_modal_tables
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.explain_errors import explain_error
 from warp_plate.scene.fields import (
+    Area,
     Coordinate,
     Instant,
     NotNegative,
@@ -185,7 +186,9 @@ class Scene(Table):
     @model_validator(mode="after")
     def _tables_fit_together(self) -> Scene:
         actuators, size = self.actuators, self.plate.size
-        areas = {f"actuators[{index}].area ({row.name!r})": row.area for index, row in enumerate(actuators)}
+        areas: dict[str, Area] = {
+            f"actuators[{index}].area ({row.name!r})": row.area for index, row in enumerate(actuators)
+        }
         if self.search.position is not None and self.search.position.area is not None:
             areas["search.position.area"] = self.search.position.area
         for name in ("layers", "oscillators"):
