@@ -18,7 +18,7 @@ FLOORS = (
     {"scene", "kernels", "optimize"},
     {"plate"},
     {"reference", "result"},
-    {"solve", "viz"},
+    {"modal", "solve", "viz"},
     {"accuracy", "bench", "cluster"},
     {"problem"},
     {"analysis"},

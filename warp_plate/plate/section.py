@@ -67,7 +67,9 @@ def make_section(scene: Scene) -> Section:
     plate, (nx, ny), layers = scene.plate, scene.grid.nodes, scene.effects.layers
     along_x = _parts(plate.size[0], nx, [place for layer in layers for place in layer.area[:2]])
     along_y = _parts(plate.size[1], ny, [place for layer in layers for place in layer.area[2:]])
-    rigidities, twist, mass, stretches = _laminates(scene, along_x, along_y)
+    at_parts = np.ix_(along_y.node, along_x.node)
+    factors = {key: values[at_parts] for key, values in factors_at_nodes(scene).items()}
+    rigidities, twist, mass, stretches = laminates(scene, along_x.middle, along_y.middle, factors)
     if layers:
         x_first = _across_y(_across_x(rigidities, along_x), along_y)
         y_first = _across_x(_across_y(rigidities, along_y), along_x)
@@ -87,9 +89,22 @@ def factors_at_nodes(scene: Scene) -> dict[str, np.ndarray]:
     Raises:
         SceneError: A file cannot be read or holds no such array, or the plate is not thin everywhere.
     """
-    (nx, ny), variation = scene.grid.nodes, scene.effects.variation
+    nx, ny = scene.grid.nodes
     factors = {key: np.ones((ny, nx)) for key in Variation.model_fields}
-    for key, given in variation or ():
+    for key, array in factor_arrays(scene).items():
+        rows, columns = np.linspace(0, len(array) - 1, ny), np.linspace(0, array.shape[1] - 1, nx)
+        factors[key] = interpolate(interpolate(array, rows).T, columns).T
+    return factors
+
+
+def factor_arrays(scene: Scene) -> dict[str, np.ndarray]:
+    """Return the arrays (rows, columns) of factors that the scene's variation gives, by name.
+
+    Raises:
+        SceneError: A file cannot be read or holds no such array, or the plate is not thin everywhere.
+    """
+    arrays = {}
+    for key, given in scene.effects.variation or ():
         if given is None:
             continue
         head = f"effects.variation.{key}"
@@ -103,8 +118,8 @@ def factors_at_nodes(scene: Scene) -> dict[str, np.ndarray]:
                 scene.plate.check_thin(scene.plate.thickness * array.max())
             except ValueError as error:
                 raise SceneError(f"{head}: {error}") from None
-        factors[key] = _interpolate(_interpolate(array, ny).T, nx).T
-    return factors
+        arrays[key] = array
+    return arrays
 
 
 def _parts(length: float, nodes: int, cuts: list[float]) -> _Parts:
@@ -117,13 +132,14 @@ def _parts(length: float, nodes: int, cuts: list[float]) -> _Parts:
     return _Parts(middle, np.diff(lines), share, node, np.searchsorted(node, np.arange(nodes)))
 
 
-def _laminates(
-    scene: Scene, along_x: _Parts, along_y: _Parts
+def laminates(
+    scene: Scene, x: np.ndarray, y: np.ndarray, factors: dict[str, np.ndarray]
 ) -> tuple[Rigidities, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Return rigidities and twist [N·m], mass [kg/m²] and stretching stiffness [N/m] of every part of every cell."""
+    """Return rigidities and twist [N·m], mass [kg/m²] and stretching stiffness [N/m] at points x, y [m].
+
+    ``factors`` are those of :func:`factors_at_nodes`, at the points (y, x).
+    """
     plate, orthotropic, ratio = scene.plate, scene.effects.orthotropic, scene.plate.poisson_ratio
-    at_parts = np.ix_(along_y.node, along_x.node)
-    factors = {key: values[at_parts] for key, values in factors_at_nodes(scene).items()}
     thickness = plate.thickness * factors["thickness"]
     stretch = plate.young_modulus * factors["young_modulus"] * thickness
     plate_alone = stretch
@@ -133,7 +149,7 @@ def _laminates(
     top = {1: thickness / 2, -1: thickness / 2}
     for layer in scene.effects.layers:
         x0, x1, y0, y1 = layer.area
-        covered = np.outer((along_y.middle > y0) & (along_y.middle < y1), (along_x.middle > x0) & (along_x.middle < x1))
+        covered = np.outer((y > y0) & (y < y1), (x > x0) & (x < x1))
         height = covered * layer.thickness
         for face in (1, -1) if layer.both else (1,):
             middle, stiffness = top[face] + height / 2, layer.young_modulus * height
@@ -173,9 +189,8 @@ def _across_y(rigidities: Rigidities, parts: _Parts) -> Rigidities:
     return xx, xy, yy
 
 
-def _interpolate(values: np.ndarray, count: int) -> np.ndarray:
-    """Return (count, ...) evenly spaced values, linear between the rows (rows, ...), from the first to the last."""
-    where = np.linspace(0, len(values) - 1, count)
+def interpolate(values: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Return (places, ...) values, linear between rows (rows, ...), at places from 0 to rows − 1."""
     low = np.minimum(where.astype(int), max(len(values) - 2, 0))
     high, part = np.minimum(low + 1, len(values) - 1), (where - low)[:, None]
     interpolated: np.ndarray = (1 - part) * values[low] + part * values[high]

@@ -1,0 +1,37 @@
+"""Gram matrices of the modal plate, against the limits of the source paper's scene and each other."""
+
+import numpy as np
+import pytest
+
+from warp_plate import Scene
+from warp_plate.modal.energy import gram_matrices
+from warp_plate.modal.modes import solve_modes
+from warp_plate.solve.response import Response
+
+
+def matrices(plate, window, **options):
+    scene = plate.scene
+    regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
+    frequency = np.full((1, len(scene.actuators)), scene.drive.frequency)
+    return gram_matrices(plate, regions, plate.actuator_forces()[None], frequency, window, **options)[0]
+
+
+def test_paper_scene_reaches_its_limit():
+    """The limits are those of a Ritz method with 40 functions a side."""
+    scene = Scene.load("paper")
+    response = Response(matrices(solve_modes(scene), scene.window))
+    energy = response.energy(np.eye(4))
+    assert energy[0, 1] / energy[0, 0] == pytest.approx(0.586298, rel=1e-5)
+    assert response.bound() == pytest.approx(0.654001, rel=1e-5)
+
+
+def test_late_window_is_steady():
+    """E ∝ ω² U: steady rates are iω times steady displacements, and free motion has died away."""
+    scene = Scene.load("paper")
+    plate = solve_modes(scene)
+    period = 1 / scene.drive.frequency
+    late = scene.window.model_copy(update={"start": 2.0, "end": 2.0 + 20 * period})
+    steady = matrices(plate, None)
+    assert np.allclose(matrices(plate, late), steady, rtol=1e-7, atol=1e-9 * steady.max())
+    omega = 2 * np.pi * scene.drive.frequency
+    assert np.allclose(matrices(plate, None, quantity="displacement") * omega**2, steady, rtol=1e-12)

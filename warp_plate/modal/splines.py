@@ -1,0 +1,106 @@
+"""B-splines along one side of a plate, with the conditions of its two ends built in.
+
+On an open knot vector only the first spline has a value at the low end, and only the first two have a slope there: a
+supported end leaves out the first, a clamped one the first two, and likewise at the high end. Knots of multiplicity m
+leave degree − m continuous derivatives. Gauss's rule between knots is exact for products of two splines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import scipy
+from numpy.polynomial import legendre
+
+# Number of splines that each end leaves out.
+CONDITIONS = {"free": 0, "supported": 1, "clamped": 2}
+
+
+@dataclass(frozen=True)
+class Splines:
+    """The splines of one direction.
+
+    Attributes:
+        knots: (knots,) positions with repetitions [m], those of the ends ``degree + 1`` times.
+        degree: Degree of the polynomials between knots.
+        left_out: Number of splines left out at the low and the high end.
+    """
+
+    knots: np.ndarray
+    degree: int
+    left_out: tuple[int, int]
+
+    @property
+    def functions(self) -> int:
+        """Number of functions."""
+        return self.knots.size - self.degree - 1 - sum(self.left_out)
+
+    @cached_property
+    def breaks(self) -> np.ndarray:
+        """(intervals + 1,) positions of the knots without repetitions [m]."""
+        return np.unique(self.knots)
+
+    def values(self, x: np.ndarray, derivative: int = 0) -> np.ndarray:
+        """Return (functions, points) values of a derivative at x [m]."""
+        return self._splines(self._curves.derivative(derivative) if derivative else self._curves, x)
+
+    def integrals(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Return (functions, intervals) integrals from ``low`` to ``high`` [m]."""
+        return self._splines(self._integrals, high) - self._splines(self._integrals, low)
+
+    def products(self, low: float, high: float, first: int = 0, second: int = 0) -> np.ndarray:
+        """Return (functions, functions) ∫ of two derivatives, row times column, from ``low`` to ``high`` [m]."""
+        inside = self.breaks[(self.breaks > low) & (self.breaks < high)]
+        x, weights = gauss(np.concatenate([[low], inside, [high]]), self.degree + 1)
+        return np.asarray((self.values(x, first) * weights) @ self.values(x, second).T)
+
+    @cached_property
+    def _curves(self) -> scipy.interpolate.BSpline:
+        return scipy.interpolate.BSpline(self.knots, np.eye(self.knots.size - self.degree - 1), self.degree)
+
+    @cached_property
+    def _integrals(self) -> scipy.interpolate.BSpline:
+        return self._curves.antiderivative()
+
+    def _splines(self, curves: scipy.interpolate.BSpline, x: np.ndarray) -> np.ndarray:
+        first, last = self.left_out
+        values: np.ndarray = curves(np.asarray(x, dtype=float)).T
+        return values[first : len(values) - last]
+
+
+def make_splines(
+    length: float, ends: tuple[str, str], intervals: int, degree: int, corners: Sequence[tuple[float, int]] = ()
+) -> Splines:
+    """Return splines over 0 ... ``length`` [m], with at least ``intervals`` intervals of about the same size.
+
+    Args:
+        length: Length of the side [m].
+        ends: "clamped", "supported" or "free" for the low and the high end.
+        intervals: Least number of intervals between knots.
+        degree: Degree of the splines.
+        corners: Positions [m] where only so many derivatives are continuous.
+    """
+    continuous: dict[float, int] = {}
+    for given, derivatives in corners:
+        position = round(given / length, 9) * length  # equal ones may differ by rounding
+        if 0 < position < length:
+            continuous[position] = min(derivatives, continuous.get(position, degree))
+    positions = np.array(sorted({0.0, length, *continuous}))
+    knots = [np.zeros(degree + 1)]
+    for low, high in pairwise(positions):
+        count = max(1, round(intervals * (high - low) / length))
+        knots.append(np.linspace(low, high, count + 1)[1:-1])
+        repeated = degree + 1 if high == length else degree - continuous[float(high)]
+        knots.append(np.full(repeated, high))
+    return Splines(np.concatenate(knots), degree, (CONDITIONS[ends[0]], CONDITIONS[ends[1]]))
+
+
+def gauss(breaks: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions and weights of Gauss's rule with so many points between each two breaks."""
+    s, weights = legendre.leggauss(points)
+    half = np.diff(breaks)[:, None] / 2
+    return (breaks[:-1, None] + half * (1 + s)).ravel(), (half * weights).ravel()
