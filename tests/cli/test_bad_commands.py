@@ -49,6 +49,7 @@ COMMANDS = {
     "sweep": (".h5", ["vary", "what", "samples", "count", "device", "checkpoint-every", "resume"]),
     "compare": (".h5", ["methods", "seeds", "evaluations"]),
     "modes": (".png", ["count", "out"]),
+    "frf": (".png", ["out"]),
     "effects": ("", ["device"]),
     "accuracy": (".json", ["device", "budget", "out"]),
     "bench": (".json", ["plates", "nodes", "precision", "device", "quick"]),

@@ -18,7 +18,7 @@ app = cyclopts.App(
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
-COMMANDS = "localize compare sweep simulate check modes effects accuracy view explore render export init bench"
+COMMANDS = "localize compare sweep simulate check modes frf effects accuracy view explore render export init bench"
 for name in COMMANDS.split():
     app.command(getattr(import_module(f"warp_plate.cli.{name}"), name))
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -253,6 +253,15 @@ def _default_layout(kind: Any) -> Layout:
         return SceneText()
     classes = [part for part in (kind, *get_args(kind)) if isinstance(part, type) and dataclasses.is_dataclass(part)]
     return Groups(classes[0], get_origin(kind)) if classes else Attribute(kind)
+
+
+def write_along(file: h5py.File, name: str, values: Any, unit: str, meaning: str, axes: Iterable[str] = ()) -> None:
+    """Write values along dimensions; without any, as a dimension itself."""
+    Dataset(unit, meaning).write(file, name, values)
+    if not axes:
+        file[name].make_scale(name)
+    for index, axis in enumerate(axes):
+        file[name].dims[index].attach_scale(file[axis])
 
 
 def member(group: h5py.Group, name: str, kind: type = h5py.Group) -> Any:

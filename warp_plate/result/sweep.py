@@ -11,10 +11,10 @@ An unfinished sweep is the same file with points that are not run yet.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import h5py
 import numpy as np
@@ -121,21 +121,21 @@ def save_sweep(sweep: Sweep, path: str | Path) -> Path:
         hdf5.Attribute(bool).write(file, "finished", sweep.finished)
         axes = ["sample"] if plan.sampled else plan.keys
         if plan.sampled:
-            _write_along(file, "sample", np.arange(len(plan)), "1", "number of the sample")
+            hdf5.write_along(file, "sample", np.arange(len(plan)), "1", "number of the sample")
         for key, values in zip(plan.keys, plan.coordinates, strict=True):
             unit = unit_of(scene, key).replace("²", "^2").replace("³", "^3").replace("·", "*")
-            _write_along(file, key, values, unit, label_of(scene, key), axes if plan.sampled else ())
+            hdf5.write_along(file, key, values, unit, label_of(scene, key), axes if plan.sampled else ())
         for axis in dict.fromkeys(output.axis for output in sweep.outputs.values() if output.axis):
-            _write_along(file, axis, np.arange(1, sweep.count + 1), "1", f"number of the {axis}")
+            hdf5.write_along(file, axis, np.arange(1, sweep.count + 1), "1", f"number of the {axis}")
         for name, output in sweep.outputs.items():
             own = [output.axis] if output.axis else []
-            _write_along(file, name, sweep.shaped(name), output.unit, output.meaning, [*axes, *own])
+            hdf5.write_along(file, name, sweep.shaped(name), output.unit, output.meaning, [*axes, *own])
         status = sweep.status.astype("i1").reshape(plan.shape)
-        _write_along(file, "status", status, "1", "what became of the point", axes)
+        hdf5.write_along(file, "status", status, "1", "what became of the point", axes)
         file["status"].attrs["flag_values"] = np.array([NOT_RUN, RUN, REFUSED], dtype="i1")
         file["status"].attrs["flag_meanings"] = "not_run run refused"
         reasons = np.array([sweep.reasons.get(point, "") for point in range(len(plan))], dtype=h5py.string_dtype())
-        _write_along(file, "reason", reasons.reshape(plan.shape), "1", "why the point was refused", axes)
+        hdf5.write_along(file, "reason", reasons.reshape(plan.shape), "1", "why the point was refused", axes)
         if plan.sampled:
             for name in (*sweep.outputs, "status", "reason"):
                 file[name].attrs["coordinates"] = " ".join(plan.keys)
@@ -170,12 +170,3 @@ def _read_plan(file: h5py.File, scene: Scene) -> Plan:
     if not 1 <= len(plan) <= MOST_POINTS:
         raise SceneError(f"the sweep has {len(plan)} points")
     return plan
-
-
-def _write_along(file: h5py.File, name: str, values: Any, unit: str, meaning: str, axes: Iterable[str] = ()) -> None:
-    """Write values along dimensions; without any, as a dimension itself."""
-    hdf5.Dataset(unit, meaning).write(file, name, values)
-    if not axes:
-        file[name].make_scale(name)
-    for index, axis in enumerate(axes):
-        file[name].dims[index].attach_scale(file[axis])

@@ -1,0 +1,270 @@
+"""Frequency responses: against Navier's series, reciprocity, derivatives, peaks however sharp, and their files."""
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy
+from numpy.polynomial import legendre
+
+from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.steady import make_steady
+from warp_plate.plate.scene_overrides import scene_phasors
+from warp_plate.reference.series import patch_pressures
+from warp_plate.reference.thin_plate import thin_plate
+from warp_plate.result.export.frequency_response import write_csv, write_hdf5, write_uff
+from warp_plate.scene.errors import SceneError
+from warp_plate.studies.frequency_response import compute_frequency_response, default_range
+
+SUPPORTED = ("supported",) * 4
+POINTS = [(0.05, 0.07), (0.13, 0.11)]
+OSCILLATOR = {"area": (0.12, 0.15, 0.05, 0.08), "mass": 0.002, "stiffness": 400.0, "damping": 1.0}
+COUPLED = {"damping": {"viscous": 0.01}, "oscillators": [{**OSCILLATOR, "damping": 50.0}]}
+MIXED = {
+    "edges": ("supported", "supported", "supported", {"translation": 2000.0, "rotation": 0.2}),
+    "effects": {
+        "damping": {"viscous": 3.0},
+        "foundation": {"stiffness": 500.0},
+        "oscillators": [OSCILLATOR],
+    },
+}
+
+
+@pytest.fixture
+def supported(scene):
+    """A damped supported panel with unequal phasors."""
+    made = scene(size=(0.2, 0.16), edges=SUPPORTED, damping=20.0)
+    rows = zip(made.actuators, (1.0, 0.4, 2.0), (0.0, 1.0, -2.0), strict=True)
+    return made.with_tables(actuators=[{**row.model_dump(), "magnitude": w, "phase": p} for row, w, p in rows])
+
+
+def modal_sums(scene, frequencies, pressures):
+    """Return (frequencies, terms, terms) amplitudes Q = Z / (D k⁴ − ρHω² + icω) of the sine modes, n by row."""
+    plate, orders = thin_plate(scene), np.arange(1, pressures.shape[1] + 1) * math.pi
+    squared = (orders / plate.size[0]) ** 2 + (orders[:, None] / plate.size[1]) ** 2
+    omega = 2 * math.pi * np.asarray(frequencies)[:, None, None]
+    dynamic = plate.rigidity * squared**2 - plate.surface_density * omega**2 + 1j * plate.viscous * omega
+    return pressures / dynamic
+
+
+def at(scene, amplitudes, point):
+    """Return the sums of (…, terms, terms) amplitudes of the sine modes at a point."""
+    terms = np.arange(1, amplitudes.shape[-1] + 1) * math.pi
+    along, across = (np.sin(terms * place / side) for place, side in zip(point, scene.plate.size, strict=True))
+    return across @ amplitudes @ along
+
+
+def unit_pressures(scene, actuator, terms):
+    """Return the modal pressures of 1 N/m² on an actuator."""
+    return patch_pressures(scene, np.eye(len(scene.actuators))[actuator], terms)
+
+
+def test_receptance_is_that_of_the_sine_series(supported):
+    """Also of a point force, whose series converges slowly, 4/ab sin sin the modal pressures."""
+    found = compute_frequency_response(supported, ["1", (0.11, 0.04)], POINTS, (20, 400), "receptance")
+    assert found.inputs == ("1", "0.11,0.04")
+    assert found.unit == "m/N"
+    chosen = slice(None, None, 25)
+    x0, x1, y0, y1 = supported.actuators[1].area
+    patch = unit_pressures(supported, 1, 90) / ((x1 - x0) * (y1 - y0))
+    (width, height), orders = supported.plate.size, np.arange(1, 301) * math.pi
+    point = 4 / (width * height) * np.outer(np.sin(orders * 0.04 / height), np.sin(orders * 0.11 / width))
+    for index, (pressures, tolerance) in enumerate([(patch, 1e-5), (point, 1e-3)]):
+        amplitudes = modal_sums(supported, found.frequencies[chosen], pressures)
+        exact = np.stack([at(supported, amplitudes, place) for place in POINTS])
+        got = found.responses[2 * index : 2 * index + 2, chosen]
+        np.testing.assert_allclose(got, exact, atol=tolerance * np.abs(exact).max(), rtol=10 * tolerance)
+
+
+def test_localization_bound_and_velocity_are_those_of_the_sine_series(supported):
+    """Sines have the mean square 1/4 over the plate; over the target, a quarter, Gauss's rule gives their products."""
+    found, terms = compute_frequency_response(supported, frequency_range=(20, 400)), 60
+    chosen = slice(3, None, 40)
+    omega = 2 * math.pi * found.frequencies[chosen]
+    amplitudes = np.stack(
+        [modal_sums(supported, found.frequencies[chosen], unit_pressures(supported, k, terms)) for k in range(3)]
+    )
+    nodes, weights = legendre.leggauss(150)
+    sines = np.sin(np.outer(np.arange(1, terms + 1) * math.pi, (nodes + 1) / 4))
+    overlap = (sines * weights / 4) @ sines.T  # over half a side, of a length of one
+    target = np.einsum("kfnm,np,mq,lfpq->fkl", amplitudes.conj(), overlap, overlap, amplitudes, optimize=True)
+    plate = np.einsum("kfnm,lfnm->fkl", amplitudes.conj(), amplitudes) / 4
+    drive = scene_phasors(supported)
+    share, whole = (np.einsum("k,fkl,l->f", drive.conj(), gram, drive).real for gram in (target, plate))
+    np.testing.assert_allclose(found.localization_factor[chosen], share / whole, rtol=1e-4)
+    largest = [scipy.linalg.eigh(a, b, eigvals_only=True)[-1] for a, b in zip(target, plate, strict=True)]
+    np.testing.assert_allclose(found.bound[chosen], largest, rtol=1e-4)
+    assert (found.localization_factor <= found.bound + 1e-12).all()
+    areas = [(x1 - x0) * (y1 - y0) for x0, x1, y0, y1 in (actuator.area for actuator in supported.actuators)]
+    for index, area in enumerate(areas):
+        velocity = omega**2 * plate[:, index, index].real / area**2 / 2
+        np.testing.assert_allclose(found.mean_square_velocity[index, chosen], velocity, rtol=1e-4)
+
+
+def test_reciprocity_of_a_plate_with_coupled_modes(scene):
+    """H(a → b) = H(b → a), and the responses are those of the full system, frequency by frequency."""
+    made = scene(size=(0.2, 0.16), **MIXED)
+    found = compute_frequency_response(made, POINTS, POINTS, (15, 30), "receptance")
+    assert found.pairs[1] == ("0.05,0.07", POINTS[1])
+    np.testing.assert_allclose(found.responses[1], found.responses[2], rtol=1e-4)
+    assert (found.bound < 1).all()
+    plate, chosen = solve_modes(made, 30), slice(None, None, len(found.frequencies) // 3)
+    shapes = plate.at_points(POINTS)
+    exact = np.moveaxis(plate.respond(found.frequencies[chosen], shapes), 1, 2) @ shapes
+    np.testing.assert_allclose(found.responses[:, chosen].T, exact.reshape(-1, 4), rtol=1e-5)
+
+
+def test_quantities_are_derivatives(supported):
+    """Mobility = iω receptance, accelerance = iω mobility."""
+    receptance, mobility, accelerance = (
+        compute_frequency_response(supported, ["0"], POINTS, (20, 60), quantity)
+        for quantity in ("receptance", "mobility", "accelerance")
+    )
+    turn = 2j * math.pi * receptance.frequencies
+    np.testing.assert_allclose(mobility.responses, turn * receptance.responses, rtol=1e-12)
+    np.testing.assert_allclose(accelerance.responses, turn * mobility.responses, rtol=1e-12)
+    assert [each.unit for each in (mobility, accelerance)] == ["(m/s)/N", "(m/s²)/N"]
+
+
+def test_a_free_plate_moves_as_its_mass(scene):
+    """Far below its resonances 1 N at the centre of mass M gives the velocity v = 1/ωM everywhere, and ⟨v²⟩ = v²/2;
+    an oscillator's mass moves with it."""
+    layer = {"area": (0.0, 0.2, 0.08, 0.16), "thickness": 3e-4, "young_modulus": 0.0, "density": 1500.0}
+    oscillator = {"area": (0.08, 0.12, 0.06, 0.1), "mass": 0.004, "stiffness": 1e5}
+    effects = {"layers": [layer], "oscillators": [oscillator]}
+    free = scene(size=(0.2, 0.16), edges=("free",) * 4, effects=effects)
+    parts = np.array([0.5 * 0.2 * 0.08, 0.95 * 0.2 * 0.08, 0.004])
+    centre = (0.1, parts @ [0.04, 0.12, 0.08] / parts.sum())
+    found = compute_frequency_response(free, [centre], [centre, (0.0, 0.0)], (0.01, 0.1))
+    speed = 1 / (2 * math.pi * found.frequencies * parts.sum())
+    np.testing.assert_allclose(np.abs(found.responses), [speed, speed], rtol=1e-3)
+    np.testing.assert_allclose(found.mean_square_velocity[0], speed**2 / 2, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        *({"damping": {"viscous": viscous}} for viscous in (0.003, 0.3, 30.0)),
+        {"loss_factor": {"eta": 0.002}},
+        pytest.param(COUPLED, marks=pytest.mark.slow),
+    ],
+    ids=["loss 1e-5", "loss 1e-3", "loss 0.1", "hysteretic", "coupled"],
+)
+def test_no_peak_is_missed(scene, effects):
+    """Each local maximum of a dense scan around a resonance is in the curve to 1 %, and no resonance costs more than a
+    number of frequencies that grows with the logarithm of its sharpness."""
+    made = scene(size=(0.2, 0.16), effects=effects)
+    found = compute_frequency_response(made, ["0"], POINTS[:1], (20, 200), "receptance")
+    plate = solve_modes(made, 200)
+    steady, force = make_steady(plate, 200), plate.patch_forces([made.actuators[0].area])
+    shape = plate.at_points(POINTS[:1])[:, 0]
+
+    def amplitude(frequencies):
+        return np.abs(shape @ steady.respond(frequencies, force)[:, :, 0].T)
+
+    checked, curve = 0, np.abs(found.responses[0]) * amplitude(found.frequencies[:1]) / np.abs(found.responses[0, 0])
+    starts = found.frequencies[1:-1][(curve[1:-1] > curve[:-2]) & (curve[1:-1] > curve[2:])]
+    spread = 1 + 3 * np.maximum(found.loss_factors, 1e-6)
+    ranges = [*zip(found.natural_frequencies / spread, found.natural_frequencies * spread, strict=True)]
+    ranges += [(start * 0.999, start * 1.001) for start in starts]
+    for low, high in ranges:
+        dense = np.linspace(max(low, 20), min(high, 200), 401)
+        height = amplitude(dense)
+        for index in np.flatnonzero((height[1:-1] > height[:-2]) & (height[1:-1] > height[2:])) + 1:
+            inside = (found.frequencies >= dense[0]) & (found.frequencies <= dense[-1])
+            near = inside & (np.abs(found.frequencies - dense[index]) < 0.02 * dense[index])
+            assert curve[near].max() >= 0.99 * height[index]
+            checked += 1
+    assert checked >= len(found.natural_frequencies) / 2
+    assert len(found.frequencies) < 400 + 60 * (len(found.natural_frequencies) + 1)
+    assert found.frequencies[[0, -1]] == pytest.approx([20, 200])
+
+
+def test_undamped_plates_have_finite_responses_beside_their_resonances(scene):
+    found = compute_frequency_response(scene(), frequency_range=(20, 200))
+    assert found.undamped
+    for values in (found.responses, found.localization_factor, found.bound, found.mean_square_velocity):
+        assert np.isfinite(values).all()
+    assert not compute_frequency_response(scene(damping=1.0), frequency_range=(20, 200)).undamped
+    distance = np.abs(found.frequencies[:, None] - found.natural_frequencies).min(axis=0) / found.natural_frequencies
+    assert (distance < 1e-5).all()
+
+
+def test_defaults_and_refusals(scene):
+    """Points come from record.points, else from the middles of the targets; the range holds drive and modes."""
+    made = scene(damping=5.0)
+    assert compute_frequency_response(made).pairs == [(name, (0.05, 0.05)) for name in "012"]
+    recorded = compute_frequency_response(made.with_tables(record={"points": POINTS}), ["2"])
+    assert recorded.pairs == [("2", point) for point in POINTS]
+    low, high = default_range(made)
+    assert recorded.frequencies[[0, -1]] == pytest.approx([low, high])
+    assert low < recorded.natural_frequencies[0] < 290 < high
+    slow = scene(frequency=0.1, window=(0.0, 1.0))
+    assert default_range(slow)[0] == pytest.approx(0.05)
+    assert (solve_modes(slow, 200).frequencies < default_range(slow)[1]).sum() == 6
+    for key, tables in {
+        "effects.stretching": {"effects": {"stretching": {}}},
+        "effects.moving_load": {"effects": {"moving_load": {"force": 1.0, "start": (0.1, 0.1)}}},
+    }.items():
+        with pytest.raises(SceneError, match=f"^{key}: "):
+            compute_frequency_response(scene(**tables))
+    for wrong in ({"inputs": ["3"]}, {"inputs": [(0.3, 0.1)]}, {"points": [(0.1, -0.1)]}, {"frequency_range": (9, 9)}):
+        with pytest.raises(SceneError):
+            compute_frequency_response(made, **wrong)
+
+
+@pytest.fixture
+def response(scene):
+    made = scene(damping=0.01, title="Panel 200 × 200").with_tables(record={"points": POINTS})
+    return compute_frequency_response(made, ["2", (0.1, 0.05)], quantity="accelerance", frequency_range=(20, 90))
+
+
+def test_csv_has_a_column_for_each_part(response, tmp_path):
+    write_csv(response, path := tmp_path / "a.csv")
+    with path.open(encoding="utf-8", newline="") as file:
+        heading, *rows = csv.reader(file)
+    values = np.array(rows, dtype=float)
+    np.testing.assert_allclose(values[:, 0], response.frequencies, rtol=1e-14)
+    np.testing.assert_allclose(values[:, 1:9:2] + 1j * values[:, 2:9:2], response.responses.T, rtol=1e-8)
+    parts = np.column_stack([response.localization_factor, response.bound, *response.mean_square_velocity])
+    np.testing.assert_allclose(values[:, 9:], parts, rtol=1e-8)
+    assert heading[0] == "frequency [Hz]"
+    assert heading[3] == "Re 2 → 0.13,0.11 [(m/s²)/N]"
+    assert len(heading) == values.shape[1] == 13
+
+
+def test_xarray_opens_the_hdf5_file(response, tmp_path):
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("h5netcdf")
+    write_hdf5(response, tmp_path / "a.h5")
+    with xarray.open_dataset(tmp_path / "a.h5", engine="h5netcdf") as data:
+        assert data["real"].dims == ("pair", "frequency")
+        got = (data["real"] + 1j * data["imaginary"]).sel(pair="0.1,0.05 → 0.13,0.11")
+        np.testing.assert_array_equal(got, response.responses[3])
+        np.testing.assert_array_equal(data.frequency, response.frequencies)
+        np.testing.assert_array_equal(data.mean_square_velocity.sel(input="2"), response.mean_square_velocity[0])
+        np.testing.assert_array_equal(data.bound, response.bound)
+        np.testing.assert_array_equal(data.natural_frequency, response.natural_frequencies)
+        assert (data["real"].units, data.frequency.units) == ("(m/s^2)/N", "Hz")
+
+
+def test_pyuff_reads_the_universal_file(response, tmp_path):
+    """Units, nodes and functions, bit by bit; the header states the bytes of three doubles a frequency."""
+    pyuff = pytest.importorskip("pyuff")
+    write_uff(response, path := tmp_path / "a.uff")
+    file = pyuff.UFF(str(path))
+    assert file.get_set_types().tolist() == [164, 15, 58, 58, 58, 58]
+    _, nodes, *functions = file.read_sets()
+    x0, x1, y0, y1 = 0.05, 0.13, 0.11, 0.16  # the third patch
+    assert nodes["x"] == pytest.approx([(x0 + x1) / 2, 0.1, 0.05, 0.13])
+    assert nodes["y"] == pytest.approx([(y0 + y1) / 2, 0.05, 0.07, 0.11])
+    for function, values, places in zip(functions, response.responses, [(1, 3), (1, 4), (2, 3), (2, 4)], strict=True):
+        np.testing.assert_array_equal(function["x"], response.frequencies)
+        np.testing.assert_array_equal(function["data"], values)
+        assert (function["ref_node"], function["rsp_node"]) == places
+        codes = (function[f"{name}_type"] for name in ("func", "ordinate_spec_data", "orddenom_spec_data"))
+        assert tuple(codes) == (4, 12, 13)
+        assert function["n_bytes"] == 24 * len(values)
+    assert [entry.name for entry in Path(tmp_path).iterdir()] == ["a.uff"]

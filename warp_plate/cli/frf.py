@@ -1,0 +1,183 @@
+"""``warp-plate frf SCENE``: frequency responses between actuators or points and points."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from cyclopts import Parameter
+
+from warp_plate.cli import options, output
+from warp_plate.result.frequency_response import Quantity
+from warp_plate.scene.errors import SceneError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from warp_plate.result.frequency_response import FrequencyResponse
+    from warp_plate.scene.model import Scene
+
+PICTURES = (".png", ".svg", ".pdf")
+Format = Literal["csv", "uff", "hdf5"]
+NUMBER = r"[-+]?(?:[0-9]{1,30}\.?[0-9]{0,30}|\.[0-9]{1,30})(?:[eE][-+]?[0-9]{1,2})?"
+MOST_ROWS = 20
+
+
+def frf(
+    scene: options.SceneName,
+    /,
+    *,
+    inputs: Annotated[list[str] | None, Parameter(name="--from", negative="")] = None,
+    at: Annotated[list[str] | None, Parameter(negative="")] = None,
+    range: str | None = None,
+    quantity: Quantity = "mobility",
+    to: Annotated[list[Format] | None, Parameter(negative="")] = None,
+    out: Path | None = None,
+    pictures: options.Pictures = True,
+    json: options.Json = False,
+) -> None:
+    """Show frequency responses of a linear plate, its localization factor and its mean square velocity.
+
+    They are steady responses to 1 N, at frequencies that follow every resonance, however sharp. An actuator applies its
+    newton evenly over its patch.
+
+    Parameters
+    ----------
+    inputs
+        Name of an actuator, or a point X,Y in metres on which 1 N acts; may be repeated (default: all actuators).
+    at
+        Point X,Y in metres that responds; may be repeated (default: the scene's record.points, or the middle of each
+        target).
+    range
+        Lowest and highest frequency in hertz, LOW:HIGH (default: from half the lowest natural frequency, or half the
+        drive's frequency if that is lower, to twice the drive's frequency, and at least to the sixth mode).
+    quantity
+        Displacement (receptance), velocity (mobility) or acceleration (accelerance) per force.
+    to
+        File with the numbers; may be repeated: csv; uff, dataset 58 of the universal file format (needs the extra uff);
+        hdf5, which xarray opens.
+    out
+        The picture (.png, .svg or .pdf; default: SCENE-frf.png in this folder). Files of --to lie beside it under the
+        same name; an ending of such a file (.csv, .uff, .h5) asks for it as --to does.
+    """
+    from warp_plate.result.export.frequency_response import WRITERS, missing_uff
+
+    by_ending = {ending: name for name, (ending, _) in WRITERS.items()}
+    target = output.output_file(out, f"{Path(scene).stem}-frf.png", (*PICTURES, *by_ending))
+    formats = [*(to or ()), *([by_ending[target.suffix.lower()]] if target.suffix.lower() in by_ending else ())]
+    if "uff" in formats and (problem := missing_uff()) is not None:
+        raise SceneError(f"--to uff: {problem}")
+    points = [_point("--at", text) for text in at or ()]
+    limits = None if range is None else _range(range)
+    loaded = output.load_scene(scene)
+    from warp_plate.studies.frequency_response import compute_frequency_response
+
+    sources = [_source(loaded, text) for text in inputs or ()]
+    with output.scene_errors(scene), _errors_of_range(range):
+        found = compute_frequency_response(loaded, sources, points, limits, quantity)
+    written = _write(found, target, formats, pictures)
+    output.report(json, partial(_as_json, found), partial(_print, scene, loaded, found), written)
+
+
+def _point(option: str, text: str) -> tuple[float, float]:
+    """Return the point of an option."""
+    if re.fullmatch(f"{NUMBER},{NUMBER}", text) is None:
+        raise SceneError(f"{option} {text}: must be X,Y in metres, such as 0.05,0.1")
+    x, y = map(float, text.split(","))
+    return x, y
+
+
+def _source(scene: Scene, text: str) -> str | tuple[float, float]:
+    """Return the actuator's name or the point of ``--from``."""
+    names = [actuator.name for actuator in scene.actuators]
+    if text in names:
+        return text
+    if re.fullmatch(f"{NUMBER},{NUMBER}", text) is None:
+        raise SceneError(f"--from {text}: is neither an actuator ({', '.join(names)}) nor X,Y in metres")
+    return _point("--from", text)
+
+
+def _range(text: str) -> tuple[float, float]:
+    """Return the lowest and the highest frequency [Hz] of ``--range``."""
+    if re.fullmatch(f"{NUMBER}:{NUMBER}", text):
+        low, high = map(float, text.split(":"))
+        if 0 < low < high:
+            return low, high
+    raise SceneError(f"--range {text}: must be LOW:HIGH in hertz, 0 < LOW < HIGH, such as 50:5000")
+
+
+@contextmanager
+def _errors_of_range(text: str | None) -> Iterator[None]:
+    """Begin errors about the highest frequency with ``--range`` if it was given."""
+    try:
+        yield
+    except SceneError as error:
+        if text is None or not str(error).startswith(key := "drive.frequency: "):
+            raise
+        raise SceneError(f"--range {text}: {str(error).removeprefix(key)}") from None
+
+
+def _write(found: FrequencyResponse, target: Path, formats: list[Format], pictures: bool) -> output.Drawn:
+    """Write the files of the formats and the picture; return them, and why there is no picture."""
+    from warp_plate.result.atomic_io import atomic_paths
+    from warp_plate.result.export.frequency_response import WRITERS
+    from warp_plate.viz.availability import missing_plots
+    from warp_plate.viz.plots.frequency_response import draw_frequency_response
+
+    written = []
+    for name in dict.fromkeys(formats):
+        ending, write = WRITERS[name]
+        file = target if target.suffix.lower() == ending else target.with_suffix(ending)
+        write(found, file)
+        written.append(file)
+    if not pictures or (problem := missing_plots()) is not None:
+        return written, problem if pictures else None
+    picture = target if target.suffix.lower() in PICTURES else target.with_suffix(".png")
+    with atomic_paths(picture) as (temporary,):
+        draw_frequency_response(found, temporary)
+    return [*written, picture], None
+
+
+def _as_json(found: FrequencyResponse) -> dict[str, object]:
+    return {
+        **output.attributes(found, "quantity", "unit", "frequencies"),
+        "pairs": [{"from": name, "at": point} for name, point in found.pairs],
+        "real": found.responses.real,
+        "imaginary": found.responses.imag,
+        "inputs": found.inputs,
+        **output.attributes(found, "localization_factor", "bound", "mean_square_velocity"),
+        **output.attributes(found, "natural_frequencies", "loss_factors", "undamped"),
+    }
+
+
+def _print(name: str, scene: Scene, found: FrequencyResponse, console: Console) -> None:
+    low, high, count = found.frequencies[0], found.frequencies[-1], len(found.natural_frequencies)
+    console.print(
+        f"{scene.title or name}: {found.quantity} at {len(found.frequencies)} frequencies from {low:g} to {high:g} Hz, "
+        f"{count} modes\n"
+    )
+    made = output.table("response", f"largest ({found.unit})", "at (Hz)", "phase (°)")
+    for label, values in list(zip(found.labels, found.responses, strict=True))[:MOST_ROWS]:
+        peak = int(np.abs(values).argmax())
+        phase = np.degrees(np.angle(values[peak]))
+        made.add_row(label, f"{abs(values[peak]):.4g}", f"{found.frequencies[peak]:.6g}", f"{phase:.1f}")
+    console.print(made)
+    if len(found.labels) > MOST_ROWS:
+        console.print(f"and {len(found.labels) - MOST_ROWS} more, in the files of --to and in --json")
+    best = int(np.nanargmax(found.bound))
+    console.print(
+        f"\nLocalization factor of the scene's drive: {_extremes(found.localization_factor)}; the best drive at each "
+        f"frequency reaches up to {found.bound[best]:.4f}, at {found.frequencies[best]:.6g} Hz."
+    )
+    if found.undamped:
+        console.print("! The plate has undamped modes: their peaks have no height; frequencies beside them are shown.")
+
+
+def _extremes(values: np.ndarray) -> str:
+    finite = values[np.isfinite(values)]
+    return f"{finite.min():.4f} to {finite.max():.4f}" if finite.size else "none, for it moves nothing"

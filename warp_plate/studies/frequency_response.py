@@ -1,0 +1,195 @@
+"""Frequency responses between actuators or points and points, with localization factor and mean square velocity.
+
+Each frequency is computed by itself, from the modal amplitudes q (:mod:`warp_plate.modal.steady`). With T and P the
+kinetic matrices of the target and of the plate, the mean kinetic energies over a period are ω² qᴴTq/4 and ω² qᴴPq/4.
+With q of a unit pressure on each actuator in the columns of Q, drives z have the localization factor
+zᴴQᴴTQz / zᴴQᴴPQz, and the largest eigenvalue of that pair bounds it. Near a sharp resonance all columns of Q are nearly
+parallel, so the matrices are formed with Q's left singular vectors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from warp_plate.modal.adaptive_frequencies import adaptive_frequencies
+from warp_plate.modal.galerkin import Integrals
+from warp_plate.modal.modes import ModalPlate, solve_modes
+from warp_plate.modal.splines import gauss
+from warp_plate.modal.steady import SteadyPlate, make_steady, times
+from warp_plate.plate.scene_overrides import scene_phasors
+from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+# Modes that the default range reaches at least.
+MODES_SHOWN = 6
+# Amplitudes that are computed at once: frequencies · modes · loads.
+BLOCK = 2**22
+# Combinations of actuators with a smaller part of the largest amplitude cancel out.
+RANK_TOLERANCE = 1e-12
+Point = tuple[float, float]
+
+
+def compute_frequency_response(
+    scene: Scene,
+    inputs: Sequence[str | Point] = (),
+    points: Sequence[Point] = (),
+    frequency_range: tuple[float, float] | None = None,
+    quantity: Quantity = "mobility",
+) -> FrequencyResponse:
+    """Return the steady responses of points to unit forces, at frequencies that follow every resonance.
+
+    Args:
+        scene: Linear scene; its grid, window and waveforms play no part.
+        inputs: Names of actuators, on each of which 1 N acts evenly, and points (x, y) [m] at which 1 N acts (default:
+            all actuators).
+        points: Points (x, y) [m] that respond (default: ``record.points``, or the middles of the targets).
+        frequency_range: Lowest and highest frequency [Hz] (default: from half the lowest natural frequency, or half the
+            frequency of the drive if that is lower, to twice the latter, and at least to the sixth mode).
+        quantity: Quantity that responds.
+
+    Raises:
+        SceneError: The scene is not linear, an actuator is unknown, a point is off the plate, or the range is not one.
+    """
+    inputs = inputs or [actuator.name for actuator in scene.actuators]
+    points = points or scene.record.points or _target_middles(scene)
+    _check(scene, [*points, *(place for place in inputs if not isinstance(place, str))], frequency_range)
+    low, high = frequency_range or default_range(scene)
+    plate = solve_modes(scene, high)
+    places, forces = _input_forces(plate, inputs)
+    steady = make_steady(plate, high)
+    frequencies = adaptive_frequencies(*steady.resonances, low, high)
+    responses, factor, bound, velocity = _responses(steady, frequencies, forces, plate.at_points(points))
+    shown = (plate.frequencies >= low) & (plate.frequencies <= high)
+    return FrequencyResponse(
+        title=scene.title,
+        quantity=quantity,
+        inputs=tuple(name if isinstance(name, str) else f"{name[0]:g},{name[1]:g}" for name in inputs),
+        input_places=places,
+        points=np.array(points, dtype=float),
+        frequencies=frequencies,
+        responses=(2j * np.pi * frequencies) ** DERIVATIVES[quantity] * responses,
+        localization_factor=factor,
+        bound=bound,
+        mean_square_velocity=velocity,
+        natural_frequencies=plate.frequencies[shown],
+        loss_factors=plate.loss_factors[shown],
+    )
+
+
+def default_range(scene: Scene) -> tuple[float, float]:
+    """Return the lowest and the highest frequency [Hz] that are shown unless others are asked for."""
+    drive = scene.drive.frequency
+    natural = solve_modes(scene, drive, count=MODES_SHOWN).frequencies
+    natural = natural[natural > 0][:MODES_SHOWN]
+    return float(0.5 * min(natural[0], drive)), float(max(2 * drive, 1.05 * natural[-1]))
+
+
+def _target_middles(scene: Scene) -> list[Point]:
+    """Return the middle of the bounding box of each target [m]; of a mask, the middle of the plate."""
+    width, height = scene.plate.size
+    middles = []
+    for target in scene.targets_by_key.values():
+        corners = target.corners(of_disc=4)
+        if corners is None:
+            corners = np.array([(0, 0), (width, height)])
+        x, y = (corners.min(axis=0) + corners.max(axis=0)) / 2
+        middles.append((float(x), float(y)))
+    return list(dict.fromkeys(middles))
+
+
+def _check(scene: Scene, points: Sequence[Point], frequency_range: tuple[float, float] | None) -> None:
+    """Raise a SceneError unless the scene is linear, all points are on its plate, and the range is one."""
+    if scene.nonlinear_table is not None:
+        raise SceneError(f"{scene.nonlinear_table}: frequency responses are those of a linear plate without it")
+    width, height = scene.plate.size
+    for x, y in points:
+        if not (0 <= x <= width and 0 <= y <= height):
+            raise SceneError(f"point {x:g},{y:g}: is off the plate of {width:g} × {height:g} m")
+    low, high = frequency_range or (1.0, 2.0)
+    if not 0 < low < high < np.inf:
+        raise SceneError(f"range {low:g}:{high:g}: must be two positive frequencies in hertz, the lower one first")
+
+
+def _input_forces(plate: ModalPlate, inputs: Sequence[str | Point]) -> tuple[np.ndarray, np.ndarray]:
+    """Return (inputs, 2) middles [m] and (modes, inputs) modal forces [1/√kg] of 1 N on actuators or at points."""
+    areas = {actuator.name: actuator.area for actuator in plate.scene.actuators}
+    places, columns = [], []
+    for name in inputs:
+        if not isinstance(name, str):
+            places.append(name)
+            columns.append(plate.at_points([name])[:, 0])
+            continue
+        if name not in areas:
+            raise SceneError(f"{name!r}: no actuator has this name; there are {', '.join(areas)}")
+        x0, x1, y0, y1 = areas[name]
+        places.append(((x0 + x1) / 2, (y0 + y1) / 2))
+        columns.append(plate.patch_forces([areas[name]])[:, 0] / ((x1 - x0) * (y1 - y0)))
+    return np.array(places, dtype=float), np.stack(columns, axis=1)
+
+
+def _responses(
+    steady: SteadyPlate, frequencies: np.ndarray, forces: np.ndarray, shapes: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """Return receptances (inputs · points, n), and the last attributes of :class:`FrequencyResponse`, block by block.
+
+    Args:
+        frequencies: (n,) [Hz].
+        forces: (modes, inputs) [1/√kg].
+        shapes: (modes, points) [1/√kg].
+    """
+    plate, scene, inputs = steady.plate, steady.plate.scene, forces.shape[1]
+    loads = np.column_stack([forces, plate.actuator_forces()])
+    # Without masses on springs, all of the kinetic energy is the plate's.
+    attached = any(oscillator.mass > 0 for oscillator in scene.effects.oscillators)
+    of_plate, of_target = plate.kinetic_matrix("plate") if attached else None, plate.kinetic_matrix(scene.target)
+    drive, mass, blocks = scene_phasors(scene), plate_mass(plate), []
+    for chosen in np.array_split(frequencies, -(-len(frequencies) * loads.size // BLOCK)):
+        amplitudes = steady.respond(chosen, loads)
+        unit, driven = amplitudes[:, :, :inputs], amplitudes[:, :, inputs:]
+        at_points = (np.moveaxis(unit, 1, 2) @ shapes).reshape(len(chosen), -1)
+        energy = np.einsum("fmi,fmi->fi", unit.conj(), unit if of_plate is None else times(of_plate, unit)).real
+        velocity = (2 * np.pi * chosen[:, None]) ** 2 * energy / (2 * mass)
+        blocks.append((at_points, *_localization(driven, drive, of_target, of_plate), velocity))
+    responses, factor, bound, velocity = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    return responses.T, factor, bound, velocity.T
+
+
+def _localization(
+    driven: np.ndarray, drive: np.ndarray, of_target: np.ndarray, of_plate: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (n,) localization factors of a drive, and (n,) their bounds over all drives.
+
+    Args:
+        driven: (n, modes, actuators) amplitudes under a unit pressure on each actuator.
+        drive: (actuators,) phasors.
+        of_target: (modes, modes) kinetic matrix of the target.
+        of_plate: The same of the plate; None for the identity.
+    """
+    size = np.linalg.norm(driven, axis=1)
+    size = np.where(size > 0, size, 1)
+    basis, values, drives = np.linalg.svd(driven / size[:, None], full_matrices=False)
+    kept = values > RANK_TOLERANCE * values[:, :1]
+    basis = basis * kept[:, None]
+    adjoint = np.moveaxis(basis.conj(), 1, 2)
+    target = adjoint @ times(of_target, basis)
+    plate = adjoint @ (basis if of_plate is None else times(of_plate, basis))
+    motion = values * (drives @ (size * drive)[:, :, None])[:, :, 0]
+    of_drive = (np.einsum("fa,fab,fb->f", motion.conj(), matrix, motion).real for matrix in (target, plate))
+    # Directions that cancel out have no energy in the target, and any in the plate.
+    lower = np.linalg.cholesky(plate + np.eye(plate.shape[1]) * ~kept[:, None])
+    half = np.linalg.solve(lower, target)
+    ratio = np.linalg.solve(lower, np.moveaxis(half.conj(), 1, 2))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = np.divide(*of_drive)
+    return factor, np.linalg.eigvalsh(ratio)[:, -1]
+
+
+def plate_mass(plate: ModalPlate) -> float:
+    """Return the mass of a plate with its layers, without masses on springs [kg]."""
+    galerkin = plate.galerkin
+    integrals = Integrals(galerkin.scene, galerkin.along_x, galerkin.along_y)
+    (_, weights_x), (_, weights_y) = (gauss(breaks, integrals.rule) for breaks in integrals.breaks)
+    return float((np.outer(weights_y, weights_x) * integrals.fields()[-1]).sum())
