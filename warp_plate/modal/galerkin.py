@@ -36,6 +36,8 @@ from warp_plate.scene.model import ElasticEdge, Scene
 DEGREE = 7
 # Splines near a corner between a clamped and a free edge, where the moments are singular: intervals of these parts.
 CORNER_INTERVALS = (0.3, 0.09)
+# Up to so many oscillators, splines near the edges of their patches, across which the load jumps.
+MOST_PATCHES = 8
 # Up to so many lines of a thickness map along a side the curvature alone is continuous across each; more are resolved
 # by the density of the knots.
 MOST_KINKS = 4
@@ -193,8 +195,11 @@ def make_galerkin(scene: Scene, intervals: tuple[int, int], degree: int = DEGREE
 
 
 def lines(scene: Scene, axis: int) -> list[tuple[float, int]]:
-    """Return where the section is not smooth along x (0) or y (1) [m], and the derivatives of u continuous there."""
+    """Return where section or load are not smooth along x (0) or y (1) [m], and the derivatives of splines there."""
     side, found = scene.plate.size[axis], []
+    if len(scene.effects.oscillators) <= MOST_PATCHES:
+        for oscillator in scene.effects.oscillators:
+            found += [(position, DEGREE - 2) for position in oscillator.area[2 * axis : 2 * axis + 2]]
     for layer in scene.effects.layers:
         found += [(position, 1) for position in layer.area[2 * axis : 2 * axis + 2]]
     for array in factor_arrays(scene).values():

@@ -1,0 +1,216 @@
+"""Natural frequencies of the modal plate within 1e-5 of independent values.
+
+Those are exact equations of Lévy and Navier, secular equations of attached masses, and another discretisation.
+"""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+import scipy
+from conftest import MATERIAL, edges_id, scene_of
+from levy import isotropic, levy_frequencies
+from ritz_polynomials import extrapolated_frequencies, ritz_frequencies
+
+from warp_plate import SceneError
+from warp_plate.modal.modes import solve_modes
+
+SIZE = (0.23, 0.17)
+RIGIDITY, COUPLING, _, TWIST, MASS = isotropic(**MATERIAL)
+COUNT = 20
+# ν = 0.33 does not tell D1 from the rigidities of twist; these have (D1 + 2Dxy)² above and below Dx Dy.
+ORTHOTROPIC = [
+    {"Dx": 0.02, "Dy": 0.009, "D1": 0.004, "Dxy": 0.007},
+    {"Dx": 0.008, "Dy": 0.03, "D1": -0.002, "Dxy": 0.003},
+]
+SPRINGS = {"translation": 3e3, "rotation": 0.4}, {"translation": 200.0, "rotation": 0.03}
+
+
+def lowest(scene, count=COUNT):
+    return solve_modes(scene, count=count).frequencies[:count]
+
+
+def mixes():
+    """Return the 21 combinations of edges that no turn or reflection of the plate makes equal."""
+    found = {}
+    for left, bottom, right, top in itertools.product(("clamped", "supported", "free"), repeat=4):
+        across, along = sorted((left, right)), sorted((bottom, top))
+        found.setdefault(tuple(sorted((tuple(across), tuple(along)))), (left, bottom, right, top))
+    return list(found.values())
+
+
+def transposed(scene):
+    """Return a scene with x and y exchanged."""
+    data = scene.model_dump(exclude_none=True)
+    data["plate"]["size"] = data["plate"]["size"][::-1]
+    edges, effects = data["edges"], data["effects"]
+    data["edges"] = {side: edges[other] for side, other in zip(edges, ("bottom", "left", "top", "right"), strict=True)}
+    for table, pairs in (("tension", [("x", "y")]), ("orthotropic", [("Dx", "Dy")])):
+        for first, second in pairs if table in effects else ():
+            values = dict(effects[table])
+            effects[table] = {**values, first: values[second], second: values[first]}
+    for key, rows in effects.get("variation", {}).items():
+        effects["variation"][key] = [list(column) for column in zip(*rows, strict=True)]
+    for item in [*data["actuators"], data["target"], *effects["layers"], *effects["oscillators"]]:
+        item["area"] = (*item["area"][2:], *item["area"][:2])
+    return type(scene).model_validate(data)
+
+
+def agrees_with_levy(scene, section, ends, **options):
+    """Check a scene and its transpose, whose bottom and top edges are supported."""
+    frequencies = lowest(scene)
+    exact = levy_frequencies(section, scene.plate.size, ends, 1.001 * frequencies[-1], **options)
+    assert frequencies == pytest.approx(exact[:COUNT], rel=1e-5)
+    assert lowest(transposed(scene)) == pytest.approx(exact[:COUNT], rel=1e-5)
+
+
+def navier(numbers, size=SIZE, tension=(0.0, 0.0), bed=0.0, orthotropic=None):
+    """Return natural frequencies [Hz] (numbers,) × (numbers,) of a supported plate, half-waves along x in columns."""
+    alpha, beta = (np.arange(1, numbers + 1) * math.pi / side for side in size)
+    squares = alpha**2, beta[:, None] ** 2
+    values = orthotropic or {"Dx": RIGIDITY, "Dy": RIGIDITY, "D1": COUPLING, "Dxy": TWIST}
+    stiffness = values["Dx"] * squares[0] ** 2 + values["Dy"] * squares[1] ** 2 + bed
+    stiffness += 2 * (values["D1"] + 2 * values["Dxy"]) * squares[0] * squares[1]
+    stiffness += tension[0] * squares[0] + tension[1] * squares[1]
+    return np.sqrt(stiffness / MASS) / (2 * math.pi)
+
+
+@pytest.mark.parametrize("mix", mixes(), ids=edges_id)
+def test_edges(mix):
+    """Ritz's method in polynomials; the errors of both lie above the true values."""
+    plate = SIZE, mix, RIGIDITY, MATERIAL["poisson_ratio"], MASS
+    singular = any({"clamped", "free"} == {mix[i], mix[i - 1]} for i in range(4))
+    method = extrapolated_frequencies if singular else ritz_frequencies
+    expected = method(*plate, functions=28 if singular else 20, count=COUNT)
+    rigid = {(): 3, ("supported",): 1}.get(tuple(edge for edge in mix if edge != "free"), 0)
+    frequencies = lowest(scene_of(size=SIZE, edges=mix))
+    assert np.all(frequencies[:rigid] == 0)
+    assert frequencies[rigid:] == pytest.approx(expected[rigid:], rel=1e-5)
+
+
+@pytest.mark.parametrize("first", ["clamped", "supported", "free"])
+@pytest.mark.parametrize("second", ["clamped", "supported", "free"])
+def test_opposite_supported_edges(first, second):
+    """Lévy's equation, far below the tolerance."""
+    frequencies = lowest(scene_of(size=SIZE, edges=(first, "supported", second, "supported")))
+    exact = levy_frequencies(lambda x: isotropic(**MATERIAL), SIZE, (first, second), 1.001 * frequencies[-1])
+    assert frequencies == pytest.approx(exact[:COUNT], rel=1e-8)
+
+
+@pytest.mark.parametrize("values", ORTHOTROPIC)
+def test_orthotropic_plate_under_tension_on_a_bed(values):
+    tension, bed = (40.0, -3.0), 2e4
+    effects = {
+        "orthotropic": values,
+        "tension": dict(zip("xy", tension, strict=True)),
+        "foundation": {"stiffness": bed},
+    }
+    supported = scene_of(size=SIZE, edges=("supported",) * 4, effects=effects)
+    expected = np.sort(navier(30, SIZE, tension, bed, values).ravel())[:COUNT]
+    assert lowest(supported) == pytest.approx(expected, rel=1e-8)
+    mixed = scene_of(size=SIZE, edges=("free", "supported", SPRINGS[0], "supported"), effects=effects)
+    section = (values["Dx"], values["D1"], values["Dy"], values["Dxy"], MASS)
+    ends = "free", tuple(SPRINGS[0].values())
+    agrees_with_levy(mixed, lambda x: section, ends, tension=tension, bed=bed)
+
+
+def test_elastic_edges():
+    """Springs of two stiffnesses; hard ones approach a clamped edge, and soft ones a free one."""
+    edges = (SPRINGS[0], "supported", SPRINGS[1], "supported")
+    section = isotropic(**MATERIAL)
+    agrees_with_levy(scene_of(size=SIZE, edges=edges), lambda x: section, [tuple(s.values()) for s in SPRINGS])
+    for size, kind in ((1e10, "clamped"), (1e-9, "free")):
+        spring = {"translation": size * 100, "rotation": size}
+        sprung, limit = (lowest(scene_of(size=SIZE, edges=(edge,) * 4)) for edge in (spring, kind))
+        moving = limit > 0
+        assert sprung[moving] == pytest.approx(limit[moving], rel=1e-5)
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_layers(both):
+    """Stiff and heavy strips from edge to edge, which overlap; the jumps of rigidity lie off any regular knots."""
+    layers = [
+        {"area": (0.031, 0.113, 0.0, SIZE[1]), "thickness": 4e-4, "young_modulus": 2e9, "density": 1500.0},
+        {"area": (0.09, 0.171, 0.0, SIZE[1]), "thickness": 2e-4, "young_modulus": 5e9, "density": 900.0, "both": both},
+    ]
+    scene = scene_of(size=SIZE, edges=("clamped", "supported", "free", "supported"), effects={"layers": layers})
+
+    def section(x):
+        """Bend the stack of sheets about its neutral plane; sheets as (E, ρ, z of the lower face, z of the upper)."""
+        half, top = MATERIAL["thickness"] / 2, MATERIAL["thickness"] / 2
+        sheets = [(MATERIAL["young_modulus"], MATERIAL["density"], -half, half)]
+        for layer in layers:
+            if layer["area"][0] < x < layer["area"][1]:
+                modulus, density, height = layer["young_modulus"], layer["density"], layer["thickness"]
+                sheets.append((modulus, density, top, top + height))
+                top += height
+                if layer.get("both"):
+                    sheets.append((modulus, density, -half - height, -half))
+        moments = [sum(e * (high**n - low**n) / n for e, _, low, high in sheets) for n in (1, 2, 3)]
+        ratio = MATERIAL["poisson_ratio"]
+        rigidity = (moments[2] - moments[1] ** 2 / moments[0]) / (1 - ratio**2)
+        mass = sum(density * (high - low) for _, density, low, high in sheets)
+        return rigidity, ratio * rigidity, rigidity, (1 - ratio) / 2 * rigidity, mass
+
+    agrees_with_levy(scene, section, ("clamped", "free"), cuts=(0.031, 0.09, 0.113, 0.171))
+
+
+@pytest.mark.parametrize("columns", [(1.0, 1.6), (0.8, 1.3, 0.9, 1.2)])
+def test_variation(columns):
+    """Thickness and density, linear between the columns of a map."""
+    lines, densities = np.linspace(0, SIZE[0], len(columns)), np.linspace(0.7, 1.4, len(columns))
+    variation = {"thickness": [columns], "density": [tuple(densities)]}
+    scene = scene_of(size=SIZE, edges=("clamped", "supported", "free", "supported"), effects={"variation": variation})
+
+    def section(x):
+        thickness = MATERIAL["thickness"] * np.interp(x, lines, columns)
+        density = MATERIAL["density"] * np.interp(x, lines, densities)
+        return isotropic(MATERIAL["young_modulus"], thickness, MATERIAL["poisson_ratio"], density)
+
+    agrees_with_levy(scene, section, ("clamped", "free"), cuts=lines, steps=48 // (len(columns) - 1))
+
+
+@pytest.mark.parametrize("mass", [0.0, 2e-3])
+def test_oscillator(mass):
+    """A spring s pulls the mean of its patch, w̄ = Σ p_r q_r, towards the ground or a mass.
+
+    The roots λ = ω² of Σ p_r²/(λ_r − λ) + 1/s − 1/(mλ) = 0 lie one between each two of 0, λ_1, λ_2, ...
+    """
+    area, stiffness, numbers = (0.051, 0.083, 0.043, 0.062), 300.0, 400
+    oscillator = {"area": area, "mass": mass, "stiffness": stiffness}
+    frequencies = lowest(scene_of(size=SIZE, edges=("supported",) * 4, effects={"oscillators": [oscillator]}))
+    waves = [np.arange(1, numbers + 1) * math.pi / side for side in SIZE]
+    along = [
+        (np.cos(k * low) - np.cos(k * high)) / (k * (high - low))
+        for k, low, high in zip(waves, area[::2], area[1::2], strict=True)
+    ]
+    means = 4 / (MASS * SIZE[0] * SIZE[1]) * np.outer(along[1], along[0]).ravel() ** 2
+    poles = (2 * math.pi * navier(numbers).ravel()) ** 2
+    moving = 1 / mass if mass else 0.0
+
+    def secular(square):
+        return (means / (poles - square)).sum() + 1 / stiffness - moving / square
+
+    lines = np.sort(poles)[: COUNT + 1]
+    brackets = itertools.pairwise([1e-9 * lines[0], *lines] if mass else lines)
+    roots = [scipy.optimize.brentq(secular, a * (1 + 1e-12), b * (1 - 1e-12), rtol=1e-12) for a, b in brackets]
+    assert frequencies == pytest.approx(np.sqrt(roots[:COUNT]) / (2 * math.pi), rel=1e-5)
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0), (0.3, 1.0)])
+def test_buckling(direction):
+    """A supported plate buckles where Σ T k² = −D (α² + β²)² for some pair of half-waves."""
+    squares = (np.arange(1, 20) * math.pi / SIZE[0]) ** 2, (np.arange(1, 20) * math.pi / SIZE[1])[:, None] ** 2
+    critical = (
+        RIGIDITY * (squares[0] + squares[1]) ** 2 / (direction[0] * squares[0] + direction[1] * squares[1])
+    ).min()
+
+    def scene(part):
+        tension = {axis: -part * critical * share for axis, share in zip("xy", direction, strict=True)}
+        return scene_of(size=SIZE, edges=("supported",) * 4, effects={"tension": tension})
+
+    tension = [-0.999 * critical * share for share in direction]
+    assert lowest(scene(0.999), 3) == pytest.approx(np.sort(navier(20, tension=tension).ravel())[:3], rel=1e-5)
+    with pytest.raises(SceneError, match=r"^effects\.tension"):
+        solve_modes(scene(1.001))
