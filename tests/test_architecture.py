@@ -18,7 +18,8 @@ FLOORS = (
     {"scene", "kernels", "optimize"},
     {"plate"},
     {"reference", "result"},
-    {"modal", "solve", "viz"},
+    {"solve", "viz"},
+    {"modal"},
     {"accuracy", "bench", "cluster"},
     {"problem"},
     {"analysis"},
@@ -34,6 +35,7 @@ OWNERS = {
     **{name: {"cluster"} for name in ("dask", "distributed")},
     **{name: {"cli"} for name in ("cyclopts", "rich")},
     "h5py": {"result"},
+    "pyuff": {"result"},
     "pydantic": {"scene"},
     "cma": {"optimize"},
 }

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from conftest import PAPER, refusal, scene_of
 
-from warp_plate import Scene, SceneError
+from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.analysis.check import find_warnings
 from warp_plate.plate.modes import natural_modes
-from warp_plate.plate.scheme import make_scheme
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.keys import label_of, numeric_keys, unit_of, with_numbers
@@ -99,14 +98,13 @@ def test_time_stepping_refuses_them_by_name(effects, command, write_scene):
     made, key = write_scene(effects=effects), f"effects.{next(iter(effects))}"
     assert made.modal_only_key == key
     with pytest.raises(SceneError, match=f'^{key}: .*"modal".*effects.damping'):
-        make_scheme(made)
+        PlateSolver(made, "cpu")
     with pytest.raises(SceneError, match=f"^{key}: "):
         simulate(made, device="cpu")
-    for name in ("check", "effects"):
-        status, _, line = command(name, "panel.toml", "--device", "cpu")
-        assert status == 2
-        assert len(line.splitlines()) == 1
-        assert f"panel.toml: {key}: " in line
+    status, _, line = command("effects", "panel.toml", "--device", "cpu")
+    assert status == 2
+    assert len(line.splitlines()) == 1
+    assert f"panel.toml: {key}: " in line
 
 
 def test_undamped_modes_of_the_grid_do_not_depend_on_them():

@@ -189,23 +189,25 @@ def _bytes_text(count: float) -> str:
     return f"{count / 1000**power:.3g} {('B', 'kB', 'MB', 'GB')[power]}"
 
 
-def find_warnings(scene: Scene, peak_displacement: float | None) -> list[Finding]:
+def find_warnings(scene: Scene, peak_displacement: float | None, gridded: bool = True) -> list[Finding]:
     """Return all numbers of a scene with a grid; ``peak_displacement`` [m] is the largest of a run, if known.
+
+    Those of the grid are left out where it does not count, as where modes are used (``gridded`` = False).
 
     Raises:
         SceneError: the file of ``[drive.signal]`` cannot be read.
     """
     findings = [_thinness(scene), _added_mass(scene), _left_at_start(scene)]
-    if scene.modal_only_key is None:
+    if gridded and scene.modal_only_key is None:
         findings.insert(1, _points(scene))
     if peak_displacement is not None:
         findings.insert(0, _amplitude(scene, peak_displacement))
     return findings if scene.drive.signal is None else [*findings, _signal(scene, scene.drive.signal)]
 
 
-def warning_texts(scene: Scene, peak_displacement: float | None) -> list[str]:
-    """Return the sentences of the numbers that exceed their thresholds."""
-    return [finding.sentence for finding in find_warnings(scene, peak_displacement) if finding.exceeded]
+def warning_texts(scene: Scene, peak_displacement: float | None, gridded: bool = True) -> list[str]:
+    """Return the sentences of the numbers that exceed their thresholds, see :func:`find_warnings`."""
+    return [finding.sentence for finding in find_warnings(scene, peak_displacement, gridded) if finding.exceeded]
 
 
 def search_warnings(scene: Scene) -> list[str]:

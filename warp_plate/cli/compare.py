@@ -28,7 +28,7 @@ def compare(
     methods: str | None = None,
     seeds: options.Count = 10,
     evaluations: options.Count | None = None,
-    evaluator: Literal["direct", "response"] | None = None,
+    evaluator: Literal["direct", "response", "modal"] | None = None,
     workers: options.WorkerOptions = options.DEFAULT_WORKERS,
     out: Path | None = None,
     pictures: options.Pictures = True,
@@ -49,7 +49,8 @@ def compare(
     evaluations
         Evaluations of each trial, rounded down to whole iterations (default: the scene's particles times iterations).
     evaluator
-        direct simulates a plate for each evaluation; response uses Gram matrices of unit responses (default: response
+        direct simulates a plate for each evaluation; response uses Gram matrices of simulated unit responses; modal
+        computes energies from the modes of the plate, for tones and linear scenes (default: response
         where it applies).
     out
         The file of results (.h5; default: SCENE-compare.h5 in this folder).

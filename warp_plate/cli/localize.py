@@ -39,7 +39,7 @@ def localize(
     *,
     workers: options.WorkerOptions = options.DEFAULT_WORKERS,
     seed: options.Integer | None = None,
-    evaluator: Literal["direct", "response"] | None = None,
+    evaluator: Literal["direct", "response", "modal"] | None = None,
     accuracy: options.Accuracy | None = None,
     estimate: options.Estimate = True,
     baselines: options.Flag = False,
@@ -79,7 +79,8 @@ def localize(
     seed
         Random seed of the search (default: the scene's).
     evaluator
-        direct simulates a plate for each evaluation; response uses Gram matrices of unit responses (default: direct;
+        direct simulates a plate for each evaluation; response uses Gram matrices of simulated unit responses; modal
+        computes energies from the modes of the plate, for tones and linear scenes (default: direct;
         for a robust search response where it applies).
     baselines
         Compare with drives that need no search: time reversal and inverse filter.
@@ -203,7 +204,8 @@ def _print(result: Result, console: Console) -> None:
     options.print_failures(result, console, "the best drive so far is shown")
     if result.source == "paper":
         console.print(NOT_REPRODUCED)
-    unit, way = ("plate", "") if result.evaluator == "direct" else ("drive", " on Gram matrices")
+    ways = {"direct": ("plate", ""), "response": ("drive", " on Gram matrices"), "modal": ("drive", " by modes")}
+    unit, way = ways[result.evaluator]
     output.print_cost(result, console, f"{counted(result.evaluations, unit)} in the search{way}, in all ")
 
 

@@ -211,10 +211,13 @@ def _writing_problem(path: Path) -> str:
 
 def print_cost(result: Result, console: Console, start: str = "") -> None:
     """Print where a result was computed, its cost and accuracy, the effects in the compiled kernels, and warnings."""
+    by_steps = f"{result.node_steps:.3g} node-steps on {result.device}, "
+    work, before, included = ("", "finding the modes", "included") if result.by_modes else (
+        by_steps, "compiling or loading kernels", "compiled in"
+    )  # fmt: skip
     console.print(
-        f"{start}{result.node_steps:.3g} node-steps on {result.device}, {result.path}: {result.seconds['solve']:.2f} s "
-        f"solving after {result.seconds['compile']:.2f} s compiling or loading kernels. Effects compiled in: "
-        f"{', '.join(result.effects) or 'none'}."
+        f"{start}{work}{result.path}: {result.seconds['solve']:.2f} s solving after {result.seconds['compile']:.2f} s "
+        f"{before}. Effects {included}: {', '.join(result.effects) or 'none'}."
     )
     if "reason" in result.accuracy:
         console.print(f"grid chosen for {result.accuracy['reason']}")
@@ -243,7 +246,8 @@ def warnings_of(result: Result) -> list[str]:
     if best is not None and len(best) and not math.isfinite(best[-1]):
         return ["No plate that the search tried has energies; the best single actuator is shown in place of a result."]
     found = [*search_warnings(result.scene), *unread_keys(result.scene.search)] if result.command == "localize" else []
-    return found + warning_texts(result.case_scene(result.main_case), result.peak_displacement)
+    scene = result.case_scene(result.main_case)
+    return found + warning_texts(scene, result.peak_displacement, gridded=not result.by_modes)
 
 
 def prepare_pictures(pictures: bool) -> None:

@@ -13,6 +13,7 @@ import warp_plate
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.cluster.scheduler import Task, run_tasks
 from warp_plate.cluster.tasks import Evaluation, SolverSpec, refuse_unlike, run_block
+from warp_plate.modal.solver import ModalSolver, make_solver
 from warp_plate.plate.designs import Designs, as_phasors, check_designs
 from warp_plate.plate.discretization import Discretization
 from warp_plate.scene.errors import SceneError
@@ -37,7 +38,9 @@ class Evaluator:
         lost: Number of plates without energies because their block was given up, by the reason.
     """
 
-    def __init__(self, solver: PlateSolver, pool: WorkerPool | None = None, spec: SolverSpec | None = None) -> None:
+    def __init__(
+        self, solver: PlateSolver | ModalSolver, pool: WorkerPool | None = None, spec: SolverSpec | None = None
+    ) -> None:
         self.solver = solver
         self.pool = pool
         self.lost: Counter[str] = Counter()
@@ -80,7 +83,7 @@ class Evaluator:
         if not self._worker:
             self._probe(pool)
         plates = len(designs)
-        energy = np.full((plates, len(self.solver.specialized.regions)), np.nan)
+        energy = np.full((plates, len(self.solver.regions)), np.nan)
         faults: dict[int, tuple[str, float]] = {}
         node_steps = 0
         size = block_size(plates, pool.worker_count(), self.solver.node_steps_per_plate, self._worker["kind"])
@@ -130,8 +133,8 @@ def make_evaluator(
     Raises:
         SceneError: See :class:`PlateSolver`.
     """
-    solver = PlateSolver(scene, device, path, **options)
-    if pool is None:
+    solver = make_solver(scene, device, path, **options)
+    if pool is None or isinstance(solver, ModalSolver):
         return Evaluator(solver)
     options["per_plate"] = solver.discretization.per_plate
     return Evaluator(solver, pool, SolverSpec.of(solver.scene, pool.device, path, **options))

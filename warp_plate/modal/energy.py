@@ -51,8 +51,8 @@ def gram_matrices(
     forced = _forced(plate, forces, omega) * rate[:, None, :]
     if window is None:
         same = omega[:, :, None] == omega[:, None, :]
-        mixed = [(forced.conj().mT @ _times(region, forced)) * same for region in regions]
-        return np.stack([_real_form(np.zeros_like(product), product) for product in mixed], axis=1)
+        mixed = [(forced.conj().mT @ times(region, forced)) * same for region in regions]
+        return np.stack([real_form(np.zeros_like(product), product) for product in mixed], axis=1)
     poles = make_poles(plate, window.end)
     drive = 1j * omega
     free = -(poles.vectors.T @ forces) / (drive[:, None, :] - poles.values[:, None])
@@ -60,7 +60,7 @@ def gram_matrices(
         free *= poles.values[:, None]
     kept = _lasting(poles, free, forced, window)
     motion = _Motion(forced, drive, poles.vectors[:, kept], poles.values[kept], free[:, kept])
-    return np.stack([_real_form(*motion.products(region, window)) for region in regions], axis=1)
+    return np.stack([real_form(*motion.products(region, window)) for region in regions], axis=1)
 
 
 @dataclass(frozen=True)
@@ -75,17 +75,17 @@ class _Motion:
 
     def products(self, region: np.ndarray, window: Window) -> tuple[np.ndarray, np.ndarray]:
         """Return (designs, M, M) means of v_kᵀ G v_l and of v̄_kᵀ G v_l."""
-        forced, free, drive, poles = _times(region, self.forced), self.free, self.drive, self.poles
-        shapes = _times(region, self.shapes)
+        forced, free, drive, poles = times(region, self.forced), self.free, self.drive, self.poles
+        shapes = times(region, self.shapes)
         left = (self.forced, drive, self.shapes, poles, free)
         means = []
         for a, turn, psi, decay, c in (left, [array.conj() for array in left]):
             first, other = turn[:, :, None], decay[:, None]
             means.append(
-                (a.mT @ forced) * _mean(first, drive[:, None, :], window)
-                + ((a.mT @ shapes) * _mean(first, poles, window)) @ free
-                + c.mT @ ((psi.T @ forced) * _mean(other, drive[:, None, :], window))
-                + c.mT @ (((psi.T @ shapes) * _mean(other, poles, window)) @ free)
+                (a.mT @ forced) * mean_exponential(first, drive[:, None, :], window)
+                + ((a.mT @ shapes) * mean_exponential(first, poles, window)) @ free
+                + c.mT @ ((psi.T @ forced) * mean_exponential(other, drive[:, None, :], window))
+                + c.mT @ (((psi.T @ shapes) * mean_exponential(other, poles, window)) @ free)
             )
         return means[0], means[1]
 
@@ -103,7 +103,7 @@ def _forced(plate: ModalPlate, forces: np.ndarray, omega: np.ndarray) -> np.ndar
     return forced
 
 
-def _times(region: np.ndarray, values: np.ndarray) -> np.ndarray:
+def times(region: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the product of a real matrix and complex columns, in real arithmetic."""
     return np.asarray((region @ values.real) + 1j * (region @ values.imag))
 
@@ -117,7 +117,7 @@ def _lasting(poles: Poles, free: np.ndarray, forced: np.ndarray, window: Window)
     return np.sort(order[np.cumsum(energy[order]) > NEGLIGIBLE])
 
 
-def _mean(first: np.ndarray, second: np.ndarray, window: Window) -> np.ndarray:
+def mean_exponential(first: np.ndarray, second: np.ndarray, window: Window) -> np.ndarray:
     """Return the means of exp((first + second) t) over the window, broadcast."""
     turn = (first + second) * (window.end - window.start)
     early = np.exp(first * window.start) * np.exp(second * window.start)
@@ -130,7 +130,7 @@ def _mean(first: np.ndarray, second: np.ndarray, window: Window) -> np.ndarray:
     return np.asarray(mean)
 
 
-def _real_form(plain: np.ndarray, mixed: np.ndarray) -> np.ndarray:
+def real_form(plain: np.ndarray, mixed: np.ndarray) -> np.ndarray:
     """Return ½ of the means (..., 2M, 2M) of products of Re v and Im v, from means of v_k v_l and of v̄_k v_l."""
     real, imaginary = (mixed + plain).real / 4, (mixed - plain).real / 4
     cross = (mixed + plain).imag / 4

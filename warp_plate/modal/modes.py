@@ -104,6 +104,13 @@ class ModalPlate:
         """Return (modes, actuators) modal forces of a pressure of 1 N/m² on each actuator of the scene."""
         return self.patch_forces([actuator.area for actuator in self.scene.actuators])
 
+    def displacement(self, amplitudes: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return displacements (..., ny, nx) [m] of modal amplitudes (..., modes) on the grid of x and y [m]."""
+        along_x, along_y = self.galerkin.along_x, self.galerkin.along_y
+        coefficients = amplitudes @ self._plate_vectors.T
+        coefficients = coefficients.reshape(*amplitudes.shape[:-1], along_y.functions, along_x.functions)
+        return np.asarray(along_y.values(y).T @ coefficients @ along_x.values(x))
+
     @property
     def oscillator_motions(self) -> np.ndarray:
         """(modes, oscillators with a mass) motions of the masses [1/√kg]."""

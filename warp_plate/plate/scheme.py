@@ -103,7 +103,11 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
             run is longer than MOST_STEPS; or grid or run take more memory than there is.
     """
     plate, grid = scene.plate, scene.grid
-    _check_steppable(scene)
+    if grid.accuracy is not None:
+        raise SceneError(
+            f"grid.accuracy = {grid.accuracy:g}: no grid is chosen yet; warp_plate.accuracy.choose(scene, "
+            f"{grid.accuracy:g}).scene has one"
+        )
     check_grid_memory(scene, moment_form or needs_moment_form(scene))
     rigidity = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
     surface_density = plate.density * plate.thickness
@@ -138,18 +142,6 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
         viscous=viscous,
         backward=backward,
     )
-
-
-def _check_steppable(scene: Scene) -> None:
-    if (key := scene.modal_only_key) is not None:
-        raise SceneError(
-            f'{key}: cannot be stepped in time; use the evaluator "modal", or write [effects.damping] instead'
-        )
-    if scene.grid.accuracy is not None:
-        raise SceneError(
-            f"grid.accuracy = {scene.grid.accuracy:g}: no grid is chosen yet; warp_plate.accuracy.choose(scene, "
-            f"{scene.grid.accuracy:g}).scene has one"
-        )
 
 
 def _time_step(scene: Scene, limit: float, allow_unstable: bool) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from warp_plate.modal.solver import make_solver
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.parametrization import magnitude_unit
@@ -17,7 +18,6 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.peak import run_with_peak
 from warp_plate.solve.run import Run
-from warp_plate.solve.solver import PlateSolver
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -
         return EvaluatedCases(cases, scene, phasors, run, peak, 0)
     # The best scene runs as ``simulate`` runs it, so that what is written is what was evaluated.
     best_scene, designs = parametrization.scene_of(position), parametrization.designs(position[None])
-    solver = PlateSolver(best_scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(best_scene))
+    solver = make_solver(best_scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(best_scene))
     best = {"best": scene_phasors(best_scene)}
     best_run, peak = run_with_peak(solver, best["best"][None])
     names = ("frequency", "centre", "delay")
@@ -105,7 +105,7 @@ def evaluate_objectives(problem: Problem, cases: Mapping[str, Case]) -> tuple[di
     try:
         if objectives.needs_displacement:
             grid, areas = solver.discretization, objectives.regions
-            solver = PlateSolver(grid, solver.device.alias, problem.path, areas=areas, quantity="displacement")
+            solver = make_solver(grid, solver.device.alias, problem.path, areas=areas, quantity="displacement")
             run = solver.run(np.array([case.phasors for case in cases.values()]))
             displacement_energy, node_steps = run.energy, run.node_steps
     except (KeyboardInterrupt, SceneError):  # a result is not lost for want of what it is compared with

@@ -20,6 +20,7 @@ import numpy as np
 
 from warp_plate.cluster.evaluator import Evaluator, make_evaluator
 from warp_plate.cluster.pool import WorkerPool
+from warp_plate.modal.solver import MODAL, ModalSolver, refuse_no_tone
 from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.optimize.space import SearchSpace
 from warp_plate.plate.designs import Designs, per_plate_of
@@ -38,7 +39,7 @@ from warp_plate.scene.search import Limits, Robust
 from warp_plate.solve.response import Response, in_float64, measure_response
 from warp_plate.solve.solver import PlateSolver
 
-EvaluatorName = Literal["direct", "response"]
+EvaluatorName = Literal["direct", "response", "modal"]
 # Function from phasors (plates, actuators) to energies (plates, regions) [J].
 Energies = Callable[[np.ndarray], np.ndarray]
 
@@ -55,7 +56,8 @@ class Problem:
         displacement_evaluator: plates whose energies are ½ ∫ ρH u² dA [J s²]; None if no objective needs them.
         response: Gram matrices of ``drive_evaluator``; None if energies are not quadratic forms of the phasors.
         displacement_response: Gram matrices of ``displacement_evaluator``; None as for ``response``.
-        evaluator_name: "direct" simulates plates, "response" takes energies from Gram matrices.
+        evaluator_name: "direct" simulates plates, "response" takes energies from their Gram matrices, "modal" computes
+            energies from the modes of the plate.
         path: path of the kernels, as asked for.
         setup_cost: seconds of compilation and node-steps before the search.
         pool: workers that run batches; None if this process does.
@@ -76,7 +78,7 @@ class Problem:
     scenario_losses: ScenarioLosses | None = None
 
     @property
-    def drive_solver(self) -> PlateSolver:
+    def drive_solver(self) -> PlateSolver | ModalSolver:
         """Solver of ``drive_evaluator``."""
         return self.drive_evaluator.solver
 
@@ -130,7 +132,7 @@ class Problem:
 
     def energies_of_phasors(self, phasors: np.ndarray) -> np.ndarray:
         """Return the energies (plates, regions) of phasors (plates, actuators) at the scene's frequency and places."""
-        if self.evaluator_name == "response" and self.response is not None:
+        if self.evaluator_name != "direct" and self.response is not None:
             return self.response.energy(phasors)
         return self.drive_evaluator.run(phasors).energy
 
@@ -225,7 +227,7 @@ class Problem:
 
     def _displacement_energies(self, designs: Designs) -> np.ndarray | None:
         """Return energies (plates, regions) of displacements, for objectives that need them."""
-        if self.evaluator_name == "response" and self.displacement_response is not None:
+        if self.evaluator_name != "direct" and self.displacement_response is not None:
             return self.displacement_response.energy(designs.drives)
         return None if self.displacement_evaluator is None else self.displacement_evaluator.run(designs).energy
 
@@ -256,6 +258,11 @@ def make_problem(
         SceneError: see ``parametrization_of``, ``with_common_step``, ``make_objectives``, ``draw_scenarios`` and
             :class:`PlateSolver`; "response" for energies that are not quadratic forms of the phasors.
     """
+    if evaluator is None and scene.modal_only_key is not None:
+        evaluator = MODAL
+    if evaluator == MODAL:
+        refuse_no_tone(scene)
+        path = MODAL
     parametrization = parametrization_of(with_common_step(scene))
     scene, quadratic = parametrization.scene, parametrization.quadratic
     if evaluator == "response" and not quadratic:
@@ -276,7 +283,7 @@ def make_problem(
     seconds, node_steps = 0.0, 0
     if matrices is None and quadratic:
         matrices, seconds, node_steps = _measure_matrices(evaluators, objectives, path)
-    regions = len(evaluators) * len(drives.solver.specialized.regions)
+    regions = len(evaluators) * len(drives.solver.regions)
     if matrices is not None and len(matrices) != regions:
         raise SceneError(f"matrices: of {len(matrices)} regions; must be {regions}")
     responses = [None, None] if matrices is None else [*map(Response, np.split(matrices, len(evaluators))), None]
@@ -285,7 +292,7 @@ def make_problem(
         what = f"search.particles = {particles} with search.robust.scenarios = {robust.scenarios}"
         refuse_beyond_memory(24.0 * particles * robust.scenarios, what)
         drawn, alias = draw_scenarios(scene, robust.scenarios, robust.seed), drives.solver.device.alias
-        if name == "response":
+        if name != "direct" and quadratic:
             scenarios = scenario_responses(drawn, alias, path)
         else:
             scenarios = simulate_scenarios(drawn, alias, path, pool)
@@ -303,6 +310,9 @@ def _measure_matrices(
     matrices, seconds, node_steps = [], 0.0, 0
     for evaluator in evaluators:
         solver = evaluator.solver
+        if isinstance(solver, ModalSolver):
+            matrices.append(solver.response.matrices)
+            continue
         if solver.scene.grid.precision != "float64":
             grid, quantity = solver.discretization.with_scene(in_float64(solver.scene)), solver.specialized.quantity
             solver = PlateSolver(grid, solver.device.alias, path, areas=objectives.regions, quantity=quantity)

@@ -15,6 +15,7 @@ import numpy as np
 
 from warp_plate.cluster.evaluator import Evaluator, make_evaluator
 from warp_plate.cluster.pool import WorkerPool
+from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.discretization import discretize
@@ -131,7 +132,9 @@ def scenario_responses(scenarios: Sequence[Scenario], device: str = "auto", path
         gain = np.tile(scenario.gain, 2)
         plates = _scenario_plates(replace(scenario, scene=in_float64(scenario.scene)), device, path)
         for evaluator in plates.evaluators:
-            matrices.append(measure_response(evaluator.solver).matrices * np.outer(gain, gain))
+            solver = evaluator.solver
+            response = solver.response if isinstance(solver, ModalSolver) else measure_response(solver)
+            matrices.append(response.matrices * np.outer(gain, gain))
             seconds, node_steps = seconds + evaluator.compile_seconds, node_steps + evaluator.node_steps
         measured.append(ScenarioPlates(scenario, plates.objectives))
     return ScenarioLosses(tuple(measured), np.concatenate(matrices), (seconds, node_steps))

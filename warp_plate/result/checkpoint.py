@@ -40,7 +40,7 @@ class Checkpoint:
     processor: str
     earlier_devices: Annotated[str, "earlier"]  # other devices that the search ran on before, for people
     path: str  # kernels that were asked for
-    evaluator: Annotated[str, Attribute(Literal["direct", "response"])]
+    evaluator: Annotated[str, Attribute(Literal["direct", "response", "modal"])]
     seed: int
     accuracy: Mapping[str, Any]
     seconds: Mapping[str, float]

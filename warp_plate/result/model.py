@@ -178,7 +178,7 @@ class Result:
         history: (iterations,) "evaluations", and "best" and "mean" localization factor or sum of the objectives.
         objective_values: Objectives of the best drive by kind, their weighted "sum" and its "bound"; may be empty.
         objective_values_by_case: The same of other cases at the scene's frequency and positions, without bounds.
-        evaluator: "direct" (a simulated plate for each drive) or "response" (Gram matrices).
+        evaluator: "direct" (a simulated plate for each drive), "response" (Gram matrices) or "modal" (modes).
         accuracy: Estimated errors ("estimate"), and the choice of the grid ("asked", "expected", "reason").
         peak_displacement: Largest displacement over the run of the main case [m]; None if unknown.
         spectrum: Localization factors over the "frequency" [Hz], and the "resonances" [Hz]; may be empty.
@@ -231,6 +231,11 @@ class Result:
     def only_localization(self) -> bool:
         """True if the localization factor is the only objective."""
         return self.scene.search.objectives == (Objective(),)
+
+    @property
+    def by_modes(self) -> bool:
+        """True if the result comes from the modes of the plate, without time steps."""
+        return self.path.startswith("modal")
 
     @property
     def main_case(self) -> Case:

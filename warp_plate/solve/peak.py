@@ -9,8 +9,8 @@ import numpy as np
 
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.model import Scene
-from warp_plate.solve.run import Run
-from warp_plate.solve.solver import PlateSolver, Progress
+from warp_plate.solve.run import PlateRunner, Run
+from warp_plate.solve.solver import Progress
 
 # Samples in a period of the highest frequency (between two, a sine rises by 2 % at most), in a run at most and at
 # least, and the bytes that they take at most.
@@ -20,7 +20,7 @@ SAMPLES_A_PERIOD, MOST_SAMPLES, FEWEST_SAMPLES, SAMPLES_BYTES = 16, 320, 2, 2**2
 GOLDEN = (math.sqrt(5) - 1) / 2
 
 
-def run_with_peak(solver: PlateSolver, phasors: np.ndarray, progress: Progress | None = None) -> tuple[Run, float]:
+def run_with_peak(solver: PlateRunner, phasors: np.ndarray, progress: Progress | None = None) -> tuple[Run, float]:
     """Run phasors (plates, actuators) with the scene's records.
 
     Returns:

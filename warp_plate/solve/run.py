@@ -4,12 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
+from warp_plate.scene.model import Scene
 from warp_plate.solve.status import OK
 
 SOUND = (OK, math.nan)
+
+
+class PlateRunner(Protocol):
+    """Solvers that run plates, by time steps or by modes; see :class:`PlateSolver`."""
+
+    @property
+    def scene(self) -> Scene:
+        """The scene."""
+
+    def run(self, drives: Any, times: Any = ..., points: Any = ..., progress: Any = ...) -> Run:
+        """Return energies and records of a batch of plates."""
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from warp_plate.plate.designs import (
     check_designs,
 )
 from warp_plate.plate.discretization import Discretization, discretize
+from warp_plate.plate.scheme import Scheme
 from warp_plate.plate.weights import NO_AREAS, Region, bilinear
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -98,6 +99,10 @@ class PlateSolver:
         self.device = find_device(device)
         discretization = discretize(scene, per_plate, allow_unstable) if isinstance(scene, Scene) else scene
         self.scene = discretization.scene
+        if (key := self.scene.modal_only_key) is not None:
+            raise SceneError(
+                f'{key}: cannot be stepped in time; use the evaluator "modal", or write [effects.damping] instead'
+            )
         self.engine = Engine(Specialized(discretization, self.device, threads, areas, quantity), path)
         self.path = self.engine.path
         self._chunk, self._areas, self._memory_share = chunk, areas, memory_share
@@ -115,6 +120,16 @@ class PlateSolver:
     def discretization(self) -> Discretization:
         """The scene on its grid, for further solvers and for whoever needs its scheme, loads or regions."""
         return self.specialized.discretization
+
+    @property
+    def regions(self) -> tuple[str, ...]:
+        """Names of the regions whose energies runs return."""
+        return self.specialized.regions
+
+    @property
+    def scheme(self) -> Scheme:
+        """Grid and time steps."""
+        return self.specialized.scheme
 
     @property
     def effects(self) -> tuple[str, ...]:

@@ -89,10 +89,10 @@ def _prepare(
             raise SceneError(f"--evaluations {evaluations}: must be at least {at_once}")
         search = scene.search.model_copy(update={"iterations": evaluations // particles})
         scene = scene.model_copy(update={"search": search})
-    scene, started = resolve_search_grid(scene, device).scene, time.perf_counter()
+    scene, started = resolve_search_grid(scene, device, evaluator).scene, time.perf_counter()
     problem = make_problem(scene, device, path, evaluator, pool=pool)
     prepared = time.perf_counter() - started - problem.compile_seconds
-    if evaluator is None and problem.response is not None:
+    if evaluator is None and problem.evaluator_name == "direct" and problem.response is not None:
         problem = replace(problem, evaluator_name="response")
     if not problem.space.dimension:
         raise SceneError("actuators: a single one leaves nothing to search, so there is nothing to compare")

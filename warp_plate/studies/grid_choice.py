@@ -12,9 +12,10 @@ import numpy as np
 from warp_plate.accuracy.choose import choose
 from warp_plate.accuracy.estimate import estimate
 from warp_plate.accuracy.reference_solution import ReferenceSolution
+from warp_plate.modal.solver import MODAL
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import at_highest_frequency
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Grid, Scene
 from warp_plate.solve.run import Run
 
 
@@ -49,8 +50,13 @@ def resolve_grid(scene: Scene, device: str, phasors: np.ndarray | None = None) -
     return ResolvedGrid(choice.scene, accuracy, {"choose": time.perf_counter() - started}, choice.reference)
 
 
-def resolve_search_grid(scene: Scene, device: str) -> ResolvedGrid:
-    """Choose the grid for a search by its highest frequency, which is the most demanding."""
+def resolve_search_grid(scene: Scene, device: str, evaluator: str | None = None) -> ResolvedGrid:
+    """Choose the grid for a search by its highest frequency, which is the most demanding.
+
+    The evaluator "modal" needs a grid for pictures alone, which is the default one.
+    """
+    if evaluator == MODAL or scene.modal_only_key is not None:
+        return ResolvedGrid(scene.model_copy(update={"grid": Grid()}) if scene.grid.accuracy is not None else scene)
     resolved = resolve_grid(at_highest_frequency(scene), device)
     return replace(resolved, scene=resolved.scene.model_copy(update={"actuators": scene.actuators}))
 

@@ -14,6 +14,7 @@ import numpy as np
 from warp_plate.accuracy.reference_solution import ReferenceSolution
 from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.cluster.pool import WorkerPool
+from warp_plate.modal.solver import MODAL, make_solver
 from warp_plate.plate.files import digests
 from warp_plate.plate.weights import REGIONS
 from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, evaluate_objectives, reference_phasors
@@ -26,7 +27,6 @@ from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import processor_of
-from warp_plate.solve.solver import PlateSolver
 from warp_plate.studies import provenance
 from warp_plate.studies.baselines import baseline_cases, check_baselines
 from warp_plate.studies.checkpointing import CheckpointFile
@@ -186,7 +186,7 @@ def _new_search(
     if not 0 <= seed < 2**63:
         raise SceneError(f"seed = {seed}: must be an integer from 0 to 2^63 - 1")
     files = digests(scene)
-    resolved, started = resolve_search_grid(scene, device), time.perf_counter()
+    resolved, started = resolve_search_grid(scene, device, evaluator), time.perf_counter()
     problem = make_problem(resolved.scene, device, path, evaluator, pool=pool)
     initial, compiling = _initial_state(problem, seed), problem.compile_seconds
     start = Checkpoint(
@@ -280,7 +280,8 @@ def _optional_parts(
     is_robust = problem.scenario_losses is not None and position is not None and not interrupted
     robust, nominal, steps = attempt("robust", is_robust, compare_with_nominal, problem, end, position) or (None, {}, 0)
     of_run = evaluated.scene, evaluated.phasors, run, seconds["solve"], problem.drive_solver.device.alias, reference
-    estimated = attempt("estimate", options.estimate, estimate_error, *of_run) or {}
+    by_steps = end.evaluator != MODAL  # errors of grids
+    estimated = attempt("estimate", options.estimate and by_steps, estimate_error, *of_run) or {}
     baselines, more_steps = attempt("baselines", options.baselines, baseline_cases, problem) or ({}, 0)
     references = {name: evaluated.cases[name] for name in ("equal", "single")} | baselines
     values, last_steps = evaluate_objectives(problem, references)
@@ -339,7 +340,7 @@ def _next_problem(problem: Problem, index: int, start: Checkpoint) -> Problem:
     all, unless an objective needs further regions."""
     scene, matrices = problem.scene.aimed_at(index), None
     if problem.matrices is not None and not problem.objectives.cells.size:
-        regions = problem.drive_solver.specialized.regions
+        regions = problem.drive_solver.regions
         matrices = problem.matrices.reshape(-1, len(regions), *problem.matrices.shape[1:]).copy()
         matrices[:, REGIONS.index("target")] = matrices[:, regions.index(list(target_regions(scene))[index])]
         matrices = matrices.reshape(problem.matrices.shape)
@@ -350,7 +351,7 @@ def _next_problem(problem: Problem, index: int, start: Checkpoint) -> Problem:
 def _with_target(problem: Problem, index: int) -> Problem:
     """Return a problem with another target, for simulating cases only."""
     scene = problem.scene.aimed_at(index)
-    solver = PlateSolver(scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(scene))
+    solver = make_solver(scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(scene))
     parametrization = replace(problem.parametrization, scene=scene)
     return replace(problem, parametrization=parametrization, drive_evaluator=Evaluator(solver))
 

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 import warp_plate
+from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.files import digests
 from warp_plate.problem.problem import Problem
 from warp_plate.result.checkpoint import Checkpoint
@@ -26,7 +27,7 @@ def device_name(device: wp.Device) -> str:
     return f"{device.alias} ({device.name or platform.machine()})"
 
 
-def run_fields(solver: PlateSolver, run: Run) -> dict[str, Any]:
+def run_fields(solver: PlateSolver | ModalSolver, run: Run) -> dict[str, Any]:
     """Return the fields of a result that tell how a run was computed and when it was recorded."""
     path = solver.describe_path(bool(solver.scene.record.points))
     return {"effects": solver.effects, "path": path, "times": run.times, "trace_times": run.trace_times}

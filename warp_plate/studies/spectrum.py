@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from warp_plate.analysis.check import MOST_SIDE
+from warp_plate.modal.solver import ModalSolver, make_solver
 from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.weights import localization_factor
@@ -57,22 +58,32 @@ def factors_over(
         Arrays (n,) "equal"; "single", of the best single actuator at each frequency; and "best", an upper bound over
         the drives that the search may choose there.
     """
-    exact, actuators = in_float64(scene), len(scene.actuators)
-    solver = PlateSolver(exact, device, path, per_plate=per_plate_of(exact))
-    units, singles = unit_drives(actuators), np.eye(actuators, dtype=complex)
+    exact, singles = in_float64(scene), np.eye(len(scene.actuators), dtype=complex)
+    solver = make_solver(exact, device, path, per_plate=per_plate_of(exact))
     parametrization = parametrization_of(scene)
+    rows = []
+    for response in _responses(solver, frequencies, centre, delay):
+        equal, of_singles = (localization_factor(response.energy(d)) for d in (singles.sum(axis=0)[None], singles))
+        rows.append((equal[0], np.nanmax(of_singles), _best_factor(response, parametrization)))
+    return dict(zip(("equal", "single", "best"), np.array(rows, dtype=float).T, strict=True))
+
+
+def _responses(
+    solver: PlateSolver | ModalSolver, frequencies: np.ndarray, centre: np.ndarray | None, delay: np.ndarray | None
+) -> list[Response]:
+    """Return the responses at (n,) frequencies [Hz]."""
+    actuators = len(solver.scene.actuators)
+    units = np.zeros((1, actuators)) if isinstance(solver, ModalSolver) else unit_drives(actuators)
     phasors = np.tile(units, (len(frequencies), 1))
     repeated = np.repeat(frequencies, len(units))[:, None] * np.ones(actuators)
     shared = (
         None if values is None else np.broadcast_to(values, (len(phasors), *values.shape)) for values in (centre, delay)
     )
-    energy = solver.run(Designs(phasors, repeated, *shared)).energy.reshape(len(frequencies), len(units), -1)
-    rows = []
-    for energy_at_frequency in energy:
-        response = response_of(energy_at_frequency, actuators)
-        equal, of_singles = (localization_factor(response.energy(d)) for d in (singles.sum(axis=0)[None], singles))
-        rows.append((equal[0], np.nanmax(of_singles), _best_factor(response, parametrization)))
-    return dict(zip(("equal", "single", "best"), np.array(rows, dtype=float).T, strict=True))
+    designs = Designs(phasors, repeated, *shared)
+    if isinstance(solver, ModalSolver):
+        return [Response(matrices) for matrices in solver.gram_matrices(designs)]
+    energy = solver.run(designs).energy.reshape(len(frequencies), len(units), -1)
+    return [response_of(energy_at_frequency, actuators) for energy_at_frequency in energy]
 
 
 def _best_factor(response: Response, parametrization: Parametrization) -> float:

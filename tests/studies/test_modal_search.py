@@ -1,0 +1,95 @@
+"""Searches by modes, against time stepping on fine grids and the plain Gram matrices."""
+
+import numpy as np
+import pytest
+
+from warp_plate import Scene, SceneError, localize
+from warp_plate.modal.energy import gram_matrices
+from warp_plate.modal.solver import ModalSolver
+from warp_plate.optimize.quadratic import real_parts
+from warp_plate.plate.designs import Designs, PerPlate
+from warp_plate.problem.problem import make_problem
+from warp_plate.solve.solver import PlateSolver
+
+FINGER = {"area": (0.09, 0.11, 0.09, 0.11), "mass": 0.002, "stiffness": 400.0, "damping": 0.2}
+
+
+def paper(**tables):
+    return Scene.load("paper").with_tables(**tables)
+
+
+@pytest.mark.parametrize("effects", [{"damping": {"viscous": 80.0}}, {"oscillators": [FINGER]}])
+@pytest.mark.parametrize("varied", ["places", "common frequency", "frequencies", "steady"])
+def test_batches_have_the_energies_of_plain_gram_matrices(random, effects, varied):
+    """E = zᵀ G z for every plate of a batch, by another route."""
+    if varied == "steady":
+        effects = {**effects, "loss_factor": {"eta": 0.02}}
+    scene = paper(effects=effects, grid={"load": "moments"})
+    solver = ModalSolver(scene, "cpu", per_plate=PerPlate(True, False, True, per_actuator=True))
+    plates, tone = 5, 290.0
+    drives = random.normal(size=(plates, 4)) + 1j * random.normal(size=(plates, 4))
+    centre = random.uniform(0.02, 0.18, (plates, 4, 2))
+    tones = {"common frequency": (plates, 1), "frequencies": (plates, 4)}.get(varied)
+    frequency = np.full((plates, 4), tone) if tones is None else tone * random.uniform(0.6, 1, tones) * np.ones(4)
+    run = solver.run(Designs(drives, frequency, centre))
+    plate, scene = solver.plate, solver.scene
+    regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
+    half = np.ptp(np.reshape(scene.actuators[0].area, (2, 2)), axis=1) / 2
+    areas = np.stack([centre - half, centre + half], axis=-1).reshape(plates, 4, 4)
+    forces = np.stack([plate.patch_forces(row) for row in areas])
+    window = None if scene.steady else scene.window
+    z = real_parts(drives)
+    energy = np.einsum("pa,prab,pb->pr", z, gram_matrices(plate, regions, forces, frequency, window), z)
+    assert np.allclose(run.energy, energy, rtol=1e-5)
+
+
+def test_modes_are_the_limit_of_fine_grids():
+    """Fields, traces and energies of fourth-order stepping converge to those of the modes."""
+    errors = []
+    for nodes in (27, 53):
+        grid = {"nodes": (nodes, nodes), "order": 4, "load": "moments", "precision": "float64"}
+        scene = paper(grid=grid, effects={"damping": {"viscous": 80.0}})
+        drives, points, times = [[1, 0.5j, 0, 0]], [(0.05, 0.06)], [0.004, 0.1]
+        stepped, modal = (make(scene, "cpu").run(drives, times, points) for make in (PlateSolver, ModalSolver))
+        pairs = [(stepped.energy, modal.energy), (stepped.trace, modal.trace)]
+        pairs += [(stepped.displacement, modal.displacement)]
+        errors.append([np.abs(first - second).max() / np.abs(second).max() for first, second in pairs])
+    assert max(errors[1]) < 0.02
+    assert np.all(np.array(errors[1]) < 0.5 * np.array(errors[0]))
+
+
+def test_exact_search_reaches_the_bound_of_the_continuous_plate():
+    result = localize(paper(search={"method": "exact"}), device="cpu", evaluator="modal", estimate=False)
+    assert result.evaluator == "modal"
+    assert result.bound == pytest.approx(0.654001, rel=1e-5)
+    # A common phase, which the search leaves out, moves it a little while start-up motion is left.
+    assert result.cases["best"].localization_factor == pytest.approx(result.bound, rel=4e-5)
+
+
+def test_hysteretic_scene_is_searched_by_modes_without_asking():
+    scene = paper(effects={"loss_factor": {"eta": 0.05}}, search={"method": "exact"})
+    assert make_problem(scene, "cpu").evaluator_name == "modal"
+    result = localize(scene, device="cpu", estimate=False)
+    assert result.cases["best"].localization_factor == pytest.approx(result.bound, rel=1e-9)
+
+
+def test_robust_search_by_modes_is_the_limit_of_its_simulated_matrices():
+    robust = {"scenarios": 3, "thickness": 0.05, "place": 0.002, "gain": 0.1}
+    grid = {"nodes": (41, 41), "order": 4, "load": "moments"}
+    scene = paper(search={"robust": robust}, grid=grid)
+    drives = np.array([[1, 0.2, 0.1j, 0.4]])
+    problems = [make_problem(scene, "cpu", evaluator=name) for name in ("modal", "response")]
+    losses = [problem.design_losses(Designs(drives)) for problem in problems]
+    assert losses[0] == pytest.approx(losses[1], abs=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("tables", "key"),
+    [
+        ({"drive": {"frequency": 290.0, "chirp": {"end_frequency": 400.0, "duration": 0.1}}}, "drive.chirp"),
+        ({"effects": {"stretching": {}}}, "effects.stretching"),
+    ],
+)
+def test_what_has_no_modes_is_refused_by_name(tables, key):
+    with pytest.raises(SceneError, match=f"^evaluator = 'modal': {key} "):
+        make_problem(paper(**tables), "cpu", evaluator="modal")

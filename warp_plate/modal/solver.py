@@ -1,0 +1,247 @@
+"""Plates of a linear scene by their modes, with the interface of the time-stepping solver."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from warp_plate.modal.energy import gram_matrices
+from warp_plate.modal.modes import ModalPlate, solve_modes
+from warp_plate.modal.poles import make_poles
+from warp_plate.modal.tones import ToneEnergies
+from warp_plate.plate.designs import NO_PER_PLATE, Designs, PerPlate, as_phasors, check_designs
+from warp_plate.plate.discretization import Discretization, discretize
+from warp_plate.plate.scheme import Scheme
+from warp_plate.plate.signals import actuator_frequencies, highest_frequency
+from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, node_positions, weigh_region
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+from warp_plate.solve.devices import find_device
+from warp_plate.solve.response import Response
+from warp_plate.solve.run import Run
+from warp_plate.solve.solver import Drives, PlateSolver, Progress
+from warp_plate.solve.specialize import Quantity, effect_names
+
+# Path of a solver that takes no time steps.
+MODAL = "modal"
+# Numbers of a block of plates that are computed at once.
+BLOCK_NUMBERS = 2**22
+
+
+class ModalSolver:
+    """Energies and displacements of the plates of a linear scene, exact in time, without time steps.
+
+    Stands in for :class:`PlateSolver` wherever batches of plates are run: the grid only says where displacements and
+    weights are given.
+
+    Args:
+        scene: Scene, or its discretization.
+        device: Device that a stepping solver would use; modes are computed on the CPU.
+        areas: Further regions whose energy runs return, by name.
+        per_plate: What may differ between plates beside their drives.
+        quantity: "velocity" or "displacement", see :class:`PlateSolver`.
+
+    Attributes:
+        discretization: The scene on its grid.
+        plate: Modes of the scene's plate.
+        node_steps: 0, for comparison with stepping.
+        compile_seconds: Time that discretizing and solving for the modes took [s].
+
+    Raises:
+        SceneError: The scene is not linear, its drive is no tone, or its plate buckles.
+    """
+
+    path = MODAL
+    node_steps = 0
+    node_steps_per_plate = 0
+
+    def __init__(
+        self,
+        scene: Scene | Discretization,
+        device: str = "auto",
+        areas: Mapping[str, Region] = NO_AREAS,
+        per_plate: PerPlate = NO_PER_PLATE,
+        quantity: Quantity = "velocity",
+    ) -> None:
+        started = time.perf_counter()
+        self.device, self.quantity = find_device(device), quantity
+        self.discretization = discretize(scene, per_plate) if isinstance(scene, Scene) else scene
+        refuse_no_tone(self.scene)
+        self._areas = areas
+        self.plate: ModalPlate = solve_modes(self.scene, highest=_highest_frequency(self.scene))
+        self.compile_seconds = time.perf_counter() - started
+
+    @property
+    def scene(self) -> Scene:
+        """The scene."""
+        return self.discretization.scene
+
+    @property
+    def scheme(self) -> Scheme:
+        """Grid and time step of displacements and traces."""
+        return self.discretization.scheme
+
+    @property
+    def regions(self) -> tuple[str, ...]:
+        """Names of the regions whose energies runs return."""
+        return (*REGIONS, *self._areas)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the scene's effects."""
+        return effect_names(self.scene)
+
+    def describe_path(self, traced: bool = False) -> str:
+        """Return the name and the number of the modes."""
+        return f"{MODAL} ({len(self.plate.frequencies)} modes)"
+
+    @cached_property
+    def response(self) -> Response:
+        """Gram matrices at the scene's own frequencies and places."""
+        forces, frequency = self.plate.actuator_forces(), actuator_frequencies(self.scene)
+        return Response(self._matrices(forces[None], frequency[None])[0])
+
+    def gram_matrices(self, designs: Designs) -> np.ndarray:
+        """Return (plates, regions, 2M, 2M) Gram matrices of designs, whose drives play no part."""
+        count, (frequency, forces) = len(designs), self._frequency_and_forces(designs)
+        matrices = []
+        block = max(1, BLOCK_NUMBERS // (forces.shape[1] * frequency.shape[1]))
+        for first in range(0, count, block):
+            rows = slice(first, first + block)
+            matrices.append(self._matrices(forces[rows] if len(forces) > 1 else forces, frequency[rows]))
+        return np.concatenate(matrices)
+
+    def run(
+        self,
+        drives: Drives,
+        times: Sequence[float] = (),
+        points: Sequence[tuple[float, float]] = (),
+        progress: Progress | None = None,
+    ) -> Run:
+        """Return energies, displacements at ``times`` and traces at ``points``, as :meth:`PlateSolver.run` does."""
+        designs = drives if isinstance(drives, Designs) else Designs(as_phasors(drives, len(self.scene.actuators)))
+        check_designs(designs, self.scene, self.discretization.per_plate, self.scheme.time_step)
+        if designs.only_drives:
+            energy = self.response.energy(designs.drives)
+        else:
+            energy = self._tones.energies(designs.drives, *self._frequency_and_forces(designs))
+        energy[~np.isfinite(designs.drives).all(axis=1)] = np.nan
+        displacement, trace, trace_times = self._records(designs.drives, times, points)
+        run = Run(
+            energy=energy,
+            regions=self.regions,
+            masses=self._masses,
+            displacement=displacement,
+            times=np.asarray(times, dtype=float),
+            trace=trace,
+            trace_times=trace_times,
+            node_steps=0,
+            faults={},
+        )
+        if progress is not None:
+            progress(1, 1)
+        return run
+
+    def _frequency_and_forces(self, designs: Designs) -> tuple[np.ndarray, np.ndarray]:
+        """Return frequencies (plates, M) [Hz] and modal forces (plates or 1, modes, M) of designs."""
+        values = check_designs(designs, self.scene, self.discretization.per_plate, self.scheme.time_step)
+        frequency = actuator_frequencies(self.scene) if values.frequency is None else values.frequency
+        frequency = np.broadcast_to(frequency, designs.drives.shape)
+        if values.edges is None:
+            return frequency, self.plate.actuator_forces()[None]
+        forces = self.plate.patch_forces(values.edges.reshape(-1, 4))
+        return frequency, np.moveaxis(forces.reshape(len(forces), *designs.drives.shape), 0, 1)
+
+    def _matrices(self, forces: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+        window = None if self.scene.steady else self.scene.window
+        return gram_matrices(self.plate, self._region_matrices, forces, frequency, window, self.quantity)
+
+    @cached_property
+    def _tones(self) -> ToneEnergies:
+        window = None if self.scene.steady else self.scene.window
+        return ToneEnergies(self.plate, self._region_matrices, window, self.quantity)
+
+    @cached_property
+    def _region_matrices(self) -> list[np.ndarray]:
+        regions: list[Any] = ["plate", self.scene.target, *self._areas.values()]
+        return [
+            self._weighted(region) if isinstance(region, np.ndarray) else self.plate.kinetic_matrix(region)
+            for region in regions
+        ]
+
+    def _weighted(self, weights: np.ndarray) -> np.ndarray:
+        """Return the mass matrix (modes, modes) of weights (ny, nx) of the grid's nodes, in cells."""
+        shapes = self.plate.shapes(*node_positions(self.scene)).reshape(len(self.plate.frequencies), -1)
+        masses = weights * self.discretization.surface_density * self.discretization.cell
+        return np.asarray((shapes * masses.ravel()) @ shapes.T)
+
+    @cached_property
+    def _masses(self) -> np.ndarray:
+        weights = [weigh_region(self.scene, name, region) for name, region in self._areas.items()]
+        fields = [*self.discretization.region_weights, *weights]
+        return np.array([(field * self.discretization.surface_density).sum() for field in fields]) * (
+            self.discretization.cell
+        )
+
+    def _records(
+        self, phasors: np.ndarray, times: Sequence[float], points: Sequence[tuple[float, float]]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return displacements (plates, times, ny, nx), traces (plates, points, steps) [m] and their times [s]."""
+        scheme = self.scheme
+        trace_times = scheme.time_step * np.arange(1, scheme.steps + 1) if len(points) else np.empty(0)
+        displacement = self.plate.displacement(self._amplitudes(phasors, times), *node_positions(self.scene))
+        trace = np.empty((len(phasors), len(points), trace_times.size))
+        if len(points):
+            trace[:] = (self._amplitudes(phasors, trace_times) @ self.plate.at_points(points)).mT
+        return displacement, trace, trace_times
+
+    def _amplitudes(self, phasors: np.ndarray, times: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Return modal amplitudes (plates, times, modes) of phasors (plates, actuators)."""
+        when, omega = np.asarray(times, dtype=float), 2 * np.pi * actuator_frequencies(self.scene)
+        forces = self.plate.actuator_forces()
+        amplitudes = np.zeros((len(phasors), when.size, len(forces)))
+        if not when.size:
+            return amplitudes
+        poles = None if self.scene.steady else make_poles(self.plate, self.scene.window.end)
+        free = np.zeros((0, when.size)) if poles is None else np.exp(np.outer(poles.values, when))
+        for index, turn in enumerate(omega):
+            forced = self.plate.respond(np.array([turn / (2 * np.pi)]), forces[:, [index]])[0]
+            motion = forced * np.exp(1j * turn * when)
+            if poles is not None:
+                start = (poles.vectors.T @ forces[:, index]) / (1j * turn - poles.values)
+                motion -= (poles.vectors * start) @ free
+            amplitudes += (phasors[:, index, None, None] * motion.T).real
+        return amplitudes
+
+
+def make_solver(
+    scene: Scene | Discretization, device: str = "auto", path: str = "auto", **options: Any
+) -> PlateSolver | ModalSolver:
+    """Return the solver of a scene: its modes if ``path`` is "modal", else time steps.
+
+    Raises:
+        SceneError: See :class:`ModalSolver` and :class:`PlateSolver`.
+    """
+    if path != MODAL:
+        return PlateSolver(scene, device, path, **options)
+    options.pop("memory_share", None)
+    return ModalSolver(scene, device, **options)
+
+
+def refuse_no_tone(scene: Scene) -> None:
+    """Refuse a scene that has no modal solution, with a SceneError that names what it must be simulated for."""
+    key = scene.nonlinear_table or next(
+        (f"drive.{name}" for name in ("burst", "chirp", "signal") if getattr(scene.drive, name) is not None), None
+    )
+    if key is not None:
+        raise SceneError(f"evaluator = 'modal': {key} needs time steps; write 'direct'")
+
+
+def _highest_frequency(scene: Scene) -> float:
+    """Return the highest frequency of the scene and of its search [Hz]."""
+    searched = scene.search.frequency
+    return max(highest_frequency(scene), searched.range[1] if searched is not None else 0.0)
