@@ -20,7 +20,7 @@ QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate")
 @pytest.fixture
 def panel(write_scene):
     """A small scene in a file of an otherwise empty working folder."""
-    search = {"particles": 6, "iterations": 5}
+    search = {"method": "pso", "particles": 6, "iterations": 5}
     return write_scene(damping=88.5, precision="float32", search=search, record={"points": ((0.1, 0.1),)})
 
 

@@ -10,7 +10,7 @@ from warp_plate import Scene, localize
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.studies.simulate import simulate
 
-SEARCH = {"particles": 8, "iterations": 12, "seed": 3}
+SEARCH = {"method": "pso", "particles": 8, "iterations": 12, "seed": 3}
 PANEL = scene_of(damping=88.5, precision="float32", search=SEARCH)
 
 

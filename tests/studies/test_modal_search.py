@@ -8,6 +8,7 @@ from warp_plate.modal.energy import gram_matrices
 from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.quadratic import real_parts
 from warp_plate.plate.designs import Designs, PerPlate
+from warp_plate.problem.methods import with_method
 from warp_plate.problem.problem import make_problem
 from warp_plate.solve.solver import PlateSolver
 
@@ -93,3 +94,19 @@ def test_robust_search_by_modes_is_the_limit_of_its_simulated_matrices():
 def test_what_has_no_modes_is_refused_by_name(tables, key):
     with pytest.raises(SceneError, match=f"^evaluator = 'modal': {key} "):
         make_problem(paper(**tables), "cpu", evaluator="modal")
+
+
+def test_a_search_without_a_method_is_exact_and_by_modes_where_it_can_be():
+    """Keys of a swarm, other objectives and nonlinear scenes keep the swarm."""
+    result = localize(paper(search={}), device="cpu", estimate=False)
+    assert (result.evaluator, result.scene.search.method) == ("modal", "exact")
+    assert result.cases["best"].localization_factor == pytest.approx(0.654, abs=1e-4)
+    chirp = {"frequency": 290.0, "chirp": {"end_frequency": 300.0, "duration": 0.1}}
+    for tables, method in (
+        ({"search": {"particles": 30}}, "pso"),
+        ({"search": {"objectives": [{"kind": "contrast"}]}}, "pso"),
+        ({"search": {}, "effects": {"stretching": {}}}, "pso"),
+        ({"search": {"method": "ring"}}, "ring"),
+        ({"search": {}, "drive": chirp}, "exact"),
+    ):
+        assert with_method(paper(**tables)).search.method == method

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from warp_plate.solve.solver import Drives, PlateSolver, Progress
 from warp_plate.solve.specialize import Quantity, effect_names
 
 # Path of a solver that takes no time steps.
-MODAL = "modal"
+MODAL: Literal["modal"] = "modal"
 # Numbers of a block of plates that are computed at once.
 BLOCK_NUMBERS = 2**22
 
@@ -232,13 +232,20 @@ def make_solver(
     return ModalSolver(scene, device, **options)
 
 
+def has_modes(scene: Scene) -> bool:
+    """Return whether a scene is linear and driven by tones."""
+    return _key_without_modes(scene) is None
+
+
 def refuse_no_tone(scene: Scene) -> None:
     """Refuse a scene that has no modal solution, with a SceneError that names what it must be simulated for."""
-    key = scene.nonlinear_table or next(
-        (f"drive.{name}" for name in ("burst", "chirp", "signal") if getattr(scene.drive, name) is not None), None
-    )
-    if key is not None:
+    if (key := _key_without_modes(scene)) is not None:
         raise SceneError(f"evaluator = 'modal': {key} needs time steps; write 'direct'")
+
+
+def _key_without_modes(scene: Scene) -> str | None:
+    signals = (f"drive.{name}" for name in ("burst", "chirp", "signal") if getattr(scene.drive, name) is not None)
+    return scene.nonlinear_table or next(signals, None)
 
 
 def _highest_frequency(scene: Scene) -> float:

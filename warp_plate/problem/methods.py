@@ -12,8 +12,10 @@ from warp_plate.optimize.pso import Swarm, SwarmSettings
 from warp_plate.optimize.quadratic import ExactSearch, Quadratic
 from warp_plate.optimize.space import SearchSpace
 from warp_plate.plate.memory import refuse_beyond_memory
+from warp_plate.problem.design_variables import TABLES
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Search
 
 # A swarm with restarts but without ``stall`` restarts after so many iterations without progress.
@@ -49,7 +51,7 @@ def make_optimizer(
         SceneError: the method does not fit the problem or takes more memory than there is; pycma is not installed.
         ValueError: the state is not that of such a search.
     """
-    method, dimension = search.method, space.dimension
+    method, dimension = search.method or "pso", space.dimension
     if method != "exact":
         entry_bytes = NUMBER_BYTES + (MATRIX_BYTES * dimension if method == "gradient" else 0.0)
         what = f"search.particles = {search.particles} with {dimension} numbers each"
@@ -70,12 +72,24 @@ def make_optimizer(
 
 def unread_keys(search: Search) -> list[str]:
     """Return a sentence for each key that differs from its default and that the method does not read."""
+    method = search.method or "pso"
     return [
-        f"search.{key} = {getattr(search, key)}: method = {search.method!r} does not read it, only "
+        f"search.{key} = {getattr(search, key)}: method = {method!r} does not read it, only "
         f"{', '.join(map(repr, methods))}; delete it, or write another method."
         for key, methods in READ_BY.items()
-        if search.method not in methods and getattr(search, key) != type(search).model_fields[key].default
+        if method not in methods and getattr(search, key) != type(search).model_fields[key].default
     ]
+
+
+def with_method(scene: Scene) -> Scene:
+    """Return the scene with a method of search, the default one where it names none."""
+    search = scene.search
+    if search.method is not None:
+        return scene
+    read = {*READ_BY, "objectives", "limits", "robust", *TABLES}
+    plain = all(getattr(search, key) == Search.model_fields[key].default for key in read)
+    method = "exact" if plain and scene.linear and len(scene.actuators) > 1 else "pso"
+    return scene.model_copy(update={"search": search.model_copy(update={"method": method})})
 
 
 def swarm_settings(search: Search, seed: int) -> SwarmSettings:
@@ -83,7 +97,7 @@ def swarm_settings(search: Search, seed: int) -> SwarmSettings:
     common = vars(_settings(search, seed)) | {"velocity_limit": search.velocity_limit}
     if search.restarts and not search.stall:
         common["stall"] = RESTART_AFTER
-    if search.method == "pso":
+    if search.method in ("pso", None):
         weights = {name: getattr(search, name) for name in ("inertia", "decay", "cognitive", "social")}
         return SwarmSettings(**weights, **common)
     return SwarmSettings.constriction(ring=search.method == "ring", **common)

@@ -137,7 +137,9 @@ class Search(Table):
     The swarm has the coefficients of the source paper: w (inertia), κ (decay), c₁ (cognitive), c₂ (social).
     """
 
-    method: Literal["pso", "constriction", "ring", "cma", "gradient", "exact"] = "pso"
+    # Method (default: "exact" where nothing is searched but drives without limits, for the localization factor of a
+    # linear scene, and no key of a swarm is given; else "pso")
+    method: Literal["pso", "constriction", "ring", "cma", "gradient", "exact"] | None = None
     particles: Annotated[int, Field(ge=2, le=10_000_000)] = 20
     iterations: Annotated[int, Field(ge=1, le=1_000_000_000)] = 80
     restarts: Annotated[int, Field(ge=0, le=10_000)] = 0

@@ -14,10 +14,11 @@ import numpy as np
 from warp_plate.accuracy.reference_solution import ReferenceSolution
 from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.cluster.pool import WorkerPool
-from warp_plate.modal.solver import MODAL, make_solver
+from warp_plate.modal.solver import MODAL, has_modes, make_solver
 from warp_plate.plate.files import digests
 from warp_plate.plate.weights import REGIONS
 from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, evaluate_objectives, reference_phasors
+from warp_plate.problem.methods import with_method
 from warp_plate.problem.problem import EvaluatorName, Problem, make_problem
 from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.checkpoint import Checkpoint, load_newest
@@ -185,12 +186,15 @@ def _new_search(
     seed = scene.search.seed if seed is None else seed
     if not 0 <= seed < 2**63:
         raise SceneError(f"seed = {seed}: must be an integer from 0 to 2^63 - 1")
-    files = digests(scene)
+    files, written = digests(scene), scene
+    scene = with_method(scene)
+    if evaluator is None and written.search.method is None and scene.search.method == "exact":
+        evaluator = MODAL if has_modes(scene) else None
     resolved, started = resolve_search_grid(scene, device, evaluator), time.perf_counter()
     problem = make_problem(resolved.scene, device, path, evaluator, pool=pool)
     initial, compiling = _initial_state(problem, seed), problem.compile_seconds
     start = Checkpoint(
-        scene_as_written=scene,
+        scene_as_written=written,
         source=source,
         files=files,
         device=problem.drive_solver.device.alias,
