@@ -8,7 +8,9 @@ over the window and G the mass matrix of a region, two complex rates v_k, v_l ha
                    + Σ_pq c_pk ψ_pᵀ G ψ_q c_ql ⟨s_p + s_q⟩
 
 and likewise that of v̄_k and v_l. From both follow the means of Re v_k Re v_l and so on: with z = (Re Z, −Im Z) the
-energy of the region is zᵀ matrix z. A plate with a loss factor has no free motion, and means over its periods.
+energy of the region is zᵀ matrix z. A plate with a loss factor has no free motion, and means over its periods. Bursts
+are exponentials between their corners, see :mod:`warp_plate.modal.loads`; the products of each interval that the window
+meets add up.
 """
 
 from __future__ import annotations
@@ -19,11 +21,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.modal.loads import ExponentialLoads, envelopes
 from warp_plate.modal.modes import ModalPlate
-from warp_plate.modal.poles import Poles, make_poles
+from warp_plate.modal.poles import Poles, make_poles, poles_apart
+from warp_plate.modal.transient import forced_states, next_state
+from warp_plate.plate.signals import actuator_delays
 from warp_plate.scene.model import Window
 
-# Free motions whose energies together are below this part of the forced motion's are left out.
+# Free motions whose energies together are below this part of all motion's are left out.
 NEGLIGIBLE = 1e-7
 
 
@@ -34,6 +39,7 @@ def gram_matrices(
     frequency: np.ndarray,
     window: Window | None,
     quantity: str = "velocity",
+    delay: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return (designs, regions, 2M, 2M) matrices of mean energies [J per (N/m²)²].
 
@@ -45,49 +51,98 @@ def gram_matrices(
         window: Window of a plate that starts from rest; None for the steady state, in which actuators of different
             frequencies do not interfere.
         quantity: "velocity", or "displacement" for ½ ∫ ρH u² dA [J s² per (N/m²)²].
+        delay: (designs, M) starts of the scene's bursts [s] (default: the scene's).
     """
     omega = 2 * math.pi * frequency
-    rate = 1j * omega if quantity == "velocity" else np.ones_like(omega)
-    forced = _forced(plate, forces, omega) * rate[:, None, :]
     if window is None:
+        forced = _forced(plate, forces, omega) * (1j * omega[:, None, :] if quantity == "velocity" else 1)
         same = omega[:, :, None] == omega[:, None, :]
-        mixed = [(forced.conj().mT @ times(region, forced)) * same for region in regions]
-        return np.stack([real_form(np.zeros_like(product), product) for product in mixed], axis=1)
-    poles = make_poles(plate, window.end)
-    drive = 1j * omega
-    free = -(poles.vectors.T @ forces) / (drive[:, None, :] - poles.values[:, None])
+        mixed = [(forced.conj().mT @ _times(region, forced)) * same for region in regions]
+        return np.stack([_real_form(np.zeros_like(product), product) for product in mixed], axis=1)
+    poles, burst = make_poles(plate, window.end), plate.scene.drive.burst
+    if burst is None:
+        motion = _of_tones(plate, poles, forces, omega, quantity, window)
+        return np.stack([_real_form(*motion.products(region, window)) for region in regions], axis=1)
+    delay = actuator_delays(plate.scene)[None] if delay is None else delay
+    designs = max(len(forces), len(frequency), len(delay))
+    rows = [np.broadcast_to(array, (designs, *array.shape[1:])) for array in (forces, frequency, delay)]
+    matrices = []
+    for force, tones, starts in zip(*rows, strict=True):
+        loads = [envelope.times_tones(tones) for envelope in envelopes(burst, starts, window.end)]
+        matrices.append(_of_loads(poles, regions, force, loads, quantity, window))
+    return np.stack(matrices)
+
+
+def _of_tones(
+    plate: ModalPlate, poles: Poles, forces: np.ndarray, omega: np.ndarray, quantity: str, window: Window
+) -> _Motion:
+    """Return the motion under tones from t = 0 on."""
+    forced, drive = _forced(plate, forces, omega), 1j * omega
+    free = -(poles.inputs @ forces) / (drive[:, None, :] - poles.values[:, None])
     if quantity == "velocity":
-        free *= poles.values[:, None]
+        forced, free = forced * drive[:, None, :], free * poles.values[:, None]
     kept = _lasting(poles, free, forced, window)
-    motion = _Motion(forced, drive, poles.vectors[:, kept], poles.values[kept], free[:, kept])
-    return np.stack([real_form(*motion.products(region, window)) for region in regions], axis=1)
+    return _Motion(forced, drive, poles.part(kept), free[:, kept])
+
+
+def _of_loads(
+    poles: Poles,
+    regions: Sequence[np.ndarray],
+    forces: np.ndarray,
+    loads: Sequence[ExponentialLoads],
+    quantity: str,
+    window: Window,
+) -> np.ndarray:
+    """Return (regions, 2M, 2M) matrices of one design, by the intervals of its loads."""
+    poles = poles_apart(poles, np.concatenate([load.rates.ravel() for load in loads]), window.end)
+    gains, state = poles.inputs @ forces, np.zeros((poles.values.size, forces.shape[1]), dtype=complex)
+    sums: list[np.ndarray] = [np.zeros((2, *2 * forces.shape[1:])) for _ in regions]
+    for load in loads:
+        follow = forced_states(poles, load)
+        if load.end > window.start:
+            part = Window(start=max(window.start - load.start, 0.0), end=min(load.end, window.end) - load.start)
+            free, forced = gains * (state - follow.sum(axis=2)), gains[:, :, None] * follow
+            if quantity == "velocity":
+                free, forced = free * poles.values[:, None], forced * load.rates
+            forced = (poles.vectors @ forced.reshape(len(gains), -1))[None]
+            kept = _lasting(poles, free[None], forced, part)
+            motion = _Motion(forced, load.rates.reshape(1, -1), poles.part(kept), free[None, kept])
+            share = (part.end - part.start) / (window.end - window.start)
+            for index, region in enumerate(regions):
+                sums[index] = sums[index] + share * np.concatenate(motion.products(region, part))
+        state = next_state(poles, load, state, follow)
+    return np.stack([_real_form(*pair) for pair in sums])
 
 
 @dataclass(frozen=True)
 class _Motion:
     """Rates of the modes under unit phasors."""
 
-    forced: np.ndarray  # (designs, modes, M) amplitudes A
-    drive: np.ndarray  # (designs, M) iω [1/s]
-    shapes: np.ndarray  # (modes, poles) ψ
-    poles: np.ndarray  # (poles,) s [1/s]
+    forced: np.ndarray  # (designs, modes, M · terms) amplitudes A
+    drive: np.ndarray  # (designs, M · terms) exponents iω [1/s]
+    poles: Poles  # those that count
     free: np.ndarray  # (designs, poles, M) amplitudes c
 
     def products(self, region: np.ndarray, window: Window) -> tuple[np.ndarray, np.ndarray]:
         """Return (designs, M, M) means of v_kᵀ G v_l and of v̄_kᵀ G v_l."""
-        forced, free, drive, poles = times(region, self.forced), self.free, self.drive, self.poles
-        shapes = times(region, self.shapes)
-        left = (self.forced, drive, self.shapes, poles, free)
-        means = []
-        for a, turn, psi, decay, c in (left, [array.conj() for array in left]):
+        forced, free, drive, poles = _times(region, self.forced), self.free, self.drive, self.poles
+        shapes, means = poles.moved(region), []
+        left = (self.forced, drive, poles.values, free)
+        for conjugate, (a, turn, decay, c) in enumerate((left, [array.conj() for array in left])):
             first, other = turn[:, :, None], decay[:, None]
+            inner, outer = (poles.pressed(columns, bool(conjugate)) for columns in (shapes, forced))
             means.append(
-                (a.mT @ forced) * mean_exponential(first, drive[:, None, :], window)
-                + ((a.mT @ shapes) * mean_exponential(first, poles, window)) @ free
-                + c.mT @ ((psi.T @ forced) * mean_exponential(other, drive[:, None, :], window))
-                + c.mT @ (((psi.T @ shapes) * mean_exponential(other, poles, window)) @ free)
+                self._by_actuator(self._by_actuator((a.mT @ forced) * _mean(first, drive[:, None, :], window)).mT).mT
+                + self._by_actuator(((a.mT @ shapes) * _mean(first, poles.values, window)) @ free)
+                + self._by_actuator((c.mT @ (outer * _mean(other, drive[:, None, :], window))).mT).mT
+                + c.mT @ ((inner * _mean(other, poles.values, window)) @ free)
             )
         return means[0], means[1]
+
+    def _by_actuator(self, rows: np.ndarray) -> np.ndarray:
+        """Return (designs, M, columns) sums of rows over the terms of each actuator."""
+        designs, _, columns = rows.shape
+        return np.asarray(rows.reshape(designs, self.free.shape[2], -1, columns).sum(axis=2))
 
 
 def _forced(plate: ModalPlate, forces: np.ndarray, omega: np.ndarray) -> np.ndarray:
@@ -103,7 +158,7 @@ def _forced(plate: ModalPlate, forces: np.ndarray, omega: np.ndarray) -> np.ndar
     return forced
 
 
-def times(region: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _times(region: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the product of a real matrix and complex columns, in real arithmetic."""
     return np.asarray((region @ values.real) + 1j * (region @ values.imag))
 
@@ -111,13 +166,15 @@ def times(region: np.ndarray, values: np.ndarray) -> np.ndarray:
 def _lasting(poles: Poles, free: np.ndarray, forced: np.ndarray, window: Window) -> np.ndarray:
     """Return the indices of the poles whose free motion counts after the start of the window."""
     decay = np.exp(poles.values.real * window.start)[:, None] * np.linalg.norm(poles.vectors, axis=0)[:, None]
-    largest = np.sqrt((np.abs(forced) ** 2).sum(axis=1, keepdims=True))
-    energy = (np.abs(free * decay / np.where(largest > 0, largest, 1)) ** 2).max(axis=(0, 2))
+    size = np.abs(free * decay) ** 2
+    of_terms = (np.abs(forced) ** 2).sum(axis=1).reshape(len(forced), free.shape[2], -1)
+    largest = of_terms.max(axis=2)[:, None] + size.sum(axis=1, keepdims=True)
+    energy = (size / np.where(largest > 0, largest, 1)).max(axis=(0, 2))
     order = np.argsort(energy)
     return np.sort(order[np.cumsum(energy[order]) > NEGLIGIBLE])
 
 
-def mean_exponential(first: np.ndarray, second: np.ndarray, window: Window) -> np.ndarray:
+def _mean(first: np.ndarray, second: np.ndarray, window: Window) -> np.ndarray:
     """Return the means of exp((first + second) t) over the window, broadcast."""
     turn = (first + second) * (window.end - window.start)
     early = np.exp(first * window.start) * np.exp(second * window.start)
@@ -130,7 +187,7 @@ def mean_exponential(first: np.ndarray, second: np.ndarray, window: Window) -> n
     return np.asarray(mean)
 
 
-def real_form(plain: np.ndarray, mixed: np.ndarray) -> np.ndarray:
+def _real_form(plain: np.ndarray, mixed: np.ndarray) -> np.ndarray:
     """Return ½ of the means (..., 2M, 2M) of products of Re v and Im v, from means of v_k v_l and of v̄_k v_l."""
     real, imaginary = (mixed + plain).real / 4, (mixed - plain).real / 4
     cross = (mixed + plain).imag / 4

@@ -33,8 +33,9 @@ MOST_INTERVALS = 400
 DENSE, REACH = 1500, 4.0
 # Frequencies below this part of √(D/ρH)(π/longer side)² are those of rigid motions.
 STILL = 1e-4
-# Off-diagonal damping below this part of the diagonal's is rounding.
-PROPORTIONAL = 1e-9
+# Damping that couples two modes by less than this part of their own has no effect; by less than the other of the
+# largest of all modes, it is rounding.
+PROPORTIONAL, ROUNDING = 1e-6, 1e-13
 
 
 @dataclass(frozen=True)
@@ -284,7 +285,7 @@ def _wave_frequency(scene: Scene, half_waves: float) -> float:
 def _diagonal(matrix: np.ndarray) -> bool:
     size = np.sqrt(np.abs(np.diag(matrix)))
     off = np.abs(matrix - np.diag(np.diag(matrix)))
-    return bool(np.all(off <= PROPORTIONAL * size.max() ** 2)) if size.size else True
+    return bool(np.all(off <= PROPORTIONAL * np.outer(size, size) + ROUNDING * size.max(initial=0.0) ** 2))
 
 
 def _buckled(scene: Scene) -> SceneError:

@@ -2,19 +2,20 @@
 
 The transfer matrix of viscously damped modes is a sum over the poles s of free motions ψ exp(st),
 
-    (σ² + σC + Λ)⁻¹ = Σ_p ψ_p ψ_pᵀ / (σ − s_p),     (s² + sC + Λ) ψ = 0,     ψᵀ (2s + C) ψ = 1,
+    (σ² + σC + Λ)⁻¹ = Σ_p ψ_p χ_p / (σ − s_p),     (s² + sC + Λ) ψ = 0,
 
 so that a load f exp(σt) switched on at t = 0 at a plate at rest moves it by
 
-    q(t) = Σ_p ψ_p (ψ_pᵀ f) (exp(σt) − exp(s_p t)) / (σ − s_p).
+    q(t) = Σ_p ψ_p (χ_p f) (exp(σt) − exp(s_p t)) / (σ − s_p).
 
-Proportional damping leaves two poles to each mode, s = −γ ± √(γ² − ω²). Other damping takes the eigenvectors of the
-reduced system [q, q̇] (F. Tisseur and K. Meerbergen, SIAM Rev. 43, 2001, pp. 235-286).
+Proportional damping leaves two poles to each mode, s = −γ ± √(γ² − ω²), and χ = ψᵀ with ψᵀ (2s + C) ψ = 1. Other
+damping takes the eigenvectors of the reduced system [q, q̇], and the rows χ of their inverse (F. Tisseur and
+K. Meerbergen, SIAM Rev. 43, 2001, pp. 235-286).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -34,11 +35,38 @@ class Poles:
 
     Attributes:
         values: (poles,) s [1/s].
-        vectors: (modes, poles) ψ [√s], normalised as above.
+        vectors: (modes, poles) free motions ψ.
+        inputs: (poles, modes) χ, by which forces excite them.
+        modes: (poles,) index of the only mode of each free motion; None if damping couples modes.
     """
 
     values: np.ndarray
     vectors: np.ndarray
+    inputs: np.ndarray
+    modes: np.ndarray | None
+
+    def part(self, indices: np.ndarray) -> Poles:
+        """Return some of the poles."""
+        modes = None if self.modes is None else self.modes[indices]
+        return Poles(self.values[indices], self.vectors[:, indices], self.inputs[indices], modes)
+
+    def moved(self, matrix: np.ndarray) -> np.ndarray:
+        """Return the product of a real matrix (rows, modes) and the free motions."""
+        if self.modes is None:
+            return np.asarray(matrix @ self.vectors.real + 1j * (matrix @ self.vectors.imag))
+        return matrix[:, self.modes] * self._sizes
+
+    def pressed(self, columns: np.ndarray, conjugate: bool = False) -> np.ndarray:
+        """Return ψᵀ columns (..., poles, columns), or ψ̄ᵀ columns, of columns (..., modes, columns)."""
+        if self.modes is None:
+            return np.asarray((self.vectors.conj() if conjugate else self.vectors).T @ columns)
+        sizes = self._sizes.conj() if conjugate else self._sizes
+        return np.asarray(columns[..., self.modes, :] * sizes[:, None])
+
+    @property
+    def _sizes(self) -> np.ndarray:
+        assert self.modes is not None
+        return self.vectors[self.modes, np.arange(self.values.size)]
 
 
 def make_poles(plate: ModalPlate, longest: float) -> Poles:
@@ -55,20 +83,34 @@ def make_poles(plate: ModalPlate, longest: float) -> Poles:
     rest = np.arange(coupled, square.size)
     for column, sign in enumerate((1, -1)):
         vectors[rest, column * rest.size + rest - coupled] = 1 / np.sqrt(sign * 2 * split[coupled:])
+    inputs = vectors.T
     if coupled:
-        more, shapes = _coupled_poles(square[:coupled], plate.damping[:coupled, :coupled])
+        more, shapes, gains = _coupled_poles(square[:coupled], plate.damping[:coupled, :coupled])
         values = np.concatenate([values, more])
-        shapes = np.concatenate([shapes, np.zeros((rest.size, more.size))])
-        vectors = np.concatenate([vectors, shapes], axis=1)
-    return Poles(values, vectors)
+        vectors = np.hstack([vectors, np.vstack([shapes, np.zeros((rest.size, more.size))])])
+        inputs = np.vstack([inputs, np.hstack([gains, np.zeros((more.size, rest.size))])])
+    modes = None if coupled else np.tile(rest, 2)
+    return Poles(values, vectors, inputs, modes)
 
 
-def _coupled_poles(square: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return all poles (2 modes,) and their vectors (modes, 2 modes) of modes that damping couples."""
+def poles_apart(poles: Poles, rates: np.ndarray, longest: float) -> Poles:
+    """Return the poles with those that meet exponents ``rates`` [1/s] of the load moved by the same small amount.
+
+    An undamped mode that is driven at its natural frequency grows with time, as the difference of two exponentials
+    that are nearly the same.
+    """
+    least, values = APART / longest, poles.values.copy()
+    for rate in np.unique(rates):
+        values[np.abs(values - rate) < least] -= least
+    return replace(poles, values=values)
+
+
+def _coupled_poles(square: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return all poles (2 modes,), their motions (modes, 2 modes) and inputs of modes that damping couples."""
     count, unit = square.size, np.sqrt(square)
     # Unknowns ω q and q̇, which are of one size.
     system = np.block([[np.zeros((count, count)), np.diag(unit)], [-np.diag(unit), -damping]])
     values, vectors = scipy.linalg.eig(system)
-    shapes = vectors[:count] / unit[:, None]
-    norms = 2 * values * (shapes**2).sum(axis=0) + np.einsum("rp,rs,sp->p", shapes, damping, shapes, optimize=True)
-    return values, shapes / np.sqrt(norms)
+    # Motions of poles that coincide, as on a square plate, are not orthogonal in pairs; the inverse is right for them.
+    inputs = np.linalg.inv(vectors)[:, count:]
+    return values, vectors[:count] / unit[:, None], inputs

@@ -1,0 +1,205 @@
+"""Motion and energies of the modal plate under drives that are switched, against closed forms and time steps.
+
+Under a tone that is switched on at t = 0 a mode of the supported plate moves as ``series.damped_motion``. Bursts are
+sums of tones that are switched on and off at their corners.
+"""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from conftest import scene_of
+
+from warp_plate import PlateSolver
+from warp_plate.modal.energy import gram_matrices
+from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.motion import fields, trace, unit_motion
+from warp_plate.optimize.quadratic import quadratic_forms
+from warp_plate.plate.signals import actuator_delays, actuator_frequencies
+from warp_plate.reference import series
+from warp_plate.solve.response import measure_response
+
+SUPPORTED = ("supported",) * 4
+BURST = {"start": 0.002, "duration": 0.005, "ramp": 0.0015, "period": 0.006}
+MODES = 6
+
+
+def actuators_of(frequencies=(None,) * 3, delays=(None,) * 3):
+    """Return the actuators of ``scene_of`` with frequencies [Hz] and delays [s]."""
+    plain = scene_of().actuators
+    rows = zip(plain, frequencies, delays, strict=True)
+    return [{**actuator.model_dump(), "frequency": tone, "delay": delay} for actuator, tone, delay in rows]
+
+
+def bursts(edges=SUPPORTED, window=(0.004, 0.012), burst=BURST, delays=(None, 0.0, 0.0031), **tables):
+    """Return a scene of three bursts of different frequencies and delays."""
+    drive = {"frequency": 290.0, "burst": burst}
+    actuators = actuators_of((None, 210.0, 333.0), delays)
+    return scene_of(edges=edges, damping=60.0, window=window, **{"drive": drive, **tables}).with_tables(
+        actuators=actuators
+    )
+
+
+def switched_terms(scene, actuator):
+    """Yield (moment [s], frequency [Hz], complex weight) of tones that, switched on together, are its load."""
+    burst, start = scene.drive.burst, actuator_delays(scene)[actuator]
+    frequency, half = actuator_frequencies(scene)[actuator], 0.5 / burst.ramp if burst.ramp else 0.0
+    while start < scene.window.end:
+        feet = (start, 1), (start + burst.ramp, -1), (start + burst.duration - burst.ramp, 1)
+        for index, (moment, sign) in enumerate((*feet, (start + burst.duration, -1)) if burst.ramp else ()):
+            foot = start if index < 2 else start + burst.duration
+            for weight, shift in ((0.5, 0.0), (-0.25, half), (-0.25, -half)):
+                turn = frequency * moment + shift * (moment - foot)
+                yield moment, frequency + shift, sign * weight * np.exp(2j * math.pi * turn)
+        for moment, sign in ((start + burst.ramp, 1), (start + burst.duration - burst.ramp, -1)):
+            yield moment, frequency, sign * np.exp(2j * math.pi * frequency * moment)
+        start += burst.period or math.inf
+
+
+def amplitudes(plate, actuator, phasor, times, derivative=0):
+    """Return (modes, times) amplitudes q or q̇ of all modes as sums of ``damped_motion``."""
+    force, rate, total = plate.actuator_forces()[:, [actuator]], np.diag(plate.damping)[0], 0.0
+    assert np.allclose(np.diag(plate.damping), rate)  # viscous damping of a uniform plate
+    for moment, frequency, weight in switched_terms(plate.scene, actuator):
+        since = np.maximum(times - moment, 0)
+        motion = series.damped_motion(
+            since, plate.angular_frequencies[:, None] ** 2, 1.0, rate, force * phasor * weight, frequency, derivative
+        )
+        total = total + np.where(times > moment, motion, 0)
+    return total
+
+
+@pytest.mark.parametrize(
+    "burst",
+    [BURST, {**BURST, "period": None, "ramp": 0.0}, {**BURST, "duration": 0.003}, {**BURST, "period": 0.005}],
+    ids=["ramps", "switched", "no plateau", "without pause"],
+)
+def test_bursts_move_modes_as_tones_that_are_switched(burst):
+    """Times include the corners of bursts and the ends of the run, in no order."""
+    plate = solve_modes(bursts(burst=burst))
+    times = np.concatenate([np.linspace(0, 0.012, 40), [0.002, 0.0035, 0.0055, 0.007, 0.0031]])
+    times = np.random.default_rng(1).permutation(times)
+    motion = unit_motion(plate, np.eye(len(plate.frequencies))[:MODES], times)
+    for actuator, phasor in enumerate((1.0, -1j, 0.4 + 0.3j)):
+        exact = amplitudes(plate, actuator, phasor, times)[:MODES]
+        moved = (phasor * motion[:, actuator]).real
+        assert np.allclose(moved, exact, rtol=0, atol=1e-9 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize(
+    ("window", "quantity"),
+    [((0.002, 0.007), "velocity"), ((0.0035, 0.0091), "displacement"), ((0.0, 0.008), "velocity")],
+)
+def test_gram_matrices_are_means_of_products(window, quantity):
+    """Windows begin and end at corners of bursts; of any symmetric matrix G, ½ mean of q̇ᵀ G q̇ is zᵀ matrix z."""
+    scene = bursts(window=window, burst={**BURST, "ramp": 0.0} if window[0] else BURST)
+    plate, random = solve_modes(scene), np.random.default_rng(2)
+    root = random.normal(size=(len(plate.frequencies), 3)) / (1 + plate.frequencies[:, None] / 300) ** 2
+    region, phasors = root @ root.T, random.normal(size=(3, 2)) @ [1, 1j]
+    matrix = gram_matrices(
+        plate, [region], plate.actuator_forces()[None], actuator_frequencies(scene)[None], scene.window, quantity
+    )[0]
+    points, weights = np.polynomial.legendre.leggauss(8)
+    corners = {moment for actuator in range(3) for moment, _, _ in switched_terms(scene, actuator)}
+    cuts = sorted({*window, *(moment for moment in corners if window[0] < moment < window[1])})
+    breaks = np.unique(np.concatenate([np.linspace(early, late, 40) for early, late in pairwise(cuts)]))
+    half = np.diff(breaks)[:, None] / 2
+    times = (breaks[:-1, None] + half * (1 + points)).ravel()
+    rates = sum(amplitudes(plate, k, phasors[k], times, int(quantity == "velocity")) for k in range(3))
+    mean = ((root.T @ rates) ** 2).sum(axis=0) @ (half * weights).ravel() / (window[1] - window[0])
+    assert quadratic_forms(matrix, phasors[None])[0, 0] == pytest.approx(mean / 2, rel=1e-5)
+
+
+def test_designs_have_their_own_frequencies_delays_and_places():
+    """A batch holds what the scenes of its designs have alone."""
+    scene = bursts(burst={**BURST, "ramp": 0.0, "period": None})
+    plate, random = solve_modes(scene, highest=400.0), np.random.default_rng(3)
+    regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
+    tones, delays = random.uniform(150, 400, (2, 3)), random.uniform(0, 0.004, (2, 3))
+    forces = np.stack([plate.actuator_forces(), plate.actuator_forces()[:, ::-1]])
+    batch = gram_matrices(plate, regions, forces, tones, scene.window, delay=delays)
+    for design, matrices in enumerate(batch):
+        rows = actuators_of(tones[design].tolist(), delays[design].tolist())
+        alone = solve_modes(scene.with_tables(actuators=rows), highest=400.0)
+        force, tone = forces[[design]], actuator_frequencies(alone.scene)[None]
+        assert np.allclose(matrices, gram_matrices(alone, regions, force, tone, scene.window)[0], rtol=1e-12, atol=0)
+
+
+def test_undamped_mode_at_resonance_grows():
+    """Switched on at its natural frequency ω, q = f t sin(ωt) / 2ω, beside terms that stay as they are."""
+    scene = scene_of(edges=SUPPORTED, damping=None)
+    plate = solve_modes(scene)
+    scene = scene.with_tables(drive={"frequency": float(plate.frequencies[0])})
+    plate = solve_modes(scene)
+    times = np.linspace(0, 0.5, 7)
+    omega = plate.angular_frequencies[0]
+    exact = plate.actuator_forces()[0, 1] * times * np.sin(omega * times) / (2 * omega)
+    motion = unit_motion(plate, np.eye(len(plate.frequencies))[:1], times)[0, 1].real
+    assert np.allclose(motion, exact, rtol=0, atol=1e-4 * np.abs(exact).max())
+
+
+def test_coupled_modes_obey_their_equation():
+    """q̈ + C q̇ + Λ q = f, with second differences in time, of a plate with a damper on a patch."""
+    held = [{"area": (0.02, 0.06, 0.1, 0.15), "mass": 0.004, "stiffness": 500.0, "damping": 3.0}]
+    plate = solve_modes(bursts(edges=("clamped", "free", "supported", "free"), effects={"oscillators": held}))
+    assert not plate.proportional
+    step, at = 2e-6, 0.0034  # in a rise, on a plateau, in a rise
+    motion = unit_motion(plate, np.eye(len(plate.frequencies))[:40], at + step * np.array([-1.0, 0.0, 1.0]))
+    acceleration = (motion[..., 2] - 2 * motion[..., 1] + motion[..., 0]) / step**2
+    rest = unit_motion(plate, np.eye(len(plate.frequencies)), at + step * np.array([-1.0, 0.0, 1.0]))
+    left = acceleration + plate.damping[:40] @ ((rest[..., 2] - rest[..., 0]) / (2 * step))
+    left += plate.angular_frequencies[:40, None] ** 2 * motion[..., 1]
+    since = at - actuator_delays(plate.scene)
+    ramp, turns = BURST["ramp"], 2j * math.pi * actuator_frequencies(plate.scene) * at
+    shape = np.where(since < ramp, 0.5 - 0.5 * np.cos(math.pi * since / ramp), 1.0)
+    right = plate.actuator_forces()[:40] * shape * np.exp(turns)
+    assert np.allclose(left[:8], right[:8], rtol=0, atol=1e-3 * np.abs(right[:8]).max())
+
+
+def test_fields_hold_traces():
+    plate = solve_modes(bursts(), highest=100.0)
+    x, y, times, drives = np.array([0.05, 0.12]), np.array([0.03, 0.1, 0.15]), [0.011, 0.004], np.array([[1, 1j, -2]])
+    points = [(0.12, 0.03), (0.05, 0.15)]
+    moved = fields(plate, drives, times, x, y)
+    assert moved.shape == (1, 2, 3, 2)
+    expected = np.stack([moved[0, :, 0, 1], moved[0, :, 2, 0]])
+    assert np.allclose(trace(plate, drives, points, times)[0], expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_steady_motion_has_the_amplitude_of_late_motion():
+    """A loss factor η of all modes at resonance is viscous damping of ratio η/2."""
+    scene = scene_of(edges=SUPPORTED)
+    frequency = float(solve_modes(scene).frequencies[0])
+    one = {"drive": {"frequency": frequency}, "actuators": actuators_of()[:1]}
+    steady = solve_modes(scene.with_tables(effects={"loss_factor": {"eta": 0.1}}, **one))
+    late = solve_modes(scene.with_tables(effects={"modal_damping": {"ratio": 0.05}}, **one))
+    times, mode = 12.0 + np.linspace(0, 1 / frequency, 5), np.eye(len(steady.frequencies))[:1]
+    assert np.allclose(unit_motion(steady, mode, times), unit_motion(late, mode, times), rtol=1e-7, atol=0)
+
+
+TONE = {"drive": {"frequency": 290.0}}
+SMOOTH = {"drive": {"frequency": 290.0, "burst": {"start": 0.001, "duration": 0.008, "ramp": 0.002}}}
+
+
+@pytest.mark.parametrize(("tables", "bound"), [(TONE, 0.02), (SMOOTH, 0.005)], ids=["tone", "burst"])
+@pytest.mark.parametrize("nodes", [(21, 41), pytest.param((41, 81), marks=pytest.mark.slow)])
+def test_stepping_converges_to_the_motion(tables, bound, nodes):
+    """Fourth order: twice the nodes leave a sixteenth of the error; a tenth is asked of traces and energies."""
+    phasors, points = np.array([[1, 0.5 - 0.5j, -0.8j]]), [(0.05, 0.1), (0.15, 0.06)]
+    scene = scene_of(damping=88.0, window=(0.004, 0.014), **tables)
+    plate, errors = solve_modes(scene), []
+    regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
+    frequency = actuator_frequencies(scene)[None]
+    matrices = gram_matrices(plate, regions, plate.actuator_forces()[None], frequency, scene.window)[0]
+    for count in nodes:
+        grid = {"nodes": (count, count), "order": 4, "load": "moments", "precision": "float64"}
+        solver = PlateSolver(scene.with_tables(grid=grid), "cpu")
+        run = solver.run(phasors, points=points)
+        moved = trace(plate, phasors, points, run.trace_times)
+        stepped = measure_response(solver).matrices
+        of_trace = np.abs(moved - run.trace).max() / np.abs(moved).max()
+        errors.append((of_trace, np.abs(stepped - matrices).max() / matrices.max()))
+    assert max(errors[1]) < bound
+    assert errors[1][0] < errors[0][0] / 8
+    assert errors[1][1] < errors[0][1] / 8
