@@ -17,15 +17,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warp_plate.modal.loads import ExponentialLoads, envelopes
+from warp_plate.modal.loads import ExponentialLoads, has_exponential_loads
 from warp_plate.modal.modes import ModalPlate
-from warp_plate.modal.poles import Poles, make_poles, poles_apart
+from warp_plate.modal.motion import Excitation, make_excitation, with_moving_load
+from warp_plate.modal.poles import Poles, make_poles
+from warp_plate.modal.quadrature import by_quadrature
 from warp_plate.modal.transient import forced_states, next_state
-from warp_plate.plate.signals import actuator_delays
+from warp_plate.optimize.quadratic import quadratic_forms
+from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.scene.model import Window
 
 # Free motions whose energies together are below this part of all motion's are left out.
@@ -57,27 +60,21 @@ def gram_matrices(
     if window is None:
         forced = _forced(plate, forces, omega) * (1j * omega[:, None, :] if quantity == "velocity" else 1)
         same = omega[:, :, None] == omega[:, None, :]
-        mixed = [(forced.conj().mT @ _times(region, forced)) * same for region in regions]
-        return np.stack([_real_form(np.zeros_like(product), product) for product in mixed], axis=1)
-    poles, burst = make_poles(plate, window.end), plate.scene.drive.burst
-    if burst is None:
-        motion = _of_tones(plate, poles, forces, omega, quantity, window)
-        return np.stack([_real_form(*motion.products(region, window)) for region in regions], axis=1)
+        mixed = [(forced.conj().mT @ times(region, forced)) * same for region in regions]
+        return np.stack([real_form(np.zeros_like(product), product) for product in mixed], axis=1)
+    if plate.scene.drive.burst is None and has_exponential_loads(plate.scene):
+        motion = _of_tones(plate, forces, omega, quantity, window)
+        return np.stack([real_form(*motion.products(region, window)) for region in regions], axis=1)
     delay = actuator_delays(plate.scene)[None] if delay is None else delay
     designs = max(len(forces), len(frequency), len(delay))
     rows = [np.broadcast_to(array, (designs, *array.shape[1:])) for array in (forces, frequency, delay)]
-    matrices = []
-    for force, tones, starts in zip(*rows, strict=True):
-        loads = [envelope.times_tones(tones) for envelope in envelopes(burst, starts, window.end)]
-        matrices.append(_of_loads(poles, regions, force, loads, quantity, window))
-    return np.stack(matrices)
+    excitations = (make_excitation(plate, window.end, *row) for row in zip(*rows, strict=True))
+    return np.stack([_of_excitation(each, regions, window, quantity) for each in excitations])
 
 
-def _of_tones(
-    plate: ModalPlate, poles: Poles, forces: np.ndarray, omega: np.ndarray, quantity: str, window: Window
-) -> _Motion:
+def _of_tones(plate: ModalPlate, forces: np.ndarray, omega: np.ndarray, quantity: str, window: Window) -> _Motion:
     """Return the motion under tones from t = 0 on."""
-    forced, drive = _forced(plate, forces, omega), 1j * omega
+    poles, forced, drive = make_poles(plate, window.end), _forced(plate, forces, omega), 1j * omega
     free = -(poles.inputs @ forces) / (drive[:, None, :] - poles.values[:, None])
     if quantity == "velocity":
         forced, free = forced * drive[:, None, :], free * poles.values[:, None]
@@ -85,19 +82,30 @@ def _of_tones(
     return _Motion(forced, drive, poles.part(kept), free[:, kept])
 
 
-def _of_loads(
-    poles: Poles,
-    regions: Sequence[np.ndarray],
-    forces: np.ndarray,
-    loads: Sequence[ExponentialLoads],
-    quantity: str,
-    window: Window,
+def energies(
+    plate: ModalPlate, regions: Sequence[np.ndarray], drives: np.ndarray, quantity: str = "velocity"
 ) -> np.ndarray:
+    """Return mean energies (drives, regions) [J] under phasors (drives, actuators), over the scene's window or steady.
+
+    A moving load presses beside the actuators. See :func:`gram_matrices`.
+    """
+    scene, window = plate.scene, plate.scene.window
+    if scene.effects.moving_load is None:
+        forces, frequency = plate.actuator_forces()[None], actuator_frequencies(scene)[None]
+        matrices = gram_matrices(plate, regions, forces, frequency, None if scene.steady else window, quantity)[0]
+    else:
+        matrices = by_quadrature(make_excitation(plate, window.end), regions, window, quantity)
+    return quadratic_forms(matrices, with_moving_load(plate, drives))
+
+
+def _of_excitation(excitation: Excitation, regions: Sequence[np.ndarray], window: Window, quantity: str) -> np.ndarray:
     """Return (regions, 2M, 2M) matrices of one design, by the intervals of its loads."""
-    poles = poles_apart(poles, np.concatenate([load.rates.ravel() for load in loads]), window.end)
-    gains, state = poles.inputs @ forces, np.zeros((poles.values.size, forces.shape[1]), dtype=complex)
-    sums: list[np.ndarray] = [np.zeros((2, *2 * forces.shape[1:])) for _ in regions]
-    for load in loads:
+    poles, gains = excitation.poles, excitation.gains
+    state = np.zeros(gains.shape, dtype=complex)
+    sums: list[np.ndarray] = [np.zeros((2, *2 * gains.shape[1:])) for _ in regions]
+    for load in excitation.loads:
+        if not isinstance(load, ExponentialLoads):
+            return by_quadrature(replace(excitation, moving=()), regions, window, quantity)
         follow = forced_states(poles, load)
         if load.end > window.start:
             part = Window(start=max(window.start - load.start, 0.0), end=min(load.end, window.end) - load.start)
@@ -111,7 +119,7 @@ def _of_loads(
             for index, region in enumerate(regions):
                 sums[index] = sums[index] + share * np.concatenate(motion.products(region, part))
         state = next_state(poles, load, state, follow)
-    return np.stack([_real_form(*pair) for pair in sums])
+    return np.stack([real_form(*pair) for pair in sums])
 
 
 @dataclass(frozen=True)
@@ -125,17 +133,19 @@ class _Motion:
 
     def products(self, region: np.ndarray, window: Window) -> tuple[np.ndarray, np.ndarray]:
         """Return (designs, M, M) means of v_kᵀ G v_l and of v̄_kᵀ G v_l."""
-        forced, free, drive, poles = _times(region, self.forced), self.free, self.drive, self.poles
+        forced, free, drive, poles = times(region, self.forced), self.free, self.drive, self.poles
         shapes, means = poles.moved(region), []
         left = (self.forced, drive, poles.values, free)
         for conjugate, (a, turn, decay, c) in enumerate((left, [array.conj() for array in left])):
             first, other = turn[:, :, None], decay[:, None]
             inner, outer = (poles.pressed(columns, bool(conjugate)) for columns in (shapes, forced))
             means.append(
-                self._by_actuator(self._by_actuator((a.mT @ forced) * _mean(first, drive[:, None, :], window)).mT).mT
-                + self._by_actuator(((a.mT @ shapes) * _mean(first, poles.values, window)) @ free)
-                + self._by_actuator((c.mT @ (outer * _mean(other, drive[:, None, :], window))).mT).mT
-                + c.mT @ ((inner * _mean(other, poles.values, window)) @ free)
+                self._by_actuator(
+                    self._by_actuator((a.mT @ forced) * mean_exponential(first, drive[:, None, :], window)).mT
+                ).mT
+                + self._by_actuator(((a.mT @ shapes) * mean_exponential(first, poles.values, window)) @ free)
+                + self._by_actuator((c.mT @ (outer * mean_exponential(other, drive[:, None, :], window))).mT).mT
+                + c.mT @ ((inner * mean_exponential(other, poles.values, window)) @ free)
             )
         return means[0], means[1]
 
@@ -158,7 +168,7 @@ def _forced(plate: ModalPlate, forces: np.ndarray, omega: np.ndarray) -> np.ndar
     return forced
 
 
-def _times(region: np.ndarray, values: np.ndarray) -> np.ndarray:
+def times(region: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the product of a real matrix and complex columns, in real arithmetic."""
     return np.asarray((region @ values.real) + 1j * (region @ values.imag))
 
@@ -174,7 +184,7 @@ def _lasting(poles: Poles, free: np.ndarray, forced: np.ndarray, window: Window)
     return np.sort(order[np.cumsum(energy[order]) > NEGLIGIBLE])
 
 
-def _mean(first: np.ndarray, second: np.ndarray, window: Window) -> np.ndarray:
+def mean_exponential(first: np.ndarray, second: np.ndarray, window: Window) -> np.ndarray:
     """Return the means of exp((first + second) t) over the window, broadcast."""
     turn = (first + second) * (window.end - window.start)
     early = np.exp(first * window.start) * np.exp(second * window.start)
@@ -187,7 +197,7 @@ def _mean(first: np.ndarray, second: np.ndarray, window: Window) -> np.ndarray:
     return np.asarray(mean)
 
 
-def _real_form(plain: np.ndarray, mixed: np.ndarray) -> np.ndarray:
+def real_form(plain: np.ndarray, mixed: np.ndarray) -> np.ndarray:
     """Return ½ of the means (..., 2M, 2M) of products of Re v and Im v, from means of v_k v_l and of v̄_k v_l."""
     real, imaginary = (mixed + plain).real / 4, (mixed - plain).real / 4
     cross = (mixed + plain).imag / 4

@@ -9,13 +9,14 @@ which responses have closed forms.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from warp_plate.scene.drive import Burst
+from warp_plate.scene.model import Scene
 
 # Moments closer together than this part of the run are the same.
 SAME = 1e-12
@@ -50,14 +51,34 @@ class ExponentialLoads:
         return replace(self, rates=self.rates + rate, weights=self.weights * np.exp(rate * self.start))
 
 
-def envelopes(burst: Burst | None, delay: np.ndarray, end: float) -> list[ExponentialLoads]:
-    """Return the envelopes of bursts that begin at ``delay`` (actuators,) [s], from t = 0 to ``end`` [s]."""
-    if burst is None:
-        return [ExponentialLoads(0.0, end, np.zeros((delay.size, 1), complex), np.ones((delay.size, 1), complex))]
-    corners = {0.0, end, *(corner for start in set(delay.tolist()) for corner in _corners(burst, start, end))}
+def has_exponential_loads(scene: Scene) -> bool:
+    """Return whether the actuators' loads are sums of exponentials: tones and bursts of tones."""
+    return scene.drive.chirp is None and scene.drive.signal is None
+
+
+def exponential_loads(scene: Scene, frequency: np.ndarray, delay: np.ndarray, end: float) -> list[ExponentialLoads]:
+    """Return tones of ``frequency`` (actuators,) [Hz], or bursts of them that begin at ``delay`` (actuators,) [s]."""
+    return [envelope.times_tones(frequency) for envelope in envelopes(scene.drive.burst, delay, end)]
+
+
+def envelopes(burst: Burst | None, delay: np.ndarray, end: float, cuts: Iterable[float] = ()) -> list[ExponentialLoads]:
+    """Return the envelopes of bursts between their corners, from t = 0 to ``end`` [s].
+
+    Args:
+        burst: Burst; None for envelopes of 1.
+        delay: (actuators,) starts of the first bursts [s].
+        end: End of the run [s].
+        cuts: Further times that intervals are cut at [s].
+    """
+    corners = {0.0, end, *cuts}
+    for start in set(delay.tolist()) if burst is not None else ():
+        corners.update(_corners(burst, start, end))
     moments = sorted(corner for corner in corners if 0 <= corner <= end)
     apart = [moments[0], *(late for early, late in pairwise(moments) if late - early > SAME * end)]
     apart[-1] = end
+    if burst is None:
+        one = np.ones((delay.size, 1), complex)
+        return [ExponentialLoads(low, high, 0 * one, one) for low, high in pairwise(apart)]
     return [_envelope(burst, delay, low, high) for low, high in pairwise(apart)]
 
 

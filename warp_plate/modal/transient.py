@@ -12,15 +12,19 @@ before
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from warp_plate.modal.loads import ExponentialLoads
 from warp_plate.modal.poles import Poles
+from warp_plate.modal.sampled import DEGREE, SampledLoads
 
 # Numbers of an array of poles and times, to limit memory.
-BLOCK = 2**20
+BLOCK = 2**18
+# Integrals J(x) come from a series of so many terms up to this |x|.
+SERIES, SERIES_TERMS = 8.0, 40
 
 
 def motion_from_rest(
@@ -65,3 +69,65 @@ def next_state(poles: Poles, load: ExponentialLoads, state: np.ndarray, forced: 
     since = load.end - load.start
     decay = np.exp(poles.values * since)[:, None]
     return np.asarray(decay * (state - forced.sum(axis=2)) + (forced * np.exp(load.rates * since)).sum(axis=2))
+
+
+def motion_of_samples(
+    poles: Poles, gains: np.ndarray, loads: Sequence[SampledLoads], shapes: np.ndarray, times: np.ndarray
+) -> np.ndarray:
+    """Return what :func:`motion_from_rest` does for polynomials on blocks; their rows are 1 or poles."""
+    motion = np.zeros((len(shapes), gains.shape[1], times.size), dtype=complex)
+    state = np.zeros(gains.shape, dtype=complex)
+    bounds = np.searchsorted(times, [load.end for load in loads], side="right")
+    bounds[-1] = times.size
+    for load, first, last in zip(loads, [0, *bounds], bounds, strict=False):
+        block_of = ((times[first:last] - load.start) / load.length).astype(int)
+        for low, starts in _block_starts(poles, load, state):
+            high = low + len(starts) if low + len(starts) < load.coefficients.shape[2] else times.size
+            inside = first + np.arange(*np.searchsorted(block_of, [low, high]))
+            for part in np.array_split(inside, math.ceil(inside.size * poles.values.size / BLOCK) or 1):
+                blocks = np.minimum(block_of[part - first], low + len(starts) - 1)
+                since = times[part] - load.start - blocks * load.length
+                decays, weights = _held(poles.values, since, load.length)
+                states = decays[:, :, None] * starts[blocks - low]
+                states += np.einsum("tpd,pktd->tpk", weights, load.rows(poles.values.size, blocks), optimize=True)
+                motion[:, :, part] = np.einsum("op,tpk->okt", shapes, states * gains, optimize=True)
+    return motion
+
+
+def _block_starts(poles: Poles, load: SampledLoads, state: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield the first of some blocks, and the states (blocks, poles, columns) at their starts; ``state`` is updated."""
+    decay, weights = (held[0] for held in _held(poles.values, np.array([load.length]), load.length))
+    blocks = load.coefficients.shape[2]
+    size = max(1, BLOCK // state.size)
+    for low in range(0, blocks, size):
+        starts = np.empty((min(size, blocks - low), *state.shape), dtype=complex)
+        for block, start in enumerate(starts, low):
+            start[:] = state
+            state *= decay[:, None]
+            state += (weights[:, None] * load.coefficients[:, :, block]).sum(axis=2)
+        yield low, starts
+
+
+def _held(poles: np.ndarray, since: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return exp(sθ) (times, poles) and ∫ exp(s(θ − τ)) (τ/length)^k dτ from 0 to θ (times, poles, DEGREE + 1).
+
+    The integrals are θ (θ/length)^k J_k(sθ) with J_k(x) = ∫ exp(x(1 − v)) v^k dv from 0 to 1, for which
+    x J_k = k J_{k−1} − 1: upwards where x is large, downwards from a series where it is small.
+    """
+    x = poles * since[:, None]
+    decay = np.exp(x)
+    integrals = np.empty((*x.shape, DEGREE + 1), dtype=complex)
+    small = np.abs(x) < SERIES
+    divisor = np.where(small, 1, x)
+    integrals[..., 0] = (decay - 1) / divisor
+    for k in range(1, DEGREE + 1):
+        integrals[..., k] = (k * integrals[..., k - 1] - 1) / divisor
+    near = x[small]
+    total = np.zeros_like(near)
+    for m in range(SERIES_TERMS, -1, -1):  # Σ_m x^m n!/(n + m + 1)!, n the degree
+        total = (1 + near * total) / (DEGREE + m + 1)
+    integrals[small, DEGREE] = total
+    for k in range(DEGREE, 0, -1):
+        total = (1 + near * total) / k
+        integrals[small, k - 1] = total
+    return decay, integrals * (since[:, None] * (since[:, None] / length) ** np.arange(DEGREE + 1))[:, None]

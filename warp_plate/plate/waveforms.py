@@ -40,11 +40,11 @@ def tone(chirp: Chirp | None, frequency: np.ndarray | float, time_step: float, s
     if chirp is None:
         angle = 2 * math.pi * frequency * time_step * np.arange(steps)
     else:
-        angle = _sweep(chirp, np.asarray(frequency), time_step * np.arange(steps))
+        angle = sweep(chirp, np.asarray(frequency), time_step * np.arange(steps))
     return np.cos(angle) + 1j * np.sin(angle)
 
 
-def _sweep(chirp: Chirp, start: np.ndarray, times: np.ndarray) -> np.ndarray:
+def sweep(chirp: Chirp, start: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Return (..., steps) phases [rad] of sweeps from ``start`` (..., 1) or () [Hz], the integrals of 2πf over time."""
     span, end = chirp.duration, chirp.end_frequency
     inside = np.minimum(times, span)
@@ -158,25 +158,32 @@ def resample(samples: Samples, time_step: float, steps: int, band: float = 1.0) 
             f"drive.signal.file: {samples.rate:g} samples a second are {samples.rate * time_step:.3g} for each step of "
             f"{time_step:g} s; at most {MOST_A_STEP} are possible: lower its rate, or write a smaller grid.time_step"
         )
+    return sample_at(samples, time_step * np.arange(steps), min(1.0, band / (samples.rate * time_step)))
+
+
+def sample_at(samples: Samples, times: np.ndarray, band: float = 1.0) -> np.ndarray:
+    """Return (times,) analytic signal at times from 0 on [s], low-passed to ``band`` times its own Nyquist frequency.
+
+    See :func:`resample`.
+    """
     analytic = samples.analytic()
-    lower = min(1.0, band / (samples.rate * time_step))
-    reach = np.arange(-math.ceil(HALF_WIDTH / lower), math.ceil(HALF_WIDTH / lower) + 2)
+    reach = np.arange(-math.ceil(HALF_WIDTH / band), math.ceil(HALF_WIDTH / band) + 2)
     distance = np.linspace(0, HALF_WIDTH, HALF_WIDTH * TABLE_STEPS + 1)
     window = np.i0(BETA * np.sqrt(1 - (distance / HALF_WIDTH) ** 2)) / np.i0(BETA)
-    table = PASSED * lower * np.sinc(PASSED * distance) * window
-    carrier = np.zeros(steps, dtype=complex)
+    table = PASSED * band * np.sinc(PASSED * distance) * window
+    carrier = np.zeros(times.size, dtype=complex)
     block = max(1, BLOCK // reach.size)
-    for first in range(0, steps, block):
-        step = np.arange(first, min(first + block, steps))
-        place = (step * time_step - samples.start) * samples.rate
+    for first in range(0, times.size, block):
+        index_of = np.arange(first, min(first + block, times.size))
+        place = (times[index_of] - samples.start) * samples.rate
         heard = place >= 0 if samples.repeat else (place > reach[0]) & (place < analytic.size + reach[-1])
-        step, place = step[heard], place[heard]
+        index_of, place = index_of[heard], place[heard]
         index = np.floor(place).astype(np.int64)[:, None] + reach
-        weight = np.interp(np.abs(place[:, None] - index) * lower, distance, table, right=0.0)
+        weight = np.interp(np.abs(place[:, None] - index) * band, distance, table, right=0.0)
         if not samples.repeat:
             weight *= (index >= 0) & (index < analytic.size)
         near = analytic[index % analytic.size]
-        carrier[step] = np.einsum("nm,nm->n", near, weight)
+        carrier[index_of] = np.einsum("nm,nm->n", near, weight)
     return carrier
 
 
