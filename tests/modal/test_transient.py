@@ -89,7 +89,7 @@ def test_bursts_move_modes_as_tones_that_are_switched(burst):
 
 @pytest.mark.parametrize(
     ("window", "quantity"),
-    [((0.002, 0.007), "velocity"), ((0.0035, 0.0091), "displacement"), ((0.0, 0.008), "velocity")],
+    [((0.002, 0.007), "velocity"), ((0.0035, 0.0091), "displacement"), ((0.0, 0.004), "velocity")],
 )
 def test_gram_matrices_are_means_of_products(window, quantity):
     """Windows begin and end at corners of bursts; of any symmetric matrix G, ½ mean of q̇ᵀ G q̇ is zᵀ matrix z."""
@@ -113,7 +113,7 @@ def test_gram_matrices_are_means_of_products(window, quantity):
 
 def test_designs_have_their_own_frequencies_delays_and_places():
     """A batch holds what the scenes of its designs have alone."""
-    scene = bursts(burst={**BURST, "ramp": 0.0, "period": None})
+    scene = bursts(burst={**BURST, "ramp": 0.0, "period": None}, window=(0.008, 0.012))
     plate, random = solve_modes(scene, highest=400.0), np.random.default_rng(3)
     regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
     tones, delays = random.uniform(150, 400, (2, 3)), random.uniform(0, 0.004, (2, 3))

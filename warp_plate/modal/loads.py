@@ -71,8 +71,8 @@ def envelopes(burst: Burst | None, delay: np.ndarray, end: float, cuts: Iterable
         cuts: Further times that intervals are cut at [s].
     """
     corners = {0.0, end, *cuts}
-    for start in set(delay.tolist()) if burst is not None else ():
-        corners.update(_corners(burst, start, end))
+    if burst is not None:
+        corners.update(corner for start in delay.tolist() for corner in _corners(burst, start, end))
     moments = sorted(corner for corner in corners if 0 <= corner <= end)
     apart = [moments[0], *(late for early, late in pairwise(moments) if late - early > SAME * end)]
     apart[-1] = end

@@ -38,7 +38,7 @@ def fields(plate: ModalPlate, drives: np.ndarray, times: np.ndarray, x: np.ndarr
     """Return (drives, times, ny, nx) displacement [m] on the grid of x and y [m]; see :func:`trace`."""
     motion = unit_motion(plate, np.eye(len(plate.frequencies)), np.asarray(times, dtype=float))
     amplitudes = np.einsum("da,rat->dtr", with_moving_load(plate, drives), motion, optimize=True).real
-    return np.asarray(np.tensordot(amplitudes, plate.shapes(x, y), axes=1))
+    return plate.displacement(amplitudes, x, y)
 
 
 def unit_motion(plate: ModalPlate, outputs: np.ndarray, times: np.ndarray, velocity: bool = False) -> np.ndarray:

@@ -9,9 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from warp_plate.modal.energy import gram_matrices
+from warp_plate.modal.energy import energies, gram_matrices
 from warp_plate.modal.modes import ModalPlate, solve_modes
-from warp_plate.modal.poles import make_poles
+from warp_plate.modal.motion import fields
+from warp_plate.modal.motion import trace as displacement_at
 from warp_plate.modal.tones import ToneEnergies
 from warp_plate.plate.designs import NO_PER_PLATE, Designs, PerPlate, as_phasors, check_designs
 from warp_plate.plate.discretization import Discretization, discretize
@@ -52,7 +53,8 @@ class ModalSolver:
         compile_seconds: Time that discretizing and solving for the modes took [s].
 
     Raises:
-        SceneError: The scene is not linear, its drive is no tone, or its plate buckles.
+        SceneError: The scene is not linear, its plate buckles, a file is malformed, or more than drives differs between
+            plates whose drive is no tone.
     """
 
     path = MODAL
@@ -70,7 +72,8 @@ class ModalSolver:
         started = time.perf_counter()
         self.device, self.quantity = find_device(device), quantity
         self.discretization = discretize(scene, per_plate) if isinstance(scene, Scene) else scene
-        refuse_no_tone(self.scene)
+        if per_plate != NO_PER_PLATE:
+            refuse_no_tone(self.scene)
         self._areas = areas
         self.plate: ModalPlate = solve_modes(self.scene, highest=_highest_frequency(self.scene))
         self.compile_seconds = time.perf_counter() - started
@@ -125,10 +128,7 @@ class ModalSolver:
         """Return energies, displacements at ``times`` and traces at ``points``, as :meth:`PlateSolver.run` does."""
         designs = drives if isinstance(drives, Designs) else Designs(as_phasors(drives, len(self.scene.actuators)))
         check_designs(designs, self.scene, self.discretization.per_plate, self.scheme.time_step)
-        if designs.only_drives:
-            energy = self.response.energy(designs.drives)
-        else:
-            energy = self._tones.energies(designs.drives, *self._frequency_and_forces(designs))
+        energy = self._energies(designs)
         energy[~np.isfinite(designs.drives).all(axis=1)] = np.nan
         displacement, trace, trace_times = self._records(designs.drives, times, points)
         run = Run(
@@ -145,6 +145,14 @@ class ModalSolver:
         if progress is not None:
             progress(1, 1)
         return run
+
+    def _energies(self, designs: Designs) -> np.ndarray:
+        """Return (plates, regions) energies [J]."""
+        if not self.scene.linear:
+            return energies(self.plate, self._region_matrices, designs.drives, self.quantity)
+        if designs.only_drives:
+            return self.response.energy(designs.drives)
+        return self._tones.energies(designs.drives, *self._frequency_and_forces(designs))
 
     def _frequency_and_forces(self, designs: Designs) -> tuple[np.ndarray, np.ndarray]:
         """Return frequencies (plates, M) [Hz] and modal forces (plates or 1, modes, M) of designs."""
@@ -193,29 +201,11 @@ class ModalSolver:
         """Return displacements (plates, times, ny, nx), traces (plates, points, steps) [m] and their times [s]."""
         scheme = self.scheme
         trace_times = scheme.time_step * np.arange(1, scheme.steps + 1) if len(points) else np.empty(0)
-        displacement = self.plate.displacement(self._amplitudes(phasors, times), *node_positions(self.scene))
+        displacement = fields(self.plate, phasors, np.asarray(times, dtype=float), *node_positions(self.scene))
         trace = np.empty((len(phasors), len(points), trace_times.size))
         if len(points):
-            trace[:] = (self._amplitudes(phasors, trace_times) @ self.plate.at_points(points)).mT
+            trace[:] = displacement_at(self.plate, phasors, points, trace_times)
         return displacement, trace, trace_times
-
-    def _amplitudes(self, phasors: np.ndarray, times: Sequence[float] | np.ndarray) -> np.ndarray:
-        """Return modal amplitudes (plates, times, modes) of phasors (plates, actuators)."""
-        when, omega = np.asarray(times, dtype=float), 2 * np.pi * actuator_frequencies(self.scene)
-        forces = self.plate.actuator_forces()
-        amplitudes = np.zeros((len(phasors), when.size, len(forces)))
-        if not when.size:
-            return amplitudes
-        poles = None if self.scene.steady else make_poles(self.plate, self.scene.window.end)
-        free = np.zeros((0, when.size)) if poles is None else np.exp(np.outer(poles.values, when))
-        for index, turn in enumerate(omega):
-            forced = self.plate.respond(np.array([turn / (2 * np.pi)]), forces[:, [index]])[0]
-            motion = forced * np.exp(1j * turn * when)
-            if poles is not None:
-                start = (poles.vectors.T @ forces[:, index]) / (1j * turn - poles.values)
-                motion -= (poles.vectors * start) @ free
-            amplitudes += (phasors[:, index, None, None] * motion.T).real
-        return amplitudes
 
 
 def make_solver(

@@ -47,6 +47,7 @@ class ToneEnergies:
         self._factors: dict[float, list[np.ndarray]] = {}
         self.poles = np.empty(0, dtype=complex)
         self.shapes = np.empty((len(plate.frequencies), 0), dtype=complex)
+        self.inputs = self.shapes.T
         if window is not None:
             self._prepare_free_motion(window)
 
@@ -76,7 +77,7 @@ class ToneEnergies:
     def _of_block(self, phasors: np.ndarray, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
         drive, free = 2j * math.pi * frequency, None
         if self.window is not None:
-            start = (self.shapes.T @ forces) / (drive[:, None, :] - self.poles[:, None])
+            start = (self.inputs @ forces) / (drive[:, None, :] - self.poles[:, None])
             free = -(start @ phasors[:, :, None])[:, :, 0]
             free = free * self.poles if self.quantity == "velocity" else free
         if (frequency == frequency[:, :1]).all():  # one tone a plate
@@ -124,10 +125,10 @@ class ToneEnergies:
     def _prepare_free_motion(self, window: Window) -> None:
         """Compute what free motions contribute, of those that last into the window."""
         poles = make_poles(self.plate, window.end)
-        loads = np.abs(poles.vectors.T @ self._trial_forces()).max(axis=1)
+        loads = np.abs(poles.inputs @ self._trial_forces()).max(axis=1)
         size = loads * np.linalg.norm(poles.vectors, axis=0) * np.exp(poles.values.real * window.start)
         kept = np.flatnonzero(size**2 > DECAYED * (loads**2 * np.linalg.norm(poles.vectors, axis=0) ** 2).max())
-        self.poles, self.shapes = poles.values[kept], poles.vectors[:, kept]
+        self.poles, self.shapes, self.inputs = poles.values[kept], poles.vectors[:, kept], poles.inputs[kept]
         self._free_pairs = []
         means = [mean_exponential(first[:, None], self.poles, window) for first in (self.poles, self.poles.conj())]
         for region in self.regions:

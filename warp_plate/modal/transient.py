@@ -81,11 +81,11 @@ def motion_of_samples(
     bounds[-1] = times.size
     for load, first, last in zip(loads, [0, *bounds], bounds, strict=False):
         block_of = ((times[first:last] - load.start) / load.length).astype(int)
+        block_of = np.minimum(block_of, load.coefficients.shape[2] - 1)
         for low, starts in _block_starts(poles, load, state):
-            high = low + len(starts) if low + len(starts) < load.coefficients.shape[2] else times.size
-            inside = first + np.arange(*np.searchsorted(block_of, [low, high]))
+            inside = first + np.arange(*np.searchsorted(block_of, [low, low + len(starts)]))
             for part in np.array_split(inside, math.ceil(inside.size * poles.values.size / BLOCK) or 1):
-                blocks = np.minimum(block_of[part - first], low + len(starts) - 1)
+                blocks = block_of[part - first]
                 since = times[part] - load.start - blocks * load.length
                 decays, weights = _held(poles.values, since, load.length)
                 states = decays[:, :, None] * starts[blocks - low]
