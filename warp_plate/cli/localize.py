@@ -204,9 +204,9 @@ def _print(result: Result, console: Console) -> None:
     options.print_failures(result, console, "the best drive so far is shown")
     if result.source == "paper":
         console.print(NOT_REPRODUCED)
-    ways = {"direct": ("plate", ""), "response": ("drive", " on Gram matrices"), "modal": ("drive", " by modes")}
-    unit, way = ways[result.evaluator]
-    output.print_cost(result, console, f"{counted(result.evaluations, unit)} in the search{way}, in all ")
+    in_all = {"direct": ", in all ", "response": " on Gram matrices, in all ", "modal": ", "}
+    unit, way = "plate" if result.evaluator == "direct" else "drive", in_all[result.evaluator]
+    output.print_cost(result, console, f"{counted(result.evaluations, unit)} in the search{way}")
 
 
 def _print_factors(result: Result, console: Console) -> None:
