@@ -1,15 +1,12 @@
-"""Chosen grids keep their accuracy: four different scenes against Ritz's method with many functions."""
+"""Chosen grids keep their accuracy: four different scenes against the modal engine with many functions."""
 
 import numpy as np
 import pytest
 
 from warp_plate import PlateSolver, Scene
 from warp_plate.accuracy.choose import choose
-from warp_plate.accuracy.reference_solution import best_single
+from warp_plate.accuracy.reference_solution import best_single, solve_response
 from warp_plate.plate.weights import localization_factor
-from warp_plate.reference.forced import bound, localization_factors, transient_matrices
-from warp_plate.reference.ritz import solve_modes
-from warp_plate.reference.thin_plate import thin_plate
 from warp_plate.solve.response import measure_response
 
 C, S = "clamped", "supported"
@@ -64,16 +61,15 @@ def test_chosen_grids_keep_their_accuracy(name):
     """The best single actuator, the best drive, equal drive and the bound have at most the error asked for."""
     scene = scene_called(name)
     choice = choose(scene, ASKED, "cpu")
-    matrices = transient_matrices(solve_modes(thin_plate(scene), 40), scene)
-    largest, best = bound(matrices)
-    phasors = np.array([best_single(matrices), best, np.ones(len(scene.actuators))])
-    coarse = localization_factors(transient_matrices(solve_modes(thin_plate(scene), 28), scene), phasors)
-    uncertainty = np.abs(localization_factors(matrices, phasors) - coarse).max()
+    coarse, exact = (solve_response(scene, density)[1] for density in (1.0, 1.3))
+    phasors = np.array([best_single(exact), exact.best_drive(), np.ones(len(scene.actuators))])
+    expected = exact.localization_factors(phasors)
+    uncertainty = np.abs(expected - coarse.localization_factors(phasors)).max()
     assert uncertainty < 0.15 * ASKED
     computed = localization_factor(PlateSolver(choice.scene, "cpu").run(phasors).energy)
     grid = choice.scene.grid.model_copy(update={"precision": "float64"})
     computed_bound = measure_response(PlateSolver(choice.scene.model_copy(update={"grid": grid}), "cpu")).bound()
-    errors = [*np.abs(computed / localization_factors(matrices, phasors) - 1), abs(computed_bound / largest - 1)]
+    errors = [*np.abs(computed / expected - 1), abs(computed_bound / exact.bound() - 1)]
     assert max(errors) < choice.error + uncertainty
     assert choice.error <= ASKED
     assert choice.scene.grid.accuracy is None

@@ -12,8 +12,7 @@ from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.plate.files import digests
 from warp_plate.plate.shapes import cells, clipped, cubics, polygon_weights
 from warp_plate.plate.weights import REGIONS, region_weights
-from warp_plate.reference import forced, ritz, series
-from warp_plate.reference.thin_plate import thin_plate
+from warp_plate.reference import series
 from warp_plate.result.targets import outlines
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.target import Target, area_within
@@ -135,8 +134,6 @@ def test_other_shapes_are_refused_where_they_cannot_be(scene):
     made = scene(edges=("supported",) * 4, target={"disc": (0.1, 0.1, 0.05)})
     with pytest.raises(SceneError, match=r"^target\.disc = \[0\.1, 0\.1, 0\.05\]: .* rectangles only"):
         series.kinetic_energies(made, np.ones(3), terms=2)
-    with pytest.raises(SceneError, match="rectangles only"):
-        forced.transient_matrices(ritz.solve_modes(thin_plate(made), 4), made)
 
 
 NAMED_A = '[[targets]]\nname = "a"\ndisc = [0.1, 0.1, 0.05]'

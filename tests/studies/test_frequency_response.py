@@ -12,8 +12,7 @@ from numpy.polynomial import legendre
 from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.steady import make_steady
 from warp_plate.plate.scene_overrides import scene_phasors
-from warp_plate.reference.series import patch_pressures
-from warp_plate.reference.thin_plate import thin_plate
+from warp_plate.reference.series import patch_pressures, supported_plate
 from warp_plate.result.export.frequency_response import write_csv, write_hdf5, write_uff
 from warp_plate.scene.errors import SceneError
 from warp_plate.studies.frequency_response import compute_frequency_response, default_range
@@ -42,7 +41,7 @@ def supported(scene):
 
 def modal_sums(scene, frequencies, pressures):
     """Return (frequencies, terms, terms) amplitudes Q = Z / (D k⁴ − ρHω² + icω) of the sine modes, n by row."""
-    plate, orders = thin_plate(scene), np.arange(1, pressures.shape[1] + 1) * math.pi
+    plate, orders = supported_plate(scene), np.arange(1, pressures.shape[1] + 1) * math.pi
     squared = (orders / plate.size[0]) ** 2 + (orders[:, None] / plate.size[1]) ** 2
     omega = 2 * math.pi * np.asarray(frequencies)[:, None, None]
     dynamic = plate.rigidity * squared**2 - plate.surface_density * omega**2 + 1j * plate.viscous * omega

@@ -28,7 +28,6 @@ from warp_plate.accuracy.configurations import (
 from warp_plate.accuracy.measure import seconds_of_runs
 from warp_plate.accuracy.reference_solution import ReferenceSolution, find_reference_solution
 from warp_plate.plate.weights import localization_factor
-from warp_plate.reference.forced import bound, localization_factors
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
@@ -97,7 +96,7 @@ class GridSearch:
 
     def attempt(self, configuration: Configuration) -> TrialRun:
         """Return the trial run of a configuration; its error is infinite if the grid is refused."""
-        factors = localization_factors(self.reference.matrices, self.phasors)
+        factors = self.reference.response.localization_factors(self.phasors)
         try:
             return TrialRun(configuration, try_out(self.scene, configuration, self.phasors, factors, self.device))
         except SceneError:  # the grid is too coarse for an actuator
@@ -255,13 +254,13 @@ def try_out(scene: Scene, configuration: Configuration, phasors: np.ndarray, fac
 def _checked(search: GridSearch, trial: TrialRun) -> tuple[Configuration, float]:
     """Return the configuration, refined until the bound keeps the tolerance too, and the largest error of all."""
     reference, configuration, phasors = search.reference, trial.configuration, search.phasors
-    expected = np.append(localization_factors(reference.matrices, phasors), reference.bound)
+    expected = np.append(reference.response.localization_factors(phasors), reference.bound)
     error = math.inf
     for _ in range(TRIALS):
         # The matrices are differences of energies, which float32 would round away.
         solver = PlateSolver(scene_with(search.scene, replace(configuration, precision="float64")), search.device)
-        matrices = measure_response(solver).matrices
-        computed = np.append(localization_factors(matrices, phasors), bound(matrices)[0])
+        response = measure_response(solver)
+        computed = np.append(response.localization_factors(phasors), response.bound())
         error = max(float(np.abs(computed / expected - 1).max()), trial.error) + reference.uncertainty
         if error <= search.tolerance + reference.uncertainty:
             break

@@ -26,9 +26,9 @@ from warp_plate.accuracy.configurations import (
 )
 from warp_plate.accuracy.reference_solution import ReferenceSolution, find_reference_solution
 from warp_plate.plate.scheme import make_scheme
-from warp_plate.reference.forced import localization_factors as factors_of
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
+from warp_plate.solve.response import Response
 
 # Time of the estimate as a fraction of the run's, and its least and greatest value [s].
 TIME_SHARE, LEAST_SECONDS, MOST_SECONDS = 0.08, 0.4, 20.0
@@ -143,19 +143,19 @@ def estimate(
     if not kept.any():
         return Estimate(configuration_of(scene), computed, unknown, math.nan, unknown, "none", 0.0, None, unknown)
 
-    def wanted(matrices: np.ndarray) -> float:
-        difference = np.abs(computed[kept] / factors_of(matrices, phasors[kept]) - 1).max()
+    def wanted(response: Response) -> float:
+        difference = np.abs(computed[kept] / response.localization_factors(phasors[kept]) - 1).max()
         return min(max(GOOD_ENOUGH * float(difference), FINEST_WANTED), FIRST_WANTED)
 
     reference = reference or find_reference_solution(scene, "auto", device, wanted, budget, phasors[kept], only=True)
     references, displacement_errors = unknown.copy(), unknown.copy()
-    references[kept] = factors_of(reference.matrices, phasors[kept])
+    references[kept] = reference.response.localization_factors(phasors[kept])
     differences = np.abs(computed / references - 1)
     largest = float(np.nanmax(differences))
     # A difference within the uncertainty does not allow to extrapolate to smaller errors.
     known = reference.uncertainty < largest
     price = _price(scene, largest, phasors[kept], references[kept], device, budget) if known else None
-    if displacement is not None and reference.modes is not None and len(times):
+    if displacement is not None and reference.plate is not None and len(times):
         for drive, fields in enumerate(displacement):
             displacement_errors[drive] = reference.displacement_error(phasors[drive], times, scene, fields)
     return Estimate(

@@ -24,7 +24,6 @@ from warp_plate.accuracy.reference_solution import ReferenceSolution
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.weights import localization_factor
-from warp_plate.reference.forced import bound as bound_of
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import cpu_threads, find_device
@@ -146,13 +145,14 @@ def _measured(context: MeasurementContext, solver: PlateSolver, row: AccuracyRow
     scene, reference, window = solver.scene, context.reference, solver.scene.window
     times = np.linspace(window.start, window.end, SNAPSHOTS + 1)[1:]
     run = solver.run(np.array(list(reference.drives.values())), times.tolist())
-    matrices = measure_response(solver).matrices if complete else np.zeros(0)
-    if not all(np.isfinite(values).all() for values in (run.energy, run.displacement, matrices)):
+    response = measure_response(solver) if complete else None
+    matrices = [] if response is None else [response.matrices]
+    if not all(np.isfinite(values).all() for values in (run.energy, run.displacement, *matrices)):
         return replace(row, status="unstable")
     factors = localization_factor(run.energy)
     expected = np.array(list(reference.localization_factors.values()))
     error_single, error_best = np.abs(factors / expected - 1).tolist()
-    bound = bound_of(matrices)[0] if complete else None
+    bound = None if response is None else response.bound()
     error_bound = None if bound is None else abs(bound / reference.bound - 1)
     plates = scene.search.particles if complete else context.few_plates
     random = np.random.default_rng(0).normal(size=(2, plates, len(scene.actuators)))
@@ -197,5 +197,12 @@ def _frequency_error(context: MeasurementContext, scene: Scene) -> float | None:
     if key not in context.frequency_errors:
         expected = context.reference.frequencies
         computed = natural_modes(scene, len(expected)).frequencies
-        context.frequency_errors[key] = float(np.abs(computed / expected[: len(computed)] - 1).max())
+        context.frequency_errors[key] = largest_frequency_error(computed, expected)
     return context.frequency_errors[key]
+
+
+def largest_frequency_error(computed: np.ndarray, expected: np.ndarray) -> float:
+    """Return the largest relative error of natural frequencies (modes,) [Hz], rigid motions aside."""
+    right = expected[: len(computed)]
+    moving = right > 0
+    return float(np.abs(computed[moving] / right[moving] - 1).max(initial=0.0))

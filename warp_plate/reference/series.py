@@ -21,17 +21,26 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
 
-from warp_plate.reference.thin_plate import ThinPlate, thin_plate
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 # A span of time in which the fastest v² turns by PANEL_TURN [rad] takes PANEL_POINTS of Gauss's points: exact to
 # rounding.
 PANEL_TURN, PANEL_POINTS = 16.0, 16
+
+
+class ThinPlate(NamedTuple):
+    """A Kirchhoff-Love plate with simply supported edges, ρH ü + c u̇ + D∇⁴u = f."""
+
+    size: tuple[float, float]  # [m]
+    rigidity: float  # D [N·m]
+    surface_density: float  # ρH [kg/m²]
+    viscous: float  # c [N·s/m³]
 
 
 def mode_shape(mode: tuple[int, int], size: tuple[float, float], x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -148,7 +157,7 @@ def kinetic_energies(scene: Scene, drive: np.ndarray, terms: int = 32) -> np.nda
     Raises:
         SceneError: The target is not a rectangle.
     """
-    plate, (width, height), (x0, x1, y0, y1) = _supported_plate(scene), scene.plate.size, scene.target.rectangle()
+    plate, (width, height), (x0, x1, y0, y1) = supported_plate(scene), scene.plate.size, scene.target.rectangle()
     along, across = _sine_products(width, x0, x1, terms), _sine_products(height, y0, y1, terms)
     fastest = math.sqrt(plate.rigidity / plate.surface_density) * wavenumber_squared((terms, terms), plate.size)
     start, end = scene.window.start, scene.window.end
@@ -162,16 +171,32 @@ def kinetic_energies(scene: Scene, drive: np.ndarray, terms: int = 32) -> np.nda
     return 0.5 * plate.surface_density * sums
 
 
-def _supported_plate(scene: Scene) -> ThinPlate:
-    plate = thin_plate(scene)
-    if set(plate.edges) != {"supported"}:
-        raise SceneError(f"edges = {list(plate.edges)}: the sine series needs all four supported")
-    return plate
+def supported_plate(scene: Scene) -> ThinPlate:
+    """Return the plate of a scene; its grid and time steps play no part.
+
+    Raises:
+        SceneError: An edge, an effect or the drive has no sine series.
+    """
+    edges = [edge for _, edge in scene.edges]
+    if set(map(str, edges)) != {"supported"}:
+        raise SceneError(f"edges = {edges}: the sine series needs all four supported")
+    for effect, table in scene.effects:
+        if effect != "damping" and table:
+            raise SceneError(f"effects.{effect}: the sine series knows viscous damping and no other effect")
+    if scene.nonharmonic_key is not None:
+        raise SceneError(f"{scene.nonharmonic_key}: the sine series knows one frequency from t = 0 on")
+    plate, damping = scene.plate, scene.effects.damping
+    return ThinPlate(
+        size=plate.size,
+        rigidity=plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2)),
+        surface_density=plate.density * plate.thickness,
+        viscous=damping.viscous if damping else 0.0,
+    )
 
 
 def _amplitudes(scene: Scene, drive: np.ndarray, times: np.ndarray, terms: int, derivative: int) -> np.ndarray:
     """Return (times, terms, terms) q [m] or q̇ [m/s] of the modes, n by row and m by column."""
-    plate, orders = _supported_plate(scene), np.arange(1, terms + 1)
+    plate, orders = supported_plate(scene), np.arange(1, terms + 1)
     squared = (orders * math.pi / plate.size[0]) ** 2 + (orders[:, None] * math.pi / plate.size[1]) ** 2
     return damped_motion(
         np.asarray(times, dtype=float)[:, None, None],

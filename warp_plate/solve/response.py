@@ -14,7 +14,7 @@ import numpy as np
 
 from warp_plate.optimize.quadratic import RANK_TOLERANCE, quadratic_forms
 from warp_plate.plate.memory import refuse_beyond_memory
-from warp_plate.plate.weights import REGIONS
+from warp_plate.plate.weights import REGIONS, localization_factor
 from warp_plate.scene.model import Record, Scene
 from warp_plate.solve.solver import PlateSolver, Progress
 
@@ -28,6 +28,10 @@ class Response:
     def energy(self, phasors: np.ndarray) -> np.ndarray:
         """Return (plates, regions) energies [J] of phasors (plates, actuators), as ``PlateSolver.run`` would."""
         return quadratic_forms(self.matrices, phasors)
+
+    def localization_factors(self, phasors: np.ndarray) -> np.ndarray:
+        """Return (plates,) localization factors of phasors (plates, actuators)."""
+        return localization_factor(self.energy(phasors))
 
     def bound(self) -> float:
         """Return the largest localization factor that any drive can reach."""
