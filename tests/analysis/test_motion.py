@@ -8,7 +8,7 @@ from conftest import scene_of
 
 from warp_plate import SceneError
 from warp_plate.analysis.motion import mode_motions, motions, usual_span
-from warp_plate.plate.modes import natural_modes
+from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import REGIONS, region_weights
 from warp_plate.result.motion import Motion
@@ -82,7 +82,7 @@ def test_nodes_at_rest_have_no_phase():
 
 def test_modes_move_at_their_frequency(scene):
     made = scene()
-    found = natural_modes(made, 3)
+    found = continuous_modes(made, 3, made.grid.nodes)
     for motion, index in zip(mode_motions(made, [1, 3]), (0, 2), strict=True):
         shape, frequency = found.shapes[index], found.frequencies[index]
         np.testing.assert_allclose(motion.displacement[0], shape, rtol=1e-6)
@@ -109,7 +109,7 @@ def test_invalid_spans_frames_and_modes_are_refused(result):
     short = scene.model_copy(update={"drive": scene.drive.model_copy(update={"frequency": 1.0})})
     with pytest.raises(SceneError, match="shorter than a period"):
         motions(short, cases, device="cpu")
-    for number, message in ((0, "mode 0"), (9999, "mode 9999: the grid has 121")):
+    for number, message in ((0, "mode 0"), (9999, "count = 9999")):
         with pytest.raises(SceneError, match=message):
             mode_motions(scene, [number])
 

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from conftest import output_of
 
+from warp_plate.modal.continuous_modes import continuous_modes
+from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.modes import natural_modes
 from warp_plate.viz.plots.modes import draw_modes, frequency_text, nodal_field
 
@@ -26,15 +28,16 @@ EFFECTS = {
 def test_json_table_and_picture(command, write_scene):
     """Of a scene with all kinds of edges and some effects, and of a free plate."""
     pytest.importorskip("matplotlib")
-    expected = natural_modes(write_scene(nodes=(19, 15), size=(0.3, 0.2), edges=EDGES, effects=EFFECTS), 7)
+    made = write_scene(nodes=(19, 15), size=(0.3, 0.2), edges=EDGES, effects=EFFECTS)
+    expected = continuous_modes(made, 7)
     record = json.loads(output_of(command("modes", "panel.toml", "--count", 7, "--json", "--out", "m.svg")))
     assert record["frequencies"] == pytest.approx(expected.frequencies.tolist())
-    assert record["frequencies_stepped"] == pytest.approx(expected.stepped.tolist())
+    assert record["loss_factors"] == pytest.approx(expected.loss_factors.tolist())
+    assert record["damping_ratios"] == pytest.approx((expected.loss_factors / 2).tolist())
     assert record["half_waves"] == [None if pair is None else list(pair) for pair in expected.half_waves()]
     assert [row[0] for row in record["oscillators"]] == [None] * 7
     assert [row[1] for row in record["oscillators"]] == pytest.approx(expected.oscillators[:, 1].tolist())
-    assert (record["nodes"], record["order"], record["scene"]) == ([19, 15], 2, "panel.toml")
-    assert record["left_out"] == ["damping of the foundation", "stretching"]
+    assert (record["scene"], record["left_out"]) == ("panel.toml", ["stretching"])
     assert record["files"] == ["m.svg"]
     drawn = Path("m.svg").read_text(encoding="utf-8")
     for number, frequency in enumerate(expected.frequencies, 1):
@@ -42,8 +45,8 @@ def test_json_table_and_picture(command, write_scene):
     for words in ("clamped", "supported", "on springs", "free", "nodal line", "layer", "oscillator"):
         assert f"<!-- {words} -->" in drawn
     out = output_of(command("modes", "panel.toml", "--no-pictures"))
-    left_out = "Not included in natural modes: damping of the foundation, stretching."
-    for part in ("19 × 15 nodes", "mass 1", left_out, *(f"{frequency:.2f}" for frequency in expected.frequencies[:6])):
+    left_out = "Not included in natural modes: stretching."
+    for part in ("mass 1", left_out, *(f"{frequency:.6g}"[:6] for frequency in expected.frequencies[:6])):
         assert part in out
     assert "mass 0" not in out
     write_scene(edges=("free",) * 4)
@@ -51,9 +54,47 @@ def test_json_table_and_picture(command, write_scene):
     assert sorted(path.name for path in Path().iterdir()) == ["m.svg", "panel.toml"]
 
 
+def test_modes_of_the_grid_and_their_errors(command, write_scene):
+    made = write_scene(nodes=(19, 15), size=(0.3, 0.2), edges=EDGES, effects=EFFECTS)
+    expected, exact = natural_modes(made, 5), continuous_modes(made, 5).frequencies
+    answer = command("modes", "panel.toml", "--grid", "--count", 5, "--json", "--no-pictures")
+    record = json.loads(output_of(answer))
+    assert record["frequencies"] == pytest.approx(expected.frequencies.tolist())
+    assert record["frequencies_stepped"] == pytest.approx(expected.stepped.tolist())
+    assert record["errors"] == pytest.approx((expected.frequencies / exact - 1).tolist())
+    assert (record["nodes"], record["order"]) == ([19, 15], 2)
+    assert record["left_out"] == ["damping of the foundation", "stretching"]
+    out = output_of(command("modes", "panel.toml", "--grid", "--no-pictures"))
+    for part in ("19 × 15 nodes", *(f"{frequency:.2f}" for frequency in expected.frequencies)):
+        assert part in out
+
+
+def test_shapes_and_motions_are_those_of_a_fine_grid(scene):
+    """Also of modes of one frequency, of a mass that only a damper holds, and of a plate that force softens."""
+    oscillators = [*EFFECTS["oscillators"], {"area": (0.05, 0.1, 0.05, 0.1), "mass": 0.01, "damping": 0.1}]
+    made = scene((61, 61), (0.3, 0.3), effects={"oscillators": oscillators, "stretching": {}})
+    grid, found = natural_modes(made, 6), continuous_modes(made, 6, (61, 61))
+    np.testing.assert_allclose(found.frequencies, grid.frequencies, rtol=0.01)
+    np.testing.assert_allclose(found.shapes, grid.shapes, atol=0.02)
+    np.testing.assert_allclose(found.oscillators, grid.oscillators, rtol=0.03, atol=1e-3)
+    assert found.half_waves() == grid.half_waves()
+    plain = scene((21, 21), (0.3, 0.3))
+    grid, found = natural_modes(plain, 3), continuous_modes(plain, 3, (21, 21))
+    np.testing.assert_allclose(found.shapes, grid.shapes, atol=0.02)
+
+
+def test_loss_factors(scene):
+    """c/ρHω of a plate in air, with modes by the number asked for."""
+    made = scene(damping=3.0)
+    found = continuous_modes(made, 4)
+    density = made.plate.density * made.plate.thickness
+    np.testing.assert_allclose(found.loss_factors, 3.0 / density / (2 * math.pi * found.frequencies), rtol=1e-6)
+    np.testing.assert_array_equal(found.frequencies, solve_modes(made, highest=0.0, count=8).frequencies[:4])
+
+
 def test_accuracy_chooses_the_grid(command, write_scene, panel):
     write_scene(panel)
-    answer = command("modes", "panel.toml", "--accuracy", "20%", "--count", 3, "--json", "--no-pictures")
+    answer = command("modes", "panel.toml", "--grid", "--accuracy", "20%", "--count", 3, "--json", "--no-pictures")
     record = json.loads(output_of(answer))
     # π²κ(m² + n²)/2πa², κ = 0.1530 m²/s, a = 0.2 m.
     exact = np.array([2, 5, 5]) * math.pi / 2 * math.sqrt(1e9 * 5e-4**2 / 12 / (1 - 0.33**2) / 1000) / 0.04

@@ -12,7 +12,7 @@ from test_resume import stop_after
 
 from warp_plate import SceneError, load_sweep, sweep
 from warp_plate.cluster.scheduler import ATTEMPTS
-from warp_plate.plate.modes import natural_modes
+from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.result.sweep import REFUSED, RUN, save_sweep
 from warp_plate.scene.keys import with_numbers
 from warp_plate.scene.vary import make_plan, parse_vary
@@ -53,7 +53,7 @@ def test_quantities_are_those_of_the_commands(plate):
             assert at["localize"][name] == pytest.approx(factors[name], rel=1e-9)
         assert at["localize"]["bound"] == pytest.approx(searched.bound, rel=1e-9)
         assert factors["best"] <= at["localize"]["best"] * (1 + 1e-9) <= searched.bound * (1 + 3e-9)
-        np.testing.assert_array_equal(at["modes"]["frequency"], natural_modes(scene, 3).frequencies)
+        np.testing.assert_allclose(at["modes"]["frequency"], continuous_modes(scene, 3).frequencies, rtol=1e-7)
         assert at["check"]["time_step"] == 2e-4
         assert at["check"]["steps_a_period"] == pytest.approx(1 / (scene.drive.frequency * 2e-4))
 

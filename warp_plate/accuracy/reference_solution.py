@@ -158,8 +158,8 @@ def find_reference_solution(
         only: True if the uncertainty applies to ``phasors`` alone.
 
     Raises:
-        SceneError: kind = "modal" and the scene's drive is neither a tone nor a burst, or drives an undamped plate at
-            resonance; the scene is not linear; or there is no such device.
+        SceneError: kind = "modal" and an undamped plate is driven at resonance, or too many modes are needed; the scene
+            is not linear; or there is no such device.
     """
     if not scene.linear:
         raise SceneError(f"{scene.nonlinear_table}: not linear in the drives; accuracy needs a linear scene")
@@ -184,12 +184,8 @@ def solve_response(scene: Scene, density: float) -> tuple[ModalPlate, Response]:
     """Return modes and Gram matrices of plate and target, without a grid; see ``solve_modes`` for the density.
 
     Raises:
-        SceneError: The drive is neither a tone nor a burst, or drives an undamped plate at resonance; or the plate has
-            no modes.
+        SceneError: An undamped plate is driven at resonance, or the plate has no modes.
     """
-    key = next((f"drive.{name}" for name in ("chirp", "signal") if getattr(scene.drive, name)), None)
-    if key is not None:
-        raise SceneError(f"{key}: the modal reference knows tones and bursts")
     # More functions follow shorter waves, and higher modes are kept of a plate that has too many for all.
     plate = solve_modes(scene, highest=density * highest_frequency(scene), density=density)
     frequencies, loss = actuator_frequencies(scene), np.diag(plate.damping)[:, None] / 2

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.plate.discretization import Discretization, discretize
-from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.section import make_section
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.result.model import Case, case_scene
@@ -146,13 +146,11 @@ def mode_motions(scene: Scene, numbers: Sequence[int], frames: int = FRAMES_A_PE
     """Return one period of the natural modes with these numbers, from 1 on, with a largest displacement of 1.
 
     Raises:
-        SceneError: a number is below 1, or the grid has fewer modes.
+        SceneError: a number is below 1, or so many modes are not solved for.
     """
     if min(numbers) < 1:
         raise SceneError(f"mode {min(numbers)}: modes are counted from 1")
-    modes = natural_modes(scene, max(numbers))
-    if max(numbers) > len(modes.frequencies):
-        raise SceneError(f"mode {max(numbers)}: the grid has {len(modes.frequencies)}")
+    modes = continuous_modes(scene, max(numbers), scene.grid.nodes)
     angle = 2 * math.pi * np.arange(frames)[:, None, None] / frames
     surface_density = make_section(scene).mass
     made = []

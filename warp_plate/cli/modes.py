@@ -1,10 +1,13 @@
-"""``warp-plate modes SCENE``: natural frequencies and mode shapes of the discretised plate."""
+"""``warp-plate modes SCENE``: natural frequencies, damping and mode shapes of the plate, or of its grid."""
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from warp_plate.cli import options, output
 from warp_plate.scene.errors import SceneError
@@ -16,6 +19,8 @@ if TYPE_CHECKING:
     from warp_plate.scene.model import Scene
 
 ENDINGS = (".png", ".svg", ".pdf")
+# Significant digits of frequencies without a grid; motions of masses below ROUNDING are zero.
+DIGITS, ROUNDING = 6, 1e-9
 
 
 def modes(
@@ -23,32 +28,52 @@ def modes(
     /,
     *,
     count: options.Count = 6,
+    grid: bool = False,
     accuracy: options.Accuracy | None = None,
     out: Path | None = None,
     pictures: options.Pictures = True,
     json: options.Json = False,
 ) -> None:
-    """Show the natural frequencies and mode shapes of a plate, with its edges and its linear effects.
+    """Show the natural frequencies, damping and shapes of a plate, with its edges and its linear effects.
 
     Parameters
     ----------
     count
         Number of modes, from the lowest.
+    grid
+        Modes of the scene's grid, at which runs ring, and their errors.
+    accuracy
+        With --grid: largest relative error of localization factors; the program chooses the cheapest grid.
     out
         The picture of the shapes with their nodal lines (.png, .svg or .pdf; default: SCENE-modes.png in this folder).
     """
     target = output.output_file(out, f"{Path(scene).stem}-modes.png", ENDINGS)
+    if accuracy is not None and not grid:
+        raise SceneError("--accuracy: chooses a grid; add --grid")
     loaded = output.load_scene(scene, accuracy)
+    from warp_plate.modal.continuous_modes import continuous_modes
+
+    errors = None
+    with output.scene_errors(scene):
+        found = exact = continuous_modes(loaded, count)
+        if grid:
+            loaded, found = _of_grid(loaded, count)
+            exact_frequencies = exact.frequencies[: len(found.frequencies)]
+            moving = np.where(exact_frequencies > 0, exact_frequencies, math.nan)
+            errors = found.frequencies / moving - 1
+    written = _draw(loaded, found, target) if pictures else ([], None)
+    record, show = partial(_as_json, scene, loaded, found, errors), partial(_print, scene, loaded, found, errors)
+    output.report(json, record, show, written)
+
+
+def _of_grid(scene: Scene, count: int) -> tuple[Scene, NaturalModes]:
+    """Return the scene with its grid, and the modes of the grid."""
     from warp_plate.plate.modes import natural_modes, refuse_many_nodes
     from warp_plate.studies.grid_choice import resolve_grid
 
-    with output.scene_errors(scene):
-        loaded = resolve_grid(loaded, "auto").scene
-        refuse_many_nodes(loaded)
-        found = natural_modes(loaded, count)
-    written = _draw(loaded, found, target) if pictures else ([], None)
-    record, show = partial(_as_json, scene, loaded, found), partial(_print, scene, loaded, found)
-    output.report(json, record, show, written)
+    gridded = resolve_grid(scene, "auto").scene
+    refuse_many_nodes(gridded)
+    return gridded, natural_modes(gridded, count)
 
 
 def _draw(scene: Scene, found: NaturalModes, path: Path) -> output.Drawn:
@@ -67,52 +92,75 @@ def _draw(scene: Scene, found: NaturalModes, path: Path) -> output.Drawn:
     return [path], None
 
 
-def _left_out(scene: Scene) -> list[str]:
-    """Return the effects of the scene that natural modes leave out."""
+def _left_out(scene: Scene, grid: bool) -> list[str]:
+    """Return the effects of the scene that these modes leave out."""
     effects = scene.effects
     present = {
-        "damping": effects.damping is not None,
-        "material damping": effects.material_damping is not None,
-        "loss factor": effects.loss_factor is not None,
-        "modal damping": effects.modal_damping is not None,
-        "damping of the foundation": effects.foundation is not None and effects.foundation.damping > 0,
-        "damping of oscillators": any(oscillator.damping > 0 for oscillator in effects.oscillators),
+        "damping": grid and effects.damping is not None,
+        "material damping": grid and effects.material_damping is not None,
+        "loss factor": grid and effects.loss_factor is not None,
+        "modal damping": grid and effects.modal_damping is not None,
+        "damping of the foundation": grid and effects.foundation is not None and effects.foundation.damping > 0,
+        "damping of oscillators": grid and any(oscillator.damping > 0 for oscillator in effects.oscillators),
         "stretching": effects.stretching is not None,
+        "electrostatic force": scene.drive.electrostatic is not None,
     }
     return [name for name, active in present.items() if active]
 
 
-def _as_json(name: str, scene: Scene, found: NaturalModes) -> dict[str, object]:
-    return {
-        "scene": name,
-        **output.attributes(scene.grid, "nodes", "order"),
-        **output.attributes(found, "frequencies", "time_step", "oscillators"),
-        "frequencies_stepped": found.stepped,
-        "half_waves": found.half_waves(),
-        "left_out": _left_out(scene),
-    }
+def _as_json(name: str, scene: Scene, found: NaturalModes, errors: np.ndarray | None) -> dict[str, object]:
+    record = {"scene": name, "half_waves": found.half_waves(), "left_out": _left_out(scene, errors is not None)}
+    record |= output.attributes(found, "frequencies", "oscillators")
+    if errors is not None:
+        record |= output.attributes(scene.grid, "nodes", "order")
+        return record | {"time_step": found.time_step, "frequencies_stepped": found.stepped, "errors": errors}
+    assert found.loss_factors is not None
+    return record | {"damping_ratios": found.loss_factors / 2, "loss_factors": found.loss_factors}
 
 
-def _print(name: str, scene: Scene, found: NaturalModes, console: Console) -> None:
+def _print(name: str, scene: Scene, found: NaturalModes, errors: np.ndarray | None, console: Console) -> None:
     nx, ny = scene.grid.nodes
-    console.print(f"{scene.title or name}: {nx} × {ny} nodes, order {scene.grid.order}\n")
+    grid = "" if errors is None else f": {nx} × {ny} nodes, order {scene.grid.order}"
+    console.print(f"{scene.title or name}{grid}\n")
     masses = [index for index, oscillator in enumerate(scene.effects.oscillators) if oscillator.mass > 0]
-    made = output.table(
-        "mode", "frequency (Hz)", "in a run (Hz)", "waves x × y", *(f"mass {index}" for index in masses)
-    )
-    rows = zip(found.frequencies, found.stepped, found.half_waves(), found.oscillators, strict=True)
-    for number, (frequency, stepped, waves, motion) in enumerate(rows, start=1):
+    columns = _columns(found, errors)
+    made = output.table("mode", *columns, "waves x × y", *(f"mass {index}" for index in masses))
+    rows = zip(zip(*columns.values(), strict=True), found.half_waves(), found.oscillators, strict=True)
+    for number, (cells, waves, motion) in enumerate(rows, start=1):
         made.add_row(
             str(number),
-            f"{frequency:.2f}" if frequency else "0 (rigid)",
-            f"{stepped:.2f}",
+            *cells,
             "mixed" if waves is None else f"{waves[0]} × {waves[1]}",
-            *(f"{motion[index]:.3g}" for index in masses),
+            *(f"{motion[index] if abs(motion[index]) > ROUNDING else 0:.3g}" for index in masses),
         )
     console.print(made)
     console.print(
-        f"\nIn a run: with steps of {found.time_step:.3g} s. Waves: half-waves, stretches of one sign along x and y."
+        ("" if errors is None else f"\nIn a run: with steps of {found.time_step:.3g} s.")
+        + "\nWaves: half-waves, stretches of one sign along x and y."
         + (" Mass: displacement of the oscillator relative to the largest of the plate." if masses else "")
     )
-    if left_out := _left_out(scene):
+    if left_out := _left_out(scene, errors is not None):
         console.print(f"Not included in natural modes: {', '.join(left_out)}.")
+
+
+def _columns(found: NaturalModes, errors: np.ndarray | None) -> dict[str, list[str]]:
+    """Return the texts of the columns of numbers by their headings."""
+    moving = found.frequencies > 0
+    if errors is not None:
+        return {
+            "frequency (Hz)": [f"{value:.2f}" if value else "0 (rigid)" for value in found.frequencies],
+            "error (%)": [f"{100 * error:.2g}" if moves else "" for error, moves in zip(errors, moving, strict=True)],
+            "in a run (Hz)": [f"{value:.2f}" for value in found.stepped],
+        }
+    assert found.loss_factors is not None
+    damping = list(zip(found.loss_factors, moving, strict=True))
+    return {
+        "frequency (Hz)": [_digits(value) if value else "0 (rigid)" for value in found.frequencies],
+        "damping ratio": [f"{factor / 2:.4g}" if moves else "" for factor, moves in damping],
+        "loss factor": [f"{factor:.4g}" if moves else "" for factor, moves in damping],
+    }
+
+
+def _digits(value: float) -> str:
+    """Return a number with DIGITS significant digits and no exponent."""
+    return f"{value:.{max(0, DIGITS - 1 - math.floor(math.log10(value)))}f}"

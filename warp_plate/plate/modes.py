@@ -38,13 +38,21 @@ PRODUCT, ABOVE = 0.8, 0.03
 
 @dataclass(frozen=True)
 class NaturalModes:
-    """The lowest modes of a scene's grid, by rising frequency."""
+    """The lowest modes of a scene's plate or of its grid, by rising frequency.
 
-    frequencies: np.ndarray  # (count,) [Hz], 0 for rigid motions
-    shapes: np.ndarray  # (count, ny, nx) displacements, edges included, the largest being 1
-    # (count, oscillators) motion of the oscillators' masses in the same unit; NaN without a mass
+    Attributes:
+        frequencies: (count,) [Hz], 0 for rigid motions.
+        shapes: (count, ny, nx) displacements, edges included, the largest being 1.
+        oscillators: (count, oscillators) motion of the oscillators' masses in the same unit; NaN without a mass.
+        time_step: Time step of the scene [s]; NaN without a grid.
+        loss_factors: (count,) loss factors, twice the damping ratios; None for those of a grid.
+    """
+
+    frequencies: np.ndarray
+    shapes: np.ndarray
     oscillators: np.ndarray
-    time_step: float  # Time step of the scene [s]
+    time_step: float = math.nan
+    loss_factors: np.ndarray | None = None
 
     @property
     def stepped(self) -> np.ndarray:
@@ -90,8 +98,8 @@ def natural_modes(scene: Scene, count: int) -> NaturalModes:
     x, y = (np.linspace(-1, 1, nodes) for nodes in scene.grid.nodes)
     weight = np.zeros(len(masses))
     weight[: np.count_nonzero(moving)] = (x**2 + (y**2)[:, None] / 2)[moving]
-    vectors = root @ _separated(squares, vectors, weight)
-    shapes, motions = _shapes(scene, vectors[:, :count], moving)
+    vectors = root @ separated(squares, vectors, weight)
+    shapes, motions = normalised_shapes(scene, vectors[:, :count], moving)
     return NaturalModes(np.sqrt(squares[:count]) / (2 * math.pi), shapes, motions, scheme.time_step)
 
 
@@ -131,7 +139,7 @@ def _lowest(operator: scipy.sparse.csc_array, count: int, scale: float) -> tuple
     return values[order], vectors[:, order]
 
 
-def _separated(squares: np.ndarray, vectors: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def separated(squares: np.ndarray, vectors: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Return the vectors, those of one frequency turned among each other so that the weight does not couple them."""
     groups = np.split(vectors, 1 + np.flatnonzero(squares[1:] > squares[:-1] * (1 + 2 * SAME)), axis=1)
     return np.hstack([
@@ -140,8 +148,14 @@ def _separated(squares: np.ndarray, vectors: np.ndarray, weight: np.ndarray) -> 
     ])  # fmt: skip
 
 
-def _shapes(scene: Scene, vectors: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the shapes over all nodes and the motions of oscillators of vectors (unknowns, modes)."""
+def normalised_shapes(scene: Scene, vectors: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return shapes (modes, ny, nx) and motions of the oscillators (modes, oscillators), the largest displacement 1.
+
+    Args:
+        scene: Scene.
+        vectors: (unknowns, modes) displacements of the moving nodes, then of the masses on springs.
+        moving: (ny, nx) true for nodes that move.
+    """
     nodes, count = np.count_nonzero(moving), vectors.shape[1]
     shapes = np.zeros((count, *moving.shape))
     shapes[:, moving] = vectors[:nodes].T

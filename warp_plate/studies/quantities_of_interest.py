@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from warp_plate.analysis.check import check
+from warp_plate.modal.continuous_modes import linear_part
+from warp_plate.modal.modes import solve_modes
 from warp_plate.optimize.optimizer import MethodError, minimize
 from warp_plate.optimize.quadratic import best_position
-from warp_plate.plate.modes import natural_modes, refuse_many_nodes
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.problem import Problem, make_problem
@@ -80,10 +81,8 @@ def _simulation_quantities(scene: Scene, device: str, path: str, count: int) -> 
 
 
 def _modal_quantities(scene: Scene, device: str, path: str, count: int) -> Values:
-    """Return the lowest natural frequencies; NaN beyond those that the grid has."""
-    gridded = resolve_grid(scene, device).scene
-    refuse_many_nodes(gridded)
-    found = natural_modes(gridded, count).frequencies
+    """Return the lowest natural frequencies; NaN beyond those that are solved for."""
+    found = solve_modes(linear_part(scene), highest=0.0, count=count).frequencies[:count]
     return {"frequency": np.pad(found, (0, count - len(found)), constant_values=np.nan)}
 
 

@@ -1,0 +1,70 @@
+"""Natural frequencies, damping and shapes of the plate itself, without a grid; see :mod:`warp_plate.plate.modes`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from warp_plate.modal.modes import solve_modes
+from warp_plate.plate.modes import NaturalModes, normalised_shapes, separated
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+# Points along the longer and least along the shorter side at which shapes are returned.
+LONGER, SHORTER = 121, 31
+# Further modes that are solved for, so that no group of equal frequencies is cut.
+SPARE = 4
+MOST_MODES = 1000
+
+
+def continuous_modes(scene: Scene, count: int, nodes: tuple[int, int] | None = None) -> NaturalModes:
+    """Return the first ``count`` undamped modes of a scene's linear part, and their loss factors.
+
+    Frequencies are right to some 1e-6. Modes of one frequency are turned as those of the grid are.
+
+    Args:
+        scene: Scene; its grid and drive play no part.
+        count: Number of modes.
+        nodes: Points (nx, ny) from edge to edge at which the shapes are returned (default: as fine as a picture).
+
+    Raises:
+        SceneError: count is below 1 or above MOST_MODES, the plate buckles, or a file of the scene cannot be read.
+    """
+    if not 1 <= count <= MOST_MODES:
+        raise SceneError(f"count = {count}: must be from 1 to {MOST_MODES} modes")
+    plate = solve_modes(linear_part(scene), highest=0.0, count=count + SPARE)
+    kept = slice(count + SPARE)
+    plate = replace(
+        plate,
+        frequencies=plate.frequencies[kept],
+        vectors=plate.vectors[:, kept],
+        damping=plate.damping[kept, kept],
+        hysteretic=plate.hysteretic[kept, kept],
+    )
+    nx, ny = nodes or _raster(scene)
+    x, y = np.linspace(-1, 1, nx), np.linspace(-1, 1, ny)
+    (width, height), masses = scene.plate.size, plate.oscillator_motions
+    shapes = plate.shapes((1 + x) / 2 * width, (1 + y) / 2 * height).reshape(len(masses), -1)
+    weight = np.append((x**2 + (y**2)[:, None] / 2).ravel(), np.zeros(masses.shape[1]))
+    vectors = separated(plate.angular_frequencies**2, np.hstack([shapes, masses]).T, weight)
+    fields, motions = normalised_shapes(scene, vectors[:, :count], np.ones((ny, nx), dtype=bool))
+    return NaturalModes(plate.frequencies[:count], fields, motions, loss_factors=plate.loss_factors[:count])
+
+
+def linear_part(scene: Scene) -> Scene:
+    """Return the scene without stretching and electrostatic force; masses that only a damper holds are at rest."""
+    oscillators = tuple(
+        oscillator if oscillator.stiffness > 0 else oscillator.model_copy(update={"mass": 0.0})
+        for oscillator in scene.effects.oscillators
+    )
+    effects = scene.effects.model_copy(update={"stretching": None, "oscillators": oscillators})
+    return scene.model_copy(
+        update={"effects": effects, "drive": scene.drive.model_copy(update={"electrostatic": None})}
+    )
+
+
+def _raster(scene: Scene) -> tuple[int, int]:
+    """Return points (nx, ny) of nearly square cells."""
+    nx, ny = (max(SHORTER, 1 + round((LONGER - 1) * side / max(scene.plate.size))) for side in scene.plate.size)
+    return nx, ny
