@@ -1,0 +1,93 @@
+"""Kinetic-energy matrices of regions, against sums over many points."""
+
+import numpy as np
+import pytest
+from conftest import MATERIAL, scene_of
+
+from warp_plate.modal.modes import solve_modes
+from warp_plate.scene.target import Target
+
+SIZE = (0.23, 0.17)
+LAYER = {"area": (0.05, 0.11, 0.03, 0.08), "thickness": 3e-4, "young_modulus": 3e9, "density": 2000.0}
+MODES, POINTS = 12, 360
+POLYGON = [(0.02, 0.02), (0.2, 0.03), (0.12, 0.08), (0.19, 0.15), (0.03, 0.14), (0.09, 0.09)]
+REGIONS = {
+    "plate": "plate",
+    "rectangle": (0.033, 0.141, 0.052, 0.11),
+    "disc": Target(disc=(0.1, 0.08, 0.057)),
+    "concave polygon": Target(polygon=POLYGON),
+    "clockwise polygon": Target(polygon=POLYGON[::-1]),
+    "mask": Target(mask="mask.csv"),
+}
+MASK = np.array([[0.0, 0.5, 1.0, 0.2], [1.0, 1.0, 0.3, 0.0], [0.4, 0.0, 0.7, 0.9]])
+
+
+def middles(side):
+    return (np.arange(POINTS) + 0.5) * side / POINTS
+
+
+def inside(region, x, y):
+    """Return the share of the region at points (y, x), 0 ... 1."""
+    if isinstance(region, str):
+        return np.ones((y.size, x.size))
+    if isinstance(region, tuple):
+        return np.outer((y > region[2]) & (y < region[3]), (x > region[0]) & (x < region[1]))
+    if region.disc:
+        return np.hypot(x - region.disc[0], y[:, None] - region.disc[1]) < region.disc[2]
+    if region.mask:
+        rows = [np.interp(x, np.linspace(0, SIZE[0], 4), row) for row in MASK]
+        return np.array([np.interp(y, np.linspace(0, SIZE[1], 3), column) for column in np.array(rows).T]).T
+    crossings = np.zeros((y.size, x.size), dtype=int)
+    for (x0, y0), (x1, y1) in zip(region.polygon, np.roll(region.polygon, -1, axis=0), strict=True):
+        ahead = x < (x0 + (x1 - x0) * (y - y0) / (y1 - y0))[:, None]
+        crossings += ahead & ((y0 < y) != (y1 < y))[:, None]
+    return crossings % 2
+
+
+@pytest.fixture(scope="module")
+def plate(tmp_path_factory):
+    """Modes of a plate with a layer and two oscillators, one of which has a mass."""
+    folder = tmp_path_factory.mktemp("scene")
+    np.savetxt(folder / "mask.csv", MASK, delimiter=",")
+    oscillators = [
+        {"area": (0.15, 0.18, 0.1, 0.13), "mass": 3e-3, "stiffness": 60.0, "damping": 0.05},
+        {"area": (0.02, 0.04, 0.1, 0.12), "stiffness": 90.0},
+    ]
+    edges = ("clamped", "free", "supported", "free")
+    effects = {"layers": [LAYER], "oscillators": oscillators}
+    scene = scene_of(size=SIZE, edges=edges, effects=effects, target={"mask": "mask.csv"})
+    return solve_modes(scene.in_folder(folder), count=MODES)
+
+
+@pytest.mark.parametrize("within", [None, (0.04, 0.15, 0.03, 0.12)])
+@pytest.mark.parametrize("name", REGIONS)
+def test_regions(plate, name, within):
+    region, (x, y) = REGIONS[name], (middles(side) for side in SIZE)
+    shapes = plate.shapes(x, y)[:MODES].reshape(MODES, -1)
+    density = MATERIAL["density"] * MATERIAL["thickness"] + 0.6 * inside(LAYER["area"], x, y)
+    density = density * inside(region, x, y) * (1 if within is None else inside(within, x, y))
+    cell = SIZE[0] * SIZE[1] / POINTS**2
+    expected = (shapes * density.ravel()) @ shapes.T * cell
+    matrix = plate.kinetic_matrix(region, within)
+    assert matrix == pytest.approx(matrix.T, rel=0, abs=1e-12)
+    assert matrix[:MODES, :MODES] == pytest.approx(expected, rel=0, abs=6e-3)
+    assert np.linalg.eigvalsh(matrix).min() > -1e-9
+
+
+def test_parts_add_up(plate):
+    """∫ over all rectangles of a division, the whole as a rectangle, a polygon, and the identity less the masses."""
+    whole, (width, height) = plate.kinetic_matrix(), SIZE
+    cuts = [0.0, 0.06, 0.1, width], [0.0, 0.04, height]
+    cells = [(*cuts[0][i : i + 2], *cuts[1][j : j + 2]) for i in range(3) for j in range(2)]
+    assert sum(plate.kinetic_matrix(cell) for cell in cells) == pytest.approx(whole, rel=0, abs=1e-9)
+    outline = Target(polygon=[(0, 0), (width, 0), (width, height), (0, height)])
+    assert plate.kinetic_matrix(outline) == pytest.approx(whole, rel=0, abs=1e-9)
+    motion = plate.oscillator_motions
+    assert whole + 3e-3 * motion @ motion.T == pytest.approx(np.eye(len(whole)), rel=0, abs=1e-9)
+
+
+def test_disc_within_a_rectangle_around_it(plate):
+    """The polygon of 512 corners that stands for part of a disc."""
+    disc = REGIONS["disc"]
+    around = plate.kinetic_matrix(disc, (0.0, SIZE[0], 0.0, SIZE[1]))
+    assert around[:MODES, :MODES] == pytest.approx(plate.kinetic_matrix(disc)[:MODES, :MODES], rel=0, abs=1e-5)
