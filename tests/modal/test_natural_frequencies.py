@@ -156,7 +156,7 @@ def test_layers(both):
     agrees_with_levy(scene, section, ("clamped", "free"), cuts=(0.031, 0.09, 0.113, 0.171))
 
 
-@pytest.mark.parametrize("columns", [(1.0, 1.6), (0.8, 1.3, 0.9, 1.2)])
+@pytest.mark.parametrize("columns", [(1.0, 1.6), (0.8, 1.3, 0.9, 1.2), (1.1, 0.9, 1.3, 1.0, 0.8, 1.2, 1.1, 0.9)])
 def test_variation(columns):
     """Thickness and density, linear between the columns of a map."""
     lines, densities = np.linspace(0, SIZE[0], len(columns)), np.linspace(0.7, 1.4, len(columns))
@@ -168,7 +168,7 @@ def test_variation(columns):
         density = MATERIAL["density"] * np.interp(x, lines, densities)
         return isotropic(MATERIAL["young_modulus"], thickness, MATERIAL["poisson_ratio"], density)
 
-    agrees_with_levy(scene, section, ("clamped", "free"), cuts=lines, steps=48 // (len(columns) - 1))
+    agrees_with_levy(scene, section, ("clamped", "free"), cuts=lines, steps=max(8, 48 // (len(columns) - 1)))
 
 
 @pytest.mark.parametrize("mass", [0.0, 2e-3])

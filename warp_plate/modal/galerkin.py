@@ -27,20 +27,15 @@ from typing import TypeAlias
 import numpy as np
 import scipy
 
+from warp_plate.modal.lines import lines, spline_degree
 from warp_plate.modal.splines import Splines, gauss, make_splines
 from warp_plate.plate.section import factor_arrays, interpolate, laminates
 from warp_plate.scene.effects import Oscillator, Variation
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import ElasticEdge, Scene
 
-DEGREE = 7
 # Splines near a corner between a clamped and a free edge, where the moments are singular: intervals of these parts.
 CORNER_INTERVALS = (0.3, 0.09)
-# Up to so many oscillators, splines near the edges of their patches, across which the load jumps.
-MOST_PATCHES = 8
-# Up to so many lines of a thickness map along a side the curvature alone is continuous across each; more are resolved
-# by the density of the knots.
-MOST_KINKS = 4
 Matrix: TypeAlias = scipy.sparse.csr_array
 Field: TypeAlias = np.ndarray | float
 
@@ -153,12 +148,13 @@ class Integrals:
         return Matrix((values.ravel(), (rows.ravel(), columns.ravel())), (unknowns, unknowns))
 
 
-def make_galerkin(scene: Scene, intervals: tuple[int, int], degree: int = DEGREE) -> Galerkin:
+def make_galerkin(scene: Scene, intervals: tuple[int, int]) -> Galerkin:
     """Return the matrices of a scene with about so many intervals between knots along x and along y.
 
     Raises:
         SceneError: A file of the scene's variation cannot be read.
     """
+    degree = spline_degree(scene)
     along_x, along_y = (_splines(scene, axis, intervals[axis], degree) for axis in (0, 1))
     integrals, effects = Integrals(scene, along_x, along_y), scene.effects
     bend_xx, bend_xy, bend_yy, twist, density = integrals.fields()
@@ -194,23 +190,6 @@ def make_galerkin(scene: Scene, intervals: tuple[int, int], degree: int = DEGREE
     )
 
 
-def lines(scene: Scene, axis: int) -> list[tuple[float, int]]:
-    """Return where section or load are not smooth along x (0) or y (1) [m], and the derivatives of splines there."""
-    side, found = scene.plate.size[axis], []
-    if len(scene.effects.oscillators) <= MOST_PATCHES:
-        for oscillator in scene.effects.oscillators:
-            found += [(position, DEGREE - 2) for position in oscillator.area[2 * axis : 2 * axis + 2]]
-    for layer in scene.effects.layers:
-        found += [(position, 1) for position in layer.area[2 * axis : 2 * axis + 2]]
-    for array in factor_arrays(scene).values():
-        count = array.shape[1 - axis]
-        kinks = count - 2
-        found += [
-            (side * index / (count - 1), 2 if kinks <= MOST_KINKS else DEGREE - 1) for index in range(1, count - 1)
-        ]
-    return found
-
-
 def patch_integrals(along_x: Splines, along_y: Splines, areas: np.ndarray) -> np.ndarray:
     """Return (areas, unknowns of the plate) ∫ X_i Y_j dA over rectangles (areas, 4) x0, x1, y0, y1 [m]."""
     x0, x1, y0, y1 = np.asarray(areas, dtype=float).reshape(-1, 4).T
@@ -221,7 +200,7 @@ def patch_integrals(along_x: Splines, along_y: Splines, areas: np.ndarray) -> np
 def _splines(scene: Scene, axis: int, intervals: int, degree: int) -> Splines:
     edges, length = scene.edges, scene.plate.size[axis]
     ends, sides = ((edges.left, edges.right), (edges.bottom, edges.top))[:: 1 if axis == 0 else -1]
-    corners = lines(scene, axis)
+    corners = [line for line in lines(scene, axis, degree) if line[1] < degree]
     for end, place in zip(ends, (0.0, length), strict=True):
         if any(_singular(end, side) for side in sides):
             sign = 1 if place == 0 else -1

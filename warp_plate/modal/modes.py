@@ -26,7 +26,8 @@ from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
 from warp_plate.scene.target import Target
 
-# Intervals between knots along a side: at least so many, and so many for each half-wave at the highest frequency.
+# Intervals between knots along the longer side: at least so many, and so many for each half-wave at the highest
+# frequency; along the shorter side fewer, but of less size.
 FEWEST, PER_HALF_WAVE = 18, 2.6
 MOST_INTERVALS = 400
 # Up to so many unknowns, all modes are computed at once; beyond, those up to REACH times the highest frequency.
@@ -183,10 +184,9 @@ def solve_modes(scene: Scene, highest: float | None = None, count: int = 0, dens
         raise SceneError(f"{scene.nonlinear_table}: has no modes, for it is not linear; simulate it in time steps")
     if highest is None:
         highest = highest_frequency(scene)
-    highest = max(highest, _frequency_of(scene, count))
-    intervals = _intervals(scene, highest, density)
-    galerkin = make_galerkin(scene, intervals)
-    squares, vectors = _eigenpairs(galerkin, highest)
+    lowest_modes = _frequency_of(scene, count)
+    galerkin = make_galerkin(scene, _intervals(scene, max(highest, lowest_modes), density))
+    squares, vectors = _eigenpairs(galerkin, max(REACH * highest, lowest_modes))
     frequencies = np.sqrt(np.maximum(squares, 0.0)) / (2 * math.pi)
     lowest = _wave_frequency(scene, 1 / max(scene.plate.size))
     frequencies[frequencies < STILL * lowest] = 0.0
@@ -204,7 +204,7 @@ def solve_modes(scene: Scene, highest: float | None = None, count: int = 0, dens
 
 
 def _eigenpairs(galerkin: Galerkin, highest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return ω² [1/s²] and mass-normalised vectors (unknowns, modes)."""
+    """Return ω² [1/s²] and mass-normalised vectors (unknowns, modes), up to a frequency [Hz] at least."""
     scale = (2 * math.pi * _wave_frequency(galerkin.scene, 1 / max(galerkin.scene.plate.size))) ** 2
     if galerkin.mass.shape[0] > DENSE:
         return _lowest(galerkin, highest, scale)
@@ -228,11 +228,11 @@ def _eigenpairs(galerkin: Galerkin, highest: float) -> tuple[np.ndarray, np.ndar
 
 
 def _lowest(galerkin: Galerkin, highest: float, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same of the modes up to REACH times the highest frequency, by shift and inversion."""
+    """Return the same, by shift and inversion."""
     scene = galerkin.scene
     width, height = scene.plate.size
     # Weyl's law, and a margin for its boundary term.
-    wanted = math.ceil(1.1 * math.pi / 4 * _half_waves(scene, REACH * highest) ** 2 * width * height) + 40
+    wanted = math.ceil(1.1 * math.pi / 4 * _half_waves(scene, highest) ** 2 * width * height) + 40
     shifted = scipy.sparse.csc_array(galerkin.stiffness + scale * galerkin.mass)
     solve = scipy.sparse.linalg.splu(
         shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
@@ -250,8 +250,10 @@ def _lowest(galerkin: Galerkin, highest: float, scale: float) -> tuple[np.ndarra
 
 def _intervals(scene: Scene, highest: float, density: float) -> tuple[int, int]:
     """Return the number of intervals between knots along x and along y."""
-    waves = _half_waves(scene, highest)
-    counts = [max(FEWEST, math.ceil(PER_HALF_WAVE * waves * side)) for side in scene.plate.size]
+    waves, longer = _half_waves(scene, highest), max(scene.plate.size)
+    counts = [
+        math.ceil(max(FEWEST * math.sqrt(side / longer), PER_HALF_WAVE * waves * side)) for side in scene.plate.size
+    ]
     x, y = (math.ceil(density * count) for count in counts)
     if max(x, y) > MOST_INTERVALS:
         raise SceneError(
@@ -283,6 +285,7 @@ def _wave_frequency(scene: Scene, half_waves: float) -> float:
 
 
 def _diagonal(matrix: np.ndarray) -> bool:
+    """Return whether a positive semidefinite matrix is diagonal but for rounding."""
     size = np.sqrt(np.abs(np.diag(matrix)))
     off = np.abs(matrix - np.diag(np.diag(matrix)))
     return bool(np.all(off <= PROPORTIONAL * np.outer(size, size) + ROUNDING * size.max(initial=0.0) ** 2))
