@@ -249,7 +249,7 @@ def test_stepping_converges_to_the_motion(name, nodes, tmp_path):
     phasors, points = np.array([[1, 0.5 - 0.5j, -0.8j]]), [(0.05, 0.1), (0.15, 0.06)]
     scene = scene_of(damping=88.0, window=(0.004, 0.014))
     scene = with_file(scene, tmp_path) if tables is None else scene.with_tables(**tables)
-    plate, errors = solve_modes(scene), []
+    plate, errors = solve_modes(scene, density=1.0 if nodes[0] == 21 else 1.4), []
     energy = energies(plate, [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)], phasors)[0]
     for count in nodes:
         grid = {"nodes": (count, count), "order": order, "load": "moments", "precision": "float64"}

@@ -46,6 +46,14 @@ Stepping = Annotated[
         "auto (the faster of the two)."
     ),
 ]
+SteppingOrModes = Annotated[
+    Literal["auto", "resident", "streaming", "modal"],
+    Parameter(
+        help="How plates are stepped: resident (all steps in one launch), streaming (one or a few steps a launch) or "
+        "auto (the faster of the two); or modal, without time steps or a grid's error, for linear scenes. auto takes "
+        "modal for effects.loss_factor and effects.modal_damping."
+    ),
+]
 Accuracy = Annotated[
     str,
     Parameter(

@@ -20,7 +20,7 @@ def simulate(
     *,
     drive: str = "scene",
     device: options.Device = "auto",
-    path: options.Stepping = "auto",
+    path: options.SteppingOrModes = "auto",
     accuracy: options.Accuracy | None = None,
     estimate: options.Estimate = True,
     allow_unstable: options.AllowUnstable = False,

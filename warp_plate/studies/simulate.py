@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_plate.modal.solver import MODAL, ModalSolver
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.problem.evaluate_cases import cases_from_run, reference_phasors
 from warp_plate.problem.parametrization import magnitude_unit
@@ -20,7 +21,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.solve.peak import run_with_peak
 from warp_plate.solve.run import Run
 from warp_plate.solve.solver import PlateSolver, Progress
-from warp_plate.studies.grid_choice import ResolvedGrid, estimate_error, resolve_grid
+from warp_plate.studies.grid_choice import ResolvedGrid, estimate_error, resolve_grid, resolve_search_grid
 from warp_plate.studies.provenance import device_name, run_fields, versions
 
 
@@ -37,6 +38,8 @@ def simulate(
     """Run a scene under one drive, on the grid for its ``grid.accuracy``, and record what ``[record]`` asks for.
 
     Args:
+        path: see :class:`PlateSolver`, or "modal" for the modes of a linear scene, which have no grid's error; "auto"
+            takes modes for scenes with damping that only they have.
         drive: "scene" (the magnitudes and phases of its actuators), "equal", "single" (the best single actuator), or
             the name of a result file, whose best drive is taken.
         progress: called with (node-steps done, in all).
@@ -45,16 +48,22 @@ def simulate(
     Raises:
         SceneError: see :class:`PlateSolver` and :func:`phasors_from_file`.
     """
-    resolved, phasors = _resolve(scene, drive, device)
+    by_modes = path == MODAL or (path == "auto" and scene.modal_only_key is not None)
+    resolved, phasors = _resolve(scene, drive, device, by_modes)
     scene = resolved.scene
-    solver = PlateSolver(scene, device, path, allow_unstable=allow_unstable, areas=target_regions(scene))
+    solver: PlateSolver | ModalSolver
+    if by_modes:
+        solver = ModalSolver(scene, device, areas=target_regions(scene))
+    else:
+        solver = PlateSolver(scene, device, path, allow_unstable=allow_unstable, areas=target_regions(scene))
     started = time.perf_counter()
     if phasors is None:
         phasors = reference_phasors(scene, lambda phasors: solver.run(phasors).energy)["single"]
     run, peak = run_with_peak(solver, phasors[None], progress)
     solved = time.perf_counter() - started
     seconds = {**resolved.seconds, "compile": solver.compile_seconds, "solve": solved}
-    estimated = _estimate(resolved, phasors, run, seconds, device) if estimate and run.finite.all() else {}
+    estimate = estimate and not by_modes and bool(run.finite.all())
+    estimated = _estimate(resolved, phasors, run, seconds, device) if estimate else {}
     return Result(
         command="simulate",
         source=source,
@@ -67,17 +76,22 @@ def simulate(
         versions=versions(),
         accuracy={**resolved.accuracy, **estimated},
         peak_displacement=peak,
+        evaluator=MODAL if by_modes else "direct",
         **run_fields(solver, run),
     )
 
 
-def _resolve(scene: Scene, drive: str, device: str) -> tuple[ResolvedGrid, np.ndarray | None]:
+def _resolve(scene: Scene, drive: str, device: str, by_modes: bool) -> tuple[ResolvedGrid, np.ndarray | None]:
     """Return the scene with a grid, and the phasors of a drive, None if they are to be found by simulation."""
-    if drive in ("equal", "single"):
-        equal = np.full(len(scene.actuators), magnitude_unit(scene), dtype=complex)
-        return resolve_grid(scene, device), equal if drive == "equal" else None
-    phasors = scene_phasors(scene) if drive == "scene" else phasors_from_file(drive, scene)
-    return resolve_grid(scene, device, phasors[None]), phasors
+    phasors: np.ndarray | None = None
+    if drive == "equal":
+        phasors = np.full(len(scene.actuators), magnitude_unit(scene), dtype=complex)
+    elif drive != "single":
+        phasors = scene_phasors(scene) if drive == "scene" else phasors_from_file(drive, scene)
+    if by_modes:
+        return resolve_search_grid(scene, device, MODAL), phasors
+    drives = None if phasors is None or drive == "equal" else phasors[None]
+    return resolve_grid(scene, device, drives), phasors
 
 
 def _estimate(
