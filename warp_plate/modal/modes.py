@@ -219,7 +219,7 @@ def _eigenpairs(galerkin: Galerkin, highest: float) -> tuple[np.ndarray, np.ndar
     except np.linalg.LinAlgError:
         raise _buckled(galerkin.scene) from None
     inverse, vectors = inverse[::-1], (units[:, None] * vectors)[:, ::-1]
-    kept = inverse > 1e-14 * inverse[0]
+    kept = inverse > 1e-9 * inverse[0]  # of still higher ones rounding couples the damping
     inverse, vectors = inverse[kept], vectors[:, kept]
     squares = 1 / inverse - scale
     if squares[0] < -STILL * scale:
