@@ -244,7 +244,8 @@ STEPPED = {
 @pytest.mark.parametrize("name", STEPPED)
 @pytest.mark.parametrize("nodes", [(21, 41), pytest.param((41, 81), marks=pytest.mark.slow)])
 def test_stepping_converges_to_the_motion(name, nodes, tmp_path):
-    """Twice the nodes leave a sixteenth of the error of fourth order, a quarter of that of second; half is a margin."""
+    """Twice the nodes leave a sixteenth of the error of fourth order, a quarter of that of second; three times as much
+    is allowed."""
     tables, order, bound = STEPPED[name]
     phasors, points = np.array([[1, 0.5 - 0.5j, -0.8j]]), [(0.05, 0.1), (0.15, 0.06)]
     scene = scene_of(damping=88.0, window=(0.004, 0.014))
@@ -258,8 +259,8 @@ def test_stepping_converges_to_the_motion(name, nodes, tmp_path):
         of_trace = np.abs(moved - run.trace).max() / np.abs(moved).max()
         errors.append((of_trace, np.abs(run.energy[0] / energy - 1).max()))
     assert max(errors[1]) < (bound if nodes[0] == 21 else bound / order)
-    assert errors[1][0] < 2 * errors[0][0] / 2**order
-    assert errors[1][1] < 2 * errors[0][1] / 2**order
+    assert errors[1][0] < 3 * errors[0][0] / 2**order
+    assert errors[1][1] < 3 * errors[0][1] / 2**order
 
 
 def test_gram_matrices_of_several_frequencies_are_those_of_stepping():
