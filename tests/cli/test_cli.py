@@ -128,7 +128,7 @@ def process(*arguments, **options):
 def test_as_a_process(command, panel):
     """Streams are free of messages of Warp, CUDA and VTK, also in a terminal without Greek letters."""
     assert json.loads(output_of(process("localize", "panel.toml", "--json", *QUICK)))["scene"] == "panel.toml"
-    assert "13 \\xd7 13 nodes" in output_of(process("modes", "panel.toml", "--no-pictures", encoding="ascii"))
+    assert "13 \\xd7 13 nodes" in output_of(process("modes", "panel.toml", "--grid", "--no-pictures", encoding="ascii"))
     assert output_of(command("--version")).strip() == warp_plate.__version__
     assert all(name in output_of(command("--help")) for name in ("localize", "simulate", "init"))
 

@@ -87,7 +87,10 @@ def test_robust_search_by_modes_is_the_limit_of_its_simulated_matrices():
 @pytest.mark.parametrize(
     ("tables", "key"),
     [
-        ({"drive": {"frequency": 290.0, "chirp": {"end_frequency": 400.0, "duration": 0.1}}}, "drive.chirp"),
+        (
+            {"drive": {"frequency": 290.0, "burst": {"duration": 0.05}}, "search": {"delay": {"range": (0.0, 0.02)}}},
+            "search.delay with drive.burst",
+        ),
         ({"effects": {"stretching": {}}}, "effects.stretching"),
     ],
 )
@@ -110,3 +113,11 @@ def test_a_search_without_a_method_is_exact_and_by_modes_where_it_can_be():
         ({"search": {}, "drive": chirp}, "exact"),
     ):
         assert with_method(paper(**tables)).search.method == method
+
+
+def test_gram_matrices_of_bursts_are_the_limit_of_fine_grids():
+    drive = {"frequency": 290.0, "burst": {"start": 0.002, "duration": 0.06, "ramp": 0.01}}
+    grid = {"nodes": (41, 41), "order": 4, "load": "moments"}
+    scene = paper(drive=drive, grid=grid, effects={"damping": {"viscous": 80.0}})
+    modal, stepped = (make_problem(scene, "cpu", evaluator=name).response.bound() for name in ("modal", "response"))
+    assert modal == pytest.approx(stepped, abs=2e-3)

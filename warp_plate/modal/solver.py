@@ -72,8 +72,6 @@ class ModalSolver:
         started = time.perf_counter()
         self.device, self.quantity = find_device(device), quantity
         self.discretization = discretize(scene, per_plate) if isinstance(scene, Scene) else scene
-        if per_plate != NO_PER_PLATE:
-            refuse_no_tone(self.scene)
         self._areas = areas
         self.plate: ModalPlate = solve_modes(self.scene, highest=_highest_frequency(self.scene))
         self.compile_seconds = time.perf_counter() - started
@@ -152,6 +150,8 @@ class ModalSolver:
             return energies(self.plate, self._region_matrices, designs.drives, self.quantity)
         if designs.only_drives:
             return self.response.energy(designs.drives)
+        if signals := _signals(self.scene):
+            raise SceneError(f"designs: plates under {signals[0]} differ in drives alone without time steps")
         return self._tones.energies(designs.drives, *self._frequency_and_forces(designs))
 
     def _frequency_and_forces(self, designs: Designs) -> tuple[np.ndarray, np.ndarray]:
@@ -223,19 +223,29 @@ def make_solver(
 
 
 def has_modes(scene: Scene) -> bool:
-    """Return whether a scene is linear and driven by tones."""
-    return _key_without_modes(scene) is None
+    """Return whether the searches of a scene can be evaluated by modes."""
+    return _reason_against(scene) is None
 
 
-def refuse_no_tone(scene: Scene) -> None:
-    """Refuse a scene that has no modal solution, with a SceneError that names what it must be simulated for."""
-    if (key := _key_without_modes(scene)) is not None:
-        raise SceneError(f"evaluator = 'modal': {key} needs time steps; write 'direct'")
+def refuse_no_modes(scene: Scene) -> None:
+    """Refuse a scene whose search takes time steps, with a SceneError that names the key."""
+    if (reason := _reason_against(scene)) is not None:
+        raise SceneError(f"evaluator = 'modal': {reason}; write 'direct'")
 
 
-def _key_without_modes(scene: Scene) -> str | None:
-    signals = (f"drive.{name}" for name in ("burst", "chirp", "signal") if getattr(scene.drive, name) is not None)
-    return scene.nonlinear_table or next(signals, None)
+def _reason_against(scene: Scene) -> str | None:
+    if scene.nonlinear_table is not None:
+        return f"{scene.nonlinear_table} needs time steps"
+    signals = _signals(scene)
+    searched = [
+        f"search.{name}" for name in ("frequency", "position", "delay") if getattr(scene.search, name) is not None
+    ]
+    return f"{searched[0]} with {signals[0]} needs time steps" if signals and searched else None
+
+
+def _signals(scene: Scene) -> list[str]:
+    """Return the keys that make a drive other than a tone."""
+    return [f"drive.{name}" for name in ("burst", "chirp", "signal") if getattr(scene.drive, name) is not None]
 
 
 def _highest_frequency(scene: Scene) -> float:

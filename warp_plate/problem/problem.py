@@ -20,7 +20,7 @@ import numpy as np
 
 from warp_plate.cluster.evaluator import Evaluator, make_evaluator
 from warp_plate.cluster.pool import WorkerPool
-from warp_plate.modal.solver import MODAL, ModalSolver, refuse_no_tone
+from warp_plate.modal.solver import MODAL, ModalSolver, refuse_no_modes
 from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.optimize.space import SearchSpace
 from warp_plate.plate.designs import Designs, per_plate_of
@@ -261,7 +261,7 @@ def make_problem(
     if evaluator is None and scene.modal_only_key is not None:
         evaluator = MODAL
     if evaluator == MODAL:
-        refuse_no_tone(scene)
+        refuse_no_modes(scene)
         path = MODAL
     parametrization = parametrization_of(with_common_step(scene))
     scene, quadratic = parametrization.scene, parametrization.quadratic
