@@ -12,7 +12,7 @@ from warp_plate.accuracy import configurations, report
 from warp_plate.accuracy.choose import choose
 from warp_plate.accuracy.configurations import Configuration, cost_of_run, percent, scene_with, seconds_text
 from warp_plate.accuracy.estimate import estimate
-from warp_plate.accuracy.measure import AccuracyRow, MeasurementContext, measure
+from warp_plate.accuracy.measure import AccuracyRow, MeasurementContext, measure, measure_modal
 from warp_plate.accuracy.reference_solution import find_reference_solution
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
@@ -154,6 +154,27 @@ def test_a_row_agrees_with_a_run(paper_exact):
     assert 0 < row.error_displacement < 0.1
     assert 0 < row.error_frequencies < 2e-3
     assert row.seconds_per_plate > 0
+
+
+def test_rows_of_modes(paper_exact):
+    """Errors fall with the density, and a search shares one solution."""
+    scene = Scene.load("paper")
+    context = MeasurementContext(scene, paper_exact, "cpu")
+    rough, fine = (measure_modal(context, density) for density in (0.4, 0.6))
+    assert 0.01 > rough.error > fine.error > 0
+    assert rough.error == max(rough.error_single, rough.error_best, rough.error_bound)
+    assert (rough.order, rough.nodes, fine.nodes) == (7, (11, 11), (14, 14))
+    assert fine.error_frequencies < 1e-6
+    assert 0 < fine.error_displacement < 0.05
+    assert fine.search_seconds(0) == fine.seconds_once < fine.search_seconds(10) < 2 * fine.seconds_once
+    assert fine.seconds_per_plate == pytest.approx(fine.search_seconds(fine.plates) / fine.plates)
+
+
+def test_a_scene_without_time_steps_has_rows_of_modes(panel):
+    steady = panel.with_tables(effects={"loss_factor": {"eta": 0.01}})
+    found = report.measure_configurations(steady, device="cpu")
+    assert {row.load for row in found.rows} == {"modal"}
+    assert found.recommended[-1].row is not None
 
 
 def test_failures_are_rows(paper_exact):

@@ -28,7 +28,8 @@ def accuracy(command, write_scene, panel, monkeypatch):
 def test_table_file_and_picture(accuracy):
     pytest.importorskip("matplotlib")
     out = output_of(accuracy("--budget", "20", "--out", "a.json"))
-    for part in ("as written: order 2, overlap, centred damping", "order 4, moments", "measured laws", "refused"):
+    written = "as written: order 2, overlap, centred damping"
+    for part in ("modes, without a grid", written, "order 4, moments", "measured laws", "refused"):
         assert part in out
     assert out.splitlines()[-3:] == ["wrote a.json", "wrote a.png", "wrote a.svg"]
     assert max(map(len, out.splitlines())) <= 80
@@ -37,6 +38,10 @@ def test_table_file_and_picture(accuracy):
     rows = record["rows"]
     assert all(set(row) >= ROW_KEYS for row in rows)
     assert [row["as_written"] for row in rows].count(True) == 1
+    modal = [row for row in rows if row["load"] == "modal"]
+    assert modal[-1]["error"] < 0.01
+    assert modal[-1]["time_step"] is None
+    assert all(row["seconds_once"] > 0 for row in modal)
     assert {row["status"].partition(":")[0] for row in rows} == {"ok", "refused", "skipped"}
     measured = [row for row in rows if row["status"] == "ok"]
     assert all(0 < row["error"] < 10 and row["seconds_per_plate"] > 0 for row in measured)
@@ -60,6 +65,7 @@ def test_ctrl_c_keeps_the_measurements(accuracy, monkeypatch):
 
     monkeypatch.setattr(report, "measure", stopped)
     record = json.loads(output_of(accuracy("--json", "--no-pictures")))
-    assert (record["interrupted"], len(record["rows"])) == (True, 2)
+    stepped = [row for row in record["rows"] if row["load"] != "modal"]
+    assert (record["interrupted"], len(stepped)) == (True, 2)
     assert record.pop("files") == ["panel-accuracy.json"]
     assert json.loads(Path("panel-accuracy.json").read_text(encoding="utf-8")) == record

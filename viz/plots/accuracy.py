@@ -16,10 +16,11 @@ FAMILIES = {
     (2, "nodes"): ("#7f7f7f", "s", "order 2, node masks"),
     (2, "overlap"): ("#d95f02", "o", "order 2, overlap"),
     (4, "moments"): ("#08519c", "D", "order 4, moments"),
+    (7, "modal"): ("#1b9e77", "^", "modes"),
 }
 OTHER = ("#762a83", "v")
 # Families whose grids are written beside their marks.
-NUMBERED = ((2, "overlap"), (4, "moments"))
+NUMBERED = ((2, "overlap"), (4, "moments"), (7, "modal"))
 FRONT_COLOUR, TOLERANCE_COLOUR, REFUSED_COLOUR = "#a6d9a0", "#b0b0b0", "#b2182b"
 TOLERANCES = (0.1, 0.03, 0.01, 0.003, 0.001)
 REFUSED_HEIGHT = 2.2  # of the marks of refused configurations over the largest error
@@ -63,7 +64,7 @@ def families(rows: Sequence[Row]) -> list[tuple[tuple[int, str], str]]:
 
 def longest_steps(rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
     """Split rows into those with the longest time step of their grid, from coarse to fine, and the others."""
-    longest = {tuple(row["nodes"]): row for row in sorted(rows, key=lambda row: float(row["time_step"]))}
+    longest = {tuple(row["nodes"]): row for row in sorted(rows, key=lambda row: row["time_step"] or 0.0)}
     line = sorted(longest.values(), key=lambda row: -float(row["spacing"]))
     return line, [row for row in rows if not any(row is other for other in line)]
 
@@ -88,11 +89,11 @@ def _points(rows: Sequence[Row]) -> tuple[list[float], list[float]]:
 
 
 def _plot_family(axes: Axes, rows: Sequence[Row], front: Sequence[Row]) -> None:
-    """Plot one family; write the nodes beside float32 marks, of order 4 those on the front, else errors below 10 %."""
+    """Plot one family; write the nodes beside its marks, of high order those on the front, else errors below 10 %."""
     line, others = longest_steps(rows)
     (order, load), precision = _family(rows[0])
     colour, marker, name = FAMILIES.get((order, load), (*OTHER, f"order {order}, {load}"))
-    single = precision == "float32"
+    single = precision == "float32" or load == "modal"
     look = {"color": colour, "marker": marker, "markerfacecolor": colour if single else "white", "zorder": 3}
     style, label = ("-", name) if single else (":", f"{name}, float64")
     axes.plot(*_points(line), linestyle=style, linewidth=1.2, markersize=5, label=label, **look)
@@ -100,7 +101,7 @@ def _plot_family(axes: Axes, rows: Sequence[Row], front: Sequence[Row]) -> None:
         axes.plot(*_points(others), linestyle="", markersize=3, label=f"{name}, ½ and ¼ of Δt", **look)
     text = {"textcoords": "offset points", "fontsize": 6.5, "color": colour, "ha": "right", "va": "top"}
     for row in line if single and (order, load) in NUMBERED else ():
-        if row in front if order == 4 else row["error"] < 0.1:
+        if row in front if order > 2 else row["error"] < 0.1:
             axes.annotate("×".join(map(str, row["nodes"])), (row["seconds_per_plate"], row["error"]), (-5, -5), **text)
 
 

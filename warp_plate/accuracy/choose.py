@@ -25,7 +25,7 @@ from warp_plate.accuracy.configurations import (
     seconds_text,
     two_digits,
 )
-from warp_plate.accuracy.measure import seconds_of_runs
+from warp_plate.accuracy.measure import seconds_of
 from warp_plate.accuracy.reference_solution import ReferenceSolution, find_reference_solution
 from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.errors import SceneError
@@ -275,4 +275,4 @@ def _seconds_a_plate(scene: Scene, device: str) -> float:
     plates = CUDA_PLATES if solver.device.is_cuda else 4 * solver.specialized.threads
     phasors = np.ones((plates, len(scene.actuators)), dtype=complex)
     solver.run(phasors[:1])
-    return min(seconds_of_runs(solver, phasors, TIMED_RUNS, TIMING_SECONDS)) / plates
+    return min(seconds_of(lambda: solver.run(phasors), TIMED_RUNS, TIMING_SECONDS)) / plates

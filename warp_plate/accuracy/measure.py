@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from statistics import median
 
@@ -20,7 +21,8 @@ from warp_plate.accuracy.configurations import (
     seconds_text,
     spacing_of,
 )
-from warp_plate.accuracy.reference_solution import ReferenceSolution
+from warp_plate.accuracy.reference_solution import ReferenceSolution, grid_lines, solve_response
+from warp_plate.modal.motion import fields
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.weights import localization_factor
@@ -30,6 +32,8 @@ from warp_plate.solve.devices import cpu_threads, find_device
 from warp_plate.solve.response import measure_response, unit_drives
 from warp_plate.solve.solver import PlateSolver
 
+# Load of rows of the modal engine, and the densities of functions that are measured.
+MODAL, MODAL_DENSITIES = "modal", (0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
 # Times within the window at which displacements are compared.
 SNAPSHOTS = 6
 # Nodes of the largest grid whose natural frequencies are computed, by a sparse factorisation.
@@ -46,10 +50,10 @@ FEW_ON_CUDA = 16
 class AccuracyRow:
     """Errors and cost of one configuration; None for what was not measured."""
 
-    order: int  # spatial order
-    load: str  # weights of loads and regions
-    nodes: tuple[int, int]  # nodes (nx, ny)
-    time_step: float | None  # time step [s]
+    order: int  # spatial order; of modes the degree of their splines
+    load: str  # weights of loads and regions; MODAL for modes
+    nodes: tuple[int, int]  # nodes (nx, ny); of modes their functions
+    time_step: float | None  # time step [s]; None for modes
     precision: str  # precision of the time steps
     damping: str | None  # scheme of viscous damping in time; None without damping
     spacing: float  # square root of the area of a cell [m]
@@ -64,7 +68,8 @@ class AccuracyRow:
     error_bound: float | None = None  # relative error of the bound
     error_displacement: float | None = None  # relative L2 error over plate and window, best drive
     error_frequencies: float | None = None  # largest relative error of the first natural frequencies
-    seconds_per_plate: float | None = None  # time that a plate takes among ``plates`` [s]
+    seconds_per_plate: float | None = None  # time that a plate takes among ``plates``, its share included [s]
+    seconds_once: float = 0.0  # time that all plates of a search share [s]
     plates: int | None = None  # plates of the timed run
     path: str | None = None  # path of the solver
 
@@ -76,7 +81,14 @@ class AccuracyRow:
     @property
     def family(self) -> str:
         """Order, load and precision."""
+        if self.load == MODAL:
+            return MODAL
         return f"order {self.order}, {self.load}, {self.precision}"
+
+    def search_seconds(self, plates: int) -> float:
+        """Return the time of a search of so many plates [s]."""
+        each = (self.seconds_per_plate or 0.0) - self.seconds_once / (self.plates or 1)
+        return self.seconds_once + plates * each
 
 
 @dataclass
@@ -140,6 +152,66 @@ def measure(
     return _measured(context, solver, row, complete)
 
 
+def measure_modal(context: MeasurementContext, density: float) -> AccuracyRow:
+    """Return the row of the modal engine with this density of functions.
+
+    Everything from the scene to the energies of the swarm's plates is timed.
+    """
+    scene, reference, window = context.scene, context.reference, context.scene.window
+    plate, response = solve_response(scene, density)
+    splines = (plate.galerkin.along_x, plate.galerkin.along_y)
+    nodes = (splines[0].functions, splines[1].functions)
+    times = np.linspace(window.start, window.end, SNAPSHOTS + 1)[1:]
+    factors = response.localization_factors(np.array(list(reference.drives.values())))
+    drive, plates = reference.drives["best"], scene.search.particles
+    phasors = _random_phasors(plates, len(scene.actuators))
+    once = median(seconds_of(lambda: solve_response(scene, density), RUNS, TIMING_SECONDS))
+    each = median(seconds_of(lambda: response.energy(phasors), RUNS, TIMING_SECONDS)) / plates
+    row = AccuracyRow(
+        order=splines[0].degree,
+        load=MODAL,
+        nodes=nodes,
+        time_step=None,
+        precision="float64",
+        damping=None,
+        spacing=spacing_of(scene, nodes),
+        as_written=False,
+        error_displacement=reference.displacement_error(
+            drive, times, scene, fields(plate, drive[None], times, *grid_lines(scene))[0]
+        ),
+        error_frequencies=largest_frequency_error(plate.frequencies, reference.frequencies),
+        seconds_per_plate=once / plates + each,
+        seconds_once=once,
+        plates=plates,
+        path=MODAL,
+    )
+    return _with_errors(row, reference, factors, response.bound())
+
+
+def _with_errors(
+    row: AccuracyRow, reference: ReferenceSolution, factors: np.ndarray, bound: float | None
+) -> AccuracyRow:
+    """Return the row with the localization factors of "single" and "best", the bound, and their errors."""
+    expected = np.array(list(reference.localization_factors.values()))
+    error_single, error_best = np.abs(factors / expected - 1).tolist()
+    error_bound = None if bound is None else abs(bound / reference.bound - 1)
+    return replace(
+        row,
+        localization_factor=float(factors[0]),
+        bound=bound,
+        error=max(error_single, error_best, error_bound or 0.0),
+        error_single=error_single,
+        error_best=error_best,
+        error_bound=error_bound,
+    )
+
+
+def _random_phasors(plates: int, actuators: int) -> np.ndarray:
+    """Return (plates, actuators) phasors of a swarm."""
+    random = np.random.default_rng(0).normal(size=(2, plates, actuators))
+    return np.asarray(random[0] + 1j * random[1])
+
+
 def _measured(context: MeasurementContext, solver: PlateSolver, row: AccuracyRow, complete: bool) -> AccuracyRow:
     """Return the row with errors and cost."""
     scene, reference, window = solver.scene, context.reference, solver.scene.window
@@ -149,26 +221,14 @@ def _measured(context: MeasurementContext, solver: PlateSolver, row: AccuracyRow
     matrices = [] if response is None else [response.matrices]
     if not all(np.isfinite(values).all() for values in (run.energy, run.displacement, *matrices)):
         return replace(row, status="unstable")
-    factors = localization_factor(run.energy)
-    expected = np.array(list(reference.localization_factors.values()))
-    error_single, error_best = np.abs(factors / expected - 1).tolist()
-    bound = None if response is None else response.bound()
-    error_bound = None if bound is None else abs(bound / reference.bound - 1)
     plates = scene.search.particles if complete else context.few_plates
-    random = np.random.default_rng(0).normal(size=(2, plates, len(scene.actuators)))
-    phasors = random[0] + 1j * random[1]
+    phasors = _random_phasors(plates, len(scene.actuators))
     if complete:
         solver.run(phasors)
-    seconds = median(seconds_of_runs(solver, phasors, RUNS if complete else 1, TIMING_SECONDS)) / plates
+    seconds = median(seconds_of(lambda: solver.run(phasors), RUNS if complete else 1, TIMING_SECONDS)) / plates
     context.speeds[row.order, row.precision] = seconds / solver.node_steps_per_plate
-    return replace(
+    row = replace(
         row,
-        localization_factor=float(factors[0]),
-        bound=bound,
-        error=max(error_single, error_best, error_bound or 0.0),
-        error_single=error_single,
-        error_best=error_best,
-        error_bound=error_bound,
         error_displacement=reference.displacement_error(
             reference.drives["best"], run.times, scene, run.displacement[1]
         ),
@@ -177,14 +237,15 @@ def _measured(context: MeasurementContext, solver: PlateSolver, row: AccuracyRow
         plates=plates,
         path=solver.path,
     )
+    return _with_errors(row, reference, localization_factor(run.energy), None if response is None else response.bound())
 
 
-def seconds_of_runs(solver: PlateSolver, phasors: np.ndarray, most_runs: int, most_seconds: float) -> list[float]:
+def seconds_of(run: Callable[[], object], most_runs: int, most_seconds: float) -> list[float]:
     """Return the times of runs [s]; after ``most_seconds`` no further one begins."""
     times: list[float] = []
     while len(times) < most_runs and sum(times) < most_seconds:
         started = time.perf_counter()
-        solver.run(phasors)
+        run()
         times.append(time.perf_counter() - started)
     return times
 
@@ -203,6 +264,6 @@ def _frequency_error(context: MeasurementContext, scene: Scene) -> float | None:
 
 def largest_frequency_error(computed: np.ndarray, expected: np.ndarray) -> float:
     """Return the largest relative error of natural frequencies (modes,) [Hz], rigid motions aside."""
-    right = expected[: len(computed)]
-    moving = right > 0
-    return float(np.abs(computed[moving] / right[moving] - 1).max(initial=0.0))
+    count = min(len(computed), len(expected))
+    moving = np.flatnonzero(expected[:count])
+    return float(np.abs(computed[moving] / expected[moving] - 1).max(initial=0.0))

@@ -73,6 +73,7 @@ class ReferenceSolution:
         scenes: The scene on the grids of Richardson's method; the scene alone for modes.
         device: Device of Richardson's method.
         plate: Modes; None for Richardson's method.
+        density: Density of their functions.
     """
 
     kind: Literal["modal", "richardson"]
@@ -83,6 +84,7 @@ class ReferenceSolution:
     scenes: Sequence[Scene]
     device: str = "auto"
     plate: ModalPlate | None = None
+    density: float = 0.0
 
     @cached_property
     def bound(self) -> float:
@@ -116,7 +118,7 @@ class ReferenceSolution:
             from scipy.interpolate import RectBivariateSpline
 
             run = PlateSolver(scene, self.device).run(phasors[None], times.tolist())
-            grid_x, grid_y = _grid_lines(scene)
+            grid_x, grid_y = grid_lines(scene)
             return np.array([RectBivariateSpline(grid_y, grid_x, frame)(y, x) for frame in run.displacement[0]])
         return fields(self.plate, phasors[None], times, x, y)[0]
 
@@ -124,7 +126,7 @@ class ReferenceSolution:
         self, phasors: np.ndarray, times: Sequence[float] | np.ndarray, scene: Scene, computed: np.ndarray
     ) -> float:
         """Return ‖u − u_ref‖ / ‖u_ref‖ over the times and the nodes of the scene; NaN for a plate at rest."""
-        expected = self.displacement(phasors, np.asarray(times, dtype=float), *_grid_lines(scene))
+        expected = self.displacement(phasors, np.asarray(times, dtype=float), *grid_lines(scene))
         size = float(np.linalg.norm(expected))
         return float(np.linalg.norm(computed - expected)) / size if size > 0 else math.nan
 
@@ -241,7 +243,9 @@ def _by_modes(scene: Scene, change: Change) -> Iterator[ReferenceSolution]:
         responses.append(response)
         seconds = MODAL_SECONDS * len(plate.vectors) * len(plate.frequencies) ** 2
         next_seconds = seconds * (following / density) ** 6  # unknowns and modes grow as the square
-        yield ReferenceSolution("modal", response, uncertainty, seconds, next_seconds, [scene], plate=plate)
+        yield ReferenceSolution(
+            "modal", response, uncertainty, seconds, next_seconds, [scene], plate=plate, density=density
+        )
 
 
 def _by_richardson(scene: Scene, device: str, change: Change) -> Iterator[ReferenceSolution]:
@@ -278,7 +282,7 @@ def _gain(scenes: Sequence[Scene]) -> float:
     return 1 / ((coarse / fine) ** scenes[-1].grid.order - 1)
 
 
-def _grid_lines(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def grid_lines(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return (nx,) and (ny,) coordinates of the nodes [m]."""
     (width, height), (nx, ny) = scene.plate.size, scene.grid.nodes
     return np.linspace(0, width, nx), np.linspace(0, height, ny)

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from warp_plate.accuracy.configurations import Configuration, make_configurations
-from warp_plate.accuracy.measure import AccuracyRow, MeasurementContext, measure
+from warp_plate.accuracy.measure import MODAL_DENSITIES, AccuracyRow, MeasurementContext, measure, measure_modal
 from warp_plate.accuracy.reference_solution import ReferenceSolution, find_reference_solution
 from warp_plate.scene.model import Grid, Scene
 
@@ -113,6 +113,8 @@ def measure_configurations(
     if scene.grid.accuracy is not None:  # the scene as written has no grid
         scene, configurations = scene.model_copy(update={"grid": Grid()}), []
     configurations += make_configurations(scene)
+    if scene.modal_only_key is not None:
+        configurations = []
     context = MeasurementContext(scene, reference, device, path)
     rows, interrupted = _measure_rows(context, configurations, started + budget, on_progress)
     particles, iterations = scene.search.particles, scene.search.iterations
@@ -141,11 +143,19 @@ def _measure_rows(
 ) -> tuple[list[AccuracyRow], bool]:
     """Return the rows that are measured before the deadline, or skipped, and whether Ctrl-C ended the measurement."""
     rows: list[AccuracyRow] = []
+    reference, densities = context.reference, []
+    if reference.plate is not None:  # coarser ones than the reference itself
+        densities = [density for density in MODAL_DENSITIES if density < reference.density]
+    total = len(densities) + len(configurations)
     try:
+        for density in densities:
+            if on_progress is not None:
+                on_progress(len(rows), total, "modes")
+            rows.append(measure_modal(context, density))
         for configuration in configurations:
             if on_progress is not None:
-                on_progress(len(rows), len(configurations), str(configuration or "the scene as written"))
-            first = sum(row.measured for row in rows) < FIRST_ROWS
+                on_progress(len(rows), total, str(configuration or "the scene as written"))
+            first = sum(row.measured for row in rows[len(densities) :]) < FIRST_ROWS
             seconds_left = math.inf if first else ROW_SHARE * (deadline - time.perf_counter())
             rows.append(measure(context, configuration, seconds_left))
     except KeyboardInterrupt:
@@ -211,7 +221,7 @@ def recommend(rows: Sequence[AccuracyRow], uncertainty: float, plates: int) -> l
     The tolerance includes the uncertainty of the reference, and the finer grids of the row's order, load and precision
     must keep it too: a coarse grid may be right by chance.
     """
-    measured = [(row.seconds_per_plate or 0.0, index, row) for index, row in enumerate(rows) if row.measured]
+    measured = [(row.search_seconds(plates), index, row) for index, row in enumerate(rows) if row.measured]
     worst = {
         index: max(
             other.error or 0.0
@@ -224,5 +234,5 @@ def recommend(rows: Sequence[AccuracyRow], uncertainty: float, plates: int) -> l
     for tolerance in TOLERANCES:
         kept = [(seconds, index) for seconds, index, _ in measured if worst[index] <= tolerance - uncertainty]
         seconds, index = min(kept, default=(None, None))
-        recommendations.append(Recommendation(tolerance, index, None if seconds is None else plates * seconds))
+        recommendations.append(Recommendation(tolerance, index, seconds))
     return recommendations

@@ -20,7 +20,8 @@ LEGEND = (
     "single, bound: localization factor of the best single actuator, and the largest that any drive can have. error: "
     "largest relative error of single, best drive and bound; u: error of the displacement under the best drive (L2 "
     "norm over plate and window); modes: error of the first natural frequencies. a plate: seconds per plate in a "
-    "swarm. * no other row is both more accurate and faster; ~ not measured because it would take too long."
+    "swarm. Of modes: functions in place of nodes, and a plate's share of all that a swarm takes, from the scene on. "
+    "* no other row is both more accurate and faster; ~ not measured because it would take too long."
 )
 
 
@@ -109,7 +110,9 @@ def _recommendations(report: AccuracyReport) -> Table:
         cells = ["none within the budget"]
         if recommended.row is not None:
             row = report.rows[recommended.row]
-            use = f"{_size(row)}, order {row.order}, {row.load}, {row.time_step:.2g} s, {row.precision}"
+            use = f"modes, {_size(row)} functions"
+            if row.time_step is not None:
+                use = f"{_size(row)}, order {row.order}, {row.load}, {row.time_step:.2g} s, {row.precision}"
             seconds = (row.seconds_per_plate or 0.0, recommended.seconds or 0.0)
             cells = [use, percent(row.error or 0.0), *map(seconds_text, seconds)]
         made.add_row(percent(recommended.tolerance), *cells)
@@ -117,6 +120,8 @@ def _recommendations(report: AccuracyReport) -> Table:
 
 
 def _kind(row: AccuracyRow) -> str:
+    if row.load == "modal":
+        return "modes, without a grid"
     kind = f"order {row.order}, {row.load}"
     return f"as written: {kind}, {row.damping or 'no'} damping" if row.as_written else kind
 
