@@ -19,8 +19,16 @@ def paper(**tables):
     return Scene.load("paper").with_tables(**tables)
 
 
-@pytest.mark.parametrize("effects", [{"damping": {"viscous": 80.0}}, {"oscillators": [FINGER]}])
-@pytest.mark.parametrize("varied", ["places", "common frequency", "frequencies", "steady"])
+@pytest.mark.parametrize(
+    ("varied", "effects"),
+    [
+        ("places", {"damping": {"viscous": 80.0}}),
+        ("common frequency", {"damping": {"viscous": 80.0}}),
+        ("frequencies", {"oscillators": [FINGER]}),
+        ("steady", {"damping": {"viscous": 80.0}}),
+        ("steady", {"oscillators": [FINGER]}),
+    ],
+)
 def test_batches_have_the_energies_of_plain_gram_matrices(random, effects, varied):
     """E = zᵀ G z for every plate of a batch, by another route."""
     if varied == "steady":
