@@ -156,7 +156,14 @@ def test_layers(both):
     agrees_with_levy(scene, section, ("clamped", "free"), cuts=(0.031, 0.09, 0.113, 0.171))
 
 
-@pytest.mark.parametrize("columns", [(1.0, 1.6), (0.8, 1.3, 0.9, 1.2), (1.1, 0.9, 1.3, 1.0, 0.8, 1.2, 1.1, 0.9)])
+@pytest.mark.parametrize(
+    "columns",
+    [
+        pytest.param((1.0, 1.6), marks=pytest.mark.slow),
+        (0.8, 1.3, 0.9, 1.2),
+        pytest.param((1.1, 0.9, 1.3, 1.0, 0.8, 1.2, 1.1, 0.9), marks=pytest.mark.slow),
+    ],
+)
 def test_variation(columns):
     """Thickness and density, linear between the columns of a map."""
     lines, densities = np.linspace(0, SIZE[0], len(columns)), np.linspace(0.7, 1.4, len(columns))

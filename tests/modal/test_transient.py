@@ -241,7 +241,9 @@ STEPPED = {
 }
 
 
-@pytest.mark.parametrize("name", STEPPED)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "file" else name for name in STEPPED]
+)
 @pytest.mark.parametrize("nodes", [(21, 41), pytest.param((41, 81), marks=pytest.mark.slow)])
 def test_stepping_converges_to_the_motion(name, nodes, tmp_path):
     """Twice the nodes leave a sixteenth of the error of fourth order, a quarter of that of second; three times as much
