@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from warp_plate.modal.loads import ExponentialLoads, has_exponential_loads
-from warp_plate.modal.modes import ModalPlate
+from warp_plate.modal.modes import ModalPlate, times
 from warp_plate.modal.motion import Excitation, make_excitation, with_moving_load
 from warp_plate.modal.poles import Poles, make_poles
 from warp_plate.modal.quadrature import by_quadrature
@@ -56,14 +56,14 @@ def gram_matrices(
         quantity: "velocity", or "displacement" for ½ ∫ ρH u² dA [J s² per (N/m²)²].
         delay: (designs, M) starts of the scene's bursts [s] (default: the scene's).
     """
-    omega = 2 * math.pi * frequency
     if window is None:
-        forced = _forced(plate, forces, omega) * (1j * omega[:, None, :] if quantity == "velocity" else 1)
-        same = omega[:, :, None] == omega[:, None, :]
+        rate = 2j * math.pi * frequency[:, None, :] if quantity == "velocity" else 1
+        forced = plate.respond_each(frequency, forces) * rate
+        same = frequency[:, :, None] == frequency[:, None, :]
         mixed = [(forced.conj().mT @ times(region, forced)) * same for region in regions]
         return np.stack([real_form(np.zeros_like(product), product) for product in mixed], axis=1)
     if plate.scene.drive.burst is None and has_exponential_loads(plate.scene):
-        motion = _of_tones(plate, forces, omega, quantity, window)
+        motion = _of_tones(plate, forces, frequency, quantity, window)
         return np.stack([real_form(*motion.products(region, window)) for region in regions], axis=1)
     delay = actuator_delays(plate.scene)[None] if delay is None else delay
     designs = max(len(forces), len(frequency), len(delay))
@@ -72,9 +72,10 @@ def gram_matrices(
     return np.stack([_of_excitation(each, regions, window, quantity) for each in excitations])
 
 
-def _of_tones(plate: ModalPlate, forces: np.ndarray, omega: np.ndarray, quantity: str, window: Window) -> _Motion:
+def _of_tones(plate: ModalPlate, forces: np.ndarray, frequency: np.ndarray, quantity: str, window: Window) -> _Motion:
     """Return the motion under tones from t = 0 on."""
-    poles, forced, drive = make_poles(plate, window.end), _forced(plate, forces, omega), 1j * omega
+    poles, drive = make_poles(plate, window.end), 2j * math.pi * frequency
+    forced = plate.respond_each(frequency, forces)
     free = -(poles.inputs @ forces) / (drive[:, None, :] - poles.values[:, None])
     if quantity == "velocity":
         forced, free = forced * drive[:, None, :], free * poles.values[:, None]
@@ -153,24 +154,6 @@ class _Motion:
         """Return (designs, M, columns) sums of rows over the terms of each actuator."""
         designs, _, columns = rows.shape
         return np.asarray(rows.reshape(designs, self.free.shape[2], -1, columns).sum(axis=2))
-
-
-def _forced(plate: ModalPlate, forces: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """Return (designs, modes, M) amplitudes of the forced motion."""
-    shape = (len(omega), forces.shape[1], omega.shape[1])
-    if (omega == omega[:, :1]).all() and len(forces) == 1:
-        return plate.respond(omega[:, 0] / (2 * math.pi), forces[0])
-    forced, loads = np.empty(shape, dtype=complex), np.broadcast_to(forces, shape)
-    for actuator, turns in enumerate(omega.T):
-        for turn in np.unique(turns):
-            some = turns == turn
-            forced[some, :, actuator] = plate.respond(np.array([turn / (2 * math.pi)]), loads[some, :, actuator].T)[0].T
-    return forced
-
-
-def times(region: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the product of a real matrix and complex columns, in real arithmetic."""
-    return np.asarray((region @ values.real) + 1j * (region @ values.imag))
 
 
 def _lasting(poles: Poles, free: np.ndarray, forced: np.ndarray, window: Window) -> np.ndarray:

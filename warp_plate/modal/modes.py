@@ -146,18 +146,41 @@ class ModalPlate:
             (frequencies, modes, loads) complex modal amplitudes q: u = Re Σ φ q exp(iωt). Infinite where an undamped
             mode is driven at its natural frequency.
         """
-        omega = 2 * math.pi * np.asarray(frequencies, dtype=float)[:, None]
-        stiffness = self.angular_frequencies**2
+        omega = 2 * math.pi * np.asarray(frequencies, dtype=float)
         if self.proportional:
-            dynamic = stiffness - omega**2 + 1j * (omega * np.diag(self.damping) + np.diag(self.hysteretic))
             with np.errstate(divide="ignore", invalid="ignore"):
-                return np.asarray(forces / dynamic[:, :, None])
+                return np.asarray(forces / self.dynamic_stiffness(omega)[:, :, None])
         responses = np.empty((len(omega), *forces.shape), dtype=complex)
-        for response, turn in zip(responses, omega[:, 0], strict=True):
+        for response, turn in zip(responses, omega, strict=True):
             matrix = 1j * (turn * self.damping + self.hysteretic)
-            matrix[np.diag_indices_from(matrix)] += stiffness - turn**2
+            matrix[np.diag_indices_from(matrix)] += self.angular_frequencies**2 - turn**2
             response[:] = scipy.linalg.solve(matrix, forces, assume_a="sym")
         return responses
+
+    def respond_each(self, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Return the steady response of plates to forces that each turn at a frequency of their own.
+
+        Args:
+            frequency: (plates, loads) [Hz].
+            forces: (plates or 1, modes, loads) complex modal forces.
+
+        Returns:
+            (plates, modes, loads) complex modal amplitudes, see :meth:`respond`.
+        """
+        if self.proportional:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                return np.asarray(forces / self.dynamic_stiffness(2 * math.pi * frequency).mT)
+        loads = np.moveaxis(np.broadcast_to(forces, (len(frequency), *forces.shape[1:])), 1, 0)
+        amplitudes = np.empty(loads.shape, dtype=complex)
+        for each in np.unique(frequency):
+            amplitudes[:, frequency == each] = self.respond(np.array([each]), loads[:, frequency == each])[0]
+        return np.moveaxis(amplitudes, 0, 1)
+
+    def dynamic_stiffness(self, omega: np.ndarray) -> np.ndarray:
+        """Return (..., modes) Λ + iH + iωC − ω² of the modes without their coupling, at ω (...) [rad/s]."""
+        turn = np.asarray(omega)[..., None]
+        damped = turn * np.diag(self.damping) + np.diag(self.hysteretic)
+        return np.asarray(self.angular_frequencies**2 - turn**2 + 1j * damped)
 
     @property
     def _plate_unknowns(self) -> int:
@@ -201,6 +224,14 @@ def solve_modes(scene: Scene, highest: float | None = None, count: int = 0, dens
         else:
             hysteretic = np.asarray(loss.eta * (vectors.T @ (galerkin.bending @ vectors)))
     return ModalPlate(galerkin, frequencies, vectors, damping, hysteretic)
+
+
+def times(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return a real matrix (rows, modes) times complex columns (..., modes, columns), in real arithmetic."""
+    first = np.moveaxis(columns, -2, 0)
+    flat = first.reshape(len(first), -1)
+    product = matrix @ flat.real + 1j * (matrix @ flat.imag)
+    return np.moveaxis(product.reshape(len(matrix), *first.shape[1:]), 0, -2)
 
 
 def _eigenpairs(galerkin: Galerkin, highest: float) -> tuple[np.ndarray, np.ndarray]:

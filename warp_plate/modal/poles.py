@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from warp_plate.modal.modes import ModalPlate
+from warp_plate.modal.modes import ModalPlate, times
 
 # Two poles of one mode are kept apart by this part of one over the longest time: where they meet, as at critical
 # damping or of a rigid motion, exponentials cancel, and the error is about as large as this.
@@ -53,7 +53,7 @@ class Poles:
     def moved(self, matrix: np.ndarray) -> np.ndarray:
         """Return the product of a real matrix (rows, modes) and the free motions."""
         if self.modes is None:
-            return np.asarray(matrix @ self.vectors.real + 1j * (matrix @ self.vectors.imag))
+            return times(matrix, self.vectors)
         return matrix[:, self.modes] * self._sizes
 
     def pressed(self, columns: np.ndarray, conjugate: bool = False) -> np.ndarray:
@@ -85,7 +85,8 @@ def make_poles(plate: ModalPlate, longest: float) -> Poles:
         vectors[rest, column * rest.size + rest - coupled] = 1 / np.sqrt(sign * 2 * split[coupled:])
     inputs = vectors.T
     if coupled:
-        more, shapes, gains = _coupled_poles(square[:coupled], plate.damping[:coupled, :coupled])
+        lowest = square[:coupled]
+        more, shapes, gains = coupled_poles(np.diag(lowest), plate.damping[:coupled, :coupled], np.sqrt(lowest))
         values = np.concatenate([values, more])
         vectors = np.hstack([vectors, np.vstack([shapes, np.zeros((rest.size, more.size))])])
         inputs = np.vstack([inputs, np.hstack([gains, np.zeros((more.size, rest.size))])])
@@ -105,11 +106,19 @@ def poles_apart(poles: Poles, rates: np.ndarray, longest: float) -> Poles:
     return replace(poles, values=values)
 
 
-def _coupled_poles(square: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return all poles (2 modes,), their motions (modes, 2 modes) and inputs of modes that damping couples."""
-    count, unit = square.size, np.sqrt(square)
+def coupled_poles(
+    stiffness: np.ndarray, damping: np.ndarray, unit: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return all poles (2 modes,), their motions (modes, 2 modes) and inputs of modes that damping couples.
+
+    Args:
+        stiffness: (modes, modes) Λ + iH [1/s²].
+        damping: (modes, modes) C [1/s].
+        unit: (modes,) sizes of the modes' frequencies, above zero [rad/s].
+    """
+    count = unit.size
     # Unknowns ω q and q̇, which are of one size.
-    system = np.block([[np.zeros((count, count)), np.diag(unit)], [-np.diag(unit), -damping]])
+    system = np.block([[np.zeros_like(stiffness), np.diag(unit)], [-stiffness / unit, -damping]])
     values, vectors = scipy.linalg.eig(system)
     # Motions of poles that coincide, as on a square plate, are not orthogonal in pairs; the inverse is right for them.
     inputs = np.linalg.inv(vectors)[:, count:]

@@ -3,11 +3,11 @@
 Without coupling each mode responds alone. With it, the lowest modes are those of their own reduced system, whose
 transfer matrix is a sum over its poles,
 
-    (−ω² + iωC + Λ + iH)⁻¹ = Σ_p ψ_p ψ_pᵀ / (iω − s_p),   (s² + sC + Λ + iH) ψ = 0,   ψᵀ (2s + C) ψ = 1,
+    (−ω² + iωC + Λ + iH)⁻¹ = Σ_p ψ_p χ_p / (iω − s_p),   (s² + sC + Λ + iH) ψ = 0
 
-and all others are taken as uncoupled. What that leaves out is restored by iterative refinement with the full matrices
-(G. H. Golub and C. F. Van Loan, Matrix Computations, 4th edition, section 3.5.3); frequencies at which it does not
-converge are solved directly.
+(:mod:`warp_plate.modal.poles`), and all others are taken as uncoupled. What that leaves out is restored by iterative
+refinement with the full matrices (G. H. Golub and C. F. Van Loan, Matrix Computations, 4th edition, section 3.5.3);
+frequencies at which it does not converge are solved directly.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
-from warp_plate.modal.modes import ModalPlate
+from warp_plate.modal.modes import ModalPlate, times
+from warp_plate.modal.poles import coupled_poles
 
 # Modes that are coupled beforehand: those up to REACH times the highest frequency, within these limits.
 REACH, FEWEST, MOST = 1.5, 250, 500
@@ -35,12 +35,14 @@ class SteadyPlate:
     Attributes:
         plate: Modes of the plate.
         poles: (poles,) s [1/s] of the modes that are coupled beforehand; none if no modes are coupled.
-        vectors: (coupled modes, poles) ψ [√s].
+        vectors: (coupled modes, poles) free motions ψ.
+        inputs: (poles, coupled modes) χ, by which forces excite them.
     """
 
     plate: ModalPlate
     poles: np.ndarray
     vectors: np.ndarray
+    inputs: np.ndarray
 
     @property
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:
@@ -69,10 +71,9 @@ class SteadyPlate:
 
     def _approximate(self, frequencies: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Return the amplitudes under forces (frequencies, modes, loads) without the coupling of the highest modes."""
-        turn, plate, count = 2j * math.pi * frequencies[:, None], self.plate, len(self.vectors)
-        damped = turn * np.diag(plate.damping) + 1j * np.diag(plate.hysteretic)
-        amplitudes = forces / (plate.angular_frequencies**2 + turn**2 + damped)[:, :, None]
-        shares = self.vectors.T @ forces[:, :count] / (turn - self.poles)[:, :, None]
+        omega, count = 2 * math.pi * frequencies, len(self.vectors)
+        amplitudes = forces / self.plate.dynamic_stiffness(omega)[:, :, None]
+        shares = self.inputs @ forces[:, :count] / (1j * omega[:, None] - self.poles)[:, :, None]
         amplitudes[:, :count] = self.vectors @ shares
         return amplitudes
 
@@ -87,7 +88,7 @@ class SteadyPlate:
 def make_steady(plate: ModalPlate, highest: float) -> SteadyPlate:
     """Return a plate for steady responses up to a frequency [Hz]."""
     if plate.proportional:
-        return SteadyPlate(plate, np.zeros(0, complex), np.zeros((0, 0), complex))
+        return SteadyPlate(plate, np.zeros(0, complex), np.zeros((0, 0), complex), np.zeros((0, 0), complex))
     count = int(np.clip((plate.frequencies <= REACH * highest).sum(), FEWEST, MOST))
     kept, square = np.s_[:count, :count], plate.angular_frequencies[:count] ** 2
     damping, hysteretic = plate.damping[kept], plate.hysteretic[kept]
@@ -95,16 +96,4 @@ def make_steady(plate: ModalPlate, highest: float) -> SteadyPlate:
     stiffness: np.ndarray = np.diag(square)
     if hysteretic.any():
         stiffness = stiffness + 1j * hysteretic
-    # Unknowns ω q and q̇, which are of one size.
-    system = np.block([[np.zeros_like(stiffness), np.diag(unit)], [-stiffness / unit, -damping]])
-    poles, vectors = scipy.linalg.eig(system)
-    shapes = vectors[: len(unit)] / unit[:, None]
-    norms = 2 * poles * (shapes**2).sum(axis=0) + (shapes * (damping @ shapes)).sum(axis=0)
-    return SteadyPlate(plate, poles, shapes / np.sqrt(norms))
-
-
-def times(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return a real matrix (modes, modes) times complex columns (n, modes, columns)."""
-    flat = np.moveaxis(columns, 1, 0).reshape(len(matrix), -1)
-    product = matrix @ flat.real + 1j * (matrix @ flat.imag)
-    return np.moveaxis(product.reshape(len(matrix), len(columns), -1), 0, 1)
+    return SteadyPlate(plate, *coupled_poles(stiffness, damping, unit))

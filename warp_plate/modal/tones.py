@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
-from warp_plate.modal.energy import mean_exponential, real_form, times
-from warp_plate.modal.modes import ModalPlate
-from warp_plate.modal.poles import make_poles
+from warp_plate.modal.energy import mean_exponential, real_form
+from warp_plate.modal.modes import ModalPlate, times
+from warp_plate.modal.poles import Poles, make_poles
 from warp_plate.scene.model import Window
 
 # Directions of the modal forces that add less than this part of the largest energy are left out.
@@ -45,11 +46,6 @@ class ToneEnergies:
     ) -> None:
         self.plate, self.regions, self.window, self.quantity = plate, list(regions), window, quantity
         self._factors: dict[float, list[np.ndarray]] = {}
-        self.poles = np.empty(0, dtype=complex)
-        self.shapes = np.empty((len(plate.frequencies), 0), dtype=complex)
-        self.inputs = self.shapes.T
-        if window is not None:
-            self._prepare_free_motion(window)
 
     def energies(self, phasors: np.ndarray, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Return energies (plates, regions) [J].
@@ -67,7 +63,7 @@ class ToneEnergies:
                 [((numbers @ factor) ** 2).sum(axis=1) for factor in self._factors_at(float(frequency[0, 0]))], axis=1
             )
         energy = np.empty((len(phasors), len(self.regions)))
-        block = max(1, BLOCK_NUMBERS // (len(self.plate.frequencies) + self.poles.size) // phasors.shape[1])
+        block = max(1, BLOCK_NUMBERS // (2 * len(self.plate.frequencies)) // phasors.shape[1])
         for first in range(0, len(phasors), block):
             rows = slice(first, first + block)
             loads = forces[rows] if len(forces) > 1 else forces
@@ -75,68 +71,55 @@ class ToneEnergies:
         return energy
 
     def _of_block(self, phasors: np.ndarray, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        drive, free = 2j * math.pi * frequency, None
-        if self.window is not None:
-            start = (self.inputs @ forces) / (drive[:, None, :] - self.poles[:, None])
-            free = -(start @ phasors[:, :, None])[:, :, 0]
-            free = free * self.poles if self.quantity == "velocity" else free
+        window, all_forces, all_phasors, own = self.window, forces, phasors, frequency
         if (frequency == frequency[:, :1]).all():  # one tone a plate
-            forces, phasors, drive = forces @ phasors[:, :, None], np.ones((len(phasors), 1)), drive[:, :1]
-        forced = self._forced(forces, drive) * phasors[:, None, :]
+            forces, phasors, frequency = forces @ phasors[:, :, None], np.ones((len(phasors), 1)), frequency[:, :1]
+        drive = 2j * math.pi * frequency
+        forced = self.plate.respond_each(frequency, forces) * phasors[:, None, :]
         forced = forced * drive[:, None, :] if self.quantity == "velocity" else forced
+        if window is None:
+            same = frequency[:, :, None] == frequency[:, None, :]
+            products = [forced.conj().mT @ times(region, forced) for region in self.regions]
+            return np.stack([(product * same).sum(axis=(1, 2)).real / 4 for product in products], axis=1)
+        poles, shared = self._free_motion
+        start = (poles.inputs @ all_forces) / (2j * math.pi * own[:, None, :] - poles.values[:, None])
+        free = -(start @ all_phasors[:, :, None])[:, :, 0]
+        free = free * poles.values if self.quantity == "velocity" else free
         energies = []
-        for region, pairs in zip(self.regions, self._pairs(), strict=True):
-            moved = times(region, forced)
-            if self.window is None:
-                same = drive[:, :, None] == drive[:, None, :]
-                energies.append(((forced.conj().mT @ moved) * same).sum(axis=(1, 2)).real / 4)
-                continue
-            assert free is not None
-            total = np.zeros(len(phasors))
-            for form, first, turn, amplitude in (
-                (pairs[0], forced, drive, free),
-                (pairs[1], forced.conj(), drive.conj(), free.conj()),
-            ):
-                means = mean_exponential(turn[:, :, None], drive[:, None, :], self.window)
+        for region, (moved_shapes, *forms) in zip(self.regions, shared, strict=True):
+            moved, total = times(region, forced), np.zeros(len(phasors))
+            sides = (forced, drive, free), (forced.conj(), drive.conj(), free.conj())
+            for form, (first, turn, amplitude) in zip(forms, sides, strict=True):
+                means = mean_exponential(turn[:, :, None], drive[:, None, :], window)
                 total += ((first.mT @ moved) * means).sum(axis=(1, 2)).real
-                across = (first.mT @ pairs[2]) * mean_exponential(turn[:, :, None], self.poles, self.window)
+                across = (first.mT @ moved_shapes) * mean_exponential(turn[:, :, None], poles.values, window)
                 total += 2 * np.einsum("nkp,np->n", across, free, optimize=True).real
                 total += ((amplitude @ form) * free).sum(axis=1).real
             energies.append(total / 4)
         return np.stack(energies, axis=1)
 
-    def _forced(self, forces: np.ndarray, drive: np.ndarray) -> np.ndarray:
-        """Return (plates, modes, M) amplitudes of the forced motion."""
-        plate = self.plate
-        if plate.proportional:
-            stiffness = (plate.angular_frequencies**2 + 1j * np.diag(plate.hysteretic))[:, None]
-            turn = drive[:, None, :]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                return np.asarray(forces / (stiffness + turn * np.diag(plate.damping)[:, None] + turn**2))
-        loads = np.moveaxis(np.broadcast_to(forces, (len(drive), *forces.shape[1:])), 1, 0)
-        forced, turns = np.empty(loads.shape, dtype=complex), drive.imag / (2 * math.pi)
-        for turn in np.unique(turns):
-            forced[:, turns == turn] = plate.respond(np.array([turn]), loads[:, turns == turn])[0]
-        return np.moveaxis(forced, 0, 1)
+    @cached_property
+    def _poles(self) -> Poles:
+        assert self.window is not None
+        return make_poles(self.plate, self.window.end)
 
-    def _pairs(self) -> list[tuple[np.ndarray, ...]]:
-        return self._free_pairs if self.window is not None else [()] * len(self.regions)
-
-    def _prepare_free_motion(self, window: Window) -> None:
-        """Compute what free motions contribute, of those that last into the window."""
-        poles = make_poles(self.plate, window.end)
-        loads = np.abs(poles.inputs @ self._trial_forces()).max(axis=1)
-        size = loads * np.linalg.norm(poles.vectors, axis=0) * np.exp(poles.values.real * window.start)
-        kept = np.flatnonzero(size**2 > DECAYED * (loads**2 * np.linalg.norm(poles.vectors, axis=0) ** 2).max())
-        self.poles, self.shapes, self.inputs = poles.values[kept], poles.vectors[:, kept], poles.inputs[kept]
-        self._free_pairs = []
-        means = [mean_exponential(first[:, None], self.poles, window) for first in (self.poles, self.poles.conj())]
+    @cached_property
+    def _free_motion(self) -> tuple[Poles, list[tuple[np.ndarray, ...]]]:
+        """Free motions that last into the window; of each region G, Gψ, and ψᵀGψ and ψ̄ᵀGψ with their means."""
+        assert self.window is not None
+        loads = np.abs(self._poles.inputs @ self._trial_forces()).max(axis=1)
+        begun = loads * np.linalg.norm(self._poles.vectors, axis=0)
+        left = begun * np.exp(self._poles.values.real * self.window.start)
+        poles = self._poles.part(np.flatnonzero(left**2 > DECAYED * (begun**2).max()))
+        means = [
+            mean_exponential(rate[:, None], poles.values, self.window) for rate in (poles.values, poles.values.conj())
+        ]
+        shared = []
         for region in self.regions:
-            moved = times(region, self.shapes)
-            forms = [
-                first.T @ moved * mean for first, mean in zip((self.shapes, self.shapes.conj()), means, strict=True)
-            ]
-            self._free_pairs.append((*forms, moved))
+            moved = poles.moved(region)
+            forms = (poles.pressed(moved, bool(conjugate)) * mean for conjugate, mean in enumerate(means))
+            shared.append((moved, *forms))
+        return poles, shared
 
     def _trial_forces(self) -> np.ndarray:
         """Return (modes, trials) modal forces of the actuators at their places and all over the plate."""
@@ -167,8 +150,7 @@ class ToneEnergies:
 
     def _mode_means(self, drive: complex, window: Window) -> tuple[np.ndarray, np.ndarray]:
         """Return (modes, modes) ⟨ṁ_r ṁ_s⟩ and the same with the conjugate of the first."""
-        poles = make_poles(self.plate, window.end)
-        count = len(self.plate.frequencies)
+        poles, count = self._poles, len(self.plate.frequencies)
         weights = (poles.vectors**2).sum(axis=0)
         slow, fast = poles.values[:count], poles.values[count:]
         exponents = np.stack([np.full(count, drive), slow, fast])

@@ -15,9 +15,9 @@ import numpy as np
 
 from warp_plate.modal.adaptive_frequencies import adaptive_frequencies
 from warp_plate.modal.galerkin import Integrals
-from warp_plate.modal.modes import ModalPlate, solve_modes
+from warp_plate.modal.modes import ModalPlate, solve_modes, times
 from warp_plate.modal.splines import gauss
-from warp_plate.modal.steady import SteadyPlate, make_steady, times
+from warp_plate.modal.steady import SteadyPlate, make_steady
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity
 from warp_plate.scene.errors import SceneError
