@@ -150,8 +150,8 @@ class ModalSolver:
             return energies(self.plate, self._region_matrices, designs.drives, self.quantity)
         if designs.only_drives:
             return self.response.energy(designs.drives)
-        if signals := _signals(self.scene):
-            raise SceneError(f"designs: plates under {signals[0]} differ in drives alone without time steps")
+        if (waveform := self.scene.drive.waveform_key) is not None:
+            raise SceneError(f"designs: plates under {waveform} differ in drives alone without time steps")
         return self._tones.energies(designs.drives, *self._frequency_and_forces(designs))
 
     def _frequency_and_forces(self, designs: Designs) -> tuple[np.ndarray, np.ndarray]:
@@ -236,16 +236,11 @@ def refuse_no_modes(scene: Scene) -> None:
 def _reason_against(scene: Scene) -> str | None:
     if scene.nonlinear_table is not None:
         return f"{scene.nonlinear_table} needs time steps"
-    signals = _signals(scene)
+    waveform = scene.drive.waveform_key
     searched = [
         f"search.{name}" for name in ("frequency", "position", "delay") if getattr(scene.search, name) is not None
     ]
-    return f"{searched[0]} with {signals[0]} needs time steps" if signals and searched else None
-
-
-def _signals(scene: Scene) -> list[str]:
-    """Return the keys that make a drive other than a tone."""
-    return [f"drive.{name}" for name in ("burst", "chirp", "signal") if getattr(scene.drive, name) is not None]
+    return f"{searched[0]} with {waveform} needs time steps" if waveform and searched else None
 
 
 def _highest_frequency(scene: Scene) -> float:

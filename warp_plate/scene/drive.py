@@ -83,6 +83,12 @@ class Drive(Table):
             raise ValueError("chirp: drive.signal replaces the carrier, which cannot be swept; delete one of them")
         return self
 
+    @property
+    def waveform_key(self) -> str | None:
+        """First key that makes the drive other than tones from t = 0 on; None if none."""
+        names = ("burst", "chirp", "signal")
+        return next((f"drive.{name}" for name in names if getattr(self, name) is not None), None)
+
 
 class MovingLoad(Table):
     """A force that travels over the plate at constant velocity."""

@@ -301,9 +301,8 @@ class Scene(Table):
     @property
     def nonperiodic_key(self) -> str | None:
         """First key that keeps the load from repeating with the drive's period from t = 0 on; None if none."""
-        for name in ("burst", "chirp", "signal"):
-            if getattr(self.drive, name) is not None:
-                return f"drive.{name}"
+        if self.drive.waveform_key is not None:
+            return self.drive.waveform_key
         for index, actuator in enumerate(self.actuators):
             if actuator.frequency not in (None, self.drive.frequency):
                 return f"actuators[{index}].frequency"
