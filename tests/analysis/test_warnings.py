@@ -49,8 +49,8 @@ def test_squared_voltages_excite_the_lowest_modes(scene):
     plate = made.plate
     stiff = plate.young_modulus * plate.thickness**3 / 12 / (1 - plate.poisson_ratio**2)
     lowest = math.pi / plate.size[0] ** 2 * math.sqrt(stiff / plate.density / plate.thickness)
-    assert slowest_frequency(made) == pytest.approx(lowest, rel=2e-3)
-    assert left(made).value == pytest.approx(decayed(lowest), rel=2e-3)
+    assert slowest_frequency(made) == pytest.approx(lowest, rel=1e-6)
+    assert left(made).value == pytest.approx(decayed(lowest), rel=1e-6)
     assert left(made).value > left(made.with_tables(drive={"frequency": 290.0})).value
 
 

@@ -37,6 +37,7 @@ def test_loss_factor_is_simulated_by_modes_without_asking():
     scene = scene_of(effects={"loss_factor": {"eta": 0.05}}, record={"points": [(0.05, 0.1)]})
     result = simulate(scene, device="cpu")
     assert result.by_modes
+    assert result.effects == ("loss factor",)
     trace, times = result.cases["drive"].trace[0], result.trace_times
     angle = 2 * math.pi * 290.0 * times
     basis = np.stack([np.cos(angle), np.sin(angle)], axis=1)

@@ -78,7 +78,7 @@ def highest_order(scene: Scene) -> Order:
 def bending_wavelength(scene: Scene) -> float:
     """Return the length [m] of a free bending wave at the drive's highest frequency, 2π√(κ/ω)."""
     plate = scene.plate
-    kappa = plate.thickness * math.sqrt(plate.young_modulus / (12 * plate.density * (1 - plate.poisson_ratio**2)))
+    kappa = math.sqrt(plate.rigidity / (plate.density * plate.thickness))
     return math.sqrt(2 * math.pi * kappa / highest_frequency(scene))
 
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_plate.analysis.influence import film, rigidity, with_one_frequency
+from warp_plate.analysis.influence import film, with_one_frequency
+from warp_plate.modal.continuous_modes import linear_part
+from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.discretization import discretize
-from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.signals import carrier_frequencies, highest_frequency
 from warp_plate.plate.stability_limit import StabilityLimit
@@ -40,9 +41,8 @@ MOST_ADDED_MASS = 0.05
 MOST_LEFT = 0.01
 # Highest frequency of a signal's file over drive.frequency, which bounds the time step and the numbers above.
 MOST_BEYOND = 1.2
-# The lowest natural frequency is computed on a grid of at most this many nodes a side, from this many modes: a free
-# plate has three rigid motions.
-MOST_SIDE, MODES = 49, 6
+# Modes among which the lowest natural frequency is looked for: a free plate has three rigid motions.
+MODES = 6
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Check:
     drive_frequency: float  # highest frequency of the drive [Hz]
     steps_a_period: float  # time steps in a period of this frequency
     points_a_wavelength: float  # grid spacings in a bending wave of this frequency
-    slowest_frequency: float  # lowest natural frequency of the grid [Hz]; 0 if the plate is not held
+    slowest_frequency: float  # lowest natural frequency above zero [Hz]; 0 if there is none
     fastest_frequency: float  # highest natural frequency of the grid [Hz]
     condition: float  # condition number: largest over smallest eigenvalue
     # Order of magnitude of the relative error by rounding: one unit in the last place for each radian of the fastest
@@ -222,7 +222,7 @@ def search_warnings(scene: Scene) -> list[str]:
 
 def wavelengths(scene: Scene) -> tuple[float, float]:
     """Return the lengths [m] of bending waves along x and y at the highest frequency, in the plate without layers."""
-    isotropic, orthotropic = rigidity(scene), scene.effects.orthotropic
+    isotropic, orthotropic = scene.plate.rigidity, scene.effects.orthotropic
     rigidities = (orthotropic.Dx, orthotropic.Dy) if orthotropic else (isotropic, isotropic)
     inertia = scene.plate.density * scene.plate.thickness * (2 * math.pi * highest_frequency(scene)) ** 2
     x, y = (2 * math.pi * (bending / inertia) ** 0.25 for bending in rigidities)
@@ -230,11 +230,9 @@ def wavelengths(scene: Scene) -> tuple[float, float]:
 
 
 def slowest_frequency(scene: Scene) -> float:
-    """Return the lowest natural frequency [Hz] above zero; 0 if there is none."""
-    nodes = tuple(min(count, MOST_SIDE) for count in scene.grid.nodes)
-    grid = {"nodes": nodes, "load": scene.grid.load, "precision": "float64"}
-    frequencies = natural_modes(scene.with_tables(grid=grid), MODES).frequencies
-    return float(frequencies[frequencies > 0].min()) if (frequencies > 0).any() else 0.0
+    """Return the lowest natural frequency [Hz] above zero of the plate's small motions; 0 if there is none."""
+    frequencies = solve_modes(linear_part(scene), highest=0.0, count=MODES).frequencies
+    return float(min(frequencies[frequencies > 0], default=0.0))
 
 
 def explain_missing_energies(scene: Scene, status: str = "its numbers grew beyond all bounds") -> str:

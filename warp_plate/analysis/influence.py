@@ -227,12 +227,6 @@ def _clamped(scene: Scene) -> Scene:
     return scene.model_copy(update={"edges": Edges.model_validate(edges)})
 
 
-def rigidity(scene: Scene) -> float:
-    """Return the bending rigidity EH³/12(1 − ν²) [N·m] of the isotropic plate."""
-    plate = scene.plate
-    return plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
-
-
 def film(scene: Scene) -> tuple[Layer, ...]:
     """Return a film of polyvinylidene fluoride, glued on as an actuator, on one face under each actuator."""
     material = {"thickness": 110e-6, "young_modulus": 2.5e9, "density": 1780.0}
@@ -240,7 +234,7 @@ def film(scene: Scene) -> tuple[Layer, ...]:
 
 
 def _springs(scene: Scene) -> tuple[Scene, str]:
-    side, bending = min(scene.plate.size), rigidity(scene)
+    side, bending = min(scene.plate.size), scene.plate.rigidity
     edge = ElasticEdge(translation=1000 * bending / side**3, rotation=10 * bending / side)
     edges = Edges(left=edge, bottom=edge, right=edge, top=edge)
     text = f"all edges on springs of {edge.translation:.2g} N/m² and {edge.rotation:.2g} N"
@@ -257,7 +251,7 @@ def _two_frequencies(scene: Scene) -> tuple[Scene, str]:
 
 def _typical_effects(scene: Scene) -> dict[str, tuple[object, str]]:
     """Return typical values of the tables under [effects], with descriptions."""
-    plate, bending, ratio = scene.plate, rigidity(scene), scene.plate.poisson_ratio
+    plate, bending, ratio = scene.plate, scene.plate.rigidity, scene.plate.poisson_ratio
     viscous = LOSS_FACTOR * scene.drive_angular_frequency * plate.density * plate.thickness
     retardation = LOSS_FACTOR / scene.drive_angular_frequency
     tension = 0.1 * math.pi**2 * bending / min(plate.size) ** 2

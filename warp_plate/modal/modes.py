@@ -309,9 +309,7 @@ def _half_waves(scene: Scene, frequency: float) -> float:
 def _wave_frequency(scene: Scene, half_waves: float) -> float:
     """Return the frequency [Hz] of a bending wave of the bare plate with so many half-waves per metre."""
     plate, orthotropic = scene.plate, scene.effects.orthotropic
-    rigidity = plate.young_modulus * plate.thickness**3 / 12 / (1 - plate.poisson_ratio**2)
-    if orthotropic is not None:
-        rigidity = min(orthotropic.Dx, orthotropic.Dy)
+    rigidity = plate.rigidity if orthotropic is None else min(orthotropic.Dx, orthotropic.Dy)
     return math.sqrt(rigidity / (plate.density * plate.thickness)) * math.pi * half_waves**2 / 2
 
 

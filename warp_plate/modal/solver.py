@@ -25,7 +25,7 @@ from warp_plate.solve.devices import find_device
 from warp_plate.solve.response import Response
 from warp_plate.solve.run import Run
 from warp_plate.solve.solver import Drives, PlateSolver, Progress
-from warp_plate.solve.specialize import Quantity, effect_names
+from warp_plate.solve.specialize import Quantity
 
 # Path of a solver that takes no time steps.
 MODAL: Literal["modal"] = "modal"
@@ -94,7 +94,7 @@ class ModalSolver:
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the scene's effects."""
-        return effect_names(self.scene)
+        return tuple(name.replace("_", " ") for name, table in self.scene.effects if table)
 
     def describe_path(self, traced: bool = False) -> str:
         """Return the name and the number of the modes."""

@@ -109,7 +109,6 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
             f"{grid.accuracy:g}).scene has one"
         )
     check_grid_memory(scene, moment_form or needs_moment_form(scene))
-    rigidity = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2))
     surface_density = plate.density * plate.thickness
     stability, bending = find_limit(scene, moment_form)
     time_step = _time_step(scene, stability.time_step, allow_unstable)
@@ -125,9 +124,9 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
     return Scheme(
         nodes=grid.nodes,
         spacing=(plate.size[0] / (grid.nodes[0] - 1), plate.size[1] / (grid.nodes[1] - 1)),
-        rigidity=rigidity,
+        rigidity=plate.rigidity,
         surface_density=surface_density,
-        kappa=math.sqrt(rigidity / surface_density),
+        kappa=math.sqrt(plate.rigidity / surface_density),
         time_step=time_step,
         stability=stability,
         steps=last,

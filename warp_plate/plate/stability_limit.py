@@ -120,7 +120,7 @@ def _limit_of_plain_plate(scene: Scene) -> StabilityLimit:
     plate, (nx, ny), order = scene.plate, scene.grid.nodes, scene.grid.order
     spacing = (plate.size[0] / (nx - 1), plate.size[1] / (ny - 1))
     surface_density = plate.density * plate.thickness
-    kappa_squared = plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2)) / surface_density
+    kappa_squared = plate.rigidity / surface_density
     viscous, backward = viscous_damping(scene)
     loss = viscous / surface_density if backward else 0.0
     if min(nx, ny) >= FORMULA_NODES:

@@ -188,7 +188,7 @@ def supported_plate(scene: Scene) -> ThinPlate:
     plate, damping = scene.plate, scene.effects.damping
     return ThinPlate(
         size=plate.size,
-        rigidity=plate.young_modulus * plate.thickness**3 / (12 * (1 - plate.poisson_ratio**2)),
+        rigidity=plate.rigidity,
         surface_density=plate.density * plate.thickness,
         viscous=damping.viscous if damping else 0.0,
     )

@@ -62,6 +62,11 @@ class Plate(Table):
     poisson_ratio: Annotated[float, Field(ge=-0.99, lt=0.5)]
     density: Annotated[float, Field(ge=1, le=1e5)]  # [kg/m³]
 
+    @property
+    def rigidity(self) -> float:
+        """Bending rigidity EH³/12(1 − ν²) [N·m] of the isotropic plate."""
+        return self.young_modulus * self.thickness**3 / (12 * (1 - self.poisson_ratio**2))
+
     @model_validator(mode="after")
     def _thin(self) -> Plate:
         self.check_thin(self.thickness, "thickness: ")

@@ -6,10 +6,9 @@ import math
 
 import numpy as np
 
-from warp_plate.analysis.check import MOST_SIDE
+from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.solver import ModalSolver, make_solver
 from warp_plate.plate.designs import Designs, per_plate_of
-from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.bounds import allowed_drives, bound_localization
 from warp_plate.problem.parametrization import Parametrization, parametrization_of
@@ -23,8 +22,6 @@ from warp_plate.solve.solver import PlateSolver
 FEWEST, MOST = 61, 201
 # Most actuators with a bound at each frequency: it takes about 0.03 s for as many, and grows as the fourth power.
 MOST_BOUNDED = 20
-# Number of modes in which resonances are looked for at first, doubled up to the most while the range may hold more.
-MODES, MOST_MODES = 16, 256
 
 
 def make_spectrum(problem: Problem, best: Case) -> dict[str, np.ndarray]:
@@ -97,12 +94,6 @@ def _best_factor(response: Response, parametrization: Parametrization) -> float:
 
 
 def resonances(scene: Scene, low: float, high: float) -> np.ndarray:
-    """Return the plate's natural frequencies [Hz] from ``low`` to ``high``, on at most ``MOST_SIDE`` nodes a side."""
-    nodes = tuple(min(count, MOST_SIDE) for count in scene.grid.nodes)
-    grid = scene.grid.model_dump() | {"nodes": nodes, "time_step": None}
-    coarse, count = scene.with_tables(grid=grid), MODES
-    while True:
-        found = natural_modes(coarse, count).frequencies
-        if len(found) < count or found[-1] > high or count >= MOST_MODES:
-            return found[(found >= low) & (found <= high)]
-        count *= 2
+    """Return the natural frequencies [Hz] of a linear scene's plate from ``low`` to ``high``."""
+    found = solve_modes(scene, highest=high).frequencies
+    return found[(found >= low) & (found <= high)]
