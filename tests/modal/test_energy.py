@@ -35,3 +35,14 @@ def test_late_window_is_steady():
     assert np.allclose(matrices(plate, late), steady, rtol=1e-7, atol=1e-9 * steady.max())
     omega = 2 * np.pi * scene.drive.frequency
     assert np.allclose(matrices(plate, None, quantity="displacement") * omega**2, steady, rtol=1e-12)
+
+
+def test_undamped_plate_at_a_natural_frequency():
+    """Its motion from rest grows, but is finite; a plate that hardly has damping is the same in so short a time."""
+    scene = Scene.load("paper").with_tables(effects={})
+    tone = float(solve_modes(scene).frequencies[0])
+    undamped, damped = (
+        matrices(solve_modes(scene.with_tables(drive={"frequency": tone}, effects=effects)), scene.window)
+        for effects in ({}, {"damping": {"viscous": 1e-5}})
+    )
+    assert np.allclose(undamped, damped, rtol=0, atol=1e-4 * damped.max())

@@ -20,11 +20,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from warp_plate.modal.loads import ExponentialLoads, has_exponential_loads
 from warp_plate.modal.modes import ModalPlate, times
 from warp_plate.modal.motion import Excitation, make_excitation, with_moving_load
-from warp_plate.modal.poles import Poles, make_poles
+from warp_plate.modal.poles import Poles, make_poles, rates_apart
 from warp_plate.modal.quadrature import by_quadrature
 from warp_plate.modal.transient import forced_states, next_state
 from warp_plate.optimize.quadratic import quadratic_forms
@@ -33,6 +34,8 @@ from warp_plate.scene.model import Window
 
 # Free motions whose energies together are below this part of all motion's are left out.
 NEGLIGIBLE = 1e-7
+# Matrices are taken as sparse if fewer than this part of their numbers are not zero.
+THIN = 0.05
 
 
 def gram_matrices(
@@ -64,7 +67,7 @@ def gram_matrices(
         return np.stack([real_form(np.zeros_like(product), product) for product in mixed], axis=1)
     if plate.scene.drive.burst is None and has_exponential_loads(plate.scene):
         motion = _of_tones(plate, forces, frequency, quantity, window)
-        return np.stack([real_form(*motion.products(region, window)) for region in regions], axis=1)
+        return np.stack([real_form(*pair) for pair in motion.products(regions, window)], axis=1)
     delay = actuator_delays(plate.scene)[None] if delay is None else delay
     designs = max(len(forces), len(frequency), len(delay))
     rows = [np.broadcast_to(array, (designs, *array.shape[1:])) for array in (forces, frequency, delay)]
@@ -74,13 +77,16 @@ def gram_matrices(
 
 def _of_tones(plate: ModalPlate, forces: np.ndarray, frequency: np.ndarray, quantity: str, window: Window) -> _Motion:
     """Return the motion under tones from t = 0 on."""
-    poles, drive = make_poles(plate, window.end), 2j * math.pi * frequency
-    forced = plate.respond_each(frequency, forces)
-    free = -(poles.inputs @ forces) / (drive[:, None, :] - poles.values[:, None])
+    if (frequency == frequency[:, :1]).all():
+        frequency = frequency[:, :1]
+    poles = make_poles(plate, window.end)
+    drive, gains = rates_apart(poles, 2j * math.pi * frequency, window.end), poles.inputs @ forces
+    states = 1 / (drive[:, None, :] - poles.values[:, None])
+    forced, free = poles.forced(states, forces, gains), -states
     if quantity == "velocity":
         forced, free = forced * drive[:, None, :], free * poles.values[:, None]
-    kept = _lasting(poles, free, forced, window)
-    return _Motion(forced, drive, poles.part(kept), free[:, kept])
+    kept = _lasting(poles, gains, free, forced, window)
+    return _Motion(forced, drive, poles.part(kept), gains[:, kept] * free[:, kept])
 
 
 def energies(
@@ -110,15 +116,15 @@ def _of_excitation(excitation: Excitation, regions: Sequence[np.ndarray], window
         follow = forced_states(poles, load)
         if load.end > window.start:
             part = Window(start=max(window.start - load.start, 0.0), end=min(load.end, window.end) - load.start)
-            free, forced = gains * (state - follow.sum(axis=2)), gains[:, :, None] * follow
+            free, forced = state - follow.sum(axis=2), gains[:, :, None] * follow
             if quantity == "velocity":
                 free, forced = free * poles.values[:, None], forced * load.rates
             forced = (poles.vectors @ forced.reshape(len(gains), -1))[None]
-            kept = _lasting(poles, free[None], forced, part)
-            motion = _Motion(forced, load.rates.reshape(1, -1), poles.part(kept), free[None, kept])
+            kept = _lasting(poles, gains, free[None], forced, part)
+            motion = _Motion(forced, load.rates.reshape(1, -1), poles.part(kept), (gains * free)[None, kept])
             share = (part.end - part.start) / (window.end - window.start)
-            for index, region in enumerate(regions):
-                sums[index] = sums[index] + share * np.concatenate(motion.products(region, part))
+            parts = motion.products(regions, part)
+            sums = [total + share * np.concatenate(pair) for total, pair in zip(sums, parts, strict=True)]
         state = next_state(poles, load, state, follow)
     return np.stack([real_form(*pair) for pair in sums])
 
@@ -132,23 +138,30 @@ class _Motion:
     poles: Poles  # those that count
     free: np.ndarray  # (designs, poles, M) amplitudes c
 
-    def products(self, region: np.ndarray, window: Window) -> tuple[np.ndarray, np.ndarray]:
-        """Return (designs, M, M) means of v_kᵀ G v_l and of v̄_kᵀ G v_l."""
-        forced, free, drive, poles = times(region, self.forced), self.free, self.drive, self.poles
-        shapes, means = poles.moved(region), []
-        left = (self.forced, drive, poles.values, free)
-        for conjugate, (a, turn, decay, c) in enumerate((left, [array.conj() for array in left])):
-            first, other = turn[:, :, None], decay[:, None]
-            inner, outer = (poles.pressed(columns, bool(conjugate)) for columns in (shapes, forced))
-            means.append(
-                self._by_actuator(
-                    self._by_actuator((a.mT @ forced) * mean_exponential(first, drive[:, None, :], window)).mT
-                ).mT
-                + self._by_actuator(((a.mT @ shapes) * mean_exponential(first, poles.values, window)) @ free)
-                + self._by_actuator((c.mT @ (outer * mean_exponential(other, drive[:, None, :], window))).mT).mT
-                + c.mT @ ((inner * mean_exponential(other, poles.values, window)) @ free)
+    def products(self, regions: Sequence[np.ndarray], window: Window) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return (designs, M, M) means of v_kᵀ G v_l and of v̄_kᵀ G v_l for each region."""
+        poles, turn = self.poles, self.drive[:, None, :]
+        columns = np.ascontiguousarray(self.free.mT)
+        sides = []
+        for conjugate in (False, True):
+            decay = (poles.values.conj() if conjugate else poles.values)[:, None]
+            forced, free, rates = (
+                (self.forced.conj(), columns.conj(), turn.conj()) if conjugate else (self.forced, columns, turn)
             )
-        return means[0], means[1]
+            means = (rates.mT, turn), (decay, turn), (decay, poles.values)
+            sides.append((conjugate, forced.mT, free, *(mean_exponential(*pair, window) for pair in means)))
+        found = []
+        for region in regions:
+            moved, shapes = times(_thin(region), self.forced), poles.moved(region)
+            products = []
+            for conjugate, forced, free, of_forced, across, of_free in sides:
+                both = self._by_actuator(self._by_actuator((forced @ moved) * of_forced).mT).mT
+                mixed = self._by_actuator((free @ (poles.pressed(moved, conjugate) * across)).mT).mT
+                inner = poles.pressed(shapes, conjugate) * of_free
+                alone = (free.reshape(free.shape[0] * free.shape[1], -1) @ _thin(inner)).reshape(free.shape) @ self.free
+                products.append(both + mixed + (mixed.conj() if conjugate else mixed).mT + alone)
+            found.append((products[0], products[1]))
+        return found
 
     def _by_actuator(self, rows: np.ndarray) -> np.ndarray:
         """Return (designs, M, columns) sums of rows over the terms of each actuator."""
@@ -156,15 +169,24 @@ class _Motion:
         return np.asarray(rows.reshape(designs, self.free.shape[2], -1, columns).sum(axis=2))
 
 
-def _lasting(poles: Poles, free: np.ndarray, forced: np.ndarray, window: Window) -> np.ndarray:
-    """Return the indices of the poles whose free motion counts after the start of the window."""
-    decay = np.exp(poles.values.real * window.start)[:, None] * np.linalg.norm(poles.vectors, axis=0)[:, None]
-    size = np.abs(free * decay) ** 2
-    of_terms = (np.abs(forced) ** 2).sum(axis=1).reshape(len(forced), free.shape[2], -1)
+def _lasting(poles: Poles, gains: np.ndarray, free: np.ndarray, forced: np.ndarray, window: Window) -> np.ndarray:
+    """Return the indices of the poles whose free motion, gains times free, counts after the start of the window."""
+    decay = np.exp(poles.values.real * window.start) * np.linalg.norm(poles.vectors, axis=0)
+    size = _squares(gains * decay[:, None]) * _squares(free)
+    of_terms = _squares(forced).sum(axis=1).reshape(len(forced), size.shape[2], -1)
     largest = of_terms.max(axis=2)[:, None] + size.sum(axis=1, keepdims=True)
     energy = (size / np.where(largest > 0, largest, 1)).max(axis=(0, 2))
     order = np.argsort(energy)
     return np.sort(order[np.cumsum(energy[order]) > NEGLIGIBLE])
+
+
+def _thin(matrix: np.ndarray) -> np.ndarray | scipy.sparse.csr_array:
+    """Return a matrix as a sparse one if it has few numbers, as that of the whole plate."""
+    return scipy.sparse.csr_array(matrix) if np.count_nonzero(matrix) < THIN * matrix.size else matrix
+
+
+def _squares(values: np.ndarray) -> np.ndarray:
+    return np.asarray(values.real**2 + values.imag**2)
 
 
 def mean_exponential(first: np.ndarray, second: np.ndarray, window: Window) -> np.ndarray:

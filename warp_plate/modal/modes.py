@@ -226,12 +226,12 @@ def solve_modes(scene: Scene, highest: float | None = None, count: int = 0, dens
     return ModalPlate(galerkin, frequencies, vectors, damping, hysteretic)
 
 
-def times(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def times(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndarray) -> np.ndarray:
     """Return a real matrix (rows, modes) times complex columns (..., modes, columns), in real arithmetic."""
     first = np.moveaxis(columns, -2, 0)
     flat = first.reshape(len(first), -1)
     product = matrix @ flat.real + 1j * (matrix @ flat.imag)
-    return np.moveaxis(product.reshape(len(matrix), *first.shape[1:]), 0, -2)
+    return np.moveaxis(product.reshape(matrix.shape[0], *first.shape[1:]), 0, -2)
 
 
 def _eigenpairs(galerkin: Galerkin, highest: float) -> tuple[np.ndarray, np.ndarray]:

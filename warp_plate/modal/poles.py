@@ -15,6 +15,7 @@ K. Meerbergen, SIAM Rev. 43, 2001, pp. 235-286).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,6 +64,19 @@ class Poles:
         sizes = self._sizes.conj() if conjugate else self._sizes
         return np.asarray(columns[..., self.modes, :] * sizes[:, None])
 
+    def forced(self, states: np.ndarray, forces: np.ndarray, gains: np.ndarray) -> np.ndarray:
+        """Return the steady motion (..., modes, loads) Σ_p ψ_p χ_p f / (σ − s_p) of all poles.
+
+        Args:
+            states: (..., poles, loads or 1) 1 / (σ − s).
+            forces: (..., modes, loads) modal forces f.
+            gains: (..., poles, loads) χ f.
+        """
+        if self.modes is None:
+            return np.asarray(self.vectors @ (gains * states))
+        both = self._sizes[:, None] ** 2 * states
+        return np.asarray(forces * (both[..., : len(self.vectors), :] + both[..., len(self.vectors) :, :]))
+
     @property
     def _sizes(self) -> np.ndarray:
         assert self.modes is not None
@@ -104,6 +118,13 @@ def poles_apart(poles: Poles, rates: np.ndarray, longest: float) -> Poles:
     for rate in np.unique(rates):
         values[np.abs(values - rate) < least] -= least
     return replace(poles, values=values)
+
+
+def rates_apart(poles: Poles, rates: np.ndarray, longest: float) -> np.ndarray:
+    """Return exponents (designs, loads) of loads with those that meet a pole moved; see :func:`poles_apart`."""
+    undamped = poles.values[np.abs(poles.values.real) < APART / longest]
+    distance = np.abs(rates[..., None] - undamped).min(axis=-1, initial=math.inf)
+    return np.asarray(rates + np.where(distance < APART / longest, APART / longest, 0))
 
 
 def coupled_poles(
