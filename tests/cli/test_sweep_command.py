@@ -15,12 +15,15 @@ from warp_plate.cli import output
 from warp_plate.cluster.pool import WorkersGone
 from warp_plate.result.atomic_io import check_seal
 from warp_plate.result.sweep import REFUSED, save_sweep
+from warp_plate.scene.keys import with_values
 from warp_plate.studies import sweep as sweeps
+from warp_plate.studies.frequency_response import respond_to_drive
 from warp_plate.studies.sweep import run_here
 
 QUICK = ("--device", "cpu", "--no-pictures")
 GRID = ("--vary", "plate.thickness=4e-4,5e-4,2e-3", "--vary", "drive.frequency=200:300:3")
 SWEEP = ("sweep", "panel.toml", *GRID, *QUICK)
+CHECKS = (*SWEEP, "--what", "check")
 
 
 @pytest.fixture
@@ -89,6 +92,37 @@ def test_json_and_what_xarray_reads(write_scene, command):
         np.testing.assert_array_equal(data["drive.frequency"].values, kept.plan.coordinates[1])
 
 
+def test_words_and_files_vary_and_responses_have_an_axis(write_scene, command):
+    """Each of four maps once, with other edges; xarray opens the words and the frequencies."""
+    for number in range(4):
+        Path(f"map{number}.csv").write_text(f"1.0,{1 + 0.1 * number}\n", encoding="utf-8")
+    write_scene(effects={"variation": {"thickness": "map0.csv"}, "loss_factor": {"eta": 0.02}})
+    vary = ("--vary", "effects.variation.thickness=map*.csv", "edges.left=clamped,supported", "plate.density=900:1100")
+    asked = ("--what", "frf", "--frequencies", "50:200:3", "--samples", 4, "--seed", 1, "--json")
+    pytest.importorskip("matplotlib")
+    record = json.loads(output_of(command("sweep", "panel.toml", *vary, *asked, "--device", "cpu")))
+    kept = load_sweep("panel-sweep.h5")
+    assert sorted(record["varied"]["effects.variation.thickness"]) == [f"map{number}.csv" for number in range(4)]
+    assert sorted(record["varied"]["edges.left"]) == ["clamped"] * 2 + ["supported"] * 2
+    assert (record["evaluator"], record["axes"]) == ("modal", {"frequency": [50.0, 125.0, 200.0]})
+    for point in range(4):
+        scene = with_values(kept.scene, kept.plan.values(point))
+        velocity, factor, bound = respond_to_drive(scene, kept.along("frequency"))
+        np.testing.assert_allclose(kept.values["mean_square_velocity"][point], velocity, rtol=1e-9)
+        np.testing.assert_allclose(kept.values["localization_factor"][point], factor, rtol=1e-9)
+        np.testing.assert_allclose(record["outputs"]["bound"][point], bound, rtol=1e-9)
+    assert Path("panel-sweep.png").stat().st_size > 1000
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("h5netcdf")
+    with xarray.open_dataset("panel-sweep.h5", engine="h5netcdf") as data:
+        assert data["mean_square_velocity"].dims == ("sample", "frequency")
+        assert data["frequency"].values.tolist() == [50.0, 125.0, 200.0]
+        assert data["edges.left"].values.tolist() == record["varied"]["edges.left"]
+    Path("map2.csv").write_text("1.0,0.9\n", encoding="utf-8")
+    _, _, err = command("sweep", "--resume", "panel-sweep.h5", "--no-pictures")
+    assert "effects.variation.thickness: the file has changed since the sweep began" in err
+
+
 @pytest.fixture
 def interrupt_after(monkeypatch):
     """Interrupt the point after so many others; return a list of the points run."""
@@ -111,20 +145,21 @@ def interrupt_after(monkeypatch):
 
 def test_an_interrupted_sweep_is_resumed(panel, command, interrupt_after, write_scene):
     """By --resume, or by the same command again; to bit-identical results, and with the same options only."""
-    command(*SWEEP, "--out", "full.h5")
+    command(*CHECKS, "--out", "full.h5")
     write_scene(name="other", damping=80, time_step=2e-4)
     resume, file = ("--resume", "panel-sweep.h5"), Path("panel-sweep.checkpoint.h5")
     interrupt_after(4)
-    status, out, err = command(*SWEEP)
+    status, out, err = command(*CHECKS)
     assert (status, out) == (130, "")
     assert f"after 4 of 9 points; resume with: warp-plate sweep --resume {file}" in err
     before = file.read_bytes()
     for wrong, message in (
-        ((*resume, "--what", "check"), f"--what check: the sweep in {file} began with localize"),
+        ((*resume, "--what", "modes"), f"--what modes: the sweep in {file} began with check"),
+        ((*resume, "--evaluator", "modal"), f"--evaluator modal: the sweep in {file} began with direct"),
         (("other.toml", *resume), f"effects.damping.viscous = 80.0: the sweep in {file} began"),
         ((*resume, "--vary", "drive.frequency=1,2"), f"--vary: the sweep in {file} began"),
         ((*resume, "--samples", 5), "--samples 5: are drawn from the ranges of --vary"),
-        (("panel.toml", *GRID[:2]), f"name another file by --out, or delete {file}"),
+        (("panel.toml", *GRID[:2], "--what", "check"), f"name another file by --out, or delete {file}"),
         (("--resume", "nothing.h5"), "nothing.h5: no such file"),
         (("--resume", "other.checkpoint.h5", "--out", "panel-sweep.h5"), "holds another unfinished sweep"),
     ):
@@ -133,7 +168,7 @@ def test_an_interrupted_sweep_is_resumed(panel, command, interrupt_after, write_
     assert file.read_bytes() == before
     for words, limit, status, ran, line in (
         (("sweep", *resume, "--no-pictures"), 3, 130, 3, "after 7 of 9 points"),
-        (SWEEP, 9, 0, 2, "7 of 9 points done; continuing"),
+        (CHECKS, 9, 0, 2, "7 of 9 points done; continuing"),
         (("sweep", "--resume", "full.h5", "--no-pictures"), 0, 0, 0, "9 of 9 points done; nothing is left"),
     ):
         points = interrupt_after(limit)
@@ -148,13 +183,13 @@ def test_an_interrupted_sweep_is_resumed(panel, command, interrupt_after, write_
 
 def test_only_the_same_sweep_is_replaced(panel, command, interrupt_after):
     """By its new result, once that is finished."""
-    assert command(*SWEEP)[0] == 0
+    assert command(*CHECKS)[0] == 0
     Path("panel-localize.h5").write_bytes(b"another command's")
     Path("other-sweep.checkpoint.h5").write_bytes(b"another command's")
     before = {path: path.read_bytes() for path in Path().iterdir()}
     for wrong, message in (
-        (GRID[:2], "panel-sweep.h5: holds a sweep of other points (9 points, plate.thickness from"),
-        ((*GRID, "--what", "check"), "panel-sweep.h5: holds a sweep of --what localize"),
+        ((*GRID[:2], "--what", "check"), "panel-sweep.h5: holds a sweep of other points (9 points, plate.thickness"),
+        ((*GRID, "--what", "simulate"), "panel-sweep.h5: holds a sweep of --what check"),
         ((*GRID, "--out", "panel-localize.h5"), "panel-localize.h5: damaged"),
         ((*GRID, "--out", "other-sweep.h5"), "other-sweep.checkpoint.h5: damaged"),
     ):
@@ -163,7 +198,7 @@ def test_only_the_same_sweep_is_replaced(panel, command, interrupt_after):
         assert {path: path.read_bytes() for path in Path().iterdir()} == before
     result = Path("panel-sweep.h5")
     interrupt_after(2)
-    assert (command(*SWEEP)[0], result.read_bytes()) == (130, before[result])
+    assert (command(*CHECKS)[0], result.read_bytes()) == (130, before[result])
     interrupt_after(9)
     status, _, err = command("sweep", "--resume", result, "--no-pictures")
     assert (status, "panel-sweep.checkpoint.h5: 2 of 9 points done; continuing" in err) == (0, True)
@@ -215,6 +250,12 @@ def test_bad_input_is_one_line(panel, command):
         (("panel.toml", "--vary", "drive.freqency=1:2:3"), "similar keys: drive.frequency"),
         (("panel.toml", "--vary", "drive.frequency=1:2"), "COUNT is missing"),
         (("panel.toml", *GRID, "--samples", 4, "--seed", -1), "--seed -1: must be"),
+        (("panel.toml", *GRID, "--what", "frf"), "--what frf: at which frequencies? write --frequencies"),
+        (("panel.toml", *GRID, "--what", "frf", "--frequencies", "0:9:3"), "--frequencies 0:9:3: all must be"),
+        (("panel.toml", *GRID, "--frequencies", "1:9:3"), "--frequencies 1:9:3: are those of --what frf"),
+        (("panel.toml", *GRID, "--what", "check", "--evaluator", "modal"), "--what check is always direct"),
+        (("panel.toml", *GRID, "--evaluator", "modal", "--path", "streaming"), "takes no steps"),
+        (("panel.toml", "--vary", "edges.left=clamped,"), "edges.left=clamped,: holds text; write a list"),
         (("panel.toml", *GRID, "--count", 3), "--count 3: --what localize has no modes to count; leave it out"),
         (("panel.toml", *GRID, "--seed", 3), "--seed 3: is the seed of samples"),
         (("panel.toml", "--vary", "plate.thickness=0.1,0.2"), "all points are refused; at plate.thickness = 0.1"),

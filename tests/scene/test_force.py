@@ -9,7 +9,7 @@ from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scene_overrides import actuator_centres, scene_phasors, scene_with
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.scene.dump import dump_scene
-from warp_plate.scene.keys import label_of, resolved_key, unit_of, with_numbers
+from warp_plate.scene.keys import label_of, resolved_key, unit_of, with_values
 from warp_plate.studies.simulate import simulate
 from warp_plate.studies.sweep import sweep
 
@@ -39,7 +39,7 @@ def test_a_force_is_the_pressure_times_the_area():
 def test_it_survives_dumps_and_copies(force):
     made = pressed(force=force)
     assert made.actuators[0].force == force
-    for again in (made.with_tables(), Scene.parse(dump_scene(made), ""), with_numbers(made, {})):
+    for again in (made.with_tables(), Scene.parse(dump_scene(made), ""), with_values(made, {})):
         assert again == made
     text = dump_scene(made)
     assert ("force = " in text, text.count("magnitude = ")) == (True, 1)  # that of the other actuator
@@ -48,13 +48,13 @@ def test_it_survives_dumps_and_copies(force):
 
 def test_it_is_varied_and_stays_when_the_patch_changes():
     for made in (pressed(force=0.3), pressed(magnitude=5.0)):
-        changed = with_numbers(made, {"actuators[0].force": 0.6}).actuators[0]
+        changed = with_values(made, {"actuators[0].force": 0.6}).actuators[0]
         assert (changed.force, changed.magnitude) == (0.6, pytest.approx(1000))
-        changed = with_numbers(made, {"actuators[0].magnitude": 7.0}).actuators[0]
+        changed = with_values(made, {"actuators[0].magnitude": 7.0}).actuators[0]
         assert (changed.force, changed.magnitude) == (None, 7.0)
         with pytest.raises(SceneError, match=r"^actuators\[0\]\.force: .* beside magnitude = 7"):
-            with_numbers(made, {"actuators[0].force": 0.6, "actuators[0].magnitude": 7.0})
-    wider = with_numbers(pressed(force=0.3), {"actuators[0].area[1]": 0.09}).actuators[0]
+            with_values(made, {"actuators[0].force": 0.6, "actuators[0].magnitude": 7.0})
+    wider = with_values(pressed(force=0.3), {"actuators[0].area[1]": 0.09}).actuators[0]
     assert (wider.force, wider.magnitude) == (0.3, pytest.approx(250))
     key = resolved_key(made, "actuators.a.force")
     assert (key, unit_of(made, key), label_of(made, key)) == ("actuators[0].force", "N", "actuator a force")

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from warp_plate import Scene, SceneError
-from warp_plate.scene.keys import label_of, numeric_keys, resolved_key, unit_of, with_numbers
+from warp_plate.scene.keys import label_of, resolved_key, scalar_keys, unit_of, with_values
 from warp_plate.scene.load import preset_names
 from warp_plate.scene.vary import MOST_POINTS, make_plan, parse_vary
 
@@ -16,8 +16,8 @@ PAPER = Scene.load("paper")
 @pytest.mark.parametrize("name", preset_names())
 def test_every_key_of_a_preset_is_found(name):
     scene = Scene.load(name)
-    assert with_numbers(scene, {}) == scene
-    for key in numeric_keys(scene):
+    assert with_values(scene, {}) == scene
+    for key in scalar_keys(scene):
         assert resolved_key(scene, key) == key
         assert label_of(scene, key)
     assert unit_of(scene, "actuators[0].magnitude") == "N/m²"
@@ -25,15 +25,15 @@ def test_every_key_of_a_preset_is_found(name):
 
 
 def test_numbers_are_replaced():
-    made = with_numbers(PAPER, {"target.area[1]": 0.05, "actuators[2].phase": 1.5, "search.velocity_limit": 3})
+    made = with_values(PAPER, {"target.area[1]": 0.05, "actuators[2].phase": 1.5, "search.velocity_limit": 3})
     assert made.target.area == (0.0, 0.05, 0.0, 0.1)
     assert [one.phase for one in made.actuators] == [0.0, 0.0, 1.5, 0.0]
     assert made.search.velocity_limit == 3.0
     assert made.plate == PAPER.plate
-    assert with_numbers(PAPER, {"grid.nodes[1]": 31.0}).grid.nodes == (27, 31)
-    assert with_numbers(PAPER, {"grid.accuracy": 0.01}).grid.accuracy == 0.01
+    assert with_values(PAPER, {"grid.nodes[1]": 31.0}).grid.nodes == (27, 31)
+    assert with_values(PAPER, {"grid.accuracy": 0.01}).grid.accuracy == 0.01
     with pytest.raises(SceneError, match="not thin"):
-        with_numbers(PAPER, {"plate.thickness": 0.1})
+        with_values(PAPER, {"plate.thickness": 0.1})
 
 
 def test_names_stand_for_indices(scene):
@@ -44,15 +44,15 @@ def test_names_stand_for_indices(scene):
         targets=[{"name": "a.b", "area": (0.0, 0.1, 0.0, 0.1)}, {"name": "a", "disc": (0.1, 0.1, 0.02)}],
     )
     assert resolved_key(several, "targets.a.b.area[0]") == "targets[0].area[0]"
-    assert not any(key.startswith("target.") for key in numeric_keys(several))
-    assert with_numbers(several, {"targets[0].area[0]": 0.02}).target.area[0] == 0.02
+    assert not any(key.startswith("target.") for key in scalar_keys(several))
+    assert with_values(several, {"targets[0].area[0]": 0.02}).target.area[0] == 0.02
 
 
 @pytest.mark.parametrize(
     ("key", "near"),
     [
         ("drive.freqency", "similar keys: drive.frequency"),
-        ("plate.size", "is not a single number; write plate.size[0], plate.size[1]"),
+        ("plate.size", "is not a single value; write plate.size[0], plate.size[1]"),
         ("actuators.nobody.phase", "similar keys: actuators[0].phase"),
         ("actuators[7].phase", "similar keys: actuators[0].phase"),
         ("record.points[0][1]", "the scene has no record.points; write it in the scene file"),
@@ -134,7 +134,7 @@ def test_last_key_of_a_grid_changes_fastest():
     plan = make_plan([parse_vary(PAPER, "drive.frequency=1,2,3"), parse_vary(PAPER, "plate.thickness=4e-4:5e-4:2")])
     assert plan.shape == (3, 2)
     assert plan.points.tolist() == [[f, h] for f in (1.0, 2.0, 3.0) for h in (4e-4, 5e-4)]
-    assert plan.numbers(3) == {"drive.frequency": 2.0, "plate.thickness": 5e-4}
+    assert plan.values(3) == {"drive.frequency": 2.0, "plate.thickness": 5e-4}
 
 
 @given(st.integers(1, 40), st.integers(0, 2**32))

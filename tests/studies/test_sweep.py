@@ -14,13 +14,14 @@ from warp_plate import SceneError, load_sweep, sweep
 from warp_plate.cluster.scheduler import ATTEMPTS
 from warp_plate.modal.continuous_modes import continuous_modes
 from warp_plate.result.sweep import REFUSED, RUN, save_sweep
-from warp_plate.scene.keys import with_numbers
+from warp_plate.scene.keys import with_values
 from warp_plate.scene.vary import make_plan, parse_vary
 from warp_plate.studies.checkpointing import SweepFile
+from warp_plate.studies.frequency_response import compute_frequency_response, respond_to_drive
 from warp_plate.studies.localize import localize
 from warp_plate.studies.quantities_of_interest import QUANTITIES
 from warp_plate.studies.simulate import simulate
-from warp_plate.studies.sweep import run_sweep, start_sweep
+from warp_plate.studies.sweep import choose_evaluator, run_sweep, start_sweep
 from warp_plate.studies.sweep_file import check_replaceable, resume_sweep, save_finished
 
 
@@ -34,26 +35,40 @@ def plan_of(scene, *vary, samples=None):
     return make_plan([parse_vary(scene, text) for text in vary], samples, 0)
 
 
-def test_quantities_are_those_of_the_commands(plate):
-    plan = plan_of(plate, "drive.frequency=250,290", "actuators[1].phase=0,1.5")
-    found = {what: sweep(plate, plan, what, device="cpu", count=3).values for what in QUANTITIES}
-    for point in (0, 3):
-        scene = with_numbers(plate, plan.numbers(point))
+@pytest.mark.parametrize("evaluator", ["modal", "direct"])
+def test_quantities_are_those_of_the_commands(plate, evaluator):
+    plan = plan_of(plate, "drive.frequency=250,290", "actuators[1].phase=1.5")
+    by_modes = evaluator == "modal"
+    found = {}
+    for what, quantities in QUANTITIES.items():
+        asked = evaluator if evaluator in quantities.evaluators else None
+        result = sweep(plate, plan, what, device="cpu", count=3, evaluator=asked, frequencies="100,250")
+        assert result.evaluator == asked or quantities.evaluators == (result.evaluator,)
+        found[what] = result.values
+    for point in (0, 1):
+        scene = with_values(plate, plan.values(point))
         at = {what: {name: array[point] for name, array in values.items()} for what, values in found.items()}
-        single = simulate(scene, device="cpu", estimate=False)
+        single = simulate(scene, device="cpu", path="modal" if by_modes else "auto", estimate=False)
         assert at["simulate"] == {
             "localization_factor": single.cases["drive"].localization_factor,
             "energy_plate": single.cases["drive"].energy["plate"],
             "energy_target": single.cases["drive"].energy["target"],
             "peak_displacement": single.peak_displacement,
         }
-        searched = localize(scene, device="cpu", evaluator="response", estimate=False)
+        searched = localize(scene, device="cpu", evaluator="modal" if by_modes else "response", estimate=False)
         factors = {name: case.localization_factor for name, case in searched.cases.items()}
         for name in ("equal", "single"):
             assert at["localize"][name] == pytest.approx(factors[name], rel=1e-9)
         assert at["localize"]["bound"] == pytest.approx(searched.bound, rel=1e-9)
         assert factors["best"] <= at["localize"]["best"] * (1 + 1e-9) <= searched.bound * (1 + 3e-9)
         np.testing.assert_allclose(at["modes"]["frequency"], continuous_modes(scene, 3).frequencies, rtol=1e-7)
+        response = compute_frequency_response(scene, frequency_range=(90, 260))
+        nearest = np.abs(response.frequencies - 100).argmin()
+        at_nearest = respond_to_drive(scene, response.frequencies[[nearest]])
+        assert at_nearest[1] == pytest.approx(response.localization_factor[[nearest]], rel=1e-5)
+        assert at_nearest[2] == pytest.approx(response.bound[[nearest]], rel=1e-5)
+        at_one = respond_to_drive(scene, np.array([250.0]))
+        assert [values[1] for values in at["frf"].values()] == pytest.approx([float(*values) for values in at_one])
         assert at["check"]["time_step"] == 2e-4
         assert at["check"]["steps_a_period"] == pytest.approx(1 / (scene.drive.frequency * 2e-4))
 
@@ -73,7 +88,7 @@ SEARCH = {"particles": 6, "iterations": 8}
 )
 def test_what_no_eigenvector_answers_is_searched(tables, evaluator):
     scene = scene_of((9, 9), **{"damping": None if "effects" in tables else 88.5, **tables})
-    found = sweep(scene, ["drive.frequency=290"], device="cpu").values
+    found = sweep(scene, ["drive.frequency=290"], device="cpu", evaluator="direct").values
     searched = localize(scene, device="cpu", evaluator=evaluator, estimate=False)
     assert found["best"][0] == pytest.approx(searched.cases["best"].localization_factor, rel=1e-6)
     expected = math.nan if searched.bound is None else searched.bound
@@ -126,6 +141,42 @@ def test_a_sweep_interrupted_anywhere_resumes_to_the_same(plate, tmp_path, rando
     assert (read.scene, read.what, read.count, read.outputs) == (plate, "modes", 2, full.outputs)
 
 
+@pytest.mark.parametrize(
+    ("tables", "keys", "path", "evaluator"),
+    [
+        ({}, ["drive.frequency"], "auto", "modal"),
+        ({}, ["drive.frequency", "grid.nodes[0]"], "auto", "direct"),
+        ({}, ["drive.frequency"], "streaming", "direct"),
+        ({"effects": {"stretching": {}}}, ["drive.frequency"], "auto", "direct"),
+        ({"effects": {"loss_factor": {"eta": 0.1}}}, ["grid.nodes[0]"], "auto", "modal"),
+    ],
+)
+def test_linear_scenes_are_swept_by_modes(tables, keys, path, evaluator):
+    assert choose_evaluator(scene_of((9, 9), **tables), keys, "localize", path) == evaluator
+
+
+def test_only_linear_scenes_are_swept_by_modes():
+    with pytest.raises(SceneError, match=r"effects\.stretching needs time steps; write 'direct'"):
+        choose_evaluator(scene_of((9, 9), effects={"stretching": {}}), [], "localize", "auto", "modal")
+    with pytest.raises(SceneError, match=r"all points are refused.*effects\.stretching"):
+        sweep(scene_of((9, 9), effects={"stretching": {}}), ["plate.density=1000"], "frf", frequencies="100")
+
+
+def test_workers_are_sent_the_files_that_vary(tmp_path):
+    for name, factor in (("a.csv", 1.0), ("b.csv", 1.2)):
+        (tmp_path / name).write_text(f"{factor},1.1\n", encoding="utf-8")
+    (tmp_path / "c.csv").write_text("thick\n", encoding="utf-8")
+    scene = scene_of((9, 9), effects={"variation": {"thickness": "a.csv"}}).in_folder(tmp_path)
+    vary, asked = ["effects.variation.thickness=*.csv", "edges.left=clamped,glued"], {"frequencies": "100,200"}
+    here = sweep(scene, vary, "frf", device="cpu", **asked)
+    away = sweep(scene, vary, "frf", pool=InlinePool(), **asked)
+    np.testing.assert_equal(away.values, here.values)
+    assert here.status.tolist() == [RUN, REFUSED, RUN, REFUSED, REFUSED, REFUSED]
+    assert here.reasons == away.reasons
+    assert "must be 'clamped', 'supported', 'free'" in here.reasons[1]
+    assert "'c.csv': holds no numbers" in here.reasons[4]
+
+
 class Killing(InlinePool):
     """A pool whose worker ends under half of the tasks, and under those of one frequency always."""
 
@@ -136,7 +187,7 @@ class Killing(InlinePool):
     def run(self, function, argument):
         first = id(argument) not in self.met
         self.met.add(id(argument))
-        if argument.numbers["drive.frequency"] == self.frequency or (first and self.random.random() < 0.5):
+        if argument.values["drive.frequency"] == self.frequency or (first and self.random.random() < 0.5):
             self.killed += 1
             raise BrokenProcessPool
         return super().run(function, argument)

@@ -155,7 +155,7 @@ def random_sweep(vary, what="localize", samples=None):
     """A sweep with random values, some points refused and one value infinite."""
     panel = scene_of(damping=88.5, time_step=2e-4)
     plan = make_plan([parse_vary(panel, words) for words in vary], samples)
-    begun = start_sweep(panel, plan, what, "cpu", count=3)
+    begun = start_sweep(panel, plan, what, "cpu", count=3, frequencies="100:200:3")
     values = {name: np.random.default_rng(1).random(output.shape) for name, output in begun.values.items()}
     status = np.ones(len(plan), dtype="i1")
     status[::5] = REFUSED

@@ -12,7 +12,7 @@ import numpy as np
 
 from warp_plate.result.sweep import REFUSED, Sweep
 from warp_plate.scene.keys import label_of, unit_of
-from warp_plate.scene.vary import counted
+from warp_plate.scene.vary import counted, value_text
 from warp_plate.viz.plots.frame import add_panels, figure, number_log_axis
 
 if TYPE_CHECKING:
@@ -24,6 +24,8 @@ COLOURS = ("#08519c", "#b2182b", "#6baed6", "#8a8a8a", "#1b7837", "#762a83", "#d
 REFUSED_COLOUR, CMAP = "#d9d9d9", "viridis"
 # Most modes with a line or map of their own; most small maps, of which some are left out evenly; contour lines.
 MOST_MODES, MOST_MAPS, CONTOURS = 8, 20, 8
+# Most texts of a key that are written along its axis.
+MOST_TEXTS = 8
 # Marker and size of samples by rank: the first is filled, and coinciding neighbours can both be seen.
 MARKERS = (("o", 3), ("o", 6), ("x", 4), ("+", 6), ("s", 5), ("D", 7), ("^", 5), ("v", 6))
 # Powers of ten that tick labels may have; any other power is written once, with the unit.
@@ -49,11 +51,17 @@ def curves(sweep: Sweep) -> dict[str, tuple[str, np.ndarray]]:
     """Return the unit and the (points,) values of every scalar output by its label; NaN where not finite."""
     scalars = {}
     for name, output in sweep.outputs.items():
-        values = sweep.values[name].reshape(len(sweep.plan), -1)
-        finite = np.where(np.isfinite(values), values, np.nan).T
-        for index, row in enumerate(finite[:MOST_MODES], 1):
-            scalars[f"{output.meaning} {index}" if output.axis else output.meaning] = (output.unit, row)
+        for end, values in list(sweep.columns(name).items())[:MOST_MODES]:
+            scalars[output.meaning + end] = (output.unit, np.where(np.isfinite(values), values, np.nan))
     return scalars
+
+
+def positions(values: np.ndarray) -> np.ndarray:
+    """Return where the values of a key lie on its axis: numbers as they are, texts at 0, 1, ... in the given order."""
+    if values.dtype.kind == "f":
+        return values
+    places = {text: place for place, text in enumerate(dict.fromkeys(values.tolist()))}
+    return np.array([places[text] for text in values.tolist()], dtype=float)
 
 
 def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
@@ -71,8 +79,9 @@ def _draw_lines(figure: Figure, sweep: Sweep) -> None:
     groups, logarithmic = _by_unit(sweep), sweep.plan.logarithmic[0]
     figure.set_size_inches(6.4, 0.8 + 2.6 * len(groups))
     rows = figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0]
-    order = np.argsort(sweep.plan.coordinates[0])
-    x, refused = sweep.plan.coordinates[0][order], (sweep.status == REFUSED)[order]
+    places = positions(sweep.plan.coordinates[0])
+    order = np.argsort(places)
+    x, refused = places[order], (sweep.status == REFUSED)[order]
     edges = cell_edges(x, logarithmic)
     for axes, (unit, lines) in zip(rows, groups.items(), strict=True):
         label, names = _common_words(list(lines))
@@ -88,7 +97,7 @@ def _draw_lines(figure: Figure, sweep: Sweep) -> None:
         axes.set_xscale("log" if logarithmic else "linear")
         if len(lines) > 1:
             axes.legend(fontsize=8, ncols=min(len(lines), 6), loc="lower center", bbox_to_anchor=(0.5, 1))
-    _set_axis(rows[-1].xaxis, *_label_and_unit(sweep, 0), 6)
+    _set_key_axis(rows[-1].xaxis, sweep, 0, 6)
 
 
 def _draw_maps(figure: Figure, sweep: Sweep) -> None:
@@ -116,8 +125,8 @@ def _draw_small_maps(figure: Figure, sweep: Sweep) -> str:
     for axes, place in zip(panels, shown, strict=True):
         mesh = _draw_map(axes, sweep, field[place], (first, second), values)
         names = [f"{_with_unit(*_label_and_unit(sweep, key))}: " for key in others]
-        held = (plan.coordinates[key][step] for key, step in zip(others, place, strict=True))
-        axes.set_title("\n".join(f"{name}{value:.4g}" for name, value in zip(names, held, strict=True)), fontsize=7)
+        held = (value_text(plan.coordinates[key][step]) for key, step in zip(others, place, strict=True))
+        axes.set_title("\n".join(map(str.__add__, names, held)), fontsize=7)
     _label_maps(panels, sweep, columns, (first, second), 4, size=8)
     figure.colorbar(mesh, ax=panels, shrink=0.8).set_label(_with_unit(label, unit))
     return f"{len(shown)} of {len(places)} maps" if len(shown) < len(places) else ""
@@ -132,7 +141,7 @@ def _draw_points(figure: Figure, sweep: Sweep) -> str:
     shrink = 1.0 if len(plan) <= 200 else 0.6
     for row, (unit, lines) in zip(grid, groups.items(), strict=True):
         label, names = _common_words(list(lines))
-        for axes, x, logarithmic in zip(row, plan.coordinates, plan.logarithmic, strict=True):
+        for axes, x, logarithmic in zip(row, map(positions, plan.coordinates), plan.logarithmic, strict=True):
             for rank, (name, values) in enumerate(zip(names, lines.values(), strict=True)):
                 marker, size = MARKERS[rank]
                 style = {"marker": marker, "markersize": size * shrink, "color": COLOURS[rank], "linestyle": ""}
@@ -144,7 +153,7 @@ def _draw_points(figure: Figure, sweep: Sweep) -> str:
         if len(lines) > 1:
             row[-1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     for key, axes in enumerate(grid[-1]):
-        _set_axis(axes.xaxis, *_label_and_unit(sweep, key), 4)
+        _set_key_axis(axes.xaxis, sweep, key, 4)
     return counted(len(plan), "sample")
 
 
@@ -154,17 +163,17 @@ def _label_maps(
     """Label drawn maps along their left and lower side, with at most ``most`` numbers along x."""
     for index, axes in enumerate(panels):
         if index + columns >= len(panels):
-            _set_axis(axes.xaxis, *_label_and_unit(sweep, keys[0]), most, size)
+            _set_key_axis(axes.xaxis, sweep, keys[0], most, size)
             axes.tick_params(labelbottom=True)
         if index % columns == 0:
-            _set_axis(axes.yaxis, *_label_and_unit(sweep, keys[1]), size=size)
+            _set_key_axis(axes.yaxis, sweep, keys[1], size=size)
 
 
 def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int], values: np.ndarray) -> Any:
     """Draw (first key, second key) values as colours, within the range of all values, with contour lines."""
     from matplotlib.ticker import MaxNLocator
 
-    x, y = (sweep.plan.coordinates[key] for key in keys)
+    x, y = (positions(sweep.plan.coordinates[key]) for key in keys)
     log_x, log_y = (sweep.plan.logarithmic[key] for key in keys)
     axes.set(facecolor=REFUSED_COLOUR, xscale="log" if log_x else "linear", yscale="log" if log_y else "linear")
     edges = cell_edges(x, log_x), cell_edges(y, log_y)
@@ -175,7 +184,7 @@ def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int]
     constant = not finite.size or np.ptp(finite) <= 1e-6 * np.abs(finite).max()
     if constant and finite.size > 1:
         axes.text(0.5, 0.5, f"{finite[0]:.4g} everywhere", transform=axes.transAxes, ha="center", color="white")
-    if not constant and min(field.shape) > 1:
+    if not constant and min(field.shape) > 1 and all(sweep.plan.coordinates[key].dtype.kind == "f" for key in keys):
         levels = MaxNLocator(CONTOURS).tick_values(*limits)
         levels = levels[(levels > finite.min()) & (levels < finite.max())]
         if levels.size:
@@ -211,6 +220,16 @@ def _common_words(labels: Sequence[str]) -> tuple[str, list[str]]:
     while common and common[-1] in ("of", "the", "a"):
         common.pop()
     return " ".join(common), remainders
+
+
+def _set_key_axis(axis: Axis, sweep: Sweep, key: int, most: int | None = None, size: float | None = None) -> None:
+    """Set label and tick labels of a varied key; those of texts are the texts, if there are few."""
+    _set_axis(axis, *_label_and_unit(sweep, key), most, size)
+    values = sweep.plan.coordinates[key]
+    if values.dtype.kind != "f":
+        texts = list(dict.fromkeys(values.tolist()))
+        shown = texts if len(texts) <= MOST_TEXTS else []
+        axis.set_ticks(range(len(shown)), shown)
 
 
 def _set_axis(axis: Axis, label: str, unit: str, most: int | None = None, size: float | None = None) -> None:

@@ -27,7 +27,9 @@ def sweep(
     /,
     *,
     vary: Annotated[list[str] | None, Parameter(consume_multiple=True, negative="")] = None,
-    what: Literal["localize", "simulate", "modes", "check"] | None = None,
+    what: Literal["localize", "simulate", "frf", "modes", "check"] | None = None,
+    evaluator: Literal["modal", "direct"] | None = None,
+    frequencies: str | None = None,
     samples: options.Integer | None = None,
     seed: options.Integer | None = None,
     count: options.Integer | None = None,
@@ -38,7 +40,7 @@ def sweep(
     pictures: options.Pictures = True,
     json: options.Json = False,
 ) -> None:
-    """Compute one command's results over many scenes that differ in some of their numbers.
+    """Compute one command's results over many scenes that differ in some of their numbers, words or files.
 
     Points whose scene is refused (an unstable time step, a patch off the plate) have no results, and the reason is
     kept; the others run.
@@ -50,15 +52,22 @@ def sweep(
     Parameters
     ----------
     vary
-        KEY=START:STOP:COUNT, KEY=log:START:STOP:COUNT or KEY=a,b,c. KEY is any number of the scene file, such as
-        drive.frequency, effects.damping.viscous, target.area[1], actuators[0].phase, or with an actuator's name
-        "actuators.lower left.phase". Several ranges form a grid.
+        KEY=START:STOP:COUNT, KEY=log:START:STOP:COUNT or KEY=a,b,c. KEY is any number or text of the scene file, such
+        as drive.frequency, target.area[1], actuators[0].phase, "actuators.lower left.phase" or edges.left; of files,
+        effects.variation.thickness=*.csv stands for all such beside the scene. Several ranges form a grid.
     what
         localize (localization factors of the equal drive, the best single actuator and the best drive, and the bound;
-        the default), simulate (localization factor, energies and largest displacement under the scene's drive), modes
-        (natural frequencies) or check (time step and its limit, steps a period, nodes a wavelength).
+        the default), simulate (localization factor, energies and largest displacement under the scene's drive), frf
+        (mean square velocity, localization factor and bound at each of --frequencies), modes (natural frequencies) or
+        check (time step and its limit, steps a period, nodes a wavelength).
+    evaluator
+        modal (without time steps or a grid's error) or direct (time steps), with localize and simulate (default: modal
+        for linear scenes, unless a key of the grid is varied or --path says how to step).
+    frequencies
+        Frequencies of --what frf in hertz, as START:STOP:COUNT, log:START:STOP:COUNT or a,b,c.
     samples
-        Number of points of a Latin hypercube over the ranges in place of the grid; COUNT may then be left out.
+        Number of points of a Latin hypercube over the ranges in place of the grid; COUNT may then be left out. As many
+        samples as a list has values take each once.
     seed
         Random seed of the samples (default: 0).
     count
@@ -85,7 +94,8 @@ def sweep(
     from warp_plate.viz.plots.frame import save_plots
     from warp_plate.viz.plots.sweep import draw_sweep
 
-    request = SweepRequest(loaded, scene or "", vary, what, samples, seed, count, workers.path)
+    options_given = (what, samples, seed, count, workers.path, evaluator, frequencies)
+    request = SweepRequest(loaded, scene or "", vary, *options_given)
     on_workers = workers.devices is not None or workers.cluster is not None
     with output.scene_errors(scene):
         start = open_sweep(request, target, resume, workers.device, on_workers, output.log)
@@ -109,13 +119,14 @@ def _as_json(result: Sweep) -> dict[str, object]:
     return {
         "command": "sweep",
         "scene": result.source,
-        **output.attributes(result, "what", "seconds", "versions"),
+        **output.attributes(result, "what", "evaluator", "seconds", "versions"),
         **output.attributes(plan, "sampled", "shape"),
         "device": result.devices_used,
         "varied": dict(zip(plan.keys, plan.coordinates, strict=True)),
+        "axes": {axis: result.along(axis) for axis in sorted({o.axis for o in result.outputs.values() if o.axis})},
         "outputs": {name: result.shaped(name) for name in result.outputs},
         "units": {name: declared.unit for name, declared in result.outputs.items()},
-        "refused": [{"at": plan.numbers(point), "reason": reason} for point, reason in sorted(result.reasons.items())],
+        "refused": [{"at": plan.values(point), "reason": reason} for point, reason in sorted(result.reasons.items())],
     }
 
 
@@ -124,34 +135,35 @@ def _with_unit(text: str, unit: str) -> str:
 
 
 def _columns(result: Sweep) -> dict[str, tuple[str, list[float]]]:
-    """Return the unit and the values at all points of every number in the outputs, by its heading."""
-    made = {}
-    for name, declared in result.outputs.items():
-        values = result.values[name]
-        for index, column in enumerate(values.reshape(len(values), -1).T.tolist(), 1):
-            made[name.replace("_", " ") + (f" {index}" if declared.axis else "")] = (declared.unit, column)
-    return made
+    """Return the unit and the values at all points of every column of the outputs, by its heading."""
+    return {
+        name.replace("_", " ") + end: (declared.unit, column.tolist())
+        for name, declared in result.outputs.items()
+        for end, column in result.columns(name).items()
+    }
 
 
 def _print(result: Sweep, console: Console) -> None:
     from warp_plate.scene.keys import label_of, unit_of
-    from warp_plate.scene.vary import counted
+    from warp_plate.scene.vary import counted, value_text
 
     plan, scene, columns = result.plan, result.scene, _columns(result)
-    console.print(f"{scene.title or result.source}: {result.what}, {plan.description}, on {result.devices_used}\n")
+    way = "by modes" if result.evaluator == "modal" else "by time steps"
+    head = f"{scene.title or result.source}: {result.what} {way}, {plan.description}, on {result.devices_used}\n"
+    console.print(head, highlight=False)
     keys = [_with_unit(label_of(scene, key), unit_of(scene, key)) for key in plan.keys]
     if len(plan) <= MOST_ROWS and len(keys) + len(columns) <= MOST_COLUMNS:
         made = output.table(*keys, *(_with_unit(name, unit) for name, (unit, _) in columns.items()))
-        for point, numbers in enumerate(plan.points.tolist()):
+        for point, values_here in enumerate(plan.points.tolist()):
             found = (output.number_text(values[point], ".4g") for _, values in columns.values())
-            made.add_row(*(f"{number:.4g}" for number in numbers), *found)
+            made.add_row(*map(value_text, values_here), *found)
     else:
         made = output.table("quantity", "value", *(f"at {key}" for key in keys))
         for name, (unit, values) in columns.items():
             known = [point for point, value in enumerate(values) if math.isfinite(value)]
             for word, choose in (("smallest", min), ("largest", max)) if known else ():
                 point = choose(known, key=values.__getitem__)
-                at = (f"{number:.5g}" for number in plan.numbers(point).values())
+                at = (value_text(value, 5) for value in plan.values(point).values())
                 made.add_row(f"{name}, {word}", f"{values[point]:.5g} {unit if unit != '1' else ''}".strip(), *at)
     console.print(made)
     if result.reasons:

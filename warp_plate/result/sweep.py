@@ -2,6 +2,7 @@
 
     /KEY                   of a grid: a dimension with the values of each varied key, such as /drive.frequency
     /sample, /KEY          of samples: a dimension with their numbers, and the value of each key in every sample
+    /mode, /frequency      a dimension with the values of the outputs' own axis
     /OUTPUT                an output at every point (grid or sample, and the output's axis if it has one)
     /status                0 not run yet, 1 run, 2 refused
     /reason                why a point was refused
@@ -14,18 +15,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import h5py
 import numpy as np
 
 from warp_plate.result import hdf5
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.keys import label_of, numeric_keys, unit_of
+from warp_plate.scene.keys import label_of, scalar_keys, unit_of
 from warp_plate.scene.model import Scene
-from warp_plate.scene.vary import MOST_POINTS, Plan, counted
+from warp_plate.scene.vary import MOST_POINTS, Plan, counted, parse_frequencies, value_text
 
-FORMAT = hdf5.FileFormat("sweep", 1)
+FORMAT = hdf5.FileFormat("sweep", 2)
 KEYS = hdf5.Attribute(tuple[str, ...])
 LOGARITHMIC = hdf5.Attribute(tuple[bool, ...])
 OUTPUTS = hdf5.Attribute(Mapping[str, Mapping[str, str | None]])
@@ -38,7 +39,7 @@ class SweepOutput:
 
     unit: str
     meaning: str
-    axis: str | None = None  # name of the output's own axis, such as "mode"; None if it is one number a point
+    axis: Literal["mode", "frequency"] | None = None  # the output's own axis; None if it is one number a point
 
 
 @dataclass(frozen=True)
@@ -50,18 +51,32 @@ class Sweep:
     files: Mapping[str, str]  # SHA-256 digests of the files that the scene names, by their keys
     plan: Annotated[Plan, hdf5.ELSEWHERE]
     what: str  # name of the set of outputs, such as "localize"
-    count: int  # length of the outputs' own axis
+    count: int  # number of modes, if these are an axis of outputs
+    frequencies: str  # range of frequencies, if these are an axis of outputs, written as for ``--vary``; else empty
     device: str  # of the last points; "" until the first worker reports one
     processor: str  # model of the device's processor; "" likewise
     earlier_devices: Annotated[str, "earlier"]  # other devices that points were run on before, for people
     path: str
+    evaluator: str  # "modal" or "direct"
     outputs: Annotated[Mapping[str, SweepOutput], hdf5.ELSEWHERE]
-    # (points,) or (points, count) values of each output; NaN where a point is not run or refused
+    # (points,) or (points, axis) values of each output; NaN where a point is not run or refused
     values: Annotated[Mapping[str, np.ndarray], hdf5.ELSEWHERE]
     status: Annotated[np.ndarray, hdf5.ELSEWHERE]  # (points,) ``NOT_RUN``, ``RUN`` or ``REFUSED``
     reasons: Annotated[Mapping[int, str], hdf5.ELSEWHERE]  # why points were refused, by point
     seconds: float  # wall time spent on points so far [s]
     versions: Mapping[str, str]
+
+    def along(self, axis: str) -> np.ndarray:
+        """Return the values of an axis of outputs: numbers of modes, or frequencies [Hz]."""
+        return np.arange(1, self.count + 1) if axis == "mode" else parse_frequencies(self.frequencies)
+
+    def columns(self, output: str) -> dict[str, np.ndarray]:
+        """Return the numbers (points,) that stand for an output in tables and pictures, by the end of its heading:
+        each mode, or the largest over all frequencies."""
+        values, axis = self.values[output], self.outputs[output].axis
+        if axis == "mode":
+            return {f" {index}": column for index, column in enumerate(values.T, 1)}
+        return {"": values} if axis is None else {", largest": values.max(axis=1)}
 
     @property
     def pending(self) -> np.ndarray:
@@ -99,8 +114,8 @@ class Sweep:
         return tuple(key for axis, key in enumerate(plan.keys) if constant[0 if plan.sampled else axis])
 
     def refusal(self, point: int) -> str:
-        """Return the numbers of a refused point and the reason, for people."""
-        place = ", ".join(f"{key} = {value:.6g}" for key, value in self.plan.numbers(point).items())
+        """Return the values of a refused point and the reason, for people."""
+        place = ", ".join(f"{key} = {value_text(value, 6)}" for key, value in self.plan.values(point).items())
         reason = self.reasons[point]
         return reason if reason.startswith(f"{place}: ") else f"at {place}: {reason}"
 
@@ -124,9 +139,11 @@ def save_sweep(sweep: Sweep, path: str | Path) -> Path:
             hdf5.write_along(file, "sample", np.arange(len(plan)), "1", "number of the sample")
         for key, values in zip(plan.keys, plan.coordinates, strict=True):
             unit = unit_of(scene, key).replace("²", "^2").replace("³", "^3").replace("·", "*")
+            values = values.astype(h5py.string_dtype()) if values.dtype.kind == "U" else values
             hdf5.write_along(file, key, values, unit, label_of(scene, key), axes if plan.sampled else ())
         for axis in dict.fromkeys(output.axis for output in sweep.outputs.values() if output.axis):
-            hdf5.write_along(file, axis, np.arange(1, sweep.count + 1), "1", f"number of the {axis}")
+            unit, meaning = ("1", "number of the mode") if axis == "mode" else ("Hz", "frequency")
+            hdf5.write_along(file, axis, sweep.along(axis), unit, meaning)
         for name, output in sweep.outputs.items():
             own = [output.axis] if output.axis else []
             hdf5.write_along(file, name, sweep.shaped(name), output.unit, output.meaning, [*axes, *own])
@@ -146,27 +163,32 @@ def load_sweep(path: str | Path) -> Sweep:
     """Read a sweep, or raise a SceneError if the file is missing, damaged or not a sweep."""
     with FORMAT.open(path) as file:
         scene = hdf5.SceneText().read(file, "scene", {})
-        plan, count = _read_plan(file, scene), hdf5.Attribute(int).read(file, "count", {})
+        plan = _read_plan(file, scene)
         outputs = {name: SweepOutput(**entry) for name, entry in OUTPUTS.read(file, "outputs", {}).items()}
-        values = {}
-        for name, output in outputs.items():
-            own = (count,) if output.axis else ()
-            values[name] = hdf5.read_array(file, name, (*plan.shape, *own)).reshape(len(plan), *own)
         status = hdf5.read_array(file, "status", plan.shape).ravel()
         texts = hdf5.read_array(file, "reason", plan.shape, text=True).ravel()
         reasons = {point: str(texts[point]) for point in np.flatnonzero(status == REFUSED).tolist()}
-        return hdf5.read_fields(
-            Sweep, file, scene=scene, plan=plan, outputs=outputs, values=values, status=status, reasons=reasons
+        found = hdf5.read_fields(
+            Sweep, file, scene=scene, plan=plan, outputs=outputs, values={}, status=status, reasons=reasons
         )
+        values = {}
+        for name, output in outputs.items():
+            own = (len(found.along(output.axis)),) if output.axis else ()
+            values[name] = hdf5.read_array(file, name, (*plan.shape, *own)).reshape(len(plan), *own)
+        return replace(found, values=values)
 
 
 def _read_plan(file: h5py.File, scene: Scene) -> Plan:
     keys, logarithmic = KEYS.read(file, "keys", {}), LOGARITHMIC.read(file, "logarithmic", {})
-    if not keys or not set(keys) <= set(numeric_keys(scene)) or len(logarithmic) != len(keys):
+    kinds = scalar_keys(scene)
+    if not keys or not set(keys) <= set(kinds) or len(logarithmic) != len(keys):
         raise SceneError(f"keys {list(keys)} do not fit the scene")
     sampled = "sample" in file
     samples = len(hdf5.read_array(file, "sample", (None,))) if sampled else None
-    plan = Plan(keys, tuple(hdf5.read_array(file, key, (samples,)) for key in keys), logarithmic, sampled)
+    coordinates = (hdf5.read_array(file, key, (samples,), text=kinds[key] is str) for key in keys)
+    # Texts are read as objects.
+    made = (values.astype(str) if values.dtype.kind == "O" else values for values in coordinates)
+    plan = Plan(keys, tuple(made), logarithmic, sampled)
     if not 1 <= len(plan) <= MOST_POINTS:
         raise SceneError(f"the sweep has {len(plan)} points")
     return plan

@@ -1,5 +1,5 @@
-"""The numbers of a scene by dotted keys such as ``plate.thickness`` or ``actuators[0].phase``: lookup, units, labels
-and replacement."""
+"""The numbers and texts of a scene by dotted keys such as ``plate.thickness``, ``actuators[0].phase`` or
+``edges.left``: lookup, units, labels and replacement."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import operator
 import re
 from collections.abc import Iterator, Mapping
 from functools import reduce
-from typing import Any, get_args
+from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
@@ -61,8 +61,8 @@ ALTERNATIVES = {"magnitude": "force", "force": "magnitude"}
 _PART = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
 
 
-def numeric_keys(scene: Scene) -> dict[str, type]:
-    """Return the type, int or float, of every key that holds one number or is optional and would hold one.
+def scalar_keys(scene: Scene) -> dict[str, type]:
+    """Return the type, int, float or str, of every key that holds one number or text or is optional and would hold one.
 
     Of several targets, ``target`` is one, so its keys are left out.
     """
@@ -73,9 +73,9 @@ def resolved_key(scene: Scene, key: str) -> str:
     """Return the key with names replaced by indices: ``actuators[0].phase`` for ``actuators.lower left.phase``.
 
     Raises:
-        SceneError: the scene has no such key, or it holds no number; the message suggests similar keys.
+        SceneError: the scene has no such key, or it holds no number or text; the message suggests similar keys.
     """
-    known, resolved = numeric_keys(scene), key.strip()
+    known, resolved = scalar_keys(scene), key.strip()
     for table in NAMED:
         names = [(row.name, index) for index, row in enumerate(getattr(scene, table))]
         for name, index in sorted(names, key=lambda item: -len(item[0])):  # a name may begin with another
@@ -87,33 +87,33 @@ def resolved_key(scene: Scene, key: str) -> str:
     raise SceneError(f"{key}: {_why_unknown(scene, resolved, list(known))}")
 
 
-def with_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
-    """Return the scene, checked again, with other numbers at some of ``numeric_keys``; integers where these are kept.
+def with_values(scene: Scene, values: Mapping[str, float | str]) -> Scene:
+    """Return the scene, checked again, with other values at some of ``scalar_keys``; integers where these are kept.
 
     ``grid.accuracy`` replaces the other keys of the grid, the force of an actuator its magnitude and the other way
     round.
 
     Raises:
-        SceneError: the numbers are not valid; the message names the key at fault.
+        SceneError: the values are not valid; the message names the key at fault.
     """
     tables: Any = scene.model_dump(mode="json")
     if scene.targets:
         del tables["target"]
-    if scene.grid.accuracy is not None or "grid.accuracy" in numbers:
-        changed = {"accuracy", *(_parts(key)[1] for key in numbers if key.startswith("grid."))}
+    if scene.grid.accuracy is not None or "grid.accuracy" in values:
+        changed = {"accuracy", *(_parts(key)[1] for key in values if key.startswith("grid."))}
         tables["grid"] = {key: value for key, value in tables["grid"].items() if key in changed}
-    kinds = numeric_keys(scene)
-    places = {key: (reduce(operator.getitem, path, tables), last) for key in numbers for *path, last in [_parts(key)]}
+    kinds = scalar_keys(scene)
+    places = {key: (reduce(operator.getitem, path, tables), last) for key in values for *path, last in [_parts(key)]}
     for key, (table, last) in places.items():
         if key.startswith("actuators") and last in ALTERNATIVES:
             table.pop(ALTERNATIVES[last], None)
     for key, (table, last) in places.items():
-        table[last] = kinds[key](numbers[key])
+        table[last] = kinds[key](values[key])
     return Scene.from_tables(tables).in_folder(scene.folder)
 
 
 def unit_of(scene: Scene, key: str) -> str:
-    """Return the unit of the number at one of ``numeric_keys``; "1" if it has none."""
+    """Return the unit of the number at one of ``scalar_keys``; "1" if it has none."""
     names = [part for part in _parts(key) if isinstance(part, str)]
     ends = (".".join(names[index:]) for index in range(len(names)))
     return UNITS.get(next((end for end in ends if end in UNITS), ""), "1").replace("drive", scene.drive_unit)
@@ -140,12 +140,14 @@ def _numbers_in(value: object, key: str, annotation: Any = None) -> Iterator[tup
     elif isinstance(value, tuple):
         for index, inner in enumerate(value):
             yield from _numbers_in(inner, f"{key}[{index}]")
-    elif isinstance(value, int | float) and not isinstance(value, bool):
+    elif isinstance(value, int | float | str) and not isinstance(value, bool):
         yield key, type(value)
     elif value is None:  # the first of X | None, which may be Annotated
         kind = get_args(annotation)[0]
         kind = getattr(kind, "__origin__", kind)
-        if kind in (int, float):
+        if get_origin(kind) is Literal:
+            kind = str
+        if kind in (int, float, str):
             yield key, kind
 
 
@@ -156,7 +158,7 @@ def _parts(key: str) -> list[str | int]:
 def _why_unknown(scene: Scene, key: str, known: list[str]) -> str:
     inside = [other for other in known if other.startswith((f"{key}.", f"{key}["))]
     if inside:
-        return f"is not a single number; write {_listed(inside)}"
+        return f"is not a single value; write {_listed(inside)}"
     optional = _optional_table(scene, key)
     if optional:
         return f"the scene has no {optional}; write it in the scene file to vary what is in it"
@@ -168,7 +170,7 @@ def _why_unknown(scene: Scene, key: str, known: list[str]) -> str:
         or [other for other in known if other.startswith((f"{head}.", f"{head}["))]
         or known
     )
-    return f"is not a key of this scene that holds a number; similar keys: {_listed(similar)}"
+    return f"is not a key of this scene that holds a number or a text; similar keys: {_listed(similar)}"
 
 
 def _optional_table(scene: Scene, key: str) -> str | None:

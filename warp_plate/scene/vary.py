@@ -1,20 +1,26 @@
-"""The points of a sweep: ranges written as START:STOP:COUNT, log:START:STOP:COUNT or a,b,c, and their combination."""
+"""The points of a sweep: ranges written as START:STOP:COUNT, log:START:STOP:COUNT or a,b,c, and their combination.
+
+Keys that hold texts, such as edges and names of files, take lists alone, in which *.csv stands for all such files.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from warp_plate.scene.errors import SceneError, printable
-from warp_plate.scene.keys import numeric_keys, resolved_key
+from warp_plate.scene.keys import resolved_key, scalar_keys
 from warp_plate.scene.model import Scene
 
 MOST_POINTS = 1_000_000
 RANGE_FORMS = "START:STOP:COUNT, log:START:STOP:COUNT or a list a,b,c"
+MOST_NAMED = 4  # longer lists of texts are counted
 LARGEST_INTEGER = 2**53 - 1  # sweeps hold float64 numbers, which represent every integer up to this one
 
 
@@ -22,12 +28,12 @@ LARGEST_INTEGER = 2**53 - 1  # sweeps hold float64 numbers, which represent ever
 class VariedKey:
     """A key of the scene and the range of its values."""
 
-    key: str  # one of ``numeric_keys``
-    start: float
-    stop: float
+    key: str  # one of ``scalar_keys``
+    start: float = math.nan
+    stop: float = math.nan
     count: int | None = None  # number of values; None if the range has none
     logarithmic: bool = False  # true if values are spaced by a constant factor
-    listed: tuple[float, ...] = ()  # values of a list; empty for a range
+    listed: tuple[float, ...] | tuple[str, ...] = ()  # values of a list; empty for a range
     integer: bool = False  # true if the key holds an integer
 
     def values(self) -> np.ndarray:
@@ -62,7 +68,7 @@ class Plan:
     """The points of a sweep."""
 
     keys: tuple[str, ...]  # varied keys
-    # Array for each key: its values along one axis of a grid, or its value in each sample
+    # Array of numbers or texts for each key: its values along one axis of a grid, or its value in each sample
     coordinates: tuple[np.ndarray, ...]
     logarithmic: tuple[bool, ...]  # true for each key with a logarithmic range
     sampled: bool = False  # true for samples, False for a full grid
@@ -77,20 +83,21 @@ class Plan:
 
     @cached_property
     def points(self) -> np.ndarray:
-        """Values (points, keys); the last key of a grid changes fastest."""
+        """Numbers and texts (points, keys) as objects; the last key of a grid changes fastest."""
+        columns = [values.astype(object) for values in self.coordinates]
         if self.sampled:
-            return np.stack(self.coordinates, axis=1)
-        return np.stack(np.meshgrid(*self.coordinates, indexing="ij"), axis=-1).reshape(len(self), -1)
+            return np.stack(columns, axis=1)
+        return np.stack(np.meshgrid(*columns, indexing="ij"), axis=-1).reshape(len(self), -1)
 
     @property
     def description(self) -> str:
         """Number of points and range of each key, for messages."""
         ranges = zip(self.keys, self.coordinates, strict=True)
         count = counted(len(self), "sample" if self.sampled else "point")
-        return ", ".join([count, *(f"{key} from {values.min():g} to {values.max():g}" for key, values in ranges)])
+        return ", ".join([count, *(f"{key} {_range_text(values)}" for key, values in ranges)])
 
-    def numbers(self, point: int) -> dict[str, float]:
-        """Return the varied numbers of a point by key."""
+    def values(self, point: int) -> dict[str, float | str]:
+        """Return the varied numbers and texts of a point by key."""
         return dict(zip(self.keys, self.points[point].tolist(), strict=True))
 
     def same(self, other: Plan) -> bool:
@@ -107,11 +114,55 @@ def parse_vary(scene: Scene, text: str) -> VariedKey:
         raise SceneError(f"{shown}: must be KEY=RANGE; write {RANGE_FORMS}")
     try:
         key = resolved_key(scene, name)
-        return _parse_range(key, range_text.strip(), numeric_keys(scene)[key] is int)
+        kind = scalar_keys(scene)[key]
+        if kind is str:
+            return _parse_texts(key, range_text, scene.folder)
+        return _parse_range(key, range_text.strip(), kind is int)
     except SceneError as error:
         raise SceneError(f"--vary {error}") from None
     except ValueError as error:
         raise SceneError(f"{shown}: {error}") from None
+
+
+def parse_frequencies(text: str) -> np.ndarray:
+    """Return the (frequencies,) values [Hz] of a range written as for ``--vary``; raise a SceneError if it is none."""
+    try:
+        values = _parse_range("frequency", text, integer=False).values()
+    except ValueError as error:
+        raise SceneError(f"--frequencies {printable(text[:100])}: {error}") from None
+    if values.min() <= 0:
+        raise SceneError(f"--frequencies {text}: all must be greater than 0 (hertz)")
+    return values
+
+
+def _parse_texts(key: str, text: str, folder: Path | None) -> VariedKey:
+    """Return a list of texts; one with * or ? stands for the files in the scene's folder whose names match it."""
+    listed: list[str] = []
+    for piece in map(str.strip, text.split(",")):
+        matching = [piece]
+        if folder is not None and ("*" in piece or "?" in piece):
+            matching = sorted(file.name for file in folder.iterdir() if fnmatchcase(file.name, piece))
+            if not matching:
+                raise ValueError(f"no file beside the scene file has a name like {printable(piece)}")
+        listed += matching
+    if not all(listed):
+        raise ValueError("holds text; write a list such as a,b,c")
+    if len(set(listed)) < len(listed):
+        raise ValueError("a value is listed twice")
+    return VariedKey(key, count=len(listed), listed=tuple(listed))
+
+
+def _range_text(values: np.ndarray) -> str:
+    """Return the least and the largest number, or some texts."""
+    if values.dtype.kind == "f":
+        return f"from {values.min():g} to {values.max():g}"
+    texts = list(dict.fromkeys(values.tolist()))
+    return " or ".join(texts) if len(texts) <= MOST_NAMED else f"of {len(texts)} values"
+
+
+def value_text(value: float | str, digits: int = 4) -> str:
+    """Return a varied value for people."""
+    return value if isinstance(value, str) else f"{value:.{digits}g}"
 
 
 def _parse_range(key: str, text: str, integer: bool) -> VariedKey:

@@ -79,6 +79,21 @@ def compute_frequency_response(
     )
 
 
+def respond_to_drive(scene: Scene, frequencies: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the spatial and temporal mean square velocity [m²/s²] under the scene's own drive, its localization factor
+    and the bound of all drives, each (frequencies,), if it were steady at each of the frequencies [Hz].
+
+    Raises:
+        SceneError: The scene is not linear, or see :func:`solve_modes`.
+    """
+    _check(scene, (), None)
+    plate = solve_modes(scene, frequencies.max())
+    forces = plate.actuator_forces() @ scene_phasors(scene)[:, None]
+    nowhere = np.zeros((len(forces), 0))
+    _, factor, bound, velocity = _responses(make_steady(plate, frequencies.max()), frequencies, forces, nowhere)
+    return velocity[0], factor, bound
+
+
 def default_range(scene: Scene) -> tuple[float, float]:
     """Return the lowest and the highest frequency [Hz] that are shown unless others are asked for."""
     drive = scene.drive.frequency

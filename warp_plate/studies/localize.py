@@ -118,7 +118,7 @@ def resume(
     if baselines:
         check_baselines(checkpoint.scene)
     started, matrices, earlier = time.perf_counter(), checkpoint.matrices, checkpoint.earlier_devices
-    provenance.check_files(checkpoint.scene, checkpoint, "search")
+    provenance.check_files(digests(checkpoint.scene), checkpoint, "search")
     device = device or provenance.same_device(checkpoint.device, checkpoint.processor, "search")
     problem = make_problem(checkpoint.scene, device, checkpoint.path, checkpoint.evaluator, matrices, pool)
     if problem.parametrization.quadratic and matrices is None:

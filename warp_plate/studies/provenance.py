@@ -11,7 +11,6 @@ import warp as wp
 
 import warp_plate
 from warp_plate.modal.solver import ModalSolver
-from warp_plate.plate.files import digests
 from warp_plate.problem.problem import Problem
 from warp_plate.result.checkpoint import Checkpoint
 from warp_plate.result.sweep import Sweep
@@ -74,9 +73,9 @@ def same_device(device: str, processor: str, study: str) -> str:
     )
 
 
-def check_files(scene: Scene, study: Checkpoint | Sweep, what: str) -> None:
-    """Check that the files that a scene names are still those that a study began with."""
-    for key, digest in digests(scene).items():
+def check_files(files: Mapping[str, str], study: Checkpoint | Sweep, what: str) -> None:
+    """Check that files, given by their digests, are still those that a study began with."""
+    for key, digest in files.items():
         if study.files.get(key) != digest:
             raise SceneError(f"{key}: the file has changed since the {what} began")
 

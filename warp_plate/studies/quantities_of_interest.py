@@ -10,6 +10,7 @@ import numpy as np
 from warp_plate.analysis.check import check
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.solver import MODAL
 from warp_plate.optimize.optimizer import MethodError, minimize
 from warp_plate.optimize.quadratic import best_position
 from warp_plate.plate.weights import localization_factor
@@ -19,30 +20,58 @@ from warp_plate.result.sweep import SweepOutput
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.studies.driver import search_optimizer
+from warp_plate.studies.frequency_response import respond_to_drive
 from warp_plate.studies.grid_choice import resolve_grid, resolve_search_grid
 from warp_plate.studies.simulate import simulate
 
-# By name: one number, or (count,) where the output has an axis.
+# By name: one number, or an array along the output's axis.
 Values = dict[str, float | np.ndarray]
 
 
 @dataclass(frozen=True)
+class Settings:
+    """How quantities are computed.
+
+    Attributes:
+        device, path: See :class:`PlateSolver`.
+        evaluator: "modal" for the modes of the plate, "direct" for time steps.
+        count: Number of modes.
+        frequencies: (frequencies,) frequencies of responses [Hz].
+    """
+
+    device: str = "auto"
+    path: str = "auto"
+    evaluator: str = MODAL
+    count: int = 6
+    frequencies: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
 class Quantities:
-    """The quantities of one command, the most important first, and the function of (scene, device, path, number of
-    modes) that computes them or raises SceneError."""
+    """The quantities of one command.
+
+    Attributes:
+        outputs: Quantities by name, the most important first.
+        compute: Function that computes them for a scene or raises SceneError.
+        evaluators: Evaluators that can compute them, the default first.
+    """
 
     outputs: Mapping[str, SweepOutput]
-    compute: Callable[[Scene, str, str, int], Values]
+    compute: Callable[[Scene, Settings], Values]
+    evaluators: tuple[str, ...] = (MODAL, "direct")
 
 
-def _localization_quantities(scene: Scene, device: str, path: str, count: int) -> Values:
+def _localization_quantities(scene: Scene, settings: Settings) -> Values:
     """Return the localization factors of the equal drive, the best single actuator and the best drive, and the bound
     (NaN if none is claimed); for the first of several targets.
 
     Gram matrices are used where they apply. The best drive is then an eigenvector if the search may choose it;
     otherwise it is searched as the scene says.
     """
-    problem = make_problem(resolve_search_grid(scene.model_copy(update={"targets": ()}), device).scene, device, path)
+    device, evaluator = settings.device, settings.evaluator
+    resolved = resolve_search_grid(scene.model_copy(update={"targets": ()}), device, evaluator).scene
+    # Of time steps, the default evaluator takes Gram matrices for robust searches.
+    problem = make_problem(resolved, device, settings.path, MODAL if evaluator == MODAL else None)
     if problem.response is not None and scene.search.robust is None:
         problem = replace(problem, evaluator_name="response")
     phasors = np.array(list(reference_phasors(problem.scene, problem.energies_of_phasors).values()))
@@ -66,9 +95,10 @@ def _best_position(problem: Problem) -> np.ndarray | None:
     return None if optimizer is None else minimize(optimizer, problem.losses).xbest
 
 
-def _simulation_quantities(scene: Scene, device: str, path: str, count: int) -> Values:
+def _simulation_quantities(scene: Scene, settings: Settings) -> Values:
     """Return the localization factor, energies and peak displacement under the scene's own drive."""
-    result = simulate(scene, device=device, path=path, estimate=False)
+    path = MODAL if settings.evaluator == MODAL else settings.path
+    result = simulate(scene, device=settings.device, path=path, estimate=False)
     case = result.cases["drive"]
     if case.status != "ok":
         raise SceneError(case.status)
@@ -80,15 +110,22 @@ def _simulation_quantities(scene: Scene, device: str, path: str, count: int) -> 
     }
 
 
-def _modal_quantities(scene: Scene, device: str, path: str, count: int) -> Values:
+def _modal_quantities(scene: Scene, settings: Settings) -> Values:
     """Return the lowest natural frequencies; NaN beyond those that are solved for."""
+    count = settings.count
     found = solve_modes(linear_part(scene), highest=0.0, count=count).frequencies[:count]
     return {"frequency": np.pad(found, (0, count - len(found)), constant_values=np.nan)}
 
 
-def _numerical_quantities(scene: Scene, device: str, path: str, count: int) -> Values:
+def _response_quantities(scene: Scene, settings: Settings) -> Values:
+    """Return the response to the scene's own drive at each frequency."""
+    velocity, factor, bound = respond_to_drive(scene, np.array(settings.frequencies))
+    return {"mean_square_velocity": velocity, "localization_factor": factor, "bound": bound}
+
+
+def _numerical_quantities(scene: Scene, settings: Settings) -> Values:
     """Return the time step and its limit, and the resolution in time and space."""
-    found = check(resolve_grid(scene, device).scene, device)
+    found = check(resolve_grid(scene, settings.device).scene, settings.device)
     return {
         "time_step": found.time_step,
         "limit": found.limit.time_step,
@@ -116,7 +153,16 @@ QUANTITIES: Mapping[str, Quantities] = {
         },
         _simulation_quantities,
     ),
-    "modes": Quantities({"frequency": SweepOutput("Hz", "natural frequency", "mode")}, _modal_quantities),
+    "modes": Quantities({"frequency": SweepOutput("Hz", "natural frequency", "mode")}, _modal_quantities, (MODAL,)),
+    "frf": Quantities(
+        {
+            "mean_square_velocity": SweepOutput("m^2/s^2", "mean square velocity", "frequency"),
+            "localization_factor": SweepOutput("1", "localization factor, drive", "frequency"),
+            "bound": SweepOutput("1", "localization factor, bound", "frequency"),
+        },
+        _response_quantities,
+        (MODAL,),
+    ),
     "check": Quantities(
         {
             "limit": SweepOutput("s", "time step, largest stable"),
@@ -125,5 +171,6 @@ QUANTITIES: Mapping[str, Quantities] = {
             "points_a_wavelength": SweepOutput("1", "resolution, nodes in a bending wavelength"),
         },
         _numerical_quantities,
+        ("direct",),
     ),
 }

@@ -1,10 +1,13 @@
-"""Quantities of interest of many scenes that differ in some of their numbers, here or on the workers of a pool."""
+"""Quantities of interest of many scenes that differ in some of their values, here or on the workers of a pool."""
 
 from __future__ import annotations
 
+import hashlib
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
@@ -16,20 +19,25 @@ from warp_plate.cluster.pool import WorkerPool
 from warp_plate.cluster.scheduler import Task, run_tasks
 from warp_plate.cluster.tasks import SceneSpec, refuse_unlike, run_task, worker_device, worker_identity
 from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
-from warp_plate.plate.files import digests
+from warp_plate.modal.solver import MODAL, has_modes, refuse_no_modes
+from warp_plate.plate.files import digests, named_files, read_beside
 from warp_plate.result.sweep import REFUSED, RUN, Sweep
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.keys import label_of, with_numbers
+from warp_plate.scene.keys import label_of, with_values
 from warp_plate.scene.model import Scene
-from warp_plate.scene.vary import Plan, counted, make_plan, parse_vary
+from warp_plate.scene.vary import Plan, counted, make_plan, parse_frequencies, parse_vary, value_text
 from warp_plate.solve.devices import find_device, processor_of
 from warp_plate.studies.checkpointing import SweepFile
 from warp_plate.studies.provenance import versions
-from warp_plate.studies.quantities_of_interest import QUANTITIES, Values
+from warp_plate.studies.quantities_of_interest import QUANTITIES, Settings, Values
 
-# Called after each point with the points done, their total, and the numbers of the point.
+# Called after each point with the points done, their total, and the values of the point.
 OnPointProgress = Callable[[int, int, str], object]
 MOST_MODES = 1000
+# Numbers of a quantity at all points, 8 bytes each.
+MOST_NUMBERS = 100_000_000
+# Tasks of a pool that are prepared at once: their scenes may hold large files.
+TASK_BLOCK = 1000
 
 
 @dataclass(frozen=True)
@@ -37,11 +45,9 @@ class Point:
     """A point of a sweep, with all that is needed to run it; the scene is plain data for another process."""
 
     scene: Scene | SceneSpec
-    numbers: Mapping[str, float]
+    values: Mapping[str, float | str]
     what: str
-    device: str
-    path: str
-    count: int
+    settings: Settings
 
 
 class PointResult(NamedTuple):
@@ -78,6 +84,8 @@ def sweep(
     count: int = 6,
     on_progress: OnPointProgress | None = None,
     pool: WorkerPool | None = None,
+    evaluator: str | None = None,
+    frequencies: str = "",
 ) -> Sweep:
     """Compute the quantities of a command at every point of a plan.
 
@@ -85,13 +93,15 @@ def sweep(
         >>> found.plan.coordinates[0], found.shaped("best")      # (21,) Hz, (21,) localization factors
 
     Args:
-        scene: scene whose numbers are varied; ``source`` is its name, kept in the result.
+        scene: scene whose values are varied; ``source`` is its name, kept in the result.
         vary: strings as for ``--vary``: KEY=START:STOP:COUNT, KEY=log:START:STOP:COUNT or KEY=a,b,c.
         what: a key of QUANTITIES; ``count`` is the number of modes.
         samples, seed: number of points of a Latin hypercube in place of the full grid, and its random seed.
         device, path: see :class:`PlateSolver`; the workers of a pool have devices of their own.
         on_progress: called after each point.
         pool: workers that run the points (default: this process).
+        evaluator: "modal" for the modes of the plate, "direct" for time steps (default: see :func:`choose_evaluator`).
+        frequencies: range of frequencies [Hz] of frequency responses, written as in ``vary``.
 
     Values at points whose scene is refused are NaN, and the reason is kept.
 
@@ -99,12 +109,21 @@ def sweep(
         SceneError: ``vary`` or ``what`` is invalid, or all points are refused.
     """
     plan = vary if isinstance(vary, Plan) else make_plan([parse_vary(scene, text) for text in vary], samples, seed)
-    start = start_sweep(scene, plan, what, device if pool is None else "auto", path, source, count)
+    device = device if pool is None else "auto"
+    start = start_sweep(scene, plan, what, device, path, source, count, evaluator, frequencies)
     return run_sweep(start, on_progress, None, pool)
 
 
 def start_sweep(
-    scene: Scene, plan: Plan, what: str, device: str = "auto", path: str = "auto", source: str = "", count: int = 6
+    scene: Scene,
+    plan: Plan,
+    what: str,
+    device: str = "auto",
+    path: str = "auto",
+    source: str = "",
+    count: int = 6,
+    evaluator: str | None = None,
+    frequencies: str = "",
 ) -> Sweep:
     """Return a sweep without any finished point; see :func:`sweep` for the arguments."""
     if what not in QUANTITIES:
@@ -112,25 +131,76 @@ def start_sweep(
     if not 1 <= count <= MOST_MODES:
         raise SceneError(f"--count {count}: must be from 1 to {MOST_MODES}")
     outputs, used = QUANTITIES[what].outputs, find_device(device)
-    shapes = {name: (len(plan), count) if output.axis else (len(plan),) for name, output in outputs.items()}
-    return Sweep(
+    if what == "frf" and not frequencies:
+        raise SceneError("--what frf: at which frequencies? write --frequencies LOW:HIGH:COUNT (hertz)")
+    start = Sweep(
         source=source,
         scene=scene,
-        files=digests(scene),
+        files=file_digests(scene, plan),
         plan=plan,
         what=what,
         count=count,
+        frequencies=frequencies,
         device=used.alias,
         processor=processor_of(used),
         earlier_devices="",
         path=path,
+        evaluator=choose_evaluator(scene, plan.keys, what, path, evaluator),
         outputs=outputs,
-        values={name: np.full(shape, np.nan) for name, shape in shapes.items()},
+        values={},
         status=np.zeros(len(plan), dtype="i1"),
         reasons={},
         seconds=0.0,
         versions=versions(),
     )
+    shapes = {name: (len(plan), *([len(start.along(o.axis))] if o.axis else [])) for name, o in outputs.items()}
+    if (largest := max(map(math.prod, shapes.values()))) > MOST_NUMBERS:
+        raise SceneError(f"--vary: {largest} numbers of each quantity; at most {MOST_NUMBERS} are kept")
+    return replace(start, values={name: np.full(shape, np.nan) for name, shape in shapes.items()})
+
+
+def file_digests(scene: Scene, plan: Plan) -> dict[str, str]:
+    """Return the SHA-256 of each file that a sweep reads by key; of varied names, that of all files one after another.
+
+    Raises:
+        SceneError: A file cannot be read.
+    """
+    files = digests(scene)
+    for key, names in _varied_files(scene, plan).items():
+        whole = hashlib.sha256()
+        for name in names:
+            whole.update(read_beside(key, name, scene.folder))
+        files[key] = whole.hexdigest()
+    return files
+
+
+def _varied_files(scene: Scene, plan: Plan) -> dict[str, list[str]]:
+    """Return the names of files that a plan varies, by key."""
+    named = named_files(scene)
+    pairs = zip(plan.keys, plan.coordinates, strict=True)
+    return {key: list(dict.fromkeys(values.tolist())) for key, values in pairs if key in named}
+
+
+def choose_evaluator(scene: Scene, keys: Sequence[str], what: str, path: str, asked: str | None = None) -> str:
+    """Return the evaluator of a sweep over ``keys`` of a scene: the one asked for, or "modal" where it applies.
+
+    Time steps are taken by default for scenes without modes, and where a path of the steps is asked for or a key of the
+    grid is varied.
+
+    Raises:
+        SceneError: The evaluator that is asked for cannot compute the quantities, or not of this scene.
+    """
+    evaluators = QUANTITIES[what].evaluators
+    if asked not in (None, *evaluators):
+        raise SceneError(f"--evaluator {asked}: --what {what} is always {evaluators[0]}; leave it out")
+    if asked == MODAL and len(evaluators) > 1:
+        refuse_no_modes(scene)
+        if path != "auto":
+            raise SceneError(f"--evaluator modal: takes no steps, which --path {path} asks for; leave one of them out")
+    if asked is not None or len(evaluators) == 1:
+        return asked or evaluators[0]
+    for_steps = path != "auto" or any(key.startswith("grid.") for key in keys)
+    return MODAL if scene.modal_only_key is not None or (has_modes(scene) and not for_steps) else "direct"
 
 
 def run_sweep(
@@ -183,14 +253,13 @@ def run_sweep(
 def run_point(point: Point) -> PointResult:
     """Run a point, whose number the caller fills in."""
     with TemporaryDirectory() as folder:
-        scene, name = point.scene, point.device or "auto"
+        scene, name = point.scene, point.settings.device or "auto"
         if isinstance(scene, SceneSpec):
             scene, name = scene.scene_in(folder), worker_device(name)
-        device = find_device(name)
-        values, reason = None, ""
+        device, values, reason = find_device(name), None, ""
         try:
-            varied = with_numbers(scene, point.numbers)
-            values = QUANTITIES[point.what].compute(varied, device.alias, point.path, point.count)
+            varied = with_values(scene, point.values)
+            values = QUANTITIES[point.what].compute(varied, replace(point.settings, device=device.alias))
         except SceneError as error:
             reason = str(error)
         return PointResult(-1, values, reason, device.alias, worker_identity(device))
@@ -212,19 +281,28 @@ def run_on_pool(start: Sweep, points: Sequence[int], pool: WorkerPool) -> Iterat
     """
     expected: Mapping[str, str] = {"warp_plate": warp_plate.__version__, "warp": wp.config.version}
     arguments = _points(start, points, SceneSpec.of(start.scene), pool.device)
-    tasks = [Task(run_point, point, number) for number, point in zip(points, arguments, strict=True)]
-    for task, outcome in run_tasks(pool, tasks):
-        if outcome.failure:
-            yield PointResult(task.key, None, outcome.failure)
-            continue
-        result: PointResult = outcome.value
-        refuse_unlike(expected, result.worker)
-        expected = result.worker
-        yield result._replace(point=task.key)
+    tasks = (Task(run_point, point, number) for number, point in zip(points, arguments, strict=True))
+    while block := list(islice(tasks, TASK_BLOCK)):
+        for task, outcome in run_tasks(pool, block):
+            if outcome.failure:
+                yield PointResult(task.key, None, outcome.failure)
+                continue
+            result: PointResult = outcome.value
+            refuse_unlike(expected, result.worker)
+            expected = result.worker
+            yield result._replace(point=task.key)
 
 
 def _points(start: Sweep, points: Sequence[int], scene: Scene | SceneSpec, device: str) -> Iterator[Point]:
-    return (Point(scene, start.plan.numbers(at), start.what, device, start.path, start.count) for at in points)
+    frequencies = parse_frequencies(start.frequencies).tolist() if start.frequencies else ()
+    settings = Settings(device, start.path, start.evaluator, start.count, tuple(frequencies))
+    varied_files = _varied_files(start.scene, start.plan)
+    for at in points:
+        values, own = start.plan.values(at), scene
+        if isinstance(scene, SceneSpec):  # a worker may have none of the files
+            read = {str(values[key]): read_beside(key, str(values[key]), start.scene.folder) for key in varied_files}
+            own = replace(scene, files={**scene.files, **read})
+        yield Point(own, values, start.what, settings)
 
 
 def _with_result(sweep: Sweep, result: PointResult, on_device_change: Callable[[str], object] | None) -> Sweep:
@@ -247,7 +325,7 @@ def _with_result(sweep: Sweep, result: PointResult, on_device_change: Callable[[
 
 
 def _describe(result: PointResult, sweep: Sweep) -> str:
-    """Return the numbers of a point as one line of text."""
-    numbers = sweep.plan.numbers(result.point).items()
-    text = ", ".join(f"{label_of(sweep.scene, key)} {value:.4g}" for key, value in numbers)
+    """Return the values of a point as one line of text."""
+    values = sweep.plan.values(result.point).items()
+    text = ", ".join(f"{label_of(sweep.scene, key)} {value_text(value)}" for key, value in values)
     return f"{text}: refused" if result.values is None else text

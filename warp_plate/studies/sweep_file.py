@@ -15,9 +15,10 @@ from warp_plate.scene.vary import Plan, make_plan, parse_vary
 from warp_plate.solve.devices import find_device, processor_of
 from warp_plate.studies import provenance
 from warp_plate.studies.checkpointing import SweepFile
-from warp_plate.studies.sweep import start_sweep
+from warp_plate.studies.sweep import file_digests, start_sweep
 
-DEFAULTS = {"what": "localize", "count": 6, "path": "auto"}
+# Values of options that are left out; None: a new sweep chooses, another one keeps its own.
+DEFAULTS = {"what": "localize", "count": 6, "path": "auto", "evaluator": None, "frequencies": ""}
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,8 @@ class SweepRequest:
     seed: int | None = None
     count: int | None = None
     path: str | None = None
+    evaluator: str | None = None
+    frequencies: str | None = None
 
     def options(self, complete: bool) -> dict[str, Any]:
         """Return the options that a sweep keeps, by its attributes; those left out have their defaults if complete."""
@@ -75,8 +78,11 @@ def open_sweep(
         scene, here = request.scene, "auto" if on_workers or device is None else device
         options = request.options(complete=True)
         sweep = start_sweep(scene, request.plan(scene), device=here, source=request.source, **options)
-    if request.count is not None and not any(output.axis for output in sweep.outputs.values()):
+    axes = {output.axis for output in sweep.outputs.values()}
+    if request.count is not None and "mode" not in axes:
         raise SceneError(f"--count {request.count}: --what {sweep.what} has no modes to count; leave it out")
+    if request.frequencies is not None and "frequency" not in axes:
+        raise SceneError(f"--frequencies {request.frequencies}: are those of --what frf; leave it out")
     check_replaceable(target, sweep)
     if file is None:
         return sweep
@@ -89,7 +95,7 @@ def open_sweep(
 def resume_sweep(sweep: Sweep, device: str | None = None, on_workers: bool = False) -> Sweep:
     """Return an unfinished sweep as it continues on workers of a pool, on another device, which may round differently,
     or by default on one of the kind that it began on."""
-    provenance.check_files(sweep.scene, sweep, "sweep")
+    provenance.check_files(file_digests(sweep.scene, sweep.plan), sweep, "sweep")
     if sweep.finished:
         return sweep
     sweep = replace(sweep, versions=provenance.merged_versions(sweep.versions))
@@ -126,6 +132,8 @@ def check_replaceable(path: Path, sweep: Sweep) -> None:
         ("another scene", same_scene),
         (f"--what {existing.what}", existing.what == sweep.what),
         (f"--count {existing.count}", existing.count == sweep.count),
+        (f"--frequencies {existing.frequencies}", existing.frequencies == sweep.frequencies),
+        (f"--evaluator {existing.evaluator}", existing.evaluator == sweep.evaluator),
         (f"other points ({existing.plan.description})", existing.plan.same(sweep.plan)),
     ):
         if not same:
