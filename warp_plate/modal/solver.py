@@ -10,9 +10,11 @@ from typing import Any, Literal
 import numpy as np
 
 from warp_plate.modal.energy import energies, gram_matrices
+from warp_plate.modal.loads import has_exponential_loads
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.motion import fields
 from warp_plate.modal.motion import trace as displacement_at
+from warp_plate.modal.slopes import EnergySlopes, energy_slopes
 from warp_plate.modal.tones import ToneEnergies
 from warp_plate.plate.designs import NO_PER_PLATE, Designs, PerPlate, as_phasors, check_designs
 from warp_plate.plate.discretization import Discretization, discretize
@@ -116,6 +118,21 @@ class ModalSolver:
             matrices.append(self._matrices(forces[rows] if len(forces) > 1 else forces, frequency[rows]))
         return np.concatenate(matrices)
 
+    def energy_slopes(self, designs: Designs) -> EnergySlopes:
+        """Return energies of designs and their slopes by drives, frequencies, places and delays, by formula.
+
+        Raises:
+            SceneError: The drive is a sweep or a file, or a load moves, whose slopes are not known.
+        """
+        scene, window = self.scene, None if self.scene.steady else self.scene.window
+        if not (scene.linear and has_exponential_loads(scene)):
+            key = scene.drive.waveform_key if scene.linear else scene.nonlinear_table
+            raise SceneError(f"{key}: its slopes are not known; search without 'gradient'")
+        frequency, areas, delay = self._parameters(designs)
+        return energy_slopes(
+            self.plate, self._region_matrices, designs.drives, frequency, areas, window, self.quantity, delay
+        )
+
     def run(
         self,
         drives: Drives,
@@ -154,15 +171,21 @@ class ModalSolver:
             raise SceneError(f"designs: plates under {waveform} differ in drives alone without time steps")
         return self._tones.energies(designs.drives, *self._frequency_and_forces(designs))
 
-    def _frequency_and_forces(self, designs: Designs) -> tuple[np.ndarray, np.ndarray]:
-        """Return frequencies (plates, M) [Hz] and modal forces (plates or 1, modes, M) of designs."""
+    def _parameters(self, designs: Designs) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Return frequencies (plates, M) [Hz], areas (plates or 1, M, 4) [m] and delays (plates, M) [s] of designs."""
         values = check_designs(designs, self.scene, self.discretization.per_plate, self.scheme.time_step)
         frequency = actuator_frequencies(self.scene) if values.frequency is None else values.frequency
-        frequency = np.broadcast_to(frequency, designs.drives.shape)
-        if values.edges is None:
-            return frequency, self.plate.actuator_forces()[None]
-        forces = self.plate.patch_forces(values.edges.reshape(-1, 4))
-        return frequency, np.moveaxis(forces.reshape(len(forces), *designs.drives.shape), 0, 1)
+        areas = (
+            np.array([[actuator.area for actuator in self.scene.actuators]]) if values.edges is None else values.edges
+        )
+        delay = None if values.delay is None else np.broadcast_to(values.delay, designs.drives.shape)
+        return np.broadcast_to(frequency, designs.drives.shape), areas, delay
+
+    def _frequency_and_forces(self, designs: Designs) -> tuple[np.ndarray, np.ndarray]:
+        """Return frequencies (plates, M) [Hz] and modal forces (plates or 1, modes, M) of designs."""
+        frequency, areas, _ = self._parameters(designs)
+        forces = self.plate.patch_forces(areas.reshape(-1, 4))
+        return frequency, np.moveaxis(forces.reshape(len(forces), *areas.shape[:2]), 0, 1)
 
     def _matrices(self, forces: np.ndarray, frequency: np.ndarray) -> np.ndarray:
         window = None if self.scene.steady else self.scene.window

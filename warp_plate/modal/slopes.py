@@ -1,0 +1,295 @@
+"""Slopes of modal energies with respect to drives, frequencies, places and delays, by formula.
+
+In an interval between two corners of the loads (:mod:`warp_plate.modal.loads`) the complex rates of the modes are a sum
+of exponentials v = Σ_j A_j exp(σ_j t) + Σ_p ψ_p c_p exp(s_p t), forced and free, and E = ½ ⟨Re vᵀ G Re v⟩. Its slope
+by a parameter θ is
+
+    ∂E/∂θ = Re ⟨Re vᵀ G ∂v/∂θ⟩ = Re (Σ_j λ_jᵀ ∂A_j/∂θ + Σ_j λ'_jᵀ A_j ∂σ_j/∂θ + Σ_p μ_p ∂c_p/∂θ)
+
+    λ_j = ⟨G Re v exp(σ_j t)⟩,     λ'_j = ⟨G Re v t exp(σ_j t)⟩,     μ_p = ψ_pᵀ ⟨G Re v exp(s_p t)⟩
+
+whose means are closed formulas, and which all parameters share. Amplitudes are those of the states z of
+:mod:`warp_plate.modal.transient`, which are carried from one interval to the next with their derivatives: a frequency
+changes an exponent, a delay d a load w by −(σ − iω) w and, where it jumps, the state by that jump; a place the modal
+force, by the difference of the line integrals along the two sides that move.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from warp_plate.modal.galerkin import patch_integrals
+from warp_plate.modal.loads import ExponentialLoads, exponential_loads
+from warp_plate.modal.modes import ModalPlate, times
+from warp_plate.modal.poles import Poles, make_poles, rates_apart
+from warp_plate.plate.signals import actuator_delays
+from warp_plate.scene.model import Window
+
+# Free motions below this part of the largest are left out.
+NEGLIGIBLE = 1e-8
+# Means of exponentials that turn less than SLOW over the window are series of TERMS terms.
+SLOW, TERMS = 1e-2, 8
+# Numbers of the arrays of a block of designs.
+BLOCK_NUMBERS = 2**22
+
+
+@dataclass(frozen=True)
+class EnergySlopes:
+    """Energies of designs and their slopes.
+
+    Attributes:
+        energy: (designs, regions) E [J].
+        drives: (designs, regions, 2M) ∂E/∂z, z = (Re Z, −Im Z) of the phasors Z.
+        frequency: (designs, regions, M) ∂E by the frequency of each actuator [J/Hz].
+        centre: (designs, regions, M, 2) ∂E by x and y of its centre [J/m].
+        delay: (designs, regions, M) ∂E by the start of its burst [J/s]; 0 without bursts.
+    """
+
+    energy: np.ndarray
+    drives: np.ndarray
+    frequency: np.ndarray
+    centre: np.ndarray
+    delay: np.ndarray
+
+
+def energy_slopes(
+    plate: ModalPlate,
+    regions: Sequence[np.ndarray],
+    phasors: np.ndarray,
+    frequency: np.ndarray,
+    areas: np.ndarray,
+    window: Window | None,
+    quantity: str = "velocity",
+    delay: np.ndarray | None = None,
+) -> EnergySlopes:
+    """Return energies of tones or bursts, and their slopes.
+
+    Args:
+        plate: Modes.
+        regions: Mass matrices (modes, modes) of the regions.
+        phasors: (designs, M) drives Z [N/m²].
+        frequency: (designs, M) frequencies of the actuators [Hz].
+        areas: (designs or 1, M, 4) rectangles x0, x1, y0, y1 of the actuators [m].
+        window: Window of a plate that starts from rest; None for the steady state, in which actuators of different
+            frequencies do not interfere.
+        quantity: "velocity" or "displacement", see :func:`warp_plate.modal.energy.gram_matrices`.
+        delay: (designs, M) starts of the bursts [s] (default: the scene's).
+    """
+    block = max(1, BLOCK_NUMBERS // (8 * len(plate.frequencies) * phasors.shape[1]))
+    if window is not None and plate.scene.drive.burst is not None:
+        block = 1  # the corners of each design cut other intervals
+        delay = np.broadcast_to(actuator_delays(plate.scene), phasors.shape) if delay is None else delay
+    parts = []
+    for first in range(0, len(phasors), block):
+        rows = slice(first, first + block)
+        forces = _patch_forces(plate, areas[rows] if len(areas) > 1 else areas)
+        if window is None:
+            found = _steady(plate, regions, phasors[rows], frequency[rows], forces, quantity)
+        else:
+            delays = None if delay is None else delay[rows]
+            found = _from_rest(plate, regions, phasors[rows], frequency[rows], delays, forces, window, quantity)
+        parts.append(found)
+    return EnergySlopes(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def _patch_forces(plate: ModalPlate, areas: np.ndarray) -> np.ndarray:
+    """Return (3, designs, modes, M) modal forces over areas (designs, M, 4) and their slopes by x and y."""
+    along_x, along_y = plate.galerkin.along_x, plate.galerkin.along_y
+    x0, x1, y0, y1 = areas.reshape(-1, 4).T
+    across = (along_x.values(x1) - along_x.values(x0)).T, (along_y.values(y1) - along_y.values(y0)).T
+    by_x = along_y.integrals(y0, y1).T[:, :, None] * across[0][:, None, :]
+    by_y = across[1][:, :, None] * along_x.integrals(x0, x1).T[:, None, :]
+    integrals = np.stack([patch_integrals(along_x, along_y, areas), *(by.reshape(len(x0), -1) for by in (by_x, by_y))])
+    forces = integrals @ plate.vectors[: integrals.shape[2]]
+    return np.asarray(forces.reshape(3, *areas.shape[:2], -1).swapaxes(2, 3))
+
+
+def _steady(
+    plate: ModalPlate,
+    regions: Sequence[np.ndarray],
+    phasors: np.ndarray,
+    frequency: np.ndarray,
+    forces: np.ndarray,
+    quantity: str,
+) -> tuple[np.ndarray, ...]:
+    """Return the arrays of :class:`EnergySlopes` in the steady state."""
+    turn = 2j * math.pi * frequency[:, None, :]
+    unit, by_x, by_y = (plate.respond_each(frequency, force) for force in forces)
+    inertia = 2 * turn * unit + times(plate.damping, unit)  # by iω of the dynamic stiffness, times the amplitudes
+    by_turn = -plate.respond_each(frequency, inertia)
+    if quantity == "velocity":
+        by_turn = turn * by_turn + unit
+        unit, by_x, by_y = turn * unit, turn * by_x, turn * by_y
+    same = frequency[:, :, None] == frequency[:, None, :]
+    moved = (unit * phasors[:, None, :]) @ same
+    values = []
+    for region in regions:
+        pressed = times(region, moved.conj()) / 2
+        values.append(np.stack([(pressed * by).sum(axis=1) for by in (unit, by_turn, by_x, by_y)]))
+    by_drive, by_turn, *by_centre = np.stack(values, axis=2)
+    zero = np.zeros(by_drive.shape, dtype=complex)
+    return _assemble(phasors, by_drive, 2j * math.pi * by_turn, np.stack(by_centre, axis=-1), zero)
+
+
+def _assemble(
+    phasors: np.ndarray, drives: np.ndarray, frequency: np.ndarray, centre: np.ndarray, delay: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """Return the arrays of :class:`EnergySlopes` from ⟨Re vᵀ G ∂v⟩ under unit phasors."""
+    energy = (drives * phasors[:, None, :]).sum(axis=2).real / 2
+    by_z = np.concatenate([drives.real, drives.imag], axis=2)
+    by_frequency, by_delay = ((values * phasors[:, None, :]).real for values in (frequency, delay))
+    return energy, by_z, by_frequency, (centre * phasors[:, None, :, None]).real, by_delay
+
+
+def _from_rest(
+    plate: ModalPlate,
+    regions: Sequence[np.ndarray],
+    phasors: np.ndarray,
+    frequency: np.ndarray,
+    delay: np.ndarray | None,
+    forces: np.ndarray,
+    window: Window,
+    quantity: str,
+) -> tuple[np.ndarray, ...]:
+    """Return the arrays of :class:`EnergySlopes` over a window; under bursts of one design alone."""
+    poles = make_poles(plate, window.end)
+    alike = bool((frequency == frequency[:, :1]).all() and (delay is None or (delay == delay[:, :1]).all()))
+    gains = poles.inputs @ forces[0]
+    pushed, gained = forces[0] * phasors[:, None, :], gains * phasors[:, None, :]
+    if alike:  # all actuators press as the first does
+        frequency, delay = frequency[:, :1], None if delay is None else delay[:, :1]
+        pushed, gained = pushed.sum(axis=2, keepdims=True), gained.sum(axis=2, keepdims=True)
+    if delay is None:
+        rates = rates_apart(poles, 2j * math.pi * frequency, window.end)[..., None]
+        loads = [ExponentialLoads(0.0, window.end, rates, np.ones_like(rates))]
+    else:
+        loads = exponential_loads(plate.scene, frequency[0], delay[0], window.end)
+        loads = [replace(load, rates=load.rates[None], weights=load.weights[None]) for load in loads]
+    total = np.zeros((3, len(phasors), len(regions), *gained.shape[1:]), dtype=complex)
+    for motion in _motions(poles, loads, frequency, quantity == "velocity"):
+        part = max(window.start - motion.start, 0.0), min(motion.end, window.end) - motion.start
+        if part[1] > part[0]:
+            share = (part[1] - part[0]) / (window.end - window.start)
+            total += share * motion.slopes(poles, regions, pushed, gained, part)
+    by_drive, by_frequency, by_delay = (total * gains[:, None]).sum(axis=3)
+    of_forces = poles.inputs.T @ total[0]
+    by_centre = [(of_forces * slope[:, None]).sum(axis=2) for slope in forces[1:]]
+    return _assemble(phasors, by_drive, by_frequency, np.stack(by_centre, axis=-1), by_delay)
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """States z of the poles in an interval of time, (designs, poles, K, terms), for K actuators or one for all.
+
+    Forced ones follow the load as exp(σ (t − start)), free ones decay as exp(s (t − start)).
+    """
+
+    start: float  # [s]
+    end: float  # [s]
+    rates: np.ndarray  # (designs, K, terms) σ [1/s]
+    forced: np.ndarray  # and by frequency and delay: (3, designs, poles, K, terms)
+    free: np.ndarray  # (3, designs, poles, K)
+
+    def slopes(
+        self,
+        poles: Poles,
+        regions: Sequence[np.ndarray],
+        pushed: np.ndarray,
+        gained: np.ndarray,
+        part: tuple[float, float],
+    ) -> np.ndarray:
+        """Return (3, designs, regions, poles, K) ⟨Re vᵀ G ∂v⟩ of unit inputs, by the drive, frequency and delay.
+
+        Args:
+            poles: Poles.
+            regions: Matrices G (modes, modes).
+            pushed: (designs, modes, K) modal forces times phasors.
+            gained: (designs, poles, K) the same, as inputs of the poles.
+            part: Times of the mean, since the start [s].
+        """
+        designs, count, _, terms = self.forced.shape[1:]
+        rates, states = self.rates.reshape(designs, -1), self.forced[0].reshape(designs, count, -1)
+        forced = poles.forced(states, np.repeat(pushed, terms, axis=2), np.repeat(gained, terms, axis=2))
+        free = (gained * self.free[0]).sum(axis=2)
+        size = np.abs(free) * np.linalg.norm(poles.vectors, axis=0) * np.exp(poles.values.real * part[0])
+        kept = np.flatnonzero((size > NEGLIGIBLE * size.max(axis=1, keepdims=True)).any(axis=0))
+        lasting, free = poles.part(kept), free[:, kept]
+        sides = []
+        for conjugate in (False, True):
+            turns, decays = (values.conj() if conjugate else values for values in (rates, lasting.values))
+            pairs = (turns[:, :, None], rates[:, None, :]), (decays[:, None], rates[:, None, :])
+            means = [_means(*pair, part) for pair in pairs]
+            others = (lasting.values[:, None], turns[:, None, :]), (lasting.values[:, None], decays)
+            sides.append((conjugate, means, [_means(*pair, part)[0] for pair in others]))
+        found = np.empty((3, designs, len(regions), count, self.rates.shape[1]), dtype=complex)
+        for number, region in enumerate(regions):
+            shapes, moved = lasting.moved(region), times(region, forced)
+            rising = np.zeros((2, *forced.shape), dtype=complex)
+            inner = np.zeros_like(free)
+            for conjugate, (of_forced, of_free), (crossed, decayed) in sides:
+                side = [values.conj() if conjugate else values for values in (moved, shapes, free)]
+                columns, across, amplitudes = side
+                for target, mean, other in zip(rising, of_forced, of_free, strict=True):
+                    target += columns @ mean / 2 + _product(across, amplitudes[:, :, None] * other) / 2
+                inner += (lasting.pressed(columns) * crossed).sum(axis=2) / 2
+                inner += amplitudes @ (lasting.pressed(across) * decayed).T / 2
+            pressed, bent = poles.pressed(rising).reshape(2, *self.forced.shape[1:3], *self.rates.shape[1:])
+            values = (self.forced * pressed).sum(axis=4)
+            values[1] += 2j * math.pi * (self.forced[0] * bent).sum(axis=3)
+            values[:, :, kept] += self.free[:, :, kept] * inner[:, :, None]
+            found[:, :, number] = values
+        return found
+
+
+def _motions(
+    poles: Poles, loads: Sequence[ExponentialLoads], frequency: np.ndarray, velocity: bool
+) -> Iterator[_Motion]:
+    """Yield the motion in one interval of the loads (designs, K, terms) after the other."""
+    decays, turn = poles.values[:, None], 2j * math.pi
+    state = np.zeros((3, len(frequency), poles.values.size, frequency.shape[1]), dtype=complex)
+    before = np.zeros(frequency.shape, dtype=complex)
+    for load in loads:
+        rates, since = load.rates[:, None], load.end - load.start
+        weights = load.weights[:, None]
+        by_delay = -(rates - turn * frequency[:, None, :, None]) * weights
+        state[2] -= (load.weights.sum(axis=2) - before)[:, None]
+        gap = 1 / (rates - decays[..., None])
+        forced = np.stack([weights * gap, turn * weights * gap * (load.start - gap), by_delay * gap])
+        free = state - forced.sum(axis=4)
+        moving = forced * rates if velocity else forced
+        if velocity:
+            moving[1] += turn * forced[0]
+        yield _Motion(load.start, load.end, load.rates, moving, free * decays if velocity else free)
+        grown = forced * np.exp(rates * since)
+        grown[1] += turn * since * grown[0]
+        state = free * np.exp(decays * since) + grown.sum(axis=4)
+        before = (load.weights * np.exp(load.rates * since)).sum(axis=2)
+
+
+def _product(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return a matrix (rows, poles) times columns (designs, poles, columns), as one product of two matrices."""
+    designs, count, wide = columns.shape
+    flat = columns.swapaxes(0, 1).reshape(count, designs * wide)
+    return np.asarray((matrix @ flat).reshape(-1, designs, wide).swapaxes(0, 1))
+
+
+def _means(first: np.ndarray, second: np.ndarray, part: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the means of exp(σt) and t exp(σt), σ = first + second, over a part of time, broadcast."""
+    low, high = part
+    length, rate = high - low, first + second
+    early = np.exp(first * low) * np.exp(second * low)
+    late = np.exp(first * high) * np.exp(second * high)
+    slow = np.abs(rate) * length < SLOW
+    divisor = np.where(slow, 1, rate)
+    plain = (late - early) / (divisor * length)
+    ramped = (late * high - early * low) / (divisor * length) - plain / divisor
+    if slow.any():
+        x, start = rate[slow] * length, early[slow]
+        powers = x[:, None] ** np.arange(TERMS) / [math.factorial(n) for n in range(TERMS)]
+        plain[slow] = start * (powers / np.arange(1, TERMS + 1)).sum(axis=1)
+        ramped[slow] = low * plain[slow] + length * start * (powers / np.arange(2, TERMS + 2)).sum(axis=1)
+    return plain, ramped
