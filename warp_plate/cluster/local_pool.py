@@ -9,7 +9,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -20,6 +20,9 @@ from warp_plate.cluster.pool import WorkerPool
 from warp_plate.cluster.tasks import DEVICE_VARIABLE, run_task
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.devices import find_device
+
+# Libraries of linear algebra read these when a process begins.
+ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
 
 
 @dataclass
@@ -79,7 +82,7 @@ class LocalPool(WorkerPool):
 
     def _start(self, device: str) -> ProcessPoolExecutor:
         executor = ProcessPoolExecutor(1, self._context, _start_worker, (device, self._workers_end))
-        with interrupts_blocked():
+        with interrupts_blocked(), patched_environment(ONE_THREAD if device == "cpu" else {}):
             executor.submit(os.getpid)  # starts the process now
         return executor
 
@@ -97,6 +100,18 @@ def device_names(text: str) -> list[str]:
         return [find_device(name).alias for name in names]
     except SceneError as error:
         raise SceneError(f"--devices {text}: {error}") from None
+
+
+@contextmanager
+def patched_environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Give processes that are started in the block environment variables that are not set."""
+    added = {name: value for name, value in values.items() if name not in os.environ}
+    os.environ.update(added)
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
 
 
 @contextmanager

@@ -36,6 +36,8 @@ from warp_plate.scene.model import ElasticEdge, Scene
 
 # Splines near a corner between a clamped and a free edge, where the moments are singular: intervals of these parts.
 CORNER_INTERVALS = (0.3, 0.09)
+# With so many breaks between two knots, of a fine map, so many of Gauss's points between two breaks suffice.
+FINE, FINE_RULE = 4, 3
 Matrix: TypeAlias = scipy.sparse.csr_array
 Field: TypeAlias = np.ndarray | float
 
@@ -88,11 +90,14 @@ class Integrals:
         """Prepare the rule; ``cuts`` are further breaks along x and y [m]."""
         self.scene, self.along = scene, (along_x, along_y)
         self._varied = bool(scene.effects.layers or scene.effects.variation)
-        self.rule = along_x.degree + (3 if self._varied else 1)
         self.breaks = tuple(
             np.unique(np.clip([*splines.breaks, *(place for place, _ in lines(scene, axis)), *cuts[axis]], 0, side))
             for axis, (splines, side) in enumerate(zip(self.along, scene.plate.size, strict=True))
         )
+        self.rule = along_x.degree + (3 if self._varied else 1)
+        cells = min(len(breaks) / len(splines.breaks) for breaks, splines in zip(self.breaks, self.along, strict=True))
+        if cells >= FINE:
+            self.rule = FINE_RULE
         rules = [gauss(breaks, self.rule) for breaks in self.breaks]
         self.points, self._weights = (rules[0][0], rules[1][0]), (rules[0][1], rules[1][1])
         self.pairs = (_overlapping_pairs(along_x), _overlapping_pairs(along_y))

@@ -17,8 +17,8 @@ DEGREE, DEGREE_OF_JUMPS, DEGREE_OF_KINKS, FEW_KINKS = 7, 5, 4, 10
 # Up to so many oscillators, splines near the edges of their patches, across which the load jumps.
 MOST_PATCHES = 8
 # The curvature alone is continuous across a line of a map where the slope of a factor changes by more than KINK times
-# its value over the columns' distance, if there are no more than MOST_KINKS of them along a side.
-KINK, MOST_KINKS = 0.01, 60
+# its value over the columns' distance, if there are no more than MOST_KINKS of them along either side.
+KINK, MOST_KINKS = 0.01, 36
 
 
 def lines(scene: Scene, axis: int, degree: int = DEGREE) -> list[tuple[float, int]]:
@@ -29,10 +29,8 @@ def lines(scene: Scene, axis: int, degree: int = DEGREE) -> list[tuple[float, in
             found += [(position, degree - 2) for position in oscillator.area[2 * axis : 2 * axis + 2]]
     for layer in scene.effects.layers:
         found += [(position, 1) for position in layer.area[2 * axis : 2 * axis + 2]]
-    kinks = _kinks(scene, axis)
-    return found + [
-        (place, 2 if sharp and sum(kinks.values()) <= MOST_KINKS else degree) for place, sharp in kinks.items()
-    ]
+    followed = max(sum(_kinks(scene, side).values()) for side in (0, 1)) <= MOST_KINKS
+    return found + [(place, 2 if sharp and followed else degree) for place, sharp in _kinks(scene, axis).items()]
 
 
 def _kinks(scene: Scene, axis: int) -> dict[float, bool]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,8 @@ from warp_plate.scene.model import Scene
 MOST_BYTES = 2**27
 # Rows of a table, each of which takes some 150 bytes while it is read.
 MOST_ROWS = 2**22
+# Tables that are kept after they are read.
+MOST_TABLES = 4
 
 
 def read_beside(key: str, name: str, folder: Path | None) -> bytes:
@@ -66,16 +69,24 @@ def read_table(key: str, name: str, folder: Path | None, low: float, high: float
     """
     data = read_beside(key, name, folder)
     try:
-        rows = number_rows(data)
-        if not rows:
-            raise ValueError("holds no numbers")
-        for number, row in rows:
-            for column, value in enumerate(row, 1):
-                if not low <= value <= high:
-                    raise ValueError(f"line {number}, column {column}: {value:g} is no number from {low:g} to {high:g}")
+        table, lines = _table(data)
+        for row, column in np.argwhere(~((low <= table) & (table <= high)))[:1].tolist():
+            where, value = f"line {lines[row]}, column {column + 1}", table[row, column]
+            raise ValueError(f"{where}: {value:g} is no number from {low:g} to {high:g}")
     except ValueError as error:
         raise SceneError(f"{key} = {name!r}: {error}") from None
-    return np.array([row for _, row in rows])
+    return table
+
+
+@lru_cache(MOST_TABLES)
+def _table(data: bytes) -> tuple[np.ndarray, list[int]]:
+    """Return the numbers of a text table, read only, and the line of each row; a plate is asked for its maps often."""
+    rows = number_rows(data)
+    if not rows:
+        raise ValueError("holds no numbers")
+    table = np.array([row for _, row in rows])
+    table.flags.writeable = False
+    return table, [number for number, _ in rows]
 
 
 def number_rows(data: bytes) -> list[tuple[int, list[float]]]:

@@ -141,11 +141,34 @@ def laminates(
     """
     plate, orthotropic, ratio = scene.plate, scene.effects.orthotropic, scene.plate.poisson_ratio
     thickness = plate.thickness * factors["thickness"]
-    stretch = plate.young_modulus * factors["young_modulus"] * thickness
-    plate_alone = stretch
-    first, second = np.zeros_like(stretch), stretch * thickness**2 / 12  # moments of E about the plate's middle
     mass = plate.density * factors["density"] * thickness
-    bare = second / (1 - ratio**2)
+    added, layers = np.zeros_like(mass), np.zeros_like(mass)
+    if scene.effects.layers:
+        added, layers, mass = _with_layers(scene, x, y, thickness, factors["young_modulus"], mass)
+    # Factor of the plate's own rigidities.
+    stiffer = factors["young_modulus"] * factors["thickness"] ** 3
+    if orthotropic is None:
+        rigidity = plate.young_modulus * plate.thickness**3 / 12 / (1 - ratio**2)
+        orthotropic = Orthotropic.model_construct(
+            Dx=rigidity, Dy=rigidity, D1=ratio * rigidity, Dxy=(1 - ratio) / 2 * rigidity
+        )
+    bend_xx, bend_yy = orthotropic.Dx * stiffer + added, orthotropic.Dy * stiffer + added
+    bend_xy, twist = orthotropic.D1 * stiffer + ratio * added, orthotropic.Dxy * stiffer + (1 - ratio) / 2 * added
+    # A sheet of rigidity D and thickness H resists stretching with 12 D/H².
+    membrane = 12 * factors["young_modulus"] * factors["thickness"] / plate.thickness**2
+    stretches = orthotropic.Dx * membrane + layers, orthotropic.Dy * membrane + layers
+    return (bend_xx, bend_xy, bend_yy), twist, mass, stretches
+
+
+def _with_layers(
+    scene: Scene, x: np.ndarray, y: np.ndarray, thickness: np.ndarray, stiffer: np.ndarray, mass: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what layers add to the rigidity [N·m] and to the stretching stiffness [N/m], and the mass [kg/m²] with
+    them; of a plate of some thickness [m], factor of Young's modulus and mass at points (y, x)."""
+    plate = scene.plate
+    stretch = plate_alone = plate.young_modulus * stiffer * thickness
+    first, second = np.zeros_like(stretch), stretch * thickness**2 / 12  # moments of E about the plate's middle
+    bare = second / (1 - plate.poisson_ratio**2)
     top = {1: thickness / 2, -1: thickness / 2}
     for layer in scene.effects.layers:
         x0, x1, y0, y1 = layer.area
@@ -158,21 +181,8 @@ def laminates(
             second = second + stiffness * (height**2 / 12 + middle**2)
             mass = mass + layer.density * height
             top[face] = top[face] + height
-    added = (second - first**2 / stretch) / (1 - ratio**2) - bare
-    # Factor of the plate's own rigidities.
-    stiffer = factors["young_modulus"] * factors["thickness"] ** 3
-    if orthotropic is None:
-        rigidity = plate.young_modulus * plate.thickness**3 / 12 / (1 - ratio**2)
-        orthotropic = Orthotropic.model_construct(
-            Dx=rigidity, Dy=rigidity, D1=ratio * rigidity, Dxy=(1 - ratio) / 2 * rigidity
-        )
-    bend_xx, bend_yy = orthotropic.Dx * stiffer + added, orthotropic.Dy * stiffer + added
-    bend_xy, twist = orthotropic.D1 * stiffer + ratio * added, orthotropic.Dxy * stiffer + (1 - ratio) / 2 * added
-    # A sheet of rigidity D and thickness H resists stretching with 12 D/H².
-    membrane = 12 * factors["young_modulus"] * factors["thickness"] / plate.thickness**2
-    layers = (stretch - plate_alone) / (1 - ratio**2)
-    stretches = orthotropic.Dx * membrane + layers, orthotropic.Dy * membrane + layers
-    return (bend_xx, bend_xy, bend_yy), twist, mass, stretches
+    added = (second - first**2 / stretch) / (1 - plate.poisson_ratio**2) - bare
+    return added, (stretch - plate_alone) / (1 - plate.poisson_ratio**2), mass
 
 
 def _across_x(rigidities: Rigidities, parts: _Parts, axis: int = 1) -> Rigidities:
