@@ -45,10 +45,10 @@ def test_the_bound_and_the_matrices_are_those_of_float64(problem):
 
 
 def test_plates_have_the_places_of_their_positions():
-    problem = make_problem(scene_of(**SMALL, search={"position": {}, "phase": {}}), "cpu")
+    problem = make_problem(scene_of(**SMALL, search={"position": {}, "phase": {}}), "cpu", evaluator="direct")
     space = problem.space
     asked = space.from_unit(np.random.default_rng(4).random((3, space.dimension)))
-    for position, loss in zip(asked, problem.losses(asked), strict=True):
+    for position, loss in zip(asked, problem.losses_without_clearance(asked), strict=True):
         scene = problem.parametrization.scene_of(position)
         energy = PlateSolver(scene, "cpu").run(problem.parametrization.designs(position[None]).drives).energy
         assert loss == pytest.approx(1 - localization_factor(energy)[0], rel=1e-9)
@@ -69,7 +69,7 @@ def test_node_steps_and_seconds_are_those_of_all_solvers():
     """A solver for drives, another for places, and a third in float64 for the Gram matrices of 3 actuators."""
     plate = PlateSolver(scene_of(**SMALL), "cpu").node_steps_per_plate
     assert make_problem(scene_of(**SMALL, precision="float32"), "cpu").node_steps == 21 * plate
-    places = make_problem(scene_of(**SMALL, search={"position": {}}), "cpu")
+    places = make_problem(scene_of(**SMALL, search={"position": {}}), "cpu", evaluator="direct")
     assert places.node_steps == 0
     places.losses(positions(places).clip(places.space.lower, places.space.upper))
     places.energies_of_phasors(np.ones((2, 3)))

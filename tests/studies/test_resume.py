@@ -75,13 +75,14 @@ def test_the_chosen_grid_is_kept(tmp_path, monkeypatch):
     """The choice depends on timings, so it is kept in the checkpoint; it serves all frequencies of the search."""
     search = {**SEARCH["search"], "frequency": {"range": [100.0, 400.0]}}
     written = scene_of(damping=88.5, search=search).model_copy(update={"grid": Grid(accuracy=0.3)})
-    _, checkpoint = stopped(tmp_path, written, "cpu", after=2)
+    options = ("cpu", None, "direct")
+    _, checkpoint = stopped(tmp_path, written, *options, after=2)
     assert checkpoint.scene_as_written == written
     assert checkpoint.scene.drive == written.drive
     assert checkpoint.scene.grid.time_step <= 1 / 20 / 400
     monkeypatch.setattr(grid_choice, "choose", None)
     found = resume(checkpoint, estimate=False)
-    assert_same(found, localize(checkpoint.scene, "mine", "cpu", estimate=False))
+    assert_same(found, localize(checkpoint.scene, "mine", *options, estimate=False))
     assert found.accuracy == checkpoint.accuracy
     assert found.accuracy["asked"] == 0.3
 

@@ -75,7 +75,7 @@ def test_what_is_not_quadratic_is_simulated(scene):
     assert problem.evaluator_name == "direct"
     space = problem.space
     positions = np.random.default_rng(0).uniform(space.initial_lower, space.initial_upper, (4, space.dimension))
-    losses = problem.losses(positions)
+    losses = problem.losses_without_clearance(positions)
     assert np.isfinite(losses).all()
     by_scenario = problem.scenario_losses.losses(problem.parametrization.designs(positions))
     assert by_scenario.shape == (4, 3)

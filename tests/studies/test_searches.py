@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -53,7 +54,8 @@ def test_the_scene_found_simulates_to_the_result(name, tmp_path):
     # Kernels differ between a batch of plates with parameters of their own and a scene of its own.
     assert best.localization_factor == pytest.approx(result.history["best"][-1], abs=2e-5)
     assert np.all(np.diff(result.history["best"]) >= 0)
-    again = simulate(result.driven_scene(best), device="cpu", estimate=False).cases["drive"]
+    path = "modal" if result.evaluator == "modal" else "auto"
+    again = simulate(result.driven_scene(best), device="cpu", path=path, estimate=False).cases["drive"]
     assert np.float32(again.localization_factor) == np.float32(best.localization_factor)
     np.testing.assert_array_equal(again.displacement, best.displacement)
     loaded = load_result(save_result(result, tmp_path / "one.h5"))
@@ -107,7 +109,8 @@ def test_the_command_writes_the_scene_that_it_found(panel, command):
     assert record["files"] == ["panel-localize.h5", "panel-localize.best.toml"]
     assert {"magnitude", "phase"} <= record["drive"][0].keys()
     assert len(record["spectrum"]["frequency"]) >= 61
-    again = json.loads(command("simulate", "panel-localize.best.toml", *QUICK, "--json")[1])
+    assert "simulate panel-localize.best.toml --path modal\n" in Path(record["files"][1]).read_text()
+    again = json.loads(command("simulate", "panel-localize.best.toml", "--path", "modal", *QUICK, "--json")[1])
     assert any(line.startswith("search.inertia = 0.3: method = 'constriction'") for line in record["warnings"])
     assert "search" not in "".join(again["warnings"])
     assert np.float32(again["localization_factor"]) == np.float32(record["localization_factor"]["best"])

@@ -15,7 +15,8 @@ from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.motion import fields
 from warp_plate.modal.motion import trace as displacement_at
 from warp_plate.modal.slopes import EnergySlopes, energy_slopes
-from warp_plate.modal.tones import ToneEnergies
+from warp_plate.modal.tones import ToneMatrices
+from warp_plate.optimize.quadratic import real_parts
 from warp_plate.plate.designs import NO_PER_PLATE, Designs, PerPlate, as_phasors, check_designs
 from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.plate.scheme import Scheme
@@ -169,7 +170,9 @@ class ModalSolver:
             return self.response.energy(designs.drives)
         if (waveform := self.scene.drive.waveform_key) is not None:
             raise SceneError(f"designs: plates under {waveform} differ in drives alone without time steps")
-        return self._tones.energies(designs.drives, *self._frequency_and_forces(designs))
+        columns = real_parts(designs.drives)[:, None, :, None]
+        energy: np.ndarray = (columns.mT @ self.gram_matrices(designs) @ columns)[:, :, 0, 0]
+        return energy
 
     def _parameters(self, designs: Designs) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Return frequencies (plates, M) [Hz], areas (plates or 1, M, 4) [m] and delays (plates, M) [s] of designs."""
@@ -189,12 +192,13 @@ class ModalSolver:
 
     def _matrices(self, forces: np.ndarray, frequency: np.ndarray) -> np.ndarray:
         window = None if self.scene.steady else self.scene.window
+        if window is not None and self.scene.drive.waveform_key is None:
+            return self._tones.matrices(frequency, forces)
         return gram_matrices(self.plate, self._region_matrices, forces, frequency, window, self.quantity)
 
     @cached_property
-    def _tones(self) -> ToneEnergies:
-        window = None if self.scene.steady else self.scene.window
-        return ToneEnergies(self.plate, self._region_matrices, window, self.quantity)
+    def _tones(self) -> ToneMatrices:
+        return ToneMatrices(self.plate, self._region_matrices, self.scene.window, self.quantity)
 
     @cached_property
     def _region_matrices(self) -> list[np.ndarray]:

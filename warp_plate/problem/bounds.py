@@ -85,10 +85,10 @@ def bound_localization(
     """
     plate, basis = response.matrices[PLATE], allowed.basis()
     reduced = basis.T @ response.matrices @ basis
-    value, parameters = largest_ratio(reduced) if basis.shape[1] else (math.nan, np.empty(0))
-    if not math.isfinite(value):
+    ratio_of_all, parameters = largest_ratio(reduced) if basis.shape[1] else (math.nan, np.empty(0))
+    if not math.isfinite(ratio_of_all):
         return None
-    value *= 1 + ROUNDING  # no drive passes it by rounding either
+    value = float(ratio_of_all) * (1 + ROUNDING)  # no drive passes it by rounding either
 
     def ratio(drives: np.ndarray) -> np.ndarray:
         return localization_factor(response.energy(drives))

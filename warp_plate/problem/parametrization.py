@@ -23,6 +23,9 @@ from warp_plate.problem.design_variables import DesignVariable, has_design_table
 from warp_plate.row_blocks import over_blocks
 from warp_plate.scene.model import Scene
 
+# Kinds of variables in which energies are quadratic forms.
+DRIVES = ("magnitude", "phase")
+
 
 @dataclass(frozen=True)
 class Parametrization:
@@ -46,7 +49,12 @@ class Parametrization:
     @property
     def only_drives(self) -> bool:
         """True if nothing but magnitudes and phases is searched."""
-        return all(variable.kind in ("magnitude", "phase") for variable in self.variables)
+        return all(variable.kind in DRIVES for variable in self.variables)
+
+    @cached_property
+    def without_drives(self) -> Parametrization:
+        """The same without magnitudes and phases."""
+        return Parametrization(self.scene, tuple(each for each in self.variables if each.kind not in DRIVES))
 
     @property
     def quadratic(self) -> bool:
@@ -130,7 +138,7 @@ class Parametrization:
         """Kinds of values that may differ between plates; magnitudes and phases are always among them."""
         kinds = {variable.kind for variable in self.variables}
         kinds |= {"x", "y"} if kinds & {"x", "y"} else set()
-        return ("magnitude", "phase", *sorted(kinds - {"magnitude", "phase"}))
+        return (*DRIVES, *sorted(kinds - set(DRIVES)))
 
     @cached_property
     def _fixed(self) -> dict[str, np.ndarray]:

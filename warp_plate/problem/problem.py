@@ -20,16 +20,18 @@ import numpy as np
 
 from warp_plate.cluster.evaluator import Evaluator, make_evaluator
 from warp_plate.cluster.pool import WorkerPool
-from warp_plate.modal.solver import MODAL, ModalSolver, refuse_no_modes
+from warp_plate.modal.solver import MODAL, ModalSolver, has_modes, refuse_no_modes
 from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.optimize.space import SearchSpace
 from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.memory import refuse_beyond_memory
 from warp_plate.problem.bounds import Bound, bound_loss
+from warp_plate.problem.clearance import Clearance
 from warp_plate.problem.design_variables import has_design_tables, with_common_step
 from warp_plate.problem.objectives import PLATE, TARGET, Objectives, keeps_limit, make_objectives
 from warp_plate.problem.parametrization import Parametrization, parametrization_of
+from warp_plate.problem.projection import best_drives, has_free_drives
 from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure, scenario_responses, simulate_scenarios
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.model import BoundKind
@@ -62,6 +64,8 @@ class Problem:
         setup_cost: seconds of compilation and node-steps before the search.
         pool: workers that run batches; None if this process does.
         scenario_losses: losses over the scenarios of a robust search; None for other searches.
+        projected: True if each design has its best drive, so that positions hold no magnitudes and phases, see
+            :mod:`projection`.
     """
 
     parametrization: Parametrization
@@ -76,6 +80,7 @@ class Problem:
     setup_cost: tuple[float, int]
     pool: WorkerPool | None
     scenario_losses: ScenarioLosses | None = None
+    projected: bool = False
 
     @property
     def drive_solver(self) -> PlateSolver | ModalSolver:
@@ -87,10 +92,20 @@ class Problem:
         """Scene with a grid and a time step that carry every position."""
         return self.parametrization.scene
 
+    @cached_property
+    def searched(self) -> Parametrization:
+        """Design variables that the method chooses."""
+        return self.parametrization.without_drives if self.projected else self.parametrization
+
     @property
     def space(self) -> SearchSpace:
-        """Space of positions."""
-        return self.parametrization.space
+        """Space of the positions that the method chooses."""
+        return self.searched.space
+
+    @cached_property
+    def clearance(self) -> Clearance:
+        """Distances that actuators keep."""
+        return Clearance(self.scene)
 
     @property
     def robust(self) -> Robust:
@@ -143,8 +158,25 @@ class Problem:
         return self.objectives.losses(self.energies(designs), self._displacement_energies(designs))
 
     def losses(self, positions: np.ndarray) -> np.ndarray:
-        """Return the losses (n,) of positions (n, dimension)."""
-        return self.design_losses(self.parametrization.designs(positions))
+        """Return the losses (n,) of positions (n, dimension) of ``space``."""
+        designs = self.searched.designs(positions)
+        return self.clearance.losses(designs, self._losses(designs))
+
+    def losses_without_clearance(self, positions: np.ndarray) -> np.ndarray:
+        """Return the losses (n,) of positions (n, dimension) at which actuators may come too near."""
+        return self._losses(self.searched.designs(positions))
+
+    def complete(self, position: np.ndarray) -> np.ndarray:
+        """Return the position of all design variables (dimension,) that a position of ``space`` stands for.
+
+        Raises:
+            SceneError: actuators overlap there, as at every position that the search tried.
+        """
+        designs = self.searched.designs(position[None])
+        self.clearance.refuse(designs)
+        if not self.projected:
+            return position
+        return self.parametrization.positions_of(self._with_best_drives(designs)[0])[0]
 
     def value_from_loss(self, loss: float | np.ndarray) -> float | np.ndarray:
         """Return what people want large: LF, or the weighted sum of the objectives."""
@@ -231,6 +263,16 @@ class Problem:
             return self.displacement_response.energy(designs.drives)
         return None if self.displacement_evaluator is None else self.displacement_evaluator.run(designs).energy
 
+    def _losses(self, designs: Designs) -> np.ndarray:
+        if self.projected:
+            return self.objectives.losses(self._with_best_drives(designs)[1])
+        return self.design_losses(designs)
+
+    def _with_best_drives(self, designs: Designs) -> tuple[Designs, np.ndarray]:
+        solver = self.design_evaluator.solver
+        assert isinstance(solver, ModalSolver)
+        return best_drives(self.parametrization, designs, solver.gram_matrices(designs))
+
     @property
     def _evaluators(self) -> set[Evaluator]:
         nominal = (self.drive_evaluator, self.design_evaluator, self.displacement_evaluator)
@@ -250,7 +292,8 @@ def make_problem(
 
     Args:
         scene: the scene; device and path are those of :class:`PlateSolver`.
-        evaluator: see ``Problem.evaluator_name`` (default: "direct"; in a robust search "response" if it can be).
+        evaluator: see ``Problem.evaluator_name`` (default: "modal" where places, frequencies or delays of a linear
+            scene are searched; else "direct", in a robust search "response" if it can be).
         matrices: ``Problem.matrices`` where they are known (default: they are measured).
         pool: workers that run batches (default: this process does).
 
@@ -258,8 +301,7 @@ def make_problem(
         SceneError: see ``parametrization_of``, ``with_common_step``, ``make_objectives``, ``draw_scenarios`` and
             :class:`PlateSolver`; "response" for energies that are not quadratic forms of the phasors.
     """
-    if evaluator is None and scene.modal_only_key is not None:
-        evaluator = MODAL
+    evaluator = evaluator or default_evaluator(scene, path)
     if evaluator == MODAL:
         refuse_no_modes(scene)
         path = MODAL
@@ -297,10 +339,20 @@ def make_problem(
         else:
             scenarios = simulate_scenarios(drawn, alias, path, pool)
         seconds, node_steps = seconds + scenarios.setup_cost[0], node_steps + scenarios.setup_cost[1]
+    projected = name == MODAL and robust is None and has_free_drives(parametrization, objectives)
     return Problem(
         parametrization, objectives, drives, designs, displacements, responses[0], responses[1], name, path,
-        (seconds, node_steps), pool, scenarios,
+        (seconds, node_steps), pool, scenarios, projected,
     )  # fmt: skip
+
+
+def default_evaluator(scene: Scene, path: str = "auto") -> EvaluatorName | None:
+    """Return "modal" where time steps cannot, or where each of the places, frequencies or delays that are searched
+    would take plates of its own; None to leave the choice to :func:`make_problem`."""
+    search = scene.search
+    searched = search.frequency is not None or search.position is not None or search.delay is not None
+    by_modes = path == "auto" and searched and search.robust is None and has_modes(scene)
+    return MODAL if scene.modal_only_key is not None or by_modes else None
 
 
 def _measure_matrices(

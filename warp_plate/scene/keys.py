@@ -20,7 +20,7 @@ NAMED = ("actuators", "targets")
 # Units by the end of a key without indices; the longest end that fits holds, and keys without one have the unit "1".
 # "drive" stands for the unit of the actuators' magnitudes.
 UNITS = {
-    **dict.fromkeys(("size", "thickness", "area", "disc", "polygon", "points", "start", "place"), "m"),
+    **dict.fromkeys(("size", "thickness", "area", "clearance", "disc", "polygon", "points", "start", "place"), "m"),
     **dict.fromkeys(("time", "end", "duration", "ramp", "period", "delay", "delay.range"), "s"),
     **dict.fromkeys(("time_step", "times", "from_time", "to_time", "window.start", "burst.start"), "s"),
     **dict.fromkeys(("frequency", "end_frequency", "frequency.range"), "Hz"),

@@ -58,6 +58,7 @@ class FreePosition(Table):
 
     area: Area | None = None
     actuators: Names | None = None
+    clearance: NotNegative = 0.0  # least distance between the edges of two actuators, along x or along y [m]
 
 
 class FreeDelay(_Range):

@@ -35,7 +35,7 @@ class Response:
 
     def bound(self) -> float:
         """Return the largest localization factor that any drive can reach."""
-        return largest_ratio(self.matrices)[0]
+        return float(largest_ratio(self.matrices)[0])
 
     def best_drive(self) -> np.ndarray:
         """Return (actuators,) phasors [N/m²] that reach the bound, the largest of magnitude one."""
@@ -78,15 +78,19 @@ def response_of(energy: np.ndarray, actuators: int) -> Response:
     return Response(matrices)
 
 
-def largest_ratio(matrices: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the largest λ of A z = λ B z and its z, among drives that move the plate; (NaN, 0) if none does."""
-    target, plate = matrices[REGIONS.index("target")], matrices[REGIONS.index("plate")]
+def largest_ratio(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest λ (...) of A z = λ B z and its z (..., 2M), among drives that move the plate.
+
+    ``matrices``: (..., regions, 2M, 2M) Gram matrices. NaN and 0 where no drive moves the plate.
+    """
+    target, plate = matrices[..., REGIONS.index("target"), :, :], matrices[..., REGIONS.index("plate"), :, :]
     # Scaled to units of equal energy, so that no small actuator looks like rounding.
-    size = np.sqrt(np.where(np.diag(plate) > 0, np.diag(plate), 1))
-    values, vectors = np.linalg.eigh(plate / np.outer(size, size))
-    kept = values > RANK_TOLERANCE * values[-1]
-    if values[-1] <= 0 or not kept.any():
-        return float("nan"), np.zeros(len(plate))
-    basis = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
-    ratios, directions = np.linalg.eigh(basis.T @ target @ basis)
-    return float(ratios[-1]), basis @ directions[:, -1]
+    diagonal = np.diagonal(plate, axis1=-2, axis2=-1)
+    size = np.sqrt(np.where(diagonal > 0, diagonal, 1))
+    values, vectors = np.linalg.eigh(plate / (size[..., :, None] * size[..., None, :]))
+    largest = values[..., -1:]
+    kept = (values > RANK_TOLERANCE * largest) & (largest > 0)
+    basis = vectors * np.where(kept, 1 / np.sqrt(np.where(kept, values, 1)), 0)[..., None, :] / size[..., :, None]
+    ratios, directions = np.linalg.eigh(basis.mT @ target @ basis)
+    best = (basis @ directions[..., -1:])[..., 0]
+    return np.where(kept.any(axis=-1), ratios[..., -1], np.nan), best

@@ -19,7 +19,7 @@ from warp_plate.plate.files import digests
 from warp_plate.plate.weights import REGIONS
 from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, evaluate_objectives, reference_phasors
 from warp_plate.problem.methods import with_method
-from warp_plate.problem.problem import EvaluatorName, Problem, make_problem
+from warp_plate.problem.problem import EvaluatorName, Problem, default_evaluator, make_problem
 from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.checkpoint import Checkpoint, load_newest
 from warp_plate.result.model import Result, TargetSearch
@@ -31,8 +31,9 @@ from warp_plate.solve.devices import processor_of
 from warp_plate.studies import provenance
 from warp_plate.studies.baselines import baseline_cases, check_baselines
 from warp_plate.studies.checkpointing import CheckpointFile
-from warp_plate.studies.driver import OnProgress, history_of, run_search, search_optimizer
+from warp_plate.studies.driver import OnProgress, run_search, search_optimizer
 from warp_plate.studies.grid_choice import estimate_error, resolve_search_grid
+from warp_plate.studies.polish import finish_search
 from warp_plate.studies.spectrum import make_spectrum
 from warp_plate.studies.validation import compare_with_nominal
 
@@ -167,7 +168,8 @@ def save_best_scenes(result: Result, path: Path) -> list[Path]:
     files = []
     for number, scene in enumerate(best_drive_scenes(result).values(), 1):
         file = path if number == 1 else path.with_suffix(f".{number}.toml")
-        head = f"# Found by: warp-plate localize {result.source}\n# Run it by: warp-plate simulate {file.name}\n"
+        command = f"warp-plate simulate {file.name}" + (" --path modal" if result.evaluator == MODAL else "")
+        head = f"# Found by: warp-plate localize {result.source}\n# Run it by: {command}\n"
         write_atomically((printable(head) + dump_scene(scene)).encode(), file)
         files.append(file)
     return files
@@ -190,6 +192,7 @@ def _new_search(
     scene = with_method(scene)
     if evaluator is None and written.search.method is None and scene.search.method == "exact":
         evaluator = MODAL if has_modes(scene) else None
+    evaluator = evaluator or default_evaluator(scene, path)
     resolved, started = resolve_search_grid(scene, device, evaluator), time.perf_counter()
     problem = make_problem(resolved.scene, device, path, evaluator, pool=pool)
     initial, compiling = _initial_state(problem, seed), problem.compile_seconds
@@ -316,14 +319,14 @@ def _search_targets(start: Checkpoint, problem: Problem, options: _Options) -> t
                 options.on_progress(before * total + iterations, count * total, best)
 
         optimizer, interrupted = run_search(start, problem, on_progress, options.checkpoints)
-        position = None if optimizer is None else optimizer.result.xbest
+        position, evaluations, history = finish_search(optimizer, problem, interrupted)
         search = TargetSearch(
             position=position,
             single_actuator=start.single_actuator,
             bound=problem.bound,
             bound_kind=problem.bound_kind,
-            evaluations=0 if optimizer is None else optimizer.result.evaluations,
-            history=history_of(optimizer, problem),
+            evaluations=evaluations,
+            history=history,
             objective_values={} if position is None else problem.objective_values(position),
         )
         solve = start.seconds.get("solve", 0.0) + time.perf_counter() - started

@@ -92,7 +92,7 @@ def _best_position(problem: Problem) -> np.ndarray | None:
         except MethodError:  # a limit or a fixed number keeps the search from the eigenvector
             pass
     optimizer = search_optimizer(problem, problem.scene.search.seed)
-    return None if optimizer is None else minimize(optimizer, problem.losses).xbest
+    return None if optimizer is None else problem.complete(minimize(optimizer, problem.losses).xbest)
 
 
 def _simulation_quantities(scene: Scene, settings: Settings) -> Values:

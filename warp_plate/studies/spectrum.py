@@ -25,17 +25,25 @@ MOST_BOUNDED = 20
 
 
 def make_spectrum(problem: Problem, best: Case) -> dict[str, np.ndarray]:
-    """Return ``Result.spectrum`` at the positions and delays of the best case; empty unless a common frequency of all
-    actuators is searched and the scene is linear in the drives."""
+    """Return ``Result.spectrum`` at the positions and delays of the best case; empty without
+    :func:`spectrum_frequencies`."""
+    scene, frequencies = problem.scene, spectrum_frequencies(problem)
+    if not frequencies.size:
+        return {}
+    device = problem.drive_solver.device.alias
+    factors = factors_over(scene, frequencies, best.centre, best.delay, device, problem.path)
+    return {"frequency": frequencies, **factors, "resonances": resonances(scene, frequencies[0], frequencies[-1])}
+
+
+def spectrum_frequencies(problem: Problem) -> np.ndarray:
+    """Return the frequencies of a result's spectrum [Hz]; empty unless a common frequency of all actuators is searched
+    and the scene is linear in the drives."""
     scene = problem.scene
     search = scene.search.frequency
     if search is None or search.own or search.actuators is not None or not scene.linear:
-        return {}
+        return np.empty(0)
     evaluations, units = scene.search.particles * scene.search.iterations, len(unit_drives(len(scene.actuators)))
-    frequencies = np.linspace(*search.range, min(MOST, max(FEWEST, evaluations // units)))
-    device = problem.drive_solver.device.alias
-    factors = factors_over(scene, frequencies, best.centre, best.delay, device, problem.path)
-    return {"frequency": frequencies, **factors, "resonances": resonances(scene, *search.range)}
+    return np.linspace(*search.range, min(MOST, max(FEWEST, evaluations // units)))
 
 
 def factors_over(

@@ -1,0 +1,92 @@
+"""Searches in which each position has its best drive: against eigenvalues, random drives and patches drawn by hand."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+import scipy
+from conftest import areas_of, scene_of
+
+from warp_plate import SceneError, localize
+from warp_plate.modal.solver import ModalSolver
+from warp_plate.problem.problem import make_problem
+
+DRIVES = {"magnitude": {"range": [0.0, 2.0]}, "phase": {}}
+FREQUENCY = {"frequency": {"range": [100.0, 400.0]}}
+SEARCHES = {
+    "places": {**DRIVES, "position": {"actuators": ["0", "2"]}},
+    "frequency and places": {**DRIVES, **FREQUENCY, "position": {}},
+    "own frequencies": {**DRIVES, "frequency": {"range": [100.0, 400.0], "own": True}},
+    "contrast": {**DRIVES, **FREQUENCY, "objectives": [{"kind": "contrast", "weight": 0.5}]},
+}
+
+
+def searched(search, nodes=(9, 9), **tables):
+    tables = {"damping": 60.0, "window": (0.03, 0.05)} | tables
+    return scene_of(nodes=nodes, search={"particles": 6, "iterations": 4, "method": "constriction", **search}, **tables)
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_the_loss_of_a_position_is_that_of_its_best_drive(name, random):
+    problem = make_problem(searched(SEARCHES[name]), "cpu")
+    assert problem.evaluator_name == "modal"
+    assert not any("magnitude" in each or "phase" in each for each in problem.space.names)
+    positions = problem.space.from_unit(random.random((60, problem.space.dimension)))
+    losses = problem.losses(positions)
+    apart = np.flatnonzero(losses == problem.losses_without_clearance(positions))[:3]
+    assert apart.size == 3
+    for position, loss in zip(positions[apart], losses[apart], strict=True):
+        full = problem.complete(position)
+        designs = problem.parametrization.designs(full[None])
+        assert problem.design_losses(designs)[0] == pytest.approx(loss, abs=1e-7)
+        assert np.abs(designs.drives).max() == pytest.approx(2.0)
+        plate, target = np.delete(np.delete(response_at(problem, full), 3, 1), 3, 2)  # the first phase stays 0
+        ratio = scipy.linalg.eigh(target, plate, eigvals_only=True)[-1]
+        assert loss == pytest.approx(
+            1 - ratio if name != "contrast" else -5 * np.log10(ratio / (1 - ratio) * 3), abs=1e-6
+        )
+
+
+def response_at(problem, position):
+    return ModalSolver(problem.parametrization.scene_of(position)).response.matrices
+
+
+def test_no_drive_that_is_known_is_better_than_the_one_returned():
+    """Neither one of the result's spectrum nor, at the same places and frequency, the exact one."""
+    result = localize(searched(SEARCHES["frequency and places"]), device="cpu", estimate=False)
+    best = result.cases["best"].localization_factor
+    assert best == pytest.approx(result.history["best"][-1], abs=1e-7)
+    assert result.spectrum["best"].max() <= best + 1e-6
+    found = result.driven_scene(result.cases["best"]).with_tables(search={**DRIVES, "method": "exact"})
+    exact = localize(found, device="cpu", evaluator="modal", estimate=False)
+    assert exact.cases["best"].localization_factor == pytest.approx(best, abs=1e-4)  # of modes up to other frequencies
+
+
+def overlapping(areas, clearance):
+    """Return whether two rectangles of areas (actuators, 2, 2) have less room than the clearance on both axes."""
+    return any(
+        all(max(one[axis][0], other[axis][0]) < min(one[axis][1], other[axis][1]) + clearance - 1e-8 for axis in (0, 1))
+        for one, other in combinations(areas, 2)
+    )
+
+
+@pytest.mark.parametrize("evaluator", ["modal", "direct"])
+@pytest.mark.parametrize("clearance", [0.0, 0.02])
+def test_patches_keep_their_clearance(clearance, evaluator, random):
+    area = [0.0, 0.12, 0.0, 0.12]
+    scene = searched(
+        {"phase": {}, "position": {"area": area, "clearance": clearance}, "particles": 12},
+        actuators=[(0.0, 0.04, 0.0, 0.04), (0.06, 0.1, 0.06, 0.1), (0.07, 0.1, 0.01, 0.05)],
+    )
+    problem = make_problem(scene, "cpu", evaluator=evaluator)
+    positions = problem.space.from_unit(random.random((40, problem.space.dimension)))
+    near = problem.losses(positions) > 2
+    scenes = [problem.parametrization.scene_of(position) for position in positions]
+    assert near.tolist() == [overlapping(areas_of(found), clearance) for found in scenes]
+    result = localize(scene, device="cpu", evaluator=evaluator, estimate=False)
+    assert not overlapping(areas_of(result.driven_scene(result.cases["best"])), clearance)
+
+
+def test_a_clearance_without_room_is_refused():
+    with pytest.raises(SceneError, match=r"^search.position.clearance = 0.1: no places were found"):
+        localize(searched({"phase": {}, "position": {"clearance": 0.1}}), device="cpu", estimate=False)

@@ -1,0 +1,129 @@
+"""The end of a search by modes: from the best position down to the nearest minimum."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import scipy.optimize
+
+from warp_plate.modal.solver import MODAL
+from warp_plate.optimize.optimizer import Optimizer
+from warp_plate.problem.problem import Problem
+from warp_plate.studies.driver import history_of
+from warp_plate.studies.spectrum import spectrum_frequencies
+
+# Central differences, in initial ranges.
+STEP = 1e-5
+# A descent ends where the loss falls by less, and a round of descents where it gains less.
+TOLERANCE, GAIN = 1e-13, 1e-8
+MOST_STEPS, MOST_ROUNDS = 100, 8
+
+
+class Polished(NamedTuple):
+    """A position, its loss, and the number of evaluations that they took."""
+
+    position: np.ndarray
+    loss: float
+    evaluations: int
+
+
+def finish_search(
+    optimizer: Optimizer | None, problem: Problem, interrupted: bool
+) -> tuple[np.ndarray | None, int, dict[str, np.ndarray]]:
+    """Return the position of all design variables, the evaluations and the history of a search that has ended.
+
+    Where places, frequencies or delays are searched by modes, a descent follows it.
+    """
+    history = history_of(optimizer, problem)
+    if optimizer is None or optimizer.result.xbest is None:
+        return None, 0 if optimizer is None else optimizer.result.evaluations, history
+    position, evaluations = optimizer.result.xbest, optimizer.result.evaluations
+    complete = problem.complete(position)
+    by_modes = problem.evaluator_name == MODAL and problem.scenario_losses is None
+    if by_modes and not problem.parametrization.only_drives and not interrupted:
+        polished = polish(problem, position, optimizer.result.fbest)
+        evaluations += polished.evaluations
+        value = problem.value_from_loss(polished.loss)
+        row = {"evaluations": evaluations, "best": value, "mean": value}
+        history = {name: np.append(column, row[name]) for name, column in history.items()}
+        complete = problem.complete(polished.position)
+    return complete, evaluations, history
+
+
+def polish(problem: Problem, position: np.ndarray, loss: float) -> Polished:
+    """Return the minimum to which a descent from a position of ``problem.space`` leads.
+
+    A searched frequency that all actuators have in common also moves to the best of those of the result's spectrum, as
+    long as that is better: so no resonance beside the one that the search found is overlooked.
+    """
+    evaluations, space = 0, problem.space
+
+    def losses(points: np.ndarray) -> np.ndarray:
+        nonlocal evaluations
+        evaluations += len(points)
+        return problem.losses_without_clearance(space.from_unit(points))
+
+    point = space.to_unit(position)
+    for _ in range(MOST_ROUNDS):
+        before = loss
+        descended = _descend(losses, problem, point)
+        for tried in (descended, _best_frequency(losses, problem, descended)):
+            value = float(problem.losses(space.from_unit(tried[None]))[0])
+            if value < loss:
+                point, loss = tried, value
+        if not loss < before - GAIN * max(abs(before), 1e-300):
+            break
+    return Polished(space.from_unit(point[None])[0], loss, evaluations)
+
+
+def _descend(losses: Callable[[np.ndarray], np.ndarray], problem: Problem, point: np.ndarray) -> np.ndarray:
+    """Return the nearest minimum within the space's limits and the actuators' clearance, by SLSQP."""
+    space = problem.space
+    limits = np.stack([space.to_unit(space.lower), space.to_unit(space.upper)], axis=1)
+    steps = STEP * np.eye(len(point))
+
+    def loss_and_slope(at: np.ndarray) -> tuple[float, np.ndarray]:
+        high, low = (np.clip(at + sign * steps, *limits.T) for sign in (1, -1))
+        values = losses(np.concatenate([at[None], high, low]))
+        rise = values[1 : 1 + len(at)] - values[1 + len(at) :]
+        return float(values[0]), rise / np.diagonal(high - low)
+
+    scale = max(abs(float(losses(point[None])[0])), 1e-300)
+    found = scipy.optimize.minimize(
+        lambda at: tuple(each / scale for each in loss_and_slope(at)),
+        point,
+        jac=True,
+        method="SLSQP",
+        bounds=limits,
+        constraints=_clearance(problem, point),
+        options={"maxiter": MOST_STEPS, "ftol": TOLERANCE},
+    )
+    return np.asarray(np.clip(found.x, *limits.T))
+
+
+def _clearance(problem: Problem, point: np.ndarray) -> list[scipy.optimize.LinearConstraint]:
+    """Return the clearance of the actuators, each on the side of the others where it is now; none if none moves."""
+    centre = problem.searched.designs(problem.space.from_unit(point[None])).centre
+    if centre is None:
+        return []
+    matrix, least = problem.clearance.constraints(centre[0])
+    of_point = np.zeros((len(matrix), len(point)))
+    for column, variable in enumerate(problem.searched.variables):
+        if variable.kind in ("x", "y"):
+            of_centre = matrix[:, 2 * variable.actuators[0] + (variable.kind == "y")]
+            of_point[:, column] = of_centre * problem.space.span[column]
+    return [scipy.optimize.LinearConstraint(of_point, least - matrix @ centre[0].ravel() + of_point @ point)]
+
+
+def _best_frequency(losses: Callable[[np.ndarray], np.ndarray], problem: Problem, point: np.ndarray) -> np.ndarray:
+    """Return the point with the best frequency of the result's spectrum; unchanged if it has none."""
+    frequencies = spectrum_frequencies(problem)
+    kinds = [variable.kind for variable in problem.searched.variables]
+    if not frequencies.size:
+        return point
+    points = np.tile(problem.space.from_unit(point[None]), (frequencies.size, 1))
+    points[:, kinds.index("frequency")] = frequencies
+    points = problem.space.to_unit(points)
+    return np.asarray(points[int(np.nanargmin(losses(points)))])
