@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
@@ -38,6 +39,8 @@ from warp_plate.scene.model import ElasticEdge, Scene
 CORNER_INTERVALS = (0.3, 0.09)
 # With so many breaks between two knots, of a fine map, so many of Gauss's points between two breaks suffice.
 FINE, FINE_RULE = 4, 3
+# Splines on either side of the edges of layers, whose corners are singular too: fewer if there are many edges.
+LAYER_INTERVALS = (0.3, 0.09, 0.027)
 Matrix: TypeAlias = scipy.sparse.csr_array
 Field: TypeAlias = np.ndarray | float
 
@@ -122,6 +125,10 @@ class Integrals:
         """Return one at Gauss's points (y, x) in a rectangle x0, x1, y0, y1 [m] whose sides are breaks, else zero."""
         x, y = self.points
         return np.outer((y > area[2]) & (y < area[3]), (x > area[0]) & (x < area[1])).astype(float)
+
+    def integral(self, field: Field) -> float:
+        """Return ∫ field dA of values at Gauss's points (y, x), or of a number."""
+        return float((np.outer(self._weights[1], self._weights[0]) * field).sum())
 
     def matrix(self, field: Field, x: tuple[int, int] = (0, 0), y: tuple[int, int] = (0, 0)) -> Matrix:
         """Return ∫ field · u^(x₀, y₀) u^(x₁, y₁) dA, functions of the first factor in rows; derivatives along x and y.
@@ -210,8 +217,25 @@ def _splines(scene: Scene, axis: int, intervals: int, degree: int) -> Splines:
         if any(_singular(end, side) for side in sides):
             sign = 1 if place == 0 else -1
             corners += [(place + sign * part * length / intervals, degree - 1) for part in CORNER_INTERVALS]
+    corners += [(place, degree - 1) for place in _near_layers(scene, axis, length / intervals)]
     low, high = ("free" if isinstance(end, ElasticEdge) else end for end in ends)
     return make_splines(length, (low, high), intervals, degree, corners)
+
+
+def _near_layers(scene: Scene, axis: int, interval: float) -> list[float]:
+    """Return positions of further knots along x (0) or y (1) [m] near the edges of layers that end inside the plate."""
+    edges = [
+        {place for layer in scene.effects.layers for place in layer.area[2 * i : 2 * i + 2] if 0 < place < side}
+        for i, side in enumerate(scene.plate.size)
+    ]
+    if not all(edges):
+        return []
+    parts, found = LAYER_INTERVALS[: max(1, 4 - len(edges[axis]) // 2)], []
+    for low, high in pairwise(sorted({0.0, scene.plate.size[axis], *edges[axis]})):
+        steps = [part * min(interval, high - low) for part in parts]
+        found += [low + step for step in steps if low in edges[axis]]
+        found += [high - step for step in steps if high in edges[axis]]
+    return found
 
 
 def _singular(first: object, second: object) -> bool:

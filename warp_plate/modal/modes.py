@@ -18,9 +18,11 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from warp_plate.modal.galerkin import Galerkin, make_galerkin, patch_integrals
+from warp_plate.modal.galerkin import Galerkin, Integrals, Matrix, make_galerkin, patch_integrals
 from warp_plate.modal.regions import region_matrix
+from warp_plate.modal.splines import make_splines
 from warp_plate.plate.signals import highest_frequency
+from warp_plate.scene.effects import Tension
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
@@ -30,8 +32,11 @@ from warp_plate.scene.target import Target
 # frequency; along the shorter side fewer, but of less size.
 FEWEST, PER_HALF_WAVE = 18, 2.6
 MOST_INTERVALS = 400
-# Up to so many unknowns, all modes are computed at once; beyond, those up to REACH times the highest frequency.
-DENSE, REACH = 1500, 4.0
+# Modes that are wanted: those up to REACH times the highest frequency, and FURTHER ones for what higher ones add to
+# responses, or SPARE without responses.
+REACH, FURTHER, SPARE = 4.0, 350, 40
+# All modes are computed at once, which then takes less time, if one in DENSE_SHARE is wanted, up to DENSE unknowns.
+DENSE, DENSE_SHARE = 4000, 6
 # Frequencies below this part of √(D/ρH)(π/longer side)² are those of rigid motions.
 STILL = 1e-4
 # Damping that couples two modes by less than this part of their own has no effect; by less than the other of the
@@ -207,13 +212,16 @@ def solve_modes(scene: Scene, highest: float | None = None, count: int = 0, dens
         raise SceneError(f"{scene.nonlinear_table}: has no modes, for it is not linear; simulate it in time steps")
     if highest is None:
         highest = highest_frequency(scene)
-    lowest_modes = _frequency_of(scene, count)
-    galerkin = make_galerkin(scene, _intervals(scene, max(highest, lowest_modes), density))
-    squares, vectors = _eigenpairs(galerkin, max(REACH * highest, lowest_modes))
+    wave, area = _wave_frequency(scene), math.prod(scene.plate.size)
+    counted = wave * (math.sqrt(4 / math.pi * count) + 2) ** 2 / area if count else 0.0
+    galerkin = make_galerkin(scene, _intervals(scene, max(highest, counted), wave, density))
+    # Weyl's law, and a margin for its boundary term.
+    wanted = 1.1 * math.pi / 4 * area * max(REACH * highest, counted) / wave + (FURTHER if highest else SPARE)
+    lowest = wave / max(scene.plate.size) ** 2
+    squares, vectors = _eigenpairs(galerkin, math.ceil(wanted), (2 * math.pi * lowest) ** 2)
     frequencies = np.sqrt(np.maximum(squares, 0.0)) / (2 * math.pi)
-    lowest = _wave_frequency(scene, 1 / max(scene.plate.size))
     frequencies[frequencies < STILL * lowest] = 0.0
-    damping = np.asarray(vectors.T @ (galerkin.damping @ vectors))
+    damping = _of_modes(galerkin, galerkin.damping, squares, vectors)
     hysteretic = np.zeros_like(damping)
     if scene.effects.modal_damping is not None:
         ratios = scene.effects.modal_damping.of_modes(frequencies.size)
@@ -222,7 +230,7 @@ def solve_modes(scene: Scene, highest: float | None = None, count: int = 0, dens
         if isinstance(loss.eta, tuple):
             hysteretic = np.diag(loss.of_modes(frequencies.size) * np.maximum(squares, 0))
         else:
-            hysteretic = np.asarray(loss.eta * (vectors.T @ (galerkin.bending @ vectors)))
+            hysteretic = loss.eta * _of_modes(galerkin, galerkin.bending, squares, vectors)
     return ModalPlate(galerkin, frequencies, vectors, damping, hysteretic)
 
 
@@ -234,11 +242,26 @@ def times(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndarray) -> n
     return np.moveaxis(product.reshape(matrix.shape[0], *first.shape[1:]), 0, -2)
 
 
-def _eigenpairs(galerkin: Galerkin, highest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return ω² [1/s²] and mass-normalised vectors (unknowns, modes), up to a frequency [Hz] at least."""
-    scale = (2 * math.pi * _wave_frequency(galerkin.scene, 1 / max(galerkin.scene.plate.size))) ** 2
-    if galerkin.mass.shape[0] > DENSE:
-        return _lowest(galerkin, highest, scale)
+def _of_modes(galerkin: Galerkin, matrix: Matrix, squares: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Return Φᵀ matrix Φ, which is diagonal for a multiple of the mass or of the stiffness."""
+    for known, values in ((galerkin.mass, np.ones_like(squares)), (galerkin.stiffness, squares)):
+        factor = matrix.trace() / known.trace()
+        if abs(matrix - factor * known).max() <= ROUNDING * abs(matrix).max():
+            return np.diag(factor * values)
+    return np.asarray(vectors.T @ (matrix @ vectors))
+
+
+def _eigenpairs(galerkin: Galerkin, wanted: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return ω² [1/s²] and mass-normalised vectors (unknowns, modes) of so many modes at least.
+
+    Args:
+        galerkin: Matrices.
+        wanted: Number of modes, from the lowest.
+        scale: Size of the lowest ω² [1/s²].
+    """
+    unknowns = galerkin.mass.shape[0]
+    if unknowns > min(DENSE, DENSE_SHARE * wanted):
+        return _lowest(galerkin, min(wanted, unknowns // 2), scale)
     mass = galerkin.mass.toarray()
     shifted = galerkin.stiffness.toarray() + scale * mass
     # Eigenvalues of the inverse problem: the largest have small relative errors, and they belong to the lowest modes.
@@ -258,12 +281,8 @@ def _eigenpairs(galerkin: Galerkin, highest: float) -> tuple[np.ndarray, np.ndar
     return squares, vectors / np.sqrt(inverse)
 
 
-def _lowest(galerkin: Galerkin, highest: float, scale: float) -> tuple[np.ndarray, np.ndarray]:
+def _lowest(galerkin: Galerkin, wanted: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the same, by shift and inversion."""
-    scene = galerkin.scene
-    width, height = scene.plate.size
-    # Weyl's law, and a margin for its boundary term.
-    wanted = math.ceil(1.1 * math.pi / 4 * _half_waves(scene, highest) ** 2 * width * height) + 40
     shifted = scipy.sparse.csc_array(galerkin.stiffness + scale * galerkin.mass)
     solve = scipy.sparse.linalg.splu(
         shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
@@ -271,17 +290,17 @@ def _lowest(galerkin: Galerkin, highest: float, scale: float) -> tuple[np.ndarra
     inverse = scipy.sparse.linalg.LinearOperator(shifted.shape, matvec=solve, dtype=float)
     start = np.random.default_rng(0).normal(size=shifted.shape[0])
     squares, vectors = scipy.sparse.linalg.eigsh(
-        galerkin.stiffness, min(wanted, shifted.shape[0] // 2), galerkin.mass, sigma=-scale, OPinv=inverse, v0=start
+        galerkin.stiffness, wanted, galerkin.mass, sigma=-scale, OPinv=inverse, v0=start
     )
     if squares.min() < -STILL * scale:
-        raise _buckled(scene)
+        raise _buckled(galerkin.scene)
     order = np.argsort(squares, kind="stable")
     return squares[order], vectors[:, order]
 
 
-def _intervals(scene: Scene, highest: float, density: float) -> tuple[int, int]:
-    """Return the number of intervals between knots along x and along y."""
-    waves, longer = _half_waves(scene, highest), max(scene.plate.size)
+def _intervals(scene: Scene, highest: float, wave: float, density: float) -> tuple[int, int]:
+    """Return the number of intervals between knots along x and along y; ``wave`` as :func:`_wave_frequency`."""
+    waves, longer = math.sqrt(highest / wave), max(scene.plate.size)
     counts = [
         math.ceil(max(FEWEST * math.sqrt(side / longer), PER_HALF_WAVE * waves * side)) for side in scene.plate.size
     ]
@@ -294,23 +313,14 @@ def _intervals(scene: Scene, highest: float, density: float) -> tuple[int, int]:
     return x, y
 
 
-def _frequency_of(scene: Scene, count: int) -> float:
-    """Return an upper estimate of the frequency of mode number ``count`` [Hz], by Weyl's law."""
-    width, height = scene.plate.size
-    half_waves = math.sqrt(4 / math.pi * count) + 2 if count else 0.0
-    return _wave_frequency(scene, half_waves / math.sqrt(width * height))
-
-
-def _half_waves(scene: Scene, frequency: float) -> float:
-    """Return half-waves per metre of a bending wave of the bare plate [1/m]."""
-    return math.sqrt(frequency / _wave_frequency(scene, 1.0))
-
-
-def _wave_frequency(scene: Scene, half_waves: float) -> float:
-    """Return the frequency [Hz] of a bending wave of the bare plate with so many half-waves per metre."""
-    plate, orthotropic = scene.plate, scene.effects.orthotropic
-    rigidity = plate.rigidity if orthotropic is None else min(orthotropic.Dx, orthotropic.Dy)
-    return math.sqrt(rigidity / (plate.density * plate.thickness)) * math.pi * half_waves**2 / 2
+def _wave_frequency(scene: Scene) -> float:
+    """Return the frequency [Hz] of a bending wave with one half-wave per metre, by the mean of mass over rigidity."""
+    along_x, along_y = (make_splines(side, ("free", "free"), 1, 2) for side in scene.plate.size)
+    integrals = Integrals(scene, along_x, along_y)
+    bend_xx, _, bend_yy, _, mass = integrals.fields()
+    return (
+        math.pi / 2 * math.sqrt(math.prod(scene.plate.size) / integrals.integral(mass / np.minimum(bend_xx, bend_yy)))
+    )
 
 
 def _diagonal(matrix: np.ndarray) -> bool:
@@ -321,6 +331,18 @@ def _diagonal(matrix: np.ndarray) -> bool:
 
 
 def _buckled(scene: Scene) -> SceneError:
-    tension = scene.effects.tension
-    x, y = (tension.x, tension.y) if tension else (0.0, 0.0)
-    return SceneError(f"effects.tension = {{x = {x:g}, y = {y:g}}}: the plate buckles; write smaller pressures")
+    """Return the refusal of a plate whose tension T buckles it: for some μ < 1, K − T + μT is singular."""
+    tension = scene.effects.tension or Tension()
+    effects = scene.effects.model_copy(update={"tension": None})
+    pressed, bare = (
+        make_galerkin(each, (FEWEST, FEWEST)).stiffness
+        for each in (scene, scene.model_copy(update={"effects": effects}))
+    )
+    # The rigid motion of a plate that nothing holds gets a stiffness of rounding's size.
+    held = bare + 1e-12 * bare.diagonal().max() * scipy.sparse.eye_array(bare.shape[0])
+    largest = scipy.sparse.linalg.eigsh(bare - pressed, 1, held.tocsc(), which="LA", return_eigenvectors=False)[0]
+    x, y, factor = tension.x, tension.y, 1 / largest
+    return SceneError(
+        f"effects.tension = {{x = {x:g}, y = {y:g}}}: the plate buckles; the critical load is x = {factor * x:.4g}, "
+        f"y = {factor * y:.4g} N/m, {factor:.3g} of this one"
+    )

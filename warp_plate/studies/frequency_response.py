@@ -16,7 +16,6 @@ import numpy as np
 from warp_plate.modal.adaptive_frequencies import adaptive_frequencies
 from warp_plate.modal.galerkin import Integrals
 from warp_plate.modal.modes import ModalPlate, solve_modes, times
-from warp_plate.modal.splines import gauss
 from warp_plate.modal.steady import SteadyPlate, make_steady
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity
@@ -206,5 +205,4 @@ def plate_mass(plate: ModalPlate) -> float:
     """Return the mass of a plate with its layers, without masses on springs [kg]."""
     galerkin = plate.galerkin
     integrals = Integrals(galerkin.scene, galerkin.along_x, galerkin.along_y)
-    (_, weights_x), (_, weights_y) = (gauss(breaks, integrals.rule) for breaks in integrals.breaks)
-    return float((np.outer(weights_y, weights_x) * integrals.fields()[-1]).sum())
+    return integrals.integral(integrals.fields()[-1])
