@@ -54,6 +54,7 @@ NUMBERS = """
   <div v-for="name in ['upper left', 'upper right', 'lower left', 'lower right']" :id="name.replace(' ', '_')"
     :title="name" style="border: 1px solid #999; padding: 2px 8px; text-align: right">{{ shares[name] }}</div>
 </div>
+<div style="font-size: 13px">Computed {{ engine }}</div>
 <div style="min-height: 3em; color: #b2182b; font-size: 13px">{{ status }}</div>
 """
 
@@ -165,6 +166,7 @@ class ExplorerPage:
         state.bound = "none claimed" if reading.bound is None else percent(reading.bound)
         state.energy = f"{reading.energy['plate']:.3g} J"
         state.shares = share_texts(reading)
+        state.engine = "by modes, without time steps" if self.model.by_modes else "in time steps"
         state.status = self.model.status()
         self.view.playing = state.playing
 

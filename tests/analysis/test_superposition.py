@@ -57,15 +57,16 @@ def test_harmonic_motion_is_fitted_exactly(random, scene):
     assert SteadyMotion(np.array([1]), np.array([[[3 + 4j, 1.0]]])).peak() == 5
 
 
+@pytest.mark.parametrize("path", ["auto", "modal"])
 @pytest.mark.parametrize("steady", [True, False])
-def test_any_drive_equals_its_run(steady, scene, phasors):
+def test_any_drive_equals_its_run(steady, path, scene, phasors):
     """Energies agree to rounding with a run in float64, and amplitudes too, even if start-up motion persists."""
     tables = {"damping": DAMPING, "window": (0.08, 0.1)} if steady else {}
     made = scene(precision="float32", **tables)
     drive = phasors(1, 3)
-    reading = unit_responses(made, "cpu").read(drive[0])
+    reading = unit_responses(made, "cpu", path).read(drive[0])
     exact = made.model_copy(update={"grid": made.grid.model_copy(update={"precision": "float64"})})
-    run = live_solver(exact, "cpu", "auto").run(drive, times_of(exact, 12))
+    run = live_solver(exact, "cpu", path).run(drive, times_of(exact, 12))
     assert run.regions == ("plate", "target", *QUADRANTS)
     np.testing.assert_allclose(list(reading.energy.values()), run.energy[0], rtol=1e-9)
     assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)

@@ -14,6 +14,7 @@ from warp_plate.analysis.superposition import ORDERS, last_period
 from warp_plate.explore import live_model
 from warp_plate.explore.live_model import CHOICES, LiveModel
 from warp_plate.explore.settings import changed_scene, slider_ranges
+from warp_plate.modal.solver import make_solver
 from warp_plate.plate.weights import localization_factor
 from warp_plate.result.motion import QUADRANTS, DriveResponse, SteadyMotion, SwarmSnapshot
 from warp_plate.viz import explorer_page
@@ -23,6 +24,7 @@ from warp_plate.viz.pictures import make_plotter
 # Damped so strongly that the motion is steady when the run ends, and not so strongly that low modes creep.
 DAMPING = 120.0
 SEARCH = {"particles": 12, "iterations": 15}
+PATHS = {"auto": ["modal"], "resident": ["resident"]}
 
 
 @pytest.fixture
@@ -35,7 +37,7 @@ def panel(scene):
 def live():
     """A factory of live models on the CPU, which are closed at the end."""
     with ExitStack() as models:
-        yield lambda scene: models.enter_context(closing(LiveModel(scene, "cpu")))
+        yield lambda scene, path="auto": models.enter_context(closing(LiveModel(scene, "cpu", path)))
 
 
 @pytest.fixture
@@ -59,10 +61,14 @@ def after(model, **changes):
     return model.read()
 
 
-def test_frequency_and_damping_are_simulated_again(panel, model):
+@pytest.mark.parametrize("path", ["auto", "resident"])
+def test_frequency_and_damping_are_simulated_again(panel, live, path):
+    """By modes, or in time steps where a path is asked for."""
+    model = live(panel, path)
+    assert model.by_modes == (path == "auto")
     for frequency, damping in ((240.0, DAMPING), (290.0, 500.0), (290.0, 0.0)):
         reading = after(model, frequency=frequency, damping=damping)
-        run = PlateSolver(changed_scene(panel, frequency, damping), "cpu").run(np.ones((1, 3)))
+        run = make_solver(changed_scene(panel, frequency, damping), "cpu", *PATHS[path]).run(np.ones((1, 3)))
         assert reading.localization_factor == pytest.approx(localization_factor(run.energy)[0], rel=1e-9)
         assert (reading.scene.drive.frequency, reading.scene.effects.damping.viscous) == (frequency, damping)
 
@@ -98,8 +104,8 @@ def test_what_cannot_be_simulated_is_reported_and_the_rest_goes_on(scene, live, 
         raise RuntimeError("out of memory")
 
     with pytest.raises(SceneError, match="above the stability limit"):
-        live(scene(time_step=1e-3))
-    model = live(scene(damping=10.0, scheme="backward", time_step=1.2e-4))
+        live(scene(time_step=1e-3), "resident")
+    model = live(scene(damping=10.0, scheme="backward", time_step=1.2e-4), "resident")
     before = model.read()
     assert after(model, damping=1e5).scene is before.scene
     assert "above the stability limit" in model.status()
@@ -121,9 +127,8 @@ def test_slider_ranges_are_within_what_the_run_can_carry(panel, scene):
 
 
 def test_choices_are_what_localize_means_by_them(panel, model):
-    result = localize(panel, device="cpu", estimate=False)
+    result = localize(panel, device="cpu", evaluator="modal", estimate=False)
     for choice in ("equal", "single"):
-        # A run in float64 against one in the scene's precision.
         expected = result.cases[choice].localization_factor
         assert after(model, choice=choice).localization_factor == pytest.approx(expected, rel=1e-6)
     exact = after(model, choice="exact")
@@ -166,8 +171,8 @@ def test_a_search_is_watched(panel, model):
         np.testing.assert_array_equal(swarm.phasors[:, 0], 1)
     assert last.factors.max() <= last.best[-1] <= model.read().bound
     assert model.read().localization_factor == pytest.approx(last.best[-1], rel=1e-12)
-    history = localize(panel, device="cpu", evaluator="response", estimate=False).history["best"]
-    np.testing.assert_allclose(last.best, history, rtol=1e-9)
+    history = localize(panel, device="cpu", evaluator="modal", estimate=False).history["best"]
+    np.testing.assert_allclose(last.best, history, rtol=1e-6)
     # A search ends when a slider is moved: what it finds after that is not taken.
     model.choose("found", seconds=0.02)
     until(lambda: model.swarm() is not None and model.swarm().running)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_plate.modal.solver import ModalSolver, make_solver
 from warp_plate.optimize.quadratic import real_parts
 from warp_plate.plate.weights import REGIONS
 from warp_plate.result.motion import QUADRANTS, DriveResponse, SteadyMotion, quadrants
@@ -63,13 +64,15 @@ def unit_responses(
 ) -> UnitResponses:
     """Simulate the unit drives, in float64 because small differences of energies matter.
 
+    The path "modal" takes the modes of the plate.
+
     Raises:
         SceneError: see :class:`PlateSolver`.
     """
     solver = live_solver(in_float64(scene), device, path)
-    response = measure_response(solver, progress)
+    response = solver.response if isinstance(solver, ModalSolver) else measure_response(solver, progress)
     units = unit_drives(len(scene.actuators))[: 2 * len(scene.actuators)]
-    times = last_period(scene, solver.specialized.scheme.time_step, LINEAR_SAMPLES)
+    times = last_period(scene, solver.scheme.time_step, LINEAR_SAMPLES)
     motions = motions_of(solver.run(units, times), scene, LINEAR_ORDERS)
     return UnitResponses(
         scene=scene,
@@ -100,16 +103,16 @@ class SimulatedResponses:
 
     def read(self, phasors: np.ndarray) -> DriveResponse:
         """Return the response to one drive (actuators,) [N/m²]."""
-        times = last_period(self.scene, self.solver.specialized.scheme.time_step, SAMPLES)
+        times = last_period(self.scene, self.solver.scheme.time_step, SAMPLES)
         with _SIMULATION:
             run = self.solver.run(phasors[None], times)
         energy = dict(zip(run.regions, run.energy[0].tolist(), strict=True))
         return DriveResponse(self.scene, phasors, motions_of(run, self.scene, ORDERS)[0], energy, None)
 
 
-def live_solver(scene: Scene, device: str, path: str) -> PlateSolver:
+def live_solver(scene: Scene, device: str, path: str) -> PlateSolver | ModalSolver:
     """Return a solver that also sums the energies of the plate's quadrants."""
-    return PlateSolver(scene, device, path, areas=quadrants(scene.plate.size))
+    return make_solver(scene, device, path, areas=quadrants(scene.plate.size))
 
 
 def last_period(scene: Scene, time_step: float, samples: int) -> list[float]:

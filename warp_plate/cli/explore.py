@@ -19,7 +19,7 @@ def explore(
     host: str = "127.0.0.1",
     port: int = 8080,
     device: options.Device = "auto",
-    path: options.Stepping = "auto",
+    path: options.SteppingOrModes = "auto",
     accuracy: options.Accuracy | None = None,
 ) -> None:
     """Explore a scene in the browser: sliders for every actuator, frequency and damping (needs the extra web).
@@ -27,7 +27,7 @@ def explore(
     The moving plate, its localization factor, the bound and the energy shares of the quadrants follow at once. Buttons
     take the scene's own drive, the equal one, the best single actuator, the best of the swarm (shown as it searches),
     the exact best, or a random one. The swarm optimizes all magnitudes and phases for the localization factor, whatever
-    the scene's [search] says.
+    the scene's [search] says. With --path auto linear scenes go by modes, without time steps or a grid's error.
 
     Parameters
     ----------
@@ -42,7 +42,8 @@ def explore(
         raise SceneError(f"--port {port}: must be from 1 to 65535, or 0 for any free one")
     loaded = output.load_scene(scene, accuracy)
     from warp_plate.explore.live_model import LiveModel
-    from warp_plate.studies.grid_choice import resolve_grid
+    from warp_plate.modal.solver import MODAL, has_modes
+    from warp_plate.studies.grid_choice import resolve_grid, resolve_search_grid
     from warp_plate.viz.availability import missing_renderer
     from warp_plate.viz.explorer_page import missing_page, serve_page
 
@@ -56,7 +57,8 @@ def explore(
             threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
     with output.scene_errors(scene):
-        chosen = resolve_grid(loaded, device).scene
+        by_modes = path == MODAL or (path == "auto" and has_modes(loaded))
+        chosen = (resolve_search_grid(loaded, device, MODAL) if by_modes else resolve_grid(loaded, device)).scene
         with output.progress_bar("simulating the unit responses", shown=True) as show:
             note = "{:.2g} node-steps".format
             model = LiveModel(chosen, device, path, lambda done, total: show(done, total, note(done)))

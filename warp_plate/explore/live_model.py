@@ -23,6 +23,7 @@ from warp_plate.explore.settings import (
     viscous_damping,
 )
 from warp_plate.explore.watched_search import WatchedSearch
+from warp_plate.modal.solver import MODAL, has_modes
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.parametrization import magnitude_unit
@@ -40,11 +41,13 @@ class LiveModel:
     """A scene under settings that change while it is looked at.
 
     Args:
-        scene: A scene with a grid, whose drive is the first one; device and path as of :class:`PlateSolver`.
+        scene: A scene with a grid, whose drive is the first one.
+        device, path: See :class:`PlateSolver`; "auto" takes the modes of a linear scene, and so does "modal".
         progress: Called during the first simulation, which is done when the constructor returns.
 
     Attributes:
         ranges, settings: Ends and positions of the sliders.
+        by_modes: Whether responses come from modes, without time steps.
 
     Raises:
         SceneError: The load does not repeat with the drive, or see :class:`PlateSolver`. Later errors are reported by
@@ -60,7 +63,8 @@ class LiveModel:
             )
         self.scene = scene
         self.ranges = slider_ranges(scene)
-        self._device, self._path = device, path
+        self.by_modes = path == MODAL or (path == "auto" and has_modes(scene))
+        self._device, self._path = device, MODAL if self.by_modes else path
         self._scale = largest_magnitude(scene)
         phasors = scene_phasors(scene)
         self.settings = LiveSettings(scene.drive.frequency, viscous_damping(scene), *polar(phasors))
