@@ -265,7 +265,7 @@ def test_what_a_method_cannot_search_names_another():
         ("exact", narrow, "eigen-solution.*write 'gradient'"),
         ("exact", ranges(0.9, 1.0, objectives=[{"kind": "velocity"}])[1], "localization factor alone"),
         ("exact", None, "quadratic forms.*write 'cma'"),
-        ("gradient", None, "quadratic forms.*write 'cma'"),
+        ("gradient", None, "slopes of energies.*write 'cma'"),
     ):
         with pytest.raises(SceneError, match=rf"^search\.method = '{method}': .*{words}"):
             make_optimizer(Search(method=method), space, 0, problem)

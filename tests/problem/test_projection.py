@@ -90,3 +90,34 @@ def test_patches_keep_their_clearance(clearance, evaluator, random):
 def test_a_clearance_without_room_is_refused():
     with pytest.raises(SceneError, match=r"^search.position.clearance = 0.1: no places were found"):
         localize(searched({"phase": {}, "position": {"clearance": 0.1}}), device="cpu", estimate=False)
+
+
+GRADIENTS = {
+    "projected": {**DRIVES, **FREQUENCY, "position": {}},
+    "frequencies and phases": {"phase": {}, "frequency": {"range": [100.0, 400.0], "own": True}},
+    "two objectives": {
+        **DRIVES,
+        "position": {"actuators": ["1"]},
+        "objectives": [{"kind": "localization"}, {"kind": "displacement", "weight": 1e4}],
+    },
+}
+
+
+@pytest.mark.parametrize("name", GRADIENTS)
+def test_slopes_are_those_of_differences(name, random):
+    problem = make_problem(searched(GRADIENTS[name]), "cpu", evaluator="modal")
+    space, steps = problem.space, 1e-4 * np.diag(problem.space.span)
+    positions = space.from_unit(random.uniform(0.05, 0.95, (40, space.dimension)))
+    position = positions[np.argmin(problem.losses(positions))]
+    losses, slopes = problem.slopes(position[None], space)
+    assert losses[0] == pytest.approx(problem.losses(position[None])[0], abs=1e-6)
+    differences = (problem.losses(position + steps) - problem.losses(position - steps)) / (2 * np.diag(steps))
+    np.testing.assert_allclose(slopes[0] * space.span, differences * space.span, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_descents_push_patches_apart_and_end_in_a_minimum():
+    search = {**DRIVES, **FREQUENCY, "position": {"clearance": 0.01}, "method": "gradient", "iterations": 30}
+    result = localize(searched(search), device="cpu", estimate=False)
+    assert not overlapping(areas_of(result.driven_scene(result.cases["best"])), 0.01)
+    assert result.cases["best"].localization_factor > result.history["best"][0] + 0.05

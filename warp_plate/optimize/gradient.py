@@ -1,21 +1,20 @@
-"""Quasi-Newton descents from many places at once, for losses that are functions of quadratic forms.
+"""Quasi-Newton descents from many places at once, for losses whose slopes are known.
 
 Source: Nocedal and Wright, Numerical Optimization, 2nd ed., 2006: BFGS (6.17) with the first scaling (6.20), steps
 shortened until the loss falls enough (3.4); limits by Bertsekas, SIAM J. Control Optim. 20(2), 1982: a number that
 would leave its range is held, and the others go on. Each descent evaluates one position an iteration, so that
-evaluations are counted as any other method's; the slope there is known from the matrices. A descent that has converged
+evaluations are counted as any other method's; the slope there is known by formula. A descent that has converged
 begins again elsewhere while it has restarts left.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings
-from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.optimize.space import SearchSpace
 
 # The loss must fall by this part of what the slope promises; a step that does not is shortened by a factor in between.
@@ -26,6 +25,9 @@ FIRST_STEP = 0.2
 # this part of its scale.
 CONVERGED = 1e-14
 MOST_TRIES = 30
+
+# Function from positions (n, dimension) of a space to losses (n,) and their slopes (n, dimension).
+Slopes = Callable[[np.ndarray, SearchSpace], tuple[np.ndarray, np.ndarray]]
 
 
 class GradientSearch(Optimizer):
@@ -45,12 +47,12 @@ class GradientSearch(Optimizer):
     FORMAT = "gradient 2"
     STATE = ("random", "base", "loss", "slope", "inverse", "direction", "step", "tries", "restarts_left")
 
-    def __init__(self, space: SearchSpace, problem: Quadratic | None, settings: SearchSettings) -> None:
-        """Draw the first places; raises MethodError without a problem."""
+    def __init__(self, space: SearchSpace, slopes: Slopes | None, settings: SearchSettings) -> None:
+        """Draw the first places; raises MethodError without slopes."""
         super().__init__(space, settings)
-        if problem is None:
-            raise MethodError("needs losses that follow from quadratic forms of the drives; write 'cma'")
-        self.problem = problem
+        if slopes is None:
+            raise MethodError("needs the slopes of energies, which time steps do not have; write 'cma'")
+        self._slopes = slopes
         self.random = np.random.default_rng(settings.seed)
         self._limits = space.to_unit(space.lower), space.to_unit(space.upper)
         starts, dimension = settings.particles, space.dimension
@@ -77,8 +79,8 @@ class GradientSearch(Optimizer):
         return self.space.from_unit(self._points)
 
     def _learn(self, losses: np.ndarray) -> None:
-        """Advance the descents by the losses of the matrices, which fit the slopes to the last digit."""
-        loss, slope = self.problem.losses_and_slopes(self.space.from_unit(self._points, wrap=False), self.space)
+        """Advance the descents by the losses that come with the slopes, and fit them to the last digit."""
+        loss, slope = self._slopes(self.space.from_unit(self._points, wrap=False), self.space)
         slope = slope * self.space.span
         good = np.isfinite(loss) & np.isfinite(slope).all(axis=1)
         loss, slope = np.where(good, loss, np.inf), np.where(good[:, None], slope, 0.0)

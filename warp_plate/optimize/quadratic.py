@@ -65,14 +65,24 @@ class Quadratic:
             products = np.einsum("rab,pb->pra", self.matrices, z)
             energy = np.einsum("pa,pra->pr", z, products)
             losses = self.losses_of(energy)
-            dloss_dz = 2 * np.einsum("pr,pra->pa", _slopes(self.losses_of, energy), products)
-            slopes = np.empty(positions.shape)
-            for column, (span, *ends) in enumerate(zip(space.span, space.lower, space.upper, strict=True)):
-                high, low = (np.clip(positions[:, column] + step, *ends) for step in (STEP * span, -STEP * span))
-                tried = (_with_column(positions, column, values) for values in (high, low))
-                z_high, z_low = (real_parts(self.phasors(row)) for row in tried)
-                slopes[:, column] = ((z_high - z_low) * dloss_dz).sum(axis=1) / (high - low)
-            return losses, slopes
+            by_drive = 2 * np.einsum("pr,pra->pa", slopes_by_energy(self.losses_of, energy), products)
+            columns = range(space.dimension)
+            slopes = [slopes_by_drive(self.phasors, positions, column, space, by_drive) for column in columns]
+            return losses, np.stack(slopes, axis=1)
+
+
+def slopes_by_drive(
+    phasors: Callable[[np.ndarray], np.ndarray],
+    positions: np.ndarray,
+    column: int,
+    space: SearchSpace,
+    by_drive: np.ndarray,
+) -> np.ndarray:
+    """Return ∂loss/∂x (n,) by a number of positions on which only drives depend, from ∂loss/∂z (n, 2M)."""
+    step, ends = STEP * space.span[column], (space.lower[column], space.upper[column])
+    high, low = (np.clip(positions[:, column] + change, *ends) for change in (step, -step))
+    z_high, z_low = (real_parts(phasors(_with_column(positions, column, values))) for values in (high, low))
+    return np.asarray(((z_high - z_low) * by_drive).sum(axis=1) / (high - low))
 
 
 def real_parts(phasors: np.ndarray) -> np.ndarray:
@@ -87,7 +97,7 @@ def quadratic_forms(matrices: np.ndarray, phasors: np.ndarray) -> np.ndarray:
     return np.einsum("pa,rab,pb->pr", z, matrices, z)
 
 
-def _slopes(losses_of: Callable[[np.ndarray], np.ndarray], energy: np.ndarray) -> np.ndarray:
+def slopes_by_energy(losses_of: Callable[[np.ndarray], np.ndarray], energy: np.ndarray) -> np.ndarray:
     """Return ∂L/∂E (n, regions) at energies (n, regions); zero for an energy of zero."""
     slopes = np.zeros(energy.shape)
     for region, values in enumerate(energy.T):

@@ -50,6 +50,19 @@ class Clearance:
         worst = 1 + MOST_DECIBELS * sum(term.weight for term in self._scene.search.objectives)
         return np.where(lacking > 0, worst + lacking, losses)
 
+    def slopes(self, centre: np.ndarray) -> np.ndarray:
+        """Return the slopes (n, actuators, 2) [1/m] of :meth:`losses` where patches lack room: those of the nearest
+        pair, along the axis on which it lacks less."""
+        between = self._between(centre)
+        lacking = self._distances - np.abs(between)
+        axis, rows = lacking.argmin(axis=2), np.arange(len(centre))
+        pair = lacking.min(axis=2).argmax(axis=1)
+        axis = axis[rows, pair]
+        slopes, push = np.zeros(centre.shape), np.where(between[rows, pair, axis] < 0, -1, 1)
+        slopes[rows, self._first[pair], axis] = push / max(self._scene.plate.size)
+        slopes[rows, self._second[pair], axis] = -push / max(self._scene.plate.size)
+        return slopes
+
     def refuse(self, designs: Designs) -> None:
         """Raise SceneError where patches lack room."""
         if designs.centre is not None and self.shortfall(designs.centre).any():

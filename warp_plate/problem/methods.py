@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from warp_plate.optimize.cma_es import CovarianceSearch
-from warp_plate.optimize.gradient import GradientSearch
+from warp_plate.optimize.gradient import GradientSearch, Slopes
 from warp_plate.optimize.optimizer import MethodError, Optimizer, SearchSettings
 from warp_plate.optimize.pso import Swarm, SwarmSettings
 from warp_plate.optimize.quadratic import ExactSearch, Quadratic
@@ -39,18 +39,22 @@ def make_optimizer(
     seed: int,
     problem: Quadratic | None = None,
     state: Mapping[str, Any] | None = None,
+    slopes: Slopes | None = None,
 ) -> Optimizer:
     """Return the method of a table ``[search]``.
 
     Args:
         search, space, seed: the table, the space of positions and the random seed.
-        problem: where losses follow from quadratic forms of the drive, which "gradient" and "exact" need.
+        problem: where losses follow from quadratic forms of the drive, which "exact" and "gradient" need.
         state: go on from this state (see ``Optimizer.state``), to the last bit (default: from the beginning).
+        slopes: losses and their slopes, for "gradient" (default: those of ``problem``).
 
     Raises:
         SceneError: the method does not fit the problem or takes more memory than there is; pycma is not installed.
         ValueError: the state is not that of such a search.
     """
+    if slopes is None and problem is not None:
+        slopes = problem.losses_and_slopes
     method, dimension = search.method or "pso", space.dimension
     if method != "exact":
         entry_bytes = NUMBER_BYTES + (MATRIX_BYTES * dimension if method == "gradient" else 0.0)
@@ -59,7 +63,7 @@ def make_optimizer(
     makers: dict[str, Callable[[], Optimizer]] = {
         "exact": lambda: ExactSearch(space, problem),
         "cma": lambda: CovarianceSearch(space, _settings(search, seed)),
-        "gradient": lambda: GradientSearch(space, problem, _settings(search, seed)),
+        "gradient": lambda: GradientSearch(space, slopes, _settings(search, seed)),
     }
     try:
         optimizer = makers.get(method, lambda: Swarm(space, swarm_settings(search, seed)))()

@@ -21,6 +21,7 @@ import numpy as np
 from warp_plate.cluster.evaluator import Evaluator, make_evaluator
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.modal.solver import MODAL, ModalSolver, has_modes, refuse_no_modes
+from warp_plate.optimize.gradient import Slopes
 from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.optimize.space import SearchSpace
 from warp_plate.plate.designs import Designs, per_plate_of
@@ -33,6 +34,7 @@ from warp_plate.problem.objectives import PLATE, TARGET, Objectives, keeps_limit
 from warp_plate.problem.parametrization import Parametrization, parametrization_of
 from warp_plate.problem.projection import best_drives, has_free_drives
 from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure, scenario_responses, simulate_scenarios
+from warp_plate.problem.slopes import ModalSlopes
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.model import BoundKind
 from warp_plate.scene.errors import SceneError
@@ -166,17 +168,20 @@ class Problem:
         """Return the losses (n,) of positions (n, dimension) at which actuators may come too near."""
         return self._losses(self.searched.designs(positions))
 
+    def designs(self, positions: np.ndarray) -> Designs:
+        """Return the designs of positions (n, dimension) of ``space``, with their best drives where these are."""
+        designs = self.searched.designs(positions)
+        return self._with_best_drives(designs)[0] if self.projected else designs
+
     def complete(self, position: np.ndarray) -> np.ndarray:
         """Return the position of all design variables (dimension,) that a position of ``space`` stands for.
 
         Raises:
             SceneError: actuators overlap there, as at every position that the search tried.
         """
-        designs = self.searched.designs(position[None])
+        designs = self.designs(position[None])
         self.clearance.refuse(designs)
-        if not self.projected:
-            return position
-        return self.parametrization.positions_of(self._with_best_drives(designs)[0])[0]
+        return self.parametrization.positions_of(designs)[0] if self.projected else position
 
     def value_from_loss(self, loss: float | np.ndarray) -> float | np.ndarray:
         """Return what people want large: LF, or the weighted sum of the objectives."""
@@ -216,6 +221,23 @@ class Problem:
             losses_of=losses_of,
             ratio=(TARGET, PLATE) if scenario_losses is None and self.objectives.only_localization else None,
         )
+
+    @property
+    def slopes(self) -> Slopes | None:
+        """Losses and slopes by modes where more than drives is searched; None for other problems."""
+        if self.parametrization.only_drives:
+            return None
+        used = [evaluator.solver for evaluator in (self.design_evaluator, self.displacement_evaluator) if evaluator]
+        solvers = tuple(solver for solver in used if isinstance(solver, ModalSolver))
+        if self.scenario_losses is not None or len(solvers) < len(used):
+            return None
+        return ModalSlopes(
+            searched=self.searched,
+            designs=self.designs,
+            solvers=solvers,
+            losses_of=lambda energy: self.objectives.losses(*np.split(energy, len(solvers), axis=1)),
+            clearance=self.clearance,
+        ).losses_and_slopes
 
     @cached_property
     def loss_bound(self) -> Bound | None:

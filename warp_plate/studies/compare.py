@@ -171,4 +171,4 @@ def _run_trial(
 
 def _optimizer(method: str, seed: int, problem: Problem) -> Optimizer:
     search = problem.scene.search.model_copy(update={"method": method})
-    return make_optimizer(search, problem.space, seed, problem.quadratic)
+    return make_optimizer(search, problem.space, seed, problem.quadratic, slopes=problem.slopes)

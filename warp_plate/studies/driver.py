@@ -28,7 +28,7 @@ def search_optimizer(problem: Problem, seed: int, state: Mapping[str, Any] | Non
     if not problem.space.dimension:
         return None
     try:
-        return make_optimizer(problem.scene.search, problem.space, seed, problem.quadratic, state)
+        return make_optimizer(problem.scene.search, problem.space, seed, problem.quadratic, state, problem.slopes)
     except SceneError:
         raise
     except ValueError as error:
