@@ -57,6 +57,7 @@ class Galerkin:
         bending: B, the stiffness of the plate alone [N/m].
         stiffness: K, with edges, tension, foundation and oscillators [N/m].
         damping: C [N·s/m].
+        plate_mass: Mass of the plate with its layers, without oscillators [kg].
     """
 
     scene: Scene
@@ -66,6 +67,7 @@ class Galerkin:
     bending: Matrix
     stiffness: Matrix
     damping: Matrix
+    plate_mass: float
 
     @cached_property
     def masses(self) -> list[Oscillator]:
@@ -199,6 +201,7 @@ def make_galerkin(scene: Scene, intervals: tuple[int, int]) -> Galerkin:
         bending=_padded(bending, len(masses)),
         stiffness=_padded(stiffness, len(masses)) + _links(effects.oscillators, means, "stiffness"),
         damping=_padded(damping, len(masses)) + _links(effects.oscillators, means, "damping"),
+        plate_mass=integrals.integral(density),
     )
 
 

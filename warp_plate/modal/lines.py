@@ -29,25 +29,31 @@ def lines(scene: Scene, axis: int, degree: int = DEGREE) -> list[tuple[float, in
             found += [(position, degree - 2) for position in oscillator.area[2 * axis : 2 * axis + 2]]
     for layer in scene.effects.layers:
         found += [(position, 1) for position in layer.area[2 * axis : 2 * axis + 2]]
-    followed = max(sum(_kinks(scene, side).values()) for side in (0, 1)) <= MOST_KINKS
-    return found + [(place, 2 if sharp and followed else degree) for place, sharp in _kinks(scene, axis).items()]
+    kinks = _kinks(scene)
+    followed = _most(kinks) <= MOST_KINKS
+    return found + [(place, 2 if sharp and followed else degree) for place, sharp in kinks[axis].items()]
 
 
-def _kinks(scene: Scene, axis: int) -> dict[float, bool]:
-    """Return the inner lines of the scene's maps along x (0) or y (1) [m], and whether each is a kink that counts."""
-    kinks: dict[float, bool] = {}
+def _kinks(scene: Scene) -> tuple[dict[float, bool], dict[float, bool]]:
+    """Return the inner lines of the scene's maps along x and along y [m], and whether each is a kink that counts."""
+    kinks: tuple[dict[float, bool], dict[float, bool]] = {}, {}
     for array in factor_arrays(scene).values():
-        rows = array if axis == 1 else array.T
-        sharp: np.ndarray = np.any(np.abs(np.diff(rows, 2, axis=0)) > KINK * rows[1:-1], axis=1)
-        for index, counts in enumerate(sharp.tolist(), 1):
-            place = scene.plate.size[axis] * index / (len(rows) - 1)
-            kinks[place] = kinks.get(place, False) or counts
+        for axis, rows in enumerate((array.T, array)):
+            sharp: np.ndarray = np.any(np.abs(np.diff(rows, 2, axis=0)) > KINK * rows[1:-1], axis=1)
+            for index, counts in enumerate(sharp.tolist(), 1):
+                place = scene.plate.size[axis] * index / (len(rows) - 1)
+                kinks[axis][place] = kinks[axis].get(place, False) or counts
     return kinks
+
+
+def _most(kinks: tuple[dict[float, bool], dict[float, bool]]) -> int:
+    """Return the number of kinks along the side that has more of them."""
+    return max(sum(sharp.values()) for sharp in kinks)
 
 
 def spline_degree(scene: Scene) -> int:
     """Return the degree of a scene's splines."""
-    most = max(sum(_kinks(scene, axis).values()) for axis in (0, 1))
+    most = _most(_kinks(scene))
     if scene.effects.layers or 0 < most <= FEW_KINKS or most > MOST_KINKS:
         return DEGREE_OF_JUMPS
     return DEGREE_OF_KINKS if most else DEGREE

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from warp_plate.modal.adaptive_frequencies import adaptive_frequencies
-from warp_plate.modal.galerkin import Integrals
 from warp_plate.modal.modes import ModalPlate, solve_modes, times
 from warp_plate.modal.steady import SteadyPlate, make_steady
 from warp_plate.plate.scene_overrides import scene_phasors
@@ -159,7 +158,7 @@ def _responses(
     # Without masses on springs, all of the kinetic energy is the plate's.
     attached = any(oscillator.mass > 0 for oscillator in scene.effects.oscillators)
     of_plate, of_target = plate.kinetic_matrix("plate") if attached else None, plate.kinetic_matrix(scene.target)
-    drive, mass, blocks = scene_phasors(scene), plate_mass(plate), []
+    drive, mass, blocks = scene_phasors(scene), plate.galerkin.plate_mass, []
     for chosen in np.array_split(frequencies, -(-len(frequencies) * loads.size // BLOCK)):
         amplitudes = steady.respond(chosen, loads)
         unit, driven = amplitudes[:, :, :inputs], amplitudes[:, :, inputs:]
@@ -199,10 +198,3 @@ def _localization(
     with np.errstate(invalid="ignore", divide="ignore"):
         factor = np.divide(*of_drive)
     return factor, np.linalg.eigvalsh(ratio)[:, -1]
-
-
-def plate_mass(plate: ModalPlate) -> float:
-    """Return the mass of a plate with its layers, without masses on springs [kg]."""
-    galerkin = plate.galerkin
-    integrals = Integrals(galerkin.scene, galerkin.along_x, galerkin.along_y)
-    return integrals.integral(integrals.fields()[-1])
