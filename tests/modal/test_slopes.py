@@ -24,6 +24,7 @@ CASES = {
     "bursts": {"damping": 40.0, "drive": {"frequency": 290.0, "burst": BURST}},
     "abrupt bursts": {"drive": {"frequency": 290.0, "burst": {**BURST, "ramp": 0.0, "period": 0.005}}},
 }
+SLOW = ("coupled", "bursts", "abrupt bursts")
 # Steps h of differences: errors of h⁴, after extrapolation, and of rounding are below 1e-7.
 STEPS = {"real": 1e-2, "imaginary": 1e-2, "frequency": 0.05, "x": 1e-4, "y": 1e-4, "delay": 1e-5}
 SIDES = np.array([[-0.5, 0.5, 0, 0], [0, 0, -0.5, 0.5]]) * [0.014, 0.014, 0.02, 0.02]
@@ -36,9 +37,7 @@ def areas_around(centre):
 
 @pytest.mark.parametrize("alike", [True, False], ids=["one frequency", "own frequencies"])
 @pytest.mark.parametrize("quantity", ["velocity", pytest.param("displacement", marks=pytest.mark.slow)])
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if "urst" in name else ()) for name in CASES]
-)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in CASES])
 def test_slopes_are_those_of_differences(name, quantity, alike, random, monkeypatch):
     """Each kind of parameter changes along a random direction."""
     monkeypatch.setattr(gram, "NEGLIGIBLE", 0.0)

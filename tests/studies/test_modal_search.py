@@ -95,10 +95,7 @@ def test_robust_search_by_modes_is_the_limit_of_its_simulated_matrices():
 @pytest.mark.parametrize(
     ("tables", "key"),
     [
-        (
-            {"drive": {"frequency": 290.0, "burst": {"duration": 0.05}}, "search": {"delay": {"range": (0.0, 0.02)}}},
-            "search.delay with drive.burst",
-        ),
+        ({"effects": {"moving_load": {"force": 1.0, "start": (0.0, 0.1)}}}, "effects.moving_load"),
         ({"effects": {"stretching": {}}}, "effects.stretching"),
     ],
 )

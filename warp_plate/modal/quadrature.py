@@ -32,7 +32,7 @@ def by_quadrature(
     order = np.argsort(shares)
     modes = np.sort(order[np.cumsum(shares[order]) > NEGLIGIBLE])
     some = excitation.of_modes(modes)
-    times, weights = _rule(some, window, modes)
+    times, weights = time_rule(some, window, modes)
     columns = 2 * (excitation.gains.shape[1] + bool(excitation.moving))
     matrices = np.zeros((len(regions), columns, columns))
     for part in np.array_split(np.arange(times.size), math.ceil(times.size * max(modes.size, 1) / 2**18)):
@@ -44,7 +44,7 @@ def by_quadrature(
     return matrices
 
 
-def _rule(excitation: Excitation, window: Window, modes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def time_rule(excitation: Excitation, window: Window, modes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return times [s] and weights of a mean over the window, for the motion of some modes."""
     loads = [load for load in (*excitation.loads, *excitation.moving) if isinstance(load, SampledLoads)]
     cuts = {window.start, window.end, *(load.end for load in loads)}

@@ -22,16 +22,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from warp_plate.modal.energy import mean_exponential
 from warp_plate.modal.galerkin import patch_integrals
 from warp_plate.modal.loads import ExponentialLoads, exponential_loads
-from warp_plate.modal.modes import ModalPlate
+from warp_plate.modal.modes import ModalPlate, times
 from warp_plate.modal.poles import Poles, make_poles, rates_apart
-from warp_plate.modal.steady import times
 from warp_plate.plate.signals import actuator_delays
 from warp_plate.scene.model import Window
 
-# Free motions below this part of the largest are left out.
-NEGLIGIBLE = 1e-8
+# Free motions whose energies together are below this part of all motion's are left out.
+NEGLIGIBLE = 1e-10
 # Means of exponentials that turn less than SLOW over the window are series of TERMS terms.
 SLOW, TERMS = 1e-2, 8
 # Numbers of the arrays of a block of designs.
@@ -81,7 +81,9 @@ def energy_slopes(
         delay: (designs, M) starts of the bursts [s] (default: the scene's).
     """
     block = max(1, BLOCK_NUMBERS // (8 * len(plate.frequencies) * phasors.shape[1]))
-    if window is not None and plate.scene.drive.burst is not None:
+    if plate.scene.drive.burst is None:
+        delay = None
+    else:
         block = 1  # the corners of each design cut other intervals
         delay = np.broadcast_to(actuator_delays(plate.scene), phasors.shape) if delay is None else delay
     parts = []
@@ -172,9 +174,10 @@ def _from_rest(
         loads = [replace(load, rates=load.rates[None], weights=load.weights[None]) for load in loads]
     total = np.zeros((3, len(phasors), len(regions), *gained.shape[1:]), dtype=complex)
     for motion in _motions(poles, loads, frequency, quantity == "velocity"):
-        part = max(window.start - motion.start, 0.0), min(motion.end, window.end) - motion.start
-        if part[1] > part[0]:
-            share = (part[1] - part[0]) / (window.end - window.start)
+        if motion.end > window.start:
+            low = max(window.start - motion.start, 0.0)
+            part = Window(start=low, end=min(motion.end, window.end) - motion.start)
+            share = (part.end - part.start) / (window.end - window.start)
             total += share * motion.slopes(poles, regions, pushed, gained, part)
     by_drive, by_frequency, by_delay = (total * gains[:, None]).sum(axis=3)
     of_forces = poles.inputs.T @ total[0]
@@ -201,7 +204,7 @@ class _Motion:
         regions: Sequence[np.ndarray],
         pushed: np.ndarray,
         gained: np.ndarray,
-        part: tuple[float, float],
+        part: Window,
     ) -> np.ndarray:
         """Return (3, designs, regions, poles, K) ⟨Re vᵀ G ∂v⟩ of unit inputs, by the drive, frequency and delay.
 
@@ -210,14 +213,17 @@ class _Motion:
             regions: Matrices G (modes, modes).
             pushed: (designs, modes, K) modal forces times phasors.
             gained: (designs, poles, K) the same, as inputs of the poles.
-            part: Times of the mean, since the start [s].
+            part: Window of the mean, counted from the start of the interval.
         """
         designs, count, _, terms = self.forced.shape[1:]
         rates, states = self.rates.reshape(designs, -1), self.forced[0].reshape(designs, count, -1)
         forced = poles.forced(states, np.repeat(pushed, terms, axis=2), np.repeat(gained, terms, axis=2))
         free = (gained * self.free[0]).sum(axis=2)
-        size = np.abs(free) * np.linalg.norm(poles.vectors, axis=0) * np.exp(poles.values.real * part[0])
-        kept = np.flatnonzero((size > NEGLIGIBLE * size.max(axis=1, keepdims=True)).any(axis=0))
+        size = np.abs(free) * np.linalg.norm(poles.vectors, axis=0) * np.exp(poles.values.real * part.start)
+        total = (size**2).sum(axis=1, keepdims=True)
+        energy = (size**2 / np.where(total > 0, total, 1)).max(axis=0)
+        order = np.argsort(energy)
+        kept = np.sort(order[np.cumsum(energy[order]) > NEGLIGIBLE])
         lasting, free = poles.part(kept), free[:, kept]
         sides = []
         for conjugate in (False, True):
@@ -225,7 +231,7 @@ class _Motion:
             pairs = (turns[:, :, None], rates[:, None, :]), (decays[:, None], rates[:, None, :])
             means = [_means(*pair, part) for pair in pairs]
             others = (lasting.values[:, None], turns[:, None, :]), (lasting.values[:, None], decays)
-            sides.append((conjugate, means, [_means(*pair, part)[0] for pair in others]))
+            sides.append((conjugate, means, [mean_exponential(*pair, part) for pair in others]))
         found = np.empty((3, designs, len(regions), count, self.rates.shape[1]), dtype=complex)
         for number, region in enumerate(regions):
             shapes, moved = lasting.moved(region), times(region, forced)
@@ -278,9 +284,9 @@ def _product(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return np.asarray((matrix @ flat).reshape(-1, designs, wide).swapaxes(0, 1))
 
 
-def _means(first: np.ndarray, second: np.ndarray, part: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+def _means(first: np.ndarray, second: np.ndarray, part: Window) -> tuple[np.ndarray, np.ndarray]:
     """Return the means of exp(σt) and t exp(σt), σ = first + second, over a part of time, broadcast."""
-    low, high = part
+    low, high = part.start, part.end
     length, rate = high - low, first + second
     early = np.exp(first * low) * np.exp(second * low)
     late = np.exp(first * high) * np.exp(second * high)

@@ -16,11 +16,12 @@ from warp_plate.modal.motion import fields
 from warp_plate.modal.motion import trace as displacement_at
 from warp_plate.modal.slopes import EnergySlopes, energy_slopes
 from warp_plate.modal.tones import ToneMatrices
+from warp_plate.modal.waveforms import WaveformEnergies
 from warp_plate.optimize.quadratic import real_parts
 from warp_plate.plate.designs import NO_PER_PLATE, Designs, PerPlate, as_phasors, check_designs
 from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.plate.scheme import Scheme
-from warp_plate.plate.signals import actuator_frequencies, highest_frequency
+from warp_plate.plate.signals import actuator_delays, actuator_frequencies, highest_frequency
 from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, node_positions, weigh_region
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -111,7 +112,9 @@ class ModalSolver:
 
     def gram_matrices(self, designs: Designs) -> np.ndarray:
         """Return (plates, regions, 2M, 2M) Gram matrices of designs, whose drives play no part."""
-        count, (frequency, forces) = len(designs), self._frequency_and_forces(designs)
+        if self.scene.drive.waveform_key is not None:
+            return self._waveforms.matrices(*self._loads(designs))
+        count, (frequency, forces, _) = len(designs), self._loads(designs)
         matrices = []
         block = max(1, BLOCK_NUMBERS // (forces.shape[1] * frequency.shape[1]))
         for first in range(0, count, block):
@@ -168,27 +171,28 @@ class ModalSolver:
             return energies(self.plate, self._region_matrices, designs.drives, self.quantity)
         if designs.only_drives:
             return self.response.energy(designs.drives)
-        if (waveform := self.scene.drive.waveform_key) is not None:
-            raise SceneError(f"designs: plates under {waveform} differ in drives alone without time steps")
+        if self.scene.drive.waveform_key is not None:
+            return self._waveforms.energies(designs.drives, *self._loads(designs))
         columns = real_parts(designs.drives)[:, None, :, None]
         energy: np.ndarray = (columns.mT @ self.gram_matrices(designs) @ columns)[:, :, 0, 0]
         return energy
 
-    def _parameters(self, designs: Designs) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    def _parameters(self, designs: Designs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return frequencies (plates, M) [Hz], areas (plates or 1, M, 4) [m] and delays (plates, M) [s] of designs."""
         values = check_designs(designs, self.scene, self.discretization.per_plate, self.scheme.time_step)
         frequency = actuator_frequencies(self.scene) if values.frequency is None else values.frequency
+        delay = actuator_delays(self.scene) if values.delay is None else values.delay
         areas = (
             np.array([[actuator.area for actuator in self.scene.actuators]]) if values.edges is None else values.edges
         )
-        delay = None if values.delay is None else np.broadcast_to(values.delay, designs.drives.shape)
-        return np.broadcast_to(frequency, designs.drives.shape), areas, delay
+        shape = designs.drives.shape
+        return np.broadcast_to(frequency, shape), areas, np.broadcast_to(delay, shape)
 
-    def _frequency_and_forces(self, designs: Designs) -> tuple[np.ndarray, np.ndarray]:
-        """Return frequencies (plates, M) [Hz] and modal forces (plates or 1, modes, M) of designs."""
-        frequency, areas, _ = self._parameters(designs)
+    def _loads(self, designs: Designs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return frequencies (plates, M) [Hz], modal forces (plates or 1, modes, M) and delays (plates, M) [s]."""
+        frequency, areas, delay = self._parameters(designs)
         forces = self.plate.patch_forces(areas.reshape(-1, 4))
-        return frequency, np.moveaxis(forces.reshape(len(forces), *areas.shape[:2]), 0, 1)
+        return frequency, np.moveaxis(forces.reshape(len(forces), *areas.shape[:2]), 0, 1), delay
 
     def _matrices(self, forces: np.ndarray, frequency: np.ndarray) -> np.ndarray:
         window = None if self.scene.steady else self.scene.window
@@ -199,6 +203,10 @@ class ModalSolver:
     @cached_property
     def _tones(self) -> ToneMatrices:
         return ToneMatrices(self.plate, self._region_matrices, self.scene.window, self.quantity)
+
+    @cached_property
+    def _waveforms(self) -> WaveformEnergies:
+        return WaveformEnergies(self.plate, self._region_matrices, self.quantity)
 
     @cached_property
     def _region_matrices(self) -> list[np.ndarray]:
@@ -250,24 +258,19 @@ def make_solver(
 
 
 def has_modes(scene: Scene) -> bool:
-    """Return whether the searches of a scene can be evaluated by modes."""
-    return _reason_against(scene) is None
+    """Return whether the search of a scene costs less by modes than by time steps on an ordinary grid.
+
+    Bursts, sweeps and files of frequencies, places or delays that are searched do not.
+    """
+    search = scene.search
+    searched = search.frequency is not None or search.position is not None or search.delay is not None
+    return scene.linear and not (searched and scene.drive.waveform_key is not None)
 
 
 def refuse_no_modes(scene: Scene) -> None:
     """Refuse a scene whose search takes time steps, with a SceneError that names the key."""
-    if (reason := _reason_against(scene)) is not None:
-        raise SceneError(f"evaluator = 'modal': {reason}; write 'direct'")
-
-
-def _reason_against(scene: Scene) -> str | None:
-    if scene.nonlinear_table is not None:
-        return f"{scene.nonlinear_table} needs time steps"
-    waveform = scene.drive.waveform_key
-    searched = [
-        f"search.{name}" for name in ("frequency", "position", "delay") if getattr(scene.search, name) is not None
-    ]
-    return f"{searched[0]} with {waveform} needs time steps" if waveform and searched else None
+    if not scene.linear:
+        raise SceneError(f"evaluator = 'modal': {scene.nonlinear_table} needs time steps; write 'direct'")
 
 
 def _highest_frequency(scene: Scene) -> float:

@@ -14,9 +14,8 @@ import numpy as np
 import scipy
 
 from warp_plate.modal.energy import mean_exponential, real_form
-from warp_plate.modal.modes import ModalPlate
+from warp_plate.modal.modes import ModalPlate, times
 from warp_plate.modal.poles import Poles, make_poles, rates_apart
-from warp_plate.modal.steady import times
 from warp_plate.scene.model import Window
 
 # Free motions that after the start of the window have less than this part of the largest energy are left out.
@@ -88,7 +87,7 @@ class ToneMatrices:
     @cached_property
     def _kept(self) -> np.ndarray:
         """Indices of the poles whose free motions last into the window."""
-        loads = np.abs(self._poles.inputs @ self._trial_forces()).max(axis=1)
+        loads = np.abs(self._poles.inputs @ trial_forces(self.plate)).max(axis=1)
         begun = loads * np.linalg.norm(self._poles.vectors, axis=0)
         left = begun * np.exp(self._poles.values.real * self.window.start)
         return np.flatnonzero(left**2 > DECAYED * (begun**2).max())
@@ -106,19 +105,20 @@ class ToneMatrices:
             forms.append([scipy.sparse.csr_array(each) if all(few) else each for each in products])
         return forms
 
-    def _trial_forces(self) -> np.ndarray:
-        """Return (modes, trials) modal forces of patches of the actuators' sizes all over the plate."""
-        scene = self.plate.scene
-        areas = np.array([actuator.area for actuator in scene.actuators])
-        half = np.unique(np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1).round(9), axis=0) / 2
-        parts = (np.arange(PLACES) + 0.5) / PLACES
-        grid = np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 1, 2)
-        centre = half + grid * (np.array(scene.plate.size) - 2 * half)
-        return self.plate.patch_forces(np.stack([centre - half, centre + half], axis=-1).reshape(-1, 4))
-
 
 def _times(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndarray) -> np.ndarray:
     """Return a matrix (rows, poles) times columns (plates, poles, columns), as one product."""
     first = np.ascontiguousarray(columns.swapaxes(0, 1))
     product = matrix @ first.reshape(len(first), -1)
     return np.asarray(product.reshape(-1, *first.shape[1:]).swapaxes(0, 1))
+
+
+def trial_forces(plate: ModalPlate) -> np.ndarray:
+    """Return (modes, trials) modal forces of patches of the actuators' sizes all over the plate."""
+    scene = plate.scene
+    areas = np.array([actuator.area for actuator in scene.actuators])
+    half = np.unique(np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1).round(9), axis=0) / 2
+    parts = (np.arange(PLACES) + 0.5) / PLACES
+    grid = np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 1, 2)
+    centre = half + grid * (np.array(scene.plate.size) - 2 * half)
+    return plate.patch_forces(np.stack([centre - half, centre + half], axis=-1).reshape(-1, 4))

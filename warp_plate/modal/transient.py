@@ -67,8 +67,8 @@ def forced_states(poles: Poles, load: ExponentialLoads) -> np.ndarray:
 def next_state(poles: Poles, load: ExponentialLoads, state: np.ndarray, forced: np.ndarray) -> np.ndarray:
     """Return the states (poles, actuators) z at the end of a load's interval."""
     since = load.end - load.start
-    decay = np.exp(poles.values * since)[:, None]
-    return np.asarray(decay * (state - forced.sum(axis=2)) + (forced * np.exp(load.rates * since)).sum(axis=2))
+    decay, one = np.exp(poles.values * since)[:, None], np.ones(forced.shape[2])
+    return np.asarray(decay * (state - forced @ one) + (forced * np.exp(load.rates * since)) @ one)
 
 
 def motion_of_samples(

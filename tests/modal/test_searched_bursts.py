@@ -1,0 +1,66 @@
+"""Plates under bursts, sweeps and files that differ in drives, frequencies, places and delays, by modes."""
+
+import numpy as np
+import pytest
+from conftest import scene_of
+
+from warp_plate.modal.energy import gram_matrices
+from warp_plate.modal.solver import ModalSolver, refuse_no_modes
+from warp_plate.optimize.quadratic import quadratic_forms
+from warp_plate.plate.designs import Designs, PerPlate
+
+TARGET = {"disc": (0.13, 0.11, 0.03)}
+CHIRP = {"frequency": 200.0, "chirp": {"end_frequency": 350.0, "duration": 0.005}}
+BURSTS = {
+    "single": {"start": 0.001, "ramp": 0.0015, "duration": 0.004},
+    "repeated and abrupt": {"ramp": 0.0, "duration": 0.0025, "period": 0.004},
+}
+
+
+@pytest.mark.parametrize("damping", [pytest.param(None, marks=pytest.mark.slow), 60.0])
+@pytest.mark.parametrize("name", ["single", pytest.param("repeated and abrupt", marks=pytest.mark.slow)])
+def test_energies_are_those_of_the_closed_form(name, damping, random):
+    """Gram matrices by intervals, which have exponentials and nothing else, are exact."""
+    scene = scene_of(damping=damping, target=TARGET, drive={"frequency": 290.0, "burst": BURSTS[name]})
+    per_plate = PerPlate(frequency=True, delay=True, centre=True, per_actuator=True)
+    solver, shape = ModalSolver(scene, per_plate=per_plate), (2, 3)
+    drives = random.normal(size=shape) + 1j * random.normal(size=shape)
+    centre = random.uniform([0.04, 0.04], [0.16, 0.16], (*shape, 2))
+    designs = Designs(drives, random.uniform(200, 400, shape), centre, random.uniform(0, 0.006, shape))
+    half = np.array([np.diff(np.reshape(actuator.area, (2, 2)))[:, 0] / 2 for actuator in scene.actuators])
+    areas = np.stack([centre - half, centre + half], axis=-1).reshape(*shape, 4)
+    forces = np.stack([solver.plate.patch_forces(each) for each in areas])
+    regions = [solver.plate.kinetic_matrix(region) for region in ("plate", scene.target)]
+    exact = gram_matrices(solver.plate, regions, forces, designs.frequency, scene.window, delay=designs.delay)
+    size = np.abs(exact).max(axis=(2, 3), keepdims=True)
+    assert np.allclose(solver.gram_matrices(designs) / size, exact / size, rtol=0, atol=3e-4)
+    expected = [quadratic_forms(*pair)[0] for pair in zip(exact, drives[:, None], strict=True)]
+    assert np.allclose(solver.run(designs).energy, expected, rtol=2e-3)
+
+
+def test_energies_do_not_depend_on_the_batch(random):
+    scene = scene_of(damping=60.0, drive={"frequency": 290.0, "burst": BURSTS["single"]})
+    solver = ModalSolver(scene, per_plate=PerPlate(delay=True))
+    delay = np.repeat([[0.0], [0.002], [0.002]], 3, axis=1)
+    designs = Designs(random.normal(size=(3, 3)) + 0j, delay=delay)
+    together = solver.run(designs).energy
+    assert np.array_equal(together, np.concatenate([solver.run(designs[row : row + 1]).energy for row in range(3)]))
+
+
+def test_places_under_sweeps(random):
+    """Plates with other places are those of a scene with its actuators there."""
+    scene = scene_of(damping=60.0, target=TARGET, window=(0.002, 0.006), drive=CHIRP)
+    centre = random.uniform([0.04, 0.04], [0.16, 0.16], (1, 3, 2))
+    half = np.array([np.diff(np.reshape(actuator.area, (2, 2)))[:, 0] / 2 for actuator in scene.actuators])
+    areas = np.stack([centre[0] - half, centre[0] + half], axis=-1).reshape(3, 4)
+    rows = [
+        {**row.model_dump(), "area": tuple(area.tolist())} for row, area in zip(scene.actuators, areas, strict=True)
+    ]
+    drives = random.normal(size=(1, 3)) + 1j * random.normal(size=(1, 3))
+    moved = ModalSolver(scene, per_plate=PerPlate(centre=True)).run(Designs(drives, centre=centre)).energy
+    assert np.allclose(moved, ModalSolver(scene.with_tables(actuators=rows)).run(drives).energy, rtol=1e-3)
+
+
+def test_searches_under_bursts_are_not_refused():
+    search = {"frequency": {"range": (200.0, 300.0)}, "delay": {"range": (0.0, 0.005)}}
+    refuse_no_modes(scene_of(drive={"frequency": 290.0, "burst": BURSTS["single"]}, search=search))
