@@ -17,8 +17,9 @@ from warp_plate.result.atomic_io import check_seal
 from warp_plate.result.sweep import REFUSED, save_sweep
 from warp_plate.scene.keys import with_values
 from warp_plate.studies import sweep as sweeps
+from warp_plate.studies import sweep_points
 from warp_plate.studies.frequency_response import respond_to_drive
-from warp_plate.studies.sweep import run_here
+from warp_plate.studies.sweep_points import run_here
 
 QUICK = ("--device", "cpu", "--no-pictures")
 GRID = ("--vary", "plate.thickness=4e-4,5e-4,2e-3", "--vary", "drive.frequency=200:300:3")
@@ -126,7 +127,7 @@ def test_words_and_files_vary_and_responses_have_an_axis(write_scene, command):
 @pytest.fixture
 def interrupt_after(monkeypatch):
     """Interrupt the point after so many others; return a list of the points run."""
-    run_point = sweeps.run_point
+    run_point = sweep_points.run_point
 
     def patch(points):
         ran = []
@@ -137,7 +138,7 @@ def interrupt_after(monkeypatch):
             ran.append(point)
             return run_point(point)
 
-        monkeypatch.setattr(sweeps, "run_point", run)
+        monkeypatch.setattr(sweep_points, "run_point", run)
         return ran
 
     return patch

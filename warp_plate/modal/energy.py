@@ -23,10 +23,11 @@ import numpy as np
 import scipy
 
 from warp_plate.modal.loads import ExponentialLoads, has_exponential_loads
-from warp_plate.modal.modes import ModalPlate, times
+from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.motion import Excitation, make_excitation, with_moving_load
 from warp_plate.modal.poles import Poles, make_poles, rates_apart
 from warp_plate.modal.quadrature import by_quadrature
+from warp_plate.modal.steady import times
 from warp_plate.modal.transient import forced_states, next_state
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies

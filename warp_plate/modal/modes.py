@@ -21,6 +21,7 @@ import scipy
 from warp_plate.modal.galerkin import Galerkin, Integrals, Matrix, make_galerkin, patch_integrals
 from warp_plate.modal.regions import region_matrix
 from warp_plate.modal.splines import make_splines
+from warp_plate.modal.steady import CoupledModes
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.effects import Tension
 from warp_plate.scene.errors import SceneError
@@ -54,6 +55,7 @@ class ModalPlate:
         vectors: (unknowns, modes) Φ [1/√kg].
         damping: (modes, modes) viscous damping C [1/s], 2ζω on the diagonal.
         hysteretic: (modes, modes) imaginary part H of the stiffness [1/s²].
+        highest: Frequency up to which responses are accurate [Hz].
     """
 
     galerkin: Galerkin
@@ -61,6 +63,7 @@ class ModalPlate:
     vectors: np.ndarray
     damping: np.ndarray
     hysteretic: np.ndarray
+    highest: float
 
     @property
     def scene(self) -> Scene:
@@ -88,6 +91,20 @@ class ModalPlate:
     def proportional(self) -> bool:
         """True if damping does not couple the modes."""
         return all(_diagonal(matrix) for matrix in (self.damping, self.hysteretic))
+
+    @cached_property
+    def coupled(self) -> CoupledModes | None:
+        """The modes as damping couples them; None if it does not."""
+        if self.proportional:
+            return None
+        return CoupledModes(self.angular_frequencies**2, self.damping, self.hysteretic, self.highest)
+
+    @property
+    def resonances(self) -> tuple[np.ndarray, np.ndarray]:
+        """Frequencies and half-widths [Hz] of all resonances, or of the lowest modes if damping couples them."""
+        if self.coupled is not None:
+            return self.coupled.resonances
+        return self.frequencies, self.damping_ratios * self.frequencies
 
     def shapes(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return (modes, ny, nx) shapes φ [1/√kg] on the grid of x and y [m]."""
@@ -152,15 +169,10 @@ class ModalPlate:
             mode is driven at its natural frequency.
         """
         omega = 2 * math.pi * np.asarray(frequencies, dtype=float)
-        if self.proportional:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                return np.asarray(forces / self.dynamic_stiffness(omega)[:, :, None])
-        responses = np.empty((len(omega), *forces.shape), dtype=complex)
-        for response, turn in zip(responses, omega, strict=True):
-            matrix = 1j * (turn * self.damping + self.hysteretic)
-            matrix[np.diag_indices_from(matrix)] += self.angular_frequencies**2 - turn**2
-            response[:] = scipy.linalg.solve(matrix, forces, assume_a="sym")
-        return responses
+        if self.coupled is not None:
+            return self.coupled.respond(omega, np.broadcast_to(forces, (len(omega), *forces.shape)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(forces / self.dynamic_stiffness(omega)[:, :, None])
 
     def respond_each(self, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Return the steady response of plates to forces that each turn at a frequency of their own.
@@ -172,14 +184,15 @@ class ModalPlate:
         Returns:
             (plates, modes, loads) complex modal amplitudes, see :meth:`respond`.
         """
-        if self.proportional:
+        omega = 2 * math.pi * frequency
+        if self.coupled is None:
             with np.errstate(divide="ignore", invalid="ignore"):
-                return np.asarray(forces / self.dynamic_stiffness(2 * math.pi * frequency).mT)
-        loads = np.moveaxis(np.broadcast_to(forces, (len(frequency), *forces.shape[1:])), 1, 0)
-        amplitudes = np.empty(loads.shape, dtype=complex)
-        for each in np.unique(frequency):
-            amplitudes[:, frequency == each] = self.respond(np.array([each]), loads[:, frequency == each])[0]
-        return np.moveaxis(amplitudes, 0, 1)
+                return np.asarray(forces / self.dynamic_stiffness(omega).mT)
+        loads = np.broadcast_to(forces, (len(omega), *forces.shape[1:]))
+        if (omega == omega[:, :1]).all():
+            return self.coupled.respond(omega[:, 0], loads)
+        alone = self.coupled.respond(omega.ravel(), loads.mT.reshape(omega.size, -1, 1))
+        return alone.reshape(loads.mT.shape).mT
 
     def dynamic_stiffness(self, omega: np.ndarray) -> np.ndarray:
         """Return (..., modes) Λ + iH + iωC − ω² of the modes without their coupling, at ω (...) [rad/s]."""
@@ -231,15 +244,7 @@ def solve_modes(scene: Scene, highest: float | None = None, count: int = 0, dens
             hysteretic = np.diag(loss.of_modes(frequencies.size) * np.maximum(squares, 0))
         else:
             hysteretic = loss.eta * _of_modes(galerkin, galerkin.bending, squares, vectors)
-    return ModalPlate(galerkin, frequencies, vectors, damping, hysteretic)
-
-
-def times(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndarray) -> np.ndarray:
-    """Return a real matrix (rows, modes) times complex columns (..., modes, columns), in real arithmetic."""
-    first = np.moveaxis(columns, -2, 0)
-    flat = first.reshape(len(first), -1)
-    product = matrix @ flat.real + 1j * (matrix @ flat.imag)
-    return np.moveaxis(product.reshape(matrix.shape[0], *first.shape[1:]), 0, -2)
+    return ModalPlate(galerkin, frequencies, vectors, damping, hysteretic, highest)
 
 
 def _of_modes(galerkin: Galerkin, matrix: Matrix, squares: np.ndarray, vectors: np.ndarray) -> np.ndarray:

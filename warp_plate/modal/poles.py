@@ -19,9 +19,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
-from warp_plate.modal.modes import ModalPlate, times
+from warp_plate.modal.modes import ModalPlate
+from warp_plate.modal.steady import coupled_poles, times
 
 # Two poles of one mode are kept apart by this part of one over the longest time: where they meet, as at critical
 # damping or of a rigid motion, exponentials cancel, and the error is about as large as this.
@@ -125,22 +125,3 @@ def rates_apart(poles: Poles, rates: np.ndarray, longest: float) -> np.ndarray:
     undamped = poles.values[np.abs(poles.values.real) < APART / longest]
     distance = np.abs(rates[..., None] - undamped).min(axis=-1, initial=math.inf)
     return np.asarray(rates + np.where(distance < APART / longest, APART / longest, 0))
-
-
-def coupled_poles(
-    stiffness: np.ndarray, damping: np.ndarray, unit: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return all poles (2 modes,), their motions (modes, 2 modes) and inputs of modes that damping couples.
-
-    Args:
-        stiffness: (modes, modes) Λ + iH [1/s²].
-        damping: (modes, modes) C [1/s].
-        unit: (modes,) sizes of the modes' frequencies, above zero [rad/s].
-    """
-    count = unit.size
-    # Unknowns ω q and q̇, which are of one size.
-    system = np.block([[np.zeros_like(stiffness), np.diag(unit)], [-stiffness / unit, -damping]])
-    values, vectors = scipy.linalg.eig(system)
-    # Motions of poles that coincide, as on a square plate, are not orthogonal in pairs; the inverse is right for them.
-    inputs = np.linalg.inv(vectors)[:, count:]
-    return values, vectors[:count] / unit[:, None], inputs

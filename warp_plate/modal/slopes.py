@@ -25,8 +25,9 @@ import numpy as np
 from warp_plate.modal.energy import mean_exponential
 from warp_plate.modal.galerkin import patch_integrals
 from warp_plate.modal.loads import ExponentialLoads, exponential_loads
-from warp_plate.modal.modes import ModalPlate, times
+from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles, make_poles, rates_apart
+from warp_plate.modal.steady import times
 from warp_plate.plate.signals import actuator_delays
 from warp_plate.scene.model import Window
 

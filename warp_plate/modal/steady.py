@@ -1,24 +1,22 @@
-"""Steady responses at many frequencies, also where damping couples the modes.
+"""Steady responses of modes that damping couples, at many frequencies.
 
-Without coupling each mode responds alone. With it, the lowest modes are those of their own reduced system, whose
-transfer matrix is a sum over its poles,
+The lowest modes are those of their own reduced system, whose transfer matrix is a sum over its poles,
 
     (−ω² + iωC + Λ + iH)⁻¹ = Σ_p ψ_p χ_p / (iω − s_p),   (s² + sC + Λ + iH) ψ = 0
 
-(:mod:`warp_plate.modal.poles`), and all others are taken as uncoupled. What that leaves out is restored by iterative
-refinement with the full matrices (G. H. Golub and C. F. Van Loan, Matrix Computations, 4th edition, section 3.5.3);
-frequencies at which it does not converge are solved directly.
+and all others are taken as uncoupled. What that leaves out is restored by iterative refinement with the full matrices
+(G. H. Golub and C. F. Van Loan, Matrix Computations, 4th edition, section 3.5.3); frequencies at which it does not
+converge are solved directly.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-
-from warp_plate.modal.modes import ModalPlate, times
-from warp_plate.modal.poles import coupled_poles
+import scipy
 
 # Modes that are coupled beforehand: those up to REACH times the highest frequency, within these limits.
 REACH, FEWEST, MOST = 1.5, 250, 500
@@ -29,71 +27,95 @@ SLOWEST = 1e-9
 
 
 @dataclass(frozen=True)
-class SteadyPlate:
-    """A plate with the poles of its lowest modes.
+class CoupledModes:
+    """Modes that damping couples.
 
     Attributes:
-        plate: Modes of the plate.
-        poles: (poles,) s [1/s] of the modes that are coupled beforehand; none if no modes are coupled.
-        vectors: (coupled modes, poles) free motions ψ.
-        inputs: (poles, coupled modes) χ, by which forces excite them.
+        squares: (modes,) ω² of the undamped modes, rising [1/s²].
+        damping: (modes, modes) C [1/s].
+        hysteretic: (modes, modes) H [1/s²].
+        highest: Highest frequency of the responses [Hz].
     """
 
-    plate: ModalPlate
-    poles: np.ndarray
-    vectors: np.ndarray
-    inputs: np.ndarray
+    squares: np.ndarray
+    damping: np.ndarray
+    hysteretic: np.ndarray
+    highest: float
 
     @property
     def resonances(self) -> tuple[np.ndarray, np.ndarray]:
-        """Frequencies and half-widths [Hz] of all resonances, or of the coupled modes alone if there are any."""
-        if not self.poles.size:
-            return self.plate.frequencies, self.plate.damping_ratios * self.plate.frequencies
-        turning = self.poles[self.poles.imag > 0] / (2 * math.pi)
+        """Frequencies and half-widths [Hz] of the resonances of the lowest modes."""
+        poles = self._poles[0]
+        turning = poles[poles.imag > 0] / (2 * math.pi)
         return turning.imag, np.maximum(-turning.real, 0)
 
-    def respond(self, frequencies: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        """Return (frequencies, modes, loads) amplitudes as :meth:`ModalPlate.respond` does, in less time."""
-        if not self.poles.size:
-            return self.plate.respond(frequencies, forces)
-        wanted = np.broadcast_to(forces, (len(frequencies), *forces.shape)).astype(complex)
-        amplitudes, left = self._approximate(frequencies, wanted), np.arange(len(frequencies))
-        limit = RESIDUAL * np.linalg.norm(forces, axis=0)
+    def respond(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Return (n, modes, loads) amplitudes under forces (n, modes, loads) that turn at omega (n,) [rad/s]."""
+        amplitudes, left = self._approximate(omega, forces), np.arange(len(omega))
+        limit = RESIDUAL * np.linalg.norm(forces, axis=1)
         for _ in range(REFINEMENTS):
-            residual = wanted[left] - self._dynamic(frequencies[left], amplitudes[left])
-            open_ = (np.linalg.norm(residual, axis=1) > limit).any(axis=1)
-            left, residual = left[open_], residual[open_]
+            residual = forces[left] - self._forces(omega[left], amplitudes[left])
+            converged = (np.linalg.norm(residual, axis=1) <= limit[left]).all(axis=1)
+            left, residual = left[~converged], residual[~converged]
             if not left.size:
                 return amplitudes
-            amplitudes[left] += self._approximate(frequencies[left], residual)
-        amplitudes[left] = self.plate.respond(frequencies[left], forces)
+            amplitudes[left] += self._approximate(omega[left], residual)
+        for row in left:
+            matrix = 1j * (omega[row] * self.damping + self.hysteretic)
+            matrix[np.diag_indices_from(matrix)] += self.squares - omega[row] ** 2
+            amplitudes[row] = scipy.linalg.solve(matrix, forces[row], assume_a="sym")
         return amplitudes
 
-    def _approximate(self, frequencies: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        """Return the amplitudes under forces (frequencies, modes, loads) without the coupling of the highest modes."""
-        omega, count = 2 * math.pi * frequencies, len(self.vectors)
-        amplitudes = forces / self.plate.dynamic_stiffness(omega)[:, :, None]
-        shares = self.inputs @ forces[:, :count] / (1j * omega[:, None] - self.poles)[:, :, None]
-        amplitudes[:, :count] = self.vectors @ shares
-        return amplitudes
+    def _approximate(self, omega: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Return the amplitudes without the coupling of the highest modes."""
+        poles, vectors, inputs = self._poles
+        count, turn = len(vectors), omega[:, None]
+        losses = turn * np.diag(self.damping) + np.diag(self.hysteretic)
+        amplitudes = forces / (self.squares - turn**2 + 1j * losses)[:, :, None]
+        shares = times(inputs, forces[:, :count]) / (1j * turn - poles)[:, :, None]
+        amplitudes[:, :count] = times(vectors, shares)
+        return np.asarray(amplitudes)
 
-    def _dynamic(self, frequencies: np.ndarray, amplitudes: np.ndarray) -> np.ndarray:
-        """Return the forces that amplitudes (frequencies, modes, loads) balance."""
-        turn, plate = 2j * math.pi * frequencies[:, None, None], self.plate
-        inertia = (plate.angular_frequencies[:, None] ** 2 + turn**2) * amplitudes
-        damped = turn * times(plate.damping, amplitudes)
-        return inertia + damped + 1j * (times(plate.hysteretic, amplitudes) if plate.hysteretic.any() else 0)
+    def _forces(self, omega: np.ndarray, amplitudes: np.ndarray) -> np.ndarray:
+        """Return the forces that amplitudes (n, modes, loads) balance."""
+        turn = 1j * omega[:, None, None]
+        balanced = (self.squares[:, None] + turn**2) * amplitudes + turn * times(self.damping, amplitudes)
+        return balanced + 1j * times(self.hysteretic, amplitudes) if self.hysteretic.any() else balanced
+
+    @cached_property
+    def _poles(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Poles, motions and inputs of the lowest modes, see :func:`coupled_poles`."""
+        count = int(np.clip((self.squares <= (2 * math.pi * REACH * self.highest) ** 2).sum(), FEWEST, MOST))
+        square = self.squares[:count]
+        unit = np.sqrt(np.maximum(square, SLOWEST**2 * square[-1]))
+        hysteretic = self.hysteretic[:count, :count]
+        stiffness = np.diag(square) + (1j * hysteretic if hysteretic.any() else 0)
+        return coupled_poles(stiffness, self.damping[:count, :count], unit)
 
 
-def make_steady(plate: ModalPlate, highest: float) -> SteadyPlate:
-    """Return a plate for steady responses up to a frequency [Hz]."""
-    if plate.proportional:
-        return SteadyPlate(plate, np.zeros(0, complex), np.zeros((0, 0), complex), np.zeros((0, 0), complex))
-    count = int(np.clip((plate.frequencies <= REACH * highest).sum(), FEWEST, MOST))
-    kept, square = np.s_[:count, :count], plate.angular_frequencies[:count] ** 2
-    damping, hysteretic = plate.damping[kept], plate.hysteretic[kept]
-    unit = np.sqrt(np.maximum(square, SLOWEST**2 * square[-1]))
-    stiffness: np.ndarray = np.diag(square)
-    if hysteretic.any():
-        stiffness = stiffness + 1j * hysteretic
-    return SteadyPlate(plate, *coupled_poles(stiffness, damping, unit))
+def coupled_poles(
+    stiffness: np.ndarray, damping: np.ndarray, unit: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return all poles (2 modes,), their motions (modes, 2 modes) and inputs of modes that damping couples.
+
+    Args:
+        stiffness: (modes, modes) Λ + iH [1/s²].
+        damping: (modes, modes) C [1/s].
+        unit: (modes,) sizes of the modes' frequencies, above zero [rad/s].
+    """
+    count = unit.size
+    # Unknowns ω q and q̇, which are of one size.
+    system = np.block([[np.zeros_like(stiffness), np.diag(unit)], [-stiffness / unit, -damping]])
+    values, vectors = scipy.linalg.eig(system)
+    # Motions of poles that coincide, as on a square plate, are not orthogonal in pairs; the inverse is right for them.
+    inputs = np.linalg.inv(vectors)[:, count:]
+    return values, vectors[:count] / unit[:, None], inputs
+
+
+def times(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndarray) -> np.ndarray:
+    """Return a matrix (rows, modes) times complex columns (..., modes, columns), a real one in real arithmetic."""
+    first = np.moveaxis(columns, -2, 0)
+    flat = first.reshape(len(first), -1)
+    real = not np.iscomplexobj(matrix)
+    product = matrix @ flat.real + 1j * (matrix @ flat.imag) if real else matrix @ flat
+    return np.moveaxis(product.reshape(matrix.shape[0], *first.shape[1:]), 0, -2)

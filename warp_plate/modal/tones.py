@@ -14,8 +14,9 @@ import numpy as np
 import scipy
 
 from warp_plate.modal.energy import mean_exponential, real_form
-from warp_plate.modal.modes import ModalPlate, times
+from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles, make_poles, rates_apart
+from warp_plate.modal.steady import times
 from warp_plate.scene.model import Window
 
 # Free motions that after the start of the window have less than this part of the largest energy are left out.

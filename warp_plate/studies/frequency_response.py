@@ -14,8 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from warp_plate.modal.adaptive_frequencies import adaptive_frequencies
-from warp_plate.modal.modes import ModalPlate, solve_modes, times
-from warp_plate.modal.steady import SteadyPlate, make_steady
+from warp_plate.modal.modes import ModalPlate, solve_modes
+from warp_plate.modal.steady import times
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity
 from warp_plate.scene.errors import SceneError
@@ -57,9 +57,8 @@ def compute_frequency_response(
     low, high = frequency_range or default_range(scene)
     plate = solve_modes(scene, high)
     places, forces = _input_forces(plate, inputs)
-    steady = make_steady(plate, high)
-    frequencies = adaptive_frequencies(*steady.resonances, low, high)
-    responses, factor, bound, velocity = _responses(steady, frequencies, forces, plate.at_points(points))
+    frequencies = adaptive_frequencies(*plate.resonances, low, high)
+    responses, factor, bound, velocity = _responses(plate, frequencies, forces, plate.at_points(points))
     shown = (plate.frequencies >= low) & (plate.frequencies <= high)
     return FrequencyResponse(
         title=scene.title,
@@ -88,7 +87,7 @@ def respond_to_drive(scene: Scene, frequencies: np.ndarray) -> tuple[np.ndarray,
     plate = solve_modes(scene, frequencies.max())
     forces = plate.actuator_forces() @ scene_phasors(scene)[:, None]
     nowhere = np.zeros((len(forces), 0))
-    _, factor, bound, velocity = _responses(make_steady(plate, frequencies.max()), frequencies, forces, nowhere)
+    _, factor, bound, velocity = _responses(plate, frequencies, forces, nowhere)
     return velocity[0], factor, bound
 
 
@@ -144,7 +143,7 @@ def _input_forces(plate: ModalPlate, inputs: Sequence[str | Point]) -> tuple[np.
 
 
 def _responses(
-    steady: SteadyPlate, frequencies: np.ndarray, forces: np.ndarray, shapes: np.ndarray
+    plate: ModalPlate, frequencies: np.ndarray, forces: np.ndarray, shapes: np.ndarray
 ) -> tuple[np.ndarray, ...]:
     """Return receptances (inputs · points, n), and the last attributes of :class:`FrequencyResponse`, block by block.
 
@@ -153,14 +152,14 @@ def _responses(
         forces: (modes, inputs) [1/√kg].
         shapes: (modes, points) [1/√kg].
     """
-    plate, scene, inputs = steady.plate, steady.plate.scene, forces.shape[1]
+    scene, inputs = plate.scene, forces.shape[1]
     loads = np.column_stack([forces, plate.actuator_forces()])
     # Without masses on springs, all of the kinetic energy is the plate's.
     attached = any(oscillator.mass > 0 for oscillator in scene.effects.oscillators)
     of_plate, of_target = plate.kinetic_matrix("plate") if attached else None, plate.kinetic_matrix(scene.target)
     drive, mass, blocks = scene_phasors(scene), plate.galerkin.plate_mass, []
     for chosen in np.array_split(frequencies, -(-len(frequencies) * loads.size // BLOCK)):
-        amplitudes = steady.respond(chosen, loads)
+        amplitudes = plate.respond(chosen, loads)
         unit, driven = amplitudes[:, :, :inputs], amplitudes[:, :, inputs:]
         at_points = (np.moveaxis(unit, 1, 2) @ shapes).reshape(len(chosen), -1)
         energy = np.einsum("fmi,fmi->fi", unit.conj(), unit if of_plate is None else times(of_plate, unit)).real

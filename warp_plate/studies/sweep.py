@@ -5,71 +5,31 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import islice
-from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
-import warp as wp
 
-import warp_plate
 from warp_plate.cluster.pool import WorkerPool
-from warp_plate.cluster.scheduler import Task, run_tasks
-from warp_plate.cluster.tasks import SceneSpec, refuse_unlike, run_task, worker_device, worker_identity
 from warp_plate.interrupts import SecondInterrupt, check_interrupt, deferred_interrupts
 from warp_plate.modal.solver import MODAL, has_modes, refuse_no_modes
-from warp_plate.plate.files import digests, named_files, read_beside
+from warp_plate.plate.files import digests, read_beside
 from warp_plate.result.sweep import REFUSED, RUN, Sweep
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.keys import label_of, with_values
+from warp_plate.scene.keys import label_of
 from warp_plate.scene.model import Scene
-from warp_plate.scene.vary import Plan, counted, make_plan, parse_frequencies, parse_vary, value_text
+from warp_plate.scene.vary import Plan, counted, make_plan, parse_vary, value_text
 from warp_plate.solve.devices import find_device, processor_of
 from warp_plate.studies.checkpointing import SweepFile
 from warp_plate.studies.provenance import versions
-from warp_plate.studies.quantities_of_interest import QUANTITIES, Settings, Values
+from warp_plate.studies.quantities_of_interest import QUANTITIES
+from warp_plate.studies.sweep_points import PointResult, run_here, run_on_pool, varied_files
 
 # Called after each point with the points done, their total, and the values of the point.
 OnPointProgress = Callable[[int, int, str], object]
 MOST_MODES = 1000
 # Numbers of a quantity at all points, 8 bytes each.
 MOST_NUMBERS = 100_000_000
-# Tasks of a pool that are prepared at once: their scenes may hold large files.
-TASK_BLOCK = 1000
-
-
-@dataclass(frozen=True)
-class Point:
-    """A point of a sweep, with all that is needed to run it; the scene is plain data for another process."""
-
-    scene: Scene | SceneSpec
-    values: Mapping[str, float | str]
-    what: str
-    settings: Settings
-
-
-class PointResult(NamedTuple):
-    """The result at a point.
-
-    Attributes:
-        values: quantities by name; None if the point was refused.
-        reason: why it was refused; "" if it was not.
-        device: device on which it ran; "" if it was given up.
-        worker: versions and processor that it ran with; empty if it was given up.
-    """
-
-    point: int
-    values: Values | None
-    reason: str
-    device: str = ""
-    worker: Mapping[str, str] = {}
-
-    @property
-    def processor(self) -> str:
-        """Name of the processor; "" if the point was given up."""
-        return self.worker.get("processor", "")
 
 
 def sweep(
@@ -166,19 +126,12 @@ def file_digests(scene: Scene, plan: Plan) -> dict[str, str]:
         SceneError: A file cannot be read.
     """
     files = digests(scene)
-    for key, names in _varied_files(scene, plan).items():
+    for key, names in varied_files(scene, plan).items():
         whole = hashlib.sha256()
         for name in names:
             whole.update(read_beside(key, name, scene.folder))
         files[key] = whole.hexdigest()
     return files
-
-
-def _varied_files(scene: Scene, plan: Plan) -> dict[str, list[str]]:
-    """Return the names of files that a plan varies, by key."""
-    named = named_files(scene)
-    pairs = zip(plan.keys, plan.coordinates, strict=True)
-    return {key: list(dict.fromkeys(values.tolist())) for key, values in pairs if key in named}
 
 
 def choose_evaluator(scene: Scene, keys: Sequence[str], what: str, path: str, asked: str | None = None) -> str:
@@ -248,61 +201,6 @@ def run_sweep(
         more = f" (and {counted(total - 1, 'point')} more)" if total > 1 else ""
         raise SceneError(f"all points are refused; {current.refusal(0)}{more}")
     return now()
-
-
-def run_point(point: Point) -> PointResult:
-    """Run a point, whose number the caller fills in."""
-    with TemporaryDirectory() as folder:
-        scene, name = point.scene, point.settings.device or "auto"
-        if isinstance(scene, SceneSpec):
-            scene, name = scene.scene_in(folder), worker_device(name)
-        device, values, reason = find_device(name), None, ""
-        try:
-            varied = with_values(scene, point.values)
-            values = QUANTITIES[point.what].compute(varied, replace(point.settings, device=device.alias))
-        except SceneError as error:
-            reason = str(error)
-        return PointResult(-1, values, reason, device.alias, worker_identity(device))
-
-
-def run_here(start: Sweep, points: Sequence[int]) -> Iterator[PointResult]:
-    """Yield one point after the other, run in this process; a point that runs out of memory is given up."""
-    for number, point in zip(points, _points(start, points, start.scene, start.device), strict=True):
-        try:
-            yield run_task(run_point, point)._replace(point=number)
-        except MemoryError as error:
-            yield PointResult(number, None, f"given up: {error}")
-
-
-def run_on_pool(start: Sweep, points: Sequence[int], pool: WorkerPool) -> Iterator[PointResult]:
-    """Yield points in the order in which a pool's workers finish them; one that fails in all attempts is given up.
-
-    The quantities are those of one process to the last bit if the workers have its kind of processor.
-    """
-    expected: Mapping[str, str] = {"warp_plate": warp_plate.__version__, "warp": wp.config.version}
-    arguments = _points(start, points, SceneSpec.of(start.scene), pool.device)
-    tasks = (Task(run_point, point, number) for number, point in zip(points, arguments, strict=True))
-    while block := list(islice(tasks, TASK_BLOCK)):
-        for task, outcome in run_tasks(pool, block):
-            if outcome.failure:
-                yield PointResult(task.key, None, outcome.failure)
-                continue
-            result: PointResult = outcome.value
-            refuse_unlike(expected, result.worker)
-            expected = result.worker
-            yield result._replace(point=task.key)
-
-
-def _points(start: Sweep, points: Sequence[int], scene: Scene | SceneSpec, device: str) -> Iterator[Point]:
-    frequencies = parse_frequencies(start.frequencies).tolist() if start.frequencies else ()
-    settings = Settings(device, start.path, start.evaluator, start.count, tuple(frequencies))
-    varied_files = _varied_files(start.scene, start.plan)
-    for at in points:
-        values, own = start.plan.values(at), scene
-        if isinstance(scene, SceneSpec):  # a worker may have none of the files
-            read = {str(values[key]): read_beside(key, str(values[key]), start.scene.folder) for key in varied_files}
-            own = replace(scene, files={**scene.files, **read})
-        yield Point(own, values, start.what, settings)
 
 
 def _with_result(sweep: Sweep, result: PointResult, on_device_change: Callable[[str], object] | None) -> Sweep:
