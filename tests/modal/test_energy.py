@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from conftest import MATERIAL, scene_of
 
 from warp_plate import Scene
 from warp_plate.modal.energy import gram_matrices
 from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.motion import unit_motion
 from warp_plate.solve.response import Response
 
 
@@ -37,12 +39,17 @@ def test_late_window_is_steady():
     assert np.allclose(matrices(plate, None, quantity="displacement") * omega**2, steady, rtol=1e-12)
 
 
-def test_undamped_plate_at_a_natural_frequency():
-    """Its motion from rest grows, but is finite; a plate that hardly has damping is the same in so short a time."""
-    scene = Scene.load("paper").with_tables(effects={})
-    tone = float(solve_modes(scene).frequencies[0])
-    undamped, damped = (
-        matrices(solve_modes(scene.with_tables(drive={"frequency": tone}, effects=effects)), scene.window)
-        for effects in ({}, {"damping": {"viscous": 1e-5}})
-    )
-    assert np.allclose(undamped, damped, rtol=0, atol=1e-4 * damped.max())
+@pytest.mark.parametrize("damping", [0.0, 1.0], ids=["undamped at resonance", "critical"])
+def test_energy_where_exponentials_cancel(damping):
+    """Means over times of the motion itself, of a plate driven at its first natural frequency."""
+    edges = ("supported",) * 4
+    first = solve_modes(scene_of(edges=edges))
+    viscous = 2 * damping * first.angular_frequencies[0] * MATERIAL["density"] * MATERIAL["thickness"]
+    plate = solve_modes(scene_of(edges=edges, damping=viscous, frequency=float(first.frequencies[0])))
+    window, outputs = plate.scene.window, np.eye(len(plate.frequencies))
+    breaks = np.linspace(window.start, window.end, 150)
+    points, weights = np.polynomial.legendre.leggauss(5)
+    half = np.diff(breaks)[:, None] / 2
+    motion = unit_motion(plate, outputs, (breaks[:-1, None] + half * (1 + points)).ravel(), velocity=True)
+    mean = (motion[:, 0].real ** 2).sum(axis=0) @ (half * weights).ravel() / (window.end - window.start)
+    assert matrices(plate, window)[0, 0, 0] == pytest.approx(mean / 2, rel=2e-5)

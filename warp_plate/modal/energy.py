@@ -83,10 +83,10 @@ def _of_tones(plate: ModalPlate, forces: np.ndarray, frequency: np.ndarray, quan
     poles = make_poles(plate, window.end)
     drive, gains = rates_apart(poles, 2j * math.pi * frequency, window.end), poles.inputs @ forces
     states = 1 / (drive[:, None, :] - poles.values[:, None])
-    forced, free = poles.forced(states, forces, gains), -states
-    if quantity == "velocity":
+    forced, free, velocity = poles.forced(states, forces, gains), -states, quantity == "velocity"
+    kept = _lasting(poles, gains, free, velocity, window, window.end)
+    if velocity:
         forced, free = forced * drive[:, None, :], free * poles.values[:, None]
-    kept = _lasting(poles, gains, free, forced, window)
     return _Motion(forced, drive, poles.part(kept), gains[:, kept] * free[:, kept])
 
 
@@ -118,10 +118,10 @@ def _of_excitation(excitation: Excitation, regions: Sequence[np.ndarray], window
         if load.end > window.start:
             part = Window(start=max(window.start - load.start, 0.0), end=min(load.end, window.end) - load.start)
             free, forced = state - follow.sum(axis=2), gains[:, :, None] * follow
+            kept = _lasting(poles, gains, free[None], quantity == "velocity", part, window.end)
             if quantity == "velocity":
                 free, forced = free * poles.values[:, None], forced * load.rates
             forced = (poles.vectors @ forced.reshape(len(gains), -1))[None]
-            kept = _lasting(poles, gains, free[None], forced, part)
             motion = _Motion(forced, load.rates.reshape(1, -1), poles.part(kept), (gains * free)[None, kept])
             share = (part.end - part.start) / (window.end - window.start)
             parts = motion.products(regions, part)
@@ -170,15 +170,29 @@ class _Motion:
         return np.asarray(rows.reshape(designs, self.free.shape[2], -1, columns).sum(axis=2))
 
 
-def _lasting(poles: Poles, gains: np.ndarray, free: np.ndarray, forced: np.ndarray, window: Window) -> np.ndarray:
-    """Return the indices of the poles whose free motion, gains times free, counts after the start of the window."""
-    decay = np.exp(poles.values.real * window.start) * np.linalg.norm(poles.vectors, axis=0)
-    size = _squares(gains * decay[:, None]) * _squares(free)
-    of_terms = _squares(forced).sum(axis=1).reshape(len(forced), size.shape[2], -1)
-    largest = of_terms.max(axis=2)[:, None] + size.sum(axis=1, keepdims=True)
-    energy = (size / np.where(largest > 0, largest, 1)).max(axis=(0, 2))
-    order = np.argsort(energy)
-    return np.sort(order[np.cumsum(energy[order]) > NEGLIGIBLE])
+def _lasting(
+    poles: Poles, gains: np.ndarray, states: np.ndarray, velocity: bool, window: Window, end: float
+) -> np.ndarray:
+    """Return the indices of the poles whose free motion counts after the start of the window.
+
+    All motion is measured without exponentials that nearly cancel, at resonances and critical damping.
+
+    Args:
+        poles: Poles.
+        gains: (designs or 1, poles, M) inputs of the actuators.
+        states: (designs, poles, M or 1) free states z at t = 0 [s].
+        velocity: True for rates.
+        window: Window, counted from t = 0.
+        end: End of the run [s].
+    """
+    norm, speed = np.linalg.norm(poles.vectors, axis=0), np.abs(poles.values) if velocity else 1.0
+    of_inputs, of_states = _squares(gains * (norm * speed)[:, None]), _squares(states)
+    left = np.minimum(1, end / norm**2)[:, None] ** 2
+    total = (of_inputs * left * np.minimum(of_states, end**2)).sum(axis=1, keepdims=True)
+    shares = (of_inputs * of_states / np.where(total > 0, total, 1)).max(axis=(0, 2))
+    shares *= np.exp(2 * poles.values.real * window.start)
+    order = np.argsort(shares)
+    return np.sort(order[np.cumsum(shares[order]) > NEGLIGIBLE])
 
 
 def _thin(matrix: np.ndarray) -> np.ndarray | scipy.sparse.csr_array:

@@ -27,7 +27,7 @@ from warp_plate.modal.steady import coupled_poles, times
 # damping or of a rigid motion, exponentials cancel, and the error is about as large as this.
 APART = 1e-5
 # Modes that damping couples; that of higher ones is taken as proportional.
-COUPLED = 250
+COUPLED = 700
 
 
 @dataclass(frozen=True)
