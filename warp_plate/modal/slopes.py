@@ -32,7 +32,7 @@ from warp_plate.plate.signals import actuator_delays
 from warp_plate.scene.model import Window
 
 # Free motions whose energies together are below this part of all motion's are left out.
-NEGLIGIBLE = 1e-10
+NEGLIGIBLE = 1e-15
 # Means of exponentials that turn less than SLOW over the window are series of TERMS terms.
 SLOW, TERMS = 1e-2, 8
 # Numbers of the arrays of a block of designs.
