@@ -24,6 +24,8 @@ COLOURS = ("#08519c", "#b2182b", "#6baed6", "#8a8a8a", "#1b7837", "#762a83", "#d
 REFUSED_COLOUR, CMAP = "#d9d9d9", "viridis"
 # Most modes with a line or map of their own; most small maps, of which some are left out evenly; contour lines.
 MOST_MODES, MOST_MAPS, CONTOURS = 8, 20, 8
+# Values whose relative range is smaller are the same.
+CONSTANT = 1e-6
 # Most texts of a key that are written along its axis.
 MOST_TEXTS = 8
 # Marker and size of samples by rank: the first is filled, and coinciding neighbours can both be seen.
@@ -177,11 +179,12 @@ def _draw_map(axes: Axes, sweep: Sweep, field: np.ndarray, keys: tuple[int, int]
     log_x, log_y = (sweep.plan.logarithmic[key] for key in keys)
     axes.set(facecolor=REFUSED_COLOUR, xscale="log" if log_x else "linear", yscale="log" if log_y else "linear")
     edges = cell_edges(x, log_x), cell_edges(y, log_y)
-    # Matplotlib itself widens limits that coincide.
     limits = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else (0.0, 1.0)
+    if limits[1] - limits[0] <= CONSTANT * max(map(abs, limits)):  # Matplotlib itself widens limits that coincide
+        limits = (limits[0], limits[0])
     mesh = axes.pcolormesh(*edges, field.T, cmap=CMAP, vmin=limits[0], vmax=limits[1], rasterized=True)
     finite = field[np.isfinite(field)]
-    constant = not finite.size or np.ptp(finite) <= 1e-6 * np.abs(finite).max()
+    constant = not finite.size or np.ptp(finite) <= CONSTANT * np.abs(finite).max()
     if constant and finite.size > 1:
         axes.text(0.5, 0.5, f"{finite[0]:.4g} everywhere", transform=axes.transAxes, ha="center", color="white")
     if not constant and min(field.shape) > 1 and all(sweep.plan.coordinates[key].dtype.kind == "f" for key in keys):
