@@ -37,7 +37,7 @@ MOST_INTERVALS = 400
 # responses, or SPARE without responses.
 REACH, FURTHER, SPARE = 4.0, 350, 40
 # All modes are computed at once, which then takes less time, if one in DENSE_SHARE is wanted, up to DENSE unknowns.
-DENSE, DENSE_SHARE = 4000, 6
+DENSE, DENSE_SHARE = 3000, 10
 # Frequencies below this part of √(D/ρH)(π/longer side)² are those of rigid motions.
 STILL = 1e-4
 # Damping that couples two modes by less than this part of their own has no effect; by less than the other of the
