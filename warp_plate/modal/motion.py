@@ -17,6 +17,7 @@ from warp_plate.modal.poles import Poles, make_poles, poles_apart
 from warp_plate.modal.sampled import SampledLoads, moving_loads, sampled_loads
 from warp_plate.modal.transient import motion_from_rest, motion_of_samples
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
+from warp_plate.scene.model import Scene
 
 
 def trace(
@@ -123,14 +124,19 @@ def make_excitation(
     forces = plate.actuator_forces() if forces is None else forces
     frequency = actuator_frequencies(scene) if frequency is None else frequency
     delay = actuator_delays(scene) if delay is None else delay
-    loads: list[ExponentialLoads] | list[SampledLoads]
-    if has_exponential_loads(scene):
-        loads = exponential_loads(scene, frequency, delay, end)
-        poles = poles_apart(poles, np.concatenate([load.rates.ravel() for load in loads]), end)
-    else:
-        loads = sampled_loads(scene, frequency, delay, end)
+    poles, loads = unit_loads(scene, poles, frequency, delay, end)
     moving = moving_loads(plate, end) if scene.effects.moving_load is not None else []
     return Excitation(poles, poles.inputs @ forces, loads, [load.times_inputs(poles.inputs) for load in moving])
+
+
+def unit_loads(
+    scene: Scene, poles: Poles, frequency: np.ndarray, delay: np.ndarray, end: float
+) -> tuple[Poles, list[ExponentialLoads] | list[SampledLoads]]:
+    """Return unit loads of actuators, and the poles apart from their exponents; see :func:`make_excitation`."""
+    if not has_exponential_loads(scene):
+        return poles, sampled_loads(scene, frequency, delay, end)
+    loads = exponential_loads(scene, frequency, delay, end)
+    return poles_apart(poles, np.concatenate([load.rates.ravel() for load in loads]), end), loads
 
 
 def _steady_motion(plate: ModalPlate, outputs: np.ndarray, times: np.ndarray, velocity: bool) -> np.ndarray:

@@ -16,13 +16,14 @@ import scipy
 
 from warp_plate.modal.loads import ExponentialLoads
 from warp_plate.modal.modes import ModalPlate
-from warp_plate.modal.motion import Excitation, make_excitation
-from warp_plate.modal.poles import Poles
+from warp_plate.modal.motion import Excitation, unit_loads
+from warp_plate.modal.poles import Poles, make_poles
 from warp_plate.modal.quadrature import time_rule
 from warp_plate.modal.sampled import SampledLoads
 from warp_plate.modal.tones import trial_forces
 from warp_plate.modal.transient import forced_states, motion_of_samples, next_state
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
+from warp_plate.scene.model import Scene
 
 # Modes whose energies together are below this part of all are left out, by their energies at TRIALS times.
 NEGLIGIBLE, TRIALS = 1e-6, 200
@@ -50,6 +51,7 @@ class WaveformEnergies:
             damping=plate.damping[both],
             hysteretic=plate.hysteretic[both],
         )
+        self._poles = make_poles(self._plate, self._window.end)
         self._factors = [_factor(region[both]) for region in regions]
 
     def matrices(self, frequency: np.ndarray, forces: np.ndarray, delay: np.ndarray) -> np.ndarray:
@@ -75,10 +77,11 @@ class WaveformEnergies:
         loads, known, states = np.concatenate([frequency, delay], axis=1), None, None
         for plate, product in enumerate(products):
             if known is None or (loads[plate] != known).any():
-                excitation, known = self._excitation(frequency[plate], delay[plate]), loads[plate]
+                some, known = (frequency[plate], delay[plate]), loads[plate]
+                excitation = _excitation(self._plate.scene, self._poles, forces[plate], *some)
                 times, weights = time_rule(excitation, self._window, np.arange(self._modes.size))
                 states = _states(excitation, times, self._velocity)
-            gains = excitation.poles.inputs @ forces[plate]
+            gains = _gains(self._poles, forces[plate])
             rates = _rates(excitation, gains, drives[plate], times, self._velocity, states)
             rates *= np.sqrt(weights / 2)
             for matrix, factor in zip(product, self._factors, strict=True):
@@ -86,26 +89,32 @@ class WaveformEnergies:
                 matrix[:] = np.tensordot(parts, parts, axes=([0, 2], [0, 2]))
         return products
 
-    def _excitation(self, frequency: np.ndarray, delay: np.ndarray) -> Excitation:
-        none = np.zeros((self._modes.size, frequency.size))
-        return make_excitation(self._plate, self._window.end, none, frequency, delay)
-
     def _moving_modes(self, plate: ModalPlate, forces: np.ndarray) -> np.ndarray:
         """Return the modes that move under forces (modes,), at the scene's frequencies and the ends of the search's."""
         scene = plate.scene
         searched = scene.search.frequency
         tones = {*actuator_frequencies(scene).tolist(), *(searched.range if searched is not None else ())}
-        none, end = np.zeros((len(forces), 1)), scene.window.end
-        energy = np.zeros(len(forces))
+        end, energy = scene.window.end, np.zeros(len(forces))
+        poles = make_poles(plate, end)
         for tone in tones:
-            delay = actuator_delays(scene)[:1]
-            excitation = make_excitation(plate, end, none, np.array([tone]), delay)
-            times, gains = np.linspace(0, end, TRIALS), (excitation.poles.inputs @ forces)[:, None]
+            excitation = _excitation(scene, poles, forces[:, None], np.array([tone]), actuator_delays(scene)[:1])
+            times, gains = np.linspace(0, end, TRIALS), excitation.gains
             states = _states(excitation, times, self._velocity)
             size = (_rates(excitation, gains, np.ones((1, 1)), times, self._velocity, states) ** 2).sum(axis=(1, 2))
             energy = np.maximum(energy, size / (size.sum() or 1.0))
         order = np.argsort(energy)
         return np.sort(order[np.cumsum(energy[order]) > NEGLIGIBLE])
+
+
+def _excitation(scene: Scene, poles: Poles, forces: np.ndarray, frequency: np.ndarray, delay: np.ndarray) -> Excitation:
+    """Return the excitation of a plate by actuators (M,) with modal forces (modes, M)."""
+    apart, loads = unit_loads(scene, poles, frequency, delay, scene.window.end)
+    return Excitation(apart, _gains(poles, forces), loads, [])
+
+
+def _gains(poles: Poles, forces: np.ndarray) -> np.ndarray:
+    """Return the inputs (poles, M) of modal forces (modes, M)."""
+    return poles.inputs @ forces if poles.modes is None else poles.pressed(forces)
 
 
 def _factor(region: np.ndarray) -> np.ndarray | scipy.sparse.csr_array:
