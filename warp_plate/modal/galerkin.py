@@ -106,6 +106,7 @@ class Integrals:
         rules = [gauss(breaks, self.rule) for breaks in self.breaks]
         self.points, self._weights = (rules[0][0], rules[1][0]), (rules[0][1], rules[1][1])
         self.pairs = (_overlapping_pairs(along_x), _overlapping_pairs(along_y))
+        self._unordered = tuple(_unordered(*pairs) for pairs in self.pairs)
 
     def fields(self) -> tuple[Field, ...]:
         """Return Dx, D1, Dy, Dxy [N·m] and the mass per area [kg/m²] at Gauss's points (y, x), or as numbers."""
@@ -140,19 +141,19 @@ class Integrals:
             x: Derivatives along x of the first and of the second factor.
             y: Derivatives along y.
         """
-        along_x, along_y = self._products(0, *x), self._products(1, *y)
+        (along_x, of_x), (along_y, of_y) = self._products(0, *x), self._products(1, *y)
         if isinstance(field, float):
             values = field * np.outer(along_y.sum(axis=1), along_x.sum(axis=1))
         else:
             values = along_y @ field @ along_x.T
-        return self.scatter(values)
+        return self.scatter(values[of_y][:, of_x])
 
-    def _products(self, axis: int, first: int, second: int) -> np.ndarray:
-        """Return (pairs, points) weighted products of derivatives of two functions of one direction."""
-        rows, columns = self.pairs[axis]
+    def _products(self, axis: int, first: int, second: int) -> tuple[np.ndarray, np.ndarray | slice]:
+        """Return (products, points) weighted products of derivatives of two functions of one direction, and which of
+        them is that of each pair; of equal derivatives those of (i, k) and (k, i) are the same."""
+        (rows, columns), of_pairs = self._unordered[axis] if first == second else (self.pairs[axis], slice(None))
         values = [self.along[axis].values(self.points[axis], derivative) for derivative in (first, second)]
-        products: np.ndarray = values[0][rows] * values[1][columns] * self._weights[axis]
-        return products
+        return values[0][rows] * values[1][columns] * self._weights[axis], of_pairs
 
     def scatter(self, values: np.ndarray) -> Matrix:
         """Return the sparse matrix of values (pairs of y, pairs of x)."""
@@ -292,6 +293,13 @@ def _padded(matrix: Matrix, masses: int) -> Matrix:
     padded = Matrix(matrix)
     padded.resize(size, size)
     return padded
+
+
+def _unordered(rows: np.ndarray, columns: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Return each pair once, whatever its order, and which of them each pair is."""
+    ordered = np.sort(np.stack([rows, columns]), axis=0)
+    (first, second), of_pairs = np.unique(ordered, axis=1, return_inverse=True)
+    return (first, second), of_pairs.ravel()
 
 
 def _overlapping_pairs(splines: Splines) -> tuple[np.ndarray, np.ndarray]:

@@ -142,9 +142,6 @@ def laminates(
     plate, orthotropic, ratio = scene.plate, scene.effects.orthotropic, scene.plate.poisson_ratio
     thickness = plate.thickness * factors["thickness"]
     mass = plate.density * factors["density"] * thickness
-    added, layers = np.zeros_like(mass), np.zeros_like(mass)
-    if scene.effects.layers:
-        added, layers, mass = _with_layers(scene, x, y, thickness, factors["young_modulus"], mass)
     # Factor of the plate's own rigidities.
     stiffer = factors["young_modulus"] * factors["thickness"] ** 3
     if orthotropic is None:
@@ -152,12 +149,16 @@ def laminates(
         orthotropic = Orthotropic.model_construct(
             Dx=rigidity, Dy=rigidity, D1=ratio * rigidity, Dxy=(1 - ratio) / 2 * rigidity
         )
-    bend_xx, bend_yy = orthotropic.Dx * stiffer + added, orthotropic.Dy * stiffer + added
-    bend_xy, twist = orthotropic.D1 * stiffer + ratio * added, orthotropic.Dxy * stiffer + (1 - ratio) / 2 * added
+    own = (orthotropic.Dx, orthotropic.D1, orthotropic.Dy, orthotropic.Dxy)
+    bend_xx, bend_xy, bend_yy, twist = (rigidity * stiffer for rigidity in own)
     # A sheet of rigidity D and thickness H resists stretching with 12 D/H².
     membrane = 12 * factors["young_modulus"] * factors["thickness"] / plate.thickness**2
-    stretches = orthotropic.Dx * membrane + layers, orthotropic.Dy * membrane + layers
-    return (bend_xx, bend_xy, bend_yy), twist, mass, stretches
+    along_x, along_y = orthotropic.Dx * membrane, orthotropic.Dy * membrane
+    if scene.effects.layers:
+        added, layers, mass = _with_layers(scene, x, y, thickness, factors["young_modulus"], mass)
+        bend_xx, bend_xy, bend_yy = bend_xx + added, bend_xy + ratio * added, bend_yy + added
+        twist, along_x, along_y = twist + (1 - ratio) / 2 * added, along_x + layers, along_y + layers
+    return (bend_xx, bend_xy, bend_yy), twist, mass, (along_x, along_y)
 
 
 def _with_layers(
