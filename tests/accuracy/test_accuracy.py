@@ -11,13 +11,17 @@ from warp_plate.accuracy import choose as choosing
 from warp_plate.accuracy import configurations, report
 from warp_plate.accuracy.choose import choose
 from warp_plate.accuracy.configurations import Configuration, cost_of_run, percent, scene_with, seconds_text
-from warp_plate.accuracy.estimate import estimate
+from warp_plate.accuracy.estimate import estimate, estimate_modal
 from warp_plate.accuracy.measure import AccuracyRow, MeasurementContext, measure, measure_modal
-from warp_plate.accuracy.reference_solution import find_reference_solution
+from warp_plate.accuracy.reference_solution import find_reference_solution, grid_lines, solve_response
+from warp_plate.modal.motion import fields
+from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
 from warp_plate.reference import series
 from warp_plate.scene.model import Grid, Window
+from warp_plate.studies.grid_choice import resolve_search_grid
+from warp_plate.studies.simulate import simulate
 
 OVERLAP = Configuration(2, "overlap", (27, 27), None, "float32")
 MOMENTS = Configuration(4, "moments", (21, 21), None, "float32")
@@ -310,3 +314,54 @@ def test_a_short_window_is_estimated(panel):
     short = panel.model_copy(update={"window": window, "grid": grid})
     phasors = np.eye(3, dtype=complex)[:1]
     assert np.isfinite(estimate(short, phasors, factors_of(short, phasors), 0.1, "cpu").error)
+
+
+def test_modes_are_chosen_where_they_keep_an_error(panel, exact):
+    """A path or an evaluator that is named keeps its engine."""
+    chosen = resolve_search_grid(panel.with_accuracy(0.02), "cpu")
+    assert (chosen.evaluator, chosen.scene.grid) == ("modal", Grid())
+    assert chosen.accuracy["expected"] <= 0.01
+    bound = ModalSolver(chosen.scene, "cpu").response.bound()
+    assert bound == pytest.approx(exact.bound, rel=chosen.accuracy["expected"] + exact.uncertainty)
+    for named in ({"evaluator": "direct"}, {"path": "resident"}):
+        stepped = resolve_search_grid(panel.with_accuracy(0.3), "cpu", **named)
+        assert stepped.evaluator == "direct"
+        assert stepped.scene.grid.time_step
+
+
+STIFFENER = {"area": (0.06, 0.13, 0.05, 0.15), "thickness": 5e-4, "young_modulus": 5e9, "density": 1500.0}
+FINGER = {"area": (0.1, 0.12, 0.1, 0.12), "mass": 0.002, "stiffness": 400.0, "damping": 2.0}
+MIXED = {
+    "plain": {},
+    "layer": {"effects": {"damping": {"viscous": 60.0}, "layers": [STIFFENER]}},
+    "cantilever": {"edges": {"left": "clamped", "bottom": "free", "right": "free", "top": "free"}},
+    "hysteretic": {"effects": {"loss_factor": {"eta": 0.003}}, "edges": {"left": "supported", "top": "free"}},
+    "finger": {"effects": {"oscillators": [FINGER]}},
+    "burst": {"drive": {"frequency": 310.0, "burst": {"start": 0.0, "duration": 0.02, "ramp": 0.004}}},
+    "map": {"effects": {"damping": {"viscous": 5.0}, "variation": {"thickness": [[0.8, 1.1, 1.2], [1.0, 0.9, 1.3]]}}},
+}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name == "plain" else pytest.mark.slow) for name in MIXED]
+)
+def test_error_bars_of_modes_cover_what_more_functions_change(panel, name, random):
+    scene = panel.with_tables(**MIXED[name])
+    phasors = np.vstack([np.ones(3), random.normal(size=(2, 3)) + 1j * random.normal(size=(2, 3))])
+    run = ModalSolver(scene, "cpu").run(phasors, [0.02, 0.03])
+    factors = localization_factor(run.energy)
+    found = estimate_modal(scene, phasors, factors, run.times, run.displacement)
+    plate, response = solve_response(scene, 1.35, 2.0)
+    errors = np.abs(factors / response.localization_factors(phasors) - 1)
+    assert (errors <= found.errors).all()
+    assert found.error < 0.02
+    expected = fields(plate, phasors, run.times, *grid_lines(scene))
+    moved = np.linalg.norm((run.displacement - expected).reshape(3, -1), axis=1)
+    assert (moved <= found.displacement_errors * np.linalg.norm(expected.reshape(3, -1), axis=1)).all()
+
+
+def test_simulations_by_modes_have_an_error_bar(panel):
+    result = simulate(panel.with_accuracy(0.05), device="cpu")
+    assert (result.evaluator, result.node_steps) == ("modal", 0)
+    assert "±" in result.accuracy["estimate"]["line"]
+    assert 0 < result.accuracy["estimate"]["error"] < result.accuracy["expected"] < 0.05

@@ -1,4 +1,7 @@
-"""The error bar of a finished run: its localization factors against a small reference solution, in little time."""
+"""The error bar of a finished run: its localization factors against a small reference solution, in little time.
+
+Results by modes are compared with those of more functions.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,14 @@ from warp_plate.accuracy.configurations import (
     refine,
     two_digits,
 )
-from warp_plate.accuracy.reference_solution import ReferenceSolution, find_reference_solution
+from warp_plate.accuracy.reference_solution import (
+    ReferenceSolution,
+    find_reference_solution,
+    grid_lines,
+    largest_change,
+    solve_response,
+)
+from warp_plate.modal.motion import fields
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
@@ -40,6 +50,13 @@ GOOD_ENOUGH, FIRST_WANTED, FINEST_WANTED = 0.2, 0.02, 1e-6
 TOLERANCES, TOLERANCE_SHARE = (0.01, 0.001), 0.9
 # Side of the grid that shows the error of fourth order, and node-steps on it for each second of the estimate.
 PILOT_SIDE, PILOT_NODE_STEPS = 19, 2e7
+# Modes are compared with those of a higher density, up to a frequency that is higher by another factor. Errors are at
+# most so many times the change, which holds where they fall as density^-1.3 or faster, and a least value: that of free
+# motion which is left out.
+FINER, HIGHER = 1.2, 2.0
+CHANGE_FACTOR, LEAST_ERROR = 5.0, 1e-4
+# Numerics and reference of results by modes.
+MODES, MORE_FUNCTIONS = "modes", "more functions"
 
 
 @dataclass(frozen=True)
@@ -55,7 +72,7 @@ class Price:
 class Estimate:
     """Errors of a run, for each drive."""
 
-    configuration: Configuration  # configuration of the run
+    numerics: str  # grid of the run, or "modes"
     localization_factors: np.ndarray  # (drives,) computed localization factors
     references: np.ndarray  # (drives,) accurate localization factors
     uncertainty: float  # relative error of the references
@@ -75,13 +92,13 @@ class Estimate:
         value, error = float(self.localization_factors[drive]), float(self.errors[drive])
         bar, moved = error * value, float(self.displacement_errors[drive])
         if not math.isfinite(bar):
-            return (
-                f"{self.configuration.grid_text}: no error estimate (the plate is at rest, or not linear in its drives)"
-            )
+            return f"{self.numerics}: no error estimate (the plate is at rest, or not linear in its drives)"
         digits = max(3, 1 - math.floor(math.log10(bar))) if bar > 0 else 6
-        text = f"{self.configuration.grid_text}: localization factor {value:.{min(digits, 8)}f} ± {two_digits(bar)}"
-        if self.uncertainty > error / 2:
-            text += f" at most (the reference is known to {percent(self.uncertainty)} only)"
+        text = f"{self.numerics}: localization factor {value:.{min(digits, 8)}f} ± {two_digits(bar)}"
+        at_most = self.uncertainty > error / 2
+        text += " at most" if at_most else ""
+        if at_most and self.kind != MORE_FUNCTIONS:
+            text += f" (the reference is known to {percent(self.uncertainty)} only)"
         elif math.isfinite(moved):
             text += f", displacement ± {percent(moved)}"
         if self.price is None:
@@ -137,11 +154,10 @@ def estimate(
     budget = min(max(TIME_SHARE * seconds, LEAST_SECONDS), MOST_SECONDS)
     computed = np.asarray(localization_factors, dtype=float)
     phasors = np.asarray(phasors, dtype=complex)
-    # The reference consists of Gram matrices, which a nonlinear plate does not have.
-    kept = np.isfinite(computed) & np.any(phasors != 0, axis=1) & scene.linear
+    kept = _known(scene, phasors, computed)
     unknown = np.full(computed.shape, math.nan)
     if not kept.any():
-        return Estimate(configuration_of(scene), computed, unknown, math.nan, unknown, "none", 0.0, None, unknown)
+        return _no_estimate(configuration_of(scene).grid_text, computed)
 
     def wanted(response: Response) -> float:
         difference = np.abs(computed[kept] / response.localization_factors(phasors[kept]) - 1).max()
@@ -159,7 +175,7 @@ def estimate(
         for drive, fields in enumerate(displacement):
             displacement_errors[drive] = reference.displacement_error(phasors[drive], times, scene, fields)
     return Estimate(
-        configuration=configuration_of(scene),
+        numerics=configuration_of(scene).grid_text,
         localization_factors=computed,
         references=references,
         uncertainty=reference.uncertainty,
@@ -169,6 +185,56 @@ def estimate(
         price=price,
         displacement_errors=displacement_errors,
     )
+
+
+def estimate_modal(
+    scene: Scene,
+    phasors: np.ndarray,
+    localization_factors: np.ndarray,
+    times: Sequence[float] | np.ndarray = (),
+    displacement: np.ndarray | None = None,
+) -> Estimate:
+    """Estimate the errors of results by modes, from what more functions change; see :func:`estimate`.
+
+    Errors of one drive may pass through zero, so the largest of these drives, of the single actuators, of the best
+    drive and of the bound is taken for all.
+    """
+    started = time.perf_counter()
+    computed, phasors = np.asarray(localization_factors, dtype=float), np.asarray(phasors, dtype=complex)
+    kept = _known(scene, phasors, computed)
+    if not kept.any():
+        return _no_estimate(MODES, computed)
+    (_, response), (plate, finer) = solve_response(scene, 1.0), solve_response(scene, FINER, HIGHER)
+    references, moved = np.full(computed.shape, math.nan), np.full(computed.shape, math.nan)
+    references[kept] = finer.localization_factors(phasors[kept])
+    observed = np.concatenate([phasors[kept], np.eye(len(scene.actuators))])
+    change = max(largest_change(observed, False, finer, [response]), np.nanmax(np.abs(computed / references - 1)))
+    if displacement is not None and len(times):
+        expected = fields(plate, phasors[kept], np.asarray(times, dtype=float), *grid_lines(scene))
+        differences = np.linalg.norm((displacement[kept] - expected).reshape(kept.sum(), -1), axis=1)
+        sizes = np.linalg.norm(expected.reshape(kept.sum(), -1), axis=1)
+        moved[kept] = CHANGE_FACTOR * differences / np.where(sizes > 0, sizes, math.nan) + LEAST_ERROR
+    return Estimate(
+        numerics=MODES,
+        localization_factors=computed,
+        references=references,
+        uncertainty=(CHANGE_FACTOR - 1) * change + LEAST_ERROR,
+        errors=np.where(kept, CHANGE_FACTOR * change + LEAST_ERROR, math.nan),
+        kind=MORE_FUNCTIONS,
+        seconds=time.perf_counter() - started,
+        price=None,
+        displacement_errors=moved,
+    )
+
+
+def _known(scene: Scene, phasors: np.ndarray, factors: np.ndarray) -> np.ndarray:
+    """Return whether drives (drives,) have a reference: Gram matrices, which a nonlinear plate does not have."""
+    return np.asarray(np.isfinite(factors) & np.any(phasors != 0, axis=1) & scene.linear)
+
+
+def _no_estimate(numerics: str, factors: np.ndarray) -> Estimate:
+    unknown = np.full(factors.shape, math.nan)
+    return Estimate(numerics, factors, unknown, math.nan, unknown, "none", 0.0, None, unknown)
 
 
 def _price(

@@ -166,7 +166,7 @@ def find_reference_solution(
     if not scene.linear:
         raise SceneError(f"{scene.nonlinear_table}: not linear in the drives; accuracy needs a linear scene")
     observed = np.empty((0, len(scene.actuators))) if phasors is None else phasors
-    refinements = _refinements(scene, kind, device, partial(_change, observed, only))
+    refinements = _refinements(scene, kind, device, partial(largest_change, observed, only))
     started = time.perf_counter()
     last = next(refinements)
     spent = last.seconds
@@ -182,14 +182,16 @@ def find_reference_solution(
     return last
 
 
-def solve_response(scene: Scene, density: float) -> tuple[ModalPlate, Response]:
+def solve_response(scene: Scene, density: float, higher: float = 1.0) -> tuple[ModalPlate, Response]:
     """Return modes and Gram matrices of plate and target, without a grid; see ``solve_modes`` for the density.
+
+    Responses are accurate up to ``higher`` times the frequencies of the drive.
 
     Raises:
         SceneError: An undamped plate is driven at resonance, or the plate has no modes.
     """
     # More functions follow shorter waves, and higher modes are kept of a plate that has too many for all.
-    plate = solve_modes(scene, highest=density * highest_frequency(scene), density=density)
+    plate = solve_modes(scene, highest=density * higher * highest_frequency(scene), density=density)
     frequencies, loss = actuator_frequencies(scene), np.diag(plate.damping)[:, None] / 2
     apart = np.hypot(2 * math.pi * (plate.frequencies[:, None] - frequencies), loss).min()
     if not scene.steady and apart * scene.window.end < NEAREST_RESONANCE:  # mode and drive would cancel
@@ -199,7 +201,7 @@ def solve_response(scene: Scene, density: float) -> tuple[ModalPlate, Response]:
     return plate, Response(gram_matrices(plate, regions, plate.actuator_forces()[None], frequencies[None], window)[0])
 
 
-def _change(phasors: np.ndarray, only: bool, response: Response, others: Sequence[Response]) -> float:
+def largest_change(phasors: np.ndarray, only: bool, response: Response, others: Sequence[Response]) -> float:
     """Return the largest relative difference of the observed quantities from those of other responses."""
     if not only:
         usual = np.array([best_single(response), response.best_drive(), np.ones(phasors.shape[1])])

@@ -220,7 +220,7 @@ def print_cost(result: Result, console: Console, start: str = "") -> None:
         f"{before}. Effects {included}: {', '.join(result.effects) or 'none'}."
     )
     if "reason" in result.accuracy:
-        console.print(f"grid chosen for {result.accuracy['reason']}")
+        console.print(f"engine: {result.accuracy['reason']}")
     if "estimate" in result.accuracy:
         console.print(result.accuracy["estimate"]["line"])
     for sentence in warnings_of(result):

@@ -55,7 +55,7 @@ def simulate(
 
 def _as_json(result: Result) -> dict[str, object]:
     case = result.cases["drive"]
-    names = ("device", "path", "peak_displacement", "node_steps", "seconds", "effects", "accuracy")
+    names = ("device", "evaluator", "path", "peak_displacement", "node_steps", "seconds", "effects", "accuracy")
     return {
         "scene": result.source,
         **output.attributes(result, *names),

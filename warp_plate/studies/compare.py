@@ -47,7 +47,7 @@ def compare(
     Args:
         methods: some of METHODS (default: all that fit the scene).
         seeds: number of seeds, from the scene's own on.
-        evaluator: see ``localize`` (default: "response" where it applies, else "direct").
+        evaluator: see ``localize`` (default: "modal" as there, else "response" where it applies, else "direct").
         evaluations: evaluations of each trial (default: the scene's particles × iterations).
         device, path, on_progress, pool: see ``localize``.
 
@@ -89,8 +89,8 @@ def _prepare(
             raise SceneError(f"--evaluations {evaluations}: must be at least {at_once}")
         search = scene.search.model_copy(update={"iterations": evaluations // particles})
         scene = scene.model_copy(update={"search": search})
-    scene, started = resolve_search_grid(scene, device, evaluator).scene, time.perf_counter()
-    problem = make_problem(scene, device, path, evaluator, pool=pool)
+    resolved, started = resolve_search_grid(scene, device, evaluator, path), time.perf_counter()
+    problem = make_problem(resolved.scene, device, path, resolved.evaluator, pool=pool)
     prepared = time.perf_counter() - started - problem.compile_seconds
     if evaluator is None and problem.evaluator_name == "direct" and problem.response is not None:
         problem = replace(problem, evaluator_name="response")

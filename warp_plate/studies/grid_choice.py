@@ -1,21 +1,21 @@
-"""The grid of a scene that asks for an accuracy, and the estimated error of a result."""
+"""The engine and grid of a scene that asks for an accuracy, and the estimated error of a result."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from warp_plate.accuracy.choose import choose
-from warp_plate.accuracy.estimate import estimate
+from warp_plate.accuracy.estimate import estimate, estimate_modal
 from warp_plate.accuracy.reference_solution import ReferenceSolution
-from warp_plate.modal.solver import MODAL
+from warp_plate.modal.solver import MODAL, has_modes
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import at_highest_frequency
-from warp_plate.scene.model import Grid, Scene
+from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Run
 
 
@@ -25,40 +25,58 @@ class ResolvedGrid:
 
     Attributes:
         scene: the scene, with a grid in place of an accuracy.
-        accuracy: the accuracy asked for, the expected error and the reason for the grid; empty if the scene has a grid.
+        evaluator: "modal" if modes were chosen, else that asked for or that of time steps; None for the default.
+        accuracy: the accuracy asked for, the expected error and the reason for the choice; empty if the scene has a
+            grid.
         seconds: the time that the choice took, under "choose".
         reference: reference solution that the choice computed.
     """
 
     scene: Scene
+    evaluator: str | None = None
     accuracy: Mapping[str, Any] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     reference: ReferenceSolution | None = None
 
 
-def resolve_grid(scene: Scene, device: str, phasors: np.ndarray | None = None) -> ResolvedGrid:
-    """Choose the cheapest grid that keeps the scene's ``grid.accuracy``; a scene with a grid is returned as it is.
+def resolve_grid(
+    scene: Scene,
+    device: str,
+    phasors: np.ndarray | None = None,
+    engine: Literal["any", "modes", "steps"] = "steps",
+) -> ResolvedGrid:
+    """Choose the cheapest engine and grid that keep the scene's ``grid.accuracy``; a grid is returned as it is.
 
     Args:
         phasors: (drives, actuators) drives whose errors count (default: those that ``choose`` takes).
+        engine: engine that may be chosen.
     """
     if scene.grid.accuracy is None:
         return ResolvedGrid(scene)
     started = time.perf_counter()
-    choice = choose(scene, scene.grid.accuracy, device, phasors)
+    choice = choose(scene, scene.grid.accuracy, device, phasors, engine)
     accuracy = {"asked": scene.grid.accuracy, "expected": choice.error, "reason": choice.reason}
-    return ResolvedGrid(choice.scene, accuracy, {"choose": time.perf_counter() - started}, choice.reference)
+    seconds = {"choose": time.perf_counter() - started}
+    return ResolvedGrid(choice.scene, MODAL if choice.by_modes else None, accuracy, seconds, choice.reference)
 
 
-def resolve_search_grid(scene: Scene, device: str, evaluator: str | None = None) -> ResolvedGrid:
-    """Choose the grid for a search by its highest frequency, which is the most demanding.
+def resolve_search_grid(scene: Scene, device: str, evaluator: str | None = None, path: str = "auto") -> ResolvedGrid:
+    """Choose the engine and grid for a search by its highest frequency, which is the most demanding.
 
-    The evaluator "modal" needs a grid for pictures alone, which is the default one.
+    An evaluator or a path that is named keeps its engine.
     """
+    if scene.grid.accuracy is None:
+        return ResolvedGrid(scene, evaluator)
+    engine: Literal["any", "modes", "steps"] = "steps"
     if evaluator == MODAL or scene.modal_only_key is not None:
-        return ResolvedGrid(scene.model_copy(update={"grid": Grid()}) if scene.grid.accuracy is not None else scene)
-    resolved = resolve_grid(at_highest_frequency(scene), device)
-    return replace(resolved, scene=resolved.scene.model_copy(update={"actuators": scene.actuators}))
+        engine = "modes"
+    elif evaluator is None and path == "auto" and has_modes(scene):
+        engine = "any"
+    resolved = resolve_grid(at_highest_frequency(scene), device, engine=engine)
+    gridded = resolved.scene.model_copy(update={"actuators": scene.actuators})
+    # The default evaluator of time steps; of robust searches it may be another.
+    steps = "direct" if scene.search.robust is None else None
+    return replace(resolved, scene=gridded, evaluator=resolved.evaluator or evaluator or steps)
 
 
 def estimate_error(
@@ -68,11 +86,15 @@ def estimate_error(
     solve_seconds: float,
     device: str,
     reference: ReferenceSolution | None = None,
+    by_modes: bool = False,
 ) -> dict[str, Any]:
     """Estimate the errors of a run of the named drives; return them as entry "estimate" of ``Result.accuracy``.
 
-    The time for the estimate is limited by ``solve_seconds``, which the result took.
+    The time for the estimate of time steps is limited by ``solve_seconds``, which the result took.
     """
     drives, factors = np.array(list(phasors.values())), localization_factor(run.energy)
-    found = estimate(scene, drives, factors, solve_seconds, device, run.times, run.displacement, reference)
+    if by_modes:
+        found = estimate_modal(scene, drives, factors, run.times, run.displacement)
+    else:
+        found = estimate(scene, drives, factors, solve_seconds, device, run.times, run.displacement, reference)
     return {"estimate": {"cases": list(phasors), **found.as_json(), "line": found.line()}}

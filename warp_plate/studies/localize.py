@@ -68,15 +68,16 @@ def localize(
     """Search for the drive with the largest share of the plate's kinetic energy in the target.
 
     A scene with several targets has one search after the other, and a best drive for each (see ``result.targets``).
-    The grid of a scene with ``grid.accuracy`` is chosen first, for the first target. Ctrl-C ends the search early; the
-    result then holds the best drive so far and is marked as interrupted.
+    The engine and grid of a scene with ``grid.accuracy`` are chosen first, for the first target. Ctrl-C ends the search
+    early; the result then holds the best drive so far and is marked as interrupted.
 
     Args:
         scene: scene to search; ``source`` is its name, kept in the result.
         device, path: see :class:`PlateSolver`.
         seed: random seed of the search (default: the scene's).
-        evaluator: "direct" simulates a plate for each candidate, "response" uses Gram matrices of unit responses
-            (default: "direct"; for robust searches "response" where it applies).
+        evaluator: "direct" simulates a plate for each candidate, "response" uses Gram matrices of unit responses,
+            "modal" the modes of the plate (default: "modal" with ``grid.accuracy`` where they keep it; else "direct",
+            and for robust searches "response" where it applies).
         on_progress: called after each iteration.
         estimate: whether to estimate the errors of the localization factors.
         checkpoints: file that :func:`resume` can continue from.
@@ -190,11 +191,11 @@ def _new_search(
         raise SceneError(f"seed = {seed}: must be an integer from 0 to 2^63 - 1")
     files, written = digests(scene), scene
     scene = with_method(scene)
-    if evaluator is None and written.search.method is None and scene.search.method == "exact":
-        evaluator = MODAL if has_modes(scene) else None
-    evaluator = evaluator or default_evaluator(scene, path)
-    resolved, started = resolve_search_grid(scene, device, evaluator), time.perf_counter()
-    problem = make_problem(resolved.scene, device, path, evaluator, pool=pool)
+    if evaluator is None and scene.grid.accuracy is None:
+        exact = written.search.method is None and scene.search.method == "exact"
+        evaluator = MODAL if exact and path == "auto" and has_modes(scene) else default_evaluator(scene, path)
+    resolved, started = resolve_search_grid(scene, device, evaluator, path), time.perf_counter()
+    problem = make_problem(resolved.scene, device, path, resolved.evaluator, pool=pool)
     initial, compiling = _initial_state(problem, seed), problem.compile_seconds
     start = Checkpoint(
         scene_as_written=written,
@@ -286,9 +287,9 @@ def _optional_parts(
     position, best, run = end.finished_searches[0].position, evaluated.cases["best"], evaluated.run
     is_robust = problem.scenario_losses is not None and position is not None and not interrupted
     robust, nominal, steps = attempt("robust", is_robust, compare_with_nominal, problem, end, position) or (None, {}, 0)
-    of_run = evaluated.scene, evaluated.phasors, run, seconds["solve"], problem.drive_solver.device.alias, reference
-    by_steps = end.evaluator != MODAL  # errors of grids
-    estimated = attempt("estimate", options.estimate and by_steps, estimate_error, *of_run) or {}
+    device, by_modes = problem.drive_solver.device.alias, end.evaluator == MODAL
+    of_run = evaluated.scene, evaluated.phasors, run, seconds["solve"], device, reference, by_modes
+    estimated = attempt("estimate", options.estimate, estimate_error, *of_run) or {}
     baselines, more_steps = attempt("baselines", options.baselines, baseline_cases, problem) or ({}, 0)
     references = {name: evaluated.cases[name] for name in ("equal", "single")} | baselines
     values, last_steps = evaluate_objectives(problem, references)

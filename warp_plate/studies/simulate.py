@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.solve.peak import run_with_peak
 from warp_plate.solve.run import Run
 from warp_plate.solve.solver import PlateSolver, Progress
-from warp_plate.studies.grid_choice import ResolvedGrid, estimate_error, resolve_grid, resolve_search_grid
+from warp_plate.studies.grid_choice import ResolvedGrid, estimate_error, resolve_grid
 from warp_plate.studies.provenance import device_name, run_fields, versions
 
 
@@ -35,11 +36,11 @@ def simulate(
     estimate: bool = True,
     allow_unstable: bool = False,
 ) -> Result:
-    """Run a scene under one drive, on the grid for its ``grid.accuracy``, and record what ``[record]`` asks for.
+    """Run a scene under one drive, by the engine for its ``grid.accuracy``, and record what ``[record]`` asks for.
 
     Args:
         path: see :class:`PlateSolver`, or "modal" for the modes of a linear scene, which have no grid's error; "auto"
-            takes modes for scenes with damping that only they have.
+            takes modes for scenes with damping that only they have, and where they keep ``grid.accuracy``.
         drive: "scene" (the magnitudes and phases of its actuators), "equal", "single" (the best single actuator), or
             the name of a result file, whose best drive is taken.
         progress: called with (node-steps done, in all).
@@ -48,9 +49,8 @@ def simulate(
     Raises:
         SceneError: see :class:`PlateSolver` and :func:`phasors_from_file`.
     """
-    by_modes = path == MODAL or (path == "auto" and scene.modal_only_key is not None)
-    resolved, phasors = _resolve(scene, drive, device, by_modes)
-    scene = resolved.scene
+    resolved, phasors = _resolve(scene, drive, device, path)
+    scene, by_modes = resolved.scene, resolved.evaluator == MODAL
     solver: PlateSolver | ModalSolver
     if by_modes:
         solver = ModalSolver(scene, device, areas=target_regions(scene))
@@ -62,7 +62,7 @@ def simulate(
     run, peak = run_with_peak(solver, phasors[None], progress)
     solved = time.perf_counter() - started
     seconds = {**resolved.seconds, "compile": solver.compile_seconds, "solve": solved}
-    estimate = estimate and not by_modes and bool(run.finite.all())
+    estimate = estimate and bool(run.finite.all())
     estimated = _estimate(resolved, phasors, run, seconds, device) if estimate else {}
     return Result(
         command="simulate",
@@ -81,17 +81,18 @@ def simulate(
     )
 
 
-def _resolve(scene: Scene, drive: str, device: str, by_modes: bool) -> tuple[ResolvedGrid, np.ndarray | None]:
-    """Return the scene with a grid, and the phasors of a drive, None if they are to be found by simulation."""
+def _resolve(scene: Scene, drive: str, device: str, path: str) -> tuple[ResolvedGrid, np.ndarray | None]:
+    """Return the scene with an engine and a grid, and the phasors of a drive, None if they are to be found by
+    simulation."""
     phasors: np.ndarray | None = None
     if drive == "equal":
         phasors = np.full(len(scene.actuators), magnitude_unit(scene), dtype=complex)
     elif drive != "single":
         phasors = scene_phasors(scene) if drive == "scene" else phasors_from_file(drive, scene)
-    if by_modes:
-        return resolve_search_grid(scene, device, MODAL), phasors
     drives = None if phasors is None or drive == "equal" else phasors[None]
-    return resolve_grid(scene, device, drives), phasors
+    if path == MODAL or (path == "auto" and scene.modal_only_key is not None):
+        return replace(resolve_grid(scene, device, drives, "modes"), evaluator=MODAL), phasors
+    return resolve_grid(scene, device, drives, "any" if path == "auto" else "steps"), phasors
 
 
 def _estimate(
@@ -101,7 +102,8 @@ def _estimate(
     started = time.perf_counter()
     with suppress(KeyboardInterrupt, SceneError):
         drives = {"drive": phasors}
-        found = estimate_error(resolved.scene, drives, run, seconds["solve"], device, resolved.reference)
+        by_modes = resolved.evaluator == MODAL
+        found = estimate_error(resolved.scene, drives, run, seconds["solve"], device, resolved.reference, by_modes)
         seconds["estimate"] = time.perf_counter() - started
         return found
     return {}
