@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -31,8 +32,8 @@ from warp_plate.modal.steady import times
 from warp_plate.plate.signals import actuator_delays
 from warp_plate.scene.model import Window
 
-# Free motions whose energies together are below this part of all motion's are left out.
-NEGLIGIBLE = 1e-15
+# Free motions below this part of the largest are left out.
+NEGLIGIBLE = 1e-8
 # Means of exponentials that turn less than SLOW over the window are series of TERMS terms.
 SLOW, TERMS = 1e-2, 8
 # Numbers of the arrays of a block of designs.
@@ -200,12 +201,7 @@ class _Motion:
     free: np.ndarray  # (3, designs, poles, K)
 
     def slopes(
-        self,
-        poles: Poles,
-        regions: Sequence[np.ndarray],
-        pushed: np.ndarray,
-        gained: np.ndarray,
-        part: Window,
+        self, poles: Poles, regions: Sequence[np.ndarray], pushed: np.ndarray, gained: np.ndarray, part: Window
     ) -> np.ndarray:
         """Return (3, designs, regions, poles, K) ⟨Re vᵀ G ∂v⟩ of unit inputs, by the drive, frequency and delay.
 
@@ -221,24 +217,15 @@ class _Motion:
         forced = poles.forced(states, np.repeat(pushed, terms, axis=2), np.repeat(gained, terms, axis=2))
         free = (gained * self.free[0]).sum(axis=2)
         size = np.abs(free) * np.linalg.norm(poles.vectors, axis=0) * np.exp(poles.values.real * part.start)
-        total = (size**2).sum(axis=1, keepdims=True)
-        energy = (size**2 / np.where(total > 0, total, 1)).max(axis=0)
-        order = np.argsort(energy)
-        kept = np.sort(order[np.cumsum(energy[order]) > NEGLIGIBLE])
+        kept = np.flatnonzero((size > NEGLIGIBLE * size.max(axis=1, keepdims=True)).any(axis=0))
         lasting, free = poles.part(kept), free[:, kept]
-        sides = []
-        for conjugate in (False, True):
-            turns, decays = (values.conj() if conjugate else values for values in (rates, lasting.values))
-            pairs = (turns[:, :, None], rates[:, None, :]), (decays[:, None], rates[:, None, :])
-            means = [_means(*pair, part) for pair in pairs]
-            others = (lasting.values[:, None], turns[:, None, :]), (lasting.values[:, None], decays)
-            sides.append((conjugate, means, [mean_exponential(*pair, part) for pair in others]))
+        sides = [_side_means(rates, lasting.values, conjugate, part) for conjugate in (False, True)]
         found = np.empty((3, designs, len(regions), count, self.rates.shape[1]), dtype=complex)
         for number, region in enumerate(regions):
             shapes, moved = lasting.moved(region), times(region, forced)
             rising = np.zeros((2, *forced.shape), dtype=complex)
             inner = np.zeros_like(free)
-            for conjugate, (of_forced, of_free), (crossed, decayed) in sides:
+            for conjugate, (of_forced, of_free, crossed, decayed) in enumerate(sides):
                 side = [values.conj() if conjugate else values for values in (moved, shapes, free)]
                 columns, across, amplitudes = side
                 for target, mean, other in zip(rising, of_forced, of_free, strict=True):
@@ -276,6 +263,16 @@ def _motions(
         grown[1] += turn * since * grown[0]
         state = free * np.exp(decays * since) + grown.sum(axis=4)
         before = (load.weights * np.exp(load.rates * since)).sum(axis=2)
+
+
+def _side_means(rates: np.ndarray, decays: np.ndarray, conjugate: int, part: Window) -> tuple[Any, ...]:
+    """Return the means of products of exponentials, the first one conjugate or not: forced with forced and free with
+    forced motion, both also times t; free with forced and free with free."""
+    first, free = (rates.conj(), decays.conj()) if conjugate else (rates, decays)
+    of_forced = _means(first[:, :, None], rates[:, None, :], part)
+    of_free = _means(free[:, None], rates[:, None, :], part)
+    pairs = (decays[:, None], first[:, None, :]), (decays[:, None], free)
+    return of_forced, of_free, *(mean_exponential(*pair, part) for pair in pairs)
 
 
 def _product(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
