@@ -1,0 +1,141 @@
+"""Natural frequencies by finite elements of high degree with continuous slopes, for every linear effect but layers.
+
+In each of the elements between lines of the plate, a side has Hermite's cubics of values and slopes at its ends and
+bubbles (1 − s²)² P_k^(4, 4)(s), s = −1 ... 1; the functions of the plate are products of those of its sides (the
+hp version: C. Schwab, p- and hp-Finite Element Methods, 1998). Elements at the edges are short, for singular corners.
+"""
+
+import numpy as np
+import scipy
+from numpy.polynomial import legendre, polynomial
+
+HERMITE = [[0.5, -0.75, 0, 0.25], [0.25, -0.25, -0.25, 0.25], [0.5, 0.75, 0, -0.25], [-0.25, -0.25, 0.25, 0.25]]
+BUBBLE = [1, 0, -2, 0, 1]
+LEFT_OUT = {"clamped": [0, 1], "supported": [0]}
+
+
+def element_frequencies(scene, count, degree=10):
+    """Return the lowest ``count`` natural frequencies [Hz] of the undamped plate."""
+    sides = [_Side(scene, axis, degree) for axis in (0, 1)]
+    stiffness, mass = _matrices(scene, *sides)
+    units = 1 / np.sqrt(np.diag(stiffness) / np.diag(stiffness).mean() + np.diag(mass) / np.diag(mass).mean())
+    stiffness, mass = (matrix * np.outer(units, units) for matrix in (stiffness, mass))
+    plate = scene.plate
+    shift = plate.rigidity / (plate.density * plate.thickness) * (np.pi / max(plate.size)) ** 4
+    factor = scipy.linalg.cho_factor(stiffness + shift * mass)
+    inverse = scipy.sparse.linalg.LinearOperator(stiffness.shape, lambda b: scipy.linalg.cho_solve(factor, b))
+    start = np.random.default_rng(0).normal(size=len(mass))
+    squares = scipy.sparse.linalg.eigsh(
+        stiffness, count, mass, sigma=-shift, OPinv=inverse, v0=start, return_eigenvectors=False
+    )
+    return np.sqrt(np.maximum(np.sort(squares), 0)) / (2 * np.pi)
+
+
+class _Side:
+    """Functions along x (0) or y (1): values[derivative] (functions, points), their points and weights."""
+
+    def __init__(self, scene, axis, degree):
+        length, edges = scene.plate.size[axis], scene.edges
+        ends = ((edges.left, edges.right), (edges.bottom, edges.top))[axis]
+        self.lines = np.unique(np.round([*length * np.array([0, 0.06, 0.5, 0.94, 1]), *_lines(scene, axis)], 12))
+        nodes, bubbles = len(self.lines), degree - 3
+        s, weights = legendre.leggauss(degree + 5)
+        reference = _reference(degree, s)
+        values = np.zeros((3, 2 * nodes + bubbles * (nodes - 1), s.size * (nodes - 1)))
+        for element, half in enumerate(np.diff(self.lines) / 2):
+            own = [*range(2 * element, 2 * element + 4), *(2 * nodes + element * bubbles + np.arange(bubbles))]
+            scale = np.where(np.isin(np.arange(degree + 1), (1, 3)), half, 1)
+            for derivative in range(3):
+                points = slice(element * s.size, (element + 1) * s.size)
+                values[derivative, own, points] = reference[derivative] * scale[:, None] / half**derivative
+        half = np.diff(self.lines)[:, None] / 2
+        self.points = (self.lines[:-1, None] + half * (1 + s)).ravel()
+        self.weights = (half * weights).ravel()
+        out = [unknown for end, first in zip(ends, (0, 2 * nodes - 2), strict=True) for unknown in
+               (first + np.array(LEFT_OUT.get(end, []) if isinstance(end, str) else [], dtype=int))]  # fmt: skip
+        kept = np.setdiff1d(np.arange(values.shape[1]), out)
+        self.values = values[:, kept]
+        self.ends = [np.array([kept == first, kept == first + 1], dtype=float) for first in (0, 2 * nodes - 2)]
+
+    def mean(self, low, high):
+        """Return the means of the functions between two lines."""
+        inside = (self.points > low) & (self.points < high)
+        return (self.values[0][:, inside] * self.weights[inside]).sum(axis=1) / (high - low)
+
+
+def _reference(degree, s):
+    values = np.empty((3, degree + 1, s.size))
+    for k in range(degree + 1):
+        row = HERMITE[k] if k < 4 else polynomial.polymul(BUBBLE, scipy.special.jacobi(k - 4, 4, 4).coef[::-1])
+        for derivative in range(3):
+            values[derivative, k] = polynomial.polyval(s, polynomial.polyder(row, derivative))
+    return values
+
+
+def _lines(scene, axis):
+    places = [place for item in scene.effects.oscillators for place in item.area[2 * axis : 2 * axis + 2]]
+    for _, rows in scene.effects.variation or ():
+        shape = np.shape(rows) if rows is not None else (1, 1)
+        places += [*np.linspace(0, scene.plate.size[axis], max(shape[1 - axis], 2))]
+    return places
+
+
+def _factor(scene, name, x, y):
+    """Return a factor of the scene's variation at points (y, x)."""
+    rows = getattr(scene.effects.variation, name, None)
+    array = np.array([[1.0]] if rows is None else rows)
+    for axis, (points, length) in enumerate(((y, scene.plate.size[1]), (x, scene.plate.size[0]))):
+        columns = np.linspace(0, length, array.shape[axis]) if array.shape[axis] > 1 else np.zeros(1)
+        array = np.apply_along_axis(lambda v, p=points, c=columns: np.interp(p, c, v), axis, array)
+    return array
+
+
+def _matrices(scene, along_x, along_y):
+    """Return stiffness and mass over the products of functions, those of x fastest, and the oscillators' masses."""
+    plate, effects = scene.plate, scene.effects
+    thickness, young, density = (
+        _factor(scene, name, along_x.points, along_y.points) for name in ("thickness", "young_modulus", "density")
+    )
+    ratio, flat = plate.poisson_ratio, effects.orthotropic
+    dx, dy, d1, dxy = (
+        (flat.Dx, flat.Dy, flat.D1, flat.Dxy) if flat else plate.rigidity * np.array([1, 1, ratio, (1 - ratio) / 2])
+    )
+    stiffer, one = young * thickness**3, np.ones_like(young)
+
+    def integral(field, x=(0, 0), y=(0, 0)):
+        pairs = [
+            (side.values[first][:, None] * side.values[second] * side.weights).reshape(-1, side.points.size)
+            for side, (first, second) in ((along_x, x), (along_y, y))
+        ]
+        counts = along_x.values.shape[1], along_y.values.shape[1]
+        product = (pairs[1] @ field @ pairs[0].T).reshape(counts[1], counts[1], counts[0], counts[0])
+        return product.transpose(0, 2, 1, 3).reshape(counts[0] * counts[1], -1)
+
+    coupled = integral(d1 * stiffer, (2, 0), (0, 2))
+    stiffness = integral(dx * stiffer, (2, 2)) + integral(dy * stiffer, y=(2, 2)) + coupled + coupled.T
+    stiffness += integral(4 * dxy * stiffer, (1, 1), (1, 1))
+    mass = integral(plate.density * plate.thickness * density * thickness)
+    if effects.tension:
+        stiffness += integral(effects.tension.x * one, (1, 1)) + integral(effects.tension.y * one, y=(1, 1))
+    if effects.foundation:
+        stiffness += integral(effects.foundation.stiffness * one)
+    for name, axis, end in (("left", 0, 0), ("right", 0, 1), ("bottom", 1, 0), ("top", 1, 1)):
+        edge = getattr(scene.edges, name)
+        if isinstance(edge, str):
+            continue
+        side, other = (along_x, along_y)[:: 1 - 2 * axis]
+        value, slope = side.ends[end]
+        across = edge.translation * np.outer(value, value) + edge.rotation * np.outer(slope, slope)
+        along = (other.values[0] * other.weights) @ other.values[0].T
+        stiffness += np.kron(along, across) if axis == 0 else np.kron(across, along)
+    for oscillator in effects.oscillators:
+        x0, x1, y0, y1 = oscillator.area
+        pull = np.zeros(len(stiffness))
+        means = np.outer(along_y.mean(y0, y1), along_x.mean(x0, x1)).ravel()
+        pull[: means.size] = means
+        if oscillator.mass:
+            stiffness, mass = (scipy.linalg.block_diag(matrix, value) for matrix, value in
+                               ((stiffness, 0.0), (mass, oscillator.mass)))  # fmt: skip
+            pull = np.append(pull, -1.0)
+        stiffness += oscillator.stiffness * np.outer(pull, pull)
+    return stiffness, mass
