@@ -110,7 +110,7 @@ class ToneMatrices:
 def _times(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndarray) -> np.ndarray:
     """Return a matrix (rows, poles) times columns (plates, poles, columns), as one product."""
     first = np.ascontiguousarray(columns.swapaxes(0, 1))
-    product = matrix @ first.reshape(len(first), -1)
+    product = matrix @ first.reshape(len(first), math.prod(first.shape[1:]))
     return np.asarray(product.reshape(-1, *first.shape[1:]).swapaxes(0, 1))
 
 
