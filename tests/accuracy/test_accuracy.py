@@ -330,15 +330,11 @@ def test_modes_are_chosen_where_they_keep_an_error(panel, exact):
 
 
 STIFFENER = {"area": (0.06, 0.13, 0.05, 0.15), "thickness": 5e-4, "young_modulus": 5e9, "density": 1500.0}
-FINGER = {"area": (0.1, 0.12, 0.1, 0.12), "mass": 0.002, "stiffness": 400.0, "damping": 2.0}
 MIXED = {
     "plain": {},
     "layer": {"effects": {"damping": {"viscous": 60.0}, "layers": [STIFFENER]}},
-    "cantilever": {"edges": {"left": "clamped", "bottom": "free", "right": "free", "top": "free"}},
     "hysteretic": {"effects": {"loss_factor": {"eta": 0.003}}, "edges": {"left": "supported", "top": "free"}},
-    "finger": {"effects": {"oscillators": [FINGER]}},
     "burst": {"drive": {"frequency": 310.0, "burst": {"start": 0.0, "duration": 0.02, "ramp": 0.004}}},
-    "map": {"effects": {"damping": {"viscous": 5.0}, "variation": {"thickness": [[0.8, 1.1, 1.2], [1.0, 0.9, 1.3]]}}},
 }
 
 

@@ -58,7 +58,7 @@ def plot_history(axes: Axes, result: Result) -> None:
         bound, kind = getattr(result.robust, "bound", None), "bound only"
     if bound is not None:
         loss, words = offset - bound, "bound only" if kind == "bound only" else "bound"
-        label = f"{words}: {loss:.4f}".replace("-", "−")
+        label = f"{words if localization else f'{words} of the loss'}: {loss:.4f}".replace("-", "−")
         axes.axhline(loss, color="#b2182b", linewidth=1.0, linestyle="--", label=label)
     if result.source == "paper":
         label = f"published: {PUBLISHED_LOSS:g}"
