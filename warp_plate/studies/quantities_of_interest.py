@@ -13,6 +13,7 @@ from warp_plate.modal.modes import solve_modes
 from warp_plate.modal.solver import MODAL
 from warp_plate.optimize.optimizer import MethodError, minimize
 from warp_plate.optimize.quadratic import best_position
+from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.evaluate_cases import reference_phasors
 from warp_plate.problem.problem import Problem, make_problem
@@ -97,7 +98,11 @@ def _best_position(problem: Problem) -> np.ndarray | None:
 
 def _simulation_quantities(scene: Scene, settings: Settings) -> Values:
     """Return the localization factor, energies and peak displacement under the scene's own drive."""
-    path = MODAL if settings.evaluator == MODAL else settings.path
+    path = settings.path
+    if settings.evaluator == MODAL:
+        path = MODAL
+    elif scene.grid.accuracy is not None:  # a grid for time steps, where an accuracy alone might take modes
+        scene = resolve_grid(scene, settings.device, scene_phasors(scene)[None]).scene
     result = simulate(scene, device=settings.device, path=path, estimate=False)
     case = result.cases["drive"]
     if case.status != "ok":
