@@ -47,7 +47,7 @@ STILL = 1e-4
 PROPORTIONAL, ROUNDING = 1e-6, 1e-13
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ModalPlate:
     """Modes of a scene's plate by rising frequency, mass-normalised.
 

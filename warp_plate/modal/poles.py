@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -83,6 +84,7 @@ class Poles:
         return self.vectors[self.modes, np.arange(self.values.size)]
 
 
+@lru_cache(maxsize=4)
 def make_poles(plate: ModalPlate, longest: float) -> Poles:
     """Return the poles of a plate with viscous damping, for times up to ``longest`` [s]."""
     least = APART / longest

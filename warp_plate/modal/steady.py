@@ -21,7 +21,7 @@ import scipy
 # Modes that are coupled beforehand: those up to REACH times the highest frequency, within these limits.
 REACH, FEWEST, MOST = 1.5, 250, 500
 # Residual of the forces, relative, after at most so many refinements.
-RESIDUAL, REFINEMENTS = 1e-6, 12
+RESIDUAL, REFINEMENTS = 1e-8, 12
 # Rigid motions count as slower than the fastest mode by this factor.
 SLOWEST = 1e-9
 

@@ -10,15 +10,16 @@ import scipy.optimize
 
 from warp_plate.modal.solver import MODAL
 from warp_plate.optimize.optimizer import Optimizer
+from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.problem import Problem
 from warp_plate.studies.driver import history_of
 from warp_plate.studies.spectrum import spectrum_frequencies
 
-# Central differences, in initial ranges.
-STEP = 1e-5
-# A descent ends where the loss falls by less, and a round of descents where it gains less.
-TOLERANCE, GAIN = 1e-13, 1e-8
-MOST_STEPS, MOST_ROUNDS = 100, 8
+# Differences for slopes, in initial ranges.
+STEP = 1e-6
+# A descent ends where a step gains less, and the search where a round of descents does, as a part of the loss's scale.
+TOLERANCE, GAIN = 1e-10, 1e-7
+MOST_STEPS, MOST_ROUNDS = 40, 5
 
 
 class Polished(NamedTuple):
@@ -73,7 +74,7 @@ def polish(problem: Problem, position: np.ndarray, loss: float) -> Polished:
             value = float(problem.losses(space.from_unit(tried[None]))[0])
             if value < loss:
                 point, loss = tried, value
-        if not loss < before - GAIN * max(abs(before), 1e-300):
+        if not loss < before - GAIN * _scale(problem, before):
             break
     return Polished(space.from_unit(point[None])[0], loss, evaluations)
 
@@ -82,17 +83,15 @@ def _descend(losses: Callable[[np.ndarray], np.ndarray], problem: Problem, point
     """Return the nearest minimum within the space's limits and the actuators' clearance, by SLSQP."""
     space = problem.space
     limits = np.stack([space.to_unit(space.lower), space.to_unit(space.upper)], axis=1)
-    steps = STEP * np.eye(len(point))
+    scale = _scale(problem, float(losses(point[None])[0]))
 
     def loss_and_slope(at: np.ndarray) -> tuple[float, np.ndarray]:
-        high, low = (np.clip(at + sign * steps, *limits.T) for sign in (1, -1))
-        values = losses(np.concatenate([at[None], high, low]))
-        rise = values[1 : 1 + len(at)] - values[1 + len(at) :]
-        return float(values[0]), rise / np.diagonal(high - low)
+        steps = np.where(at + STEP <= limits[:, 1], STEP, -STEP)
+        values = losses(at + np.concatenate([np.zeros((1, at.size)), np.diag(steps)])) / scale
+        return float(values[0]), (values[1:] - values[0]) / steps
 
-    scale = max(abs(float(losses(point[None])[0])), 1e-300)
     found = scipy.optimize.minimize(
-        lambda at: tuple(each / scale for each in loss_and_slope(at)),
+        loss_and_slope,
         point,
         jac=True,
         method="SLSQP",
@@ -101,6 +100,11 @@ def _descend(losses: Callable[[np.ndarray], np.ndarray], problem: Problem, point
         options={"maxiter": MOST_STEPS, "ftol": TOLERANCE},
     )
     return np.asarray(np.clip(found.x, *limits.T))
+
+
+def _scale(problem: Problem, loss: float) -> float:
+    """Return the size to which tolerances of a loss refer."""
+    return max(abs(loss), loss_scale(problem.objectives.terms), 1e-300)
 
 
 def _clearance(problem: Problem, point: np.ndarray) -> list[scipy.optimize.LinearConstraint]:
