@@ -61,7 +61,7 @@ class Poles:
     def pressed(self, columns: np.ndarray, conjugate: bool = False) -> np.ndarray:
         """Return ψᵀ columns (..., poles, columns), or ψ̄ᵀ columns, of columns (..., modes, columns)."""
         if self.modes is None:
-            return np.asarray((self.vectors.conj() if conjugate else self.vectors).T @ columns)
+            return times((self.vectors.conj() if conjugate else self.vectors).T, columns)
         sizes = self._sizes.conj() if conjugate else self._sizes
         return np.asarray(columns[..., self.modes, :] * sizes[:, None])
 
@@ -74,7 +74,7 @@ class Poles:
             gains: (..., poles, loads) χ f.
         """
         if self.modes is None:
-            return np.asarray(self.vectors @ (gains * states))
+            return times(self.vectors, gains * states)
         both = self._sizes[:, None] ** 2 * states
         return np.asarray(forces * (both[..., : len(self.vectors), :] + both[..., len(self.vectors) :, :]))
 
