@@ -139,6 +139,7 @@ def test_undamped_mode_at_resonance_grows():
     assert np.allclose(motion, exact, rtol=0, atol=1e-4 * np.abs(exact).max())
 
 
+@pytest.mark.slow
 def test_coupled_modes_obey_their_equation():
     """q̈ + C q̇ + Λ q = f, with second differences in time, of a plate with a damper on a patch."""
     held = [{"area": (0.02, 0.06, 0.1, 0.15), "mass": 0.004, "stiffness": 500.0, "damping": 3.0}]

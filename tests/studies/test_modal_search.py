@@ -24,7 +24,7 @@ def paper(**tables):
     [
         ("places", {"damping": {"viscous": 80.0}}),
         ("common frequency", {"damping": {"viscous": 80.0}}),
-        ("frequencies", {"oscillators": [FINGER]}),
+        pytest.param("frequencies", {"oscillators": [FINGER]}, marks=pytest.mark.slow),
         ("steady", {"damping": {"viscous": 80.0}}),
         ("steady", {"oscillators": [FINGER]}),
     ],

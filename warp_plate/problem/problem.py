@@ -338,11 +338,11 @@ def make_problem(
     grid = discretize(scene)
     objectives = make_objectives(grid)
     evaluator_on = partial(make_evaluator, device=device, path=path, pool=pool, areas=objectives.regions)
-    drives = designs = evaluator_on(grid)
-    if not parametrization.only_drives:
-        grid = discretize(scene, per_plate_of(scene))
-        designs = evaluator_on(grid)
-    displacements = evaluator_on(grid, quantity="displacement") if objectives.needs_displacement else None
+    varied = grid if parametrization.only_drives else discretize(scene, per_plate_of(scene))
+    designs = evaluator_on(varied)
+    # The modes of a plate serve all designs; kernels are compiled for what differs between plates.
+    drives = designs if varied is grid or name == MODAL else evaluator_on(grid)
+    displacements = evaluator_on(varied, quantity="displacement") if objectives.needs_displacement else None
     evaluators = [drives] if displacements is None else [drives, displacements]
     seconds, node_steps = 0.0, 0
     if matrices is None and quadratic:
