@@ -81,6 +81,17 @@ def test_the_table_of_the_paper(command, tmp_path, monkeypatch):
         assert text in " ".join(out.split())
 
 
+def test_a_search_that_misses_the_bound_names_the_method_that_reaches_it(command, panel, write_scene):
+    remark = 'A drive reaches the bound: method = "exact" in [search] finds it.'
+    assert remark in output_of(command("localize", "panel.toml", *QUICK))
+    # In so early a window a phase that all actuators have in common counts.
+    write_scene(panel.with_tables(search={"method": "exact"}))
+    out = output_of(command("localize", "panel.toml", *QUICK, "--json"))
+    factors = json.loads(out)["localization_factor"]
+    assert factors["best"] == pytest.approx(factors["bound"], abs=1e-6)
+    assert remark not in output_of(command("localize", "panel.toml", *QUICK))
+
+
 def test_errors_are_one_line_and_status_2(command, panel, write_scene):
     Path("wrong.toml").write_text(dump_scene(panel).replace("density", "densty"), encoding="utf-8")
     write_scene(panel.with_tables(grid={"nodes": (13, 13), "time_step": 1.0}), "fast")

@@ -236,7 +236,10 @@ class ModalSolver:
         """Return displacements (plates, times, ny, nx), traces (plates, points, steps) [m] and their times [s]."""
         scheme = self.scheme
         trace_times = scheme.time_step * np.arange(1, scheme.steps + 1) if len(points) else np.empty(0)
-        displacement = fields(self.plate, phasors, np.asarray(times, dtype=float), *node_positions(self.scene))
+        x, y = node_positions(self.scene)
+        displacement = np.empty((len(phasors), len(times), y.size, x.size))
+        if len(times):
+            displacement[:] = fields(self.plate, phasors, np.asarray(times, dtype=float), x, y)
         trace = np.empty((len(phasors), len(points), trace_times.size))
         if len(points):
             trace[:] = displacement_at(self.plate, phasors, points, trace_times)

@@ -140,7 +140,8 @@ def _paper_variables(scene: Scene) -> Iterator[DesignVariable]:
     others = range(1, len(scene.actuators))
     if not search.limits.equal_magnitudes:
         yield from (_variable(scene, "magnitude", (actuator,), 1.0, PAPER_RANGE) for actuator in others)
-    yield from (_variable(scene, "phase", (actuator,), 0.0, PAPER_RANGE) for actuator in others)
+    phases = range(len(scene.actuators)) if search.method == "exact" and _common_phase_counts(scene) else others
+    yield from (_variable(scene, "phase", (actuator,), 0.0, PAPER_RANGE) for actuator in phases)
 
 
 def _variable(
@@ -171,17 +172,25 @@ def _magnitudes(scene: Scene, table: FreeMagnitude) -> list[DesignVariable]:
 
 
 def _phases(scene: Scene, table: FreePhase) -> Iterator[DesignVariable]:
-    """Yield phases. A common phase shifts a steady motion in time, and changes nothing: then the first one is fixed.
-
-    It is searched where the motion has a time of its own: a burst, a sweep, a file, a moving load.
-    """
-    named, drive = _named_actuators(scene, "phase"), scene.drive
-    transient = drive.burst or drive.chirp or drive.signal or scene.effects.moving_load
-    if len(named) == len(scene.actuators) and not transient:
+    """Yield phases: of all that the table names, or of all but the first where a common one changes nothing."""
+    named = _named_actuators(scene, "phase")
+    if len(named) == len(scene.actuators) and not _common_phase_counts(scene):
         named = named[1:]
     for actuator in named:
         fixed, turn = scene.actuators[actuator].phase, 2 * math.pi
         yield _variable(scene, "phase", (actuator,), fixed, (0.0, turn), period=turn)
+
+
+def _common_phase_counts(scene: Scene) -> bool:
+    """Return whether a phase that all actuators have in common is searched; it shifts a steady motion in time.
+
+    It counts for bursts, sweeps, files and moving loads, and for tones from rest where drives are found exactly. Other
+    searches for drives of a tone take the motion for steady, as the source paper does.
+    """
+    drive, search = scene.drive, scene.search
+    timed = drive.burst or drive.chirp or drive.signal or scene.effects.moving_load
+    exactly = search.method == "exact" or search.frequency or search.position
+    return bool(timed or (exactly and not scene.steady))
 
 
 def _frequencies(scene: Scene, table: FreeFrequency) -> list[DesignVariable]:
