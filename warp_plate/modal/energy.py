@@ -81,7 +81,7 @@ def _of_tones(plate: ModalPlate, forces: np.ndarray, frequency: np.ndarray, quan
     if (frequency == frequency[:, :1]).all():
         frequency = frequency[:, :1]
     poles = make_poles(plate, window.end)
-    drive, gains = rates_apart(poles, 2j * math.pi * frequency, window.end), poles.inputs @ forces
+    drive, gains = rates_apart(poles, 2j * math.pi * frequency, window.end), poles.gains(forces)
     states = 1 / (drive[:, None, :] - poles.values[:, None])
     forced, free, velocity = poles.forced(states, forces, gains), -states, quantity == "velocity"
     kept = _lasting(poles, gains, free, velocity, window, window.end)

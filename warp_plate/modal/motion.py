@@ -126,7 +126,7 @@ def make_excitation(
     delay = actuator_delays(scene) if delay is None else delay
     poles, loads = unit_loads(scene, poles, frequency, delay, end)
     moving = moving_loads(plate, end) if scene.effects.moving_load is not None else []
-    return Excitation(poles, poles.inputs @ forces, loads, [load.times_inputs(poles.inputs) for load in moving])
+    return Excitation(poles, poles.gains(forces), loads, [load.times_inputs(poles.inputs) for load in moving])
 
 
 def unit_loads(

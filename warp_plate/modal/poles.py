@@ -65,6 +65,12 @@ class Poles:
         sizes = self._sizes.conj() if conjugate else self._sizes
         return np.asarray(columns[..., self.modes, :] * sizes[:, None])
 
+    def gains(self, forces: np.ndarray) -> np.ndarray:
+        """Return χ forces (..., poles, loads) of modal forces (..., modes, loads)."""
+        if self.modes is None:
+            return times(self.inputs, forces)
+        return np.asarray(forces[..., self.modes, :] * self._sizes[:, None])
+
     def forced(self, states: np.ndarray, forces: np.ndarray, gains: np.ndarray) -> np.ndarray:
         """Return the steady motion (..., modes, loads) Σ_p ψ_p χ_p f / (σ − s_p) of all poles.
 

@@ -163,7 +163,7 @@ def _from_rest(
     """Return the arrays of :class:`EnergySlopes` over a window; under bursts of one design alone."""
     poles = make_poles(plate, window.end)
     alike = bool((frequency == frequency[:, :1]).all() and (delay is None or (delay == delay[:, :1]).all()))
-    gains = poles.inputs @ forces[0]
+    gains = poles.gains(forces[0])
     pushed, gained = forces[0] * phasors[:, None, :], gains * phasors[:, None, :]
     if alike:  # all actuators press as the first does
         frequency, delay = frequency[:, :1], None if delay is None else delay[:, :1]

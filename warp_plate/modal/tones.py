@@ -58,10 +58,10 @@ class ToneMatrices:
         return np.concatenate(matrices)
 
     def _of_block(self, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        if (frequency == frequency[:, :1]).all():  # means of one tone serve all actuators
-            frequency = frequency[:, :1]
+        if (frequency == frequency[:, :1]).all():  # means of one tone serve all actuators, and all plates
+            frequency = frequency[:, :1] if (frequency != frequency[0]).any() else frequency[:1, :1]
         window, drive = self.window, rates_apart(self._poles, 2j * math.pi * frequency, self.window.end)
-        states, gains = 1 / (drive[:, None, :] - self._poles.values[:, None]), self._poles.inputs @ forces
+        states, gains = 1 / (drive[:, None, :] - self._poles.values[:, None]), self._poles.gains(forces)
         forced, free = self._poles.forced(states, forces, gains), -(gains * states)[:, self._kept]
         poles = self._poles.part(self._kept)
         if self.quantity == "velocity":
@@ -70,7 +70,7 @@ class ToneMatrices:
         of_tones = [mean_exponential(turn[:, :, None], drive[:, None, :], window) for turn in turns]
         across = [mean_exponential(turn[:, None, :], poles.values[:, None], window) for turn in turns]
         matrices = []
-        for region, forms in zip(self.regions, self._free_forms, strict=True):
+        for region, forms in zip(self._sparse_regions, self._free_forms, strict=True):
             moved = times(region, forced)
             pressed = poles.pressed(moved), poles.pressed(moved, conjugate=True).conj()
             crossed = [(inner * mean).mT @ free for inner, mean in zip(pressed, across, strict=True)]
@@ -82,13 +82,17 @@ class ToneMatrices:
         return np.stack(matrices, axis=1)
 
     @cached_property
+    def _sparse_regions(self) -> list[np.ndarray | scipy.sparse.csr_array]:
+        return [_sparse(region) for region in self.regions]
+
+    @cached_property
     def _poles(self) -> Poles:
         return make_poles(self.plate, self.window.end)
 
     @cached_property
     def _kept(self) -> np.ndarray:
         """Indices of the poles whose free motions last into the window."""
-        loads = np.abs(self._poles.inputs @ trial_forces(self.plate)).max(axis=1)
+        loads = np.abs(self._poles.gains(trial_forces(self.plate))).max(axis=1)
         begun = loads * np.linalg.norm(self._poles.vectors, axis=0)
         left = begun * np.exp(self._poles.values.real * self.window.start)
         return np.flatnonzero(left**2 > DECAYED * (begun**2).max())
@@ -102,9 +106,13 @@ class ToneMatrices:
         for region in self.regions:
             moved = poles.moved(region)
             products = [poles.pressed(moved, bool(conjugate)) * mean for conjugate, mean in enumerate(means)]
-            few = [np.count_nonzero(product) < SPARSE * product.size for product in products]
-            forms.append([scipy.sparse.csr_array(each) if all(few) else each for each in products])
+            forms.append([_sparse(product) for product in products])
         return forms
+
+
+def _sparse(matrix: np.ndarray) -> np.ndarray | scipy.sparse.csr_array:
+    """Return a matrix as a sparse one if few of its entries are not zero."""
+    return scipy.sparse.csr_array(matrix) if np.count_nonzero(matrix) < SPARSE * matrix.size else matrix
 
 
 def _times(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndarray) -> np.ndarray:

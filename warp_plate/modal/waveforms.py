@@ -81,7 +81,7 @@ class WaveformEnergies:
                 excitation = _excitation(self._plate.scene, self._poles, forces[plate], *some)
                 times, weights = time_rule(excitation, self._window, np.arange(self._modes.size))
                 states = _states(excitation, times, self._velocity)
-            gains = _gains(self._poles, forces[plate])
+            gains = self._poles.gains(forces[plate])
             rates = _rates(excitation, gains, drives[plate], times, self._velocity, states)
             rates *= np.sqrt(weights / 2)
             for matrix, factor in zip(product, self._factors, strict=True):
@@ -109,12 +109,7 @@ class WaveformEnergies:
 def _excitation(scene: Scene, poles: Poles, forces: np.ndarray, frequency: np.ndarray, delay: np.ndarray) -> Excitation:
     """Return the excitation of a plate by actuators (M,) with modal forces (modes, M)."""
     apart, loads = unit_loads(scene, poles, frequency, delay, scene.window.end)
-    return Excitation(apart, _gains(poles, forces), loads, [])
-
-
-def _gains(poles: Poles, forces: np.ndarray) -> np.ndarray:
-    """Return the inputs (poles, M) of modal forces (modes, M)."""
-    return poles.inputs @ forces if poles.modes is None else poles.pressed(forces)
+    return Excitation(apart, poles.gains(forces), loads, [])
 
 
 def _factor(region: np.ndarray) -> np.ndarray | scipy.sparse.csr_array:
