@@ -3,6 +3,7 @@
 import ast
 import re
 import sys
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -43,12 +44,18 @@ OWNERS = {
 LATE = re.compile(r"(scipy\.(signal|stats)|matplotlib|pyvista|vtkmodules|trame|dask|distributed)(\.|$)")
 
 
+@cache
 def sources():
-    """Yield (path, name inside warp_plate, parsed module) of every product file."""
+    """Return (path, name inside warp_plate, text, imports, names of classes) of every product file."""
+    found = []
     for top in ("warp_plate", "kernels", "viz"):
         for path in sorted((ROOT / top).rglob("*.py")):
             parts = path.relative_to(ROOT / "warp_plate" if top == "warp_plate" else ROOT).with_suffix("").parts
-            yield path, ".".join(part for part in parts if part != "__init__"), ast.parse(path.read_text("utf-8"))
+            module, text = ".".join(part for part in parts if part != "__init__"), path.read_text("utf-8")
+            tree = ast.parse(text)
+            classes = [node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+            found.append((path, module, text, list(imports(tree)), classes))
+    return found
 
 
 def imports(tree):
@@ -70,8 +77,8 @@ def strays(allowed):
     """Return the imports for which ``allowed(room, module imported, whether inside a function)`` is false."""
     return [
         f"{path.relative_to(ROOT)}: {name}"
-        for path, module, tree in sources()
-        for name, _, late in imports(tree)
+        for path, module, _, found, _ in sources()
+        for name, _, late in found
         if not allowed(room_of(module), name, late)
     ]
 
@@ -92,15 +99,15 @@ def test_rooms_import_only_floors_below():
 
 
 def test_every_room_has_a_floor():
-    assert {room_of(module) for _, module, _ in sources()} - {"", "__main__"} == ROOMS
+    assert {room_of(module) for _, module, *_ in sources()} - {"", "__main__"} == ROOMS
 
 
 def test_no_circle_of_imports():
-    modules = {module for _, module, _ in sources()}
+    modules = {module for _, module, *_ in sources()}
     graph = {}
-    for _, module, tree in sources():
+    for _, module, _, found, _ in sources():
         targets = set()
-        for name, taken, _ in imports(tree):
+        for name, taken, _ in found:
             if name.startswith("warp_plate."):
                 inside = name.removeprefix("warp_plate.")
                 deeper = {f"{inside}.{each}" for each in taken} & modules
@@ -120,24 +127,19 @@ def test_heavy_libraries_are_imported_when_needed():
 def test_every_package_is_installed():
     """pyproject.toml lists packages by name, so that an installed copy holds what the checkout holds."""
     listed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"]
-    packages = {f"warp_plate.{module}".rstrip(".") for path, module, _ in sources() if path.name == "__init__.py"}
+    packages = {f"warp_plate.{module}".rstrip(".") for path, module, *_ in sources() if path.name == "__init__.py"}
     assert set(listed) == packages
 
 
 def test_no_public_class_name_is_used_twice():
-    names = [
-        node.name
-        for _, _, tree in sources()
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
-    ]
+    names = [name for *_, classes in sources() for name in classes if not name.startswith("_")]
     assert sorted(names) == sorted(set(names))
 
 
 def test_files_are_short_and_folders_small():
-    long = [str(path) for path, _, _ in sources() if len(path.read_text(encoding="utf-8").splitlines()) > 400]
+    long = [str(path) for path, _, text, *_ in sources() if len(text.splitlines()) > 400]
     assert not long
-    folders = [path.parent for path, _, _ in sources() if path.name != "__init__.py"]
+    folders = [path.parent for path, *_ in sources() if path.name != "__init__.py"]
     full = {str(folder) for folder in folders if folders.count(folder) > 20}
     assert full <= {str(ROOT / "kernels"), str(ROOT / "warp_plate" / "cli")}
 
