@@ -10,7 +10,8 @@ import time
 import numpy as np
 import pytest
 from inline_pool import InlinePool
-from test_workers import ATTEMPTS, assert_same, assert_same_result, doubled, random_phasors, small_search
+from test_workers import ATTEMPTS, assert_same, assert_same_result, random_phasors, small_search
+from worker_tasks import doubled, end_worker, process_number
 
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, localize, resume
 from warp_plate.cluster import dask_pool
@@ -37,11 +38,6 @@ def pool():
 def small_blocks(monkeypatch):
     """Blocks of the fewest plates."""
     monkeypatch.setitem(BLOCK_NODE_STEPS, "cpu", (1.0, 1.0))
-
-
-def process_number(seconds):
-    time.sleep(seconds)
-    return os.getpid()
 
 
 def worker_processes(pool):
@@ -88,10 +84,6 @@ def test_workers_killed_at_random_moments_change_nothing(pool, scene, random):
     assert_same(evaluator.run(phasors), expected)
     killer.join()
     assert not evaluator.lost
-
-
-def end_worker(_):
-    os._exit(3)
 
 
 @pytest.mark.slow

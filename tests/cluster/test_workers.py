@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from conftest import start_program
 from inline_pool import InlinePool
+from worker_tasks import doubled, poisoned
 
 from warp_plate import CheckpointFile, PlateSolver, SceneError, load_checkpoint, load_result, localize, resume
 from warp_plate.cli.options import failure_lines
@@ -145,17 +146,6 @@ def test_searches_give_the_same_on_workers(pool, scene, random):
     assert [trial.loss.tobytes() for trial in one.trials] == [trial.loss.tobytes() for trial in two.trials]
 
 
-def doubled(value):
-    """A task: twice a number, or what goes wrong at some numbers."""
-    if value == 13:
-        raise SceneError("value = 13: no")
-    if value == 14:
-        raise ModuleNotFoundError("No module named 'absent'", name="absent")
-    if value == 17:
-        raise RuntimeError("CUDA error 700: an illegal memory access\nmore of it")
-    return 2 * value
-
-
 def test_tasks_of_any_function(pool):
     """Whoever leaves early can come again; a task that is refused ends them all."""
     progress = []
@@ -214,13 +204,6 @@ def test_workers_that_are_killed_cost_no_plate(pool, scene, random):
     time.sleep(0.2)
     assert_same(evaluator.run(phasors), expected)
     assert not evaluator.lost
-
-
-def poisoned(block):
-    """``run_block`` on a worker that ends under every block whose first drive is 7."""
-    if len(block[1]) and block[1].drives[0, 0] == 7:
-        os._exit(3)
-    return tasks.run_block(block)
 
 
 def test_a_block_that_no_worker_survives_is_named(pool, scene, random, monkeypatch):
