@@ -68,7 +68,7 @@ def test_a_long_iteration_ends_within_a_launch(panel, write_scene):
     code = "import sys; from warp_plate.cli.main import main; import warp_plate.studies.simulate; "
     process = start("-c", code + "print(flush=True); main(sys.argv[1:])", "simulate", "panel.toml", *QUICK)
     process.stdout.readline()
-    time.sleep(3)
+    time.sleep(1.5)
     process.send_signal(signal.SIGINT)
     status, _, err, seconds = end(process)
     assert (status, err) == (130, "warp-plate: interrupted\n")

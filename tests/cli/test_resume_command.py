@@ -25,8 +25,8 @@ FILE = Path("panel-localize.checkpoint.h5")
 
 @pytest.fixture
 def panel(write_scene):
-    """A small scene with a long search, in a file of the working folder."""
-    return write_scene(damping=88.5, precision="float32", search={"particles": 6, "iterations": 200})
+    """A small scene with a search, in a file of the working folder."""
+    return write_scene(damping=88.5, precision="float32", search={"particles": 6, "iterations": 60})
 
 
 @pytest.fixture
@@ -80,7 +80,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(command, left):
     left.write_bytes(b"x")
     status, _, err = command("localize", "--resume", left, *QUICK)
     assert (status, len(err.splitlines())) == (0, 1)
-    assert "panel-localize.checkpoint.previous.h5, 5 of 200 iterations" in err
+    assert "panel-localize.checkpoint.previous.h5, 5 of 60 iterations" in err
     previous.write_bytes(b"y")
     left.write_bytes(b"x")
     assert "panel-localize.checkpoint.h5: damaged: " in error_of(command("localize", "--resume", left, *QUICK))
@@ -105,8 +105,9 @@ def killed(arguments, seconds):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 @pytest.mark.parametrize("kills", [2, pytest.param(10, marks=pytest.mark.slow)])
-def test_killed_at_random_moments(kills, panel, random):
+def test_killed_at_random_moments(kills, panel, random, write_scene):
     """A search killed and resumed several times gives the result of one that was left alone."""
+    panel = write_scene(panel.with_tables(search={"particles": 6, "iterations": 200}))
     arguments, reached = [*COMMAND, "--checkpoint-every", "0"], [0]
     for _ in range(kills):
         assert not killed(arguments, random.uniform(0, 0.3 / kills))
@@ -142,7 +143,7 @@ def test_files_that_the_scene_names_must_be_the_same(command, panel):
     Path("scenes/map.csv").write_text("1.0, 1.1\n0.9, 1.0\n", encoding="utf-8")
     scene = Scene.load("scenes/panel.toml")
     checkpoints = CheckpointFile(FILE, np.inf)
-    localize(scene, "panel", "cpu", on_progress=stop_after(195), estimate=False, checkpoints=checkpoints)
+    localize(scene, "panel", "cpu", on_progress=stop_after(55), estimate=False, checkpoints=checkpoints)
     kept, resuming = FILE.read_bytes(), ["localize", "--resume", FILE, *QUICK]
     assert "effects.variation.thickness = 'map.csv': no such file beside the" in error_of(command(*resuming))
     Path("map.csv").write_text("1.0, 1.2\n0.9, 1.0\n", encoding="utf-8")
