@@ -274,13 +274,13 @@ def test_error_bars_cover_the_exact_value(panel, exact, configuration):
     phasors = np.array([*exact.drives.values(), np.ones(3)])
     run = PlateSolver(made, "cpu").run(phasors, [0.02, 0.03])
     factors = localization_factor(run.energy)
-    found = estimate(made, phasors, factors, 1.0, "cpu", run.times, run.displacement)
+    found = estimate(made, phasors, factors, "cpu", run.times, run.displacement)
     errors = np.abs(factors[:2] / list(exact.localization_factors.values()) - 1)
     assert (errors <= found.errors[:2]).all()
     assert (found.errors[:2] <= errors + 2 * found.uncertainty).all()
     assert found.error == found.errors.max()
     assert f"{factors[0]:.3f}"[:5] in found.line(0)
-    np.testing.assert_array_equal(estimate(made, phasors, factors, 1.0, "cpu").errors, found.errors)
+    np.testing.assert_array_equal(estimate(made, phasors, factors, "cpu").errors, found.errors)
     x = np.linspace(0, 0.2, configuration.nodes[0])
     expected = exact.displacement(exact.drives["best"], run.times, x, x)
     moved = np.linalg.norm(run.displacement[1] - expected) / np.linalg.norm(expected)
@@ -297,14 +297,14 @@ def test_error_bars_cover_the_exact_value(panel, exact, configuration):
 
 def test_accurate_runs_have_no_price_and_plates_at_rest_no_error(panel, exact):
     phasors, factors = np.array(list(exact.drives.values())), np.array(list(exact.localization_factors.values()))
-    accurate = estimate(panel, phasors, factors, 10.0, "cpu")
+    accurate = estimate(panel, phasors, factors, "cpu")
     assert accurate.error < 1e-3
     assert accurate.price is None
     phasors = np.array([[0, 0, 0], [1, 0, 0]])
-    found = estimate(panel, phasors, np.array([math.nan, 0.5]), 0.1, "cpu")
+    found = estimate(panel, phasors, np.array([math.nan, 0.5]), "cpu")
     assert np.isnan(found.errors[0])
     assert found.error == found.errors[1] > 0
-    assert np.isnan(estimate(panel, phasors[:1], np.array([math.nan]), 0.1, "cpu").error)
+    assert np.isnan(estimate(panel, phasors[:1], np.array([math.nan]), "cpu").error)
 
 
 def test_a_short_window_is_estimated(panel):
@@ -313,7 +313,7 @@ def test_a_short_window_is_estimated(panel):
     grid, window = Grid(nodes=(75, 75), load="overlap"), Window(start=end - 6e-5, end=end)
     short = panel.model_copy(update={"window": window, "grid": grid})
     phasors = np.eye(3, dtype=complex)[:1]
-    assert np.isfinite(estimate(short, phasors, factors_of(short, phasors), 0.1, "cpu").error)
+    assert np.isfinite(estimate(short, phasors, factors_of(short, phasors), "cpu").error)
 
 
 def test_modes_are_chosen_where_they_keep_an_error(panel, exact):

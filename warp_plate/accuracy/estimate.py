@@ -1,4 +1,4 @@
-"""The error bar of a finished run: its localization factors against a small reference solution, in little time.
+"""The error bar of a finished run: its localization factors against a small reference solution.
 
 Results by modes are compared with those of more functions.
 """
@@ -40,15 +40,15 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.response import Response
 
-# Time of the estimate as a fraction of the run's, and its least and greatest value [s].
-TIME_SHARE, LEAST_SECONDS, MOST_SECONDS = 0.08, 0.4, 20.0
+# Nominal time of the reference [s], whatever the run took, so that the same run has the same error bar.
+REFERENCE_SECONDS = 1.0
 # Effect of rounding on a localization factor.
 ROUNDING = {"float32": 1e-6, "float64": 1e-13}
 # Uncertainty of the reference as a fraction of the error that it shows, and its greatest and least value.
-GOOD_ENOUGH, FIRST_WANTED, FINEST_WANTED = 0.2, 0.02, 1e-6
+GOOD_ENOUGH, FIRST_WANTED, FINEST_WANTED = 0.1, 0.02, 2e-5
 # A price is named for the first of these that the run does not keep; its grid is to keep this fraction of it.
 TOLERANCES, TOLERANCE_SHARE = (0.01, 0.001), 0.9
-# Side of the grid that shows the error of fourth order, and node-steps on it for each second of the estimate.
+# Side of the grid that shows the error of fourth order, and the most node-steps on it.
 PILOT_SIDE, PILOT_NODE_STEPS = 19, 2e7
 # Modes are compared with those of a higher density, up to a frequency that is higher by another factor. Errors are at
 # most so many times the change, which holds where they fall as density^-1.3 or faster, and a least value: that of free
@@ -76,11 +76,16 @@ class Estimate:
     localization_factors: np.ndarray  # (drives,) computed localization factors
     references: np.ndarray  # (drives,) accurate localization factors
     uncertainty: float  # relative error of the references
-    errors: np.ndarray  # (drives,) relative errors, |difference| + uncertainty; NaN for plates at rest
+    errors: np.ndarray  # (drives,) errors relative to the references, with their uncertainty; NaN for plates at rest
     kind: str  # method of the reference
     seconds: float  # time that the estimate took [s]
     price: Price | None  # price of the next better tolerance; None if the run keeps all
     displacement_errors: np.ndarray  # (drives,) relative L2 errors over plate and recorded times; NaN if not known
+
+    @property
+    def intervals(self) -> np.ndarray:
+        """Intervals (drives, 2) that hold the true localization factors."""
+        return np.clip(self.references[:, None] * (1 + self.uncertainty * np.array([-1, 1])), 0, 1)
 
     @property
     def error(self) -> float:
@@ -89,17 +94,18 @@ class Estimate:
 
     def line(self, drive: int = -1) -> str:
         """Return the localization factor of a drive with its error bar, and the price of a better one, for people."""
-        value, error = float(self.localization_factors[drive]), float(self.errors[drive])
-        bar, moved = error * value, float(self.displacement_errors[drive])
+        value, true = float(self.localization_factors[drive]), float(self.references[drive])
+        bar, moved = float(self.errors[drive]) * true, float(self.displacement_errors[drive])
         if not math.isfinite(bar):
             return f"{self.numerics}: no error estimate (the plate is at rest, or not linear in its drives)"
-        digits = max(3, 1 - math.floor(math.log10(bar))) if bar > 0 else 6
-        text = f"{self.numerics}: localization factor {value:.{min(digits, 8)}f} ± {two_digits(bar)}"
-        at_most = self.uncertainty > error / 2
-        text += " at most" if at_most else ""
-        if at_most and self.kind != MORE_FUNCTIONS:
-            text += f" (the reference is known to {percent(self.uncertainty)} only)"
-        elif math.isfinite(moved):
+        text = f"{self.numerics}: localization factor {_with_bar(value, bar)}"
+        if self.kind == MORE_FUNCTIONS:
+            text += " at most"
+        elif self.uncertainty > GOOD_ENOUGH and self.uncertainty * true > bar / 2:
+            text += f" at most (the reference is known to {percent(self.uncertainty)} only)"
+        else:
+            text += f", the true value is {_with_bar(true, self.uncertainty * true)}"
+        if math.isfinite(moved):
             text += f", displacement ± {percent(moved)}"
         if self.price is None:
             return text
@@ -118,6 +124,7 @@ class Estimate:
             "errors": self.errors.tolist(),
             "displacement_errors": self.displacement_errors.tolist(),
             "references": self.references.tolist(),
+            "interval": self.intervals.tolist(),
             "uncertainty": self.uncertainty,
             "reference": self.kind,
             "seconds": self.seconds,
@@ -125,33 +132,36 @@ class Estimate:
         }
 
 
+def _with_bar(value: float, bar: float) -> str:
+    """Return a value with as many digits as its error bar tells, and the bar."""
+    digits = max(3, 1 - math.floor(math.log10(bar))) if bar > 0 else 6
+    return f"{value:.{min(digits, 8)}f} ± {two_digits(bar)}"
+
+
 def estimate(
     scene: Scene,
     phasors: np.ndarray,
     localization_factors: np.ndarray,
-    seconds: float,
     device: str = "auto",
     times: Sequence[float] | np.ndarray = (),
     displacement: np.ndarray | None = None,
     reference: ReferenceSolution | None = None,
 ) -> Estimate:
-    """Estimate the errors of localization factors in at most a tenth of the time of the run.
+    """Estimate the errors of localization factors.
 
-    The reference is refined until its own error is well below the one that it shows, or until time is up; its
-    remaining error is added.
+    The reference is refined until its own error is a tenth of the one that it shows, or its nominal time is used up;
+    its remaining error is added.
 
     Args:
         scene: Scene as it was run.
         phasors: (drives, actuators) phasors.
         localization_factors: (drives,) computed localization factors.
-        seconds: Time that the run took [s].
         device: Device of the trial run that prices fourth order.
         times: Times of ``displacement`` [s].
         displacement: (drives, times, ny, nx) displacement of the run [m].
         reference: Reference solution, if there is one already.
     """
     started = time.perf_counter()
-    budget = min(max(TIME_SHARE * seconds, LEAST_SECONDS), MOST_SECONDS)
     computed = np.asarray(localization_factors, dtype=float)
     phasors = np.asarray(phasors, dtype=complex)
     kept = _known(scene, phasors, computed)
@@ -163,14 +173,16 @@ def estimate(
         difference = np.abs(computed[kept] / response.localization_factors(phasors[kept]) - 1).max()
         return min(max(GOOD_ENOUGH * float(difference), FINEST_WANTED), FIRST_WANTED)
 
-    reference = reference or find_reference_solution(scene, "auto", device, wanted, budget, phasors[kept], only=True)
+    reference = reference or find_reference_solution(
+        scene, "auto", device, wanted, REFERENCE_SECONDS, phasors[kept], only=True
+    )
     references, displacement_errors = unknown.copy(), unknown.copy()
     references[kept] = reference.response.localization_factors(phasors[kept])
     differences = np.abs(computed / references - 1)
     largest = float(np.nanmax(differences))
     # A difference within the uncertainty does not allow to extrapolate to smaller errors.
     known = reference.uncertainty < largest
-    price = _price(scene, largest, phasors[kept], references[kept], device, budget) if known else None
+    price = _price(scene, largest, phasors[kept], references[kept], device) if known else None
     if displacement is not None and reference.plate is not None and len(times):
         for drive, fields in enumerate(displacement):
             displacement_errors[drive] = reference.displacement_error(phasors[drive], times, scene, fields)
@@ -238,7 +250,7 @@ def _no_estimate(numerics: str, factors: np.ndarray) -> Estimate:
 
 
 def _price(
-    scene: Scene, error: float, phasors: np.ndarray, references: np.ndarray, device: str, budget: float
+    scene: Scene, error: float, phasors: np.ndarray, references: np.ndarray, device: str
 ) -> Price | None:
     """Return the cheaper of finer grids of the run's own order and of the highest order."""
     tolerance = next((tolerance for tolerance in TOLERANCES if error > tolerance), None)
@@ -250,7 +262,7 @@ def _price(
         # A trial run of fourth order on a coarse grid, unless it would take too long.
         pilot = make_configuration(scene, 4, nodes_for(scene.plate.size, PILOT_SIDE, 4))
         with contextlib.suppress(SceneError):  # the step is too long for the window, or cells too large for an actuator
-            if len(phasors) * node_steps(scene, pilot) <= PILOT_NODE_STEPS * budget:
+            if len(phasors) * node_steps(scene, pilot) <= PILOT_NODE_STEPS:
                 trials.append((pilot, try_out(scene, pilot, phasors, references, device)))
     needed = []
     for grid, trial_error in trials:

@@ -1,14 +1,17 @@
 """Reference solutions with an error bar: Gram matrices of the kinetic energies, which hold for any drive.
 
 "modal": modes of the plate without a grid, exact in time, with ever more functions.
-"richardson": for other scenes, extrapolation from three grids of this program, whose error falls as h⁴ (fourth order,
-moments) or h² (second order, overlap). The time step falls as h², so its error falls as h⁴ too.
+"richardson": for other scenes, extrapolation from four grids of this program, whose error falls as h⁴ (fourth order,
+moments) or h² (second order, overlap). The time step falls as h², so its error falls as h⁴ too. The numbers of cells of
+consecutive grids have no common factor, so that no line inside the plate is one of nodes on all of them.
+
+How far a reference is refined is decided by its nominal seconds, from the numbers of operations: the same scene has the
+same reference on every machine.
 """
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -21,6 +24,7 @@ from warp_plate.accuracy.configurations import (
     Configuration,
     bending_wavelength,
     highest_order,
+    node_steps,
     nodes_for,
     scene_with,
     spacing_of,
@@ -39,20 +43,17 @@ from warp_plate.solve.solver import PlateSolver
 
 # Densities of the functions, see ``solve_modes``.
 DENSITIES = (0.5, 0.7, 1.0, 1.4)
-# Time per unknown and per square of a mode [s], on two quiet cores. This law, not a clock, decides how far the
-# reference is refined, so that a busy machine gives the same result.
-MODAL_SECONDS = 1e-9
+# Nominal time per unknown and per square of a mode, and per node-step of one plate in float64 [s], as on two cores.
+MODAL_SECONDS, STEPPED_SECONDS = 1e-9, 2e-9
 MOST_MODES = 1000
-# On a very busy machine refinement ends when the work takes this many times longer, plus these seconds.
-PATIENCE, PATIENCE_SECONDS = 2.0, 5.0
 # Nodes along the sides of the grids of Richardson's method, and natural frequencies that are returned.
-SIDES, FREQUENCIES = (19, 27, 37, 53, 75, 105, 149), 6
+SIDES, FREQUENCIES = (18, 26, 37, 54, 75, 106, 150), 6
 # Error of an extrapolated value: this many times the last change, and at least this fraction of what extrapolation
 # added (measured against modes on the paper's scene: 1.2 times the change). That of modes: as many times the last
 # change, which is near the error of the solution before.
 CHANGE_FACTOR, GAIN_FACTOR = 2.0, 0.2
-# Errors below this are rounding.
-ROUNDING = 1e-9
+# Least error of a reference by modes, from the modes that are left out, whatever the functions.
+LEAST_ERROR = 1e-5
 # Least phase [rad] by which drive and mode differ at the end of the run: energies lose its square in digits.
 NEAREST_RESONANCE = 1e-4
 
@@ -68,8 +69,8 @@ class ReferenceSolution:
         kind: Method.
         response: Gram matrices of plate and target.
         uncertainty: Largest relative error of the observed quantities; inf while unknown.
-        seconds: Time that this refinement takes [s].
-        next_seconds: Estimated time that the next one takes [s].
+        seconds: Nominal time of this refinement [s].
+        next_seconds: Nominal time of the next one [s].
         scenes: The scene on the grids of Richardson's method; the scene alone for modes.
         device: Device of Richardson's method.
         plate: Modes; None for Richardson's method.
@@ -147,14 +148,14 @@ def find_reference_solution(
     phasors: np.ndarray | None = None,
     only: bool = False,
 ) -> ReferenceSolution:
-    """Refine a reference solution until its uncertainty is below ``wanted``, or no time is left.
+    """Refine a reference solution until its uncertainty is below ``wanted``, or the nominal time is used up.
 
     Args:
         scene: A scene that is linear in its drives.
         kind: "auto", "modal" or "richardson".
         device: Device of Richardson's method.
         wanted: An uncertainty, or a function of the response that returns one.
-        seconds: Time for all refinements [s].
+        seconds: Nominal time for all refinements [s].
         phasors: Drives (drives, actuators) that the uncertainty applies to, besides the bound, equal drive, the best
             single actuator and the best drive.
         only: True if the uncertainty applies to ``phasors`` alone.
@@ -167,12 +168,10 @@ def find_reference_solution(
         raise SceneError(f"{scene.nonlinear_table}: not linear in the drives; accuracy needs a linear scene")
     observed = np.empty((0, len(scene.actuators))) if phasors is None else phasors
     refinements = _refinements(scene, kind, device, partial(largest_change, observed, only))
-    started = time.perf_counter()
     last = next(refinements)
     spent = last.seconds
     while last.uncertainty > (wanted(last.response) if callable(wanted) else wanted):
-        late = time.perf_counter() - started > PATIENCE * seconds + PATIENCE_SECONDS
-        if math.isfinite(last.uncertainty) and (late or spent + last.next_seconds > seconds):
+        if math.isfinite(last.uncertainty) and spent + last.next_seconds > seconds:
             break
         following = next(refinements, None)
         if following is None:
@@ -241,7 +240,7 @@ def _by_modes(scene: Scene, change: Change) -> Iterator[ReferenceSolution]:
             if responses:  # too many functions
                 return
             raise
-        uncertainty = max(CHANGE_FACTOR * change(response, responses[-1:]), ROUNDING) if responses else math.inf
+        uncertainty = max(CHANGE_FACTOR * change(response, responses[-1:]), LEAST_ERROR) if responses else math.inf
         responses.append(response)
         seconds = MODAL_SECONDS * len(plate.vectors) * len(plate.frequencies) ** 2
         next_seconds = seconds * (following / density) ** 6  # unknowns and modes grow as the square
@@ -259,23 +258,29 @@ def _by_richardson(scene: Scene, device: str, change: Change) -> Iterator[Refere
     grids = [nodes_for(scene.plate.size, side, order) for side in SIDES]
     limits = [stability_limit(scene, order, nodes) for nodes in grids]
     fraction = min(SAFETY, 1 / (STEPS_A_PERIOD * highest_frequency(scene)) / limits[0])
+    plates = len(scene.actuators) * (2 * len(scene.actuators) + 1)
     for nodes, limit in zip(grids, limits, strict=True):
-        started = time.perf_counter()
         time_step = end / math.ceil(end / (fraction * limit))
         configuration = Configuration(order, LOAD_OF[order], nodes, time_step, "float64")
         scenes.append(scene_with(scene, configuration))
         responses.append(measure_response(PlateSolver(scenes[-1], device)))
         uncertainty = math.inf
         if len(responses) > 1:
-            coarse, fine = (response.matrices for response in responses[-2:])
-            extrapolated.append(Response(fine + _gain(scenes) * (fine - coarse)))
-        if len(extrapolated) > 1:
-            uncertainty = CHANGE_FACTOR * change(extrapolated[-1], extrapolated[-2:-1])
+            extrapolated.append(_extrapolated(scenes, responses))
+        if len(extrapolated) > 2:
+            uncertainty = CHANGE_FACTOR * change(extrapolated[-1], extrapolated[-3:-1])
             uncertainty = max(uncertainty, GAIN_FACTOR * change(extrapolated[-1], responses[-1:]))
         best = extrapolated[-1] if extrapolated else responses[-1]
-        took = time.perf_counter() - started
+        nominal = STEPPED_SECONDS * plates * node_steps(scene, configuration)
         # The next grid has twice the nodes and twice the steps.
-        yield ReferenceSolution("richardson", best, uncertainty, took, 4 * took, tuple(scenes), device)
+        yield ReferenceSolution("richardson", best, uncertainty, nominal, 4 * nominal, tuple(scenes), device)
+
+
+def _extrapolated(scenes: Sequence[Scene], responses: Sequence[Response]) -> Response:
+    """Return the limit of the last two grids; that of the finer one where extrapolation makes energies negative."""
+    coarse, fine = (response.matrices for response in responses[-2:])
+    matrices = fine + _gain(scenes) * (fine - coarse)
+    return responses[-1] if np.linalg.eigvalsh(matrices[0]).min() <= 0 else Response(matrices)
 
 
 def _gain(scenes: Sequence[Scene]) -> float:

@@ -288,7 +288,7 @@ def _optional_parts(
     is_robust = problem.scenario_losses is not None and position is not None and not interrupted
     robust, nominal, steps = attempt("robust", is_robust, compare_with_nominal, problem, end, position) or (None, {}, 0)
     device, by_modes = problem.drive_solver.device.alias, end.evaluator == MODAL
-    of_run = evaluated.scene, evaluated.phasors, run, seconds["solve"], device, reference, by_modes
+    of_run = evaluated.scene, evaluated.phasors, run, device, reference, by_modes
     estimated = attempt("estimate", options.estimate, estimate_error, *of_run) or {}
     baselines, more_steps = attempt("baselines", options.baselines, baseline_cases, problem) or ({}, 0)
     references = {name: evaluated.cases[name] for name in ("equal", "single")} | baselines

@@ -103,7 +103,7 @@ def _estimate(
     with suppress(KeyboardInterrupt, SceneError):
         drives = {"drive": phasors}
         by_modes = resolved.evaluator == MODAL
-        found = estimate_error(resolved.scene, drives, run, seconds["solve"], device, resolved.reference, by_modes)
+        found = estimate_error(resolved.scene, drives, run, device, resolved.reference, by_modes)
         seconds["estimate"] = time.perf_counter() - started
         return found
     return {}
