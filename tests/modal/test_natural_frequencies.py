@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy
 from conftest import MATERIAL, edges_id, scene_of
-from finite_elements import element_frequencies
+from error_bars.elements import element_frequencies
 from levy import isotropic, levy_frequencies
 from ritz_polynomials import extrapolated_frequencies, ritz_frequencies
 

@@ -1,4 +1,4 @@
-"""Natural frequencies by finite elements of high degree with continuous slopes, for every linear effect but layers.
+"""Plates by finite elements of high degree with continuous slopes, for every linear effect but layers.
 
 In each of the elements between lines of the plate, a side has Hermite's cubics of values and slopes at its ends and
 bubbles (1 − s²)² P_k^(4, 4)(s), s = −1 ... 1; the functions of the plate are products of those of its sides (the
@@ -16,8 +16,8 @@ LEFT_OUT = {"clamped": [0, 1], "supported": [0]}
 
 def element_frequencies(scene, count, degree=10):
     """Return the lowest ``count`` natural frequencies [Hz] of the undamped plate."""
-    sides = [_Side(scene, axis, degree) for axis in (0, 1)]
-    stiffness, mass = _matrices(scene, *sides)
+    sides = [Side(scene, axis, degree) for axis in (0, 1)]
+    stiffness, mass = matrices(scene, *sides)[:2]
     units = 1 / np.sqrt(np.diag(stiffness) / np.diag(stiffness).mean() + np.diag(mass) / np.diag(mass).mean())
     stiffness, mass = (matrix * np.outer(units, units) for matrix in (stiffness, mass))
     plate = scene.plate
@@ -31,31 +31,47 @@ def element_frequencies(scene, count, degree=10):
     return np.sqrt(np.maximum(np.sort(squares), 0)) / (2 * np.pi)
 
 
-class _Side:
+class Side:
     """Functions along x (0) or y (1): values[derivative] (functions, points), their points and weights."""
 
-    def __init__(self, scene, axis, degree):
+    def __init__(self, scene, axis, degree, inner=(0.06, 0.5, 0.94)):
         length, edges = scene.plate.size[axis], scene.edges
         ends = ((edges.left, edges.right), (edges.bottom, edges.top))[axis]
-        self.lines = np.unique(np.round([*length * np.array([0, 0.06, 0.5, 0.94, 1]), *_lines(scene, axis)], 12))
-        nodes, bubbles = len(self.lines), degree - 3
-        s, weights = legendre.leggauss(degree + 5)
-        reference = _reference(degree, s)
-        values = np.zeros((3, 2 * nodes + bubbles * (nodes - 1), s.size * (nodes - 1)))
-        for element, half in enumerate(np.diff(self.lines) / 2):
-            own = [*range(2 * element, 2 * element + 4), *(2 * nodes + element * bubbles + np.arange(bubbles))]
-            scale = np.where(np.isin(np.arange(degree + 1), (1, 3)), half, 1)
-            for derivative in range(3):
-                points = slice(element * s.size, (element + 1) * s.size)
-                values[derivative, own, points] = reference[derivative] * scale[:, None] / half**derivative
-        half = np.diff(self.lines)[:, None] / 2
-        self.points = (self.lines[:-1, None] + half * (1 + s)).ravel()
-        self.weights = (half * weights).ravel()
+        self.lines = np.unique(np.round([*length * np.array([0, *inner, 1]), *_lines(scene, axis)], 12))
+        self.degree, nodes = degree, len(self.lines)
         out = [unknown for end, first in zip(ends, (0, 2 * nodes - 2), strict=True) for unknown in
                (first + np.array(LEFT_OUT.get(end, []) if isinstance(end, str) else [], dtype=int))]  # fmt: skip
-        kept = np.setdiff1d(np.arange(values.shape[1]), out)
-        self.values = values[:, kept]
-        self.ends = [np.array([kept == first, kept == first + 1], dtype=float) for first in (0, 2 * nodes - 2)]
+        self.kept = np.setdiff1d(np.arange(2 * nodes + (degree - 3) * (nodes - 1)), out)
+        self.points, self.weights = self.rule()
+        self.values = self.values_at(self.points)
+        self.ends = [np.array([self.kept == first, self.kept == first + 1], dtype=float) for first in (0, 2 * nodes - 2)]
+
+    def rule(self, low=-np.inf, high=np.inf):
+        """Return points and weights of Gauss's rule on the elements, of what lies between two places."""
+        lines = np.unique(np.clip(self.lines, low, high))
+        s, weights = legendre.leggauss(self.degree + 5)
+        half = np.diff(lines)[:, None] / 2
+        return (lines[:-1, None] + half * (1 + s)).ravel(), (half * weights).ravel()
+
+    def values_at(self, points):
+        """Return values and two derivatives (3, functions, points) at any points."""
+        nodes, bubbles = len(self.lines), self.degree - 3
+        values = np.zeros((3, 2 * nodes + bubbles * (nodes - 1), points.size))
+        of_points = np.clip(np.searchsorted(self.lines, points, side="right") - 1, 0, nodes - 2)
+        for element, half in enumerate(np.diff(self.lines) / 2):
+            inside = np.flatnonzero(of_points == element)
+            own = np.array([*range(2 * element, 2 * element + 4), *(2 * nodes + element * bubbles + np.arange(bubbles))])
+            scale = np.where(np.isin(np.arange(self.degree + 1), (1, 3)), half, 1)
+            reference = _reference(self.degree, (points[inside] - self.lines[element]) / half - 1)
+            for derivative in range(3):
+                here = reference[derivative] * scale[:, None] / half**derivative
+                values[derivative, own[:, None], inside] = here
+        return values[:, self.kept]
+
+    def integral(self, low, high):
+        """Return the integrals of the functions between any two places."""
+        points, weights = self.rule(low, high)
+        return self.values_at(points)[0] @ weights
 
     def mean(self, low, high):
         """Return the means of the functions between two lines."""
@@ -90,8 +106,9 @@ def _factor(scene, name, x, y):
     return array
 
 
-def _matrices(scene, along_x, along_y):
-    """Return stiffness and mass over the products of functions, those of x fastest, and the oscillators' masses."""
+def matrices(scene, along_x, along_y):
+    """Return stiffness, mass, damping and bending alone over the products of functions, those of x fastest, and the
+    oscillators' masses."""
     plate, effects = scene.plate, scene.effects
     thickness, young, density = (
         _factor(scene, name, along_x.points, along_y.points) for name in ("thickness", "young_modulus", "density")
@@ -114,11 +131,16 @@ def _matrices(scene, along_x, along_y):
     coupled = integral(d1 * stiffer, (2, 0), (0, 2))
     stiffness = integral(dx * stiffer, (2, 2)) + integral(dy * stiffer, y=(2, 2)) + coupled + coupled.T
     stiffness += integral(4 * dxy * stiffer, (1, 1), (1, 1))
+    bending, area = stiffness.copy(), integral(one)
     mass = integral(plate.density * plate.thickness * density * thickness)
+    damping = (effects.damping.viscous if effects.damping else 0.0) * area
+    if effects.material_damping:
+        damping += effects.material_damping.time * bending
     if effects.tension:
         stiffness += integral(effects.tension.x * one, (1, 1)) + integral(effects.tension.y * one, y=(1, 1))
     if effects.foundation:
-        stiffness += integral(effects.foundation.stiffness * one)
+        stiffness += effects.foundation.stiffness * area
+        damping += effects.foundation.damping * area
     for name, axis, end in (("left", 0, 0), ("right", 0, 1), ("bottom", 1, 0), ("top", 1, 1)):
         edge = getattr(scene.edges, name)
         if isinstance(edge, str):
@@ -134,8 +156,11 @@ def _matrices(scene, along_x, along_y):
         means = np.outer(along_y.mean(y0, y1), along_x.mean(x0, x1)).ravel()
         pull[: means.size] = means
         if oscillator.mass:
-            stiffness, mass = (scipy.linalg.block_diag(matrix, value) for matrix, value in
-                               ((stiffness, 0.0), (mass, oscillator.mass)))  # fmt: skip
+            stiffness, mass, damping, bending = (
+                scipy.linalg.block_diag(matrix, value)
+                for matrix, value in ((stiffness, 0.0), (mass, oscillator.mass), (damping, 0.0), (bending, 0.0))
+            )
             pull = np.append(pull, -1.0)
         stiffness += oscillator.stiffness * np.outer(pull, pull)
-    return stiffness, mass
+        damping += oscillator.damping * np.outer(pull, pull)
+    return stiffness, mass, damping, bending

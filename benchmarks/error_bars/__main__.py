@@ -1,0 +1,117 @@
+"""Holds printed error bars against the truth, on random linear scenes.
+
+    python benchmarks/error_bars                    # 60 scenes
+    python benchmarks/error_bars --scenes 500 --out benchmarks/results/error-bars.json
+    python benchmarks/error_bars --first 37 --scenes 1
+
+Each scene runs on a random grid, by modes, and on the grid that 1 % asks for; finite elements judge.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from error_bars.judge import true_factors
+from error_bars.scenes import random_grid, random_scene
+from warp_plate import SceneError
+from warp_plate.studies.simulate import simulate
+
+# Relative error of the judge.
+JUDGE = 1e-4
+ASKED = 0.01
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--scenes", type=int, default=60)
+    parser.add_argument("--promise", action="store_true", help="choose a grid for 1 % as well")
+    parser.add_argument("--out", type=Path)
+    asked = parser.parse_args()
+    rows = []
+    for number in range(asked.first, asked.first + asked.scenes):
+        rows += measured(number, asked.promise)
+    report(rows)
+    if asked.out:
+        asked.out.write_text(json.dumps(rows, indent=1))
+
+
+def measured(number: int, promise: bool) -> list[dict]:
+    """Return a row for each engine."""
+    try:
+        scene, names = random_scene(number)
+        phasors = np.array([[a.magnitude * np.exp(-1j * a.phase) for a in scene.actuators]])
+        truth = float(true_factors(scene, phasors)[0])
+    except SceneError as error:
+        print(f"{number:4d} no scene: {error}", flush=True)
+        return []
+    engines = {"steps": (random_grid(scene, number), "auto"), "modes": (scene, "modal")}
+    if promise:
+        engines |= {"1 % by steps": (scene.with_accuracy(ASKED), "streaming"), "1 %": (scene.with_accuracy(ASKED), "auto")}
+    rows = []
+    for engine, (gridded, path) in engines.items():
+        if gridded is None:
+            continue
+        row = {"scene": number, "engine": engine, "effects": names, "truth": truth}
+        started = time.perf_counter()
+        try:
+            result = simulate(gridded, device="cpu", path=path)
+        except SceneError as error:
+            row["refused"] = str(error)
+        else:
+            found = result.cases["drive"].localization_factor
+            estimated = result.accuracy["estimate"]
+            row |= {"found": found, "line": estimated["line"]}
+            if "error" in estimated:
+                row |= {"interval": estimated["interval"][0], "bar": estimated["error"] * estimated["references"][0]}
+        row["seconds"] = time.perf_counter() - started
+        rows.append(row)
+        print(text(row), flush=True)
+    return rows
+
+
+def error_and_bar(row: dict) -> tuple[float, float]:
+    """Return the error of a row and its bar [localization factor], what the judge may be wrong by taken off."""
+    return max(abs(row["found"] - row["truth"]) - JUDGE * row["truth"], 0.0), row["bar"]
+
+
+def missed(row: dict) -> bool:
+    """Return whether the truth lies outside the bar, or outside the interval of the true value."""
+    error, bar = error_and_bar(row)
+    low, high = row["interval"]
+    return error > bar or not low - JUDGE * row["truth"] <= row["truth"] <= high + JUDGE * row["truth"]
+
+
+def text(row: dict) -> str:
+    head = f"{row['scene']:4d} {row['engine']:12s} {row['truth']:.6f}"
+    if "refused" in row:
+        return f"{head} refused: {row['refused']}"
+    if "bar" not in row:
+        return f"{head} {row['line']}"
+    error, bar = error_and_bar(row)
+    return (f"{head} {row['found']:.6f} off {error:.1e} bar {bar:.1e} interval {row['interval'][0]:.6f} "
+            f"{row['interval'][1]:.6f} {row['seconds']:.1f} s {','.join(row['effects'])}"
+            f"{' MISSED' if missed(row) else ''}")  # fmt: skip
+
+
+def report(rows: list[dict]) -> None:
+    print("\n| engine | runs | truth within the bar and the interval | bar / error, median | 95th percentile | refused |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for engine in dict.fromkeys(row["engine"] for row in rows):
+        own = [row for row in rows if row["engine"] == engine]
+        barred = [row for row in own if "bar" in row]
+        pairs = np.array([error_and_bar(row) for row in barred]).reshape(-1, 2)
+        ratio = pairs[:, 1] / np.maximum(pairs[:, 0], 1e-12)
+        held = sum(not missed(row) for row in barred)
+        print(f"| {engine} | {len(own)} | {held} of {len(barred)} | {np.median(ratio):.2g} | "
+              f"{np.percentile(ratio, 95):.2g} | {sum('refused' in row for row in own)} |")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,113 @@
+"""Localization factors of linear plates by a program that shares no code with the engines it judges.
+
+Modes of finite elements (:mod:`elements`). Steady responses solve for the amplitudes of all modes; motion from rest is
+propagated by one matrix exponential a step, exact for the tone, and its energy is summed over the steps of the window.
+Modes above those that are kept follow the tone without inertia of their own: what they add to the steady response.
+"""
+
+import math
+
+import numpy as np
+import scipy
+
+from error_bars.elements import Side, matrices
+
+# Modes from rest, and steps in a period of the highest one and in a period of the drive.
+MODES, STEPS_A_MODE, STEPS_A_PERIOD = 260, 10, 200
+# Gauss's points along the radius of a disc, and points around it.
+RADIUS, AROUND = 40, 128
+
+
+# Lines between elements, as parts of a side; the outer ones follow singular corners and edges.
+INNER = (0.05, 0.35, 0.65, 0.95)
+
+
+def true_factors(scene, phasors, degree=10):
+    """Return the localization factors (n,) of phasors (n, actuators) under the tone of the scene's drive."""
+    sides = [Side(scene, axis, degree, INNER) for axis in (0, 1)]
+    stiffness, mass, damping, bending = matrices(scene, *sides)
+    units = 1 / np.sqrt(np.diag(mass))
+    scaled = [matrix * np.outer(units, units) for matrix in (stiffness, mass)]
+    squares, vectors = scipy.linalg.eigh(*scaled, subset_by_index=(0, min(MODES, len(mass)) - 1))
+    vectors = units[:, None] * vectors
+    loads = np.zeros((len(mass), len(scene.actuators)))
+    for column, actuator in zip(loads.T, scene.actuators, strict=True):
+        along_x, along_y = (side.integral(*actuator.area[2 * axis : 2 * axis + 2]) for axis, side in enumerate(sides))
+        column[: along_x.size * along_y.size] = np.outer(along_y, along_x).ravel()
+    omega = 2 * math.pi * scene.drive.frequency
+    shapes = np.hstack([vectors, _residual(*scaled, units, squares, vectors, loads, omega)])
+    forces = vectors.T @ loads @ phasors.T
+    plate = shapes[: sides[0].kept.size * sides[1].kept.size]
+    regions = [shapes.T @ (mass @ shapes), _target(scene, sides, plate)]
+    for index, oscillator in enumerate(item for item in scene.effects.oscillators if item.mass):
+        moved = shapes[len(plate) + index]
+        regions[0] = regions[0] - oscillator.mass * np.outer(moved, moved)
+    if scene.effects.loss_factor is not None:
+        dynamic = np.diag(squares - omega**2) + 1j * scene.effects.loss_factor.eta * (vectors.T @ bending @ vectors)
+        amplitude = np.linalg.solve(dynamic + 1j * omega * (vectors.T @ damping @ vectors), forces)
+        amplitude = np.vstack([amplitude, phasors.T])
+        energies = [np.einsum("ip,ij,jp->p", amplitude.conj(), region, amplitude).real for region in regions]
+    else:
+        energies = _from_rest(scene, squares, vectors.T @ damping @ vectors, forces, phasors.T, regions)
+    return energies[1] / energies[0]
+
+
+def _residual(stiffness, mass, units, squares, vectors, loads, omega):
+    """Return what modes that are left out add to the undamped steady displacement (unknowns, loads)."""
+    whole = units[:, None] * np.linalg.solve(stiffness - omega**2 * mass, units[:, None] * loads)
+    return whole - vectors @ ((vectors.T @ loads) / (squares - omega**2)[:, None])
+
+
+def _target(scene, sides, plate):
+    """Return the mass matrix of the target over the modes, from their values at points of a rule."""
+    target, density = scene.target, scene.plate.density * scene.plate.thickness
+    shapes = plate.reshape(sides[1].kept.size, sides[0].kept.size, -1)
+    if target.area is not None:
+        x, y = (side.rule(*target.area[2 * axis : 2 * axis + 2]) for axis, side in enumerate(sides))
+        across = np.einsum("jkm,kx->jxm", shapes, sides[0].values_at(x[0])[0])
+        values = np.einsum("jxm,jy->yxm", across, sides[1].values_at(y[0])[0]).reshape(y[0].size * x[0].size, -1)
+        weights = np.outer(y[1], x[1]).ravel()
+    else:
+        centre_x, centre_y, radius = target.disc
+        s, along = np.polynomial.legendre.leggauss(RADIUS)
+        r, angle = radius * (1 + s) / 2, 2 * math.pi * np.arange(AROUND) / AROUND
+        x, y = (centre_x + np.outer(r, np.cos(angle)).ravel(), centre_y + np.outer(r, np.sin(angle)).ravel())
+        weights = np.repeat(along * radius / 2 * r, AROUND) * 2 * math.pi / AROUND
+        of_x, of_y = sides[0].values_at(x)[0], sides[1].values_at(y)[0]
+        parts = np.array_split(np.arange(x.size), 16)
+        values = np.vstack([
+            np.einsum("kp,pkm->pm", of_x[:, part], np.tensordot(of_y[:, part].T, shapes, 1)) for part in parts
+        ])  # fmt: skip
+    return values.T @ (density * weights[:, None] * values)
+
+
+def _from_rest(scene, squares, damping, forces, phasors, regions):
+    """Return the energies of motion from rest, in any unit."""
+    omega, window, count = 2 * math.pi * scene.drive.frequency, scene.window, len(squares)
+    fastest = max(STEPS_A_MODE * math.sqrt(squares[-1]), STEPS_A_PERIOD * omega) / (2 * math.pi)
+    length = window.end - window.start
+    steps = 2 * math.ceil(length * fastest / 2)
+    before = math.ceil(window.start * fastest) if window.start else 0
+    energies = np.zeros((2, forces.shape[1]))
+    for drive in range(forces.shape[1]):
+        system = np.zeros((2 * count + 2, 2 * count + 2))
+        system[:count, count : 2 * count] = np.eye(count)
+        system[count : 2 * count, :count], system[count : 2 * count, count : 2 * count] = -np.diag(squares), -damping
+        # The tone as two states, cos ωt and sin ωt.
+        system[count : 2 * count, -2], system[count : 2 * count, -1] = forces[:, drive].real, -forces[:, drive].imag
+        system[-2, -1], system[-1, -2] = -omega, omega
+        state = np.zeros(2 * count + 2)
+        state[-2] = 1
+        if before:
+            state = np.linalg.matrix_power(scipy.linalg.expm(system * (window.start / before)), before) @ state
+        step = scipy.linalg.expm(system * (length / steps))
+        velocity = np.empty((steps + 1, len(regions[0])))
+        for index in range(steps + 1):
+            velocity[index, :count] = state[count : 2 * count]
+            velocity[index, count:] = (1j * omega * phasors[:, drive] * (state[-2] + 1j * state[-1])).real
+            state = step @ state
+        weights = np.ones(steps + 1)
+        weights[1:-1:2], weights[2:-1:2] = 4, 2  # Simpson's rule
+        for row, region in zip(energies, regions, strict=True):
+            row[drive] = weights @ ((velocity @ region) * velocity).sum(axis=1)
+    return energies

@@ -1,0 +1,100 @@
+"""Random linear scenes: a number is a scene."""
+
+import math
+
+import numpy as np
+
+from warp_plate import Scene, SceneError
+
+EFFECTS = ("damping", "material_damping", "tension", "foundation", "orthotropic", "oscillators", "springs")
+EDGES = ("clamped", "supported", "free")
+NOTHING = "none"
+
+
+def random_scene(number):
+    """Return a scene, and the names of its effects."""
+    rng = np.random.default_rng(number)
+    long = rng.uniform(0.1, 0.4)
+    size = (long, long / 12 ** rng.uniform(0, 1))[:: rng.choice([1, -1])]
+    thickness, young, ratio, density = rng.uniform(3e-4, 2e-3), 10 ** rng.uniform(9, 11), rng.uniform(0.1, 0.45), 2000.0
+    rigidity = young * thickness**3 / 12 / (1 - ratio**2)
+    mass = density * thickness
+    half_waves = rng.uniform(1, 5)
+    frequency = math.pi / 2 * (half_waves / long) ** 2 * math.sqrt(rigidity / mass)
+    edges = dict(zip(("left", "right", "bottom", "top"), rng.choice(EDGES, 4, p=(0.5, 0.3, 0.2)).tolist(), strict=True))
+    if list(edges.values()).count("free") > 2:
+        edges["left"] = "clamped"
+    names = rng.permutation(EFFECTS)[: rng.choice([0, 1, 3], p=(0.2, 0.5, 0.3))].tolist()
+    loss = 10 ** rng.uniform(-2.5, -0.3) * 2 * math.pi * frequency  # rate of decay of energy [1/s]
+    effects, lowest = {}, rigidity * (math.pi / min(size)) ** 2
+    if "damping" in names or "material_damping" not in names and rng.random() < 0.8:
+        effects["damping"] = {"viscous": loss * mass}
+    if "material_damping" in names:
+        effects["material_damping"] = {"time": 10 ** rng.uniform(-2.5, -1) / (2 * math.pi * frequency)}
+    if "tension" in names:
+        effects["tension"] = {"x": lowest * rng.uniform(-0.2, 2), "y": lowest * rng.uniform(-0.2, 2)}
+    if "foundation" in names:
+        bed = mass * (2 * math.pi * frequency) ** 2 * rng.uniform(0.01, 1)
+        effects["foundation"] = {"stiffness": bed, "damping": loss * mass * rng.choice([0, 0.3])}
+    if "orthotropic" in names:
+        along, across = rigidity * rng.uniform(0.5, 2, 2)
+        mean = math.sqrt(along * across)
+        effects["orthotropic"] = {"Dx": along, "Dy": across, "D1": ratio * mean, "Dxy": (1 - ratio) / 2 * mean}
+    if "oscillators" in names:
+        own = mass * math.prod(size) * rng.uniform(0.01, 0.2)
+        stiffness = own * (2 * math.pi * frequency * rng.uniform(0.3, 3)) ** 2
+        effects["oscillators"] = [{
+            "area": _patch(rng, size, 0.1, 0.3), "mass": own, "stiffness": stiffness,
+            "damping": 0.05 * math.sqrt(own * stiffness),
+        }]  # fmt: skip
+    if "springs" in names:
+        stiff = 10 ** rng.uniform(-1, 3) * rigidity
+        edges["top"] = {"translation": stiff / min(size) ** 3, "rotation": stiff / min(size) * rng.choice([0, 1])}
+    periods = rng.choice([rng.uniform(2, 8), rng.uniform(10, 40)])
+    start = periods / frequency
+    target = {"area": _patch(rng, size, 0.2, 0.7)}
+    if rng.random() < 0.4:
+        radius = min(size) * rng.uniform(0.15, 0.45)
+        target = {"disc": (*(rng.uniform(radius, side - radius) for side in size), radius)}
+    actuators = [
+        {"name": str(index), "area": _patch(rng, size, *rng.choice([(0.01, 0.05), (0.05, 0.2), (0.2, 0.5)]))}
+        for index in range(rng.integers(1, 5))
+    ]
+    for actuator in actuators:
+        actuator["phase"], actuator["magnitude"] = rng.uniform(0, 2 * math.pi), rng.uniform(0.3, 1)
+    tables = {
+        "plate": {"size": size, "thickness": thickness, "young_modulus": young, "poisson_ratio": ratio,
+                  "density": density},
+        "edges": edges, "effects": effects, "target": target, "actuators": actuators,
+        "drive": {"frequency": frequency}, "window": {"start": start, "end": start + rng.uniform(1, 8) / frequency},
+    }  # fmt: skip
+    return Scene.from_tables(tables), names or [NOTHING]
+
+
+def random_grid(scene, number):
+    """Return the scene with a random grid."""
+    rng = np.random.default_rng([number, 1])
+    (width, height), cells = scene.plate.size, rng.integers(12, 34)
+    nodes = [max(9, 1 + round(cells * side / max(width, height))) for side in (width, height)]
+    grids = [{"nodes": nodes, "order": 2, "load": load, "precision": "float64"} for load in ("overlap", "nodes")]
+    grids.append({"nodes": nodes, "order": 4, "load": "moments", "precision": "float64"})
+    for grid in rng.permutation(grids):
+        made = scene.with_tables(grid=grid)
+        try:
+            from warp_plate import PlateSolver
+
+            PlateSolver(made, "cpu")
+        except SceneError:
+            continue
+        return made
+    return None
+
+
+def _patch(rng, size, least, most):
+    """Return a rectangle whose sides are parts of the plate's, anywhere on it."""
+    area = []
+    for side in size:
+        part = side * rng.uniform(least, most)
+        low = rng.uniform(0, side - part)
+        area += [low, low + part]
+    return tuple(area)
