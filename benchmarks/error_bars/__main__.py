@@ -53,7 +53,10 @@ def measured(number: int, promise: bool) -> list[dict]:
         return []
     engines = {"steps": (random_grid(scene, number), "auto"), "modes": (scene, "modal")}
     if promise:
-        engines |= {"1 % by steps": (scene.with_accuracy(ASKED), "streaming"), "1 %": (scene.with_accuracy(ASKED), "auto")}
+        engines |= {
+            "1 % by steps": (scene.with_accuracy(ASKED), "streaming"),
+            "1 %": (scene.with_accuracy(ASKED), "auto"),
+        }
     rows = []
     for engine, (gridded, path) in engines.items():
         if gridded is None:
@@ -101,7 +104,9 @@ def text(row: dict) -> str:
 
 
 def report(rows: list[dict]) -> None:
-    print("\n| engine | runs | truth within the bar and the interval | bar / error, median | 95th percentile | refused |")
+    print(
+        "\n| engine | runs | truth within the bar and the interval | bar / error, median | 95th percentile | refused |"
+    )
     print("| --- | --- | --- | --- | --- | --- |")
     for engine in dict.fromkeys(row["engine"] for row in rows):
         own = [row for row in rows if row["engine"] == engine]

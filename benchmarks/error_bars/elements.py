@@ -44,7 +44,9 @@ class Side:
         self.kept = np.setdiff1d(np.arange(2 * nodes + (degree - 3) * (nodes - 1)), out)
         self.points, self.weights = self.rule()
         self.values = self.values_at(self.points)
-        self.ends = [np.array([self.kept == first, self.kept == first + 1], dtype=float) for first in (0, 2 * nodes - 2)]
+        self.ends = [
+            np.array([self.kept == first, self.kept == first + 1], dtype=float) for first in (0, 2 * nodes - 2)
+        ]
 
     def rule(self, low=-np.inf, high=np.inf):
         """Return points and weights of Gauss's rule on the elements, of what lies between two places."""
@@ -60,7 +62,9 @@ class Side:
         of_points = np.clip(np.searchsorted(self.lines, points, side="right") - 1, 0, nodes - 2)
         for element, half in enumerate(np.diff(self.lines) / 2):
             inside = np.flatnonzero(of_points == element)
-            own = np.array([*range(2 * element, 2 * element + 4), *(2 * nodes + element * bubbles + np.arange(bubbles))])
+            own = np.array(
+                [*range(2 * element, 2 * element + 4), *(2 * nodes + element * bubbles + np.arange(bubbles))]
+            )
             scale = np.where(np.isin(np.arange(self.degree + 1), (1, 3)), half, 1)
             reference = _reference(self.degree, (points[inside] - self.lines[element]) / half - 1)
             for derivative in range(3):

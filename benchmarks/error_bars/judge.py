@@ -22,20 +22,23 @@ RADIUS, AROUND = 40, 128
 INNER = (0.05, 0.35, 0.65, 0.95)
 
 
-def true_factors(scene, phasors, degree=10):
+def true_factors(scene, phasors, degree=11):
     """Return the localization factors (n,) of phasors (n, actuators) under the tone of the scene's drive."""
     sides = [Side(scene, axis, degree, INNER) for axis in (0, 1)]
     stiffness, mass, damping, bending = matrices(scene, *sides)
-    units = 1 / np.sqrt(np.diag(mass))
-    scaled = [matrix * np.outer(units, units) for matrix in (stiffness, mass)]
-    squares, vectors = scipy.linalg.eigh(*scaled, subset_by_index=(0, min(MODES, len(mass)) - 1))
-    vectors = units[:, None] * vectors
+    plate = scene.plate
+    shift = plate.rigidity / (plate.density * plate.thickness) * (math.pi / max(plate.size)) ** 4
+    units = 1 / np.sqrt(np.diag(stiffness + shift * mass))
+    scaled = [matrix * np.outer(units, units) for matrix in (mass, stiffness + shift * mass)]
+    # The inverse problem, whose largest eigenvalues have small relative errors.
+    inverse, vectors = scipy.linalg.eigh(*scaled, subset_by_index=(max(len(mass) - MODES, 0), len(mass) - 1))
+    squares, vectors = 1 / inverse - shift, units[:, None] * vectors / np.sqrt(inverse)
     loads = np.zeros((len(mass), len(scene.actuators)))
     for column, actuator in zip(loads.T, scene.actuators, strict=True):
         along_x, along_y = (side.integral(*actuator.area[2 * axis : 2 * axis + 2]) for axis, side in enumerate(sides))
         column[: along_x.size * along_y.size] = np.outer(along_y, along_x).ravel()
     omega = 2 * math.pi * scene.drive.frequency
-    shapes = np.hstack([vectors, _residual(*scaled, units, squares, vectors, loads, omega)])
+    shapes = np.hstack([vectors, _residual(scaled, units, squares, vectors, loads, omega**2, shift)])
     forces = vectors.T @ loads @ phasors.T
     plate = shapes[: sides[0].kept.size * sides[1].kept.size]
     regions = [shapes.T @ (mass @ shapes), _target(scene, sides, plate)]
@@ -52,10 +55,11 @@ def true_factors(scene, phasors, degree=10):
     return energies[1] / energies[0]
 
 
-def _residual(stiffness, mass, units, squares, vectors, loads, omega):
+def _residual(scaled, units, squares, vectors, loads, square, shift):
     """Return what modes that are left out add to the undamped steady displacement (unknowns, loads)."""
-    whole = units[:, None] * np.linalg.solve(stiffness - omega**2 * mass, units[:, None] * loads)
-    return whole - vectors @ ((vectors.T @ loads) / (squares - omega**2)[:, None])
+    mass, shifted = scaled
+    whole = units[:, None] * np.linalg.solve(shifted - (square + shift) * mass, units[:, None] * loads)
+    return whole - vectors @ ((vectors.T @ loads) / (squares - square)[:, None])
 
 
 def _target(scene, sides, plate):
@@ -84,7 +88,7 @@ def _target(scene, sides, plate):
 def _from_rest(scene, squares, damping, forces, phasors, regions):
     """Return the energies of motion from rest, in any unit."""
     omega, window, count = 2 * math.pi * scene.drive.frequency, scene.window, len(squares)
-    fastest = max(STEPS_A_MODE * math.sqrt(squares[-1]), STEPS_A_PERIOD * omega) / (2 * math.pi)
+    fastest = max(STEPS_A_MODE * math.sqrt(squares.max()), STEPS_A_PERIOD * omega) / (2 * math.pi)
     length = window.end - window.start
     steps = 2 * math.ceil(length * fastest / 2)
     before = math.ceil(window.start * fastest) if window.start else 0

@@ -31,7 +31,6 @@ from warp_plate.accuracy.reference_solution import (
     ReferenceSolution,
     find_reference_solution,
     grid_lines,
-    largest_change,
     solve_response,
 )
 from warp_plate.modal.motion import fields
@@ -45,7 +44,7 @@ REFERENCE_SECONDS = 1.0
 # Effect of rounding on a localization factor.
 ROUNDING = {"float32": 1e-6, "float64": 1e-13}
 # Uncertainty of the reference as a fraction of the error that it shows, and its greatest and least value.
-GOOD_ENOUGH, FIRST_WANTED, FINEST_WANTED = 0.1, 0.02, 2e-5
+GOOD_ENOUGH, FIRST_WANTED, FINEST_WANTED = 0.1, 0.02, 1e-4
 # A price is named for the first of these that the run does not keep; its grid is to keep this fraction of it.
 TOLERANCES, TOLERANCE_SHARE = (0.01, 0.001), 0.9
 # Side of the grid that shows the error of fourth order, and the most node-steps on it.
@@ -208,8 +207,8 @@ def estimate_modal(
 ) -> Estimate:
     """Estimate the errors of results by modes, from what more functions change; see :func:`estimate`.
 
-    Errors of one drive may pass through zero, so the largest of these drives, of the single actuators, of the best
-    drive and of the bound is taken for all.
+    Errors of one drive may pass through zero, so the largest change of these drives, of the single actuators and of the
+    bound counts for all, as a part of the larger one of its localization factor and that of the drive.
     """
     started = time.perf_counter()
     computed, phasors = np.asarray(localization_factors, dtype=float), np.asarray(phasors, dtype=complex)
@@ -220,7 +219,9 @@ def estimate_modal(
     references, moved = np.full(computed.shape, math.nan), np.full(computed.shape, math.nan)
     references[kept] = finer.localization_factors(phasors[kept])
     observed = np.concatenate([phasors[kept], np.eye(len(scene.actuators))])
-    change = max(largest_change(observed, False, finer, [response]), np.nanmax(np.abs(computed / references - 1)))
+    factors, coarse = (np.append(each.localization_factors(observed), each.bound()) for each in (finer, response))
+    changes = np.abs(coarse - factors) / np.maximum(factors, references[:, None])
+    change = np.maximum(np.nanmax(changes, axis=1, initial=0), np.abs(computed / references - 1))
     if displacement is not None and len(times):
         expected = fields(plate, phasors[kept], np.asarray(times, dtype=float), *grid_lines(scene))
         differences = np.linalg.norm((displacement[kept] - expected).reshape(kept.sum(), -1), axis=1)
@@ -230,7 +231,7 @@ def estimate_modal(
         numerics=MODES,
         localization_factors=computed,
         references=references,
-        uncertainty=(CHANGE_FACTOR - 1) * change + LEAST_ERROR,
+        uncertainty=float(np.nanmax((CHANGE_FACTOR - 1) * change + LEAST_ERROR)),
         errors=np.where(kept, CHANGE_FACTOR * change + LEAST_ERROR, math.nan),
         kind=MORE_FUNCTIONS,
         seconds=time.perf_counter() - started,
@@ -249,9 +250,7 @@ def _no_estimate(numerics: str, factors: np.ndarray) -> Estimate:
     return Estimate(numerics, factors, unknown, math.nan, unknown, "none", 0.0, None, unknown)
 
 
-def _price(
-    scene: Scene, error: float, phasors: np.ndarray, references: np.ndarray, device: str
-) -> Price | None:
+def _price(scene: Scene, error: float, phasors: np.ndarray, references: np.ndarray, device: str) -> Price | None:
     """Return the cheaper of finer grids of the run's own order and of the highest order."""
     tolerance = next((tolerance for tolerance in TOLERANCES if error > tolerance), None)
     if tolerance is None or not math.isfinite(error):

@@ -15,7 +15,7 @@ from warp_plate.accuracy.reference_solution import ReferenceSolution, find_refer
 from warp_plate.scene.model import Grid, Scene
 
 # Fraction of the budget that the reference may take, and its uncertainty, far below the smallest tolerance.
-REFERENCE_SHARE, REFERENCE_ERROR = 0.15, 1e-5
+REFERENCE_SHARE, REFERENCE_ERROR = 0.15, 5e-5
 # Fraction of the remaining budget that a row may take, and the number of rows measured whatever they take.
 ROW_SHARE, FIRST_ROWS = 0.5, 6
 # Relative errors for which a row is recommended.
