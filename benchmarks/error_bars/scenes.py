@@ -27,7 +27,7 @@ def random_scene(number):
     names = rng.permutation(EFFECTS)[: rng.choice([0, 1, 3], p=(0.2, 0.5, 0.3))].tolist()
     loss = 10 ** rng.uniform(-2.5, -0.3) * 2 * math.pi * frequency  # rate of decay of energy [1/s]
     effects, lowest = {}, rigidity * (math.pi / min(size)) ** 2
-    if "damping" in names or "material_damping" not in names and rng.random() < 0.8:
+    if "damping" in names or ("material_damping" not in names and rng.random() < 0.8):
         effects["damping"] = {"viscous": loss * mass}
     if "material_damping" in names:
         effects["material_damping"] = {"time": 10 ** rng.uniform(-2.5, -1) / (2 * math.pi * frequency)}
