@@ -138,8 +138,9 @@ def process(*arguments, **options):
 
 def test_as_a_process(command, panel):
     """Streams are free of messages of Warp, CUDA and VTK, also in a terminal without Greek letters."""
-    assert json.loads(output_of(process("localize", "panel.toml", "--json", *QUICK)))["scene"] == "panel.toml"
-    assert "13 \\xd7 13 nodes" in output_of(process("modes", "panel.toml", "--grid", "--no-pictures", encoding="ascii"))
+    out = output_of(process("localize", "panel.toml", *QUICK, encoding="ascii"))
+    assert out.startswith("panel.toml")
+    assert "phase / \\u03c0" in out
     assert output_of(command("--version")).strip() == warp_plate.__version__
     assert all(name in output_of(command("--help")) for name in ("localize", "simulate", "init"))
 
@@ -153,7 +154,7 @@ def test_standard_output_that_is_closed_or_full(panel):
     assert Path("panel-simulate.h5").exists()
     if Path("/dev/full").exists():  # on Linux
         with open("/dev/full", "w") as full:
-            answer = process("check", "panel.toml", "--json", "--device", "cpu", stdout=full)
+            answer = process("init", "paper", stdout=full)
         assert answer == (2, None, "warp-plate: No space left on device\n")
 
 
