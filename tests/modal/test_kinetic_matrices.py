@@ -56,7 +56,7 @@ def plate(tmp_path_factory):
     edges = ("clamped", "free", "supported", "free")
     effects = {"layers": [LAYER], "oscillators": oscillators}
     scene = scene_of(size=SIZE, edges=edges, effects=effects, target={"mask": "mask.csv"})
-    return solve_modes(scene.in_folder(folder), highest=20.0, count=MODES, density=0.6)
+    return solve_modes(scene.in_folder(folder), highest=20.0, count=MODES, density=0.7)
 
 
 @pytest.mark.parametrize("within", [None, (0.04, 0.15, 0.03, 0.12)])
