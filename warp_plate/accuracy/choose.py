@@ -150,8 +150,8 @@ def choose(
             f"only; {advice}"
         )
     if reference.plate is not None and engine != "steps":
-        # Those of the reference may be more than those that are taken, by which its uncertainty is half of the change.
-        error = uncertainty * (1.5 if reference.density > 1 else 1)
+        # Those of the reference may be more than those that are taken, by which its uncertainty is a quarter of it.
+        error = uncertainty * (1.25 if reference.density > 1 else 1)
         reason = f"modes, for errors of at most {percent(error)}, asked {percent(accuracy)}"
         return Choice(scene.model_copy(update={"grid": Grid()}), error, reason, reference, by_modes=True)
     equal, more = np.ones(len(scene.actuators)), () if phasors is None else phasors
