@@ -31,7 +31,7 @@ FLOORS = (
 ROOMS = set().union(*FLOORS)
 # The libraries that only some rooms may import, and the rooms.
 OWNERS = {
-    "warp": {"kernels", "solve", "accuracy", "bench", "cluster", "analysis", "studies"},
+    "warp": {"kernels", "solve", "modal", "accuracy", "bench", "cluster", "analysis", "studies"},
     **{name: {"viz"} for name in ("pyvista", "vtkmodules", "matplotlib", "trame")},
     **{name: {"cluster"} for name in ("dask", "distributed")},
     **{name: {"cli"} for name in ("cyclopts", "rich")},

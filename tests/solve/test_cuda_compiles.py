@@ -21,6 +21,7 @@ from warp_plate.kernels import (
     resident_wide,
     streaming,
     temporal_blocking,
+    tones,
     wave,
 )
 from warp_plate.kernels.effects import KernelEffects
@@ -32,6 +33,8 @@ ALONE = ("material_damping", "tension", "foundation", "stretching", "oscillators
 EVERYTHING = KernelEffects(True, True, 2, terms=5, moments=True, **dict.fromkeys(ALONE, True))
 FEW = [KernelEffects(True, True, 2), KernelEffects(True, True, 4), EVERYTHING]
 PLAIN = itertools.product((False, True), ((False, 2), (True, 2), (True, 4)))
+TONES = (tones.integrate_patches, tones.multiply_dense, tones.multiply_sparse)
+TONES += (tones.write_drives, tones.write_motions, tones.contract)
 REALS = (wp.float32, wp.float64)
 ALL = [KernelEffects(damping, *cells) for damping, cells in PLAIN]
 ALL += [EVERYTHING, *(KernelEffects(moments=True, **{name: True}) for name in ALONE)]
@@ -49,6 +52,8 @@ def cuda_kernels(effects, real):
     yield "energy.sum_over_columns", energy.sum_over_columns
     yield "limits.make_multiply_adds", limits.make_multiply_adds(real, block=1, depth=64, rounds=100, compiler_flags="")
     yield "streaming.advance_clock", streaming.advance_clock
+    for kernel in TONES:
+        yield f"tones.{kernel.key}", kernel
     yield "streaming.make_record_trace", streaming.make_record_trace(real)
     if not effects.plain:
         for kernel in moment_form.make_passes(effects, real):

@@ -56,20 +56,20 @@ class Poles:
         """Return the product of a real matrix (rows, modes) and the free motions."""
         if self.modes is None:
             return times(matrix, self.vectors)
-        return matrix[:, self.modes] * self._sizes
+        return matrix[:, self.modes] * self.sizes
 
     def pressed(self, columns: np.ndarray, conjugate: bool = False) -> np.ndarray:
         """Return ψᵀ columns (..., poles, columns), or ψ̄ᵀ columns, of columns (..., modes, columns)."""
         if self.modes is None:
             return times((self.vectors.conj() if conjugate else self.vectors).T, columns)
-        sizes = self._sizes.conj() if conjugate else self._sizes
+        sizes = self.sizes.conj() if conjugate else self.sizes
         return np.asarray(columns[..., self.modes, :] * sizes[:, None])
 
     def gains(self, forces: np.ndarray) -> np.ndarray:
         """Return χ forces (..., poles, loads) of modal forces (..., modes, loads)."""
         if self.modes is None:
             return times(self.inputs, forces)
-        return np.asarray(forces[..., self.modes, :] * self._sizes[:, None])
+        return np.asarray(forces[..., self.modes, :] * self.sizes[:, None])
 
     def forced(self, states: np.ndarray, forces: np.ndarray, gains: np.ndarray) -> np.ndarray:
         """Return the steady motion (..., modes, loads) Σ_p ψ_p χ_p f / (σ − s_p) of all poles.
@@ -81,11 +81,12 @@ class Poles:
         """
         if self.modes is None:
             return times(self.vectors, gains * states)
-        both = self._sizes[:, None] ** 2 * states
+        both = self.sizes[:, None] ** 2 * states
         return np.asarray(forces * (both[..., : len(self.vectors), :] + both[..., len(self.vectors) :, :]))
 
     @property
-    def _sizes(self) -> np.ndarray:
+    def sizes(self) -> np.ndarray:
+        """(poles,) the only number of each free motion, if damping does not couple modes."""
         assert self.modes is not None
         return self.vectors[self.modes, np.arange(self.values.size)]
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from warp_plate.modal.device_tones import DeviceToneMatrices
 from warp_plate.modal.energy import energies, gram_matrices
 from warp_plate.modal.loads import has_exponential_loads
 from warp_plate.modal.modes import ModalPlate, solve_modes
@@ -45,7 +46,7 @@ class ModalSolver:
 
     Args:
         scene: Scene, or its discretization.
-        device: Device that a stepping solver would use; modes are computed on the CPU.
+        device: Device of batches of designs under tones; all else is computed on the CPU.
         areas: Further regions whose energy runs return, by name.
         per_plate: What may differ between plates beside their drives.
         quantity: "velocity" or "displacement", see :class:`PlateSolver`.
@@ -114,6 +115,8 @@ class ModalSolver:
         """Return (plates, regions, 2M, 2M) Gram matrices of designs, whose drives play no part."""
         if self.scene.drive.waveform_key is not None:
             return self._waveforms.matrices(*self._loads(designs))
+        if self.device.is_cuda and self.plate.proportional:
+            return self._device_tones.matrices(*self._parameters(designs)[:2])
         count, (frequency, forces, _) = len(designs), self._loads(designs)
         matrices = []
         block = max(1, BLOCK_NUMBERS // (forces.shape[1] * frequency.shape[1]))
@@ -203,6 +206,11 @@ class ModalSolver:
     @cached_property
     def _tones(self) -> ToneMatrices:
         return ToneMatrices(self.plate, self._region_matrices, self.scene.window, self.quantity)
+
+    @cached_property
+    def _device_tones(self) -> DeviceToneMatrices:
+        window = None if self.scene.steady else self.scene.window
+        return DeviceToneMatrices(self.plate, self._region_matrices, window, self.quantity, self.device)
 
     @cached_property
     def _waveforms(self) -> WaveformEnergies:

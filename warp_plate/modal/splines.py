@@ -7,6 +7,7 @@ leave degree − m continuous derivatives. Gauss's rule between knots is exact f
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -51,6 +52,17 @@ class Splines:
     def integrals(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Return (functions, intervals) integrals from ``low`` to ``high`` [m]."""
         return self._splines(self._integrals, high) - self._splines(self._integrals, low)
+
+    @property
+    def integral_pieces(self) -> np.ndarray:
+        """(intervals, functions, degree + 2) integrals from the low end in powers of x − break, highest first."""
+        powers = range(self.degree + 1, -1, -1)
+        curves = [self._integrals.derivative(power) if power else self._integrals for power in powers]
+        pieces = [
+            self._splines(curve, self.breaks[:-1]).T / math.factorial(power)
+            for curve, power in zip(curves, powers, strict=True)
+        ]
+        return np.stack(pieces, axis=-1)
 
     def products(self, low: float, high: float, first: int = 0, second: int = 0) -> np.ndarray:
         """Return (functions, functions) ∫ of two derivatives, row times column, from ``low`` to ``high`` [m]."""

@@ -60,17 +60,17 @@ class ToneMatrices:
     def _of_block(self, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
         if (frequency == frequency[:, :1]).all():  # means of one tone serve all actuators, and all plates
             frequency = frequency[:, :1] if (frequency != frequency[0]).any() else frequency[:1, :1]
-        window, drive = self.window, rates_apart(self._poles, 2j * math.pi * frequency, self.window.end)
-        states, gains = 1 / (drive[:, None, :] - self._poles.values[:, None]), self._poles.gains(forces)
-        forced, free = self._poles.forced(states, forces, gains), -(gains * states)[:, self._kept]
-        poles = self._poles.part(self._kept)
+        window, drive = self.window, rates_apart(self.poles, 2j * math.pi * frequency, self.window.end)
+        states, gains = 1 / (drive[:, None, :] - self.poles.values[:, None]), self.poles.gains(forces)
+        forced, free = self.poles.forced(states, forces, gains), -(gains * states)[:, self.kept]
+        poles = self.poles.part(self.kept)
         if self.quantity == "velocity":
             forced, free = forced * drive[:, None, :], free * poles.values[:, None]
         turns = drive, drive.conj()
         of_tones = [mean_exponential(turn[:, :, None], drive[:, None, :], window) for turn in turns]
         across = [mean_exponential(turn[:, None, :], poles.values[:, None], window) for turn in turns]
         matrices = []
-        for region, forms in zip(self._sparse_regions, self._free_forms, strict=True):
+        for region, forms in zip(self.sparse_regions, self._free_forms, strict=True):
             moved = times(region, forced)
             pressed = poles.pressed(moved), poles.pressed(moved, conjugate=True).conj()
             crossed = [(inner * mean).mT @ free for inner, mean in zip(pressed, across, strict=True)]
@@ -82,35 +82,35 @@ class ToneMatrices:
         return np.stack(matrices, axis=1)
 
     @cached_property
-    def _sparse_regions(self) -> list[np.ndarray | scipy.sparse.csr_array]:
-        return [_sparse(region) for region in self.regions]
+    def sparse_regions(self) -> list[np.ndarray | scipy.sparse.csr_array]:
+        return [as_sparse(region) for region in self.regions]
 
     @cached_property
-    def _poles(self) -> Poles:
+    def poles(self) -> Poles:
         return make_poles(self.plate, self.window.end)
 
     @cached_property
-    def _kept(self) -> np.ndarray:
+    def kept(self) -> np.ndarray:
         """Indices of the poles whose free motions last into the window."""
-        loads = np.abs(self._poles.gains(trial_forces(self.plate))).max(axis=1)
-        begun = loads * np.linalg.norm(self._poles.vectors, axis=0)
-        left = begun * np.exp(self._poles.values.real * self.window.start)
+        loads = np.abs(self.poles.gains(trial_forces(self.plate))).max(axis=1)
+        begun = loads * np.linalg.norm(self.poles.vectors, axis=0)
+        left = begun * np.exp(self.poles.values.real * self.window.start)
         return np.flatnonzero(left**2 > DECAYED * (begun**2).max())
 
     @cached_property
     def _free_forms(self) -> list[list[np.ndarray | scipy.sparse.csr_array]]:
         """ψᵀGψ and ψ̄ᵀGψ times the means of the free motions' products, of each region G."""
-        poles, forms = self._poles.part(self._kept), []
+        poles, forms = self.poles.part(self.kept), []
         rates = poles.values, poles.values.conj()
         means = [mean_exponential(rate[:, None], poles.values, self.window) for rate in rates]
         for region in self.regions:
             moved = poles.moved(region)
             products = [poles.pressed(moved, bool(conjugate)) * mean for conjugate, mean in enumerate(means)]
-            forms.append([_sparse(product) for product in products])
+            forms.append([as_sparse(product) for product in products])
         return forms
 
 
-def _sparse(matrix: np.ndarray) -> np.ndarray | scipy.sparse.csr_array:
+def as_sparse(matrix: np.ndarray) -> np.ndarray | scipy.sparse.csr_array:
     """Return a matrix as a sparse one if few of its entries are not zero."""
     return scipy.sparse.csr_array(matrix) if np.count_nonzero(matrix) < SPARSE * matrix.size else matrix
 

@@ -1,0 +1,111 @@
+"""Gram matrices of batches under tones by the Warp kernels, against those by NumPy."""
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import scene_of
+
+from warp_plate.modal import device_tones
+from warp_plate.modal.device_tones import DeviceToneMatrices
+from warp_plate.modal.energy import gram_matrices
+from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.solver import ModalSolver
+from warp_plate.modal.tones import ToneMatrices
+from warp_plate.plate.designs import Designs, PerPlate
+from warp_plate.solve.devices import find_device
+
+SIZE, PLATES = (0.2, 0.15), 5
+DISC = {"disc": (0.13, 0.06, 0.04)}
+CASES = {
+    "viscous": ({"damping": 88.3, "window": (0.06, 0.11)}, "velocity"),
+    "light damping, a disc": ({"damping": 3.0, "target": DISC}, "displacement"),
+    "rigid motions, overdamped": ({"damping": 400.0, "edges": ("free",) * 4, "target": DISC}, "velocity"),
+    "steady": ({"effects": {"loss_factor": {"eta": 0.01}, "damping": {"viscous": 5.0}}}, "velocity"),
+    "steady, a free edge": (
+        {"effects": {"loss_factor": {"eta": 0.01}}, "edges": ("free", "supported", "free", "free")},
+        "displacement",
+    ),
+}
+
+
+@pytest.fixture(params=["cpu", "cuda:0"] if wp.is_cuda_available() else ["cpu"])
+def device(request):
+    return find_device(request.param)
+
+
+def batch(random, many=True):
+    """Return frequencies (plates, 3) [Hz] and areas (plates, 3, 4) [m] of patches of one size."""
+    frequency = random.uniform(100, 400, (PLATES, 3 if many else 1)) * np.ones(3)
+    low = random.uniform(0, 0.12, (PLATES, 3, 2))
+    low[0, 0], low[0, 1] = 0.0, (SIZE[0] - 0.03, SIZE[1] - 0.02)  # up to the corners
+    high = low + (0.03, 0.02)
+    return frequency, np.stack([low[..., 0], high[..., 0], low[..., 1], high[..., 1]], axis=-1)
+
+
+def both(plate, quantity, device, frequency, areas):
+    """Return matrices by the kernels and by NumPy, each region's relative to its largest."""
+    scene = plate.scene
+    regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
+    window = None if scene.steady else scene.window
+    forces = np.stack([plate.patch_forces(row) for row in areas])
+    if window is None:
+        exact = gram_matrices(plate, regions, forces, frequency, None, quantity)
+    else:
+        exact = ToneMatrices(plate, regions, window, quantity).matrices(frequency, forces)
+    found = DeviceToneMatrices(plate, regions, window, quantity, device).matrices(frequency, areas)
+    size = np.abs(exact).max(axis=(2, 3), keepdims=True)
+    return found / size, exact / size
+
+
+@pytest.mark.parametrize("many", [False, True], ids=["a frequency a plate", "a frequency an actuator"])
+@pytest.mark.parametrize("name", CASES)
+def test_kernels_have_the_matrices_of_numpy(random, device, name, many):
+    tables, quantity = CASES[name]
+    plate = solve_modes(scene_of(size=SIZE, **tables), highest=400.0)
+    found, exact = both(plate, quantity, device, *batch(random, many))
+    assert found.shape == exact.shape
+    assert np.allclose(found, exact, rtol=0, atol=1e-10)
+
+
+def test_places_that_all_plates_share(random, device):
+    plate = solve_modes(scene_of(size=SIZE, damping=20.0), highest=400.0)
+    frequency, areas = batch(random)
+    found, exact = both(plate, "velocity", device, frequency, areas[:1])
+    assert np.allclose(found, exact, rtol=0, atol=1e-10)
+
+
+def test_undamped_plate_at_resonance(random, device):
+    """Exponentials that nearly cancel leave five digits."""
+    plate = solve_modes(scene_of(size=SIZE), highest=400.0)
+    frequency, areas = batch(random)
+    frequency[1:3] = plate.frequencies[1]
+    found, exact = both(plate, "velocity", device, frequency, areas)
+    assert np.allclose(found, exact, rtol=0, atol=1e-4)
+
+
+def test_plates_do_not_feel_their_neighbours(random, device, monkeypatch):
+    """A plate has the same bits alone, in a batch, in blocks, and beside one that is not finite."""
+    plate = solve_modes(scene_of(size=SIZE, damping=20.0), highest=400.0)
+    frequency, areas = batch(random)
+    tones = DeviceToneMatrices(
+        plate, [plate.kinetic_matrix(plate.scene.target)], plate.scene.window, "velocity", device
+    )
+    together = tones.matrices(frequency, areas)
+    for row in range(PLATES):
+        assert np.array_equal(tones.matrices(frequency[row : row + 1], areas[row : row + 1])[0], together[row])
+    frequency[2] = np.nan
+    monkeypatch.setattr(device_tones, "BLOCK_NUMBERS", 2 * 6 * len(plate.frequencies))
+    beside = tones.matrices(frequency, areas)
+    kept = [0, 1, 3, 4]
+    assert np.array_equal(beside[kept], together[kept])
+    assert np.isnan(beside[2]).any()
+
+
+@pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")
+@pytest.mark.parametrize("effects", [{"damping": {"viscous": 20.0}}, {"loss_factor": {"eta": 0.02}}])
+def test_solvers_of_both_devices_agree(random, effects):
+    scene, varied = scene_of(size=SIZE, effects=effects), PerPlate(frequency=True, centre=True)
+    centre, frequency = random.uniform(0.05, 0.1, (PLATES, 3, 2)), random.uniform(100, 290, (PLATES, 1)) * np.ones(3)
+    designs = Designs(np.ones((PLATES, 3), dtype=complex), frequency, centre)
+    cpu, cuda = (ModalSolver(scene, device, per_plate=varied).gram_matrices(designs) for device in ("cpu", "cuda:0"))
+    assert np.allclose(cpu, cuda, rtol=0, atol=1e-10 * np.abs(cpu).max())

@@ -1,0 +1,184 @@
+"""Gram matrices of plates under tones on a Warp device, for modes that damping does not couple.
+
+The numbers are those of :class:`warp_plate.modal.tones.ToneMatrices` and, in the steady state, of
+:func:`warp_plate.modal.energy.gram_matrices`, by the kernels of ``kernels/tones.py``. What depends on the plate alone
+is put on the device once; frequencies and places follow with each batch.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warp_plate.kernels import tones as kernels
+from warp_plate.modal.energy import mean_exponential
+from warp_plate.modal.modes import ModalPlate
+from warp_plate.modal.poles import APART
+from warp_plate.modal.tones import ToneMatrices, as_sparse
+from warp_plate.scene.model import Window
+
+# Numbers of the largest matrix of a block of plates.
+BLOCK_NUMBERS = 2**24
+# The two poles of a mode are kept apart by this part of the highest mode's frequency in the steady state.
+SPLIT = 1e-8
+
+
+class DeviceToneMatrices:
+    """Gram matrices of the regions of a plate under tones, in float64 on a device.
+
+    Args:
+        plate: Modes that damping does not couple.
+        regions: Mass matrices (modes, modes) of the regions.
+        window: Window of energies from rest; None for the steady state.
+        quantity: "velocity" or "displacement".
+        device: Device.
+    """
+
+    def __init__(
+        self,
+        plate: ModalPlate,
+        regions: Sequence[np.ndarray],
+        window: Window | None,
+        quantity: str,
+        device: wp.Device,
+    ) -> None:
+        self._device, self._window, self._velocity = device, window, int(quantity == "velocity")
+        if window is None:
+            values, squares, kept = *_steady_poles(plate), np.empty(0, dtype=int)
+            undamped = np.empty(0, dtype=complex)
+        else:
+            tones = ToneMatrices(plate, regions, window, quantity)
+            values, squares, kept = tones.poles.values, tones.poles.sizes**2, tones.kept
+            undamped = values[np.abs(values.real) < APART / window.end]
+        free = np.zeros_like(squares)
+        free[kept] = -squares[kept]
+        values, squares, free = (array.reshape(2, -1) for array in (values, squares, free))
+        lasting, oscillates = np.flatnonzero(free.any(axis=0)), values[0].imag != 0
+        place = np.full(values.shape[1], -1)
+        place[lasting] = np.arange(lasting.size)
+        self._motions = [*(self._put(array) for array in (values, squares, free, oscillates, place)), lasting.size]
+        self._undamped, self._kept = self._put(undamped), self._put(np.tile(lasting, 2))
+        means = _free_means(values[:, lasting], oscillates[lasting], window)
+        self._regions = [
+            [self._put_matrix(matrix) for matrix in (region, np.tile(region[np.ix_(lasting, lasting)], (2, 2)) * means)]
+            for region in regions
+        ]
+        sides = plate.galerkin.along_x, plate.galerkin.along_y
+        tables = [side.breaks for side in sides] + [side.integral_pieces for side in sides]
+        self._splines, self._unknowns = [self._put(table) for table in tables], math.prod(x.functions for x in sides)
+        self._shapes, self._modes = self._put_matrix(plate.vectors[: self._unknowns].T), len(place)
+
+    def matrices(self, frequency: np.ndarray, areas: np.ndarray) -> np.ndarray:
+        """Return (plates, regions, 2M, 2M) matrices of mean energies [J per (N/m²)²].
+
+        Args:
+            frequency: (plates, M) [Hz].
+            areas: (plates or 1, M, 4) actuators' rectangles x0, x1, y0, y1 [m].
+        """
+        plates, actuators = frequency.shape
+        matrices = wp.empty((plates, len(self._regions), 2 * actuators, 2 * actuators), wp.float64, self._device)
+        block = min(plates, max(1, BLOCK_NUMBERS // (2 * actuators * self._modes)))
+        work, tones, patches = self._workspace(block * actuators), self._put(frequency), self._put(areas)
+        for first in range(0, plates, block):
+            rows = slice(first, min(first + block, plates))
+            if first == 0 or len(areas) > 1:
+                distinct = self._write_forces(patches[rows] if len(areas) > 1 else patches, work)
+            self._write_matrices(tones[rows], distinct, work, matrices[rows])
+        return np.asarray(matrices.numpy())
+
+    def _workspace(self, columns: int) -> dict[str, wp.array]:
+        """Return matrices of so many columns, filled up to whole tiles by zeros, which stay."""
+        rows = {"integrals": self._unknowns, **dict.fromkeys(("forces", "forced", "moved"), self._modes)}
+        rows |= dict.fromkeys(("free", "means", "formed"), max(len(self._kept), 1))
+        kinds, width = {"integrals": wp.float64, "forces": wp.float64}, _filled(columns, kernels.COLUMNS)
+        return {
+            name: wp.zeros((_filled(count, kernels.ROWS), width), kinds.get(name, wp.vec2d), self._device)
+            for name, count in rows.items()
+        }
+
+    def _write_forces(self, areas: wp.array, work: dict[str, wp.array]) -> int:
+        """Write modal forces of the actuators' unit pressures; return their number of columns."""
+        count, actuators, _ = areas.shape
+        dim = self._unknowns, count, actuators
+        self._launch(kernels.integrate_patches, dim, [*self._splines, areas], [work["integrals"]])
+        self._multiply(self._shapes, work["integrals"], work["forces"], count * actuators)
+        return int(count * actuators)
+
+    def _write_matrices(
+        self, frequency: wp.array, distinct: int, work: dict[str, wp.array], matrices: wp.array
+    ) -> None:
+        """Write the matrices of a block of plates."""
+        (plates, actuators), window = frequency.shape, self._window
+        drive = wp.empty(frequency.shape, wp.vec2d, self._device)
+        ends, apart = (wp.vec2d(), 0.0) if window is None else (wp.vec2d(window.start, window.end), APART / window.end)
+        self._launch(kernels.write_drives, frequency.shape, [frequency, self._undamped, apart], [drive])
+        forced, free, means, moved, formed = (work[name] for name in ("forced", "free", "means", "moved", "formed"))
+        inputs = [*self._motions, self._velocity, ends, drive, work["forces"], distinct]
+        self._launch(kernels.write_motions, (self._modes, plates, actuators), inputs, [forced, free, means])
+        for index, (region, form) in enumerate(self._regions):
+            self._multiply(region, forced, moved, plates * actuators)
+            self._multiply(form, free, formed, plates * actuators)
+            inputs = [self._kept, int(window is None), ends, drive, forced, free, means, moved, formed, index]
+            self._launch(kernels.contract, (plates, actuators, actuators), inputs, [matrices])
+
+    def _multiply(self, left: list[wp.array], right: wp.array, product: wp.array, columns: int) -> None:
+        """Write the product of a matrix, see :meth:`_put_matrix`, and columns of another."""
+        if len(left) > 1:
+            self._launch(kernels.multiply_sparse, (len(left[0]) - 1, columns), [*left, right], [product])
+            return
+        parts = 2 if right.dtype is wp.vec2d else 1
+        reals = [matrix.view(wp.float64).reshape((matrix.shape[0], -1)) for matrix in (right, product)]
+        tiles = _filled(parts * columns, kernels.COLUMNS) // kernels.COLUMNS, left[0].shape[0] // kernels.ROWS
+        shared = {"block_dim": kernels.THREADS, "device": self._device}
+        wp.launch_tiled(kernels.multiply_dense, dim=tiles, inputs=[*left, reals[0]], outputs=[reals[1]], **shared)
+
+    def _put_matrix(self, matrix: np.ndarray) -> list[wp.array]:
+        """Put a matrix on the device: filled up to whole tiles, or as compressed rows if few numbers are not zero."""
+        kept = as_sparse(matrix)
+        if isinstance(kept, np.ndarray):
+            tiles = zip(kept.shape, (kernels.ROWS, kernels.INNER), strict=True)
+            return [self._put(np.pad(kept, [(0, _filled(count, tile) - count) for count, tile in tiles]))]
+        return [self._put(array) for array in (kept.indptr, kept.indices, kept.data)]
+
+    def _put(self, values: np.ndarray) -> wp.array:
+        if np.iscomplexobj(values):
+            pairs = np.ascontiguousarray(values, dtype=complex).view(float).reshape(*values.shape, 2)
+            return wp.array(pairs, dtype=wp.vec2d, device=self._device)
+        kind = wp.float64 if values.dtype == float else wp.int32
+        return wp.array(np.ascontiguousarray(values), dtype=kind, device=self._device)
+
+    def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
+        wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=self._device)
+
+
+def _filled(count: int, tile: int) -> int:
+    """Return a count filled up to whole tiles."""
+    return -(-count // tile) * tile
+
+
+def _steady_poles(plate: ModalPlate) -> tuple[np.ndarray, np.ndarray]:
+    """Return poles s and squares ψ² (2 · modes,) with Σ ψ²/(iω − s) = 1/(Λ + iH + iωC − ω²)."""
+    square, loss = plate.angular_frequencies**2 + 1j * np.diag(plate.hysteretic), np.diag(plate.damping) / 2
+    split, least = np.sqrt(loss**2 - square), SPLIT * plate.angular_frequencies.max()
+    split = np.where(np.abs(split) < least, least, split)
+    return np.concatenate([split - loss, -split - loss]), np.concatenate([1 / (2 * split), -1 / (2 * split)])
+
+
+def _free_means(poles: np.ndarray, oscillates: np.ndarray, window: Window | None) -> np.ndarray:
+    """Return (2 · modes, 2 · modes) means of products of the free motions in time that the kernels use.
+
+    Args:
+        poles: (2, modes) s.
+        oscillates: (modes,) True for motions Re exp(st) and Im exp(st), of two conjugate poles.
+        window: Window; None if there are no modes.
+    """
+    if window is None:
+        return np.zeros((0, 0))
+    parts = np.where(oscillates, np.array([[[0.5], [0.5]], [[-0.5j], [0.5j]]]), np.eye(2)[:, :, None])
+    motions = np.block([[np.diag(part) for part in row] for row in parts])
+    means = mean_exponential(poles.reshape(-1, 1), poles.reshape(1, -1), window)
+    return np.asarray((motions @ means @ motions.T).real)
