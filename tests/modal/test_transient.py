@@ -94,7 +94,7 @@ def test_bursts_move_modes_as_tones_that_are_switched(burst):
 def test_gram_matrices_are_means_of_products(window, quantity):
     """Windows begin and end at corners of bursts; of any symmetric matrix G, ½ mean of q̇ᵀ G q̇ is zᵀ matrix z."""
     scene = bursts(window=window, burst={**BURST, "ramp": 0.0} if window[0] else BURST)
-    plate, random = solve_modes(scene), np.random.default_rng(2)
+    plate, random = solve_modes(scene, highest=100.0, density=0.5), np.random.default_rng(2)
     root = random.normal(size=(len(plate.frequencies), 3)) / (1 + plate.frequencies[:, None] / 300) ** 2
     region, phasors = root @ root.T, random.normal(size=(3, 2)) @ [1, 1j]
     matrix = gram_matrices(
@@ -184,7 +184,7 @@ def test_polynomials_hold_what_exponentials_hold():
     chirp = {"end_frequency": 290.0, "duration": 0.005}
     drive = {"frequency": 290.0, "burst": {**BURST, "ramp": 0.001}}
     exact, sampled = (
-        solve_modes(scene_of(edges=SUPPORTED, damping=60.0, drive=tables))
+        solve_modes(scene_of(edges=SUPPORTED, damping=60.0, drive=tables), highest=100.0, density=0.5)
         for tables in (drive, {**drive, "chirp": chirp})
     )
     times, outputs = np.linspace(0, 0.012, 50), np.eye(len(exact.frequencies))

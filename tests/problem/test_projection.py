@@ -70,8 +70,14 @@ def overlapping(areas, clearance):
     )
 
 
-@pytest.mark.parametrize("evaluator", ["modal", "direct"])
-@pytest.mark.parametrize("clearance", [0.0, 0.02])
+@pytest.mark.parametrize(
+    ("clearance", "evaluator"),
+    [
+        (0.02, "modal"),
+        (0.0, "direct"),
+        *(pytest.param(*pair, marks=pytest.mark.slow) for pair in [(0.0, "modal"), (0.02, "direct")]),
+    ],
+)
 def test_patches_keep_their_clearance(clearance, evaluator, random):
     area = [0.0, 0.12, 0.0, 0.12]
     scene = searched(

@@ -26,7 +26,7 @@ def robust(effects=None, seed=0, precision="float64", search=None, **tolerances)
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_robust_drive_beats_the_nominal_one_in_the_worst_cases(seed):
     """Over validation scenarios; on the nominal panel the nominal drive stays better."""
     uncertain = {"measure": "quantile", "young_modulus": 0.3, "scenarios": 8, "fresh": 20}

@@ -95,9 +95,9 @@ def test_history_holds_the_weighted_sum_of_other_objectives():
 
 @pytest.fixture
 def panel(write_scene):
-    """A search for a frequency and positions, in a file of the working folder."""
+    """A search for a frequency and a position, in a file of the working folder."""
     scene = searched("frequency")
-    search = scene.search.model_dump() | {"position": {}, "method": "constriction", "inertia": 0.3}
+    search = scene.search.model_dump() | {"position": {"actuators": ["0"]}, "method": "constriction", "inertia": 0.3}
     return write_scene(scene.with_tables(title="panel", search=search))
 
 
