@@ -114,14 +114,14 @@ def test_gram_matrices_are_means_of_products(window, quantity):
 def test_designs_have_their_own_frequencies_delays_and_places():
     """A batch holds what the scenes of its designs have alone."""
     scene = bursts(burst={**BURST, "ramp": 0.0, "period": None}, window=(0.008, 0.012))
-    plate, random = solve_modes(scene, highest=400.0), np.random.default_rng(3)
+    plate, random = solve_modes(scene, highest=400.0, density=0.5), np.random.default_rng(3)
     regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
     tones, delays = random.uniform(150, 400, (2, 3)), random.uniform(0, 0.004, (2, 3))
     forces = np.stack([plate.actuator_forces(), plate.actuator_forces()[:, ::-1]])
     batch = gram_matrices(plate, regions, forces, tones, scene.window, delay=delays)
     for design, matrices in enumerate(batch):
         rows = actuators_of(tones[design].tolist(), delays[design].tolist())
-        alone = solve_modes(scene.with_tables(actuators=rows), highest=400.0)
+        alone = solve_modes(scene.with_tables(actuators=rows), highest=400.0, density=0.5)
         force, tone = forces[[design]], actuator_frequencies(alone.scene)[None]
         assert np.allclose(matrices, gram_matrices(alone, regions, force, tone, scene.window)[0], rtol=1e-12, atol=0)
 
@@ -253,7 +253,7 @@ def test_stepping_converges_to_the_motion(name, nodes, tmp_path):
     phasors, points = np.array([[1, 0.5 - 0.5j, -0.8j]]), [(0.05, 0.1), (0.15, 0.06)]
     scene = scene_of(damping=88.0, window=(0.004, 0.014))
     scene = with_file(scene, tmp_path) if tables is None else scene.with_tables(**tables)
-    plate, errors = solve_modes(scene, density=1.0 if nodes[0] == 21 else 1.4), []
+    plate, errors = solve_modes(scene, density=0.7 if nodes[0] == 21 else 1.4), []
     energy = energies(plate, [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)], phasors)[0]
     for count in nodes:
         grid = {"nodes": (count, count), "order": order, "load": "moments", "precision": "float64"}
