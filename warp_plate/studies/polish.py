@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from warp_plate.modal.solver import MODAL
 from warp_plate.optimize.optimizer import Optimizer
