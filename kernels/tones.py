@@ -93,8 +93,9 @@ def multiply_dense(
     column, row = wp.tid()
     total = wp.tile_zeros(shape=(ROWS, COLUMNS), dtype=wp.float64)
     for k in range(left.shape[1] // INNER):
-        a = wp.tile_load(left, (ROWS, INNER), (row * ROWS, k * INNER), "shared", False, True)
-        b = wp.tile_load(right, (INNER, COLUMNS), (k * INNER, column * COLUMNS), "shared", False, True)
+        first, second = (row * ROWS, k * INNER), (k * INNER, column * COLUMNS)
+        a = wp.tile_load(left, (ROWS, INNER), first, storage="shared", bounds_check=False, aligned=True)
+        b = wp.tile_load(right, (INNER, COLUMNS), second, storage="shared", bounds_check=False, aligned=True)
         wp.tile_matmul(a, b, total)
     wp.tile_store(product, total, offset=(row * ROWS, column * COLUMNS), bounds_check=False, aligned=True)
 
