@@ -70,7 +70,7 @@ class DeviceToneMatrices:
         sides = plate.galerkin.along_x, plate.galerkin.along_y
         tables = [side.breaks for side in sides] + [side.integral_pieces for side in sides]
         self._splines, self._unknowns = [self._put(table) for table in tables], math.prod(x.functions for x in sides)
-        self._shapes, self._modes = self._put_matrix(plate.vectors[: self._unknowns].T), len(place)
+        self._shapes, self._modes = self._put_tiles(plate.vectors[: self._unknowns].T), len(place)
 
     def matrices(self, frequency: np.ndarray, areas: np.ndarray) -> np.ndarray:
         """Return (plates, regions, 2M, 2M) matrices of mean energies [J per (N/m²)²].
@@ -79,10 +79,11 @@ class DeviceToneMatrices:
             frequency: (plates, M) [Hz].
             areas: (plates or 1, M, 4) actuators' rectangles x0, x1, y0, y1 [m].
         """
+        frequency, areas = np.asarray(frequency, dtype=float), np.asarray(areas, dtype=float)
         plates, actuators = frequency.shape
         matrices = wp.empty((plates, len(self._regions), 2 * actuators, 2 * actuators), wp.float64, self._device)
-        block = min(plates, max(1, BLOCK_NUMBERS // (2 * actuators * self._modes)))
-        work, tones, patches = self._workspace(block * actuators), self._put(frequency), self._put(areas)
+        block = max(1, min(plates, BLOCK_NUMBERS // (2 * actuators * self._modes)))
+        work, tones, patches = self._workspace(block * actuators), *map(self._put, (frequency, areas))
         for first in range(0, plates, block):
             rows = slice(first, min(first + block, plates))
             if first == 0 or len(areas) > 1:
@@ -137,18 +138,22 @@ class DeviceToneMatrices:
         wp.launch_tiled(kernels.multiply_dense, dim=tiles, inputs=[*left, reals[0]], outputs=[reals[1]], **shared)
 
     def _put_matrix(self, matrix: np.ndarray) -> list[wp.array]:
-        """Put a matrix on the device: filled up to whole tiles, or as compressed rows if few numbers are not zero."""
+        """Put a matrix on the device, as compressed rows if few of its numbers are not zero."""
         kept = as_sparse(matrix)
         if isinstance(kept, np.ndarray):
-            tiles = zip(kept.shape, (kernels.ROWS, kernels.INNER), strict=True)
-            return [self._put(np.pad(kept, [(0, _filled(count, tile) - count) for count, tile in tiles]))]
+            return self._put_tiles(kept)
         return [self._put(array) for array in (kept.indptr, kept.indices, kept.data)]
+
+    def _put_tiles(self, matrix: np.ndarray) -> list[wp.array]:
+        """Put a dense matrix on the device, filled up to whole tiles."""
+        tiles = zip(matrix.shape, (kernels.ROWS, kernels.INNER), strict=True)
+        return [self._put(np.pad(matrix, [(0, _filled(count, tile) - count) for count, tile in tiles]))]
 
     def _put(self, values: np.ndarray) -> wp.array:
         if np.iscomplexobj(values):
             pairs = np.ascontiguousarray(values, dtype=complex).view(float).reshape(*values.shape, 2)
             return wp.array(pairs, dtype=wp.vec2d, device=self._device)
-        kind = wp.float64 if values.dtype == float else wp.int32
+        kind = wp.float64 if values.dtype.kind == "f" else wp.int32
         return wp.array(np.ascontiguousarray(values), dtype=kind, device=self._device)
 
     def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
