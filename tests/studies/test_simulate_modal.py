@@ -56,6 +56,18 @@ def test_moving_load_presses_beside_the_actuators():
     assert (expected[1] > 1e-3 * expected[0]).all()
 
 
+def test_a_patch_beside_an_edge_needs_no_node():
+    """Within the cell at a clamped edge; time steps refuse it."""
+    patch = (0.1, 0.101, 0.0001, 0.0011)
+    scene = scene_of(actuators=[patch], damping=88.0)
+    energy = simulate(scene, device="cpu", path="modal", estimate=False).cases["drive"].energy
+    plate, phasors = solve_modes(scene), np.ones((1, 1), dtype=complex)
+    expected = energies(plate, [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)], phasors)
+    assert np.allclose(list(energy.values()), expected[0], rtol=1e-5, atol=0)
+    with pytest.raises(SceneError, match=r"^actuators\[0\]\.area"):
+        simulate(scene, device="cpu", estimate=False)
+
+
 def test_nonlinear_scene_is_refused_by_name():
     with pytest.raises(SceneError, match=r"^effects\.stretching: "):
         simulate(scene_of(effects={"stretching": {}}), device="cpu", path="modal")

@@ -24,10 +24,18 @@ class Discretization:
     per_plate: PerPlate  # What may differ between the plates of a batch
     carriers: int  # Number of carriers that each plate has of its own; 0 if all plates share the scene's
     scheme: Scheme  # Steps, coefficients, stability limit and, in moment form, the fields of the plate
-    patches: np.ndarray  # (actuators, ny, nx) share of each node's cell that each actuator loads
     region_weights: np.ndarray  # (2, ny, nx) weights of the plate and of the target, in cells
     signals: Signals  # Waves of the drive and how phasors mix them
     moving: MovingWeights | None  # Factors of the moving load; None without one
+
+    @cached_property
+    def patches(self) -> np.ndarray:
+        """(actuators, ny, nx) share of each node's cell that each actuator loads, for time steps alone.
+
+        Raises:
+            SceneError: An actuator covers no node that can move.
+        """
+        return patches(self.scene)
 
     @cached_property
     def surface_density(self) -> np.ndarray:
@@ -53,7 +61,7 @@ def discretize(scene: Scene, per_plate: PerPlate = NO_PER_PLATE, allow_unstable:
         allow_unstable: Accept a time step above the stability limit.
 
     Raises:
-        SceneError: ``make_scheme``, ``patches``, ``region_weights`` or ``make_signals`` refuse the scene, or it cannot
+        SceneError: ``make_scheme``, ``region_weights`` or ``make_signals`` refuse the scene, or it cannot
             have what ``per_plate`` asks for.
     """
     carriers = carriers_of(scene, per_plate)
@@ -63,7 +71,6 @@ def discretize(scene: Scene, per_plate: PerPlate = NO_PER_PLATE, allow_unstable:
         per_plate=per_plate,
         carriers=carriers,
         scheme=scheme,
-        patches=patches(scene),
         region_weights=region_weights(scene),
         signals=make_signals(scene, scheme.time_step, scheme.steps, scene.folder, per_actuator=carriers > 1),
         moving=moving_weights(scene, scheme.time_step, scheme.steps) if scene.effects.moving_load else None,
