@@ -4,7 +4,7 @@
     python benchmarks/error_bars --scenes 500 --out benchmarks/results/error-bars.json
     python benchmarks/error_bars --first 37 --scenes 1
 
-Each scene runs on a random grid, by modes, and on the grid that 1 % asks for; finite elements judge.
+Each scene runs on a random grid and by modes, and with --promise as 1 % asks for; finite elements judge.
 """
 
 import argparse

@@ -20,8 +20,7 @@ def element_frequencies(scene, count, degree=10):
     stiffness, mass = matrices(scene, *sides)[:2]
     units = 1 / np.sqrt(np.diag(stiffness) / np.diag(stiffness).mean() + np.diag(mass) / np.diag(mass).mean())
     stiffness, mass = (matrix * np.outer(units, units) for matrix in (stiffness, mass))
-    plate = scene.plate
-    shift = plate.rigidity / (plate.density * plate.thickness) * (np.pi / max(plate.size)) ** 4
+    shift = shift_of(scene)
     factor = scipy.linalg.cho_factor(stiffness + shift * mass)
     inverse = scipy.sparse.linalg.LinearOperator(stiffness.shape, lambda b: scipy.linalg.cho_solve(factor, b))
     start = np.random.default_rng(0).normal(size=len(mass))
@@ -29,6 +28,12 @@ def element_frequencies(scene, count, degree=10):
         stiffness, count, mass, sigma=-shift, OPinv=inverse, v0=start, return_eigenvectors=False
     )
     return np.sqrt(np.maximum(np.sort(squares), 0)) / (2 * np.pi)
+
+
+def shift_of(scene):
+    """Return the size of the lowest ω² [1/s²], by which free plates are shifted."""
+    plate = scene.plate
+    return plate.rigidity / (plate.density * plate.thickness) * (np.pi / max(plate.size)) ** 4
 
 
 class Side:
@@ -76,11 +81,6 @@ class Side:
         """Return the integrals of the functions between any two places."""
         points, weights = self.rule(low, high)
         return self.values_at(points)[0] @ weights
-
-    def mean(self, low, high):
-        """Return the means of the functions between two lines."""
-        inside = (self.points > low) & (self.points < high)
-        return (self.values[0][:, inside] * self.weights[inside]).sum(axis=1) / (high - low)
 
 
 def _reference(degree, s):
@@ -157,7 +157,7 @@ def matrices(scene, along_x, along_y):
     for oscillator in effects.oscillators:
         x0, x1, y0, y1 = oscillator.area
         pull = np.zeros(len(stiffness))
-        means = np.outer(along_y.mean(y0, y1), along_x.mean(x0, x1)).ravel()
+        means = np.outer(along_y.integral(y0, y1), along_x.integral(x0, x1)).ravel() / ((y1 - y0) * (x1 - x0))
         pull[: means.size] = means
         if oscillator.mass:
             stiffness, mass, damping, bending = (

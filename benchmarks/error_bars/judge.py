@@ -10,7 +10,7 @@ import math
 import numpy as np
 import scipy
 
-from error_bars.elements import Side, matrices
+from error_bars.elements import Side, matrices, shift_of
 
 # Modes from rest, and steps in a period of the highest one and in a period of the drive.
 MODES, STEPS_A_MODE, STEPS_A_PERIOD = 260, 10, 200
@@ -26,8 +26,7 @@ def true_factors(scene, phasors, degree=11):
     """Return the localization factors (n,) of phasors (n, actuators) under the tone of the scene's drive."""
     sides = [Side(scene, axis, degree, INNER) for axis in (0, 1)]
     stiffness, mass, damping, bending = matrices(scene, *sides)
-    plate = scene.plate
-    shift = plate.rigidity / (plate.density * plate.thickness) * (math.pi / max(plate.size)) ** 4
+    shift = shift_of(scene)
     units = 1 / np.sqrt(np.diag(stiffness + shift * mass))
     scaled = [matrix * np.outer(units, units) for matrix in (mass, stiffness + shift * mass)]
     # The inverse problem, whose largest eigenvalues have small relative errors.

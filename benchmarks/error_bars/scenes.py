@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from warp_plate import Scene, SceneError
+from warp_plate import PlateSolver, Scene, SceneError
 
 EFFECTS = ("damping", "material_damping", "tension", "foundation", "orthotropic", "oscillators", "springs")
 EDGES = ("clamped", "supported", "free")
@@ -81,8 +81,6 @@ def random_grid(scene, number):
     for grid in rng.permutation(grids):
         made = scene.with_tables(grid=grid)
         try:
-            from warp_plate import PlateSolver
-
             PlateSolver(made, "cpu")
         except SceneError:
             continue

@@ -102,7 +102,7 @@ def test_scenes_without_such_scenarios_are_refused(scene):
 def test_draws_are_even_within_the_tolerances():
     """Mean and spread of an even distribution, 1/√3 of the tolerance, to four standard errors. A patch that would leave
     the plate stops at its edge; one factor goes for all damping of the panel."""
-    tolerances, count = {**TOLERANCES, "place": 0.08}, 60
+    tolerances, count = {**TOLERANCES, "place": 0.08}, 120
     made = robust(EFFECTS, without_oscillators=0.3, **tolerances)
     scenarios = draw_scenarios(made, count, 3)
     gains, offsets = (np.array([getattr(scenario, name) for scenario in scenarios]) for name in ("gain", "offset"))

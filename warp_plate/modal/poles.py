@@ -67,9 +67,7 @@ class Poles:
 
     def gains(self, forces: np.ndarray) -> np.ndarray:
         """Return χ forces (..., poles, loads) of modal forces (..., modes, loads)."""
-        if self.modes is None:
-            return times(self.inputs, forces)
-        return np.asarray(forces[..., self.modes, :] * self.sizes[:, None])
+        return times(self.inputs, forces) if self.modes is None else self.pressed(forces)
 
     def forced(self, states: np.ndarray, forces: np.ndarray, gains: np.ndarray) -> np.ndarray:
         """Return the steady motion (..., modes, loads) Σ_p ψ_p χ_p f / (σ − s_p) of all poles.

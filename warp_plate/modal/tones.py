@@ -70,7 +70,7 @@ class ToneMatrices:
         of_tones = [mean_exponential(turn[:, :, None], drive[:, None, :], window) for turn in turns]
         across = [mean_exponential(turn[:, None, :], poles.values[:, None], window) for turn in turns]
         matrices = []
-        for region, forms in zip(self.sparse_regions, self._free_forms, strict=True):
+        for region, forms in zip(self._sparse_regions, self._free_forms, strict=True):
             moved = times(region, forced)
             pressed = poles.pressed(moved), poles.pressed(moved, conjugate=True).conj()
             crossed = [(inner * mean).mT @ free for inner, mean in zip(pressed, across, strict=True)]
@@ -82,11 +82,12 @@ class ToneMatrices:
         return np.stack(matrices, axis=1)
 
     @cached_property
-    def sparse_regions(self) -> list[np.ndarray | scipy.sparse.csr_array]:
+    def _sparse_regions(self) -> list[np.ndarray | scipy.sparse.csr_array]:
         return [as_sparse(region) for region in self.regions]
 
     @cached_property
     def poles(self) -> Poles:
+        """Poles of the plate, for times up to the end of the window."""
         return make_poles(self.plate, self.window.end)
 
     @cached_property

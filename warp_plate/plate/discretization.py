@@ -61,8 +61,8 @@ def discretize(scene: Scene, per_plate: PerPlate = NO_PER_PLATE, allow_unstable:
         allow_unstable: Accept a time step above the stability limit.
 
     Raises:
-        SceneError: ``make_scheme``, ``region_weights`` or ``make_signals`` refuse the scene, or it cannot
-            have what ``per_plate`` asks for.
+        SceneError: ``make_scheme``, ``region_weights`` or ``make_signals`` refuse the scene, or it cannot have what
+            ``per_plate`` asks for.
     """
     carriers = carriers_of(scene, per_plate)
     scheme = make_scheme(scene, allow_unstable, moment_form=carriers > 1)

@@ -187,10 +187,10 @@ def _common_phase_counts(scene: Scene) -> bool:
     It counts for bursts, sweeps, files and moving loads, and for tones from rest where drives are found exactly. Other
     searches for drives of a tone take the motion for steady, as the source paper does.
     """
-    drive, search = scene.drive, scene.search
-    timed = drive.burst or drive.chirp or drive.signal or scene.effects.moving_load
-    exactly = search.method == "exact" or search.frequency or search.position
-    return bool(timed or (exactly and not scene.steady))
+    if scene.drive.waveform_key or scene.effects.moving_load:
+        return True
+    search = scene.search
+    return not scene.steady and bool(search.method == "exact" or search.frequency or search.position)
 
 
 def _frequencies(scene: Scene, table: FreeFrequency) -> list[DesignVariable]:

@@ -98,9 +98,9 @@ def _resolve(scene: Scene, drive: str, device: str, path: str) -> tuple[Resolved
 def _estimate(
     resolved: ResolvedGrid, phasors: np.ndarray, run: Run, seconds: dict[str, float], device: str
 ) -> dict[str, Any]:
-    """Return the estimated error and add its seconds; empty if it is refused or interrupted, as a result is kept."""
+    """Return the estimated error and add its seconds; empty if it is interrupted, as a result is kept."""
     started = time.perf_counter()
-    with suppress(KeyboardInterrupt, SceneError):
+    with suppress(KeyboardInterrupt):
         drives = {"drive": phasors}
         by_modes = resolved.evaluator == MODAL
         found = estimate_error(resolved.scene, drives, run, device, resolved.reference, by_modes)
