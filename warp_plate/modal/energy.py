@@ -35,8 +35,8 @@ from warp_plate.scene.model import Window
 
 # Free motions whose energies together are below this part of all motion's are left out.
 NEGLIGIBLE = 1e-7
-# Matrices are taken as sparse if fewer than this part of their numbers are not zero.
-THIN = 0.05
+# Matrices with fewer nonzero entries than this part are kept as sparse ones.
+SPARSE = 0.05
 
 
 def gram_matrices(
@@ -153,13 +153,14 @@ class _Motion:
             sides.append((conjugate, forced.mT, free, *(mean_exponential(*pair, window) for pair in means)))
         found = []
         for region in regions:
-            moved, shapes = times(_thin(region), self.forced), poles.moved(region)
+            moved, shapes = times(as_sparse(region), self.forced), poles.moved(region)
             products = []
             for conjugate, forced, free, of_forced, across, of_free in sides:
                 both = self._by_actuator(self._by_actuator((forced @ moved) * of_forced).mT).mT
                 mixed = self._by_actuator((free @ (poles.pressed(moved, conjugate) * across)).mT).mT
                 inner = poles.pressed(shapes, conjugate) * of_free
-                alone = (free.reshape(free.shape[0] * free.shape[1], -1) @ _thin(inner)).reshape(free.shape) @ self.free
+                rows = free.reshape(free.shape[0] * free.shape[1], -1)
+                alone = (rows @ as_sparse(inner)).reshape(free.shape) @ self.free
                 products.append(both + mixed + (mixed.conj() if conjugate else mixed).mT + alone)
             found.append((products[0], products[1]))
         return found
@@ -195,9 +196,9 @@ def _lasting(
     return np.sort(order[np.cumsum(shares[order]) > NEGLIGIBLE])
 
 
-def _thin(matrix: np.ndarray) -> np.ndarray | scipy.sparse.csr_array:
-    """Return a matrix as a sparse one if it has few numbers, as that of the whole plate."""
-    return scipy.sparse.csr_array(matrix) if np.count_nonzero(matrix) < THIN * matrix.size else matrix
+def as_sparse(matrix: np.ndarray) -> np.ndarray | scipy.sparse.csr_array:
+    """Return a matrix as a sparse one if few of its entries are not zero, as in that of the whole plate."""
+    return scipy.sparse.csr_array(matrix) if np.count_nonzero(matrix) < SPARSE * matrix.size else matrix
 
 
 def _squares(values: np.ndarray) -> np.ndarray:

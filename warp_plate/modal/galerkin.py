@@ -157,10 +157,16 @@ class Integrals:
 
     def scatter(self, values: np.ndarray) -> Matrix:
         """Return the sparse matrix of values (pairs of y, pairs of x)."""
+        places = self._places
+        return Matrix((values.ravel()[places.data], places.indices, places.indptr), places.shape)
+
+    @cached_property
+    def _places(self) -> Matrix:
+        """Sparse matrix of the places of its entries among the pairs."""
         (row_x, column_x), (row_y, column_y) = self.pairs
         count, unknowns = self.along[0].functions, self.along[0].functions * self.along[1].functions
         rows, columns = row_y[:, None] * count + row_x, column_y[:, None] * count + column_x
-        return Matrix((values.ravel(), (rows.ravel(), columns.ravel())), (unknowns, unknowns))
+        return Matrix((np.arange(rows.size), (rows.ravel(), columns.ravel())), (unknowns, unknowns))
 
 
 def make_galerkin(scene: Scene, intervals: tuple[int, int]) -> Galerkin:

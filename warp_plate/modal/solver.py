@@ -25,7 +25,7 @@ from warp_plate.plate.scheme import Scheme
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies, highest_frequency
 from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, node_positions, weigh_region
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Scene, Window
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.response import Response
 from warp_plate.solve.run import Run
@@ -101,6 +101,11 @@ class ModalSolver:
         """Names of the scene's effects."""
         return tuple(name.replace("_", " ") for name, table in self.scene.effects if table)
 
+    @property
+    def _window(self) -> Window | None:
+        """Window of the energies; None in the steady state."""
+        return None if self.scene.steady else self.scene.window
+
     def describe_path(self, traced: bool = False) -> str:
         """Return the name and the number of the modes."""
         return f"{MODAL} ({len(self.plate.frequencies)} modes)"
@@ -108,8 +113,8 @@ class ModalSolver:
     @cached_property
     def response(self) -> Response:
         """Gram matrices at the scene's own frequencies and places."""
-        forces, frequency = self.plate.actuator_forces(), actuator_frequencies(self.scene)
-        return Response(self._matrices(forces[None], frequency[None])[0])
+        forces, frequency = self.plate.actuator_forces()[None], actuator_frequencies(self.scene)[None]
+        return Response(self._matrices(forces, frequency)[0])
 
     def gram_matrices(self, designs: Designs) -> np.ndarray:
         """Return (plates, regions, 2M, 2M) Gram matrices of designs, whose drives play no part."""
@@ -117,10 +122,12 @@ class ModalSolver:
             return self._waveforms.matrices(*self._loads(designs))
         if self.device.is_cuda and self.plate.proportional:
             return self._device_tones.matrices(*self._parameters(designs)[:2])
-        count, (frequency, forces, _) = len(designs), self._loads(designs)
+        frequency, forces, _ = self._loads(designs)
+        if self._window is not None:
+            return self._tones.matrices(frequency, forces)
         matrices = []
         block = max(1, BLOCK_NUMBERS // (forces.shape[1] * frequency.shape[1]))
-        for first in range(0, count, block):
+        for first in range(0, len(designs), block):
             rows = slice(first, first + block)
             matrices.append(self._matrices(forces[rows] if len(forces) > 1 else forces, frequency[rows]))
         return np.concatenate(matrices)
@@ -131,13 +138,13 @@ class ModalSolver:
         Raises:
             SceneError: The drive is a sweep or a file, or a load moves, whose slopes are not known.
         """
-        scene, window = self.scene, None if self.scene.steady else self.scene.window
+        scene = self.scene
         if not (scene.linear and has_exponential_loads(scene)):
             key = scene.drive.waveform_key if scene.linear else scene.nonlinear_table
             raise SceneError(f"{key}: its slopes are not known; search without 'gradient'")
         frequency, areas, delay = self._parameters(designs)
         return energy_slopes(
-            self.plate, self._region_matrices, designs.drives, frequency, areas, window, self.quantity, delay
+            self.plate, self._region_matrices, designs.drives, frequency, areas, self._window, self.quantity, delay
         )
 
     def run(
@@ -198,19 +205,16 @@ class ModalSolver:
         return frequency, np.moveaxis(forces.reshape(len(forces), *areas.shape[:2]), 0, 1), delay
 
     def _matrices(self, forces: np.ndarray, frequency: np.ndarray) -> np.ndarray:
-        window = None if self.scene.steady else self.scene.window
-        if window is not None and self.scene.drive.waveform_key is None:
-            return self._tones.matrices(frequency, forces)
-        return gram_matrices(self.plate, self._region_matrices, forces, frequency, window, self.quantity)
+        return gram_matrices(self.plate, self._region_matrices, forces, frequency, self._window, self.quantity)
 
     @cached_property
     def _tones(self) -> ToneMatrices:
-        return ToneMatrices(self.plate, self._region_matrices, self.scene.window, self.quantity)
+        assert self._window is not None
+        return ToneMatrices(self.plate, self._region_matrices, self._window, self.quantity)
 
     @cached_property
     def _device_tones(self) -> DeviceToneMatrices:
-        window = None if self.scene.steady else self.scene.window
-        return DeviceToneMatrices(self.plate, self._region_matrices, window, self.quantity, self.device)
+        return DeviceToneMatrices(self.plate, self._region_matrices, self._window, self.quantity, self.device)
 
     @cached_property
     def _waveforms(self) -> WaveformEnergies:

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from warp_plate.modal.energy import mean_exponential, real_form
+from warp_plate.modal.energy import as_sparse, mean_exponential, real_form
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles, make_poles, rates_apart
 from warp_plate.modal.steady import times
@@ -25,8 +25,6 @@ DECAYED = 1e-8
 PLACES = 8
 # Numbers of a block of plates that are computed at once.
 BLOCK_NUMBERS = 2**20
-# Matrices with fewer nonzero entries than this part are kept as sparse ones.
-SPARSE = 0.05
 
 
 class ToneMatrices:
@@ -109,11 +107,6 @@ class ToneMatrices:
             products = [poles.pressed(moved, bool(conjugate)) * mean for conjugate, mean in enumerate(means)]
             forms.append([as_sparse(product) for product in products])
         return forms
-
-
-def as_sparse(matrix: np.ndarray) -> np.ndarray | scipy.sparse.csr_array:
-    """Return a matrix as a sparse one if few of its entries are not zero."""
-    return scipy.sparse.csr_array(matrix) if np.count_nonzero(matrix) < SPARSE * matrix.size else matrix
 
 
 def _times(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndarray) -> np.ndarray:
