@@ -123,8 +123,6 @@ class ModalSolver:
         if self.device.is_cuda and self.plate.proportional:
             return self._device_tones.matrices(*self._parameters(designs)[:2])
         frequency, forces, _ = self._loads(designs)
-        if self._window is not None:
-            return self._tones.matrices(frequency, forces)
         matrices = []
         block = max(1, BLOCK_NUMBERS // (forces.shape[1] * frequency.shape[1]))
         for first in range(0, len(designs), block):
@@ -205,6 +203,8 @@ class ModalSolver:
         return frequency, np.moveaxis(forces.reshape(len(forces), *areas.shape[:2]), 0, 1), delay
 
     def _matrices(self, forces: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+        if self._window is not None and self.scene.drive.waveform_key is None:
+            return self._tones.matrices(frequency, forces)
         return gram_matrices(self.plate, self._region_matrices, forces, frequency, self._window, self.quantity)
 
     @cached_property
