@@ -1,4 +1,4 @@
-"""CUDA primitives that Warp's Python lacks, and the limits of a multiprocessor.
+"""CUDA primitives that Warp's Python lacks, and the registers of a multiprocessor.
 
 On CPU, where a block has one thread, ``barrier`` and ``opaque`` do nothing and the others are not available.
 """
@@ -19,11 +19,12 @@ _SHARED_MEMORY = "\nextern __shared__ char dynamic_smem_base[]; return (wp::uint
 
 # Threads of a warp.
 LANES = 32
-# Limits of a multiprocessor of sm_90. Its warps are distributed over four quarters, each with its own registers.
+# A multiprocessor, from sm_75 on: its warps are distributed over four quarters, each with its own registers.
 QUARTERS = 4
 QUARTER_REGISTERS = 16384
 THREAD_REGISTERS = 255
-SHARED_BYTES = 224 * 1024
+# Shared memory of a block that Warp's tiles and the driver may take.
+RESERVED_BYTES = 3072
 
 
 def most_registers(warps):

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import warp as wp
 
-from warp_plate.kernels.cuda import LANES, SHARED_BYTES, most_registers
+from warp_plate.kernels.cuda import LANES, most_registers
 
 # Nodes whose flags, see ``moment_form_cuda``, are in a word of 32 bits.
 NODES_PER_WORD = 6
@@ -67,13 +67,17 @@ def workspace_planes(effects, in_registers):
     return ("u", "mx", "my", "mxy", *retarded, *(("membrane_curvature",) if in_workspace else ()))
 
 
-def plan_block(nx, ny, real, effects, oscillators, few):
-    """Plan the block of a plate; ``few``: there are fewer plates than multiprocessors.
+def plan_block(nx, ny, real, effects, oscillators, few, shared_bytes):
+    """Plan the block of a plate.
 
     With few plates the time of a single plate counts, so all threads that a block can have take part. With many, one
     block should work while another waits at a barrier, and registers should hold much. Where sums run over the plate,
     their order depends on the threads: there the plan of many serves any number, so that a plate's bits do not depend
     on the number of plates.
+
+    Args:
+        few: There are fewer plates than multiprocessors.
+        shared_bytes: Most shared memory of a block on the device.
     """
     warps = -(-nx * ny // LANES)
     words = 1 if real is wp.float32 else 2
@@ -88,4 +92,4 @@ def plan_block(nx, ny, real, effects, oscillators, few):
     most = max(0, registers - OVERHEAD_REGISTERS) // (words * nodes) if nodes <= MOST_UNROLLED else 0
     in_registers = tuple(wanted[:most])
     block = BlockPlan(threads, nodes, in_registers, workspace_planes(effects, in_registers), True, registers)
-    return replace(block, on_chip=4 * words * workspace_layout(nx, oscillators, block)["end"] <= SHARED_BYTES)
+    return replace(block, on_chip=4 * words * workspace_layout(nx, oscillators, block)["end"] <= shared_bytes)

@@ -35,8 +35,12 @@ class StripPlan:
 ROWS = {1: (13, 20, 9), 2: (13, 20, 9, 7), 3: (13, 20, 9), 4: (9, 13, 11), 5: (20, 16)}
 
 
-def plan_strips(nx, ny, real):
-    """Return the plan for a plate of this size, or None where it does not fit on a multiprocessor."""
+def plan_strips(nx, ny, real, shared_bytes):
+    """Return the plan for a plate of this size, or None where it does not fit on a multiprocessor.
+
+    Args:
+        shared_bytes: Most shared memory of a block on the device.
+    """
     columns = -(-(nx - 2) // LANES)
     words = 1 if real is wp.float32 else 2
     for rows in ROWS.get(columns, ()):
@@ -47,7 +51,7 @@ def plan_strips(nx, ny, real):
         registers = cuda.most_registers(warps)
         squares = rows * warps if squares_shared else 0
         shared = 4 * words * columns * LANES * (2 * 4 * (warps + 2) + squares)
-        if needed <= registers and shared <= cuda.SHARED_BYTES:
+        if needed <= registers and shared <= shared_bytes:
             # More gains nothing, and fewer registers let more blocks share the multiprocessor.
             registers = registers if squares_shared else min(registers, 168 * words)
             return StripPlan(columns, rows, warps, registers, squares_shared)

@@ -28,8 +28,12 @@ SPECIAL = 3
 BORDER = 4
 
 
-def plan_strips(nx, ny, real):
-    """Return the plan with the fewest strips for a plate of this size, or None where it does not fit."""
+def plan_strips(nx, ny, real, shared_bytes):
+    """Return the plan with the fewest strips for a plate of this size, or None where it does not fit.
+
+    Args:
+        shared_bytes: Most shared memory of a block on the device.
+    """
     columns = -(-nx // LANES)
     words = 1 if real is wp.float32 else 2
     for warps in range(1, 33):
@@ -41,7 +45,7 @@ def plan_strips(nx, ny, real):
         # Displacement, rate and sums, taps of both passes, rows of curvature, and addresses and the like.
         needed = words * columns * (3 * rows + 10 + 7) + 30
         shared = 4 * words * 2 * 2 * BORDER * columns * LANES * (warps + 2)
-        if needed <= registers and shared <= cuda.SHARED_BYTES:
+        if needed <= registers and shared <= shared_bytes:
             return StripPlan(columns, rows, warps, registers)
     return None
 

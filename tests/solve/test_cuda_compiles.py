@@ -1,4 +1,4 @@
-"""Every CUDA kernel compiles to machine code of sm_90, without a driver or a GPU in the machine."""
+"""Every CUDA kernel compiles to machine code, without a driver or a GPU in the machine."""
 
 import ast
 import itertools
@@ -26,6 +26,8 @@ from warp_plate.kernels import (
 )
 from warp_plate.kernels.effects import KernelEffects
 
+# Shared memory of a block that kernels may take on sm_90.
+SHARED_BYTES = 224 * 1024
 KERNELS = Path(__file__).parents[2] / "kernels"
 # Plates (nx, ny, stride) for a warp, for a block, for a block with sums in shared memory, and for no multiprocessor.
 SMALL, LARGE, LARGEST, HUGE = (27, 27, 32), (41, 43, 48), (97, 89, 112), (257, 129, 272)
@@ -60,7 +62,7 @@ def cuda_kernels(effects, real):
             yield "moment_form.make_passes", kernel
         oscillators = 2 if effects.oscillators else 0
         for nx, ny, stride in (SMALL, HUGE):
-            plan = moment_form_plan.plan_block(nx, ny, real, effects, oscillators, few=False)
+            plan = moment_form_plan.plan_block(nx, ny, real, effects, oscillators, few=False, shared_bytes=SHARED_BYTES)
             assert plan.on_chip == bool(plan.in_registers) == (nx < HUGE[0])
             kernel = moment_form_cuda.make_run_steps(effects, real, nx, ny, stride, oscillators, plan)
             yield "moment_form_cuda.make_run_steps", kernel
@@ -69,7 +71,7 @@ def cuda_kernels(effects, real):
     yield "streaming.make_update_nodes", streaming.make_update_nodes(effects, real)
     if effects.order == 4:
         for (nx, ny, stride), summed in ((LARGE, True), (SMALL, False)):
-            plan = resident_wide.plan_strips(nx, ny, real)
+            plan = resident_wide.plan_strips(nx, ny, real, SHARED_BYTES)
             kernel = resident_wide.make_run_steps(effects, real, nx, ny, stride, plan, summed)
             yield "resident_wide.make_run_steps", kernel
         return
@@ -77,7 +79,7 @@ def cuda_kernels(effects, real):
         kernel = resident_lanes.make_run_steps(effects, real, SMALL[1], 0b1100110000, summed)
         yield "resident_lanes.make_run_steps", kernel
     for (nx, ny, stride), summed in ((LARGEST, True), (LARGE, False), (LARGE, True)):
-        plan = resident_strips.plan_strips(nx, ny, real)
+        plan = resident_strips.plan_strips(nx, ny, real, SHARED_BYTES)
         kernel = resident_strips.make_run_steps(effects, real, nx, ny, stride, plan, summed)
         yield "resident_strips.make_run_steps", kernel
     for levels, summed in ((1, False), (4, True)):
@@ -131,9 +133,9 @@ def test_a_quarter_of_a_multiprocessor_has_room_for_its_warps(real):
     """It has 16384 registers, and a fourth of the warps of a block, rounded up."""
     effects = KernelEffects(moments=True, material_damping=True, tension=True)
     for nx, ny in itertools.product((9, 28, 33, 53, 81, 105, 113, 160), repeat=2):
-        blocks = [moment_form_plan.plan_block(nx, ny, real, effects, 0, few) for few in (False, True)]
+        blocks = [moment_form_plan.plan_block(nx, ny, real, effects, 0, few, SHARED_BYTES) for few in (False, True)]
         assert all(plan.threads * plan.nodes >= nx * ny for plan in blocks)
-        strips = [module.plan_strips(nx, ny, real) for module in (resident_strips, resident_wide)]
+        strips = [module.plan_strips(nx, ny, real, SHARED_BYTES) for module in (resident_strips, resident_wide)]
         shares = [(plan.threads, plan.registers) for plan in blocks]
         shares += [(32 * plan.warps, plan.registers) for plan in strips if plan]
         for threads, registers in shares:

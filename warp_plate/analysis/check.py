@@ -19,7 +19,7 @@ from warp_plate.plate.waveforms import read_samples
 from warp_plate.scene.drive import SampledSignal
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.paths import choose_path
+from warp_plate.solve.paths import choose_path, describe_plan
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import bytes_per_plate
 
@@ -83,6 +83,7 @@ class Check:
     plates: int  # plates of a search
     device: str  # Warp's name of the device
     path: str  # path of the solver
+    plan: str  # distribution of plates over the device
     findings: tuple[Finding, ...]  # see ``find_warnings``
 
     def sentences(self) -> list[str]:
@@ -96,7 +97,6 @@ class Check:
             origin = f"fastest motion of this scene's matrices, largest at x = {x:.3g} m, y = {y:.3g} m"
         if not self.stable:
             growth = f" It is too long: the fastest motion grows {self.growth_a_step:.3g} times in every step."
-        launches = "all steps in one launch" if self.path == "resident" else "one or a few steps a launch"
         swarm = f"{_bytes_text(self.bytes_a_plate * self.plates)} for the {self.plates} plates of a search"
         sentences = [
             f"The time step is {self.time_step:.6g} s, {self.time_step / limit.time_step:.3g} of the limit of "
@@ -108,7 +108,7 @@ class Check:
             f"(condition number {self.condition:.2g}): rounding in {self.precision} leaves errors of "
             f"{self.rounding:.0e} of the motion or less.",
             f"{self.nodes[0]} × {self.nodes[1]} nodes of order {self.order} take {_bytes_text(self.bytes_a_plate)} a "
-            f"plate, {swarm}, on {self.device}, path {self.path} ({launches}).",
+            f"plate, {swarm}, on {self.device}, path {self.path} ({self.plan}).",
         ]
         if self.stretching_amplitude is not None:
             sentences.append(
@@ -164,6 +164,7 @@ def check(scene: Scene, device: str = "auto", allow_unstable: bool = False) -> C
         plates=scene.search.particles,
         device=specialized.device.alias,
         path=choose_path(specialized),
+        plan=describe_plan(specialized),
         findings=tuple(find_warnings(scene, None)),
     )
 

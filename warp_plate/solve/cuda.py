@@ -9,6 +9,7 @@ import warp as wp
 
 from warp_plate.kernels import resident_lanes, resident_strips, resident_wide, temporal_blocking
 from warp_plate.kernels.cuda import LANES
+from warp_plate.kernels.resident_strips import StripPlan
 from warp_plate.kernels.streaming import advance_clock, make_record_trace
 from warp_plate.plate.operator import INSIDE
 from warp_plate.scene.errors import SceneError
@@ -32,10 +33,18 @@ BUSY_WARPS, FEWEST_TILE_ROWS = 4096, 16
 
 def fits_on_chip(specialized: Specialized) -> bool:
     """Return whether the resident path can take plates of this size."""
-    nx, ny = specialized.scheme.nodes
-    if specialized.scheme.order == 4:
-        return resident_wide.plan_strips(nx, ny, specialized.real) is not None
-    return resident_lanes.fits(nx, ny) or resident_strips.plan_strips(nx, ny, specialized.real) is not None
+    return takes_lanes(specialized) or plan_of(specialized) is not None
+
+
+def plan_of(specialized: Specialized) -> StripPlan | None:
+    """Return the distribution of a plate over a block of the device, or None where it does not fit."""
+    kind = resident_wide if specialized.scheme.order == 4 else resident_strips
+    return kind.plan_strips(*specialized.scheme.nodes, specialized.real, specialized.shared_bytes)
+
+
+def takes_lanes(specialized: Specialized) -> bool:
+    """Return whether a warp can have a plate."""
+    return specialized.scheme.order == 2 and resident_lanes.fits(*specialized.scheme.nodes)
 
 
 def resident_path(specialized: Specialized) -> Advance:
@@ -44,18 +53,18 @@ def resident_path(specialized: Specialized) -> Advance:
     Raises:
         SceneError: The plate does not fit on a multiprocessor.
     """
-    nx, ny = specialized.scheme.nodes
-    if not fits_on_chip(specialized):
+    if takes_lanes(specialized):
+        return _lanes_path(specialized)
+    plan = plan_of(specialized)
+    if plan is None:
+        nx, ny = specialized.scheme.nodes
         raise SceneError(f"path = 'resident': {nx} x {ny} nodes do not fit on one multiprocessor; write 'streaming'")
-    if specialized.scheme.order == 4:
-        return _wide_path(specialized)
-    return _lanes_path(specialized) if resident_lanes.fits(nx, ny) else _strips_path(specialized)
+    return (_wide_path if specialized.scheme.order == 4 else _strips_path)(specialized, plan)
 
 
-def _wide_path(specialized: Specialized) -> Advance:
+def _wide_path(specialized: Specialized, plan: StripPlan) -> Advance:
     """Return the fourth-order path: a block per plate."""
     effects, real, scheme = specialized.effects, specialized.real, specialized.scheme
-    plan = resident_wide.plan_strips(*scheme.nodes, real)
     kernels = {
         summed: resident_wide.make_run_steps(effects, real, *scheme.nodes, specialized.stride, plan, summed)
         for summed in (False, True)
@@ -93,10 +102,9 @@ def _lanes_path(specialized: Specialized) -> Advance:
     return advance
 
 
-def _strips_path(specialized: Specialized) -> Advance:
+def _strips_path(specialized: Specialized, plan: StripPlan) -> Advance:
     """Return the second-order path with a block per plate."""
     effects, real, nodes = specialized.effects, specialized.real, specialized.scheme.nodes
-    plan = resident_strips.plan_strips(*nodes, real)
     kernels = {
         summed: resident_strips.make_run_steps(effects, real, *nodes, specialized.stride, plan, summed)
         for summed in (False, True)

@@ -123,11 +123,7 @@ def resident_path(specialized: Specialized) -> Advance:
     """
     if specialized.device.is_cpu:
         return _cpu_path(specialized)
-    oscillators = len(specialized.scene.effects.oscillators)
-    few_plan, many_plan = (
-        moment_form_plan.plan_block(*specialized.scheme.nodes, specialized.real, specialized.effects, oscillators, few)
-        for few in (True, False)
-    )
+    few_plan, many_plan = (plan_of(specialized, few) for few in (True, False))
     many = block_path(specialized, many_plan)
     few = many if few_plan == many_plan else block_path(specialized, few_plan)
 
@@ -135,6 +131,13 @@ def resident_path(specialized: Specialized) -> Advance:
         (few if plates <= specialized.device.sm_count else many)(state, plates, start, stop)
 
     return advance
+
+
+def plan_of(specialized: Specialized, few: bool) -> moment_form_plan.BlockPlan:
+    """Return the distribution of a plate over a block of the CUDA device, see ``plan_block``."""
+    (nx, ny), oscillators = specialized.scheme.nodes, len(specialized.scene.effects.oscillators)
+    real, effects, shared_bytes = specialized.real, specialized.effects, specialized.shared_bytes
+    return moment_form_plan.plan_block(nx, ny, real, effects, oscillators, few, shared_bytes)
 
 
 def block_path(specialized: Specialized, plan: moment_form_plan.BlockPlan) -> Advance:

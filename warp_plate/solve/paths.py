@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import warp as wp
 
+from warp_plate.kernels.cuda import LANES
 from warp_plate.solve import cpu, cuda, moment_form, streaming
 from warp_plate.solve.specialize import Specialized
 from warp_plate.solve.state import Advance
@@ -31,6 +32,23 @@ def why_streaming(specialized: Specialized, traced: bool = False) -> str | None:
         nx, ny = specialized.scheme.nodes
         return f"{nx} x {ny} nodes of order {specialized.scheme.order} do not fit on one multiprocessor"
     return "traces of points are taken between launches" if traced else None
+
+
+def describe_plan(specialized: Specialized) -> str:
+    """Return how the fastest path distributes plates over the device."""
+    device = specialized.device
+    if device.is_cpu:
+        return f"all steps of a plate in one launch, on {specialized.threads} threads"
+    if specialized.effects.plain:
+        if reason := why_streaming(specialized):
+            return f"one or a few steps a launch, for {reason}"
+        plan = None if cuda.takes_lanes(specialized) else cuda.plan_of(specialized)
+        return f"all steps in one launch, a plate on {plan.warps if plan else 1} warps of {LANES} threads"
+    block = moment_form.plan_of(specialized, few=False)
+    place = "on the chip"
+    if not block.on_chip:
+        place = f"in device memory: they exceed the {specialized.shared_bytes / 1024:.0f} KiB of a block"
+    return f"all steps in one launch, a plate on {block.threads} threads, its working fields {place}"
 
 
 def choose_path(specialized: Specialized) -> str:

@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 import warp as wp
 
+from warp_plate.kernels.cuda import RESERVED_BYTES
 from warp_plate.kernels.effects import KernelEffects
 from warp_plate.kernels.update import make_parameters
 from warp_plate.plate.designs import actuator_spaces
@@ -105,6 +106,11 @@ class Specialized:
         masses: np.ndarray = self.weights.numpy().sum(axis=(1, 2)) * self.scheme.surface_density * hx * hy
         masses.flags.writeable = False
         return masses
+
+    @property
+    def shared_bytes(self) -> int:
+        """Shared memory that kernels may take for a block of the CUDA device."""
+        return int(self.device.max_shared_memory_per_block) - RESERVED_BYTES
 
     @property
     def loaded_rows(self) -> np.ndarray:

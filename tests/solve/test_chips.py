@@ -1,0 +1,109 @@
+"""Plans follow the limits of the chip: what is compiled for it fits its registers and its shared memory."""
+
+import json
+import struct
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+import warp as wp
+
+from warp_plate.kernels import (
+    moment_form_cuda,
+    moment_form_plan,
+    resident_lanes,
+    resident_strips,
+    resident_wide,
+    streaming,
+    temporal_blocking,
+)
+from warp_plate.kernels.cuda import RESERVED_BYTES
+from warp_plate.kernels.effects import KernelEffects
+
+# Shared memory that a block can have [KiB] by compute capability, and the registers of each quarter of a multiprocessor
+# (CUDA C++ Programming Guide, technical specifications per compute capability).
+SHARED_KIB = {75: 64, 80: 163, 86: 99, 89: 99, 90: 227, 100: 227, 120: 99}
+QUARTER_REGISTERS = 16384
+NODES = (27, 53, 81, 105, 161)
+KINDS = {
+    "order 2": KernelEffects(True, True, 2),
+    "order 4": KernelEffects(True, True, 4),
+    "free edges": KernelEffects(True, True, 2, moments=True),
+    "stretching": KernelEffects(True, True, 2, moments=True, stretching=True),
+}
+# Numbers in a cubin: kinds of its entries in .nv.info.
+REGISTER_COUNT = 0x2F
+
+
+def planned(effects, nodes, shared_bytes):
+    """Return the kernel for square plates, and the threads of its blocks."""
+    real, stride = wp.float32, -(-nodes // 16) * 16
+    if effects.moments:
+        plan = moment_form_plan.plan_block(nodes, nodes, real, effects, 0, few=False, shared_bytes=shared_bytes)
+        return moment_form_cuda.make_run_steps(effects, real, nodes, nodes, stride, 0, plan), plan.threads
+    if effects.order == 2 and resident_lanes.fits(nodes, nodes):
+        return resident_lanes.make_run_steps(effects, real, nodes, 0b11 << 5, True), 32
+    kind = resident_wide if effects.order == 4 else resident_strips
+    plan = kind.plan_strips(nodes, nodes, real, shared_bytes)
+    if plan is not None:
+        return kind.make_run_steps(effects, real, nodes, nodes, stride, plan, True), 32 * plan.warps
+    if effects.order == 4:
+        return streaming.make_update_nodes(effects, real), 256
+    return temporal_blocking.make_advance_tiles(effects, real, nodes, nodes, stride, 4, True), 128
+
+
+def compiled_needs(kernel, arch):
+    """Return registers per thread and bytes of shared memory per block of a kernel, compiled for a chip."""
+    with TemporaryDirectory() as folder:
+        wp.compile_aot_module(kernel.module, device=None, arch=arch, module_dir=folder, use_ptx=False)
+        cubin = next(Path(folder).glob("*.cubin")).read_bytes()
+        allocated = json.loads(next(Path(folder).glob("*.meta")).read_text(encoding="utf-8"))
+    sections = sections_of(cubin)
+    info = sections[".nv.info"]
+    entries = [struct.unpack_from("<BBHII", info, at) for at in range(0, len(info), 12)]
+    registers = max(value for _, kind, _, _, value in entries if kind == REGISTER_COUNT)
+    static = sum(len(data) for name, data in sections.items() if name.startswith(".nv.shared.make"))
+    return registers, static + max(allocated.values())
+
+
+def sections_of(elf):
+    """Return the sections of a 64-bit ELF file by name; those without data, as zeros of their size."""
+    (start,), (size, count, names) = struct.unpack_from("<Q", elf, 40), struct.unpack_from("<HHH", elf, 58)
+    headers = [struct.unpack_from("<IIQQQQ", elf, start + index * size) for index in range(count)]
+    text = elf[headers[names][4] :]
+    return {
+        text[name : text.index(b"\0", name)].decode(): bytes(length) if kind == 8 else elf[place : place + length]
+        for name, kind, _, _, place, length in headers
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("nodes", NODES)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("arch", SHARED_KIB)
+def test_compiled_plans_fit_the_chip(arch, kind, nodes):
+    limit = 1024 * SHARED_KIB[arch]
+    kernel, threads = planned(KINDS[kind], nodes, limit - RESERVED_BYTES)
+    registers, shared = compiled_needs(kernel, arch)
+    assert 8 <= registers <= 255
+    assert -(-threads // 128) * 32 * registers <= QUARTER_REGISTERS
+    assert shared <= limit
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_less_shared_memory_takes_smaller_plates(kind):
+    """What fits a chip fits one with more; each has its largest plate."""
+    effects, fits = KINDS[kind], []
+    for shared_bytes in sorted({1024 * size - RESERVED_BYTES for size in SHARED_KIB.values()}):
+        if effects.moments:
+            plans = [
+                moment_form_plan.plan_block(nodes, nodes, wp.float32, effects, 0, False, shared_bytes).on_chip
+                for nodes in range(9, 162)
+            ]
+        else:
+            strips = resident_wide if effects.order == 4 else resident_strips
+            plans = [strips.plan_strips(nodes, nodes, wp.float32, shared_bytes) is not None for nodes in range(9, 162)]
+        fits.append({nodes for nodes, plan in enumerate(plans, 9) if plan})
+    assert all(less <= more for less, more in pairwise(fits))
+    assert set() < fits[0] < fits[-1]
