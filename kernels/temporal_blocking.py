@@ -20,6 +20,8 @@ from warp_plate.kernels.update import make_parameters, make_update
 
 # Columns per lane; at most 2, so that the column beside an edge that a lane may read is zero.
 COLUMNS = 2
+# Rows of a round, in which each window turns once.
+ROUND = 3
 
 
 def strips(nx, levels):
@@ -40,7 +42,8 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
     Row = wp.types.vector(length=columns, dtype=real)
     Levels = wp.types.matrix(shape=(levels, columns), dtype=real)
     Waves = wp.types.matrix(shape=(levels, 2), dtype=real)
-    Round = wp.types.matrix(shape=(3, columns), dtype=real)
+    Round = wp.types.matrix(shape=(ROUND, columns), dtype=real)
+    Loads = wp.types.matrix(shape=(ROUND * levels, columns), dtype=real)
 
     @wp.func
     def lane_part(field: wp.array3d[real], offset: wp.uint64):
@@ -131,7 +134,10 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
         rate_2 = Levels()
         sum_1 = Levels()
         sum_2 = Levels()
-        load_bits = int(0)  # bit b: row y − 2 − b is loaded
+        # Loads are requested a round before the row moves, since memory answers after several rows of arithmetic.
+        load_bits = int(0)  # bit b: row y − 2 + ROUND − b is loaded
+        next_in_phase = Loads()
+        next_quadrature = Loads()
 
         first = low - wp.static(margin)
         rounds = (high - first + wp.static(margin) + 2) // 3
@@ -153,7 +159,21 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                 next_squares = read_round(lane_squares, start + 1, pitch)
             for turn in range(3):
                 y = start + turn
-                load_bits = (load_bits << 1) | loaded[wp.min(wp.max(y - 2, 1), wp.static(ny))]
+                ahead = y + wp.static(ROUND)
+                load_bits = (load_bits << 1) | loaded[wp.min(wp.max(ahead - 2, 1), wp.static(ny))]
+                loads = Levels()
+                for level in range(wp.static(levels)):
+                    slot = wp.static(ROUND) * level + turn
+                    for c in range(wp.static(columns)):
+                        loads[level, c] = waves[level, 0] * next_in_phase[slot, c]
+                        loads[level, c] += waves[level, 1] * next_quadrature[slot, c]
+                        next_in_phase[slot, c] = real(0.0)
+                        next_quadrature[slot, c] = real(0.0)
+                    if (load_bits & wp.static(1 << 2 * level)) != 0:
+                        for c in range(wp.static(columns)):
+                            at = (ahead - wp.static(2 * (level + 1))) * pitch + c
+                            next_in_phase[slot, c] = lane_in_phase[at]
+                            next_quadrature[slot, c] = lane_quadrature[at]
                 above = Row()
                 moved = Row()
                 total = Row()
@@ -182,11 +202,6 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
 
                     # The row below that has curvatures on all sides: move it, unless it is an edge or beyond.
                     here = y - wp.static(2 * level + 2)
-                    load = Row()
-                    if (load_bits & wp.static(1 << 2 * level)) != 0:
-                        for c in range(wp.static(columns)):
-                            at = here * pitch + c
-                            load[c] = waves[level, 0] * lane_in_phase[at] + waves[level, 1] * lane_quadrature[at]
                     west = from_lane(curvature_1[level, wp.static(columns - 1)], lane - 1)
                     east = from_lane(curvature_1[level, 0], lane + 1)
                     moves = here > 1 and here < wp.static(ny)
@@ -212,7 +227,8 @@ def make_advance_tiles(effects, real, nx, ny, stride, levels, summed):
                         biharmonic = laplacian(
                             curvature_1[level, c], left, right, curvature_2[level, c], curvature[c], p.aspect
                         )
-                        new = update(old_rate[c], biharmonic, load[c], wp.where(moves, stiffness[c], real(0.0)), p)
+                        stiffness_here = wp.where(moves, stiffness[c], real(0.0))
+                        new = update(old_rate[c], biharmonic, loads[level, c], stiffness_here, p)
                         above[c] = u_2[level, c] + new
                         moved[c] = new
                         if wp.static(summed):

@@ -15,8 +15,8 @@ from warp_plate.kernels import (
     resident_lanes,
     resident_strips,
     resident_wide,
-    streaming,
     temporal_blocking,
+    temporal_blocking_wide,
 )
 from warp_plate.kernels.cuda import RESERVED_BYTES
 from warp_plate.kernels.effects import KernelEffects
@@ -48,9 +48,8 @@ def planned(effects, nodes, shared_bytes):
     plan = kind.plan_strips(nodes, nodes, real, shared_bytes)
     if plan is not None:
         return kind.make_run_steps(effects, real, nodes, nodes, stride, plan, True), 32 * plan.warps
-    if effects.order == 4:
-        return streaming.make_update_nodes(effects, real), 256
-    return temporal_blocking.make_advance_tiles(effects, real, nodes, nodes, stride, 4, True), 128
+    blocking, levels = (temporal_blocking_wide, 2) if effects.order == 4 else (temporal_blocking, 3)
+    return blocking.make_advance_tiles(effects, real, nodes, nodes, stride, levels, True), 128
 
 
 def compiled_needs(kernel, arch):

@@ -21,6 +21,7 @@ from warp_plate.kernels import (
     resident_wide,
     streaming,
     temporal_blocking,
+    temporal_blocking_wide,
     tones,
     wave,
 )
@@ -74,6 +75,9 @@ def cuda_kernels(effects, real):
             plan = resident_wide.plan_strips(nx, ny, real, SHARED_BYTES)
             kernel = resident_wide.make_run_steps(effects, real, nx, ny, stride, plan, summed)
             yield "resident_wide.make_run_steps", kernel
+        for levels, summed in ((1, False), (2, True)):
+            kernel = temporal_blocking_wide.make_advance_tiles(effects, real, *LARGE, levels, summed)
+            yield "temporal_blocking_wide.make_advance_tiles", kernel
         return
     for summed in (False, True):
         kernel = resident_lanes.make_run_steps(effects, real, SMALL[1], 0b1100110000, summed)
@@ -82,7 +86,7 @@ def cuda_kernels(effects, real):
         plan = resident_strips.plan_strips(nx, ny, real, SHARED_BYTES)
         kernel = resident_strips.make_run_steps(effects, real, nx, ny, stride, plan, summed)
         yield "resident_strips.make_run_steps", kernel
-    for levels, summed in ((1, False), (4, True)):
+    for levels, summed in ((1, False), (3, True)):
         kernel = temporal_blocking.make_advance_tiles(effects, real, *LARGE, levels, summed)
         yield "temporal_blocking.make_advance_tiles", kernel
 

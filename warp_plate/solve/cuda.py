@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_plate.kernels import resident_lanes, resident_strips, resident_wide, temporal_blocking
+from warp_plate.kernels import resident_lanes, resident_strips, resident_wide, temporal_blocking, temporal_blocking_wide
 from warp_plate.kernels.cuda import LANES
 from warp_plate.kernels.resident_strips import StripPlan
 from warp_plate.kernels.streaming import advance_clock, make_record_trace
@@ -25,8 +25,8 @@ LANES_BLOCK = 32
 FEW_PLATES, FEW_REGISTERS, FEW_LOADED_ROWS = 12, 160, 16
 # Launches that are recorded together; even, so that buffers that take turns end where they began.
 LAUNCHES = 16
-# Temporal blocking: steps per launch, and threads per block, whose warps are independent.
-LEVELS, STREAMING_BLOCK = 4, 128
+# Temporal blocking: steps per launch by order, and threads per block, whose warps are independent.
+LEVELS, STREAMING_BLOCK = {2: 3, 4: 2}, 128
 # Warps that keep a large GPU busy, and the fewest rows that pay for a tile with its margins.
 BUSY_WARPS, FEWEST_TILE_ROWS = 4096, 16
 
@@ -144,26 +144,28 @@ def _cuda_advance(
 
 def streaming_path(specialized: Specialized) -> Advance:
     """Return the path with several steps per launch (one where traces are recorded)."""
-    if specialized.scheme.order == 4:
-        return streaming.streaming_path(specialized)
     device, scheme = specialized.device, specialized.scheme
-    nx, ny = scheme.nodes
+    (nx, ny), most_levels = scheme.nodes, LEVELS[scheme.order]
+    blocking = temporal_blocking_wide if scheme.order == 4 else temporal_blocking
     kernels = {
-        (levels, summed): temporal_blocking.make_advance_tiles(
+        (levels, summed): blocking.make_advance_tiles(
             specialized.effects, specialized.real, nx, ny, specialized.stride, levels, summed
         )
-        for levels in (1, LEVELS)
+        for levels in (1, most_levels)
         for summed in (False, True)
     }
     record_trace = make_record_trace(specialized.real)
     specialized.load(*kernels.values(), block_dim=STREAMING_BLOCK)
     specialized.load(record_trace, advance_clock)
-    factors = [specialized.to_device(taps.factors) for taps in (scheme.taps_x, scheme.taps_y)]
-    shared = [specialized.parameters, *factors, specialized.loaded]
+    if scheme.order == 4:
+        taps = [scheme.aspect * np.array(INSIDE[4]), *specialized.taps]
+    else:
+        taps = [specialized.to_device(taps.factors) for taps in (scheme.taps_x, scheme.taps_y)]
+    shared = [specialized.parameters, *taps, specialized.loaded]
     clock = wp.zeros(1, dtype=int, device=device)
 
     def launches(launch: Launcher, state: State, plates: int, count: int, levels: int, summed: bool) -> None:
-        strips = plates * temporal_blocking.strips(nx, levels)
+        strips = plates * blocking.strips(nx, levels)
         tiles = max(1, min(-(-BUSY_WARPS // strips), (ny - 2) // FEWEST_TILE_ROWS))
         for index in range(count):
             launch(
@@ -182,7 +184,7 @@ def streaming_path(specialized: Specialized) -> Advance:
 
     def advance(state: State, plates: int, start: int, stop: int) -> None:
         clock.fill_(start)
-        levels = 1 if state.nodes.shape[0] else LEVELS  # a trace needs every step
+        levels = 1 if state.nodes.shape[0] else most_levels  # a trace needs every step
         for low, high, summed in _split_at_window(specialized, start, stop):
             blocks, rest = divmod(high - low, levels)
             runs, blocks = divmod(blocks, LAUNCHES)
