@@ -9,10 +9,12 @@ from typing import Literal
 
 import numpy as np
 
+from warp_plate.modal.modes import REACH
 from warp_plate.plate.operator import FEWEST_NODES
 from warp_plate.plate.scheme import SAFETY, STEPS_A_PERIOD
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.plate.stability_limit import find_limit, needs_moment_form
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 Order = Literal[2, 4]
@@ -31,6 +33,8 @@ BASE_SIDE, TIME_STEP_FRACTIONS = 27, (0.5, 0.25)
 TOO_LONG = 1.05
 # A time step may be this fraction shorter if the window then starts at the end of a step.
 ALIGNMENT, MOST_STEPS_TRIED = 0.08, 1000
+# Most modes that are solved for to judge an error.
+MOST_MODES = 1000
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,14 @@ def bending_wavelength(scene: Scene) -> float:
     plate = scene.plate
     kappa = math.sqrt(plate.rigidity / (plate.density * plate.thickness))
     return math.sqrt(2 * math.pi * kappa / highest_frequency(scene))
+
+
+def refuse_many_modes(scene: Scene) -> None:
+    """Refuse a scene with more than MOST_MODES modes, with a SceneError."""
+    # By Weyl's law, those of a square wave number up to REACH times that of the drive.
+    modes = math.pi * REACH * math.prod(scene.plate.size) / bending_wavelength(scene) ** 2
+    if modes > MOST_MODES:
+        raise SceneError(f"drive.frequency: {modes:.0f} modes would be needed, and at most {MOST_MODES} are solved for")
 
 
 def nodes_for(size: tuple[float, float], side: float, order: Order = 2) -> tuple[int, int]:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warp_plate.accuracy.choose import try_out
 from warp_plate.accuracy.configurations import (
     LOAD_OF,
     Configuration,
@@ -27,12 +26,9 @@ from warp_plate.accuracy.configurations import (
     refine,
     two_digits,
 )
-from warp_plate.accuracy.reference_solution import (
-    ReferenceSolution,
-    find_reference_solution,
-    grid_lines,
-    solve_response,
-)
+from warp_plate.accuracy.grid_search import try_out
+from warp_plate.accuracy.more_functions import MoreFunctions, compare_with_more_functions, error_of
+from warp_plate.accuracy.reference_solution import ReferenceSolution, find_reference_solution, grid_lines
 from warp_plate.modal.motion import fields
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.scene.errors import SceneError
@@ -49,11 +45,6 @@ GOOD_ENOUGH, FIRST_WANTED, FINEST_WANTED = 0.1, 0.02, 1e-4
 TOLERANCES, TOLERANCE_SHARE = (0.01, 0.001), 0.9
 # Side of the grid that shows the error of fourth order, and the most node-steps on it.
 PILOT_SIDE, PILOT_NODE_STEPS = 19, 2e7
-# Modes are compared with those of a higher density, up to a frequency that is higher by another factor. Errors are at
-# most so many times the change, which holds where they fall as density^-1.3 or faster, and a least value: that of free
-# motion which is left out.
-FINER, HIGHER = 1.2, 2.0
-CHANGE_FACTOR, LEAST_ERROR = 5.0, 1e-4
 # Numerics and reference of results by modes.
 MODES, MORE_FUNCTIONS = "modes", "more functions"
 
@@ -204,35 +195,30 @@ def estimate_modal(
     localization_factors: np.ndarray,
     times: Sequence[float] | np.ndarray = (),
     displacement: np.ndarray | None = None,
+    compared: MoreFunctions | None = None,
 ) -> Estimate:
-    """Estimate the errors of results by modes, from what more functions change; see :func:`estimate`.
-
-    Errors of one drive may pass through zero, so the largest change of these drives, of the single actuators and of the
-    bound counts for all, as a part of the larger one of its localization factor and that of the drive.
-    """
+    """Estimate the errors of results by modes, from what more functions change; see :func:`estimate`."""
     started = time.perf_counter()
     computed, phasors = np.asarray(localization_factors, dtype=float), np.asarray(phasors, dtype=complex)
     kept = _known(scene, phasors, computed)
     if not kept.any():
         return _no_estimate(MODES, computed)
-    (_, response), (plate, finer) = solve_response(scene, 1.0), solve_response(scene, FINER, HIGHER)
-    references, moved = np.full(computed.shape, math.nan), np.full(computed.shape, math.nan)
-    references[kept] = finer.localization_factors(phasors[kept])
-    observed = np.concatenate([phasors[kept], np.eye(len(scene.actuators))])
-    factors, coarse = (np.append(each.localization_factors(observed), each.bound()) for each in (finer, response))
-    changes = np.abs(coarse - factors) / np.maximum(factors, references[:, None])
-    change = np.maximum(np.nanmax(changes, axis=1, initial=0), np.abs(computed / references - 1))
+    compared = compared or compare_with_more_functions(scene)
+    references, moved, change = (np.full(computed.shape, math.nan) for _ in range(3))
+    references[kept] = compared.finer.localization_factors(phasors[kept])
+    change[kept] = compared.changes(phasors[kept])
+    change = np.maximum(change, np.abs(computed / references - 1))
     if displacement is not None and len(times):
-        expected = fields(plate, phasors[kept], np.asarray(times, dtype=float), *grid_lines(scene))
+        expected = fields(compared.plate, phasors[kept], np.asarray(times, dtype=float), *grid_lines(scene))
         differences = np.linalg.norm((displacement[kept] - expected).reshape(kept.sum(), -1), axis=1)
         sizes = np.linalg.norm(expected.reshape(kept.sum(), -1), axis=1)
-        moved[kept] = CHANGE_FACTOR * differences / np.where(sizes > 0, sizes, math.nan) + LEAST_ERROR
+        moved[kept] = error_of(differences / np.where(sizes > 0, sizes, math.nan))
     return Estimate(
         numerics=MODES,
         localization_factors=computed,
         references=references,
-        uncertainty=float(np.nanmax((CHANGE_FACTOR - 1) * change + LEAST_ERROR)),
-        errors=np.where(kept, CHANGE_FACTOR * change + LEAST_ERROR, math.nan),
+        uncertainty=float(np.nanmax(error_of(change) - change)),
+        errors=error_of(change),
         kind=MORE_FUNCTIONS,
         seconds=time.perf_counter() - started,
         price=None,

@@ -11,11 +11,11 @@ import numpy as np
 
 from warp_plate.accuracy.configurations import Configuration, make_configurations
 from warp_plate.accuracy.measure import MODAL_DENSITIES, AccuracyRow, MeasurementContext, measure, measure_modal
-from warp_plate.accuracy.reference_solution import ReferenceSolution, find_reference_solution
+from warp_plate.accuracy.reference_solution import LEAST_ERROR, ReferenceSolution, find_reference_solution
 from warp_plate.scene.model import Grid, Scene
 
-# Fraction of the budget that the reference may take, and its uncertainty, far below the smallest tolerance.
-REFERENCE_SHARE, REFERENCE_ERROR = 0.15, 5e-5
+# Fraction of the budget that the reference may take.
+REFERENCE_SHARE = 0.15
 # Fraction of the remaining budget that a row may take, and the number of rows measured whatever they take.
 ROW_SHARE, FIRST_ROWS = 0.5, 6
 # Relative errors for which a row is recommended.
@@ -108,7 +108,7 @@ def measure_configurations(
         KeyboardInterrupt: no row has been measured yet.
     """
     started = time.perf_counter()
-    reference = find_reference_solution(scene, "auto", device, REFERENCE_ERROR, REFERENCE_SHARE * budget)
+    reference = find_reference_solution(scene, "auto", device, LEAST_ERROR, REFERENCE_SHARE * budget)
     configurations: list[Configuration | None] = [None]
     if scene.grid.accuracy is not None:  # the scene as written has no grid
         scene, configurations = scene.model_copy(update={"grid": Grid()}), []

@@ -11,6 +11,7 @@ import numpy as np
 
 from warp_plate.accuracy.choose import choose
 from warp_plate.accuracy.estimate import estimate, estimate_modal
+from warp_plate.accuracy.more_functions import MoreFunctions
 from warp_plate.accuracy.reference_solution import ReferenceSolution
 from warp_plate.modal.solver import MODAL, has_modes
 from warp_plate.plate.weights import localization_factor
@@ -30,14 +31,14 @@ class ResolvedGrid:
         accuracy: the accuracy asked for, the expected error and the reason for the choice; empty if the scene has a
             grid.
         seconds: the time that the choice took, under "choose".
-        reference: reference solution that the choice computed.
+        reference: what the choice measured errors against.
     """
 
     scene: Scene
     evaluator: str | None = None
     accuracy: Mapping[str, Any] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
-    reference: ReferenceSolution | None = None
+    reference: ReferenceSolution | MoreFunctions | None = None
 
 
 def resolve_grid(
@@ -85,16 +86,18 @@ def estimate_error(
     phasors: Mapping[str, np.ndarray],
     run: Run,
     device: str,
-    reference: ReferenceSolution | None = None,
+    reference: ReferenceSolution | MoreFunctions | None = None,
     by_modes: bool = False,
 ) -> dict[str, Any]:
     """Estimate the errors of a run of the named drives; return them as entry "estimate" of ``Result.accuracy``."""
     drives, factors = np.array(list(phasors.values())), localization_factor(run.energy)
     try:
         if by_modes:
-            found = estimate_modal(scene, drives, factors, run.times, run.displacement)
+            compared = reference if isinstance(reference, MoreFunctions) else None
+            found = estimate_modal(scene, drives, factors, run.times, run.displacement, compared)
         else:
-            found = estimate(scene, drives, factors, device, run.times, run.displacement, reference)
+            known = reference if isinstance(reference, ReferenceSolution) else None
+            found = estimate(scene, drives, factors, device, run.times, run.displacement, known)
     except SceneError as error:
         return {"estimate": {"cases": list(phasors), "line": f"no error estimate: {error}"}}
     return {"estimate": {"cases": list(phasors), **found.as_json(), "line": found.line()}}

@@ -1,0 +1,61 @@
+"""Errors of results by modes, from what more functions change: promised before a run, and printed after it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_plate.accuracy.reference_solution import LEAST_ERROR, solve_response
+from warp_plate.modal.modes import ModalPlate
+from warp_plate.scene.model import Scene
+from warp_plate.solve.response import Response
+
+# Modes are compared with those of a higher density, up to a frequency that is higher by another factor. Errors are at
+# most so many times the change, which holds where they fall as density^-1.3 or faster, and LEAST_ERROR besides, for
+# free motion that is left out.
+FINER, HIGHER, CHANGE_FACTOR = 1.2, 2.0, 5.0
+
+
+@dataclass(frozen=True)
+class MoreFunctions:
+    """Responses of a scene by the modes that are taken, and by more of them."""
+
+    plate: ModalPlate  # modes of more functions
+    response: Response  # response by the modes that are taken
+    finer: Response  # response by those of more functions
+
+    def changes(self, phasors: np.ndarray) -> np.ndarray:
+        """Return the relative changes (drives,) of the localization factors of drives (drives, actuators).
+
+        Errors of one drive may pass through zero, so the largest change of these drives, of the single actuators and of
+        the bound counts for all, as a part of the larger one of its localization factor and that of the drive.
+        """
+        observed = np.concatenate([phasors, np.eye(phasors.shape[1])])
+        fine, coarse = (np.append(each.localization_factors(observed), each.bound()) for each in self._responses)
+        changes = np.abs(coarse - fine) / np.maximum(fine, fine[: len(phasors), None])
+        largest: np.ndarray = np.nanmax(changes, axis=1, initial=0)
+        return largest
+
+    def error(self, phasors: np.ndarray) -> float:
+        """Return the largest error of drives (drives, actuators)."""
+        return float(error_of(self.changes(phasors)).max())
+
+    @property
+    def _responses(self) -> tuple[Response, Response]:
+        return self.finer, self.response
+
+
+def compare_with_more_functions(scene: Scene) -> MoreFunctions:
+    """Solve for the modes that are taken and for more of them.
+
+    Raises:
+        SceneError: An undamped plate is driven at resonance, or the plate has no modes.
+    """
+    (_, response), (plate, finer) = solve_response(scene, 1.0), solve_response(scene, FINER, HIGHER)
+    return MoreFunctions(plate, response, finer)
+
+
+def error_of(change: np.ndarray) -> np.ndarray:
+    """Return the error of what more functions change by so much."""
+    return CHANGE_FACTOR * change + LEAST_ERROR
