@@ -20,7 +20,8 @@ from warp_plate.modal.solver import ModalSolver
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
 from warp_plate.reference import series
-from warp_plate.scene.model import Grid, Window
+from warp_plate.scene.grid import Grid
+from warp_plate.scene.model import Window
 from warp_plate.studies.grid_choice import resolve_search_grid
 from warp_plate.studies.simulate import simulate
 

@@ -1,5 +1,6 @@
 """Scene files: reading, refusals that name the key, and dumping to TOML."""
 
+import math
 import re
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.scene import preset_names
 from warp_plate.scene.dump import dump_scene
+from warp_plate.scene.keys import with_values
 from warp_plate.scene.load import parse_toml
 
 TESTS = Path(__file__).parents[1]
@@ -133,6 +135,25 @@ def test_presets_load_and_run(name):
     scene = Scene.load(name)
     assert Scene.parse(dump_scene(scene), name) == scene
     assert PlateSolver(scene, "cpu").run([[1] * len(scene.actuators)]).finite.all()
+
+
+def test_scenes_without_a_grid_ask_for_one_percent_and_nonlinear_ones_have_16_cells_a_wave():
+    """A wave of 290 Hz is as long as 2π√κ/√ω; squares of voltages have twice the frequency."""
+    tables = parse_toml(PAPER, "paper")
+    del tables["grid"]
+    scene = Scene.from_tables(tables)
+    assert scene.grid.accuracy == 0.01
+    with pytest.raises(SceneError, match=r"^grid\.accuracy = 0\.01: no grid is chosen yet; write grid\.nodes"):
+        PlateSolver(scene, "cpu")
+    stretched = scene.with_tables(effects={"stretching": {}})
+    plate, omega = scene.plate, 2 * math.pi * 290
+    wave = 2 * math.pi * (plate.rigidity / (plate.density * plate.thickness)) ** 0.25 / math.sqrt(omega)
+    cells = math.ceil(16 * 0.2 / wave)
+    assert (stretched.grid.accuracy, stretched.grid.nodes) == (None, (cells + 1, cells + 1))
+    slower = with_values(stretched, {"drive.frequency": 290 / 4})
+    assert slower.grid.nodes == (math.ceil(8 * 0.2 / wave) + 1,) * 2
+    assert with_values(scene, {"drive.frequency": 100.0}).grid.accuracy == 0.01
+    assert Scene.parse(dump_scene(stretched), "dumped").grid == stretched.grid
 
 
 def test_the_paper_has_its_numbers():

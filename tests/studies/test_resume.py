@@ -8,7 +8,7 @@ from conftest import scene_of
 
 from warp_plate import PlateSolver, SceneError, localize, resume
 from warp_plate.result.checkpoint import load_checkpoint, previous_path, save_checkpoint
-from warp_plate.scene.model import Grid
+from warp_plate.scene.grid import Grid
 from warp_plate.studies import grid_choice
 from warp_plate.studies.checkpointing import CheckpointFile
 

@@ -30,7 +30,8 @@ from warp_plate.accuracy.reference_solution import (
     find_reference_solution,
 )
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Grid, Scene
+from warp_plate.scene.grid import Grid
+from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.response import measure_response
 from warp_plate.solve.solver import PlateSolver

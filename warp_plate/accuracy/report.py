@@ -12,7 +12,8 @@ import numpy as np
 from warp_plate.accuracy.configurations import Configuration, make_configurations
 from warp_plate.accuracy.measure import MODAL_DENSITIES, AccuracyRow, MeasurementContext, measure, measure_modal
 from warp_plate.accuracy.reference_solution import LEAST_ERROR, ReferenceSolution, find_reference_solution
-from warp_plate.scene.model import Grid, Scene
+from warp_plate.scene.grid import Grid
+from warp_plate.scene.model import Scene
 
 # Fraction of the budget that the reference may take.
 REFERENCE_SHARE = 0.15

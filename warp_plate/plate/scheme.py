@@ -105,8 +105,8 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
     plate, grid = scene.plate, scene.grid
     if grid.accuracy is not None:
         raise SceneError(
-            f"grid.accuracy = {grid.accuracy:g}: no grid is chosen yet; warp_plate.accuracy.choose(scene, "
-            f"{grid.accuracy:g}).scene has one"
+            f"grid.accuracy = {grid.accuracy:g}: no grid is chosen yet; write grid.nodes, or take "
+            f"warp_plate.accuracy.choose.choose(scene, {grid.accuracy:g}).scene"
         )
     check_grid_memory(scene, moment_form or needs_moment_form(scene))
     surface_density = plate.density * plate.thickness

@@ -99,7 +99,9 @@ def with_values(scene: Scene, values: Mapping[str, float | str]) -> Scene:
     tables: Any = scene.model_dump(mode="json")
     if scene.targets:
         del tables["target"]
-    if scene.grid.accuracy is not None or "grid.accuracy" in values:
+    if scene.gridded_by_waves and not any(key.startswith("grid.") for key in values):
+        del tables["grid"]
+    elif scene.grid.accuracy is not None or "grid.accuracy" in values:
         changed = {"accuracy", *(_parts(key)[1] for key in values if key.startswith("grid."))}
         tables["grid"] = {key: value for key, value in tables["grid"].items() if key in changed}
     kinds = scalar_keys(scene)

@@ -25,6 +25,7 @@ from warp_plate.scene.fields import (
     Text,
     check_area,
 )
+from warp_plate.scene.grid import DEFAULT_ACCURACY, Grid, grid_by_waves
 from warp_plate.scene.load import parse_toml, read_scene_text
 from warp_plate.scene.search import Search
 from warp_plate.scene.target import NamedTarget, Target
@@ -89,30 +90,6 @@ class Edges(Table):
     top: Edge = "clamped"
 
 
-class Grid(Table):
-    """The discretisation in space and time."""
-
-    # Nodes along x and y, edges included
-    nodes: tuple[Annotated[int, Field(ge=5, le=8193)], Annotated[int, Field(ge=5, le=8193)]] = (27, 27)
-    order: Literal[2, 4] = 2  # spatial order of accuracy
-    # Weights of loads and regions: "overlap" of their area with cells, "nodes" inside, or by "moments"
-    load: Literal["overlap", "nodes", "moments"] = "overlap"
-    time_step: Positive | None = None  # time step [s] (default: chosen below the stability limit)
-    precision: Literal["float32", "float64"] = "float32"  # precision of the time steps
-    # Relative error allowed in localization factors, from which all of the above are chosen
-    accuracy: Annotated[float, Field(ge=1e-4, le=0.5)] | None = None
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Grid:
-        if self.order == 4 and min(self.nodes) < 9:
-            raise ValueError(f"nodes: {list(self.nodes)} are too few for order = 4, which takes 9 or more a side")
-        chosen = self.model_fields_set - {"accuracy"}
-        if self.accuracy is not None and chosen:
-            keys = ", ".join(sorted(chosen))
-            raise ValueError(f"accuracy: {self.accuracy:g} chooses all other keys; delete it, or delete {keys}")
-        return self
-
-
 class Window(Table):
     """The interval of time over which kinetic energy is averaged."""
 
@@ -143,7 +120,7 @@ class Scene(Table):
     title: Text = ""
     plate: Plate
     edges: Edges = Edges()
-    grid: Grid = Grid()
+    grid: Grid = Grid(accuracy=DEFAULT_ACCURACY)
     window: Window = Window()
     drive: Drive
     targets: tuple[NamedTarget, ...] = ()
@@ -187,6 +164,24 @@ class Scene(Table):
         except (ValidationError, LookupError, TypeError):  # reported by the validation of ``targets``
             first = Target(area=(0.0, 1.0, 0.0, 1.0))
         return {**tables, "target": first}
+
+    @model_validator(mode="after")
+    def _default_grid(self) -> Scene:
+        """Give a scene that is not linear, whose error no reference tells, a grid by its bending waves."""
+        if self.gridded_by_waves:
+            plate, drive = self.plate, self.drive
+            frequencies = [drive.frequency, *(actuator.frequency or 0.0 for actuator in self.actuators)]
+            frequencies.append(drive.chirp.end_frequency if drive.chirp else 0.0)
+            highest = max(frequencies) * (2 if drive.electrostatic else 1)  # a squared voltage has twice the frequency
+            speed = math.sqrt(plate.rigidity / (plate.density * plate.thickness))
+            grid = grid_by_waves(plate.size, math.sqrt(2 * math.pi * speed / highest))
+            self.__dict__["grid"] = grid  # the model is frozen, and the table counts as not written
+        return self
+
+    @property
+    def gridded_by_waves(self) -> bool:
+        """True if the scene has no ``[grid]``, and no accuracy could be kept because it is not linear."""
+        return "grid" not in self.model_fields_set and not self.linear
 
     @model_validator(mode="after")
     def _tables_fit_together(self) -> Scene:
@@ -263,9 +258,11 @@ class Scene(Table):
 
     def with_tables(self, **tables: Any) -> Scene:
         """Return the scene with some tables replaced, or raise a SceneError if they do not fit together."""
-        # A grid that is chosen for an accuracy must not name anything else.
+        # A grid that is chosen for an accuracy must not name anything else; one that is not written stays so.
         grid = {"grid": self.grid} if self.grid.accuracy is not None else {}
-        return Scene.from_tables({**self.model_dump(), **grid, **tables}).in_folder(self._folder)
+        unwritten = {"grid"} - self.model_fields_set
+        kept = {key: table for key, table in {**self.model_dump(), **grid}.items() if key not in unwritten}
+        return Scene.from_tables({**kept, **tables}).in_folder(self._folder)
 
     def with_accuracy(self, accuracy: float) -> Scene:
         """Return the scene with an accuracy in place of its grid, or raise a SceneError if it is out of range."""

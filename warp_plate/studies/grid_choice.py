@@ -17,6 +17,7 @@ from warp_plate.modal.solver import MODAL, has_modes
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import at_highest_frequency
 from warp_plate.scene.errors import SceneError
+from warp_plate.scene.grid import CELLS_A_WAVE
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import Run
 
@@ -54,12 +55,21 @@ def resolve_grid(
         engine: engine that may be chosen.
     """
     if scene.grid.accuracy is None:
-        return ResolvedGrid(scene)
+        return ResolvedGrid(scene, accuracy=_by_waves(scene))
     started = time.perf_counter()
     choice = choose(scene, scene.grid.accuracy, device, phasors, engine)
     accuracy = {"asked": scene.grid.accuracy, "expected": choice.error, "reason": choice.reason}
     seconds = {"choose": time.perf_counter() - started}
     return ResolvedGrid(choice.scene, MODAL if choice.by_modes else None, accuracy, seconds, choice.reference)
+
+
+def _by_waves(scene: Scene) -> dict[str, str]:
+    """Return the reason for the grid of a scene that is not linear and has no ``[grid]``; empty for others."""
+    if not scene.gridded_by_waves:
+        return {}
+    (nx, ny), table = scene.grid.nodes, scene.nonlinear_table
+    reason = f"time steps: {nx} × {ny} nodes, {CELLS_A_WAVE:g} cells a bending wave; no error is known with {table}"
+    return {"reason": reason}
 
 
 def resolve_search_grid(scene: Scene, device: str, evaluator: str | None = None, path: str = "auto") -> ResolvedGrid:
@@ -68,7 +78,7 @@ def resolve_search_grid(scene: Scene, device: str, evaluator: str | None = None,
     An evaluator or a path that is named keeps its engine.
     """
     if scene.grid.accuracy is None:
-        return ResolvedGrid(scene, evaluator)
+        return ResolvedGrid(scene, evaluator, _by_waves(scene))
     engine: Literal["any", "modes", "steps"] = "steps"
     if evaluator == MODAL or scene.modal_only_key is not None:
         engine = "modes"
