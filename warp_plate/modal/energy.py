@@ -33,8 +33,8 @@ from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
 from warp_plate.scene.model import Window
 
-# Free motions whose energies together are below this part of all motion's are left out.
-NEGLIGIBLE = 1e-7
+# Free motions that change energies by less than about this part of them are left out.
+NEGLIGIBLE = 1e-6
 # Matrices with fewer nonzero entries than this part are kept as sparse ones.
 SPARSE = 0.05
 
@@ -84,9 +84,9 @@ def _of_tones(plate: ModalPlate, forces: np.ndarray, frequency: np.ndarray, quan
     drive, gains = rates_apart(poles, 2j * math.pi * frequency, window.end), poles.gains(forces)
     states = 1 / (drive[:, None, :] - poles.values[:, None])
     forced, free, velocity = poles.forced(states, forces, gains), -states, quantity == "velocity"
-    kept = _lasting(poles, gains, free, velocity, window, window.end)
     if velocity:
-        forced, free = forced * drive[:, None, :], free * poles.values[:, None]
+        forced, states, free = forced * drive[:, None, :], states * drive[:, None, :], free * poles.values[:, None]
+    kept = lasting_poles(poles, gains, free, states[..., None], drive[..., None], window, window.end, velocity)
     return _Motion(forced, drive, poles.part(kept), gains[:, kept] * free[:, kept])
 
 
@@ -117,10 +117,13 @@ def _of_excitation(excitation: Excitation, regions: Sequence[np.ndarray], window
         follow = forced_states(poles, load)
         if load.end > window.start:
             part = Window(start=max(window.start - load.start, 0.0), end=min(load.end, window.end) - load.start)
-            free, forced = state - follow.sum(axis=2), gains[:, :, None] * follow
-            kept = _lasting(poles, gains, free[None], quantity == "velocity", part, window.end)
-            if quantity == "velocity":
+            free, forced, velocity = state - follow.sum(axis=2), follow, quantity == "velocity"
+            if velocity:
                 free, forced = free * poles.values[:, None], forced * load.rates
+            kept = lasting_poles(
+                poles, gains[None], free[None], forced[None], load.rates[None], part, window.end, velocity
+            )
+            forced = gains[:, :, None] * forced
             forced = (poles.vectors @ forced.reshape(len(gains), -1))[None]
             motion = _Motion(forced, load.rates.reshape(1, -1), poles.part(kept), (gains * free)[None, kept])
             share = (part.end - part.start) / (window.end - window.start)
@@ -171,38 +174,53 @@ class _Motion:
         return np.asarray(rows.reshape(designs, self.free.shape[2], -1, columns).sum(axis=2))
 
 
-def _lasting(
-    poles: Poles, gains: np.ndarray, states: np.ndarray, velocity: bool, window: Window, end: float
+def lasting_poles(
+    poles: Poles,
+    gains: np.ndarray,
+    free: np.ndarray,
+    forced: np.ndarray,
+    rates: np.ndarray,
+    window: Window,
+    end: float,
+    velocity: bool,
 ) -> np.ndarray:
-    """Return the indices of the poles whose free motion counts after the start of the window.
+    """Return the indices of the poles whose free motion counts in a window, for errors of some NEGLIGIBLE of energies.
 
-    All motion is measured without exponentials that nearly cancel, at resonances and critical damping.
+    What is left out has energy of its own, and energy that it shares with the forced motion, as far as the two keep
+    step over the window. Two poles that nearly meet have large residues, of which all but a part bounded by time
+    cancels.
 
     Args:
         poles: Poles.
-        gains: (designs or 1, poles, M) inputs of the actuators.
-        states: (designs, poles, M or 1) free states z at t = 0 [s].
-        velocity: True for rates.
+        gains: (..., designs or 1, poles, M) inputs of the actuators.
+        free: (designs, poles, M or 1) states z of the free motion at t = 0, or their rates sz.
+        forced: (designs, poles, M or 1, terms) states that follow the load, or their rates.
+        rates: (designs, M or 1, terms) exponents of the load [1/s].
         window: Window, counted from t = 0.
         end: End of the run [s].
+        velocity: True for rates.
     """
-    norm, speed = np.linalg.norm(poles.vectors, axis=0), np.abs(poles.values) if velocity else 1.0
-    of_inputs, of_states = _squares(gains * (norm * speed)[:, None]), _squares(states)
-    left = np.minimum(1, end / norm**2)[:, None] ** 2
-    total = (of_inputs * left * np.minimum(of_states, end**2)).sum(axis=1, keepdims=True)
-    shares = (of_inputs * of_states / np.where(total > 0, total, 1)).max(axis=(0, 2))
-    shares *= np.exp(2 * poles.values.real * window.start)
-    order = np.argsort(shares)
-    return np.sort(order[np.cumsum(shares[order]) > NEGLIGIBLE])
+    norm, residue = poles.norms
+    speed = np.abs(poles.values) if velocity else np.ones(norm.shape)
+    bound = 1.0 if velocity else 1 / np.maximum(np.abs(poles.values.real), 1 / end)
+    cancelled = np.minimum(1, bound / np.maximum(residue * speed, np.finfo(float).tiny))[:, None]
+    left = np.abs(free) * np.exp(poles.values.real * window.start)[:, None]
+    size = np.abs(gains) * norm[:, None]
+    moved = np.minimum(left + np.abs(forced).sum(axis=-1), end * speed[:, None])
+    total = ((size * cancelled * moved) ** 2).sum(axis=-2, keepdims=True)
+    length, turns = Window(start=0.0, end=window.end - window.start), rates.reshape(len(rates), 1, -1)
+    decays = poles.values[:, None]
+    step = np.maximum(*(np.abs(mean_exponential(decays, turn, length)) for turn in (turns, turns.conj())))
+    weight = NEGLIGIBLE + step.max(axis=-1, keepdims=True) ** 2
+    shares = weight * (size * left) ** 2 / np.where(total > 0, total, 1)
+    shares = np.moveaxis(shares, -2, 0).reshape(poles.values.size, -1)
+    order = np.argsort(shares.max(axis=1))
+    return np.sort(order[(np.cumsum(shares[order], axis=0) > NEGLIGIBLE**2).any(axis=1)])
 
 
 def as_sparse(matrix: np.ndarray) -> np.ndarray | scipy.sparse.csr_array:
     """Return a matrix as a sparse one if few of its entries are not zero, as in that of the whole plate."""
     return scipy.sparse.csr_array(matrix) if np.count_nonzero(matrix) < SPARSE * matrix.size else matrix
-
-
-def _squares(values: np.ndarray) -> np.ndarray:
-    return np.asarray(values.real**2 + values.imag**2)
 
 
 def mean_exponential(first: np.ndarray, second: np.ndarray, window: Window) -> np.ndarray:

@@ -83,6 +83,14 @@ class Poles:
         return np.asarray(forces * (both[..., : len(self.vectors), :] + both[..., len(self.vectors) :, :]))
 
     @property
+    def norms(self) -> tuple[np.ndarray, np.ndarray]:
+        """(poles,) ‖ψ‖, and ‖ψ‖ ‖χ‖, the response of each pole to a unit force."""
+        if self.modes is not None:
+            return np.abs(self.sizes), np.abs(self.sizes) ** 2
+        sizes = np.linalg.norm(self.vectors, axis=0)
+        return sizes, sizes * np.linalg.norm(self.inputs, axis=1)
+
+    @property
     def sizes(self) -> np.ndarray:
         """(poles,) the only number of each free motion, if damping does not couple modes."""
         assert self.modes is not None

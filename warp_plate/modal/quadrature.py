@@ -9,11 +9,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.polynomial import legendre
 
+from warp_plate.modal.loads import ExponentialLoads
 from warp_plate.modal.motion import Excitation
 from warp_plate.modal.sampled import SampledLoads
 from warp_plate.scene.model import Window
 
-# A span of time in which the fastest v² turns by PANEL_TURN [rad] takes PANEL_POINTS of Gauss's points.
+# A span of time in which the fastest v² turns or decays by PANEL_TURN [rad] takes PANEL_POINTS of Gauss's points.
 PANEL_TURN, PANEL_POINTS = 12.0, 10
 # Modes whose energies together are below this part of all are left out, by their energies at so many times.
 NEGLIGIBLE, TRIALS = 1e-7, 48
@@ -46,18 +47,25 @@ def by_quadrature(
 
 def time_rule(excitation: Excitation, window: Window, modes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return times [s] and weights of a mean over the window, for the motion of some modes."""
-    loads = [load for load in (*excitation.loads, *excitation.moving) if isinstance(load, SampledLoads)]
+    loads = (*excitation.loads, *excitation.moving)
+    sampled = [load for load in loads if isinstance(load, SampledLoads)]
+    turns = [np.abs(load.rates).max() for load in loads if isinstance(load, ExponentialLoads)]
     cuts = {window.start, window.end, *(load.end for load in loads)}
     moments = sorted(cut for cut in cuts if window.start <= cut <= window.end)
     poles = excitation.poles
     moving = np.abs(poles.vectors[modes]).any(axis=0)
-    fastest = 2 * float(np.abs(poles.values[moving].imag).max(initial=0.0))
-    shortest = min((load.length for load in loads if load.coefficients.any()), default=math.inf)
+    fastest = 2 * float(np.abs(poles.values[moving].imag).max(initial=max(turns, default=0.0)))
+    decay = 2 * float(np.abs(poles.values[moving].real).max(initial=0.0))
+    shortest = min((load.length for load in sampled if load.coefficients.any()), default=math.inf)
     s, shares = legendre.leggauss(PANEL_POINTS)
     times, weights = [], []
     for low, high in pairwise(moments):
         panels = max(1, math.ceil((high - low) * max(fastest / PANEL_TURN, 1 / shortest)))
-        half = (high - low) / panels / 2
-        times.append((low + half * (1 + 2 * np.arange(panels)[:, None] + s)).ravel())
-        weights.append(np.tile(half * shares, panels))
+        length = (high - low) / panels
+        # Motion that decays within a panel does so after a corner of the load.
+        finer = max(0, math.ceil(math.log2(max(length * decay / PANEL_TURN, 1)) / 2))
+        ends = low + length * np.concatenate([[0], 4.0 ** np.arange(-finer, 0), np.arange(1, panels + 1)])
+        half = np.diff(ends)[:, None] / 2
+        times.append((ends[:-1, None] + half * (1 + s)).ravel())
+        weights.append((half * shares).ravel())
     return np.concatenate(times), np.concatenate(weights) / (window.end - window.start)

@@ -23,17 +23,15 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.modal.energy import mean_exponential
+from warp_plate.modal.energy import lasting_poles, mean_exponential
 from warp_plate.modal.galerkin import patch_integrals
 from warp_plate.modal.loads import ExponentialLoads, exponential_loads
 from warp_plate.modal.modes import ModalPlate
-from warp_plate.modal.poles import Poles, make_poles, rates_apart
+from warp_plate.modal.poles import Poles, make_poles, poles_apart, rates_apart
 from warp_plate.modal.steady import times
 from warp_plate.plate.signals import actuator_delays
 from warp_plate.scene.model import Window
 
-# Free motions below this part of the largest are left out.
-NEGLIGIBLE = 1e-8
 # Means of exponentials that turn less than SLOW over the window are series of TERMS terms.
 SLOW, TERMS = 1e-2, 8
 # Numbers of the arrays of a block of designs.
@@ -161,7 +159,7 @@ def _from_rest(
     quantity: str,
 ) -> tuple[np.ndarray, ...]:
     """Return the arrays of :class:`EnergySlopes` over a window; under bursts of one design alone."""
-    poles = make_poles(plate, window.end)
+    poles, velocity = make_poles(plate, window.end), quantity == "velocity"
     alike = bool((frequency == frequency[:, :1]).all() and (delay is None or (delay == delay[:, :1]).all()))
     gains = poles.gains(forces[0])
     pushed, gained = forces[0] * phasors[:, None, :], gains * phasors[:, None, :]
@@ -173,14 +171,19 @@ def _from_rest(
         loads = [ExponentialLoads(0.0, window.end, rates, np.ones_like(rates))]
     else:
         loads = exponential_loads(plate.scene, frequency[0], delay[0], window.end)
+        poles = poles_apart(poles, np.concatenate([load.rates.ravel() for load in loads]), window.end)
         loads = [replace(load, rates=load.rates[None], weights=load.weights[None]) for load in loads]
     total = np.zeros((3, len(phasors), len(regions), *gained.shape[1:]), dtype=complex)
-    for motion in _motions(poles, loads, frequency, quantity == "velocity"):
+    # What a place does not excite counts too, if one beside it does.
+    reached = np.stack([gains, *(poles.gains(force) for force in forces[1:])])
+    for motion in _motions(poles, loads, frequency, velocity):
         if motion.end > window.start:
             low = max(window.start - motion.start, 0.0)
             part = Window(start=low, end=min(motion.end, window.end) - motion.start)
             share = (part.end - part.start) / (window.end - window.start)
-            total += share * motion.slopes(poles, regions, pushed, gained, part)
+            state, follow = motion.free[0], motion.forced[0]
+            kept = lasting_poles(poles, reached, state, follow, motion.rates, part, window.end, velocity)
+            total += share * motion.slopes(poles, kept, regions, pushed, gained, part)
     by_drive, by_frequency, by_delay = (total * gains[:, None]).sum(axis=3)
     of_forces = poles.inputs.T @ total[0]
     by_centre = [(of_forces * slope[:, None]).sum(axis=2) for slope in forces[1:]]
@@ -201,12 +204,19 @@ class _Motion:
     free: np.ndarray  # (3, designs, poles, K)
 
     def slopes(
-        self, poles: Poles, regions: Sequence[np.ndarray], pushed: np.ndarray, gained: np.ndarray, part: Window
+        self,
+        poles: Poles,
+        kept: np.ndarray,
+        regions: Sequence[np.ndarray],
+        pushed: np.ndarray,
+        gained: np.ndarray,
+        part: Window,
     ) -> np.ndarray:
         """Return (3, designs, regions, poles, K) ⟨Re vᵀ G ∂v⟩ of unit inputs, by the drive, frequency and delay.
 
         Args:
             poles: Poles.
+            kept: Indices of those whose free motion counts.
             regions: Matrices G (modes, modes).
             pushed: (designs, modes, K) modal forces times phasors.
             gained: (designs, poles, K) the same, as inputs of the poles.
@@ -216,8 +226,6 @@ class _Motion:
         rates, states = self.rates.reshape(designs, -1), self.forced[0].reshape(designs, count, -1)
         forced = poles.forced(states, np.repeat(pushed, terms, axis=2), np.repeat(gained, terms, axis=2))
         free = (gained * self.free[0]).sum(axis=2)
-        size = np.abs(free) * np.linalg.norm(poles.vectors, axis=0) * np.exp(poles.values.real * part.start)
-        kept = np.flatnonzero((size > NEGLIGIBLE * size.max(axis=1, keepdims=True)).any(axis=0))
         lasting, free = poles.part(kept), free[:, kept]
         sides = [_side_means(rates, lasting.values, conjugate, part) for conjugate in (False, True)]
         found = np.empty((3, designs, len(regions), count, self.rates.shape[1]), dtype=complex)

@@ -13,14 +13,14 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from warp_plate.modal.energy import as_sparse, mean_exponential, real_form
+from warp_plate.modal.energy import as_sparse, lasting_poles, mean_exponential, real_form
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles, make_poles, rates_apart
 from warp_plate.modal.steady import times
+from warp_plate.plate.designs import actuator_spaces, per_plate_of
+from warp_plate.plate.signals import actuator_frequencies
 from warp_plate.scene.model import Window
 
-# Free motions that after the start of the window have less than this part of the largest energy are left out.
-DECAYED = 1e-8
 # Places along each side at which forces are tried to see which free motions count.
 PLACES = 8
 # Numbers of a block of plates that are computed at once.
@@ -90,11 +90,17 @@ class ToneMatrices:
 
     @cached_property
     def kept(self) -> np.ndarray:
-        """Indices of the poles whose free motions last into the window."""
-        loads = np.abs(self.poles.gains(trial_forces(self.plate))).max(axis=1)
-        begun = loads * np.linalg.norm(self.poles.vectors, axis=0)
-        left = begun * np.exp(self.poles.values.real * self.window.start)
-        return np.flatnonzero(left**2 > DECAYED * (begun**2).max())
+        """Indices of the poles whose free motions count in the window, wherever actuators are."""
+        scene, poles, end = self.plate.scene, self.poles, self.window.end
+        searched = scene.search.frequency
+        tones = {*actuator_frequencies(scene).tolist(), *(searched.range if searched is not None else ())}
+        drive = rates_apart(poles, 2j * math.pi * np.array(sorted(tones))[:, None], end)
+        forced = 1 / (drive[:, None, :] - poles.values[:, None])
+        free, velocity = -forced, self.quantity == "velocity"
+        if velocity:
+            forced, free = forced * drive[:, None, :], free * poles.values[:, None]
+        gains = poles.gains(trial_forces(self.plate))[None]
+        return lasting_poles(poles, gains, free, forced[..., None], drive[..., None], self.window, end, velocity)
 
     @cached_property
     def _free_forms(self) -> list[list[np.ndarray | scipy.sparse.csr_array]]:
@@ -117,11 +123,13 @@ def _times(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndarray) -> 
 
 
 def trial_forces(plate: ModalPlate) -> np.ndarray:
-    """Return (modes, trials) modal forces of patches of the actuators' sizes all over the plate."""
+    """Return (modes, trials) modal forces of the actuators where they are, and wherever a search may place them."""
     scene = plate.scene
     areas = np.array([actuator.area for actuator in scene.actuators])
-    half = np.unique(np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1).round(9), axis=0) / 2
+    half = np.stack([areas[:, 1] - areas[:, 0], areas[:, 3] - areas[:, 2]], axis=1) / 2
+    spaces = actuator_spaces(scene, per_plate_of(scene))
+    low, high = spaces[:, [0, 2]] + half, spaces[:, [1, 3]] - half
     parts = (np.arange(PLACES) + 0.5) / PLACES
-    grid = np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 1, 2)
-    centre = half + grid * (np.array(scene.plate.size) - 2 * half)
-    return plate.patch_forces(np.stack([centre - half, centre + half], axis=-1).reshape(-1, 4))
+    centre = low + np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 1, 2) * (high - low)
+    placed = np.stack([centre - half, centre + half], axis=-1).reshape(-1, 4)
+    return plate.patch_forces(np.unique(np.concatenate([areas, placed]).round(9), axis=0))

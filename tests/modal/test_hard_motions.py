@@ -1,0 +1,89 @@
+"""Energies where exponentials nearly cancel, decay fast or have died away, against means of the motion over time."""
+
+import numpy as np
+import pytest
+from conftest import MATERIAL, scene_of
+
+from warp_plate.modal.energy import energies
+from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.motion import unit_motion
+from warp_plate.modal.slopes import energy_slopes
+from warp_plate.modal.tones import ToneMatrices
+from warp_plate.modal.waveforms import WaveformEnergies
+from warp_plate.optimize.quadratic import quadratic_forms
+
+FREE, SUPPORTED = {"edges": ("free",) * 4}, {"edges": ("supported",) * 4}
+ABRUPT, EARLY = {"start": 0.0, "duration": 0.004}, {"start": 0.0, "ramp": 0.001, "duration": 0.004}
+PHASORS, DENSITY = np.array([[1.0, 0.5j, -0.3]]), 0.5
+CASES = {
+    "undamped, free": {**FREE, "window": (0.02, 0.04)},
+    "lightly damped, free": {**FREE, "damping": 1.0},
+    "at resonance": {**SUPPORTED, "frequency": "first"},
+    "critically damped": {**SUPPORTED, "damping": "critical"},
+    "overdamped": {"damping": 1e5},
+    "burst, overdamped": {"damping": 1e5, "burst": ABRUPT, "window": (0.002, 0.012)},
+    "burst at resonance": {**SUPPORTED, "frequency": "first", "burst": EARLY},
+    "long after a burst": {"damping": 88.3, "burst": EARLY, "window": (0.1, 0.12)},
+}
+
+
+def plate_of(frequency=290.0, damping=None, burst=None, **tables):
+    """Return the modes of a scene; its frequency or damping may be that of the first mode."""
+    if "first" in (frequency, damping) or damping == "critical":
+        first = solve_modes(scene_of(edges=tables["edges"]), density=DENSITY)
+        frequency = float(first.frequencies[0]) if frequency == "first" else frequency
+        if damping == "critical":
+            damping = 2 * first.angular_frequencies[0] * MATERIAL["density"] * MATERIAL["thickness"]
+    drive = {"drive": {"frequency": frequency, "burst": burst}} if burst else {}
+    return solve_modes(scene_of(frequency=frequency, damping=damping, **drive, **tables), density=DENSITY)
+
+
+def mean_over_time(plate, regions, corners=()):
+    """Return the mean energies (regions,) of the motion, by Gauss's rule on panels that narrow towards corners [s]."""
+    window, points = plate.scene.window, np.polynomial.legendre.leggauss(8)
+    narrow = [corner + np.geomspace(1e-7, 1e-4, 20) for corner in (0.0, *corners)]
+    breaks = np.concatenate([np.linspace(window.start, window.end, 300), *narrow, corners])
+    breaks = np.unique(breaks[(breaks >= window.start) & (breaks <= window.end)])
+    half = np.diff(breaks)[:, None] / 2
+    times = (breaks[:-1, None] + half * (1 + points[0])).ravel()
+    motion = unit_motion(plate, np.eye(len(plate.frequencies)), times, velocity=True)
+    rates = np.einsum("mat,a->mt", motion, PHASORS[0]).real
+    weights = (half * points[1]).ravel() / (window.end - window.start) / 2
+    return np.array([((rates * (region @ rates)).sum(axis=0) * weights).sum() for region in regions])
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_energies_are_means_over_time(name):
+    plate = plate_of(**CASES[name])
+    scene, regions = plate.scene, [plate.kinetic_matrix(), plate.kinetic_matrix(plate.scene.target)]
+    frequency, forces = np.full((1, 3), scene.drive.frequency), plate.actuator_forces()[None]
+    areas = np.array([[actuator.area for actuator in scene.actuators]])
+    found = [
+        energies(plate, regions, PHASORS)[0],
+        energy_slopes(plate, regions, PHASORS, frequency, areas, scene.window).energy[0],
+    ]
+    corners = ()
+    if scene.drive.burst is None:
+        tones = ToneMatrices(plate, regions, scene.window)
+        found.append(quadratic_forms(tones.matrices(frequency, forces)[0], PHASORS)[0])
+    else:
+        corners = (0.001, 0.003, 0.004)
+        found.append(WaveformEnergies(plate, regions).energies(PHASORS, frequency, forces, np.zeros((1, 3)))[0])
+    exact = mean_over_time(plate, regions, corners)
+    assert np.allclose(found, exact, rtol=5e-5, atol=0)
+
+
+def test_slopes_where_a_mode_is_not_excited():
+    """An actuator in the middle excites no mode that is odd there, but one beside it does."""
+    plate = solve_modes(scene_of(damping=20.0, actuators=[(0.09, 0.11, 0.04, 0.06)]), density=DENSITY)
+    window, regions = plate.scene.window, [plate.kinetic_matrix(plate.scene.target)]
+    area, step = np.array(plate.scene.actuators[0].area), 1e-5
+
+    def slopes_at(shift):
+        return energy_slopes(
+            plate, regions, np.ones((1, 1)), np.full((1, 1), 290.0), (area + shift)[None, None], window
+        )
+
+    sideways = np.array([1.0, 1.0, 0.0, 0.0])
+    difference = (slopes_at(step * sideways).energy - slopes_at(-step * sideways).energy) / (2 * step)
+    assert slopes_at(0 * sideways).centre[0, 0, 0, 0] == pytest.approx(difference[0, 0], rel=1e-4)
