@@ -5,6 +5,8 @@ bubbles (1 − s²)² P_k^(4, 4)(s), s = −1 ... 1; the functions of the plate 
 hp version: C. Schwab, p- and hp-Finite Element Methods, 1998). Elements at the edges are short, for singular corners.
 """
 
+from functools import partial
+
 import numpy as np
 import scipy
 from numpy.polynomial import legendre, polynomial
@@ -110,6 +112,23 @@ def _factor(scene, name, x, y):
     return array
 
 
+def _integral(along_x, along_y, field, x=(0, 0), y=(0, 0)):
+    """Return the integrals of field times products of derivatives of functions along x and along y."""
+    pairs = [
+        (side.values[first][:, None] * side.values[second] * side.weights).reshape(-1, side.points.size)
+        for side, (first, second) in ((along_x, x), (along_y, y))
+    ]
+    counts = along_x.values.shape[1], along_y.values.shape[1]
+    product = (pairs[1] @ field @ pairs[0].T).reshape(counts[1], counts[1], counts[0], counts[0])
+    return product.transpose(0, 2, 1, 3).reshape(counts[0] * counts[1], -1)
+
+
+def slopes(along_x, along_y, ratio):
+    """Return the matrix of ∫ u_x² + ratio u_y² dA over the products of functions."""
+    one = np.ones((along_y.points.size, along_x.points.size))
+    return _integral(along_x, along_y, one, (1, 1)) + ratio * _integral(along_x, along_y, one, y=(1, 1))
+
+
 def matrices(scene, along_x, along_y):
     """Return stiffness, mass, damping and bending alone over the products of functions, those of x fastest, and the
     oscillators' masses."""
@@ -123,15 +142,7 @@ def matrices(scene, along_x, along_y):
     )
     stiffer, one = young * thickness**3, np.ones_like(young)
 
-    def integral(field, x=(0, 0), y=(0, 0)):
-        pairs = [
-            (side.values[first][:, None] * side.values[second] * side.weights).reshape(-1, side.points.size)
-            for side, (first, second) in ((along_x, x), (along_y, y))
-        ]
-        counts = along_x.values.shape[1], along_y.values.shape[1]
-        product = (pairs[1] @ field @ pairs[0].T).reshape(counts[1], counts[1], counts[0], counts[0])
-        return product.transpose(0, 2, 1, 3).reshape(counts[0] * counts[1], -1)
-
+    integral = partial(_integral, along_x, along_y)
     coupled = integral(d1 * stiffer, (2, 0), (0, 2))
     stiffness = integral(dx * stiffer, (2, 2)) + integral(dy * stiffer, y=(2, 2)) + coupled + coupled.T
     stiffness += integral(4 * dxy * stiffer, (1, 1), (1, 1))

@@ -6,11 +6,13 @@ Modes above those that are kept follow the tone without inertia of their own: wh
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
 from error_bars.elements import Side, matrices, shift_of
+from warp_plate import Scene
 
 # Modes from rest, and steps in a period of the highest one and in a period of the drive.
 MODES, STEPS_A_MODE, STEPS_A_PERIOD = 260, 10, 200
@@ -24,28 +26,14 @@ INNER = (0.05, 0.35, 0.65, 0.95)
 
 def true_factors(scene, phasors, degree=11):
     """Return the localization factors (n,) of phasors (n, actuators) under the tone of the scene's drive."""
-    sides = [Side(scene, axis, degree, INNER) for axis in (0, 1)]
-    stiffness, mass, damping, bending = matrices(scene, *sides)
-    shift = shift_of(scene)
-    units = 1 / np.sqrt(np.diag(stiffness + shift * mass))
-    scaled = [matrix * np.outer(units, units) for matrix in (mass, stiffness + shift * mass)]
-    # The inverse problem, whose largest eigenvalues have small relative errors.
-    inverse, vectors = scipy.linalg.eigh(*scaled, subset_by_index=(max(len(mass) - MODES, 0), len(mass) - 1))
-    squares, vectors = 1 / inverse - shift, units[:, None] * vectors / np.sqrt(inverse)
-    loads = np.zeros((len(mass), len(scene.actuators)))
-    for column, actuator in zip(loads.T, scene.actuators, strict=True):
-        along_x, along_y = (side.integral(*actuator.area[2 * axis : 2 * axis + 2]) for axis, side in enumerate(sides))
-        column[: along_x.size * along_y.size] = np.outer(along_y, along_x).ravel()
+    found = solve(scene, degree, MODES)
+    squares, vectors, loads, damping = found.squares, found.vectors, found.loads, found.damping
     omega = 2 * math.pi * scene.drive.frequency
-    shapes = np.hstack([vectors, _residual(scaled, units, squares, vectors, loads, omega**2, shift)])
-    forces = vectors.T @ loads @ phasors.T
-    plate = shapes[: sides[0].kept.size * sides[1].kept.size]
-    regions = [shapes.T @ (mass @ shapes), _target(scene, sides, plate)]
-    for index, oscillator in enumerate(item for item in scene.effects.oscillators if item.mass):
-        moved = shapes[len(plate) + index]
-        regions[0] = regions[0] - oscillator.mass * np.outer(moved, moved)
+    shapes = np.hstack([vectors, _residual(found, omega**2)])
+    forces, regions = vectors.T @ loads @ phasors.T, found.regions(shapes)
     if scene.effects.loss_factor is not None:
-        dynamic = np.diag(squares - omega**2) + 1j * scene.effects.loss_factor.eta * (vectors.T @ bending @ vectors)
+        lossy = scene.effects.loss_factor.eta * (vectors.T @ found.bending @ vectors)
+        dynamic = np.diag(squares - omega**2) + 1j * lossy
         amplitude = np.linalg.solve(dynamic + 1j * omega * (vectors.T @ damping @ vectors), forces)
         amplitude = np.vstack([amplitude, phasors.T])
         energies = [np.einsum("ip,ij,jp->p", amplitude.conj(), region, amplitude).real for region in regions]
@@ -54,17 +42,63 @@ def true_factors(scene, phasors, degree=11):
     return energies[1] / energies[0]
 
 
-def _residual(scaled, units, squares, vectors, loads, square, shift):
+@dataclass
+class Modes:
+    """The lowest modes of a plate, and what they are modes of."""
+
+    scene: Scene
+    sides: list  # functions along x and y
+    stiffness: np.ndarray
+    mass: np.ndarray
+    damping: np.ndarray
+    bending: np.ndarray
+    loads: np.ndarray  # (unknowns, actuators) unit pressures
+    squares: np.ndarray  # ω² [1/s²]
+    vectors: np.ndarray  # (unknowns, modes)
+
+    def of_plate(self, shapes):
+        """Return shapes (functions along y, functions along x, shapes) without the oscillators' masses."""
+        counts = [side.kept.size for side in self.sides]
+        return shapes[: counts[0] * counts[1]].reshape(counts[1], counts[0], -1)
+
+    def regions(self, shapes):
+        """Return the mass matrices of plate and target over shapes."""
+        whole, plate = shapes.T @ (self.mass @ shapes), self.of_plate(shapes)
+        first = plate.shape[0] * plate.shape[1]
+        for index, oscillator in enumerate(item for item in self.scene.effects.oscillators if item.mass):
+            moved = shapes[first + index]
+            whole = whole - oscillator.mass * np.outer(moved, moved)
+        return [whole, _target(self.scene, self.sides, plate)]
+
+
+def solve(scene, degree, count):
+    """Return the lowest modes."""
+    sides = [Side(scene, axis, degree, INNER) for axis in (0, 1)]
+    stiffness, mass, damping, bending = matrices(scene, *sides)
+    shift = shift_of(scene)
+    units = 1 / np.sqrt(np.diag(stiffness + shift * mass))
+    scaled = [matrix * np.outer(units, units) for matrix in (mass, stiffness + shift * mass)]
+    # The inverse problem, whose largest eigenvalues have small relative errors.
+    inverse, vectors = scipy.linalg.eigh(*scaled, subset_by_index=(max(len(mass) - count, 0), len(mass) - 1))
+    loads = np.zeros((len(mass), len(scene.actuators)))
+    for column, actuator in zip(loads.T, scene.actuators, strict=True):
+        along_x, along_y = (side.integral(*actuator.area[2 * axis : 2 * axis + 2]) for axis, side in enumerate(sides))
+        column[: along_x.size * along_y.size] = np.outer(along_y, along_x).ravel()
+    vectors = units[:, None] * vectors / np.sqrt(inverse)
+    return Modes(scene, sides, stiffness, mass, damping, bending, loads, 1 / inverse - shift, vectors)
+
+
+def _residual(found, square):
     """Return what modes that are left out add to the undamped steady displacement (unknowns, loads)."""
-    mass, shifted = scaled
-    whole = units[:, None] * np.linalg.solve(shifted - (square + shift) * mass, units[:, None] * loads)
-    return whole - vectors @ ((vectors.T @ loads) / (squares - square)[:, None])
+    stiffness = found.stiffness - square * found.mass
+    units = 1 / np.sqrt(np.diag(found.stiffness + shift_of(found.scene) * found.mass))
+    whole = units[:, None] * np.linalg.solve(stiffness * np.outer(units, units), units[:, None] * found.loads)
+    return whole - found.vectors @ ((found.vectors.T @ found.loads) / (found.squares - square)[:, None])
 
 
-def _target(scene, sides, plate):
+def _target(scene, sides, shapes):
     """Return the mass matrix of the target over the modes, from their values at points of a rule."""
     target, density = scene.target, scene.plate.density * scene.plate.thickness
-    shapes = plate.reshape(sides[1].kept.size, sides[0].kept.size, -1)
     if target.area is not None:
         x, y = (side.rule(*target.area[2 * axis : 2 * axis + 2]) for axis, side in enumerate(sides))
         across = np.einsum("jkm,kx->jxm", shapes, sides[0].values_at(x[0])[0])

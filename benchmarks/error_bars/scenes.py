@@ -8,7 +8,7 @@ from warp_plate import PlateSolver, Scene, SceneError
 
 EFFECTS = ("damping", "material_damping", "tension", "foundation", "orthotropic", "oscillators", "springs")
 EDGES = ("clamped", "supported", "free")
-NOTHING = "none"
+NOTHING, NONLINEAR = "none", ("stretching", "electrostatic", "moving_load")
 
 
 def random_scene(number):
@@ -69,6 +69,46 @@ def random_scene(number):
         "drive": {"frequency": frequency}, "window": {"start": start, "end": start + rng.uniform(1, 8) / frequency},
     }  # fmt: skip
     return Scene.from_tables(tables), names or [NOTHING]
+
+
+def random_nonlinear_scene(number):
+    """Return a scene that is not linear in its drives, and the names of its effects."""
+    rng = np.random.default_rng([number, 2])
+    scene, names = random_scene(int(rng.integers(10**6)))
+    kinds = [NONLINEAR[number % 3], *rng.choice(NONLINEAR, rng.choice([0, 1, 2], p=(0.6, 0.3, 0.1))).tolist()]
+    plate, period = scene.plate, 1 / scene.drive.frequency
+    scene = scene.with_tables(grid={"nodes": [max(11, round(40 * side / sum(plate.size))) for side in plate.size]})
+    phasors = np.array([[actuator.magnitude for actuator in scene.actuators]])
+    times = np.linspace(0, scene.window.end, 60)[1:]
+    moved = np.abs(PlateSolver(scene, "cpu").run(phasors, times).displacement).max()
+    amplitude = plate.thickness * (10 ** rng.uniform(-1, 0.4) if "stretching" in kinds else 0.1)
+    scale = amplitude / moved
+    tables = scene.model_dump()
+    effects, drive = tables["effects"], tables["drive"]
+    for actuator in tables["actuators"]:
+        actuator["magnitude"] *= scale
+    if "stretching" in kinds:
+        effects["stretching"] = {}
+    if "electrostatic" in kinds:
+        volts, bias = 100.0, rng.choice([0, rng.uniform(20, 300)])
+        drive["electrostatic"] = {"bias": bias, "gain": scale / (2 * bias * volts + volts**2 / 2)}
+        for actuator in tables["actuators"]:
+            actuator["magnitude"] *= volts / scale
+    if "moving_load" in kinds:
+        pressed = scale * sum(math.prod(np.diff(actuator.area)[::2]) for actuator in scene.actuators)
+        points = [np.array([rng.uniform(-0.1, 1.1) * side for side in plate.size]) for _ in range(2)]
+        crossing = scene.window.end * rng.uniform(0.5, 1)
+        effects["moving_load"] = {
+            "force": pressed * rng.uniform(0.3, 3), "start": points[0], "velocity": (points[1] - points[0]) / crossing,
+            "size": min(plate.size) * rng.choice([0, rng.uniform(0.02, 0.3)], p=(0.2, 0.8)),
+            "frequency": rng.choice([None, 1 / period * rng.uniform(0.3, 1.5)]),
+        }  # fmt: skip
+    if rng.random() < 0.2:
+        duration = scene.window.end * rng.uniform(0.3, 0.8)
+        start = rng.uniform(0, 0.5) * scene.window.start
+        drive["burst"] = {"start": start, "duration": duration, "ramp": duration * rng.uniform(0.05, 0.5)}
+    tables["grid"] = {"nodes": (27, 27)}
+    return Scene.from_tables(tables), [*dict.fromkeys(kinds), *names]
 
 
 def random_grid(scene, number):

@@ -28,12 +28,17 @@ from warp_plate.accuracy.configurations import (
 )
 from warp_plate.accuracy.grid_search import try_out
 from warp_plate.accuracy.more_functions import MoreFunctions, compare_with_more_functions, error_of
-from warp_plate.accuracy.reference_solution import ReferenceSolution, find_reference_solution, grid_lines
+from warp_plate.accuracy.reference_solution import (
+    ReferenceSolution,
+    find_reference_solution,
+    grid_lines,
+    refine_until,
+)
+from warp_plate.accuracy.richardson import STEPPED_SECONDS, Extrapolation, extrapolate_drives
 from warp_plate.modal.motion import fields
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.response import Response
 
 # Nominal time of the reference [s], whatever the run took, so that the same run has the same error bar.
 REFERENCE_SECONDS = 1.0
@@ -87,7 +92,7 @@ class Estimate:
         value, true = float(self.localization_factors[drive]), float(self.references[drive])
         bar, moved = float(self.errors[drive]) * true, float(self.displacement_errors[drive])
         if not math.isfinite(bar):
-            return f"{self.numerics}: no error estimate (the plate is at rest, or not linear in its drives)"
+            return f"{self.numerics}: no error estimate (the plate is at rest)"
         text = f"{self.numerics}: localization factor {_with_bar(value, bar)}"
         if self.kind == MORE_FUNCTIONS:
             text += " at most"
@@ -159,30 +164,23 @@ def estimate(
     if not kept.any():
         return _no_estimate(configuration_of(scene).grid_text, computed)
 
-    def wanted(response: Response) -> float:
-        difference = np.abs(computed[kept] / response.localization_factors(phasors[kept]) - 1).max()
-        return min(max(GOOD_ENOUGH * float(difference), FINEST_WANTED), FIRST_WANTED)
-
-    reference = reference or find_reference_solution(
-        scene, "auto", device, wanted, REFERENCE_SECONDS, phasors[kept], only=True
-    )
     references, displacement_errors = unknown.copy(), unknown.copy()
-    references[kept] = reference.response.localization_factors(phasors[kept])
+    found, references[kept] = _reference(scene, phasors[kept], computed[kept], device, reference)
     differences = np.abs(computed / references - 1)
     largest = float(np.nanmax(differences))
     # A difference within the uncertainty does not allow to extrapolate to smaller errors.
-    known = reference.uncertainty < largest
+    known = found.uncertainty < largest
     price = _price(scene, largest, phasors[kept], references[kept], device) if known else None
-    if displacement is not None and reference.plate is not None and len(times):
+    if displacement is not None and isinstance(found, ReferenceSolution) and found.plate is not None and len(times):
         for drive, fields in enumerate(displacement):
-            displacement_errors[drive] = reference.displacement_error(phasors[drive], times, scene, fields)
+            displacement_errors[drive] = found.displacement_error(phasors[drive], times, scene, fields)
     return Estimate(
         numerics=configuration_of(scene).grid_text,
         localization_factors=computed,
         references=references,
-        uncertainty=reference.uncertainty,
-        errors=differences + reference.uncertainty + ROUNDING[scene.grid.precision],
-        kind=reference.kind,
+        uncertainty=found.uncertainty,
+        errors=differences + found.uncertainty + ROUNDING[scene.grid.precision],
+        kind=found.kind,
         seconds=time.perf_counter() - started,
         price=price,
         displacement_errors=displacement_errors,
@@ -197,7 +195,13 @@ def estimate_modal(
     displacement: np.ndarray | None = None,
     compared: MoreFunctions | None = None,
 ) -> Estimate:
-    """Estimate the errors of results by modes, from what more functions change; see :func:`estimate`."""
+    """Estimate the errors of results by modes, from what more functions change; see :func:`estimate`.
+
+    Results under a moving load, which more functions would take too long for, are compared with grids.
+    """
+    if not scene.linear:
+        by_grids = estimate(scene, phasors, localization_factors)
+        return replace(by_grids, numerics=MODES, price=None)
     started = time.perf_counter()
     computed, phasors = np.asarray(localization_factors, dtype=float), np.asarray(phasors, dtype=complex)
     kept = _known(scene, phasors, computed)
@@ -226,9 +230,29 @@ def estimate_modal(
     )
 
 
+def _reference(
+    scene: Scene, phasors: np.ndarray, computed: np.ndarray, device: str, reference: ReferenceSolution | None
+) -> tuple[ReferenceSolution | Extrapolation, np.ndarray]:
+    """Return a reference and its localization factors; of a scene that is not linear for these drives alone."""
+
+    def wanted(factors: np.ndarray) -> float:
+        difference = np.abs(computed / factors - 1).max()
+        return min(max(GOOD_ENOUGH * float(difference), FINEST_WANTED), FIRST_WANTED)
+
+    if not scene.linear:
+        # As much time as the run took, if that is more.
+        seconds = max(REFERENCE_SECONDS, STEPPED_SECONDS * len(phasors) * node_steps(scene, configuration_of(scene)))
+        found = refine_until(extrapolate_drives(scene, phasors, device), lambda last: wanted(last.values), seconds)
+        return found, found.values
+    if reference is None:
+        until = lambda response: wanted(response.localization_factors(phasors))  # noqa: E731
+        reference = find_reference_solution(scene, "auto", device, until, REFERENCE_SECONDS, phasors, only=True)
+    return reference, reference.response.localization_factors(phasors)
+
+
 def _known(scene: Scene, phasors: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    """Return whether drives (drives,) have a reference: Gram matrices, which a nonlinear plate does not have."""
-    return np.asarray(np.isfinite(factors) & np.any(phasors != 0, axis=1) & scene.linear)
+    """Return whether the plates of drives (drives,) move, and so have a localization factor."""
+    return np.asarray(np.isfinite(factors) & (np.any(phasors != 0, axis=1) | (not scene.linear)))
 
 
 def _no_estimate(numerics: str, factors: np.ndarray) -> Estimate:

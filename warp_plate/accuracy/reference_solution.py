@@ -1,9 +1,7 @@
 """Reference solutions with an error bar: Gram matrices of the kinetic energies, which hold for any drive.
 
 "modal": modes of the plate without a grid, exact in time, with ever more functions.
-"richardson": for other scenes, extrapolation from four grids of this program, whose error falls as h⁴ (fourth order,
-moments) or h² (second order, overlap). The time step falls as h², so its error falls as h⁴ too. The numbers of cells of
-consecutive grids have no common factor, so that no line inside the plate is one of nodes on all of them.
+"richardson": for other scenes, extrapolation from grids of this program, see :mod:`~warp_plate.accuracy.richardson`.
 
 How far a reference is refined is decided by its nominal seconds, from the numbers of operations: the same scene has the
 same reference on every machine.
@@ -15,42 +13,31 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
-from warp_plate.accuracy.configurations import (
-    LOAD_OF,
-    Configuration,
-    highest_order,
-    node_steps,
-    nodes_for,
-    refuse_many_modes,
-    scene_with,
-    spacing_of,
-    stability_limit,
-)
+from warp_plate.accuracy.configurations import refuse_many_modes
+from warp_plate.accuracy.richardson import Extrapolation, extrapolate, weights_of_grids
 from warp_plate.modal.energy import gram_matrices
 from warp_plate.modal.modes import ModalPlate, solve_modes
 from warp_plate.modal.motion import fields
 from warp_plate.plate.modes import natural_modes
-from warp_plate.plate.scheme import SAFETY, STEPS_A_PERIOD
 from warp_plate.plate.signals import actuator_frequencies, highest_frequency
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.response import Response, measure_response
+from warp_plate.solve.response import Response, measure_response, unit_drives
 from warp_plate.solve.solver import PlateSolver
 
 # Densities of the functions, see ``solve_modes``.
 DENSITIES = (0.5, 0.7, 1.0, 1.4)
-# Nominal time per unknown and per square of a mode, and per node-step of one plate in float64 [s], as on two cores.
-MODAL_SECONDS, STEPPED_SECONDS = 1e-9, 2e-9
-# Nodes along the sides of the grids of Richardson's method, and natural frequencies that are returned.
-SIDES, FREQUENCIES = (18, 26, 37, 54, 75, 106, 150), 6
-# Error of an extrapolated value: this many times the last change, and at least this fraction of what extrapolation
-# added (measured against modes on the paper's scene: 1.2 times the change). That of modes: so many times the last
-# change; undamped plates, whose high modes keep swinging, need it.
-CHANGE_FACTOR, GAIN_FACTOR, MODAL_FACTOR = 2.0, 0.2, 4.0
+# Nominal time per unknown and per square of a mode [s], as on two cores.
+MODAL_SECONDS = 1e-9
+# Natural frequencies that are returned.
+FREQUENCIES = 6
+# Error of a reference by modes: this many times the last change; undamped plates, whose high modes keep swinging, need
+# it.
+MODAL_FACTOR = 4.0
 # Least error of results by modes, whatever the functions: modes are left out, and loads jump between knots.
 LEAST_ERROR = 1e-4
 # Least phase [rad] by which drive and mode differ at the end of the run: energies lose its square in digits.
@@ -107,9 +94,9 @@ class ReferenceSolution:
         """First natural frequencies [Hz]."""
         if self.plate is not None:
             return self.plate.frequencies[:FREQUENCIES]
-        coarse, fine = (natural_modes(scene, FREQUENCIES).frequencies for scene in self.scenes[-2:])
-        extrapolated: np.ndarray = fine + _gain(self.scenes) * (fine - coarse)
-        return extrapolated
+        last = self.scenes[-2:]
+        found: np.ndarray = weights_of_grids(last) @ [natural_modes(scene, FREQUENCIES).frequencies for scene in last]
+        return found
 
     def displacement(self, phasors: np.ndarray, times: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the (times, points along y, points along x) displacement [m] under a drive (actuators,) [N/m²]."""
@@ -129,6 +116,9 @@ class ReferenceSolution:
         expected = self.displacement(phasors, np.asarray(times, dtype=float), *grid_lines(scene))
         size = float(np.linalg.norm(expected))
         return float(np.linalg.norm(computed - expected)) / size if size > 0 else math.nan
+
+
+Refinement = TypeVar("Refinement", ReferenceSolution, Extrapolation)
 
 
 def best_single(response: Response) -> np.ndarray:
@@ -167,9 +157,19 @@ def find_reference_solution(
         raise SceneError(f"{scene.nonlinear_table}: not linear in the drives; accuracy needs a linear scene")
     observed = np.empty((0, len(scene.actuators))) if phasors is None else phasors
     refinements = _refinements(scene, kind, device, partial(largest_change, observed, only))
+    return refine_until(refinements, lambda last: wanted(last.response) if callable(wanted) else wanted, seconds)
+
+
+def refine_until(
+    refinements: Iterator[Refinement], wanted: Callable[[Refinement], float], seconds: float
+) -> Refinement:
+    """Return the first refinement whose uncertainty is at most that wanted, or the last one within a nominal time [s].
+
+    The first refinement with a finite uncertainty is within any time.
+    """
     last = next(refinements)
     spent = last.seconds
-    while last.uncertainty > (wanted(last.response) if callable(wanted) else wanted):
+    while last.uncertainty > wanted(last):
         if math.isfinite(last.uncertainty) and spent + last.next_seconds > seconds:
             break
         following = next(refinements, None)
@@ -250,43 +250,18 @@ def _by_modes(scene: Scene, change: Change) -> Iterator[ReferenceSolution]:
 
 
 def _by_richardson(scene: Scene, device: str, change: Change) -> Iterator[ReferenceSolution]:
-    responses: list[Response] = []
-    extrapolated: list[Response] = []
-    scenes: list[Scene] = []
-    # Time steps fall as h²; the drive limits the coarsest.
-    order, end = highest_order(scene), scene.window.end
-    grids = [nodes_for(scene.plate.size, side, order) for side in SIDES]
-    limits = [stability_limit(scene, order, nodes) for nodes in grids]
-    fraction = min(SAFETY, 1 / (STEPS_A_PERIOD * highest_frequency(scene)) / limits[0])
-    plates = len(scene.actuators) * (2 * len(scene.actuators) + 1)
-    for nodes, limit in zip(grids, limits, strict=True):
-        time_step = end / math.ceil(end / (fraction * limit))
-        configuration = Configuration(order, LOAD_OF[order], nodes, time_step, "float64")
-        scenes.append(scene_with(scene, configuration))
-        responses.append(measure_response(PlateSolver(scenes[-1], device)))
-        uncertainty = math.inf
-        if len(responses) > 1:
-            extrapolated.append(_extrapolated(scenes, responses))
-        if len(extrapolated) > 2:
-            uncertainty = CHANGE_FACTOR * change(extrapolated[-1], extrapolated[-3:-1])
-            uncertainty = max(uncertainty, GAIN_FACTOR * change(extrapolated[-1], responses[-1:]))
-        best = extrapolated[-1] if extrapolated else responses[-1]
-        nominal = STEPPED_SECONDS * plates * node_steps(scene, configuration)
-        # The next grid has twice the nodes and twice the steps.
-        yield ReferenceSolution("richardson", best, uncertainty, nominal, 4 * nominal, tuple(scenes), device)
+    def differ(matrices: np.ndarray, others: Sequence[np.ndarray]) -> float:
+        return change(Response(matrices), [Response(other) for other in others])
 
-
-def _extrapolated(scenes: Sequence[Scene], responses: Sequence[Response]) -> Response:
-    """Return the limit of the last two grids; that of the finer one where extrapolation makes energies negative."""
-    coarse, fine = (response.matrices for response in responses[-2:])
-    matrices = fine + _gain(scenes) * (fine - coarse)
-    return responses[-1] if np.linalg.eigvalsh(matrices[0]).min() <= 0 else Response(matrices)
-
-
-def _gain(scenes: Sequence[Scene]) -> float:
-    """Return Richardson's factor on the change between the last two grids."""
-    coarse, fine = (spacing_of(scene, scene.grid.nodes) for scene in scenes[-2:])
-    return 1 / ((coarse / fine) ** scenes[-1].grid.order - 1)
+    for found in extrapolate(
+        scene,
+        plates=len(unit_drives(len(scene.actuators))),
+        measure=lambda gridded: measure_response(PlateSolver(gridded, device)).matrices,
+        allowed=lambda matrices: np.linalg.eigvalsh(matrices[0]).min() > 0,  # energies are positive
+        change=differ,
+    ):
+        response, seconds = Response(found.values), (found.seconds, found.next_seconds)
+        yield ReferenceSolution("richardson", response, found.uncertainty, *seconds, found.scenes, device)
 
 
 def grid_lines(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
