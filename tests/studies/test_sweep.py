@@ -282,3 +282,13 @@ def test_a_result_replaces_only_one_of_the_same_sweep(plate, tmp_path):
     assert load_sweep(unfinished).finished
     save_finished(found, path, SweepFile(unfinished, resumes=True))
     assert not unfinished.exists()
+
+
+def test_drives_of_motion_that_begins_are_those_of_localize():
+    """From rest the phase that all actuators have in common counts, and is searched where no method is named."""
+    scene = scene_of(damping=1.0)
+    plan = plan_of(scene, "effects.damping.viscous=1")
+    point = sweep(scene, plan, "localize", device="cpu", evaluator="modal").values
+    result = localize(scene, device="cpu", evaluator="modal", estimate=False)
+    assert point["best"][0] == pytest.approx(result.cases["best"].localization_factor, rel=1e-9)
+    assert point["best"][0] == pytest.approx(result.bound, rel=1e-6)

@@ -12,7 +12,7 @@ import numpy as np
 from warp_plate.cluster.pool import WorkerPool, WorkersGone
 from warp_plate.interrupts import check_interrupt, deferred_interrupts
 from warp_plate.optimize.optimizer import Optimizer
-from warp_plate.problem.methods import make_optimizer
+from warp_plate.problem.methods import make_optimizer, with_method
 from warp_plate.problem.problem import EvaluatorName, Problem, make_problem
 from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.scene.errors import SceneError
@@ -89,7 +89,7 @@ def _prepare(
             raise SceneError(f"--evaluations {evaluations}: must be at least {at_once}")
         search = scene.search.model_copy(update={"iterations": evaluations // particles})
         scene = scene.model_copy(update={"search": search})
-    resolved, started = resolve_search_grid(scene, device, evaluator, path), time.perf_counter()
+    resolved, started = resolve_search_grid(with_method(scene), device, evaluator, path), time.perf_counter()
     problem = make_problem(resolved.scene, device, path, resolved.evaluator, pool=pool)
     prepared = time.perf_counter() - started - problem.compile_seconds
     if evaluator is None and problem.evaluator_name == "direct" and problem.response is not None:

@@ -16,6 +16,7 @@ from warp_plate.optimize.quadratic import best_position
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.evaluate_cases import reference_phasors
+from warp_plate.problem.methods import with_method
 from warp_plate.problem.problem import Problem, make_problem
 from warp_plate.result.sweep import SweepOutput
 from warp_plate.scene.errors import SceneError
@@ -70,7 +71,8 @@ def _localization_quantities(scene: Scene, settings: Settings) -> Values:
     otherwise it is searched as the scene says.
     """
     device, evaluator = settings.device, settings.evaluator
-    resolved = resolve_search_grid(scene.model_copy(update={"targets": ()}), device, evaluator).scene
+    scene = with_method(scene.model_copy(update={"targets": ()}))
+    resolved = resolve_search_grid(scene, device, evaluator).scene
     # Of time steps, the default evaluator takes Gram matrices for robust searches.
     problem = make_problem(resolved, device, settings.path, MODAL if evaluator == MODAL else None)
     if problem.response is not None and scene.search.robust is None:
