@@ -21,8 +21,10 @@ from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
 from warp_plate.reference import series
 from warp_plate.scene.grid import Grid
+from warp_plate.scene.keys import with_values
 from warp_plate.scene.model import Window
-from warp_plate.studies.grid_choice import resolve_search_grid
+from warp_plate.scene.vary import make_plan, parse_vary
+from warp_plate.studies.grid_choice import resolve_for_sweep, resolve_search_grid
 from warp_plate.studies.simulate import simulate
 
 OVERLAP = Configuration(2, "overlap", (27, 27), None, "float32")
@@ -365,3 +367,16 @@ def test_simulations_by_modes_have_an_error_bar(panel):
     error, expected = result.accuracy["estimate"]["error"], result.accuracy["expected"]
     assert 0 < error <= expected * (1 + 1e-9)
     assert expected < 0.05
+
+
+def test_a_sweep_chooses_once_where_waves_are_shortest(panel):
+    """The range's other end keeps the accuracy too; a grid that is varied is left to the points."""
+    scene = panel.with_accuracy(0.2)
+    plan = make_plan([parse_vary(scene, "drive.frequency=150,100,200")])
+    gridded = resolve_for_sweep(scene, plan, "cpu", "direct")
+    highest, lowest = (with_values(scene, {"drive.frequency": value}) for value in (200.0, 100.0))
+    assert gridded.grid.nodes == choose(highest, 0.2, "cpu").scene.grid.nodes
+    phasors = np.eye(3, dtype=complex)
+    found = factors_of(with_values(gridded, {"drive.frequency": 100.0}), phasors)
+    assert found == pytest.approx(solve_response(lowest, 1.0)[1].localization_factors(phasors), rel=0.2)
+    assert resolve_for_sweep(scene, make_plan([parse_vary(scene, "grid.accuracy=0.1,0.2")]), "cpu", "direct") is scene

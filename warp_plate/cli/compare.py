@@ -67,7 +67,7 @@ def compare(
     with (
         output.scene_errors(scene),
         workers.open_pool() as pool,
-        output.progress_bar("comparing", shown=not json) as show,
+        output.progress_bar("comparing", not json, loaded) as show,
     ):
         result = run(loaded, scene, names, seeds, on, path, evaluator, evaluations, show, pool)
     draw = partial(save_plots, draw_comparison, result)

@@ -121,7 +121,7 @@ def localize(
     output.prepare_pictures(pictures)
     with (
         workers.open_pool() as pool,
-        output.progress_bar("searching", not json) as show,
+        output.progress_bar("searching", not json, loaded) as show,
         output.scene_errors(scene),
         output.resumable(file, "localize"),
     ):

@@ -131,8 +131,11 @@ def number_text(value: float | None, digits: str, unit: str = "") -> str:
 
 
 @contextmanager
-def progress_bar(label: str, shown: bool) -> Iterator[Callable[..., None]]:
-    """Show a progress bar if standard error is a terminal; yield a function of (done, total, note) that updates it."""
+def progress_bar(label: str, shown: bool, scene: Scene | None = None) -> Iterator[Callable[..., None]]:
+    """Show a progress bar if standard error is a terminal; yield a function of (done, total, note) that updates it.
+
+    It begins with the choice of a grid if the scene asks for an accuracy.
+    """
     if not shown or not sys.stderr.isatty():
         yield lambda done, total, note="": None
         return
@@ -140,7 +143,8 @@ def progress_bar(label: str, shown: bool) -> Iterator[Callable[..., None]]:
 
     columns = (TextColumn(label), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(label, total=None, note="")
+        note = "choosing a grid" if scene is not None and scene.grid.accuracy is not None else ""
+        task = progress.add_task(label, total=None, note=note)
         yield lambda done, total, note="": progress.update(task, completed=done, total=total, note=note)
 
 
@@ -220,7 +224,8 @@ def print_cost(result: Result, console: Console, start: str = "") -> None:
         f"{before}. Effects {included}: {', '.join(result.effects) or 'none'}."
     )
     if "reason" in result.accuracy:
-        console.print(f"engine: {result.accuracy['reason']}")
+        took = f", chosen in {result.seconds['choose']:.2f} s" if "choose" in result.seconds else ""
+        console.print(f"engine: {result.accuracy['reason']}{took}")
     if "estimate" in result.accuracy:
         console.print(result.accuracy["estimate"]["line"])
     for sentence in warnings_of(result):

@@ -43,7 +43,7 @@ def simulate(
     output.prepare_pictures(pictures)
     from warp_plate.studies.simulate import simulate as run
 
-    with output.scene_errors(scene), output.progress_bar("simulating", shown=not json) as show:
+    with output.scene_errors(scene), output.progress_bar("simulating", not json, loaded) as show:
 
         def on_progress(done: int, total: int) -> None:
             show(done, total, f"{done:.2g} node-steps")

@@ -104,7 +104,7 @@ def sweep(
     # Devices that are named are used, also where another kind began.
     on_device_change = None if workers.devices is None and workers.device is None else output.log
     with output.resumable(file, "sweep"):
-        with workers.open_pool() as pool, output.progress_bar("sweeping", not json) as show:
+        with workers.open_pool() as pool, output.progress_bar("sweeping", not json, start.scene) as show:
             show(len(start.plan) - len(start.pending), len(start.plan), start.progress)
             note = "{} of {}: {}".format
             result = run_sweep(start, lambda *done: show(*done[:2], note(*done)), file, pool, on_device_change)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import islice, product
 from typing import Any, Literal
 
 import numpy as np
 
 from warp_plate.accuracy.choose import choose
+from warp_plate.accuracy.configurations import bending_wavelength, configuration_of, longest_time_step, scene_with
 from warp_plate.accuracy.estimate import estimate, estimate_modal
 from warp_plate.accuracy.more_functions import MoreFunctions
 from warp_plate.accuracy.reference_solution import ReferenceSolution
@@ -18,8 +22,13 @@ from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import at_highest_frequency
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import CELLS_A_WAVE
+from warp_plate.scene.keys import with_values
 from warp_plate.scene.model import Scene
+from warp_plate.scene.vary import Plan
 from warp_plate.solve.run import Run
+
+# Most corners of the ranges of a sweep that are looked at.
+MOST_CORNERS = 64
 
 
 @dataclass(frozen=True)
@@ -89,6 +98,30 @@ def resolve_search_grid(scene: Scene, device: str, evaluator: str | None = None,
     # The default evaluator of time steps; of robust searches it may be another.
     steps = "direct" if scene.search.robust is None else None
     return replace(resolved, scene=gridded, evaluator=resolved.evaluator or evaluator or steps)
+
+
+def resolve_for_sweep(scene: Scene, plan: Plan, device: str, evaluator: str) -> Scene:
+    """Choose the grid for all points of a sweep: at the corner of its ranges where bending waves are shortest.
+
+    The scene is returned as it is if the grid itself is varied, or if that corner keeps no accuracy; points then choose
+    for themselves.
+    """
+    if scene.grid.accuracy is None or any(key.startswith("grid.") for key in plan.keys):
+        return scene
+    ends = [np.unique(values)[[0, -1]] if values.dtype.kind in "iuf" else np.unique(values)
+            for values in plan.coordinates]  # fmt: skip
+    corners = []
+    for values in islice(product(*(end.tolist() for end in ends)), MOST_CORNERS):
+        with suppress(SceneError):
+            corners.append(at_highest_frequency(with_values(scene, dict(zip(plan.keys, values, strict=True)))))
+    with suppress(SceneError, ValueError):  # refused, or without corners
+        hardest = max(corners, key=lambda corner: math.sqrt(math.prod(corner.plate.size)) / bending_wavelength(corner))
+        chosen = resolve_grid(hardest, device, engine="modes" if evaluator == MODAL else "steps").scene
+        grid = configuration_of(chosen)
+        if evaluator != MODAL:  # stable at all corners
+            grid = replace(grid, time_step=min(longest_time_step(each, grid.order, grid.nodes) for each in corners))
+        return scene_with(scene, grid)
+    return scene
 
 
 def estimate_error(

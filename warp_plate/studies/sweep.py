@@ -21,6 +21,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import Plan, counted, make_plan, parse_vary, value_text
 from warp_plate.solve.devices import find_device, processor_of
 from warp_plate.studies.checkpointing import SweepFile
+from warp_plate.studies.grid_choice import resolve_for_sweep
 from warp_plate.studies.provenance import versions
 from warp_plate.studies.quantities_of_interest import QUANTITIES
 from warp_plate.studies.sweep_points import PointResult, run_here, run_on_pool, varied_files
@@ -163,7 +164,7 @@ def run_sweep(
     pool: WorkerPool | None = None,
     on_device_change: Callable[[str], object] | None = None,
 ) -> Sweep:
-    """Run the points that are pending.
+    """Run the points that are pending, with one grid for all if the scene asks for an accuracy.
 
     The result at a point depends only on its scene and the kind of device, so that a resumed or distributed sweep is
     bit-identical.
@@ -183,9 +184,12 @@ def run_sweep(
     def now() -> Sweep:
         return replace(current, seconds=start.seconds + time.perf_counter() - started)
 
+    chosen = start
+    if pending and (start.evaluator != MODAL or len(QUANTITIES[start.what].evaluators) > 1):
+        chosen = replace(start, scene=resolve_for_sweep(start.scene, start.plan, start.device, start.evaluator))
     try:
         with deferred_interrupts():
-            points = run_here(start, pending) if pool is None else run_on_pool(start, pending, pool)
+            points = run_here(chosen, pending) if pool is None else run_on_pool(chosen, pending, pool)
             for done, result in enumerate(points, total - len(pending) + 1):
                 current = _with_result(current, result, on_device_change)
                 if on_progress is not None:
