@@ -20,7 +20,7 @@ def accuracy(command, write_scene, panel, monkeypatch):
     """Run ``accuracy`` on small grids of the panel, in an empty folder."""
     monkeypatch.setattr(configurations, "SIDES", (9, 13, 417))
     monkeypatch.setattr(configurations, "BASE_SIDE", 9)
-    monkeypatch.setattr(report, "REFERENCE_ERROR", 2e-3)
+    monkeypatch.setattr(report, "LEAST_ERROR", 2e-3)
     write_scene(panel)
     return partial(command, "accuracy", "panel.toml", "--device", "cpu")
 

@@ -106,7 +106,7 @@ def _plot_family(axes: Axes, rows: Sequence[Row], front: Sequence[Row]) -> None:
 
 
 def _annotate(axes: Axes, record: Mapping[str, Any], rows: Sequence[Row]) -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter
+    from matplotlib.ticker import NullFormatter
 
     smallest = min(row["error"] for row in rows)
     for tolerance in TOLERANCES:
@@ -118,6 +118,4 @@ def _annotate(axes: Axes, record: Mapping[str, Any], rows: Sequence[Row]) -> Non
     if uncertainty > smallest / 3:
         axes.axhspan(smallest / 3, uncertainty, color="#eeeeee", zorder=0, label="uncertainty of the reference")
     axes.set(xlabel="seconds per plate", ylabel="relative error of localization factors")
-    axes.xaxis.set_major_locator(LogLocator())
-    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_minor_formatter(NullFormatter())

@@ -50,7 +50,8 @@ def plot_history(axes: Axes, result: Result) -> None:
     iteration = np.arange(1, best.size + 1)
     marker = "." if best.size < 10 else None
     label = MEAN_LABELS.get(result.scene.search.method)
-    if "mean" in gaps and label is not None:
+    # Places that overlap have losses beyond all others, which leave a mean without meaning.
+    if "mean" in gaps and label is not None and result.scene.search.position is None:
         axes.plot(iteration, offset - gaps["mean"], color="#9ecae1", linewidth=1.0, marker=marker, label=label)
     axes.plot(iteration, best, color="#08519c", linewidth=1.6, marker=marker, label="best so far")
     bound, kind = result.bound if localization else result.objective_values.get("bound"), result.bound_kind

@@ -11,6 +11,7 @@ import numpy as np
 from warp_plate.analysis.influence import film, with_one_frequency
 from warp_plate.modal.continuous_modes import linear_part
 from warp_plate.modal.modes import solve_modes
+from warp_plate.modal.solver import MODAL
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scheme import Scheme, make_scheme
 from warp_plate.plate.signals import carrier_frequencies, highest_frequency
@@ -88,6 +89,12 @@ class Check:
 
     def sentences(self) -> list[str]:
         """Return the properties as sentences."""
+        if self.path == MODAL:
+            return [
+                "Modes need no time steps and no grid; pictures have "
+                f"{self.nodes[0]} × {self.nodes[1]} points. The lowest natural frequency is "
+                f"{self.slowest_frequency:.4g} Hz, the highest drive frequency {self.drive_frequency:g} Hz."
+            ]
         limit, growth = self.limit, ""
         shares = sorted(limit.shares.items(), key=lambda share: -share[1])
         causes = ", ".join(f"{name} {100 * share:.3g} %" for name, share in shares if share >= 0.005)
@@ -133,8 +140,8 @@ class Check:
         }
 
 
-def check(scene: Scene, device: str = "auto", allow_unstable: bool = False) -> Check:
-    """Check a scene with a grid, without running it.
+def check(scene: Scene, device: str = "auto", allow_unstable: bool = False, by_modes: bool = False) -> Check:
+    """Check a scene with a grid, without running it; ``by_modes``: it would be run by modes.
 
     Raises:
         SceneError: see ``discretize``, or there is no such device.
@@ -142,6 +149,7 @@ def check(scene: Scene, device: str = "auto", allow_unstable: bool = False) -> C
     discretization = discretize(scene, allow_unstable=allow_unstable)
     scheme = discretization.scheme
     specialized = Specialized(discretization, find_device(device))
+    steps = not by_modes and scene.modal_only_key is None
     limit, frequency, slowest = scheme.stability, highest_frequency(scene), slowest_frequency(scene)
     return Check(
         nodes=scheme.nodes,
@@ -163,9 +171,9 @@ def check(scene: Scene, device: str = "auto", allow_unstable: bool = False) -> C
         bytes_a_plate=bytes_per_plate(specialized, 4 * len(scene.record.points)),
         plates=scene.search.particles,
         device=specialized.device.alias,
-        path=choose_path(specialized),
-        plan=describe_plan(specialized),
-        findings=tuple(find_warnings(scene, None)),
+        path=choose_path(specialized) if steps else MODAL,
+        plan=describe_plan(specialized) if steps else "without time steps",
+        findings=tuple(find_warnings(scene, None, steps)),
     )
 
 

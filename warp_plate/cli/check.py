@@ -19,10 +19,12 @@ def check(
     """Show the time step and its limit, points per wavelength, condition, memory and stepping path of a scene."""
     loaded = output.load_scene(scene, accuracy)
     from warp_plate.analysis.check import check as check_scene
-    from warp_plate.studies.grid_choice import resolve_grid
+    from warp_plate.modal.solver import MODAL
+    from warp_plate.studies.grid_choice import resolve_search_grid
 
     with output.scene_errors(scene):
-        found = check_scene(resolve_grid(loaded, device).scene, device, allow_unstable)
+        resolved = resolve_search_grid(loaded, device)
+        found = check_scene(resolved.scene, device, allow_unstable, resolved.evaluator == MODAL)
 
     def show(console: Console) -> None:
         console.print(f"{loaded.title or scene}\n", *found.sentences(), "", sep="\n")
