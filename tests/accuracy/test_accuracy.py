@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import warp as wp
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.accuracy import choose as choosing
@@ -24,6 +25,7 @@ from warp_plate.scene.grid import Grid
 from warp_plate.scene.keys import with_values
 from warp_plate.scene.model import Window
 from warp_plate.scene.vary import make_plan, parse_vary
+from warp_plate.studies import grid_choice
 from warp_plate.studies.grid_choice import resolve_for_sweep, resolve_search_grid
 from warp_plate.studies.simulate import simulate
 
@@ -380,3 +382,21 @@ def test_a_sweep_chooses_once_where_waves_are_shortest(panel):
     found = factors_of(with_values(gridded, {"drive.frequency": 100.0}), phasors)
     assert found == pytest.approx(solve_response(lowest, 1.0)[1].localization_factors(phasors), rel=0.2)
     assert resolve_for_sweep(scene, make_plan([parse_vary(scene, "grid.accuracy=0.1,0.2")]), "cpu", "direct") is scene
+
+
+def test_choices_are_kept_with_the_same_digits(panel, monkeypatch, tmp_path):
+    """A damaged file is made again, a folder that cannot be made is passed over."""
+    scene, calls = panel.with_accuracy(0.3), []
+    expected = choose(scene, 0.3, "cpu").scene
+    monkeypatch.setattr(grid_choice, "choose", lambda *given: calls.append(1) or choose(*given))
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    first, again = (grid_choice.resolve_grid(scene, "cpu") for _ in range(2))
+    assert len(calls) == 1
+    assert (first.scene, first.accuracy, first.evaluator) == (again.scene, again.accuracy, again.evaluator)
+    assert first.scene == expected
+    (file,) = (tmp_path / "warp-plate").iterdir()
+    file.write_text("{")
+    assert grid_choice.resolve_grid(scene, "cpu").scene == first.scene
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(file / "kernels"))
+    assert grid_choice.resolve_grid(scene, "cpu").scene == first.scene
+    assert len(calls) == 3

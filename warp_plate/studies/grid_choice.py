@@ -16,16 +16,16 @@ from warp_plate.accuracy.choose import choose
 from warp_plate.accuracy.configurations import bending_wavelength, configuration_of, longest_time_step, scene_with
 from warp_plate.accuracy.estimate import estimate, estimate_modal
 from warp_plate.accuracy.more_functions import MoreFunctions
-from warp_plate.accuracy.reference_solution import ReferenceSolution
 from warp_plate.modal.solver import MODAL, has_modes
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.design_variables import at_highest_frequency
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.grid import CELLS_A_WAVE
+from warp_plate.scene.grid import CELLS_A_WAVE, Grid
 from warp_plate.scene.keys import with_values
 from warp_plate.scene.model import Scene
 from warp_plate.scene.vary import Plan
 from warp_plate.solve.run import Run
+from warp_plate.studies.kept_choices import kept
 
 # Most corners of the ranges of a sweep that are looked at.
 MOST_CORNERS = 64
@@ -41,14 +41,14 @@ class ResolvedGrid:
         accuracy: the accuracy asked for, the expected error and the reason for the choice; empty if the scene has a
             grid.
         seconds: the time that the choice took, under "choose".
-        reference: what the choice measured errors against.
+        reference: more functions that the choice compared modes with, if it was made just now.
     """
 
     scene: Scene
     evaluator: str | None = None
     accuracy: Mapping[str, Any] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
-    reference: ReferenceSolution | MoreFunctions | None = None
+    reference: MoreFunctions | None = None
 
 
 def resolve_grid(
@@ -59,17 +59,32 @@ def resolve_grid(
 ) -> ResolvedGrid:
     """Choose the cheapest engine and grid that keep the scene's ``grid.accuracy``; a grid is returned as it is.
 
+    A choice is kept for the next command, see :mod:`warp_plate.studies.kept_choices`.
+
     Args:
         phasors: (drives, actuators) drives whose errors count (default: those that ``choose`` takes).
         engine: engine that may be chosen.
     """
     if scene.grid.accuracy is None:
         return ResolvedGrid(scene, accuracy=_by_waves(scene))
-    started = time.perf_counter()
-    choice = choose(scene, scene.grid.accuracy, device, phasors, engine)
-    accuracy = {"asked": scene.grid.accuracy, "expected": choice.error, "reason": choice.reason}
+    started, asked = time.perf_counter(), scene.grid.accuracy
+    compared: list[MoreFunctions] = []
+
+    def find() -> dict[str, Any]:
+        choice = choose(scene, asked, device, phasors, engine)
+        if isinstance(choice.reference, MoreFunctions):
+            compared.append(choice.reference)
+        grid = choice.scene.grid.model_dump(exclude={"accuracy"})
+        accuracy = {"asked": asked, "expected": choice.error, "reason": choice.reason}
+        return {"grid": grid, "accuracy": accuracy, "by_modes": choice.by_modes}
+
+    known = kept(scene, device, phasors, engine, find)
+    chosen = scene.model_copy(update={"grid": Grid(**known["grid"])})
+    if not known["by_modes"]:
+        chosen = scene_with(chosen, configuration_of(chosen))  # damping is centred too
     seconds = {"choose": time.perf_counter() - started}
-    return ResolvedGrid(choice.scene, MODAL if choice.by_modes else None, accuracy, seconds, choice.reference)
+    evaluator = MODAL if known["by_modes"] else None
+    return ResolvedGrid(chosen, evaluator, known["accuracy"], seconds, compared[0] if compared else None)
 
 
 def _by_waves(scene: Scene) -> dict[str, str]:
@@ -129,18 +144,16 @@ def estimate_error(
     phasors: Mapping[str, np.ndarray],
     run: Run,
     device: str,
-    reference: ReferenceSolution | MoreFunctions | None = None,
+    reference: MoreFunctions | None = None,
     by_modes: bool = False,
 ) -> dict[str, Any]:
     """Estimate the errors of a run of the named drives; return them as entry "estimate" of ``Result.accuracy``."""
     drives, factors = np.array(list(phasors.values())), localization_factor(run.energy)
     try:
         if by_modes:
-            compared = reference if isinstance(reference, MoreFunctions) else None
-            found = estimate_modal(scene, drives, factors, run.times, run.displacement, compared)
+            found = estimate_modal(scene, drives, factors, run.times, run.displacement, reference)
         else:
-            known = reference if isinstance(reference, ReferenceSolution) else None
-            found = estimate(scene, drives, factors, device, run.times, run.displacement, known)
+            found = estimate(scene, drives, factors, device, run.times, run.displacement)
     except SceneError as error:
         return {"estimate": {"cases": list(phasors), "line": f"no error estimate: {error}"}}
     return {"estimate": {"cases": list(phasors), **found.as_json(), "line": found.line()}}

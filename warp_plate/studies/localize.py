@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from warp_plate.accuracy.more_functions import MoreFunctions
-from warp_plate.accuracy.reference_solution import ReferenceSolution
 from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.modal.solver import MODAL, has_modes, make_solver
@@ -185,7 +184,7 @@ def _new_search(
     evaluator: EvaluatorName | None,
     path: str,
     pool: WorkerPool | None,
-) -> tuple[Checkpoint, Problem, ReferenceSolution | MoreFunctions | None]:
+) -> tuple[Checkpoint, Problem, MoreFunctions | None]:
     """Return the checkpoint of iteration 0, its problem, and the reference solution if the grid was chosen by one."""
     seed = scene.search.seed if seed is None else seed
     if not 0 <= seed < 2**63:
@@ -233,7 +232,7 @@ def _run(
     start: Checkpoint,
     problem: Problem,
     options: _Options,
-    reference: ReferenceSolution | MoreFunctions | None = None,
+    reference: MoreFunctions | None = None,
 ) -> Result:
     """Run a search from a checkpoint, which may be that of iteration 0, and make its result."""
     end, problem, interrupted = _search_targets(start, problem, options)
@@ -275,7 +274,7 @@ def _optional_parts(
     options: _Options,
     seconds: dict[str, float],
     interrupted: bool,
-    reference: ReferenceSolution | MoreFunctions | None,
+    reference: MoreFunctions | None,
 ) -> dict[str, Any]:
     """Compute the optional fields of a result and their node-steps, and add their seconds; a part that is refused or
     interrupted is left out."""

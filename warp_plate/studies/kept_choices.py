@@ -1,0 +1,52 @@
+"""Choices of an engine and a grid, kept in the folder of Warp's kernels for the next command on the same scene."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+import warp_plate
+from warp_plate.plate.files import digests
+from warp_plate.result.atomic_io import write_atomically
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+from warp_plate.solve.devices import find_device, processor_of
+
+# Tables that no choice depends on: the highest searched frequency is one of the actuators' already.
+UNREAD = {"title", "grid", "search", "record", "targets"}
+
+
+def kept(scene: Scene, device: str, phasors: np.ndarray | None, engine: str, choose: Callable[[], Any]) -> Any:
+    """Return plain data that ``choose`` returned for the same question, by the same program on the same processor.
+
+    A file that is damaged or cannot be written is passed over.
+    """
+    processor = processor_of(find_device(device))
+    drives = None if phasors is None else np.asarray(phasors, dtype=complex).tobytes().hex()
+    question = [scene.model_dump_json(exclude=UNREAD), digests(scene), scene.grid.accuracy, processor, drives, engine]
+    key = hashlib.sha256(json.dumps([*question, _program()]).encode()).hexdigest()
+    file = Path(str(wp.config.kernel_cache_dir)) / "warp-plate" / f"{key}.json"
+    with suppress(OSError, ValueError):
+        stored = json.loads(file.read_text())
+        if isinstance(stored, dict) and stored.get("key") == key:
+            return stored["choice"]
+    choice = choose()
+    with suppress(OSError, SceneError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(json.dumps({"key": key, "choice": choice}).encode(), file)
+    return choice
+
+
+def _program() -> str:
+    """Return the version and a digest of the program's own files, which change between versions too."""
+    whole = hashlib.sha256(warp_plate.__version__.encode())
+    for file in sorted(Path(warp_plate.__file__).parent.rglob("*.py")):
+        whole.update(file.read_bytes())
+    return whole.hexdigest()
