@@ -8,6 +8,7 @@ import pytest
 from conftest import output_of, scene_of
 from test_resume import assert_same, stopped
 
+from warp_plate.optimize.quadratic import best_position
 from warp_plate.problem.problem import make_problem
 from warp_plate.problem.scenario_losses import apply_measure
 from warp_plate.result import load_result, save_result
@@ -107,3 +108,12 @@ def test_the_command_shows_both_drives(write_scene, command):
     text = output_of(command(*options))
     assert "Over 6 fresh scenarios" in text
     assert "mean of the worst 5 %" in text
+
+
+def test_no_robust_drive_is_worse_than_the_best_of_the_nominal_plate():
+    """By the measure that is searched; a swarm of three steps alone would stay behind."""
+    scene = robust(search={"method": "pso", "iterations": 3})
+    problem = make_problem(scene, "cpu")
+    exact = best_position(problem.space, problem.nominal.quadratic)
+    found = localize(scene, device="cpu", estimate=False)
+    assert found.history["best"][-1] >= problem.value_from_loss(problem.losses(exact[None])[0])

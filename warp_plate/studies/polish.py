@@ -1,4 +1,5 @@
-"""The end of a search by modes: from the best position down to the nearest minimum."""
+"""The end of a search: by modes, from the best position down to the nearest minimum; of a robust one, the best drive of
+the nominal plate if that is better."""
 
 from __future__ import annotations
 
@@ -9,7 +10,8 @@ import numpy as np
 import scipy
 
 from warp_plate.modal.solver import MODAL
-from warp_plate.optimize.optimizer import Optimizer
+from warp_plate.optimize.optimizer import MethodError, Optimizer
+from warp_plate.optimize.quadratic import best_position
 from warp_plate.problem.objectives import loss_scale
 from warp_plate.problem.problem import Problem
 from warp_plate.studies.driver import history_of
@@ -35,7 +37,8 @@ def finish_search(
 ) -> tuple[np.ndarray | None, int, dict[str, np.ndarray]]:
     """Return the position of all design variables, the evaluations and the history of a search that has ended.
 
-    Where places, frequencies or delays are searched by modes, a descent follows it.
+    Where places, frequencies or delays are searched by modes, a descent follows it. A robust search tries the exact
+    drive of the nominal plate.
     """
     history = history_of(optimizer, problem)
     if optimizer is None or optimizer.result.xbest is None:
@@ -43,14 +46,28 @@ def finish_search(
     position, evaluations = optimizer.result.xbest, optimizer.result.evaluations
     complete = problem.complete(position)
     by_modes = problem.evaluator_name == MODAL and problem.scenario_losses is None
+    polished = None
     if by_modes and not problem.parametrization.only_drives and not interrupted:
         polished = polish(problem, position, optimizer.result.fbest)
+    elif problem.scenario_losses is not None and not interrupted:
+        polished = _nominal_drive(problem, optimizer.result.fbest)
+    if polished is not None:
         evaluations += polished.evaluations
         value = problem.value_from_loss(polished.loss)
         row = {"evaluations": evaluations, "best": value, "mean": value}
         history = {name: np.append(column, row[name]) for name, column in history.items()}
         complete = problem.complete(polished.position)
     return complete, evaluations, history
+
+
+def _nominal_drive(problem: Problem, loss: float) -> Polished | None:
+    """Return the best drive of the nominal plate if its loss over the scenarios is less than ``loss``."""
+    try:
+        position = best_position(problem.space, problem.nominal.quadratic)
+    except MethodError:  # it is not known exactly
+        return None
+    found = Polished(position, float(problem.losses(position[None])[0]), 1)
+    return found if found.loss < loss else None
 
 
 def polish(problem: Problem, position: np.ndarray, loss: float) -> Polished:
