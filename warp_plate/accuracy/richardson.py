@@ -38,7 +38,7 @@ FIRST_CELLS, FINER, GRIDS = 12, math.sqrt(2), 8
 EXTRAPOLATIONS = ((0, 2), (1, 2), (0, 3), (1, 3))
 # Error of an extrapolated value: this many times the largest difference of these extrapolations, and at least this
 # fraction of what extrapolation added.
-CHANGE_FACTOR, GAIN_FACTOR = 2.0, 0.2
+CHANGE_FACTOR, GAIN_FACTOR = 3.0, 0.2
 # Nominal time of a node-step in float64 [s], as on two cores.
 STEPPED_SECONDS = 2e-9
 
