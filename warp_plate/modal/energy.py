@@ -27,7 +27,7 @@ from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.motion import Excitation, make_excitation, with_moving_load
 from warp_plate.modal.poles import Poles, make_poles, rates_apart
 from warp_plate.modal.quadrature import by_quadrature
-from warp_plate.modal.steady import times
+from warp_plate.modal.steady import multiply_modes
 from warp_plate.modal.transient import forced_states, next_state
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
@@ -64,7 +64,7 @@ def gram_matrices(
         rate = 2j * math.pi * frequency[:, None, :] if quantity == "velocity" else 1
         forced = plate.respond_each(frequency, forces) * rate
         same = frequency[:, :, None] == frequency[:, None, :]
-        mixed = [(forced.conj().mT @ times(region, forced)) * same for region in regions]
+        mixed = [(forced.conj().mT @ multiply_modes(region, forced)) * same for region in regions]
         return np.stack([real_form(np.zeros_like(product), product) for product in mixed], axis=1)
     if plate.scene.drive.burst is None and has_exponential_loads(plate.scene):
         motion = _of_tones(plate, forces, frequency, quantity, window)
@@ -156,7 +156,7 @@ class _Motion:
             sides.append((conjugate, forced.mT, free, *(mean_exponential(*pair, window) for pair in means)))
         found = []
         for region in regions:
-            moved, shapes = times(as_sparse(region), self.forced), poles.moved(region)
+            moved, shapes = multiply_modes(as_sparse(region), self.forced), poles.moved(region)
             products = []
             for conjugate, forced, free, of_forced, across, of_free in sides:
                 both = self._by_actuator(self._by_actuator((forced @ moved) * of_forced).mT).mT

@@ -22,7 +22,7 @@ from functools import lru_cache
 import numpy as np
 
 from warp_plate.modal.modes import ModalPlate
-from warp_plate.modal.steady import coupled_poles, times
+from warp_plate.modal.steady import coupled_poles, multiply_modes
 
 # Two poles of one mode are kept apart by this part of one over the longest time: where they meet, as at critical
 # damping or of a rigid motion, exponentials cancel, and the error is about as large as this.
@@ -55,19 +55,19 @@ class Poles:
     def moved(self, matrix: np.ndarray) -> np.ndarray:
         """Return the product of a real matrix (rows, modes) and the free motions."""
         if self.modes is None:
-            return times(matrix, self.vectors)
+            return multiply_modes(matrix, self.vectors)
         return matrix[:, self.modes] * self.sizes
 
     def pressed(self, columns: np.ndarray, conjugate: bool = False) -> np.ndarray:
         """Return ψᵀ columns (..., poles, columns), or ψ̄ᵀ columns, of columns (..., modes, columns)."""
         if self.modes is None:
-            return times((self.vectors.conj() if conjugate else self.vectors).T, columns)
+            return multiply_modes((self.vectors.conj() if conjugate else self.vectors).T, columns)
         sizes = self.sizes.conj() if conjugate else self.sizes
         return np.asarray(columns[..., self.modes, :] * sizes[:, None])
 
     def gains(self, forces: np.ndarray) -> np.ndarray:
         """Return χ forces (..., poles, loads) of modal forces (..., modes, loads)."""
-        return times(self.inputs, forces) if self.modes is None else self.pressed(forces)
+        return multiply_modes(self.inputs, forces) if self.modes is None else self.pressed(forces)
 
     def forced(self, states: np.ndarray, forces: np.ndarray, gains: np.ndarray) -> np.ndarray:
         """Return the steady motion (..., modes, loads) Σ_p ψ_p χ_p f / (σ − s_p) of all poles.
@@ -78,7 +78,7 @@ class Poles:
             gains: (..., poles, loads) χ f.
         """
         if self.modes is None:
-            return times(self.vectors, gains * states)
+            return multiply_modes(self.vectors, gains * states)
         both = self.sizes[:, None] ** 2 * states
         return np.asarray(forces * (both[..., : len(self.vectors), :] + both[..., len(self.vectors) :, :]))
 

@@ -28,7 +28,7 @@ from warp_plate.modal.galerkin import patch_integrals
 from warp_plate.modal.loads import ExponentialLoads, exponential_loads
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles, make_poles, poles_apart, rates_apart
-from warp_plate.modal.steady import times
+from warp_plate.modal.steady import multiply_modes
 from warp_plate.plate.signals import actuator_delays
 from warp_plate.scene.model import Window
 
@@ -122,7 +122,8 @@ def _steady(
     """Return the arrays of :class:`EnergySlopes` in the steady state."""
     turn = 2j * math.pi * frequency[:, None, :]
     unit, by_x, by_y = (plate.respond_each(frequency, force) for force in forces)
-    inertia = 2 * turn * unit + times(plate.damping, unit)  # by iω of the dynamic stiffness, times the amplitudes
+    # By iω of the dynamic stiffness, times the amplitudes.
+    inertia = 2 * turn * unit + multiply_modes(plate.damping, unit)
     by_turn = -plate.respond_each(frequency, inertia)
     if quantity == "velocity":
         by_turn = turn * by_turn + unit
@@ -131,7 +132,7 @@ def _steady(
     moved = (unit * phasors[:, None, :]) @ same
     values = []
     for region in regions:
-        pressed = times(region, moved.conj()) / 2
+        pressed = multiply_modes(region, moved.conj()) / 2
         values.append(np.stack([(pressed * by).sum(axis=1) for by in (unit, by_turn, by_x, by_y)]))
     by_drive, by_turn, *by_centre = np.stack(values, axis=2)
     zero = np.zeros(by_drive.shape, dtype=complex)
@@ -230,14 +231,14 @@ class _Motion:
         sides = [_side_means(rates, lasting.values, conjugate, part) for conjugate in (False, True)]
         found = np.empty((3, designs, len(regions), count, self.rates.shape[1]), dtype=complex)
         for number, region in enumerate(regions):
-            shapes, moved = lasting.moved(region), times(region, forced)
+            shapes, moved = lasting.moved(region), multiply_modes(region, forced)
             rising = np.zeros((2, *forced.shape), dtype=complex)
             inner = np.zeros_like(free)
             for conjugate, (of_forced, of_free, crossed, decayed) in enumerate(sides):
                 side = [values.conj() if conjugate else values for values in (moved, shapes, free)]
                 columns, across, amplitudes = side
                 for target, mean, other in zip(rising, of_forced, of_free, strict=True):
-                    target += columns @ mean / 2 + _product(across, amplitudes[:, :, None] * other) / 2
+                    target += columns @ mean / 2 + multiply_modes(across, amplitudes[:, :, None] * other) / 2
                 inner += (lasting.pressed(columns) * crossed).sum(axis=2) / 2
                 inner += amplitudes @ (lasting.pressed(across) * decayed).T / 2
             pressed, bent = poles.pressed(rising).reshape(2, *self.forced.shape[1:3], *self.rates.shape[1:])
@@ -281,13 +282,6 @@ def _side_means(rates: np.ndarray, decays: np.ndarray, conjugate: int, part: Win
     of_free = _means(free[:, None], rates[:, None, :], part)
     pairs = (decays[:, None], first[:, None, :]), (decays[:, None], free)
     return of_forced, of_free, *(mean_exponential(*pair, part) for pair in pairs)
-
-
-def _product(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return a matrix (rows, poles) times columns (designs, poles, columns), as one product of two matrices."""
-    designs, count, wide = columns.shape
-    flat = columns.swapaxes(0, 1).reshape(count, designs * wide)
-    return np.asarray((matrix @ flat).reshape(-1, designs, wide).swapaxes(0, 1))
 
 
 def _means(first: np.ndarray, second: np.ndarray, part: Window) -> tuple[np.ndarray, np.ndarray]:

@@ -58,8 +58,7 @@ class ModalSolver:
         compile_seconds: Time that discretizing and solving for the modes took [s].
 
     Raises:
-        SceneError: The scene is not linear, its plate buckles, a file is malformed, or more than drives differs between
-            plates whose drive is no tone.
+        SceneError: The scene is not linear, its plate buckles, or a file is malformed.
     """
 
     path = MODAL

@@ -72,15 +72,15 @@ class CoupledModes:
         count, turn = len(vectors), omega[:, None]
         losses = turn * np.diag(self.damping) + np.diag(self.hysteretic)
         amplitudes = forces / (self.squares - turn**2 + 1j * losses)[:, :, None]
-        shares = times(inputs, forces[:, :count]) / (1j * turn - poles)[:, :, None]
-        amplitudes[:, :count] = times(vectors, shares)
+        shares = multiply_modes(inputs, forces[:, :count]) / (1j * turn - poles)[:, :, None]
+        amplitudes[:, :count] = multiply_modes(vectors, shares)
         return np.asarray(amplitudes)
 
     def _forces(self, omega: np.ndarray, amplitudes: np.ndarray) -> np.ndarray:
         """Return the forces that amplitudes (n, modes, loads) balance."""
         turn = 1j * omega[:, None, None]
-        balanced = (self.squares[:, None] + turn**2) * amplitudes + turn * times(self.damping, amplitudes)
-        return balanced + 1j * times(self.hysteretic, amplitudes) if self.hysteretic.any() else balanced
+        balanced = (self.squares[:, None] + turn**2) * amplitudes + turn * multiply_modes(self.damping, amplitudes)
+        return balanced + 1j * multiply_modes(self.hysteretic, amplitudes) if self.hysteretic.any() else balanced
 
     @cached_property
     def _poles(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -112,10 +112,10 @@ def coupled_poles(
     return values, vectors[:count] / unit[:, None], inputs
 
 
-def times(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndarray) -> np.ndarray:
+def multiply_modes(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndarray) -> np.ndarray:
     """Return a matrix (rows, modes) times complex columns (..., modes, columns), a real one in real arithmetic."""
     first = np.moveaxis(columns, -2, 0)
-    flat = first.reshape(len(first), -1)
+    flat = first.reshape(len(first), math.prod(first.shape[1:]))
     real = not np.iscomplexobj(matrix)
     product = matrix @ flat.real + 1j * (matrix @ flat.imag) if real else matrix @ flat
     return np.moveaxis(product.reshape(matrix.shape[0], *first.shape[1:]), 0, -2)

@@ -16,7 +16,7 @@ import scipy
 from warp_plate.modal.energy import as_sparse, lasting_poles, mean_exponential, real_form
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles, make_poles, rates_apart
-from warp_plate.modal.steady import times
+from warp_plate.modal.steady import multiply_modes
 from warp_plate.plate.designs import actuator_spaces, per_plate_of
 from warp_plate.plate.signals import actuator_frequencies
 from warp_plate.scene.model import Window
@@ -69,10 +69,10 @@ class ToneMatrices:
         across = [mean_exponential(turn[:, None, :], poles.values[:, None], window) for turn in turns]
         matrices = []
         for region, forms in zip(self._sparse_regions, self._free_forms, strict=True):
-            moved = times(region, forced)
+            moved = multiply_modes(region, forced)
             pressed = poles.pressed(moved), poles.pressed(moved, conjugate=True).conj()
             crossed = [(inner * mean).mT @ free for inner, mean in zip(pressed, across, strict=True)]
-            alone = [_times(form, free) for form in forms]
+            alone = [multiply_modes(form, free) for form in forms]
             plain = (forced.mT @ moved) * of_tones[0] + crossed[0] + crossed[0].mT + free.mT @ alone[0]
             mixed = (forced.conj().mT @ moved) * of_tones[1]
             mixed = mixed + crossed[1] + crossed[1].conj().mT + free.conj().mT @ alone[1]
@@ -113,13 +113,6 @@ class ToneMatrices:
             products = [poles.pressed(moved, bool(conjugate)) * mean for conjugate, mean in enumerate(means)]
             forms.append([as_sparse(product) for product in products])
         return forms
-
-
-def _times(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndarray) -> np.ndarray:
-    """Return a matrix (rows, poles) times columns (plates, poles, columns), as one product."""
-    first = np.ascontiguousarray(columns.swapaxes(0, 1))
-    product = matrix @ first.reshape(len(first), math.prod(first.shape[1:]))
-    return np.asarray(product.reshape(-1, *first.shape[1:]).swapaxes(0, 1))
 
 
 def trial_forces(plate: ModalPlate) -> np.ndarray:
