@@ -3,7 +3,7 @@
     python benchmarks/error_bars                    # 60 scenes
     python benchmarks/error_bars --scenes 500 --out benchmarks/results/error-bars.json
     python benchmarks/error_bars --first 37 --scenes 1
-    python benchmarks/error_bars --nonlinear --scenes 120
+    python benchmarks/error_bars --nonlinear --scenes 120 --jobs 8
 
 Each linear scene runs on a random grid and by modes, and with --promise as 1 % asks for; the others, of stretching,
 electrostatic force and moving loads, run on a random grid. Finite elements judge.
@@ -11,23 +11,16 @@ electrostatic force and moving loads, run on a random grid. Finite elements judg
 
 import argparse
 import json
+import os
 import sys
-import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
-
-import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from error_bars.judge import true_factors
-from error_bars.nonlinear import true_nonlinear_factor
-from error_bars.scenes import random_grid, random_nonlinear_scene, random_scene
-from warp_plate import Scene, SceneError
-from warp_plate.studies.simulate import simulate
-
-# Relative error of the judge, and the largest of a judge who is heard.
-JUDGE, UNSURE = 1e-4, 5e-3
-ASKED = 0.01
+from error_bars.campaign import measured, measured_nonlinear, report
 
 
 def main() -> None:
@@ -36,107 +29,20 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=60)
     parser.add_argument("--promise", action="store_true", help="choose a grid for 1 % as well")
     parser.add_argument("--nonlinear", action="store_true", help="scenes that are not linear in their drives")
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--jobs", type=int, default=1, help="processes, each with a thread")
+    parser.add_argument("--out", type=Path, help="rows as JSON, written after every scene")
     asked = parser.parse_args()
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "WARP_PLATE_THREADS"):
+        os.environ.setdefault(name, "1")  # for the processes
     rows = []
-    for number in range(asked.first, asked.first + asked.scenes):
-        rows += measured_nonlinear(number) if asked.nonlinear else measured(number, asked.promise)
+    measure = measured_nonlinear if asked.nonlinear else partial(measured, promise=asked.promise)
+    with ProcessPoolExecutor(asked.jobs, get_context("spawn")) as pool:
+        scenes = [pool.submit(measure, number) for number in range(asked.first, asked.first + asked.scenes)]
+        for scene in as_completed(scenes):
+            rows = sorted([*rows, *scene.result()], key=lambda row: (row["scene"], row["engine"]))
+            if asked.out:
+                asked.out.write_text(json.dumps(rows, indent=1) + "\n")
     report(rows)
-    if asked.out:
-        asked.out.write_text(json.dumps(rows, indent=1))
-
-
-def measured(number: int, promise: bool) -> list[dict]:
-    """Return a row for each engine."""
-    try:
-        scene, names = random_scene(number)
-        phasors = np.array([[a.magnitude * np.exp(-1j * a.phase) for a in scene.actuators]])
-        truth = float(true_factors(scene, phasors)[0])
-    except SceneError as error:
-        print(f"{number:4d} no scene: {error}", flush=True)
-        return []
-    engines = {"steps": (random_grid(scene, number), "auto"), "modes": (scene.with_tables(grid={}), "modal")}
-    if promise:
-        engines |= {
-            "1 % by steps": (scene.with_accuracy(ASKED), "streaming"),
-            "1 %": (scene.with_accuracy(ASKED), "auto"),
-        }
-    return [row_of(number, engine, names, truth, JUDGE, *run) for engine, run in engines.items() if run[0] is not None]
-
-
-def measured_nonlinear(number: int) -> list[dict]:
-    """Return the row of a scene that is not linear; none where the judge is not sure."""
-    try:
-        scene, names = random_nonlinear_scene(number)
-    except SceneError as error:
-        print(f"{number:4d} no scene: {error}", flush=True)
-        return []
-    phasors = np.array([actuator.magnitude * np.exp(-1j * actuator.phase) for actuator in scene.actuators])
-    truth, change = true_nonlinear_factor(scene, phasors)
-    gridded = random_grid(scene, number)
-    if gridded is None or change > UNSURE:
-        print(f"{number:4d} no grid, or the judge is not sure: {change:.1e}", flush=True)
-        return []
-    return [row_of(number, "not linear", names, float(truth), JUDGE + float(change), gridded, "auto")]
-
-
-def row_of(number: int, engine: str, names: list[str], truth: float, judge: float, scene: Scene, path: str) -> dict:
-    """Return the row of a scene by an engine: the found and the true localization factor, and the bar."""
-    row = {"scene": number, "engine": engine, "effects": names, "truth": truth, "judge": judge}
-    started = time.perf_counter()
-    try:
-        result = simulate(scene, device="cpu", path=path)
-    except SceneError as error:
-        row["refused"] = str(error)
-    else:
-        found = result.cases["drive"].localization_factor
-        estimated = result.accuracy["estimate"]
-        row |= {"found": found, "line": estimated["line"]}
-        if "error" in estimated:
-            row |= {"interval": estimated["interval"][0], "bar": estimated["error"] * estimated["references"][0]}
-    row["seconds"] = time.perf_counter() - started
-    print(text(row), flush=True)
-    return row
-
-
-def error_and_bar(row: dict) -> tuple[float, float]:
-    """Return the error of a row and its bar [localization factor], what the judge may be wrong by taken off."""
-    return max(abs(row["found"] - row["truth"]) - row["judge"] * row["truth"], 0.0), row["bar"]
-
-
-def missed(row: dict) -> bool:
-    """Return whether the truth lies outside the bar, or outside the interval of the true value."""
-    error, bar = error_and_bar(row)
-    low, high = row["interval"]
-    judge = row["judge"] * row["truth"]
-    return error > bar or not low - judge <= row["truth"] <= high + judge
-
-
-def text(row: dict) -> str:
-    head = f"{row['scene']:4d} {row['engine']:12s} {row['truth']:.6f}"
-    if "refused" in row:
-        return f"{head} refused: {row['refused']}"
-    if "bar" not in row:
-        return f"{head} {row['line']}"
-    error, bar = error_and_bar(row)
-    return (f"{head} {row['found']:.6f} off {error:.1e} bar {bar:.1e} interval {row['interval'][0]:.6f} "
-            f"{row['interval'][1]:.6f} {row['seconds']:.1f} s {','.join(row['effects'])}"
-            f"{' MISSED' if missed(row) else ''}")  # fmt: skip
-
-
-def report(rows: list[dict]) -> None:
-    print(
-        "\n| engine | runs | truth within the bar and the interval | bar / error, median | 95th percentile | refused |"
-    )
-    print("| --- | --- | --- | --- | --- | --- |")
-    for engine in dict.fromkeys(row["engine"] for row in rows):
-        own = [row for row in rows if row["engine"] == engine]
-        barred = [row for row in own if "bar" in row]
-        pairs = np.array([error_and_bar(row) for row in barred]).reshape(-1, 2)
-        ratio = pairs[:, 1] / np.maximum(pairs[:, 0], 1e-12)
-        held = sum(not missed(row) for row in barred)
-        print(f"| {engine} | {len(own)} | {held} of {len(barred)} | {np.median(ratio):.2g} | "
-              f"{np.percentile(ratio, 95):.2g} | {sum('refused' in row for row in own)} |")  # fmt: skip
 
 
 if __name__ == "__main__":

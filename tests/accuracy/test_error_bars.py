@@ -2,10 +2,10 @@
 
 import math
 
-import error_bars.__main__
+import error_bars.campaign
 import numpy as np
 import pytest
-from error_bars.__main__ import measured, measured_nonlinear, missed
+from error_bars.campaign import measured, measured_nonlinear, missed
 from error_bars.judge import true_factors
 
 from warp_plate import Scene
@@ -28,7 +28,7 @@ def test_the_judge_is_the_exact_series():
 
 def test_the_truth_lies_within_bar_and_interval(monkeypatch):
     """With what the judge found earlier, which takes it most of the time."""
-    monkeypatch.setattr(error_bars.__main__, "true_factors", lambda *_: np.array([TRUTH]))
+    monkeypatch.setattr(error_bars.campaign, "true_factors", lambda *_: np.array([TRUTH]))
     check(QUICK)
 
 

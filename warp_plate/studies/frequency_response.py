@@ -15,7 +15,7 @@ import numpy as np
 
 from warp_plate.modal.adaptive_frequencies import adaptive_frequencies
 from warp_plate.modal.modes import ModalPlate, solve_modes
-from warp_plate.modal.steady import times
+from warp_plate.modal.steady import multiply_modes
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity
 from warp_plate.scene.errors import SceneError
@@ -162,7 +162,8 @@ def _responses(
         amplitudes = plate.respond(chosen, loads)
         unit, driven = amplitudes[:, :, :inputs], amplitudes[:, :, inputs:]
         at_points = (np.moveaxis(unit, 1, 2) @ shapes).reshape(len(chosen), -1)
-        energy = np.einsum("fmi,fmi->fi", unit.conj(), unit if of_plate is None else times(of_plate, unit)).real
+        moved = unit if of_plate is None else multiply_modes(of_plate, unit)
+        energy = np.einsum("fmi,fmi->fi", unit.conj(), moved).real
         velocity = (2 * np.pi * chosen[:, None]) ** 2 * energy / (2 * mass)
         blocks.append((at_points, *_localization(driven, drive, of_target, of_plate), velocity))
     responses, factor, bound, velocity = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
@@ -186,8 +187,8 @@ def _localization(
     kept = values > RANK_TOLERANCE * values[:, :1]
     basis = basis * kept[:, None]
     adjoint = np.moveaxis(basis.conj(), 1, 2)
-    target = adjoint @ times(of_target, basis)
-    plate = adjoint @ (basis if of_plate is None else times(of_plate, basis))
+    target = adjoint @ multiply_modes(of_target, basis)
+    plate = adjoint @ (basis if of_plate is None else multiply_modes(of_plate, basis))
     motion = values * (drives @ (size * drive)[:, :, None])[:, :, 0]
     of_drive = (np.einsum("fa,fab,fb->f", motion.conj(), matrix, motion).real for matrix in (target, plate))
     # Directions that cancel out have no energy in the target, and any in the plate.
