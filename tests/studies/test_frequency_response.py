@@ -192,6 +192,16 @@ def test_undamped_plates_have_finite_responses_beside_their_resonances(scene):
     assert (distance < 1e-5).all()
 
 
+@pytest.mark.parametrize("viscous", [3e3, 1e5])
+def test_overdamped_plates_are_sampled_as_densely_as_others(scene, viscous):
+    """Wide peaks do not thin out the plain grid: |H| between the frequencies is that interpolated from them."""
+    found = compute_frequency_response(scene(damping=viscous), ["1"], POINTS[:1], (5, 400))
+    size = np.log(np.abs(found.responses[0]))
+    between = np.interp(np.log(found.frequencies[1:-1:2]), np.log(found.frequencies[::2]), size[::2])
+    assert len(found.frequencies) >= 400
+    assert between == pytest.approx(size[1:-1:2], abs=1e-3)
+
+
 def test_defaults_and_refusals(scene):
     """Points come from record.points, else from the middles of the targets; the range holds drive and modes."""
     made = scene(damping=5.0)

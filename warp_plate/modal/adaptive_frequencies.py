@@ -16,7 +16,8 @@ import numpy as np
 PLAIN = 400
 # (points,) x on the circle, every 10 degrees.
 CIRCLE = np.tan(np.radians(np.arange(-80, 81, 10)))
-# Frequencies closer than this part of their distance from the nearest pole are merged.
+# Frequencies closer than this part of their distance from the nearest pole are merged, unless they are farther apart
+# than half the spacing of the plain grid, which overdamped modes must not thin out.
 CLOSE = 0.05
 # Half-widths relative to the frequency: below SHARPEST a resonance counts as undamped, and is sampled as one of the
 # half-width UNDAMPED, on either side of its peak.
@@ -43,21 +44,21 @@ def adaptive_frequencies(centres: np.ndarray, widths: np.ndarray, low: float, hi
         skirt = CIRCLE[-1] * 2.0 ** np.arange(1, doublings + 1)
         groups.append(centre + width * np.concatenate([-skirt, CIRCLE, skirt]))
     frequencies = np.unique(np.concatenate(groups))
-    frequencies = _merged(frequencies[(frequencies >= low) & (frequencies <= high)], centres, widths)
+    frequencies = frequencies[(frequencies >= low) & (frequencies <= high)]
+    frequencies = _merged(frequencies, plain[1] / plain[0] - 1, centres, widths)
     for centre, width in zip(centres[undamped], widths[undamped], strict=True):
         frequencies = frequencies[np.abs(frequencies - centre) > width / 10]
     return frequencies
 
 
-def _merged(frequencies: np.ndarray, centres: np.ndarray, widths: np.ndarray) -> np.ndarray:
+def _merged(frequencies: np.ndarray, spacing: float, centres: np.ndarray, widths: np.ndarray) -> np.ndarray:
     """Return rising frequencies without those, but for the last, that are close to the one before in view of the
-    nearest pole."""
-    scale = np.full(len(frequencies), math.inf)
+    nearest pole and of the plain grid's spacing, a part of the frequency."""
+    near = 0.5 * spacing * frequencies
     for centre, width in zip(centres, widths, strict=True):
-        scale = np.minimum(scale, np.hypot(frequencies - centre, width))
-    scale = np.where(np.isfinite(scale), scale, 0.0)
+        near = np.minimum(near, CLOSE * np.hypot(frequencies - centre, width))
     kept = [0]
     for index in range(1, len(frequencies) - 1):
-        if frequencies[index] - frequencies[kept[-1]] > CLOSE * scale[index]:
+        if frequencies[index] - frequencies[kept[-1]] > near[index]:
             kept.append(index)
     return frequencies[[*kept, len(frequencies) - 1]]
