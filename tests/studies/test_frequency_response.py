@@ -192,6 +192,14 @@ def test_undamped_plates_have_finite_responses_beside_their_resonances(scene):
     assert (distance < 1e-5).all()
 
 
+def test_ends_of_the_range_stay_beside_undamped_resonances(scene):
+    natural = solve_modes(scene(), 200).frequencies[0]
+    for low, high in [(natural * (1 - 2e-7), natural * (1 - 1e-7)), (natural * (1 + 1e-7), 2 * natural)]:
+        found = compute_frequency_response(scene(), frequency_range=(low, high))
+        assert tuple(found.frequencies[[0, -1]]) == (low, high)
+        assert np.isfinite(found.responses).all()
+
+
 @pytest.mark.parametrize("viscous", [3e3, 1e5])
 def test_overdamped_plates_are_sampled_as_densely_as_others(scene, viscous):
     """Wide peaks do not thin out the plain grid: |H| between the frequencies is that interpolated from them."""

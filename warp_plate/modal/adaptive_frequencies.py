@@ -47,7 +47,8 @@ def adaptive_frequencies(centres: np.ndarray, widths: np.ndarray, low: float, hi
     frequencies = frequencies[(frequencies >= low) & (frequencies <= high)]
     frequencies = _merged(frequencies, plain[1] / plain[0] - 1, centres, widths)
     for centre, width in zip(centres[undamped], widths[undamped], strict=True):
-        frequencies = frequencies[np.abs(frequencies - centre) > width / 10]
+        ends = (frequencies == low) | (frequencies == high)
+        frequencies = frequencies[ends | (np.abs(frequencies - centre) > width / 10)]
     return frequencies
 
 
