@@ -48,7 +48,7 @@ def adaptive_frequencies(centres: np.ndarray, widths: np.ndarray, low: float, hi
     frequencies = _merged(frequencies, plain[1] / plain[0] - 1, centres, widths)
     for centre, width in zip(centres[undamped], widths[undamped], strict=True):
         ends = (frequencies == low) | (frequencies == high)
-        frequencies = frequencies[ends | (np.abs(frequencies - centre) > width / 10)]
+        frequencies = frequencies[np.abs(frequencies - centre) > np.where(ends, SHARPEST * centre, width / 10)]
     return frequencies
 
 
