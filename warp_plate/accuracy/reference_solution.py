@@ -38,6 +38,8 @@ FREQUENCIES = 6
 # Error of a reference by modes: this many times the last change; undamped plates, whose high modes keep swinging, need
 # it.
 MODAL_FACTOR = 4.0
+# At least this many times the change before it, since two refinements may agree by chance.
+BEFORE_FACTOR = 0.25
 # Least error of results by modes, whatever the functions: modes are left out, and loads jump between knots.
 LEAST_ERROR = 1e-4
 # Least phase [rad] by which drive and mode differ at the end of the run: energies lose its square in digits.
@@ -240,7 +242,10 @@ def _by_modes(scene: Scene, change: Change) -> Iterator[ReferenceSolution]:
             if responses:  # too many functions
                 return
             raise
-        uncertainty = max(MODAL_FACTOR * change(response, responses[-1:]), LEAST_ERROR) if responses else math.inf
+        uncertainty = math.inf
+        if len(responses) > 1:
+            last, before = change(response, responses[-1:]), change(responses[-1], responses[-2:-1])
+            uncertainty = max(MODAL_FACTOR * last, BEFORE_FACTOR * before, LEAST_ERROR)
         responses.append(response)
         seconds = MODAL_SECONDS * len(plate.vectors) * len(plate.frequencies) ** 2
         next_seconds = seconds * (following / density) ** 6  # unknowns and modes grow as the square
