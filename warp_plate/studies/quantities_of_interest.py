@@ -24,6 +24,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.studies.driver import search_optimizer
 from warp_plate.studies.frequency_response import respond_to_drive
 from warp_plate.studies.grid_choice import resolve_grid, resolve_search_grid
+from warp_plate.studies.polish import finish_search
 from warp_plate.studies.simulate import simulate
 
 # By name: one number, or an array along the output's axis.
@@ -95,7 +96,9 @@ def _best_position(problem: Problem) -> np.ndarray | None:
         except MethodError:  # a limit or a fixed number keeps the search from the eigenvector
             pass
     optimizer = search_optimizer(problem, problem.scene.search.seed)
-    return None if optimizer is None else problem.complete(minimize(optimizer, problem.losses).xbest)
+    if optimizer is not None:
+        minimize(optimizer, problem.losses)
+    return finish_search(optimizer, problem, interrupted=False)[0]
 
 
 def _simulation_quantities(scene: Scene, settings: Settings) -> Values:
