@@ -58,9 +58,10 @@ def row_of(number: int, engine: str, names: list[str], truth: float, judge: floa
     except SceneError as error:
         row["refused"] = str(error)
     else:
-        found = result.cases["drive"].localization_factor
-        estimated = result.accuracy["estimate"]
-        row |= {"found": found, "line": estimated["line"]}
+        case, estimated = result.cases["drive"], result.accuracy.get("estimate", {"line": "no estimate"})
+        row |= {"found": case.localization_factor, "line": estimated["line"]}
+        if case.status != "ok":
+            row["refused"] = case.status
         if "error" in estimated:
             row |= {"interval": estimated["interval"][0], "bar": estimated["error"] * estimated["references"][0]}
     row["seconds"] = time.perf_counter() - started
