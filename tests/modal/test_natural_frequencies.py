@@ -264,3 +264,10 @@ def test_random_plates(seed):
     frequencies, expected = lowest(scene), element_frequencies(scene, COUNT)
     moving = frequencies > 0
     assert frequencies[moving] == pytest.approx(expected[moving], rel=1e-5)
+
+
+def test_layers_whose_edges_nearly_coincide_are_refused():
+    layer = {"thickness": 1e-4, "young_modulus": 7e10, "density": 2700.0}
+    layers = [{**layer, "area": (0.05, 0.1, 0.05, 0.1)}, {**layer, "area": (0.1000001, 0.15, 0.05, 0.1)}]
+    with pytest.raises(SceneError, match=r"effects\.layers.*0\.1000001"):
+        solve_modes(scene_of(effects={"layers": layers}))

@@ -23,7 +23,6 @@ from warp_plate.modal.regions import region_matrix
 from warp_plate.modal.splines import gauss, make_splines
 from warp_plate.modal.steady import CoupledModes
 from warp_plate.plate.signals import highest_frequency
-from warp_plate.scene.effects import Tension
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
@@ -338,8 +337,17 @@ def _diagonal(matrix: np.ndarray) -> bool:
 
 
 def _buckled(scene: Scene) -> SceneError:
-    """Return the refusal of a plate whose tension T buckles it: for some μ < 1, K − T + μT is singular."""
-    tension = scene.effects.tension or Tension()
+    """Return the refusal of a plate whose tension T buckles it: for some μ < 1, K − T + μT is singular.
+
+    Without tension, splines between lines that nearly coincide have made the matrices singular.
+    """
+    tension = scene.effects.tension
+    if tension is None:
+        edges = [list(layer.area) for layer in scene.effects.layers]
+        return SceneError(
+            f"effects.layers: areas {edges}: modes cannot follow edges that lie so close together; let them "
+            "coincide or move them apart"
+        )
     effects = scene.effects.model_copy(update={"tension": None})
     pressed, bare = (
         make_galerkin(each, (FEWEST, FEWEST)).stiffness
