@@ -1,5 +1,7 @@
 """Kinetic-energy matrices of regions, against sums over many points."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from conftest import MATERIAL, scene_of
@@ -85,6 +87,42 @@ def test_parts_add_up(plate):
     assert np.allclose(plate.kinetic_matrix(outline)[lowest], whole, rtol=0, atol=1e-9)
     motion = plate.oscillator_motions[:300, 0]
     assert np.allclose(whole + 3e-3 * np.outer(motion, motion), np.eye(300), rtol=0, atol=1e-9)
+
+
+def test_rectangle_is_a_polygon(plate):
+    """Both are exact, whatever layers and splines lie across them; sides at other positions along x than along y."""
+    x0, x1, y0, y1 = area = REGIONS["rectangle"]
+    outline = Target(polygon=[(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+    matrix, expected = (plate.kinetic_matrix(region)[:MODES, :MODES] for region in (area, outline))
+    assert np.allclose(matrix, expected, rtol=0, atol=1e-10)
+
+
+def test_polygon_across_a_layer(plate):
+    """Its outline crosses all sides of the layer: the parts that the layer's lines cut off add up to it."""
+    polygon = REGIONS["concave polygon"]
+    x, y = (0.0, *LAYER["area"][:2], SIZE[0]), (0.0, *LAYER["area"][2:], SIZE[1])
+    parts = sum(plate.kinetic_matrix(polygon, (*across, *up)) for across in pairwise(x) for up in pairwise(y))
+    assert np.allclose(parts[:MODES, :MODES], plate.kinetic_matrix(polygon)[:MODES, :MODES], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("disc", [(0.1, 0.08, 0.057), (0.0505, 0.06, 0.004)], ids=["large", "small"])
+def test_disc_across_a_layer(plate, disc):
+    """Sums over many chords, each by Gauss's rule in and beside the layer."""
+    (left, right, bottom, top), (x0, y0, radius) = LAYER["area"], disc
+    nodes, shares = np.polynomial.legendre.leggauss(10)
+    shapes, rows, expected = np.eye(MODES, len(plate.frequencies)), 200, 0.0
+    turns = np.arcsin(np.clip([-1, (bottom - y0) / radius, (top - y0) / radius, 1], -1, 1))
+    for low, high in pairwise(turns):
+        for angle in low + (np.arange(rows) + 0.5) * (high - low) / rows:
+            y, half = y0 + radius * np.sin(angle), radius * np.cos(angle)
+            ends = np.clip([x0 - half, left, right, x0 + half], x0 - half, x0 + half)
+            x = (ends[:-1, None] + np.diff(ends)[:, None] * (1 + nodes) / 2).ravel()
+            weights = (np.diff(ends)[:, None] * shares / 2).ravel() * half * (high - low) / rows
+            mass = MATERIAL["density"] * MATERIAL["thickness"] + 0.6 * inside(LAYER["area"], x, np.array([y]))[0]
+            values = plate.displacement(shapes, x, np.array([y]))[:, 0]
+            expected = expected + (values * weights * mass) @ values.T
+    error = np.abs(plate.kinetic_matrix(Target(disc=disc))[:MODES, :MODES] - expected).max()
+    assert error < 3e-6 * np.abs(expected).max()
 
 
 def test_disc_within_a_rectangle_around_it(plate):

@@ -1,8 +1,9 @@
 """Mass matrices of parts of a plate: ∫ ρH X_i X_k Y_j Y_l dA over rectangles, discs, polygons and masks.
 
-A rectangle or mask adds its lines to Gauss's rule. A disc or polygon is cut into chords along x: Gauss's rule along y
-between the lines where the chords' ends are not smooth, and along x between the knots on each chord. On a disc the rule
-is in the angle, y = y₀ + r sin θ, in which the chords' ends are smooth.
+The sides of a rectangle and the lines of a mask are further breaks of Gauss's rule. A disc or polygon is cut into
+chords along x, with Gauss's rule along each chord, and along y for the integrals over the chords. These are smooth in y
+between knots, corners, and the points of the outline where a chord ends on a line across which the mass or the splines
+are not smooth. On a disc the rule is in the angle θ, y = y₀ + r sin θ, as the chords' length r cos θ is smooth in it.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from warp_plate.modal.galerkin import Galerkin, Integrals, Matrix
+from warp_plate.modal.lines import lines
 from warp_plate.modal.splines import gauss
 from warp_plate.plate.section import interpolate
 from warp_plate.plate.shapes import clipped, read_mask
@@ -72,55 +74,69 @@ def _over_mask(galerkin: Galerkin, target: Target, within: Area | None) -> Matri
 
 
 def _over_chords(galerkin: Galerkin, target: Target, within: Area | None) -> Matrix:
+    """Return the matrix of a disc or polygon; part of a disc counts as part of a polygon of DISC_CORNERS corners."""
     scene, along_x, along_y = galerkin.scene, galerkin.along_x, galerkin.along_y
     integrals = Integrals(scene, along_x, along_y)
-    count, breaks = integrals.rule, integrals.breaks
+    count, (breaks_x, breaks_y) = integrals.rule, integrals.breaks
+    places = np.array([place for place, _ in lines(scene, 0)])
     if target.disc is not None and within is None:
-        y, weights, chords = _disc_chords(target.disc, breaks[1], count)
+        y, weights, chords = _disc_chords(target.disc, places, breaks_y, count)
     else:
         corners = target.corners(DISC_CORNERS)
         assert corners is not None
-        y, weights, chords = _polygon_chords(corners if within is None else clipped(corners, within), breaks[1], count)
+        corners = corners if within is None else clipped(corners, within)
+        y, weights, chords = _polygon_chords(corners, places, breaks_y, count)
     rows, columns = integrals.pairs[0]
-    along, ordinates = [], []
-    for ordinate, weight, (low, high) in zip(y, weights, chords, strict=True):
-        inside = breaks[0][(breaks[0] > low) & (breaks[0] < high)]
+    along = np.empty((y.size, rows.size))
+    for number, (low, high) in enumerate(chords):
+        inside = breaks_x[(breaks_x > low) & (breaks_x < high)]
         x, shares = gauss(np.concatenate([[low], inside, [high]]), count)
         values = along_x.values(x)
-        density = integrals.fields_at(x, np.array([ordinate]))[-1][0]
-        along.append((values[rows] * (values[columns] * shares * density)).sum(axis=1) * weight)
-        ordinates.append(ordinate)
+        density = integrals.fields_at(x, y[number : number + 1])[-1][0]
+        along[number] = (values[rows] * values[columns]) @ (shares * density * weights[number])
     rows, columns = integrals.pairs[1]
-    values = along_y.values(np.array(ordinates))
-    return integrals.scatter((values[rows] * values[columns]) @ np.array(along))
+    values = along_y.values(y)
+    return integrals.scatter((values[rows] * values[columns]) @ along)
 
 
 def _disc_chords(
-    disc: tuple[float, float, float], breaks: np.ndarray, count: int
+    disc: tuple[float, float, float], places: np.ndarray, breaks: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray, list[tuple[float, float]]]:
-    """Return ordinates, weights and ends of the chords of a disc x, y, radius [m]."""
+    """Return ordinates [m], weights and ends [m] of the chords of a disc.
+
+    Args:
+        disc: Centre x, y and radius [m].
+        places: Positions along x where the integrals over chords are not smooth in the chords' ends [m].
+        breaks: Positions along y where they are not smooth in the ordinate [m].
+        count: Number of Gauss's points between two breaks.
+    """
     x, y, radius = disc
-    cuts = np.clip((breaks - y) / radius, -1, 1)
-    angle, weight = gauss(np.unique(np.concatenate([[-math.pi / 2, 0, math.pi / 2], np.arcsin(cuts)])), count)
+    half = np.abs(places - x) / radius
+    ends = np.arccos(half[half < 1])
+    cuts = np.arcsin(np.clip((breaks - y) / radius, -1, 1))
+    angle, weight = gauss(np.unique(np.concatenate([[-math.pi / 2, 0, math.pi / 2], cuts, ends, -ends])), count)
     half = radius * np.cos(angle)
     return y + radius * np.sin(angle), weight * half, list(zip(x - half, x + half, strict=True))
 
 
 def _polygon_chords(
-    corners: np.ndarray, breaks: np.ndarray, count: int
+    corners: np.ndarray, places: np.ndarray, breaks: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray, list[tuple[float, float]]]:
     """Return the same of a polygon (corners, 2) [m]; an ordinate returns for each chord at it."""
     if len(corners) < 3:
         return np.empty(0), np.empty(0), []
-    low, high = corners[:, 1].min(), corners[:, 1].max()
-    inside = breaks[(breaks > low) & (breaks < high)]
-    y, weights = gauss(np.unique(np.concatenate([corners[:, 1], inside])), count)
+    (x0, y0), (x1, y1) = corners.T, np.roll(corners, -1, axis=0).T
+    share = (places[:, None] - x0) / np.where(x1 == x0, math.inf, x1 - x0)
+    ends = (y0 + share * (y1 - y0))[(share > 0) & (share < 1)]
+    inside = breaks[(breaks > y0.min()) & (breaks < y0.max())]
+    y, weights = gauss(np.unique(np.concatenate([y0, inside, ends])), count)
     found = [(at, weight, chord) for at, weight in zip(y, weights, strict=True) for chord in _chords_at(corners, at)]
     ordinates, shares, chords = zip(*found, strict=True)
     return np.array(ordinates), np.array(shares), list(chords)
 
 
 def _chords_at(corners: np.ndarray, y: float) -> Iterator[tuple[float, float]]:
+    """Yield the ends [m] of the chords of a polygon at an ordinate, from left to right."""
     (x0, y0), (x1, y1) = corners.T, np.roll(corners, -1, axis=0).T
     crossed = (y0 < y) != (y1 < y)
     x = np.sort((x0 + (x1 - x0) * (y - y0) / np.where(crossed, y1 - y0, 1))[crossed])
