@@ -266,8 +266,30 @@ def test_random_plates(seed):
     assert frequencies[moving] == pytest.approx(expected[moving], rel=1e-5)
 
 
-def test_layers_whose_edges_nearly_coincide_are_refused():
+def layers_between(gap):
+    """Return two layers, the second beginning ``gap`` [m] behind the end of the first."""
     layer = {"thickness": 1e-4, "young_modulus": 7e10, "density": 2700.0}
-    layers = [{**layer, "area": (0.05, 0.1, 0.05, 0.1)}, {**layer, "area": (0.1000001, 0.15, 0.05, 0.1)}]
-    with pytest.raises(SceneError, match=r"effects\.layers.*0\.1000001"):
-        solve_modes(scene_of(effects={"layers": layers}))
+    return [{**layer, "area": (0.05, 0.1, 0.05, 0.1)}, {**layer, "area": (0.1 + gap, 0.15, 0.05, 0.1)}]
+
+
+def test_layers_whose_edges_nearly_coincide():
+    with pytest.raises(SceneError, match=r"effects\.layers.*0\.100005"):
+        solve_modes(scene_of(effects={"layers": layers_between(5e-6)}))
+    touching, apart = (lowest(scene_of(effects={"layers": layers_between(gap)}), 6) for gap in (0.0, 1e-8))
+    assert apart == pytest.approx(touching, rel=1e-5)
+
+
+def test_rigid_motions_of_a_plate_with_layers_have_no_frequency():
+    scene = scene_of(size=SIZE, edges=("free",) * 4, effects={"layers": layers_between(0.03)})
+    assert (lowest(scene, 4) > 0).tolist() == [False] * 3 + [True]
+
+
+@pytest.mark.parametrize("slenderness", [3, 30])
+def test_a_cantilever_strip_without_poisson_s_effect_is_a_beam(slenderness):
+    size, rigidity = (0.6, 0.6 / slenderness), 2.0
+    orthotropic = {"Dx": rigidity, "Dy": rigidity, "D1": 0.0, "Dxy": rigidity / 2}
+    scene = scene_of(size=size, edges=("clamped", "free", "free", "free"), effects={"orthotropic": orthotropic})
+    first = 1.8751040687119611**2 / (2 * math.pi * size[0] ** 2) * math.sqrt(rigidity / MASS)
+    for density in (1, 2):
+        frequency = solve_modes(scene, highest=0.0, count=4, density=density).frequencies[0]
+        assert frequency == pytest.approx(first, rel=1e-7)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from warp_plate.modal.modes import solve_modes
@@ -21,7 +19,7 @@ MOST_MODES = 1000
 def continuous_modes(scene: Scene, count: int, nodes: tuple[int, int] | None = None) -> NaturalModes:
     """Return the first ``count`` undamped modes of a scene's linear part, and their loss factors.
 
-    Frequencies are right to some 1e-6. Modes of one frequency are turned as those of the grid are.
+    Modes of one frequency are turned as those of the grid are.
 
     Args:
         scene: Scene; its grid and drive play no part.
@@ -34,14 +32,7 @@ def continuous_modes(scene: Scene, count: int, nodes: tuple[int, int] | None = N
     if not 1 <= count <= MOST_MODES:
         raise SceneError(f"count = {count}: must be from 1 to {MOST_MODES} modes")
     plate = solve_modes(linear_part(scene), highest=0.0, count=count + SPARE)
-    kept = slice(count + SPARE)
-    plate = replace(
-        plate,
-        frequencies=plate.frequencies[kept],
-        vectors=plate.vectors[:, kept],
-        damping=plate.damping[kept, kept],
-        hysteretic=plate.hysteretic[kept, kept],
-    )
+    plate = plate.part(np.arange(count + SPARE))
     nx, ny = nodes or _raster(scene)
     x, y = np.linspace(-1, 1, nx), np.linspace(-1, 1, ny)
     (width, height), masses = scene.plate.size, plate.oscillator_motions

@@ -5,7 +5,7 @@
 With the matrices of :mod:`warp_plate.modal.galerkin`, Λ = diag(ω_r²) and C = Φᵀ C Φ, which is not diagonal where
 dampers sit on patches or the plate's mass varies. H is the imaginary part of the stiffness of a plate with a constant
 loss factor, which has steady responses alone. All modes of a small plate are kept, so that nothing is truncated; of a
-large one those that matter below a frequency, by Lanczos' method.
+large one those that matter below a frequency.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy
 
-from warp_plate.modal.galerkin import Galerkin, Integrals, Matrix, make_galerkin, patch_integrals
-from warp_plate.modal.regions import region_matrix
-from warp_plate.modal.splines import gauss, make_splines
+from warp_plate.modal.galerkin.eigenproblem import solve_eigenproblem
+from warp_plate.modal.galerkin.integrals import Integrals, Matrix
+from warp_plate.modal.galerkin.matrices import Galerkin, make_galerkin, patch_integrals
+from warp_plate.modal.galerkin.regions import region_matrix
+from warp_plate.modal.galerkin.splines import gauss, make_splines
 from warp_plate.modal.steady import CoupledModes
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.errors import SceneError
@@ -37,8 +38,6 @@ MOST_INTERVALS = 400
 REACH, FURTHER, SPARE = 4.0, 350, 40
 # Gauss's points between two lines of the plate for its mean wave.
 POINTS_OF_MEAN = 2
-# All modes are computed at once, which then takes less time, if one in DENSE_SHARE is wanted, up to DENSE unknowns.
-DENSE, DENSE_SHARE = 3000, 10
 # Frequencies below this part of √(D/ρH)(π/longer side)² are those of rigid motions.
 STILL = 1e-4
 # Damping that couples two modes by less than this part of their own has no effect; by less than the other of the
@@ -91,7 +90,7 @@ class ModalPlate:
     @cached_property
     def proportional(self) -> bool:
         """True if damping does not couple the modes."""
-        return all(_diagonal(matrix) for matrix in (self.damping, self.hysteretic))
+        return all(_is_diagonal(matrix) for matrix in (self.damping, self.hysteretic))
 
     @cached_property
     def coupled(self) -> CoupledModes | None:
@@ -106,6 +105,18 @@ class ModalPlate:
         if self.coupled is not None:
             return self.coupled.resonances
         return self.frequencies, self.damping_ratios * self.frequencies
+
+    def part(self, indices: np.ndarray) -> ModalPlate:
+        """Return the plate with some of its modes."""
+        crossed = np.ix_(indices, indices)
+        return ModalPlate(
+            galerkin=self.galerkin,
+            frequencies=self.frequencies[indices],
+            vectors=self.vectors[:, indices],
+            damping=self.damping[crossed],
+            hysteretic=self.hysteretic[crossed],
+            highest=self.highest,
+        )
 
     def shapes(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return (modes, ny, nx) shapes φ [1/√kg] on the grid of x and y [m]."""
@@ -203,7 +214,7 @@ class ModalPlate:
 
     @property
     def _plate_unknowns(self) -> int:
-        return self.galerkin.along_x.functions * self.galerkin.along_y.functions
+        return math.prod(self.galerkin.shape)
 
     @property
     def _plate_vectors(self) -> np.ndarray:
@@ -217,10 +228,11 @@ def solve_modes(scene: Scene, highest: float | None = None, count: int = 0, dens
         scene: Scene; its grid, time steps and drive play no part.
         highest: Frequency up to which responses are accurate [Hz] (default: the highest of the scene's drive).
         count: Number of modes, from the lowest, that must be accurate.
-        density: Factor of the number of functions along each side, 1 for errors of some 1e-6.
+        density: Factor of the number of functions along each side (default: 1, whose errors docs/modal.md lists).
 
     Raises:
-        SceneError: The scene is not linear, its plate buckles, or a file that it names cannot be read.
+        SceneError: The scene is not linear, its plate buckles, too many modes are wanted, or a file that it names
+            cannot be read.
     """
     if scene.nonlinear_table not in (None, "effects.moving_load"):
         raise SceneError(f"{scene.nonlinear_table}: has no modes, for it is not linear; simulate it in time steps")
@@ -228,14 +240,21 @@ def solve_modes(scene: Scene, highest: float | None = None, count: int = 0, dens
         highest = highest_frequency(scene)
     wave, area = _wave_frequency(scene), math.prod(scene.plate.size)
     counted = wave * (math.sqrt(4 / math.pi * count) + 2) ** 2 / area if count else 0.0
-    galerkin = make_galerkin(scene, _intervals(scene, max(highest, counted), wave, density))
+    intervals = _intervals(scene, max(highest, counted), wave, density)
+    if max(intervals) > MOST_INTERVALS:
+        key = "drive.frequency" if highest >= counted else "count"
+        raise SceneError(
+            f"{key}: modes up to {max(highest, counted):.4g} Hz take {max(intervals)} intervals between the knots of "
+            f"splines along a side of the plate; at most {MOST_INTERVALS} are possible"
+        )
+    galerkin = make_galerkin(scene, intervals)
     # Weyl's law, and a margin for its boundary term.
     wanted = 1.1 * math.pi / 4 * area * max(REACH * highest, counted) / wave + (FURTHER if highest else SPARE)
     lowest = wave / max(scene.plate.size) ** 2
-    squares, vectors = _eigenpairs(galerkin, math.ceil(wanted), (2 * math.pi * lowest) ** 2)
+    squares, vectors = solve_eigenproblem(galerkin, math.ceil(wanted), (2 * math.pi * lowest) ** 2)
     frequencies = np.sqrt(np.maximum(squares, 0.0)) / (2 * math.pi)
     frequencies[frequencies < STILL * lowest] = 0.0
-    damping = _of_modes(galerkin, galerkin.damping, squares, vectors)
+    damping = _projected(galerkin, galerkin.damping, squares, vectors)
     hysteretic = np.zeros_like(damping)
     if scene.effects.modal_damping is not None:
         ratios = scene.effects.modal_damping.of_modes(frequencies.size)
@@ -244,64 +263,17 @@ def solve_modes(scene: Scene, highest: float | None = None, count: int = 0, dens
         if isinstance(loss.eta, tuple):
             hysteretic = np.diag(loss.of_modes(frequencies.size) * np.maximum(squares, 0))
         else:
-            hysteretic = loss.eta * _of_modes(galerkin, galerkin.bending, squares, vectors)
+            hysteretic = loss.eta * _projected(galerkin, galerkin.bending, squares, vectors)
     return ModalPlate(galerkin, frequencies, vectors, damping, hysteretic, highest)
 
 
-def _of_modes(galerkin: Galerkin, matrix: Matrix, squares: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def _projected(galerkin: Galerkin, matrix: Matrix, squares: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Return Φᵀ matrix Φ, which is diagonal for a multiple of the mass or of the stiffness."""
     for known, values in ((galerkin.mass, np.ones_like(squares)), (galerkin.stiffness, squares)):
         factor = matrix.trace() / known.trace()
         if abs(matrix - factor * known).max() <= ROUNDING * abs(matrix).max():
             return np.diag(factor * values)
     return np.asarray(vectors.T @ (matrix @ vectors))
-
-
-def _eigenpairs(galerkin: Galerkin, wanted: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return ω² [1/s²] and mass-normalised vectors (unknowns, modes) of so many modes at least.
-
-    Args:
-        galerkin: Matrices.
-        wanted: Number of modes, from the lowest.
-        scale: Size of the lowest ω² [1/s²].
-    """
-    unknowns = galerkin.mass.shape[0]
-    if unknowns > min(DENSE, DENSE_SHARE * wanted):
-        return _lowest(galerkin, min(wanted, unknowns // 2), scale)
-    mass = galerkin.mass.toarray()
-    shifted = galerkin.stiffness.toarray() + scale * mass
-    # Eigenvalues of the inverse problem: the largest have small relative errors, and they belong to the lowest modes.
-    units = 1 / np.sqrt(np.diag(shifted))
-    try:
-        inverse, vectors = scipy.linalg.eigh(
-            mass * np.outer(units, units), shifted * np.outer(units, units), driver="gvd"
-        )
-    except np.linalg.LinAlgError:
-        raise _buckled(galerkin.scene) from None
-    inverse, vectors = inverse[::-1], (units[:, None] * vectors)[:, ::-1]
-    kept = inverse > 1e-9 * inverse[0]  # of still higher ones rounding couples the damping
-    inverse, vectors = inverse[kept], vectors[:, kept]
-    squares = 1 / inverse - scale
-    if squares[0] < -STILL * scale:
-        raise _buckled(galerkin.scene)
-    return squares, vectors / np.sqrt(inverse)
-
-
-def _lowest(galerkin: Galerkin, wanted: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same, by shift and inversion."""
-    shifted = scipy.sparse.csc_array(galerkin.stiffness + scale * galerkin.mass)
-    solve = scipy.sparse.linalg.splu(
-        shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    ).solve
-    inverse = scipy.sparse.linalg.LinearOperator(shifted.shape, matvec=solve, dtype=float)
-    start = np.random.default_rng(0).normal(size=shifted.shape[0])
-    squares, vectors = scipy.sparse.linalg.eigsh(
-        galerkin.stiffness, wanted, galerkin.mass, sigma=-scale, OPinv=inverse, v0=start
-    )
-    if squares.min() < -STILL * scale:
-        raise _buckled(galerkin.scene)
-    order = np.argsort(squares, kind="stable")
-    return squares[order], vectors[:, order]
 
 
 def _intervals(scene: Scene, highest: float, wave: float, density: float) -> tuple[int, int]:
@@ -311,11 +283,6 @@ def _intervals(scene: Scene, highest: float, wave: float, density: float) -> tup
         math.ceil(max(FEWEST * math.sqrt(side / longer), PER_HALF_WAVE * waves * side)) for side in scene.plate.size
     ]
     x, y = (math.ceil(density * count) for count in counts)
-    if max(x, y) > MOST_INTERVALS:
-        raise SceneError(
-            f"drive.frequency: {waves * max(scene.plate.size):.0f} half-waves fit on a side at {highest:g} Hz, too "
-            f"many for modes; at most {MOST_INTERVALS / PER_HALF_WAVE:.0f} are possible"
-        )
     return x, y
 
 
@@ -329,35 +296,8 @@ def _wave_frequency(scene: Scene) -> float:
     return math.pi / 2 * math.sqrt(math.prod(scene.plate.size) / total)
 
 
-def _diagonal(matrix: np.ndarray) -> bool:
+def _is_diagonal(matrix: np.ndarray) -> bool:
     """Return whether a positive semidefinite matrix is diagonal but for rounding."""
     size = np.sqrt(np.abs(np.diag(matrix)))
     off = np.abs(matrix - np.diag(np.diag(matrix)))
     return bool(np.all(off <= PROPORTIONAL * np.outer(size, size) + ROUNDING * size.max(initial=0.0) ** 2))
-
-
-def _buckled(scene: Scene) -> SceneError:
-    """Return the refusal of a plate whose tension T buckles it: for some μ < 1, K − T + μT is singular.
-
-    Without tension, splines between lines that nearly coincide have made the matrices singular.
-    """
-    tension = scene.effects.tension
-    if tension is None:
-        edges = [list(layer.area) for layer in scene.effects.layers]
-        return SceneError(
-            f"effects.layers: areas {edges}: modes cannot follow edges that lie so close together; let them "
-            "coincide or move them apart"
-        )
-    effects = scene.effects.model_copy(update={"tension": None})
-    pressed, bare = (
-        make_galerkin(each, (FEWEST, FEWEST)).stiffness
-        for each in (scene, scene.model_copy(update={"effects": effects}))
-    )
-    # The rigid motion of a plate that nothing holds gets a stiffness of rounding's size.
-    held = bare + 1e-12 * bare.diagonal().max() * scipy.sparse.eye_array(bare.shape[0])
-    largest = scipy.sparse.linalg.eigsh(bare - pressed, 1, held.tocsc(), which="LA", return_eigenvectors=False)[0]
-    x, y, factor = tension.x, tension.y, 1 / largest
-    return SceneError(
-        f"effects.tension = {{x = {x:g}, y = {y:g}}}: the plate buckles; the critical load is x = {factor * x:.4g}, "
-        f"y = {factor * y:.4g} N/m, {factor:.3g} of this one"
-    )

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from warp_plate.modal.energy import lasting_poles, mean_exponential
-from warp_plate.modal.galerkin import patch_integrals
+from warp_plate.modal.galerkin.matrices import patch_integrals
 from warp_plate.modal.loads import ExponentialLoads, exponential_loads
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles, make_poles, poles_apart, rates_apart

@@ -9,7 +9,6 @@ scene, so that no plate depends on its neighbours.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import scipy
@@ -44,13 +43,7 @@ class WaveformEnergies:
         self._velocity, self._window = quantity == "velocity", plate.scene.window
         self._modes = modes = self._moving_modes(plate, np.sqrt((trial_forces(plate) ** 2).mean(axis=1)))
         both = np.ix_(modes, modes)
-        self._plate = replace(
-            plate,
-            frequencies=plate.frequencies[modes],
-            vectors=plate.vectors[:, modes],
-            damping=plate.damping[both],
-            hysteretic=plate.hysteretic[both],
-        )
+        self._plate = plate.part(modes)
         self._poles = make_poles(self._plate, self._window.end)
         self._factors = [_factor(region[both]) for region in regions]
 

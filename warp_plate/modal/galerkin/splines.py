@@ -19,6 +19,8 @@ from numpy.polynomial import legendre
 
 # Number of splines that each end leaves out.
 CONDITIONS = {"free": 0, "supported": 1, "clamped": 2}
+# Of corners nearer to each other than this part of the side, the sharpest stands for all.
+MERGED = 5e-5
 
 
 @dataclass(frozen=True)
@@ -97,10 +99,9 @@ def make_splines(
         corners: Positions [m] where only so many derivatives are continuous.
     """
     continuous: dict[float, int] = {}
-    for given, derivatives in corners:
-        position = round(given / length, 9) * length  # equal ones may differ by rounding
-        if 0 < position < length:
-            continuous[position] = min(derivatives, continuous.get(position, degree))
+    for position, derivatives in sorted(corners, key=lambda corner: corner[1]):
+        if all(abs(position - other) > MERGED * length for other in (0.0, length, *continuous)):
+            continuous[position] = derivatives
     positions = np.array(sorted({0.0, length, *continuous}))
     knots = [np.zeros(degree + 1)]
     for low, high in pairwise(positions):

@@ -13,9 +13,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from warp_plate.modal.galerkin import Galerkin, Integrals, Matrix
-from warp_plate.modal.lines import lines
-from warp_plate.modal.splines import gauss
+from warp_plate.modal.galerkin.integrals import Integrals, Matrix
+from warp_plate.modal.galerkin.lines import lines
+from warp_plate.modal.galerkin.matrices import Galerkin
+from warp_plate.modal.galerkin.splines import gauss
 from warp_plate.plate.section import interpolate
 from warp_plate.plate.shapes import clipped, read_mask
 from warp_plate.scene.fields import Area

@@ -1,0 +1,133 @@
+"""Natural frequencies and shapes from the matrices of a plate.
+
+The matrices' own rounding, some 1e-16 of their largest entries, would make the lowest frequencies of slender plates and
+the rigid motions of free plates wrong in the fourth digit, for the stiffest splines are 1e16 times as stiff as the
+plate. The lowest modes are therefore solved once more in the space that they span, with bending energies that are
+integrated from their curvatures: these have small relative errors.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from warp_plate.modal.galerkin.integrals import Integrals, Matrix
+from warp_plate.modal.galerkin.matrices import Galerkin, make_galerkin
+from warp_plate.plate.memory import refuse_beyond_memory
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import Scene
+
+# Modes that are solved for once more, and the most points at which their curvatures are held at a time.
+LOWEST, POINTS = 12, 1 << 18
+# All modes are computed unless fewer than one in SPARSE is wanted: then Lanczos' method takes less time.
+SPARSE = 5
+# Matrices of all unknowns, and vectors of a wanted mode, that the two ways hold.
+DENSE_MATRICES, LANCZOS_VECTORS = 7, 4
+# A negative ω² beyond this part of the size of the lowest shows that the plate buckles.
+BUCKLED = 1e-8
+# Intervals along both sides for the critical load.
+INTERVALS = 18
+
+
+def solve_eigenproblem(galerkin: Galerkin, wanted: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return ω² [1/s²], rising, and mass-normalised vectors (unknowns, modes) of so many modes at least.
+
+    Args:
+        galerkin: Matrices.
+        wanted: Number of modes, from the lowest.
+        scale: Size of the lowest ω² [1/s²].
+
+    Raises:
+        SceneError: The plate buckles, or the matrices do not fit into memory.
+    """
+    unknowns = galerkin.mass.shape[0]
+    few = wanted * SPARSE < unknowns
+    held = LANCZOS_VECTORS * wanted if few else DENSE_MATRICES * unknowns
+    refuse_beyond_memory(8.0 * unknowns * held, f"plate.size: {unknowns} functions and {min(wanted, unknowns)} modes")
+    squares, vectors = _lowest(galerkin, wanted, scale) if few else _all(galerkin, scale)
+    low = vectors[:, :LOWEST]
+    squares[: low.shape[1]], turn = scipy.linalg.eigh(_strain_energies(galerkin, low))
+    vectors[:, : low.shape[1]] = low @ turn
+    if squares[0] < -BUCKLED * scale:
+        raise _buckled(galerkin.scene)
+    return squares, vectors
+
+
+def _all(galerkin: Galerkin, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return all modes, by dense matrices."""
+    mass = galerkin.mass.toarray()
+    shifted = galerkin.stiffness.toarray() + scale * mass
+    # Eigenvalues of the inverse problem: the largest have small relative errors, and they belong to the lowest modes.
+    units = 1 / np.sqrt(np.diag(shifted))
+    try:
+        inverse, vectors = scipy.linalg.eigh(
+            mass * np.outer(units, units), shifted * np.outer(units, units), driver="gvd"
+        )
+    except np.linalg.LinAlgError:
+        raise _buckled(galerkin.scene) from None
+    inverse, vectors = inverse[::-1], (units[:, None] * vectors)[:, ::-1]
+    kept = inverse > 1e-9 * inverse[0]  # of still higher ones rounding couples the damping
+    inverse, vectors = inverse[kept], vectors[:, kept]
+    return 1 / inverse - scale, vectors / np.sqrt(inverse)
+
+
+def _lowest(galerkin: Galerkin, wanted: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest modes, by Lanczos' method with shift and inversion."""
+    shifted = scipy.sparse.csc_array(galerkin.stiffness + scale * galerkin.mass)
+    solve = scipy.sparse.linalg.splu(
+        shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    ).solve
+    inverse = scipy.sparse.linalg.LinearOperator(shifted.shape, matvec=solve, dtype=float)
+    start = np.random.default_rng(0).normal(size=shifted.shape[0])
+    squares, vectors = scipy.sparse.linalg.eigsh(
+        galerkin.stiffness, wanted, galerkin.mass, sigma=-scale, OPinv=inverse, v0=start
+    )
+    order = np.argsort(squares, kind="stable")
+    return squares[order], vectors[:, order]
+
+
+def _strain_energies(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:
+    """Return (modes, modes) Φᵀ K Φ of vectors Φ (unknowns, modes), the bending energy from curvatures."""
+    integrals, (rows, columns) = Integrals(galerkin.scene, galerkin.along_x, galerkin.along_y), galerkin.shape
+    bend_xx, bend_xy, bend_yy, twist, _ = (integrals.weights * field for field in integrals.fields())
+    coefficients = vectors[: rows * columns].reshape(rows, columns, -1)
+    along_x, along_y = (
+        [Matrix(splines.values(points, derivative).T) for derivative in (0, 1, 2)]
+        for splines, points in zip(integrals.along, integrals.points, strict=True)
+    )
+    total = np.asarray(vectors.T @ (galerkin.support @ vectors))
+    step = max(1, POINTS // integrals.points[0].size)
+    for part in (slice(start, start + step) for start in range(0, integrals.points[1].size, step)):
+        xx, xy, yy = (_values(along_y[2 - i][part], along_x[i], coefficients) for i in (2, 1, 0))
+        for field, first, second in ((bend_xx, xx, xx), (bend_yy, yy, yy), (4 * twist, xy, xy)):
+            total += (field[part].ravel() * first) @ second.T
+        coupled = (bend_xy[part].ravel() * xx) @ yy.T
+        total += coupled + coupled.T
+    return total
+
+
+def _values(along_y: Matrix, along_x: Matrix, coefficients: np.ndarray) -> np.ndarray:
+    """Return (modes, points) from functions at y (ny, rows) and x (nx, columns) and (rows, columns, modes)."""
+    rows, columns, modes = coefficients.shape
+    strips = (along_y @ coefficients.reshape(rows, -1)).reshape(-1, columns, modes).transpose(1, 2, 0)
+    values = (along_x @ strips.reshape(columns, -1)).reshape(along_x.shape[0], modes, -1)
+    return np.ascontiguousarray(values.transpose(1, 2, 0)).reshape(modes, -1)
+
+
+def _buckled(scene: Scene) -> SceneError:
+    """Return the refusal of a plate whose tension T buckles it: for some μ < 1, K − T + μT is singular."""
+    tension = scene.effects.tension
+    assert tension is not None
+    effects = scene.effects.model_copy(update={"tension": None})
+    pressed, bare = (
+        make_galerkin(each, (INTERVALS, INTERVALS)).stiffness
+        for each in (scene, scene.model_copy(update={"effects": effects}))
+    )
+    # The rigid motion of a plate that nothing holds gets a stiffness of rounding's size.
+    held = bare + 1e-12 * bare.diagonal().max() * scipy.sparse.eye_array(bare.shape[0])
+    largest = scipy.sparse.linalg.eigsh(bare - pressed, 1, held.tocsc(), which="LA", return_eigenvectors=False)[0]
+    x, y, factor = tension.x, tension.y, 1 / largest
+    return SceneError(
+        f"effects.tension = {{x = {x:g}, y = {y:g}}}: the plate buckles; the critical load is x = {factor * x:.4g}, "
+        f"y = {factor * y:.4g} N/m, {factor:.3g} of this one"
+    )

@@ -1,0 +1,117 @@
+"""Lines across which the section of a plate or its load is not smooth, and the splines that follow them.
+
+Where the rigidity jumps, at the edges of layers, only the slope is continuous; where it has a kink, at the columns of a
+map of thickness, the curvature; and where the load jumps, at the edges of an oscillator's patch, the third derivative.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from warp_plate.modal.galerkin.splines import Splines, make_splines
+from warp_plate.plate.section import factor_arrays
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.model import ElasticEdge, Scene
+
+# Degree of the splines, of those of a section with jumps or up to FEW_KINKS kinks along a side, and with more: each
+# repeats knots, fewer of a low degree.
+DEGREE, DEGREE_OF_JUMPS, DEGREE_OF_KINKS, FEW_KINKS = 7, 5, 4, 10
+# Up to so many oscillators, splines near the edges of their patches, across which the load jumps.
+MOST_PATCHES = 8
+# The curvature alone is continuous across a line of a map where the slope of a factor changes by more than KINK times
+# its value over the columns' distance, if there are no more than MOST_KINKS of them along either side.
+KINK, MOST_KINKS = 0.01, 36
+# Intervals, as parts of the others, near a corner between a clamped and a free edge, where the moments are singular.
+CORNER_INTERVALS = (0.3, 0.09)
+# The same on either side of the edges of layers, whose corners are singular too: fewer if there are many edges.
+LAYER_INTERVALS = (0.3, 0.09, 0.027)
+# None are in gaps narrower than this part of an interval.
+NARROW = 0.3
+# Parts of a side: edges of layers nearer than the first count as one, and those nearer than the second are refused, for
+# splines between them are so stiff that rounding hides the plate.
+SAME, CLOSE = 1e-6, 1e-4
+
+
+def plate_splines(scene: Scene, axis: int, intervals: int) -> Splines:
+    """Return the functions along x (0) or y (1) of a scene's plate, with about so many intervals between knots."""
+    edges, length, degree = scene.edges, scene.plate.size[axis], _degree(scene)
+    ends, sides = ((edges.left, edges.right), (edges.bottom, edges.top))[:: 1 if axis == 0 else -1]
+    knots = [line for line in lines(scene, axis, degree) if line[1] < degree]
+    for end, place in zip(ends, (0.0, length), strict=True):
+        if any(_singular(end, side) for side in sides):
+            sign = 1 if place == 0 else -1
+            knots += [(place + sign * part * length / intervals, degree - 1) for part in CORNER_INTERVALS]
+    knots += [(place, degree - 1) for place in _near_layers(scene, axis, length / intervals)]
+    low, high = ("free" if isinstance(end, ElasticEdge) else end for end in ends)
+    return make_splines(length, (low, high), intervals, degree, knots)
+
+
+def lines(scene: Scene, axis: int, degree: int = DEGREE) -> list[tuple[float, int]]:
+    """Return where section or load are not smooth along x (0) or y (1) [m], and the derivatives of splines there."""
+    found = []
+    if len(scene.effects.oscillators) <= MOST_PATCHES:
+        for oscillator in scene.effects.oscillators:
+            found += [(position, degree - 2) for position in oscillator.area[2 * axis : 2 * axis + 2]]
+    for layer in scene.effects.layers:
+        found += [(position, 1) for position in layer.area[2 * axis : 2 * axis + 2]]
+    kinks = _kinks(scene)
+    followed = _most(kinks) <= MOST_KINKS
+    return found + [(place, 2 if sharp and followed else degree) for place, sharp in kinks[axis].items()]
+
+
+def _kinks(scene: Scene) -> tuple[dict[float, bool], dict[float, bool]]:
+    """Return the inner lines of the scene's maps along x and along y [m], and whether each is a kink that counts."""
+    kinks: tuple[dict[float, bool], dict[float, bool]] = {}, {}
+    for array in factor_arrays(scene).values():
+        for axis, rows in enumerate((array.T, array)):
+            sharp: np.ndarray = np.any(np.abs(np.diff(rows, 2, axis=0)) > KINK * rows[1:-1], axis=1)
+            for index, counts in enumerate(sharp.tolist(), 1):
+                place = scene.plate.size[axis] * index / (len(rows) - 1)
+                kinks[axis][place] = kinks[axis].get(place, False) or counts
+    return kinks
+
+
+def _most(kinks: tuple[dict[float, bool], dict[float, bool]]) -> int:
+    """Return the number of kinks along the side that has more of them."""
+    return max(sum(sharp.values()) for sharp in kinks)
+
+
+def _degree(scene: Scene) -> int:
+    """Return the degree of a scene's splines."""
+    most = _most(_kinks(scene))
+    if scene.effects.layers or 0 < most <= FEW_KINKS or most > MOST_KINKS:
+        return DEGREE_OF_JUMPS
+    return DEGREE_OF_KINKS if most else DEGREE
+
+
+def _near_layers(scene: Scene, axis: int, interval: float) -> list[float]:
+    """Return positions of further knots along x (0) or y (1) [m] near the edges of layers that end inside the plate.
+
+    Raises:
+        SceneError: Two edges nearly coincide.
+    """
+    edges = [
+        {place for layer in scene.effects.layers for place in layer.area[2 * i : 2 * i + 2] if 0 < place < side}
+        for i, side in enumerate(scene.plate.size)
+    ]
+    found, parts = [], LAYER_INTERVALS[: max(1, 4 - len(edges[axis]) // 2)] if all(edges) else ()
+    side = scene.plate.size[axis]
+    for low, high in pairwise(sorted({0.0, side, *edges[axis]})):
+        if SAME * side < high - low < CLOSE * side:
+            raise SceneError(
+                f"effects.layers: edges at {'xy'[axis]} = {low:.9g} and {high:.9g} m are too close for modes; let them "
+                f"coincide or move them at least {CLOSE * side:.3g} m apart"
+            )
+        steps = [part * min(interval, high - low) for part in parts if high - low > NARROW * interval]
+        found += [low + step for step in steps if low in edges[axis]]
+        found += [high - step for step in steps if high in edges[axis]]
+    return found
+
+
+def _singular(first: object, second: object) -> bool:
+    """Return whether moments are singular at the corner of two edges: a clamped or elastic one meets another kind."""
+    held = [edge == "clamped" or isinstance(edge, ElasticEdge) for edge in (first, second)]
+    loose = [edge == "free" or isinstance(edge, ElasticEdge) for edge in (first, second)]
+    return first != second and ((held[0] and loose[1]) or (held[1] and loose[0]))
