@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
 
+from warp_plate.result.amplitudes import amplitude_column
 from warp_plate.result.model import BOUND_DESCRIPTIONS, Case, Result
 from warp_plate.scene.model import Scene
 from warp_plate.viz.availability import missing_plots, missing_renderer
@@ -24,8 +25,12 @@ Table = tuple[Sequence[str], Sequence[Sequence[str]]]
 
 def scene_html(scene: Scene) -> str:
     """Return the settings of a scene, its actuators, and a picture of its layout."""
-    headings = ("actuator", "x, y (m)", f"magnitude ({scene.drive_unit})", "phase (rad)")
-    rows = [(item.name, _area(item.area), f"{item.magnitude:g}", f"{item.phase:.4g}") for item in scene.actuators]
+    heading, amplitudes = amplitude_column(scene, [item.magnitude for item in scene.actuators], "g")
+    headings = ("actuator", "x, y (m)", heading, "phase (rad)")
+    rows = [
+        (item.name, _area(item.area), amplitude, f"{item.phase:.4g}")
+        for item, amplitude in zip(scene.actuators, amplitudes, strict=True)
+    ]
     picture = _picture(lambda path: draw_layout(scene, path), missing_plots())
     tables = [((), _scene_rows(scene)), (headings, rows)]
     return _html(scene.title or "Scene", tables, [], picture, "Layout of the plate")
@@ -41,13 +46,14 @@ def result_html(result: Result) -> str:
         rows.append((BOUND_DESCRIPTIONS[result.bound_kind] + target, percent(result.bound)))
     name, case = shown_case(result)
     label = case_label(name, scene)
+    heading, amplitudes = amplitude_column(scene, case.magnitude, ".4f")
     actuators = [
-        (actuator.name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}", *(f"{x:.5g}" for x in others))
-        for actuator, magnitude, phase, *others in zip(
-            scene.actuators, case.magnitude, case.phase, *case.per_actuator.values(), strict=True
+        (actuator.name, amplitude, f"{phase:.4f}", f"{phase / math.pi:.4f}", *(f"{x:.5g}" for x in others))
+        for actuator, amplitude, phase, *others in zip(
+            scene.actuators, amplitudes, case.phase, *case.per_actuator.values(), strict=True
         )
     ]
-    headings = (f"actuator, {label}", f"magnitude ({scene.drive_unit})", "phase (rad)", "phase / π", *case.per_actuator)
+    headings = (f"actuator, {label}", heading, "phase (rad)", "phase / π", *case.per_actuator)
     tables = [(("drive", "localization factor"), rows), (headings, actuators)]
     notes = [
         "Interrupted by Ctrl-C: the best so far is shown." if result.interrupted else "",

@@ -5,9 +5,12 @@ import pytest
 from conftest import PAPER, refusal, scene_of
 
 from warp_plate import Scene, SceneError
+from warp_plate.cli.tables import drive_json, drive_table
 from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scene_overrides import actuator_centres, scene_phasors, scene_with
 from warp_plate.problem.uncertainty import draw_scenarios
+from warp_plate.result.export.time_series import make_drive_signal
+from warp_plate.result.model import Case
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.keys import label_of, resolved_key, unit_of, with_values
 from warp_plate.studies.simulate import simulate
@@ -15,6 +18,7 @@ from warp_plate.studies.sweep import sweep
 
 PATCH = (0.03, 0.06, 0.05, 0.07)  # 6e-4 m²
 AREA = 6e-4
+PATCH_AREAS = np.array([AREA, 2.5e-3])
 
 
 def pressed(force=None, magnitude=None, **tables):
@@ -71,13 +75,44 @@ def test_a_sweep_over_the_force():
 def test_other_drives_places_and_scenarios():
     made = pressed(force=0.3, search={"robust": {"place": 0.01, "thickness": 0.05}})
     other = scene_with(made, magnitude=np.array([2.0, 3.0]))
-    assert [(row.force, row.magnitude) for row in other.actuators] == [(None, 2.0), (None, 3.0)]
+    assert [(row.force, row.magnitude) for row in other.actuators] == [
+        (pytest.approx(2 * AREA), pytest.approx(2.0)),
+        (None, 3.0),
+    ]
     moved = scene_with(made, centre=actuator_centres(made) + 0.003).actuators[0]
     assert (moved.force, moved.magnitude) == (0.3, pytest.approx(500))
     for drawn in draw_scenarios(made, 3, 0):
         row = drawn.scene.actuators[0]
         assert row.area != PATCH
         assert (row.force, row.magnitude) == (0.3, pytest.approx(500))
+
+
+@pytest.mark.parametrize(("magnitude", "heading"), [(None, "force (N)"), (1.0, "force or magnitude")])
+def test_a_drive_comes_back_in_newtons(magnitude, heading):
+    """Force = magnitude · area, in tables, records, scenes and signals."""
+    second = {"force": 1.0} if magnitude is None else {"magnitude": magnitude}
+    made = pressed(force=0.3).with_tables(
+        actuators=[{"name": "a", "area": PATCH, "force": 0.3}, {"name": "b", "area": (0.1, 0.15, 0.1, 0.15), **second}]
+    )
+    case = Case(np.array([500j, -250]), {}, np.zeros(0), np.zeros(0))
+    table = drive_table(case, made)
+    cells = list(table.columns[1].cells)
+    assert (table.columns[1].header, [float(cell.split()[0]) for cell in cells]) == (
+        heading,
+        pytest.approx([0.3, 0.625 if magnitude is None else 250]),
+    )
+    assert drive_json(case, made)[0] == {
+        "actuator": "a",
+        "force": pytest.approx(0.3),
+        "phase": pytest.approx(1.5 * np.pi),
+    }
+    assert ("magnitude" in drive_json(case, made)[1]) == (magnitude is not None)
+    again = Scene.parse(dump_scene(scene_with(made, case.magnitude, case.phase)), "")
+    np.testing.assert_allclose(scene_phasors(again), case.phasors, rtol=1e-12, atol=1e-9)
+    signal = make_drive_signal(made, case, 48000, 0.1)
+    factors = (PATCH_AREAS if magnitude is None else 1) * case.phasors
+    assert signal.unit == ("N" if magnitude is None else "N/m²")
+    np.testing.assert_allclose(signal.phasors * signal.full_scale, factors, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 
 from warp_plate.cli import output
+from warp_plate.result.amplitudes import amplitude_column, amplitudes_as_given
 from warp_plate.scene.errors import printable
 
 if TYPE_CHECKING:
@@ -29,24 +30,29 @@ ROBUST_ROWS = {
 
 def drive_table(case: Case, scene: Scene, target: str = "") -> Table:
     """Return the table of a drive, as Table 1 of the source paper. ``target``: its name if there are several."""
-    headings = ("actuator", f"magnitude ({scene.drive_unit})", "phase (rad)", "phase / π", *case.per_actuator)
+    heading, amplitudes = amplitude_column(scene, case.magnitude, ".4f")
+    headings = ("actuator", heading, "phase (rad)", "phase / π", *case.per_actuator)
     made = output.table(*headings, title=f"Drive found{f' for {printable(target)}' if target else ''}")
     for index, actuator in enumerate(scene.actuators):
-        magnitude, phase = case.magnitude[index], case.phase[index]
+        phase = case.phase[index]
         others = (f"{values[index]:.5g}" for values in case.per_actuator.values())
-        made.add_row(actuator.name, f"{magnitude:.4f}", f"{phase:.4f}", f"{phase / math.pi:.4f}", *others)
+        made.add_row(actuator.name, amplitudes[index], f"{phase:.4f}", f"{phase / math.pi:.4f}", *others)
     return made
 
 
 def drive_json(case: Case, scene: Scene) -> list[dict[str, object]]:
-    """Return a drive as one record for each actuator, including searched frequencies, positions and delays."""
-    per_actuator = output.attributes(case, "magnitude", "phase", "frequency", "centre", "delay")
+    """Return a drive as one record for each actuator, including searched frequencies, positions and delays; ``force``
+    [N] in place of ``magnitude`` where the scene has it."""
+    per_actuator = output.attributes(case, "phase", "frequency", "centre", "delay")
     return [
         {
             "actuator": actuator.name,
+            key: value,
             **{name: values[index] for name, values in per_actuator.items() if values is not None},
         }
-        for index, actuator in enumerate(scene.actuators)
+        for index, (actuator, (key, value, _)) in enumerate(
+            zip(scene.actuators, amplitudes_as_given(scene, case.magnitude), strict=True)
+        )
     ]
 
 

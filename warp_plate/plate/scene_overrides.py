@@ -20,7 +20,7 @@ def scene_with(
 ) -> Scene:
     """Return a scene with other values of its actuators (default: the scene's).
 
-    A frequency or delay that all actuators share becomes the drive's own.
+    Forces stay forces. A frequency or delay that all actuators share becomes the drive's own.
 
     Args:
         magnitude: (actuators,) magnitudes [N/m², or V].
@@ -34,12 +34,13 @@ def scene_with(
     """
     actuators: list[dict[str, Any]] = [actuator.model_dump() for actuator in scene.actuators]
     drive = scene.drive.model_dump()
-    for name, values in (("magnitude", magnitude), ("phase", phase)):
+    if magnitude is not None:
+        magnitude = magnitude * [actuator.amplitude_area for actuator in scene.actuators]
+    keys = [actuator.amplitude_key for actuator in scene.actuators]
+    for names, values in ((keys, magnitude), (["phase"] * len(keys), phase)):
         if values is not None:
-            for actuator, value in zip(actuators, values.tolist(), strict=True):
+            for actuator, name, value in zip(actuators, names, values.tolist(), strict=True):
                 actuator[name] = value if abs(value) >= SMALLEST else 0.0
-                if name == "magnitude":
-                    actuator["force"] = None
     for name, values, table, key in (
         ("frequency", frequency, drive, "frequency"),
         ("delay", delay, drive["burst"], "start"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -24,12 +24,23 @@ class Actuator(Table):
     frequency: Positive | None = None  # frequency [Hz] (default: that of the drive)
     delay: Instant | None = None  # start of the burst [s] (default: that of the drive)
 
+    @property
+    def amplitude_key(self) -> Literal["magnitude", "force"]:
+        """Key that gives the amplitude in the scene file."""
+        return "magnitude" if self.force is None else "force"
+
+    @property
+    def amplitude_area(self) -> float:
+        """Ratio of the number under ``amplitude_key`` to the magnitude: the patch's area [m²] for a force, else 1."""
+        x0, x1, y0, y1 = self.area
+        return 1.0 if self.force is None else (x1 - x0) * (y1 - y0)
+
     @model_validator(mode="after")
     def _magnitude_of_force(self) -> Actuator:
         x0, x1, y0, y1 = self.area
-        area = (x1 - x0) * (y1 - y0)
         if self.force is None or not (x0 < x1 and y0 < y1):  # the scene refuses such an area
             return self
+        area = self.amplitude_area
         if "magnitude" in self.model_fields_set:
             raise ValueError(f"force: {self.force:g} N, beside magnitude = {self.magnitude:g}; delete one of them")
         magnitude = self.force / area if area else float("inf")

@@ -1,7 +1,8 @@
 """Time series: traces as CSV, and drives as WAV or CSV for an amplifier, with a channel for each actuator.
 
 Channel k of a drive holds w_k cos(2πft − φ_k) divided by the full scale, so that 1.0 stands for the same pressure
-[N/m²] or voltage in every channel. It lasts a whole number of periods, so that it can be played in a loop.
+[N/m²] or voltage in every channel, or for the same force [N] if the scene gives a force for every actuator. It lasts a
+whole number of periods, so that it can be played in a loop.
 """
 
 from __future__ import annotations
@@ -62,11 +63,15 @@ def make_drive_signal(
 ) -> DriveSignal:
     """Return the signals of a case at a rate [1/s] over at most a duration [s], or refuse what cannot be played.
 
-    Full scale is in the unit of the scene's drives (default: the drive's largest magnitude).
+    Full scale is in newtons if the scene gives a force for every actuator, else in the unit of its magnitudes (default:
+    the largest of them).
     """
     if (key := scene.nonperiodic_key) is not None and key != "effects.moving_load":
         raise SceneError(f"{key}: only tones of drive.frequency are written, which this drive is not")
-    frequency, largest, unit = scene.drive.frequency, float(case.magnitude.max()), scene.drive_unit
+    frequency, phasors, unit = scene.drive.frequency, case.phasors, scene.drive_unit
+    if all(actuator.force is not None for actuator in scene.actuators):
+        phasors, unit = phasors * [actuator.amplitude_area for actuator in scene.actuators], "N"
+    largest = float(np.abs(phasors).max())
     full_scale = largest if full_scale is None else full_scale
     if not largest > 0:
         raise SceneError("its drive is zero: there is nothing to play")
@@ -80,7 +85,7 @@ def make_drive_signal(
         raise SceneError(f"--duration {duration:g}: {len(scene.actuators)} channels take more than 4 GiB; write less")
     periods, samples, seam = whole_periods(frequency, rate, duration)
     names = tuple(actuator.name for actuator in scene.actuators)
-    return DriveSignal(names, case.phasors / full_scale, full_scale, unit, frequency, rate, samples, periods, seam)
+    return DriveSignal(names, phasors / full_scale, full_scale, unit, frequency, rate, samples, periods, seam)
 
 
 def whole_periods(frequency: float, rate: int, duration: float) -> tuple[int, int, float]:
