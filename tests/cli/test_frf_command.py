@@ -58,6 +58,7 @@ def test_text_names_responses_and_undamped_plates(command, write_scene):
         ("--at", "0.1"),
         ("--at", "nan,0.1"),
         ("--at", "0.1,-0.1"),
+        ("--at", "-0.1,0.1"),
         ("--range", "100"),
         ("--range", "100:50"),
         ("--range", "0:50"),
@@ -73,6 +74,7 @@ def test_text_names_responses_and_undamped_plates(command, write_scene):
 def test_wrong_options_are_refused_in_one_line(command, damped, words):
     line = error_of(command("frf", "panel.toml", "--no-pictures", *words))
     assert words[-1].strip("٣") in line
+    assert words[0] == "--out" or words[0] in line
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
 
 

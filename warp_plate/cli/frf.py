@@ -32,8 +32,8 @@ def frf(
     scene: options.SceneName,
     /,
     *,
-    inputs: Annotated[list[str] | None, Parameter(name="--from", negative="")] = None,
-    at: Annotated[list[str] | None, Parameter(negative="")] = None,
+    inputs: Annotated[list[str] | None, Parameter(name="--from", negative="", allow_leading_hyphen=True)] = None,
+    at: Annotated[list[str] | None, Parameter(negative="", allow_leading_hyphen=True)] = None,
     range: str | None = None,
     quantity: Quantity = "mobility",
     to: Annotated[list[Format] | None, Parameter(negative="")] = None,
@@ -75,9 +75,11 @@ def frf(
     points = [_point("--at", text) for text in at or ()]
     limits = None if range is None else _range(range)
     loaded = output.load_scene(scene)
-    from warp_plate.studies.frequency_response import compute_frequency_response
+    from warp_plate.studies.frequency_response import check_on_plate, compute_frequency_response
 
     sources = [_source(loaded, text) for text in inputs or ()]
+    check_on_plate(loaded, points, "--at")
+    check_on_plate(loaded, sources, "--from")
     with output.scene_errors(scene), _errors_of_range(range):
         found = compute_frequency_response(loaded, sources, points, limits, quantity)
     written = _write(found, target, formats, pictures)

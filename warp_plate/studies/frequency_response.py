@@ -53,7 +53,8 @@ def compute_frequency_response(
     """
     inputs = inputs or [actuator.name for actuator in scene.actuators]
     points = points or scene.record.points or _target_middles(scene)
-    _check(scene, [*points, *(place for place in inputs if not isinstance(place, str))], frequency_range)
+    _check(scene, frequency_range)
+    check_on_plate(scene, [*points, *inputs])
     low, high = frequency_range or default_range(scene)
     plate = solve_modes(scene, high)
     places, forces = _input_forces(plate, inputs)
@@ -83,7 +84,7 @@ def respond_to_drive(scene: Scene, frequencies: np.ndarray) -> tuple[np.ndarray,
     Raises:
         SceneError: The scene is not linear, or see :func:`solve_modes`.
     """
-    _check(scene, (), None)
+    _check(scene, None)
     plate = solve_modes(scene, frequencies.max())
     forces = plate.actuator_forces() @ scene_phasors(scene)[:, None]
     nowhere = np.zeros((len(forces), 0))
@@ -112,14 +113,18 @@ def _target_middles(scene: Scene) -> list[Point]:
     return list(dict.fromkeys(middles))
 
 
-def _check(scene: Scene, points: Sequence[Point], frequency_range: tuple[float, float] | None) -> None:
-    """Raise a SceneError unless the scene is linear, all points are on its plate, and the range is one."""
+def check_on_plate(scene: Scene, places: Sequence[str | Point], label: str = "point") -> None:
+    """Raise a SceneError, which begins with the label, unless all places but names are points on the plate."""
+    width, height = scene.plate.size
+    for x, y in (place for place in places if not isinstance(place, str)):
+        if not (0 <= x <= width and 0 <= y <= height):
+            raise SceneError(f"{label} {x:g},{y:g}: is off the plate of {width:g} × {height:g} m")
+
+
+def _check(scene: Scene, frequency_range: tuple[float, float] | None) -> None:
+    """Raise a SceneError unless the scene is linear and the range is one."""
     if scene.nonlinear_table is not None:
         raise SceneError(f"{scene.nonlinear_table}: frequency responses are those of a linear plate without it")
-    width, height = scene.plate.size
-    for x, y in points:
-        if not (0 <= x <= width and 0 <= y <= height):
-            raise SceneError(f"point {x:g},{y:g}: is off the plate of {width:g} × {height:g} m")
     low, high = frequency_range or (1.0, 2.0)
     if not 0 < low < high < np.inf:
         raise SceneError(f"range {low:g}:{high:g}: must be two positive frequencies in hertz, the lower one first")
