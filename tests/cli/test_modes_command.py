@@ -69,6 +69,18 @@ def test_modes_of_the_grid_and_their_errors(command, write_scene):
         assert part in out
 
 
+def test_a_grid_is_chosen_without_the_damping_that_time_steps_refuse(command, write_scene, panel):
+    effects = {**panel.effects.model_dump(), "loss_factor": {"eta": 0.01}, "modal_damping": {"ratio": 0.01}}
+    records = []
+    for made in (panel, panel.with_tables(effects=effects)):
+        write_scene(made)
+        answer = command("modes", "panel.toml", "--grid", "--accuracy", "20%", "--count", 2, "--json", "--no-pictures")
+        records.append(json.loads(output_of(answer)))
+    plain, damped = records
+    assert damped["left_out"] == ["damping", "loss factor", "modal damping"]
+    assert (damped["nodes"], damped["frequencies"]) == (plain["nodes"], plain["frequencies"])
+
+
 def test_shapes_and_motions_are_those_of_a_fine_grid(scene):
     """Also of modes of one frequency, of a mass that only a damper holds, and of a plate that force softens."""
     oscillators = [*EFFECTS["oscillators"], {"area": (0.05, 0.1, 0.05, 0.1), "mass": 0.01, "damping": 0.1}]

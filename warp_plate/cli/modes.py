@@ -53,7 +53,7 @@ def modes(
     loaded = output.load_scene(scene, accuracy)
     from warp_plate.modal.continuous_modes import continuous_modes
 
-    errors = None
+    errors, left_out = None, _left_out(loaded, grid)
     with output.scene_errors(scene):
         found = exact = continuous_modes(loaded, count)
         if grid:
@@ -62,16 +62,17 @@ def modes(
             moving = np.where(exact_frequencies > 0, exact_frequencies, math.nan)
             errors = found.frequencies / moving - 1
     written = _draw(loaded, found, target) if pictures else ([], None)
-    record, show = partial(_as_json, scene, loaded, found, errors), partial(_print, scene, loaded, found, errors)
-    output.report(json, record, show, written)
+    arguments = scene, loaded, found, errors, left_out
+    output.report(json, partial(_as_json, *arguments), partial(_print, *arguments), written)
 
 
 def _of_grid(scene: Scene, count: int) -> tuple[Scene, NaturalModes]:
-    """Return the scene with its grid, and the modes of the grid."""
+    """Return the scene with its grid, without what time steps refuse, and the modes of the grid."""
     from warp_plate.plate.modes import natural_modes, refuse_many_nodes
     from warp_plate.studies.grid_choice import resolve_grid
 
-    gridded = resolve_grid(scene, "auto").scene
+    effects = scene.effects.model_copy(update={"loss_factor": None, "modal_damping": None})
+    gridded = resolve_grid(scene.model_copy(update={"effects": effects}), "auto").scene
     refuse_many_nodes(gridded)
     return gridded, natural_modes(gridded, count)
 
@@ -108,8 +109,10 @@ def _left_out(scene: Scene, grid: bool) -> list[str]:
     return [name for name, active in present.items() if active]
 
 
-def _as_json(name: str, scene: Scene, found: NaturalModes, errors: np.ndarray | None) -> dict[str, object]:
-    record = {"scene": name, "half_waves": found.half_waves(), "left_out": _left_out(scene, errors is not None)}
+def _as_json(
+    name: str, scene: Scene, found: NaturalModes, errors: np.ndarray | None, left_out: list[str]
+) -> dict[str, object]:
+    record = {"scene": name, "half_waves": found.half_waves(), "left_out": left_out}
     record |= output.attributes(found, "frequencies", "oscillators")
     if errors is not None:
         record |= output.attributes(scene.grid, "nodes", "order")
@@ -118,7 +121,9 @@ def _as_json(name: str, scene: Scene, found: NaturalModes, errors: np.ndarray | 
     return record | {"damping_ratios": found.loss_factors / 2, "loss_factors": found.loss_factors}
 
 
-def _print(name: str, scene: Scene, found: NaturalModes, errors: np.ndarray | None, console: Console) -> None:
+def _print(
+    name: str, scene: Scene, found: NaturalModes, errors: np.ndarray | None, left_out: list[str], console: Console
+) -> None:
     nx, ny = scene.grid.nodes
     grid = "" if errors is None else f": {nx} × {ny} nodes, order {scene.grid.order}"
     console.print(f"{scene.title or name}{grid}\n")
@@ -135,11 +140,11 @@ def _print(name: str, scene: Scene, found: NaturalModes, errors: np.ndarray | No
         )
     console.print(made)
     console.print(
-        ("" if errors is None else f"\nIn a run: with steps of {found.time_step:.3g} s.")
+        ("" if errors is None else f"\nIn a run: frequencies of time steps of {found.time_step:.3g} s.")
         + "\nWaves: half-waves, stretches of one sign along x and y."
         + (" Mass: displacement of the oscillator relative to the largest of the plate." if masses else "")
     )
-    if left_out := _left_out(scene, errors is not None):
+    if left_out:
         console.print(f"Not included in natural modes: {', '.join(left_out)}.")
 
 
