@@ -126,3 +126,15 @@ def test_gram_matrices_of_bursts_are_the_limit_of_fine_grids():
     scene = paper(drive=drive, grid=grid, effects={"damping": {"viscous": 80.0}})
     modal, stepped = (make_problem(scene, "cpu", evaluator=name).response.bound() for name in ("modal", "response"))
     assert modal == pytest.approx(stepped, abs=2e-3)
+
+
+def test_a_spectrum_follows_every_resonance(scene):
+    """Within its half-width ηf/2, and the drive found is as good as the best there."""
+    drives = {"magnitude": {"range": [0.0, 1.0]}, "phase": {}, "frequency": {"range": [30.0, 250.0]}}
+    made = scene(effects={"loss_factor": {"eta": 0.002}}, search={"particles": 8, "iterations": 4, **drives})
+    found = localize(made, device="cpu", estimate=False)
+    frequencies, resonances = found.spectrum["frequency"], found.spectrum["resonances"]
+    assert len(resonances) > 3
+    gaps = np.abs(frequencies[:, None] - resonances).min(axis=0)
+    np.testing.assert_array_less(gaps, 0.001 * resonances)
+    assert found.spectrum["best"].max() <= found.cases["best"].localization_factor + 1e-6

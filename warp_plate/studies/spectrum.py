@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from warp_plate.modal.adaptive_frequencies import adaptive_frequencies
 from warp_plate.modal.modes import solve_modes
-from warp_plate.modal.solver import ModalSolver, make_solver
+from warp_plate.modal.solver import MODAL, ModalSolver, make_solver
 from warp_plate.plate.designs import Designs, per_plate_of
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.bounds import allowed_drives, bound_localization
@@ -18,7 +19,7 @@ from warp_plate.scene.model import Scene
 from warp_plate.solve.response import Response, in_float64, response_of, unit_drives
 from warp_plate.solve.solver import PlateSolver
 
-# Limits of the number of frequencies. Between them their plates cost about as much as those of the search.
+# Limits of the number of frequencies by time steps, between which their plates cost about as much as the search.
 FEWEST, MOST = 61, 201
 # Most actuators with a bound at each frequency: it takes about 0.03 s for as many, and grows as the fourth power.
 MOST_BOUNDED = 20
@@ -36,12 +37,14 @@ def make_spectrum(problem: Problem, best: Case) -> dict[str, np.ndarray]:
 
 
 def spectrum_frequencies(problem: Problem) -> np.ndarray:
-    """Return the frequencies of a result's spectrum [Hz]; empty unless a common frequency of all actuators is searched
-    and the scene is linear in the drives."""
+    """Return the frequencies of a result's spectrum [Hz], by modes those that follow every resonance; empty unless a
+    common frequency of all actuators is searched and the scene is linear in the drives."""
     scene = problem.scene
     search = scene.search.frequency
     if search is None or search.own or search.actuators is not None or not scene.linear:
         return np.empty(0)
+    if problem.path == MODAL:
+        return adaptive_frequencies(*solve_modes(scene, search.range[1]).resonances, *search.range)
     evaluations, units = scene.search.particles * scene.search.iterations, len(unit_drives(len(scene.actuators)))
     return np.linspace(*search.range, min(MOST, max(FEWEST, evaluations // units)))
 
