@@ -1,4 +1,4 @@
-"""Plates by finite elements of high degree with continuous slopes, for every linear effect but layers.
+"""Plates by finite elements of high degree with continuous slopes, for every linear effect; layers do not overlap.
 
 In each of the elements between lines of the plate, a side has Hermite's cubics of values and slopes at its ends and
 bubbles (1 − s²)² P_k^(4, 4)(s), s = −1 ... 1; the functions of the plate are products of those of its sides (the
@@ -95,7 +95,8 @@ def _reference(degree, s):
 
 
 def _lines(scene, axis):
-    places = [place for item in scene.effects.oscillators for place in item.area[2 * axis : 2 * axis + 2]]
+    items = (*scene.effects.oscillators, *scene.effects.layers)
+    places = [place for item in items for place in item.area[2 * axis : 2 * axis + 2]]
     for _, rows in scene.effects.variation or ():
         shape = np.shape(rows) if rows is not None else (1, 1)
         places += [*np.linspace(0, scene.plate.size[axis], max(shape[1 - axis], 2))]
@@ -110,6 +111,30 @@ def _factor(scene, name, x, y):
         columns = np.linspace(0, length, array.shape[axis]) if array.shape[axis] > 1 else np.zeros(1)
         array = np.apply_along_axis(lambda v, p=points, c=columns: np.interp(p, c, v), axis, array)
     return array
+
+
+def layered(scene, x, y):
+    """Return factors of bending stiffness and of mass by the layers at points (y, x)."""
+    plate = scene.plate
+    bending, mass = np.ones((2, len(y), len(x)))
+    for layer in scene.effects.layers:
+        x0, x1, y0, y1 = layer.area
+        inside = np.outer((y > y0) & (y < y1), (x > x0) & (x < x1))
+        half, top = plate.thickness / 2, plate.thickness / 2 + layer.thickness
+        sheets = [(plate.young_modulus, -half, half), (layer.young_modulus, half, top)]
+        sheets += [(layer.young_modulus, -top, -half)] if layer.both else []
+        zeroth, first, second = (
+            sum(young * (high**power - low**power) / power for young, low, high in sheets) for power in (1, 2, 3)
+        )
+        bending[inside] = (second - first**2 / zeroth) * 12 / (plate.young_modulus * plate.thickness**3)
+        mass[inside] += layer.density * layer.thickness * (1 + layer.both) / (plate.density * plate.thickness)
+    return bending, mass
+
+
+def density_at(scene, x, y):
+    """Return the mass per area [kg/m²] at points (y, x)."""
+    factors = (_factor(scene, name, x, y) for name in ("thickness", "density"))
+    return scene.plate.density * scene.plate.thickness * np.prod([*factors, layered(scene, x, y)[1]], axis=0)
 
 
 def _integral(along_x, along_y, field, x=(0, 0), y=(0, 0)):
@@ -133,21 +158,22 @@ def matrices(scene, along_x, along_y):
     """Return stiffness, mass, damping and bending alone over the products of functions, those of x fastest, and the
     oscillators' masses."""
     plate, effects = scene.plate, scene.effects
-    thickness, young, density = (
-        _factor(scene, name, along_x.points, along_y.points) for name in ("thickness", "young_modulus", "density")
+    thickness, young = (
+        _factor(scene, name, along_x.points, along_y.points) for name in ("thickness", "young_modulus")
     )
     ratio, flat = plate.poisson_ratio, effects.orthotropic
     dx, dy, d1, dxy = (
         (flat.Dx, flat.Dy, flat.D1, flat.Dxy) if flat else plate.rigidity * np.array([1, 1, ratio, (1 - ratio) / 2])
     )
-    stiffer, one = young * thickness**3, np.ones_like(young)
+    stiffer = young * thickness**3 * layered(scene, along_x.points, along_y.points)[0]
+    one = np.ones_like(stiffer)
 
     integral = partial(_integral, along_x, along_y)
     coupled = integral(d1 * stiffer, (2, 0), (0, 2))
     stiffness = integral(dx * stiffer, (2, 2)) + integral(dy * stiffer, y=(2, 2)) + coupled + coupled.T
     stiffness += integral(4 * dxy * stiffer, (1, 1), (1, 1))
     bending, area = stiffness.copy(), integral(one)
-    mass = integral(plate.density * plate.thickness * density * thickness)
+    mass = integral(density_at(scene, along_x.points, along_y.points))
     damping = (effects.damping.viscous if effects.damping else 0.0) * area
     if effects.material_damping:
         damping += effects.material_damping.time * bending

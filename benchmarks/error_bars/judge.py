@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from error_bars.elements import Side, matrices, shift_of
+from error_bars.elements import Side, density_at, matrices, shift_of
 from warp_plate import Scene
 
 # Modes from rest, and steps in a period of the highest one and in a period of the drive.
@@ -98,24 +98,44 @@ def _residual(found, square):
 
 def _target(scene, sides, shapes):
     """Return the mass matrix of the target over the modes, from their values at points of a rule."""
-    target, density = scene.target, scene.plate.density * scene.plate.thickness
+    target = scene.target
     if target.area is not None:
         x, y = (side.rule(*target.area[2 * axis : 2 * axis + 2]) for axis, side in enumerate(sides))
         across = np.einsum("jkm,kx->jxm", shapes, sides[0].values_at(x[0])[0])
         values = np.einsum("jxm,jy->yxm", across, sides[1].values_at(y[0])[0]).reshape(y[0].size * x[0].size, -1)
-        weights = np.outer(y[1], x[1]).ravel()
+        weights = (np.outer(y[1], x[1]) * density_at(scene, x[0], y[0])).ravel()
     else:
-        centre_x, centre_y, radius = target.disc
-        s, along = np.polynomial.legendre.leggauss(RADIUS)
-        r, angle = radius * (1 + s) / 2, 2 * math.pi * np.arange(AROUND) / AROUND
-        x, y = (centre_x + np.outer(r, np.cos(angle)).ravel(), centre_y + np.outer(r, np.sin(angle)).ravel())
-        weights = np.repeat(along * radius / 2 * r, AROUND) * 2 * math.pi / AROUND
+        x, y, weights = (_disc if target.disc is not None else _polygon)(target)
+        weights *= np.array([density_at(scene, np.array([a]), np.array([b]))[0, 0] for a, b in zip(x, y, strict=True)])
         of_x, of_y = sides[0].values_at(x)[0], sides[1].values_at(y)[0]
         parts = np.array_split(np.arange(x.size), 16)
         values = np.vstack([
             np.einsum("kp,pkm->pm", of_x[:, part], np.tensordot(of_y[:, part].T, shapes, 1)) for part in parts
         ])  # fmt: skip
-    return values.T @ (density * weights[:, None] * values)
+    return values.T @ (weights[:, None] * values)
+
+
+def _disc(target):
+    """Return points and weights of a rule over a disc."""
+    centre_x, centre_y, radius = target.disc
+    s, along = np.polynomial.legendre.leggauss(RADIUS)
+    r, angle = radius * (1 + s) / 2, 2 * math.pi * np.arange(AROUND) / AROUND
+    weights = np.repeat(along * radius / 2 * r, AROUND) * 2 * math.pi / AROUND
+    return centre_x + np.outer(r, np.cos(angle)).ravel(), centre_y + np.outer(r, np.sin(angle)).ravel(), weights
+
+
+def _polygon(target):
+    """Return points and weights of a rule over a convex polygon, by triangles from its first corner."""
+    s, weights = np.polynomial.legendre.leggauss(RADIUS)
+    s, weights = (1 + s) / 2, weights / 2
+    far, across = (part.ravel() for part in np.meshgrid(s, s, indexing="ij"))
+    corners, found = np.array(target.polygon), []
+    for second, third in zip(corners[1:], corners[2:], strict=False):
+        first, (u, v) = corners[0], (second - corners[0], third - corners[0])
+        points = first + far[:, None] * ((1 - across)[:, None] * u + across[:, None] * v)
+        area = abs(u[0] * v[1] - u[1] * v[0])
+        found.append(np.column_stack([points, np.outer(weights, weights).ravel() * far * area]))
+    return np.concatenate(found).T
 
 
 def _from_rest(scene, squares, damping, forces, phasors, regions):

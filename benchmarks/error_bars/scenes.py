@@ -4,11 +4,15 @@ import math
 
 import numpy as np
 
+from error_bars.elements import element_frequencies
 from warp_plate import PlateSolver, Scene, SceneError
 
-EFFECTS = ("damping", "material_damping", "tension", "foundation", "orthotropic", "oscillators", "springs")
+EFFECTS = (
+    "damping", "material_damping", "tension", "foundation", "orthotropic", "oscillators", "springs", "layers", "map",
+)  # fmt: skip
 EDGES = ("clamped", "supported", "free")
-NOTHING, NONLINEAR = "none", ("stretching", "electrostatic", "moving_load")
+INHOMOGENEOUS = ("layers", "map")
+NOTHING, RESONANCE, NONLINEAR = "none", "resonance", ("stretching", "electrostatic", "moving_load")
 
 
 def random_scene(number):
@@ -50,12 +54,25 @@ def random_scene(number):
     if "springs" in names:
         stiff = 10 ** rng.uniform(-1, 3) * rigidity
         edges["top"] = {"translation": stiff / min(size) ** 3, "rotation": stiff / min(size) * rng.choice([0, 1])}
+    if "layers" in names:
+        effects["layers"] = [
+            {"area": _patch(rng, size, 0.1, 0.45), "thickness": thickness * rng.uniform(0.05, 1),
+             "young_modulus": young * 10 ** rng.uniform(-1, 1), "density": density * rng.uniform(0.3, 3),
+             "both": bool(rng.random() < 0.3)}
+        ]  # fmt: skip
+    if "map" in names:
+        shape = rng.integers(1, 4, 2)
+        key = rng.choice(["thickness", "young_modulus", "density"])
+        effects["variation"] = {key: rng.uniform(0.7, 1.3, shape + (shape.sum() == 2)).tolist()}
     periods = rng.choice([rng.uniform(2, 8), rng.uniform(10, 40)])
     start = periods / frequency
     target = {"area": _patch(rng, size, 0.2, 0.7)}
-    if rng.random() < 0.4:
+    if "layers" not in names and rng.random() < 0.5:
         radius = min(size) * rng.uniform(0.15, 0.45)
-        target = {"disc": (*(rng.uniform(radius, side - radius) for side in size), radius)}
+        centre = [rng.uniform(radius, side - radius) for side in size]
+        angles = np.sort(rng.uniform(0, 2 * math.pi, rng.integers(3, 7)))
+        corners = [(centre[0] + radius * math.cos(angle), centre[1] + radius * math.sin(angle)) for angle in angles]
+        target = {"disc": (*centre, radius)} if rng.random() < 0.6 else {"polygon": corners}
     actuators = [
         {"name": str(index), "area": _patch(rng, size, *rng.choice([(0.01, 0.05), (0.05, 0.2), (0.2, 0.5)]))}
         for index in range(rng.integers(1, 5))
@@ -68,13 +85,22 @@ def random_scene(number):
         "edges": edges, "effects": effects, "target": target, "actuators": actuators,
         "drive": {"frequency": frequency}, "window": {"start": start, "end": start + rng.uniform(1, 8) / frequency},
     }  # fmt: skip
-    return Scene.from_tables(tables), names or [NOTHING]
+    scene = Scene.from_tables(tables)
+    if rng.random() < 0.2:
+        names = [*names, RESONANCE]
+        resonance = element_frequencies(scene, 6, 6)[rng.integers(1, 6)]
+        width = loss / (4 * math.pi) if "damping" in effects else 0.02 * resonance
+        away = rng.choice([-1, 1]) * rng.uniform(0.05, 1) * width
+        scene = scene.with_tables(drive={"frequency": resonance + away})
+    return scene, names or [NOTHING]
 
 
 def random_nonlinear_scene(number):
     """Return a scene that is not linear in its drives, and the names of its effects."""
     rng = np.random.default_rng([number, 2])
-    scene, names = random_scene(int(rng.integers(10**6)))
+    names = INHOMOGENEOUS
+    while set(names) & set(INHOMOGENEOUS):  # whose judge takes uniform plates
+        scene, names = random_scene(int(rng.integers(10**6)))
     kinds = [NONLINEAR[number % 3], *rng.choice(NONLINEAR, rng.choice([0, 1, 2], p=(0.6, 0.3, 0.1))).tolist()]
     plate, period = scene.plate, 1 / scene.drive.frequency
     scene = scene.with_tables(grid={"nodes": [max(11, round(40 * side / sum(plate.size))) for side in plate.size]})
@@ -133,6 +159,6 @@ def _patch(rng, size, least, most):
     area = []
     for side in size:
         part = side * rng.uniform(least, most)
-        low = rng.uniform(0, side - part)
+        low = rng.choice([rng.uniform(0, side - part), 0, side - part], p=(0.9, 0.05, 0.05))
         area += [low, low + part]
     return tuple(area)
