@@ -7,6 +7,7 @@ Modes above those that are kept follow the tone without inertia of their own: wh
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -130,7 +131,7 @@ def _polygon(target):
     s, weights = (1 + s) / 2, weights / 2
     far, across = (part.ravel() for part in np.meshgrid(s, s, indexing="ij"))
     corners, found = np.array(target.polygon), []
-    for second, third in zip(corners[1:], corners[2:], strict=False):
+    for second, third in pairwise(corners[1:]):
         first, (u, v) = corners[0], (second - corners[0], third - corners[0])
         points = first + far[:, None] * ((1 - across)[:, None] * u + across[:, None] * v)
         area = abs(u[0] * v[1] - u[1] * v[0])
