@@ -14,7 +14,7 @@ from warp_plate.studies.simulate import simulate
 JUDGE, UNSURE = 1e-4, 5e-3
 ASKED = 0.01
 # Degrees of the elements of plates with layers and maps.
-INHOMOGENEOUS_DEGREES = 8, 7
+LAYERS_DEGREE, MAP_DEGREE = 7, 8
 
 
 def measured(number: int, promise: bool) -> list[dict]:
@@ -24,7 +24,8 @@ def measured(number: int, promise: bool) -> list[dict]:
         phasors = np.array([[a.magnitude * np.exp(-1j * a.phase) for a in scene.actuators]])
         truth, judge = float(true_factors(scene, phasors)[0]), JUDGE
         if set(names) & set(INHOMOGENEOUS):  # of more elements, and corners at which moments are singular
-            truth, coarse = (float(true_factors(scene, phasors, degree)[0]) for degree in INHOMOGENEOUS_DEGREES)
+            degree = LAYERS_DEGREE if "layers" in names else MAP_DEGREE
+            truth, coarse = (float(true_factors(scene, phasors, each)[0]) for each in (degree, degree - 1))
             judge += abs(coarse / truth - 1)
     except SceneError as error:
         print(f"{number:4d} no scene: {error}", flush=True)

@@ -12,9 +12,11 @@ from itertools import pairwise
 import numpy as np
 import scipy
 
-from error_bars.elements import Side, density_at, matrices, shift_of
+from error_bars.elements import Side, bending_of, density_at, matrices, shift_of
 from warp_plate import Scene
 
+# Modes that are solved for once more.
+LOWEST = 20
 # Modes from rest, and steps in a period of the highest one and in a period of the drive.
 MODES, STEPS_A_MODE, STEPS_A_PERIOD = 260, 10, 200
 # Gauss's points along the radius of a disc, and points around it.
@@ -28,18 +30,18 @@ INNER = (0.05, 0.35, 0.65, 0.95)
 def true_factors(scene, phasors, degree=11):
     """Return the localization factors (n,) of phasors (n, actuators) under the tone of the scene's drive."""
     found = solve(scene, degree, MODES)
-    squares, vectors, loads, damping = found.squares, found.vectors, found.loads, found.damping
+    squares, vectors, loads, damping = found.squares, found.vectors, found.loads, found.modal_damping
     omega = 2 * math.pi * scene.drive.frequency
     shapes = np.hstack([vectors, _residual(found, omega**2)])
     forces, regions = vectors.T @ loads @ phasors.T, found.regions(shapes)
     if scene.effects.loss_factor is not None:
-        lossy = scene.effects.loss_factor.eta * (vectors.T @ found.bending @ vectors)
+        lossy = scene.effects.loss_factor.eta * found.bending
         dynamic = np.diag(squares - omega**2) + 1j * lossy
-        amplitude = np.linalg.solve(dynamic + 1j * omega * (vectors.T @ damping @ vectors), forces)
+        amplitude = np.linalg.solve(dynamic + 1j * omega * damping, forces)
         amplitude = np.vstack([amplitude, phasors.T])
         energies = [np.einsum("ip,ij,jp->p", amplitude.conj(), region, amplitude).real for region in regions]
     else:
-        energies = _from_rest(scene, squares, vectors.T @ damping @ vectors, forces, phasors.T, regions)
+        energies = _from_rest(scene, squares, damping, forces, phasors.T, regions)
     return energies[1] / energies[0]
 
 
@@ -52,10 +54,16 @@ class Modes:
     stiffness: np.ndarray
     mass: np.ndarray
     damping: np.ndarray
-    bending: np.ndarray
+    bending: np.ndarray  # (modes, modes) bending energies of the modes
     loads: np.ndarray  # (unknowns, actuators) unit pressures
     squares: np.ndarray  # ω² [1/s²]
     vectors: np.ndarray  # (unknowns, modes)
+
+    @property
+    def modal_damping(self):
+        """Viscous damping of the modes."""
+        material = self.scene.effects.material_damping
+        return self.vectors.T @ self.damping @ self.vectors + (material.time if material else 0) * self.bending
 
     def of_plate(self, shapes):
         """Return shapes (functions along y, functions along x, shapes) without the oscillators' masses."""
@@ -74,8 +82,9 @@ class Modes:
 
 def solve(scene, degree, count):
     """Return the lowest modes."""
-    sides = [Side(scene, axis, degree, INNER) for axis in (0, 1)]
-    stiffness, mass, damping, bending = matrices(scene, *sides)
+    sides = [Side(scene, axis, degree, INNER[:: 3 if scene.effects.layers else 1]) for axis in (0, 1)]
+    bending, support, mass, damping = matrices(scene, *sides)
+    stiffness = bending + support
     shift = shift_of(scene)
     units = 1 / np.sqrt(np.diag(stiffness + shift * mass))
     scaled = [matrix * np.outer(units, units) for matrix in (mass, stiffness + shift * mass)]
@@ -85,8 +94,16 @@ def solve(scene, degree, count):
     for column, actuator in zip(loads.T, scene.actuators, strict=True):
         along_x, along_y = (side.integral(*actuator.area[2 * axis : 2 * axis + 2]) for axis, side in enumerate(sides))
         column[: along_x.size * along_y.size] = np.outer(along_y, along_x).ravel()
-    vectors = units[:, None] * vectors / np.sqrt(inverse)
-    return Modes(scene, sides, stiffness, mass, damping, bending, loads, 1 / inverse - shift, vectors)
+    vectors, squares = units[:, None] * vectors / np.sqrt(inverse), 1 / inverse - shift
+    found = Modes(scene, sides, stiffness, mass, damping, bending, loads, squares, vectors)
+    # The lowest modes once more, without the rounding of the matrices.
+    low = vectors[:, -LOWEST:]
+    bent = bending_of(scene, *sides, found.of_plate(low))
+    squares[-LOWEST:], turned = scipy.linalg.eigh(bent + low.T @ support @ low)
+    vectors[:, -LOWEST:] = low @ turned
+    found.bending = vectors.T @ bending @ vectors
+    found.bending[-LOWEST:, -LOWEST:] = turned.T @ bent @ turned
+    return found
 
 
 def _residual(found, square):

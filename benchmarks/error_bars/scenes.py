@@ -86,7 +86,7 @@ def random_scene(number):
         "drive": {"frequency": frequency}, "window": {"start": start, "end": start + rng.uniform(1, 8) / frequency},
     }  # fmt: skip
     scene = Scene.from_tables(tables)
-    if rng.random() < 0.2:
+    if "material_damping" not in names and rng.random() < 0.2:
         names = [*names, RESONANCE]
         resonance = element_frequencies(scene, 6, 6)[rng.integers(1, 6)]
         width = loss / (4 * math.pi) if "damping" in effects else 0.02 * resonance

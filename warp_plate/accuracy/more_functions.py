@@ -29,11 +29,15 @@ class MoreFunctions:
         """Return the relative changes (drives,) of the localization factors of drives (drives, actuators).
 
         Errors of one drive may pass through zero, so the largest change of these drives, of the single actuators and of
-        the bound counts for all, as a part of the larger one of its localization factor and that of the drive.
+        the bound counts for all, as a part of the larger one of its localization factor and that of the drive. So do
+        the changes of the drive's own energies.
         """
         observed = np.concatenate([phasors, np.eye(phasors.shape[1])])
         fine, coarse = (np.append(each.localization_factors(observed), each.bound()) for each in self._responses)
         changes = np.abs(coarse - fine) / np.maximum(fine, fine[: len(phasors), None])
+        fine, coarse = (each.energy(phasors) for each in self._responses)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            changes = np.hstack([changes, np.abs(coarse / fine - 1)])
         largest: np.ndarray = np.nanmax(changes, axis=1, initial=0)
         return largest
 

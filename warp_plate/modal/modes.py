@@ -17,8 +17,8 @@ from functools import cached_property
 
 import numpy as np
 
-from warp_plate.modal.galerkin.eigenproblem import solve_eigenproblem
-from warp_plate.modal.galerkin.integrals import Integrals, Matrix
+from warp_plate.modal.galerkin.eigenproblem import bending_energies, solve_eigenproblem
+from warp_plate.modal.galerkin.integrals import Integrals
 from warp_plate.modal.galerkin.matrices import Galerkin, make_galerkin, patch_integrals
 from warp_plate.modal.galerkin.regions import region_matrix
 from warp_plate.modal.galerkin.splines import gauss, make_splines
@@ -254,26 +254,27 @@ def solve_modes(scene: Scene, highest: float | None = None, count: int = 0, dens
     squares, vectors = solve_eigenproblem(galerkin, math.ceil(wanted), (2 * math.pi * lowest) ** 2)
     frequencies = np.sqrt(np.maximum(squares, 0.0)) / (2 * math.pi)
     frequencies[frequencies < STILL * lowest] = 0.0
-    damping = _projected(galerkin, galerkin.damping, squares, vectors)
-    hysteretic = np.zeros_like(damping)
-    if scene.effects.modal_damping is not None:
-        ratios = scene.effects.modal_damping.of_modes(frequencies.size)
+    damping, hysteretic = _viscous(galerkin, vectors), np.zeros((squares.size, squares.size))
+    effects = scene.effects
+    if effects.material_damping is not None:
+        damping += effects.material_damping.time * bending_energies(galerkin, squares, vectors)
+    if effects.modal_damping is not None:
+        ratios = effects.modal_damping.of_modes(frequencies.size)
         damping[np.diag_indices_from(damping)] += 2 * ratios * 2 * math.pi * frequencies
-    if (loss := scene.effects.loss_factor) is not None:
+    if (loss := effects.loss_factor) is not None:
         if isinstance(loss.eta, tuple):
             hysteretic = np.diag(loss.of_modes(frequencies.size) * np.maximum(squares, 0))
         else:
-            hysteretic = loss.eta * _projected(galerkin, galerkin.bending, squares, vectors)
+            hysteretic = loss.eta * bending_energies(galerkin, squares, vectors)
     return ModalPlate(galerkin, frequencies, vectors, damping, hysteretic, highest)
 
 
-def _projected(galerkin: Galerkin, matrix: Matrix, squares: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Return Φᵀ matrix Φ, which is diagonal for a multiple of the mass or of the stiffness."""
-    for known, values in ((galerkin.mass, np.ones_like(squares)), (galerkin.stiffness, squares)):
-        factor = matrix.trace() / known.trace()
-        if abs(matrix - factor * known).max() <= ROUNDING * abs(matrix).max():
-            return np.diag(factor * values)
-    return np.asarray(vectors.T @ (matrix @ vectors))
+def _viscous(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:
+    """Return Φᵀ C Φ [1/s] without the damping of the material, diagonal for a multiple of the mass."""
+    factor = galerkin.damping.trace() / galerkin.mass.trace()
+    if abs(galerkin.damping - factor * galerkin.mass).max() <= ROUNDING * abs(galerkin.damping).max():
+        return np.diag(np.full(vectors.shape[1], factor))
+    return np.asarray(vectors.T @ (galerkin.damping @ vectors))
 
 
 def _intervals(scene: Scene, highest: float, wave: float, density: float) -> tuple[int, int]:

@@ -46,7 +46,9 @@ def solve_eigenproblem(galerkin: Galerkin, wanted: int, scale: float) -> tuple[n
     refuse_beyond_memory(8.0 * unknowns * held, f"plate.size: {unknowns} functions and {min(wanted, unknowns)} modes")
     squares, vectors = _lowest(galerkin, wanted, scale) if few else _all(galerkin, scale)
     low = vectors[:, :LOWEST]
-    squares[: low.shape[1]], turn = scipy.linalg.eigh(_strain_energies(galerkin, low))
+    squares[: low.shape[1]], turn = scipy.linalg.eigh(
+        _from_curvatures(galerkin, low) + low.T @ (galerkin.support @ low)
+    )
     vectors[:, : low.shape[1]] = low @ turn
     if squares[0] < -BUCKLED * scale:
         raise _buckled(galerkin.scene)
@@ -86,8 +88,17 @@ def _lowest(galerkin: Galerkin, wanted: int, scale: float) -> tuple[np.ndarray, 
     return squares[order], vectors[:, order]
 
 
-def _strain_energies(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:
-    """Return (modes, modes) Φᵀ K Φ of vectors Φ (unknowns, modes), the bending energy from curvatures."""
+def bending_energies(galerkin: Galerkin, squares: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Return (modes, modes) Φᵀ B Φ [1/s²] of all modes Φ (unknowns, modes) and their ω²."""
+    if not galerkin.support.count_nonzero():
+        return np.diag(np.maximum(squares, 0.0))
+    energies = np.asarray(vectors.T @ (galerkin.bending @ vectors))
+    energies[:LOWEST, :LOWEST] = _from_curvatures(galerkin, vectors[:, :LOWEST])
+    return energies
+
+
+def _from_curvatures(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:
+    """Return (modes, modes) Φᵀ B Φ of vectors Φ (unknowns, modes), from their curvatures at Gauss's points."""
     integrals, (rows, columns) = Integrals(galerkin.scene, galerkin.along_x, galerkin.along_y), galerkin.shape
     bend_xx, bend_xy, bend_yy, twist, _ = (integrals.weights * field for field in integrals.fields())
     coefficients = vectors[: rows * columns].reshape(rows, columns, -1)
@@ -95,7 +106,7 @@ def _strain_energies(galerkin: Galerkin, vectors: np.ndarray) -> np.ndarray:
         [Matrix(splines.values(points, derivative).T) for derivative in (0, 1, 2)]
         for splines, points in zip(integrals.along, integrals.points, strict=True)
     )
-    total = np.asarray(vectors.T @ (galerkin.support @ vectors))
+    total = np.zeros((vectors.shape[1], vectors.shape[1]))
     step = max(1, POINTS // integrals.points[0].size)
     for part in (slice(start, start + step) for start in range(0, integrals.points[1].size, step)):
         xx, xy, yy = (_values(along_y[2 - i][part], along_x[i], coefficients) for i in (2, 1, 0))

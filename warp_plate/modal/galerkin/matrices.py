@@ -40,7 +40,7 @@ class Galerkin:
         mass: M [kg].
         bending: B, the stiffness of the plate alone [N/m].
         support: K − B, of edges, tension, foundation and oscillators [N/m].
-        damping: C [N·s/m].
+        damping: C [N·s/m] but for τB, the damping of the material.
         plate_mass: Mass of the plate with its layers, without oscillators [kg].
     """
 
@@ -90,8 +90,7 @@ def make_galerkin(scene: Scene, intervals: tuple[int, int]) -> Galerkin:
     if effects.tension is not None:
         support += effects.tension.x * integrals.matrix(1.0, x=(1, 1))
         support += effects.tension.y * integrals.matrix(1.0, y=(1, 1))
-    viscous, retardation = (effects.damping, effects.material_damping)
-    damping = (viscous.viscous if viscous else 0.0) * area + (retardation.time if retardation else 0.0) * bending
+    damping = (effects.damping.viscous if effects.damping else 0.0) * area
     if effects.foundation is not None:
         support += effects.foundation.stiffness * area
         damping += effects.foundation.damping * area
