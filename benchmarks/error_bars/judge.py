@@ -24,7 +24,7 @@ RADIUS, AROUND = 40, 128
 
 
 # Lines between elements, as parts of a side; the outer ones follow singular corners and edges.
-INNER = (0.05, 0.35, 0.65, 0.95)
+INNER, INNER_OF_LAYERS = (0.05, 0.35, 0.65, 0.95), (0.05, 0.5, 0.95)
 
 
 def true_factors(scene, phasors, degree=11):
@@ -82,7 +82,8 @@ class Modes:
 
 def solve(scene, degree, count):
     """Return the lowest modes."""
-    sides = [Side(scene, axis, degree, INNER[:: 3 if scene.effects.layers else 1]) for axis in (0, 1)]
+    inner = INNER_OF_LAYERS if scene.effects.layers else INNER
+    sides = [Side(scene, axis, degree, inner) for axis in (0, 1)]
     bending, support, mass, damping = matrices(scene, *sides)
     stiffness = bending + support
     shift = shift_of(scene)

@@ -15,49 +15,53 @@ from warp_plate.solve.response import Response
 # most so many times the change, which holds where they fall as density^-1.3 or faster, and LEAST_ERROR besides, for
 # free motion that is left out.
 FINER, HIGHER, CHANGE_FACTOR = 1.2, 2.0, 5.0
+# They are at least this part of the change from fewer functions, since two densities may agree by chance.
+COARSER, BEFORE_FACTOR = 0.7, 0.3
 
 
 @dataclass(frozen=True)
 class MoreFunctions:
-    """Responses of a scene by the modes that are taken, and by more of them."""
+    """Responses of a scene by the modes that are taken, by more and by fewer of them."""
 
     plate: ModalPlate  # modes of more functions
     response: Response  # response by the modes that are taken
     finer: Response  # response by those of more functions
+    coarser: Response  # response by those of fewer functions
 
     def changes(self, phasors: np.ndarray) -> np.ndarray:
         """Return the relative changes (drives,) of the localization factors of drives (drives, actuators).
 
         Errors of one drive may pass through zero, so the largest change of these drives, of the single actuators and of
         the bound counts for all, as a part of the larger one of its localization factor and that of the drive. So do
-        the changes of the drive's own energies.
+        the changes of the drive's own energies, and a part of the changes from fewer functions.
         """
-        observed = np.concatenate([phasors, np.eye(phasors.shape[1])])
-        fine, coarse = (np.append(each.localization_factors(observed), each.bound()) for each in self._responses)
-        changes = np.abs(coarse - fine) / np.maximum(fine, fine[: len(phasors), None])
-        fine, coarse = (each.energy(phasors) for each in self._responses)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            changes = np.hstack([changes, np.abs(coarse / fine - 1)])
-        largest: np.ndarray = np.nanmax(changes, axis=1, initial=0)
-        return largest
+        after = _changes(phasors, self.finer, self.response)
+        return np.maximum(after, BEFORE_FACTOR / CHANGE_FACTOR * _changes(phasors, self.response, self.coarser))
 
     def error(self, phasors: np.ndarray) -> float:
         """Return the largest error of drives (drives, actuators)."""
         return float(error_of(self.changes(phasors)).max())
 
-    @property
-    def _responses(self) -> tuple[Response, Response]:
-        return self.finer, self.response
-
 
 def compare_with_more_functions(scene: Scene) -> MoreFunctions:
-    """Solve for the modes that are taken and for more of them.
+    """Solve for the modes that are taken, for more and for fewer of them.
 
     Raises:
         SceneError: An undamped plate is driven at resonance, or the plate has no modes.
     """
     (_, response), (plate, finer) = solve_response(scene, 1.0), solve_response(scene, FINER, HIGHER)
-    return MoreFunctions(plate, response, finer)
+    return MoreFunctions(plate, response, finer, solve_response(scene, COARSER)[1])
+
+
+def _changes(phasors: np.ndarray, finer: Response, coarser: Response) -> np.ndarray:
+    """Return the largest relative changes (drives,) of what :meth:`MoreFunctions.changes` observes."""
+    observed = np.concatenate([phasors, np.eye(phasors.shape[1])])
+    fine, coarse = (np.append(each.localization_factors(observed), each.bound()) for each in (finer, coarser))
+    factors = np.abs(coarse - fine) / np.maximum(fine, fine[: len(phasors), None])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        energies = np.abs(coarser.energy(phasors) / finer.energy(phasors) - 1)
+    largest: np.ndarray = np.nanmax(np.hstack([factors, energies]), axis=1, initial=0)
+    return largest
 
 
 def error_of(change: np.ndarray) -> np.ndarray:

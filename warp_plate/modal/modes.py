@@ -35,7 +35,7 @@ FEWEST, PER_HALF_WAVE = 18, 2.6
 MOST_INTERVALS = 400
 # Modes that are wanted: those up to REACH times the highest frequency, and FURTHER ones for what higher ones add to
 # responses, or SPARE without responses.
-REACH, FURTHER, SPARE = 4.0, 350, 40
+REACH, FURTHER, SPARE = 4.0, 600, 40
 # Gauss's points between two lines of the plate for its mean wave.
 POINTS_OF_MEAN = 2
 # Frequencies below this part of √(D/ρH)(π/longer side)² are those of rigid motions.
