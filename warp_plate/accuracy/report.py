@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -50,6 +50,7 @@ class Recommendation:
     tolerance: float  # relative error
     row: int | None  # index of the row; None if no row keeps the tolerance
     seconds: float | None  # time of the whole search [s]
+    keeps_displacement: bool = False  # True if the displacement keeps the tolerance too, not the factors alone
 
 
 @dataclass(frozen=True)
@@ -178,8 +179,7 @@ def fit_laws(rows: Sequence[AccuracyRow], uncertainty: float) -> list[Convergenc
         members = [max(grid, key=lambda row: row.time_step or 0) for grid in grids.values()]
         members.sort(key=lambda row: -row.spacing)
         floor = max(ABOVE_UNCERTAINTY * uncertainty, ROUNDING[members[0].precision])
-        # The error of energies is about the square of that of displacements.
-        field_floor = max(floor, math.sqrt(uncertainty))
+        field_floor = max(floor, displacement_floor(uncertainty))
         cost = _slope(members, "seconds_per_plate", 0.0, math.inf)
         laws.append(
             ConvergenceLaw(
@@ -216,24 +216,34 @@ def pareto_front(rows: Sequence[AccuracyRow]) -> list[int]:
     return front
 
 
+def displacement_floor(uncertainty: float) -> float:
+    """Return the relative error of the reference's displacement; that of energies is about its square."""
+    return math.sqrt(uncertainty)
+
+
 def recommend(rows: Sequence[AccuracyRow], uncertainty: float, plates: int) -> list[Recommendation]:
     """Return the cheapest row for each of ``TOLERANCES``, in a search of ``plates`` plates.
 
-    The tolerance includes the uncertainty of the reference, and the finer grids of the row's order, load and precision
+    The row keeps the tolerance in localization factors and displacement, or, if there is none, in localization factors
+    alone. The tolerance includes the error of the reference, and the finer grids of the row's order, load and precision
     must keep it too: a coarse grid may be right by chance.
     """
-    measured = [(row.search_seconds(plates), index, row) for index, row in enumerate(rows) if row.measured]
-    worst = {
-        index: max(
-            other.error or 0.0
-            for _, _, other in measured
-            if other.family == row.family and other.spacing <= row.spacing * (1 + 1e-9)
-        )
-        for _, index, row in measured
-    }
+    measured = {index: row for index, row in enumerate(rows) if row.measured}
+    cost = {index: row.search_seconds(plates) for index, row in measured.items()}
+    factors = {index: _worst(row, measured.values(), "error") + uncertainty for index, row in measured.items()}
+    floor = displacement_floor(uncertainty)
+    fields = {index: _worst(row, measured.values(), "error_displacement") + floor for index, row in measured.items()}
     recommendations = []
     for tolerance in TOLERANCES:
-        kept = [(seconds, index) for seconds, index, _ in measured if worst[index] <= tolerance - uncertainty]
-        seconds, index = min(kept, default=(None, None))
-        recommendations.append(Recommendation(tolerance, index, seconds))
+        kept = [index for index in measured if factors[index] <= tolerance]
+        both = [index for index in kept if fields[index] <= tolerance]
+        row = min(both or kept, key=lambda index: cost[index], default=None)
+        recommendations.append(Recommendation(tolerance, row, None if row is None else cost[row], bool(both)))
     return recommendations
+
+
+def _worst(row: AccuracyRow, rows: Iterable[AccuracyRow], name: str) -> float:
+    """Return the largest error of the row and of finer ones of its family; infinity if one is not known."""
+    finer = (other for other in rows if other.family == row.family and other.spacing <= row.spacing * (1 + 1e-9))
+    errors = [getattr(other, name) for other in finer]
+    return max(math.inf if error is None or math.isnan(error) else error for error in errors)

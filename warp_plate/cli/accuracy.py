@@ -104,7 +104,7 @@ def _recommendations(report: AccuracyReport) -> Table:
     from warp_plate.accuracy.configurations import percent, seconds_text
 
     swarm = f"{report.particles} × {report.iterations} plates"
-    made = output.table("for", "use", "error", "a plate", swarm)
+    made = output.table("for", "use", "error", "kept in", "a plate", swarm)
     made.columns[1].justify = "left"
     for recommended in report.recommended:
         cells = ["none within the budget"]
@@ -114,7 +114,8 @@ def _recommendations(report: AccuracyReport) -> Table:
             if row.time_step is not None:
                 use = f"{_size(row)}, order {row.order}, {row.load}, {row.time_step:.2g} s, {row.precision}"
             seconds = (row.seconds_per_plate or 0.0, recommended.seconds or 0.0)
-            cells = [use, percent(row.error or 0.0), *map(seconds_text, seconds)]
+            kept = "factors and u" if recommended.keeps_displacement else "factors alone"
+            cells = [use, percent(row.error or 0.0), kept, *map(seconds_text, seconds)]
         made.add_row(percent(recommended.tolerance), *cells)
     return made
 
