@@ -8,6 +8,7 @@ import pytest
 from conftest import output_of
 
 from warp_plate.accuracy import configurations, report
+from warp_plate.cli.accuracy import error_text
 
 ROW_KEYS = {
     "order", "load", "nodes", "time_step", "precision", "localization_factor", "bound", "error", "seconds_per_plate",
@@ -52,6 +53,11 @@ def test_table_file_and_picture(accuracy):
     assert "warp-lang" in record["versions"]
     assert Path("a.png").read_bytes().startswith(b"\x89PNG")
     assert "order 4, moments" in Path("a.svg").read_text(encoding="utf-8")
+
+
+def test_errors_within_that_of_the_reference_are_bounds():
+    found = [error_text(error, 0.01) for error in (None, 0.02, 0.01, 0.004)]
+    assert found == ["~", "2", "≤2", "≤1.4"]
 
 
 def test_ctrl_c_keeps_the_measurements(accuracy, monkeypatch):

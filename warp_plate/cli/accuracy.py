@@ -21,7 +21,8 @@ LEGEND = (
     "largest relative error of single, best drive and bound; u: error of the displacement under the best drive (L2 "
     "norm over plate and window); modes: error of the first natural frequencies. a plate: seconds per plate in a "
     "swarm. Of modes: functions in place of nodes, and a plate's share of all that a swarm takes, from the scene on. "
-    "* no other row is both more accurate and faster; ~ not measured because it would take too long."
+    "≤ no larger than the reference's own error: a bound. * no other row is both more accurate and faster; ~ not "
+    "measured because it would take too long."
 )
 
 
@@ -73,7 +74,7 @@ def _print(report: AccuracyReport, device: str, console: Console) -> None:
         made = output.table(*HEADINGS, title=kind)
         for index, row in enumerate(report.rows):
             if _kind(row) == kind and not row.status.startswith("skipped"):
-                made.add_row(*_cells(row, index in report.front))
+                made.add_row(*_cells(row, index in report.front, reference.uncertainty))
         if made.row_count:
             console.print(made, "")
     console.print(LEGEND + "\n")
@@ -115,7 +116,7 @@ def _recommendations(report: AccuracyReport) -> Table:
                 use = f"{_size(row)}, order {row.order}, {row.load}, {row.time_step:.2g} s, {row.precision}"
             seconds = (row.seconds_per_plate or 0.0, recommended.seconds or 0.0)
             kept = "factors and u" if recommended.keeps_displacement else "factors alone"
-            cells = [use, percent(row.error or 0.0), kept, *map(seconds_text, seconds)]
+            cells = [use, f"{error_text(row.error, report.reference.uncertainty)} %", kept, *map(seconds_text, seconds)]
         made.add_row(percent(recommended.tolerance), *cells)
     return made
 
@@ -131,8 +132,19 @@ def _size(row: AccuracyRow) -> str:
     return f"{row.nodes[0]} × {row.nodes[1]}"
 
 
-def _cells(row: AccuracyRow, on_front: bool) -> list[str]:
-    from warp_plate.accuracy.configurations import percent, seconds_text
+def error_text(error: float | None, floor: float) -> str:
+    """Return an error in percent, as a bound where it is no larger than that of the reference, ``floor``."""
+    from warp_plate.accuracy.configurations import percent
+
+    if error is None:
+        return "~"
+    text = f"≤{percent(error + floor)}" if error <= floor else percent(error)
+    return text.removesuffix(" %")
+
+
+def _cells(row: AccuracyRow, on_front: bool, uncertainty: float) -> list[str]:
+    from warp_plate.accuracy.configurations import seconds_text
+    from warp_plate.accuracy.report import displacement_floor
 
     step = "" if row.time_step is None else f"{row.time_step:.2g}"
     head = [_size(row), step, row.precision.removeprefix("float")]
@@ -140,5 +152,6 @@ def _cells(row: AccuracyRow, on_front: bool) -> list[str]:
         return [*head, *[""] * 5, row.status.partition(":")[0], ""]
     head += [f"{row.localization_factor:.4f}", "~" if row.bound is None else f"{row.bound:.4f}"]
     errors = (row.error, row.error_displacement, row.error_frequencies)
-    shown = ["~" if error is None else percent(error).removesuffix(" %") for error in errors]
+    floors = (uncertainty, displacement_floor(uncertainty), 0.0)
+    shown = list(map(error_text, errors, floors))
     return [*head, *shown, seconds_text(row.seconds_per_plate or 0.0), "*" if on_front else ""]
