@@ -13,8 +13,8 @@ from warp_plate.studies.simulate import simulate
 # Relative error of the judge, and the largest of a judge who is heard.
 JUDGE, UNSURE = 1e-4, 5e-3
 ASKED = 0.01
-# Degrees of the elements of plates with layers and maps.
-LAYERS_DEGREE, MAP_DEGREE = 7, 8
+# Degree of the elements of plates with layers and maps.
+INHOMOGENEOUS_DEGREE = 8
 
 
 def measured(number: int, promise: bool) -> list[dict]:
@@ -24,8 +24,10 @@ def measured(number: int, promise: bool) -> list[dict]:
         phasors = np.array([[a.magnitude * np.exp(-1j * a.phase) for a in scene.actuators]])
         truth, judge = float(true_factors(scene, phasors)[0]), JUDGE
         if set(names) & set(INHOMOGENEOUS):  # of more elements, and corners at which moments are singular
-            degree = LAYERS_DEGREE if "layers" in names else MAP_DEGREE
-            truth, coarse = (float(true_factors(scene, phasors, each)[0]) for each in (degree, degree - 1))
+            truth, coarse = (
+                float(true_factors(scene, phasors, each)[0])
+                for each in (INHOMOGENEOUS_DEGREE, INHOMOGENEOUS_DEGREE - 1)
+            )
             judge += abs(coarse / truth - 1)
     except SceneError as error:
         print(f"{number:4d} no scene: {error}", flush=True)
