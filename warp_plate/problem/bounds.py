@@ -64,6 +64,11 @@ class AllowedDrives:
     equal: bool = False  # all magnitudes are the same
     wider: bool = False  # the set contains drives that are not allowed, one of which may attain the bound
 
+    @property
+    def limits_ratios(self) -> bool:
+        """True if not every drive has a multiple that is allowed, so that limits say something about a ratio."""
+        return self.equal or bool((self.lower > 0).any())
+
     def basis(self) -> np.ndarray:
         """Return (2M, parameters): z = basis @ parameters are the drives of the fixed phases.
 
@@ -95,9 +100,7 @@ def bound_localization(
 
     reached = _best_allowed(ratio, basis @ parameters, allowed)
     bound = _bound(value, reached, "the largest eigenvalue of the energies' matrices")
-    # If a multiple of any drive is allowed, limits say nothing about a ratio.
-    limited = (allowed.equal or (allowed.lower > 0).any()) and len(allowed.phase) <= most_actuators
-    if bound.kind == "bound only" and limited:
+    if bound.kind == "bound only" and allowed.limits_ratios and len(allowed.phase) <= most_actuators:
         limits = [(plate, 0.0, 1.0, False), *_magnitude_limits(allowed)]
         least, nearest = _majorant(response.matrices[TARGET], limits, basis, np.diag(plate))
         if least < value:

@@ -37,13 +37,16 @@ def make_spectrum(problem: Problem, best: Case) -> dict[str, np.ndarray]:
 
 
 def spectrum_frequencies(problem: Problem) -> np.ndarray:
-    """Return the frequencies of a result's spectrum [Hz], by modes those that follow every resonance; empty unless a
-    common frequency of all actuators is searched and the scene is linear in the drives."""
+    """Return the frequencies of a result's spectrum [Hz]; empty unless a common frequency of all actuators is searched
+    and the scene is linear in the drives.
+
+    By modes they follow every resonance, unless limits on magnitudes make the bound at each too dear.
+    """
     scene = problem.scene
     search = scene.search.frequency
     if search is None or search.own or search.actuators is not None or not scene.linear:
         return np.empty(0)
-    if problem.path == MODAL:
+    if problem.path == MODAL and not allowed_drives(parametrization_of(scene)).limits_ratios:
         return adaptive_frequencies(*solve_modes(scene, search.range[1]).resonances, *search.range)
     evaluations, units = scene.search.particles * scene.search.iterations, len(unit_drives(len(scene.actuators)))
     return np.linspace(*search.range, min(MOST, max(FEWEST, evaluations // units)))
