@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -97,9 +97,22 @@ class Poles:
         return self.vectors[self.modes, np.arange(self.values.size)]
 
 
-@lru_cache(maxsize=4)
+# Poles of the plates in use, by the longest time [s].
+_known: WeakKeyDictionary[ModalPlate, dict[float, Poles]] = WeakKeyDictionary()
+
+
 def make_poles(plate: ModalPlate, longest: float) -> Poles:
-    """Return the poles of a plate with viscous damping, for times up to ``longest`` [s]."""
+    """Return the poles of a plate with viscous damping, for times up to ``longest`` [s].
+
+    They are computed once and kept as long as the plate is in use.
+    """
+    known = _known.setdefault(plate, {})
+    if longest not in known:
+        known[longest] = _compute_poles(plate, longest)
+    return known[longest]
+
+
+def _compute_poles(plate: ModalPlate, longest: float) -> Poles:
     least = APART / longest
     square, loss = np.maximum(plate.angular_frequencies, least) ** 2, np.diag(plate.damping) / 2
     coupled = 0 if plate.proportional else min(COUPLED, square.size)
