@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from warp_plate import Scene
-from warp_plate.modal.energy import gram_matrices
+from warp_plate.modal.energy import gram_matrices, mean_exponential, mean_exponential_with_time
 from warp_plate.modal.modes import solve_modes
+from warp_plate.scene.model import Window
 from warp_plate.solve.response import Response
 
 
@@ -35,3 +36,17 @@ def test_late_window_is_steady():
     assert np.allclose(matrices(plate, late), steady, rtol=1e-7, atol=1e-9 * steady.max())
     omega = 2 * np.pi * scene.drive.frequency
     assert np.allclose(matrices(plate, None, quantity="displacement") * omega**2, steady, rtol=1e-12)
+
+
+def test_means_of_exponentials():
+    """Gauss's rule, from exponents that meet, over those where the formulas' differences cancel, to fast ones."""
+    window = Window(start=0.3, end=0.8)
+    sizes = np.concatenate([[0], np.geomspace(1e-8, 30, 60)])
+    first, second = sizes[:, None] * np.exp(1j * np.linspace(0, 2 * np.pi, 7)) + 5j, np.array([-5j])
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    times = (window.start + window.end + (window.end - window.start) * nodes) / 2
+    exponentials = np.exp((first + second)[..., None] * times) * weights / 2
+    mean, with_time = mean_exponential_with_time(first, second, window)
+    assert np.array_equal(mean, mean_exponential(first, second, window))
+    assert np.allclose(mean, exponentials.sum(axis=-1), rtol=1e-11, atol=0)
+    assert np.allclose(with_time, (exponentials * times).sum(axis=-1), rtol=1e-11, atol=0)

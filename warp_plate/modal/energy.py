@@ -37,6 +37,8 @@ from warp_plate.scene.model import Window
 NEGLIGIBLE = 1e-6
 # Matrices with fewer nonzero entries than this part are kept as sparse ones.
 SPARSE = 0.05
+# Means of exponentials whose exponent changes by less than SLOW over the window are series: their differences cancel.
+SLOW = 1e-2
 
 
 def gram_matrices(
@@ -224,16 +226,40 @@ def as_sparse(matrix: np.ndarray) -> np.ndarray | scipy.sparse.csr_array:
 
 
 def mean_exponential(first: np.ndarray, second: np.ndarray, window: Window) -> np.ndarray:
-    """Return the means of exp((first + second) t) over the window, broadcast."""
+    """Return the means ⟨exp(σt)⟩, σ = first + second [1/s], over the window, broadcast.
+
+    With x = σ(end − start): (exp(σ end) − exp(σ start)) / x, or exp(σ start) Σ xⁿ/(n + 1)!.
+    """
     turn = (first + second) * (window.end - window.start)
-    early = np.exp(first * window.start) * np.exp(second * window.start)
-    late = np.exp(first * window.end) * np.exp(second * window.end)
-    small = np.abs(turn) < 1e-3
-    mean = (late - early) / np.where(small, 1, turn)
-    if small.any():  # where the difference would cancel: a series whose next term is below 1e-14
-        near = turn[small]
-        mean[small] = early[small] * (1 + near / 2 * (1 + near / 3 * (1 + near / 4)))
+    early, late = (_exponential(first, second, time) for time in (window.start, window.end))
+    slow = np.abs(turn) < SLOW
+    mean = (late - early) / np.where(slow, 1, turn)
+    if slow.any():
+        x = turn[slow]
+        mean[slow] = early[slow] * (1 + x / 2 * (1 + x / 3 * (1 + x / 4 * (1 + x / 5 * (1 + x / 6)))))
     return np.asarray(mean)
+
+
+def mean_exponential_with_time(first: np.ndarray, second: np.ndarray, window: Window) -> tuple[np.ndarray, np.ndarray]:
+    """Return the means ⟨exp(σt)⟩ and ⟨t exp(σt)⟩ [s] over the window; see :func:`mean_exponential`.
+
+    The latter is start ⟨exp(σt)⟩ + (end − start) s, s = (exp(σ end) − ⟨exp(σt)⟩) / x or exp(σ start) Σ xⁿ/(n! (n + 2)).
+    """
+    length, mean = window.end - window.start, mean_exponential(first, second, window)
+    turn = (first + second) * length
+    slow = np.abs(turn) < SLOW
+    share = (_exponential(first, second, window.end) - mean) / np.where(slow, 1, turn)
+    if slow.any():
+        x, early = turn[slow], _exponential(first, second, window.start)[slow]
+        share[slow] = (
+            early / 2 * (1 + 2 * x / 3 * (1 + 3 * x / 8 * (1 + 4 * x / 15 * (1 + 5 * x / 24 * (1 + 6 * x / 35)))))
+        )
+    return mean, window.start * mean + length * share
+
+
+def _exponential(first: np.ndarray, second: np.ndarray, time: float) -> np.ndarray:
+    """Return exp((first + second) time); the factors are fewer numbers than the sum."""
+    return np.asarray(np.exp(first * time) * np.exp(second * time))
 
 
 def real_form(plain: np.ndarray, mixed: np.ndarray) -> np.ndarray:

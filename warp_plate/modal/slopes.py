@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_plate.modal.energy import lasting_poles, mean_exponential
+from warp_plate.modal.energy import lasting_poles, mean_exponential, mean_exponential_with_time
 from warp_plate.modal.galerkin.matrices import patch_integrals
 from warp_plate.modal.loads import ExponentialLoads, exponential_loads
 from warp_plate.modal.modes import ModalPlate
@@ -32,8 +32,6 @@ from warp_plate.modal.steady import multiply_modes
 from warp_plate.plate.signals import actuator_delays
 from warp_plate.scene.model import Window
 
-# Means of exponentials that turn less than SLOW over the window are series of TERMS terms.
-SLOW, TERMS = 1e-2, 8
 # Numbers of the arrays of a block of designs.
 BLOCK_NUMBERS = 2**22
 
@@ -278,25 +276,7 @@ def _side_means(rates: np.ndarray, decays: np.ndarray, conjugate: int, part: Win
     """Return the means of products of exponentials, the first one conjugate or not: forced with forced and free with
     forced motion, both also times t; free with forced and free with free."""
     first, free = (rates.conj(), decays.conj()) if conjugate else (rates, decays)
-    of_forced = _means(first[:, :, None], rates[:, None, :], part)
-    of_free = _means(free[:, None], rates[:, None, :], part)
+    of_forced = mean_exponential_with_time(first[:, :, None], rates[:, None, :], part)
+    of_free = mean_exponential_with_time(free[:, None], rates[:, None, :], part)
     pairs = (decays[:, None], first[:, None, :]), (decays[:, None], free)
     return of_forced, of_free, *(mean_exponential(*pair, part) for pair in pairs)
-
-
-def _means(first: np.ndarray, second: np.ndarray, part: Window) -> tuple[np.ndarray, np.ndarray]:
-    """Return the means of exp(σt) and t exp(σt), σ = first + second, over a part of time, broadcast."""
-    low, high = part.start, part.end
-    length, rate = high - low, first + second
-    early = np.exp(first * low) * np.exp(second * low)
-    late = np.exp(first * high) * np.exp(second * high)
-    slow = np.abs(rate) * length < SLOW
-    divisor = np.where(slow, 1, rate)
-    plain = (late - early) / (divisor * length)
-    ramped = (late * high - early * low) / (divisor * length) - plain / divisor
-    if slow.any():
-        x, start = rate[slow] * length, early[slow]
-        powers = x[:, None] ** np.arange(TERMS) / [math.factorial(n) for n in range(TERMS)]
-        plain[slow] = start * (powers / np.arange(1, TERMS + 1)).sum(axis=1)
-        ramped[slow] = low * plain[slow] + length * start * (powers / np.arange(2, TERMS + 2)).sum(axis=1)
-    return plain, ramped
