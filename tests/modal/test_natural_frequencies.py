@@ -15,6 +15,7 @@ from levy import isotropic, levy_frequencies
 from ritz_polynomials import extrapolated_frequencies, ritz_frequencies
 
 from warp_plate import SceneError
+from warp_plate.modal.galerkin import eigenproblem
 from warp_plate.modal.modes import solve_modes
 
 SIZE = (0.23, 0.17)
@@ -293,3 +294,24 @@ def test_a_cantilever_strip_without_poisson_s_effect_is_a_beam(slenderness):
     for density in (1, 2):
         frequency = solve_modes(scene, highest=0.0, count=4, density=density).frequencies[0]
         assert frequency == pytest.approx(first, rel=1e-7)
+
+
+@pytest.mark.parametrize("mix", [("clamped",) * 4, ("free", "supported") * 2, ("clamped", "free", "supported", "free")])
+def test_modes_between_edges_that_are_alike_are_even_or_odd(mix):
+    """Also those of a square plate that share a frequency, of which any combination is a mode."""
+    shapes = solve_modes(scene_of(size=(0.2, 0.2), edges=mix), highest=0.0, count=COUNT)
+    shapes = shapes.shapes(*[np.linspace(0.0, 0.2, 24)] * 2)[:COUNT]
+    images = [shapes[:, ::-1]] + ([shapes[:, :, ::-1]] if mix[0] == mix[2] else [])
+    for image in images:
+        difference = np.minimum(abs(shapes - image).max(axis=(1, 2)), abs(shapes + image).max(axis=(1, 2)))
+        assert difference.max() < 1e-8 * abs(shapes).max()
+
+
+@pytest.mark.parametrize("mix", [("clamped",) * 4, ("free", "clamped", "supported", "clamped"), ("free",) * 4])
+def test_lanczos_finds_what_dense_matrices_find(mix, monkeypatch):
+    scene = scene_of(size=(0.2, 0.14), edges=mix)
+    few = solve_modes(scene, highest=0.0, count=COUNT, density=1.6).frequencies
+    monkeypatch.setattr(eigenproblem, "SPARSE", 1000)
+    every = solve_modes(scene, highest=0.0, count=COUNT, density=1.6).frequencies
+    assert COUNT < len(few) < len(every) / 5
+    assert few == pytest.approx(every[: len(few)], rel=1e-7)

@@ -8,6 +8,8 @@ integrated from their curvatures: these have small relative errors.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import scipy
 
@@ -40,50 +42,91 @@ def solve_eigenproblem(galerkin: Galerkin, wanted: int, scale: float) -> tuple[n
     Raises:
         SceneError: The plate buckles, or the matrices do not fit into memory.
     """
-    unknowns = galerkin.mass.shape[0]
+    bases = _parity_bases(galerkin)
+    # Of the modes up to a frequency, nearly as many have each parity; the difference grows as the plate's perimeter.
+    share = math.ceil(wanted / len(bases) + (len(bases) - 1) * math.sqrt(wanted) / 2)
+    parts = [_solve(galerkin, basis, share, scale) for basis in bases]
+    sizes = [squares.size for squares, _ in parts]
+    highest = min((squares[-1] for squares, _ in parts if squares.size == share), default=math.inf)
+    squares, parity = np.concatenate([squares for squares, _ in parts]), np.repeat(range(len(parts)), sizes)
+    order = np.argsort(squares, kind="stable")
+    order = order[squares[order] <= highest]
+    squares, vectors = squares[order], np.concatenate([vectors for _, vectors in parts], axis=1)[:, order]
+    _improve_lowest(galerkin, squares, vectors, parity[order])
+    order = np.argsort(squares, kind="stable")
+    if squares[order[0]] < -BUCKLED * scale:
+        raise _buckled(galerkin.scene)
+    return squares[order], vectors[:, order]
+
+
+def _parity_bases(galerkin: Galerkin) -> list[Matrix]:
+    """Return bases (unknowns, n) of the motions that are even or odd about the middle of each side, where modes are.
+
+    The modes of a plate whose opposite edges are alike, and that is the same everywhere, are one or the other.
+    """
+    effects, edges = galerkin.scene.effects, galerkin.scene.edges
+    if effects.layers or effects.variation or effects.oscillators:
+        return [scipy.sparse.eye_array(galerkin.mass.shape[0], format="csr")]
+    alike, (rows, columns) = (edges.bottom == edges.top, edges.left == edges.right), galerkin.shape
+    along_y, along_x = (
+        _parities(count) if same else [np.eye(count)] for count, same in zip((rows, columns), alike, strict=True)
+    )
+    return [Matrix(scipy.sparse.kron(y, x)) for y in along_y for x in along_x]
+
+
+def _parities(count: int) -> list[np.ndarray]:
+    """Return orthonormal bases (count, n) of the even and the odd sequences."""
+    identity = np.eye(count)
+    even, odd = identity + identity[::-1], identity - identity[::-1]
+    return [part / np.linalg.norm(part, axis=0) for part in (even[:, : (count + 1) // 2], odd[:, : count // 2])]
+
+
+def _solve(galerkin: Galerkin, basis: Matrix, wanted: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return ω², rising, and vectors (unknowns, modes) of the motions that a basis (unknowns, n) spans."""
+    unknowns = basis.shape[1]
     few = wanted * SPARSE < unknowns
     held = LANCZOS_VECTORS * wanted if few else DENSE_MATRICES * unknowns
     refuse_beyond_memory(8.0 * unknowns * held, f"plate.size: {unknowns} functions and {min(wanted, unknowns)} modes")
-    squares, vectors = _lowest(galerkin, wanted, scale) if few else _all(galerkin, scale)
-    low = vectors[:, :LOWEST]
-    squares[: low.shape[1]], turn = scipy.linalg.eigh(
-        _from_curvatures(galerkin, low) + low.T @ (galerkin.support @ low)
-    )
-    vectors[:, : low.shape[1]] = low @ turn
-    if squares[0] < -BUCKLED * scale:
-        raise _buckled(galerkin.scene)
-    return squares, vectors
-
-
-def _all(galerkin: Galerkin, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return all modes, by dense matrices."""
-    mass = galerkin.mass.toarray()
-    shifted = galerkin.stiffness.toarray() + scale * mass
-    # Eigenvalues of the inverse problem: the largest have small relative errors, and they belong to the lowest modes.
-    units = 1 / np.sqrt(np.diag(shifted))
+    stiffness, mass = (Matrix(basis.T @ matrix @ basis) for matrix in (galerkin.stiffness, galerkin.mass))
     try:
-        inverse, vectors = scipy.linalg.eigh(
-            mass * np.outer(units, units), shifted * np.outer(units, units), driver="gvd"
-        )
+        squares, vectors = _lowest(stiffness, mass, wanted, scale) if few else _all(stiffness, mass, scale)
     except np.linalg.LinAlgError:
         raise _buckled(galerkin.scene) from None
+    return squares, basis @ vectors
+
+
+def _improve_lowest(galerkin: Galerkin, squares: np.ndarray, vectors: np.ndarray, parity: np.ndarray) -> None:
+    """Solve for the lowest modes once more, in the space that those of each parity (modes,) span; in place."""
+    low = vectors[:, :LOWEST]
+    energies = _from_curvatures(galerkin, low) + low.T @ (galerkin.support @ low)
+    for each in np.unique(parity[: low.shape[1]]):
+        alike = np.flatnonzero(parity[: low.shape[1]] == each)
+        squares[alike], turn = scipy.linalg.eigh(energies[np.ix_(alike, alike)])
+        vectors[:, alike] = vectors[:, alike] @ turn
+
+
+def _all(stiffness: Matrix, mass: Matrix, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return all modes, by dense matrices."""
+    dense = mass.toarray()
+    shifted = stiffness.toarray() + scale * dense
+    # Eigenvalues of the inverse problem: the largest have small relative errors, and they belong to the lowest modes.
+    units = 1 / np.sqrt(np.diag(shifted))
+    inverse, vectors = scipy.linalg.eigh(dense * np.outer(units, units), shifted * np.outer(units, units), driver="gvd")
     inverse, vectors = inverse[::-1], (units[:, None] * vectors)[:, ::-1]
     kept = inverse > 1e-9 * inverse[0]  # of still higher ones rounding couples the damping
     inverse, vectors = inverse[kept], vectors[:, kept]
     return 1 / inverse - scale, vectors / np.sqrt(inverse)
 
 
-def _lowest(galerkin: Galerkin, wanted: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
+def _lowest(stiffness: Matrix, mass: Matrix, wanted: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the lowest modes, by Lanczos' method with shift and inversion."""
-    shifted = scipy.sparse.csc_array(galerkin.stiffness + scale * galerkin.mass)
+    shifted = scipy.sparse.csc_array(stiffness + scale * mass)
     solve = scipy.sparse.linalg.splu(
         shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     ).solve
     inverse = scipy.sparse.linalg.LinearOperator(shifted.shape, matvec=solve, dtype=float)
     start = np.random.default_rng(0).normal(size=shifted.shape[0])
-    squares, vectors = scipy.sparse.linalg.eigsh(
-        galerkin.stiffness, wanted, galerkin.mass, sigma=-scale, OPinv=inverse, v0=start
-    )
+    squares, vectors = scipy.sparse.linalg.eigsh(stiffness, wanted, mass, sigma=-scale, OPinv=inverse, v0=start)
     order = np.argsort(squares, kind="stable")
     return squares[order], vectors[:, order]
 
