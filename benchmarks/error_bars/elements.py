@@ -22,17 +22,23 @@ def element_frequencies(scene, count, degree=10):
     """Return the lowest ``count`` natural frequencies [Hz] of the undamped plate."""
     sides = [Side(scene, axis, degree) for axis in (0, 1)]
     bending, support, mass, _ = matrices(scene, *sides)
-    stiffness = bending + support
-    units = 1 / np.sqrt(np.diag(stiffness) / np.diag(stiffness).mean() + np.diag(mass) / np.diag(mass).mean())
-    stiffness, mass = (matrix * np.outer(units, units) for matrix in (stiffness, mass))
-    shift = shift_of(scene)
-    factor = scipy.linalg.cho_factor(stiffness + shift * mass)
-    inverse = scipy.sparse.linalg.LinearOperator(stiffness.shape, lambda b: scipy.linalg.cho_solve(factor, b))
-    start = np.random.default_rng(0).normal(size=len(mass))
-    squares = scipy.sparse.linalg.eigsh(
-        stiffness, count, mass, sigma=-shift, OPinv=inverse, v0=start, return_eigenvectors=False
-    )
-    return np.sqrt(np.maximum(np.sort(squares), 0)) / (2 * np.pi)
+    squares, _ = lowest_modes(bending + support, mass, count, shift_of(scene))
+    return np.sqrt(np.maximum(squares, 0)) / (2 * np.pi)
+
+
+def lowest_modes(stiffness, mass, count, shift):
+    """Return the lowest ω² [1/s²], rising, and mass-normalised vectors (unknowns, modes)."""
+    shifted = stiffness + shift * mass
+    units = 1 / np.sqrt(np.diag(shifted))
+    mass, shifted = (scipy.sparse.csc_array(matrix * np.outer(units, units)) for matrix in (mass, shifted))
+    solve = scipy.sparse.linalg.splu(
+        shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    ).solve
+    inverse = scipy.sparse.linalg.LinearOperator(shifted.shape, matvec=solve, dtype=float)
+    start = np.random.default_rng(0).normal(size=len(units))
+    squares, vectors = scipy.sparse.linalg.eigsh(shifted, count, mass, sigma=0, OPinv=inverse, v0=start)
+    order = np.argsort(squares)
+    return squares[order] - shift, units[:, None] * vectors[:, order]
 
 
 def shift_of(scene):

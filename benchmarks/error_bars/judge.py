@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import scipy
 
-from error_bars.elements import Side, bending_of, density_at, matrices, shift_of
+from error_bars.elements import Side, bending_of, density_at, lowest_modes, matrices, shift_of
 from warp_plate import Scene
 
 # Modes that are solved for once more.
@@ -86,24 +86,19 @@ def solve(scene, degree, count):
     sides = [Side(scene, axis, degree, inner) for axis in (0, 1)]
     bending, support, mass, damping = matrices(scene, *sides)
     stiffness = bending + support
-    shift = shift_of(scene)
-    units = 1 / np.sqrt(np.diag(stiffness + shift * mass))
-    scaled = [matrix * np.outer(units, units) for matrix in (mass, stiffness + shift * mass)]
-    # The inverse problem, whose largest eigenvalues have small relative errors.
-    inverse, vectors = scipy.linalg.eigh(*scaled, subset_by_index=(max(len(mass) - count, 0), len(mass) - 1))
+    squares, vectors = lowest_modes(stiffness, mass, count, shift_of(scene))
     loads = np.zeros((len(mass), len(scene.actuators)))
     for column, actuator in zip(loads.T, scene.actuators, strict=True):
         along_x, along_y = (side.integral(*actuator.area[2 * axis : 2 * axis + 2]) for axis, side in enumerate(sides))
         column[: along_x.size * along_y.size] = np.outer(along_y, along_x).ravel()
-    vectors, squares = units[:, None] * vectors / np.sqrt(inverse), 1 / inverse - shift
     found = Modes(scene, sides, stiffness, mass, damping, bending, loads, squares, vectors)
     # The lowest modes once more, without the rounding of the matrices.
-    low = vectors[:, -LOWEST:]
+    low = vectors[:, :LOWEST]
     bent = bending_of(scene, *sides, found.of_plate(low))
-    squares[-LOWEST:], turned = scipy.linalg.eigh(bent + low.T @ support @ low)
-    vectors[:, -LOWEST:] = low @ turned
+    squares[:LOWEST], turned = scipy.linalg.eigh(bent + low.T @ support @ low)
+    vectors[:, :LOWEST] = low @ turned
     found.bending = vectors.T @ bending @ vectors
-    found.bending[-LOWEST:, -LOWEST:] = turned.T @ bent @ turned
+    found.bending[:LOWEST, :LOWEST] = turned.T @ bent @ turned
     return found
 
 
@@ -111,7 +106,8 @@ def _residual(found, square):
     """Return what modes that are left out add to the undamped steady displacement (unknowns, loads)."""
     stiffness = found.stiffness - square * found.mass
     units = 1 / np.sqrt(np.diag(found.stiffness + shift_of(found.scene) * found.mass))
-    whole = units[:, None] * np.linalg.solve(stiffness * np.outer(units, units), units[:, None] * found.loads)
+    scaled = scipy.sparse.csc_array(stiffness * np.outer(units, units))
+    whole = units[:, None] * scipy.sparse.linalg.spsolve(scaled, units[:, None] * found.loads).reshape(len(units), -1)
     return whole - found.vectors @ ((found.vectors.T @ found.loads) / (found.squares - square)[:, None])
 
 

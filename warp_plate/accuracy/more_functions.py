@@ -29,11 +29,10 @@ class MoreFunctions:
     coarser: Response  # response by those of fewer functions
 
     def changes(self, phasors: np.ndarray) -> np.ndarray:
-        """Return the relative changes (drives,) of the localization factors of drives (drives, actuators).
+        """Return the relative changes (drives,) of the results of drives (drives, actuators).
 
-        Errors of one drive may pass through zero, so the largest change of these drives, of the single actuators and of
-        the bound counts for all, as a part of the larger one of its localization factor and that of the drive. So do
-        the changes of the drive's own energies, and a part of the changes from fewer functions.
+        The error of a localization factor may pass through zero, so the changes of the drive's own energies count too,
+        and a part of the changes from fewer functions.
         """
         after = _changes(phasors, self.finer, self.response)
         return np.maximum(after, BEFORE_FACTOR / CHANGE_FACTOR * _changes(phasors, self.response, self.coarser))
@@ -54,13 +53,10 @@ def compare_with_more_functions(scene: Scene) -> MoreFunctions:
 
 
 def _changes(phasors: np.ndarray, finer: Response, coarser: Response) -> np.ndarray:
-    """Return the largest relative changes (drives,) of what :meth:`MoreFunctions.changes` observes."""
-    observed = np.concatenate([phasors, np.eye(phasors.shape[1])])
-    fine, coarse = (np.append(each.localization_factors(observed), each.bound()) for each in (finer, coarser))
-    factors = np.abs(coarse - fine) / np.maximum(fine, fine[: len(phasors), None])
+    """Return the largest relative changes (drives,) of the localization factors and the energies of drives."""
+    results = [np.column_stack([each.localization_factors(phasors), each.energy(phasors)]) for each in (finer, coarser)]
     with np.errstate(divide="ignore", invalid="ignore"):
-        energies = np.abs(coarser.energy(phasors) / finer.energy(phasors) - 1)
-    largest: np.ndarray = np.nanmax(np.hstack([factors, energies]), axis=1, initial=0)
+        largest: np.ndarray = np.nanmax(np.abs(results[1] / results[0] - 1), axis=1, initial=0)
     return largest
 
 
