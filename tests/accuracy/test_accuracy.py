@@ -376,7 +376,7 @@ def test_simulations_by_modes_have_an_error_bar(panel):
     assert (result.evaluator, result.node_steps) == ("modal", 0)
     assert "±" in result.accuracy["estimate"]["line"]
     error, expected = result.accuracy["estimate"]["error"], result.accuracy["expected"]
-    assert 0 < error <= expected * (1 + 1e-9)
+    assert 0 < error <= expected + 1e-6  # of free motion that is left out
     assert expected < 0.05
 
 
