@@ -9,6 +9,7 @@ from warp_plate.analysis.check import find_warnings
 from warp_plate.plate.modes import natural_modes
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.scene.dump import dump_scene
+from warp_plate.scene.effects import per_mode
 from warp_plate.scene.keys import label_of, scalar_keys, unit_of, with_values
 
 ETA, RATIO = "[effects.loss_factor]\neta = {}\n", "[effects.modal_damping]\nratio = {}\n"
@@ -75,11 +76,11 @@ def test_transients_and_other_damping_go_with_modal_damping():
 
 def test_the_last_value_of_a_list_holds_for_all_higher_modes():
     effects = scene_of(effects={"loss_factor": {"eta": 0.1}, "modal_damping": {"ratio": 0.2}}).effects
-    np.testing.assert_array_equal(effects.loss_factor.of_modes(3), [0.1, 0.1, 0.1])
-    np.testing.assert_array_equal(effects.modal_damping.of_modes(2), [0.2, 0.2])
+    np.testing.assert_array_equal(per_mode(effects.loss_factor.eta, 3), [0.1, 0.1, 0.1])
+    np.testing.assert_array_equal(per_mode(effects.modal_damping.ratio, 2), [0.2, 0.2])
     loss = scene_of(effects={"loss_factor": {"eta": [0.1, 0.0, 0.3]}}).effects.loss_factor
-    np.testing.assert_array_equal(loss.of_modes(5), [0.1, 0.0, 0.3, 0.3, 0.3])
-    np.testing.assert_array_equal(loss.of_modes(2), [0.1, 0.0])
+    np.testing.assert_array_equal(per_mode(loss.eta, 5), [0.1, 0.0, 0.3, 0.3, 0.3])
+    np.testing.assert_array_equal(per_mode(loss.eta, 2), [0.1, 0.0])
 
 
 @pytest.mark.parametrize(("eta", "key"), [(0.1, "eta"), ([0.1, 0.2], "eta[1]")])
@@ -89,7 +90,7 @@ def test_numbers_survive_a_dump_and_are_varied(eta, key):
     assert scalar_keys(made)[key] is float
     assert (unit_of(made, key), bool(label_of(made, key))) == ("1", True)
     varied = with_values(made, {key: 0.5}).effects.loss_factor
-    np.testing.assert_array_equal(varied.of_modes(2), [np.ravel(eta)[0], 0.5] if key.endswith("]") else [0.5, 0.5])
+    np.testing.assert_array_equal(per_mode(varied.eta, 2), [np.ravel(eta)[0], 0.5] if key.endswith("]") else [0.5, 0.5])
 
 
 @pytest.mark.parametrize("effects", [{"loss_factor": {"eta": 0.1}}, {"modal_damping": {"ratio": [0.1]}}])

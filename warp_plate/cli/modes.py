@@ -57,7 +57,7 @@ def modes(
     with output.scene_errors(scene):
         found = exact = continuous_modes(loaded, count)
         if grid:
-            loaded, found = _of_grid(loaded, count)
+            loaded, found = _grid_modes(loaded, count)
             exact_frequencies = exact.frequencies[: len(found.frequencies)]
             moving = np.where(exact_frequencies > 0, exact_frequencies, math.nan)
             errors = found.frequencies / moving - 1
@@ -66,7 +66,7 @@ def modes(
     output.report(json, partial(_as_json, *arguments), partial(_print, *arguments), written)
 
 
-def _of_grid(scene: Scene, count: int) -> tuple[Scene, NaturalModes]:
+def _grid_modes(scene: Scene, count: int) -> tuple[Scene, NaturalModes]:
     """Return the scene with its grid, without what time steps refuse, and the modes of the grid."""
     from warp_plate.plate.modes import natural_modes, refuse_many_nodes
     from warp_plate.studies.grid_choice import resolve_grid

@@ -69,16 +69,18 @@ def gram_matrices(
         mixed = [(forced.conj().mT @ multiply_modes(region, forced)) * same for region in regions]
         return np.stack([real_form(np.zeros_like(product), product) for product in mixed], axis=1)
     if plate.scene.drive.burst is None and has_exponential_loads(plate.scene):
-        motion = _of_tones(plate, forces, frequency, quantity, window)
+        motion = _tone_motion(plate, forces, frequency, quantity, window)
         return np.stack([real_form(*pair) for pair in motion.products(regions, window)], axis=1)
     delay = actuator_delays(plate.scene)[None] if delay is None else delay
     designs = max(len(forces), len(frequency), len(delay))
     rows = [np.broadcast_to(array, (designs, *array.shape[1:])) for array in (forces, frequency, delay)]
     excitations = (make_excitation(plate, window.end, *row) for row in zip(*rows, strict=True))
-    return np.stack([_of_excitation(each, regions, window, quantity) for each in excitations])
+    return np.stack([_excitation_matrices(each, regions, window, quantity) for each in excitations])
 
 
-def _of_tones(plate: ModalPlate, forces: np.ndarray, frequency: np.ndarray, quantity: str, window: Window) -> _Motion:
+def _tone_motion(
+    plate: ModalPlate, forces: np.ndarray, frequency: np.ndarray, quantity: str, window: Window
+) -> _Motion:
     """Return the motion under tones from t = 0 on."""
     if (frequency == frequency[:, :1]).all():
         frequency = frequency[:, :1]
@@ -108,7 +110,9 @@ def energies(
     return quadratic_forms(matrices, with_moving_load(plate, drives))
 
 
-def _of_excitation(excitation: Excitation, regions: Sequence[np.ndarray], window: Window, quantity: str) -> np.ndarray:
+def _excitation_matrices(
+    excitation: Excitation, regions: Sequence[np.ndarray], window: Window, quantity: str
+) -> np.ndarray:
     """Return (regions, 2M, 2M) matrices of one design, by the intervals of its loads."""
     poles, gains = excitation.poles, excitation.gains
     state = np.zeros(gains.shape, dtype=complex)

@@ -24,6 +24,7 @@ from warp_plate.modal.galerkin.regions import region_matrix
 from warp_plate.modal.galerkin.splines import gauss, make_splines
 from warp_plate.modal.steady import CoupledModes
 from warp_plate.plate.signals import highest_frequency
+from warp_plate.scene.effects import per_mode
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
 from warp_plate.scene.model import Scene
@@ -259,11 +260,11 @@ def solve_modes(scene: Scene, highest: float | None = None, count: int = 0, dens
     if effects.material_damping is not None:
         damping += effects.material_damping.time * bending_energies(galerkin, squares, vectors)
     if effects.modal_damping is not None:
-        ratios = effects.modal_damping.of_modes(frequencies.size)
+        ratios = per_mode(effects.modal_damping.ratio, frequencies.size)
         damping[np.diag_indices_from(damping)] += 2 * ratios * 2 * math.pi * frequencies
     if (loss := effects.loss_factor) is not None:
         if isinstance(loss.eta, tuple):
-            hysteretic = np.diag(loss.of_modes(frequencies.size) * np.maximum(squares, 0))
+            hysteretic = np.diag(per_mode(loss.eta, frequencies.size) * np.maximum(squares, 0))
         else:
             hysteretic = loss.eta * bending_energies(galerkin, squares, vectors)
     return ModalPlate(galerkin, frequencies, vectors, damping, hysteretic, highest)

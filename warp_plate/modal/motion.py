@@ -92,12 +92,12 @@ class Excitation:
             motion = np.concatenate([motion, motion_of_samples(poles, one, self.moving, shapes, rising)], axis=1)
         return motion[:, :, np.argsort(order, kind="stable")]
 
-    def of_modes(self, modes: np.ndarray) -> Excitation:
+    def restrict(self, modes: np.ndarray) -> Excitation:
         """Return the excitation without the poles that move none of some modes; the same where damping couples them."""
         if self.poles.modes is None:
             return self
         kept = np.flatnonzero(np.isin(self.poles.modes, modes))
-        moving = [load.of_rows(kept) for load in self.moving]
+        moving = [load.part(kept) for load in self.moving]
         return Excitation(self.poles.part(kept), self.gains[kept], self.loads, moving)
 
 

@@ -32,7 +32,7 @@ def by_quadrature(
     shares = (sizes / np.where(total > 0, total, 1)).max(axis=1)
     order = np.argsort(shares)
     modes = np.sort(order[np.cumsum(shares[order]) > NEGLIGIBLE])
-    some = excitation.of_modes(modes)
+    some = excitation.restrict(modes)
     times, weights = time_rule(some, window, modes)
     columns = 2 * (excitation.gains.shape[1] + bool(excitation.moving))
     matrices = np.zeros((len(regions), columns, columns))

@@ -54,8 +54,8 @@ class SampledLoads:
             return self
         return replace(self, coefficients=np.tensordot(inputs, self.coefficients, axes=1))
 
-    def of_rows(self, rows: np.ndarray) -> SampledLoads:
-        """Return the loads of some poles."""
+    def part(self, rows: np.ndarray) -> SampledLoads:
+        """Return the loads of some of the poles."""
         return self if len(self.coefficients) == 1 else replace(self, coefficients=self.coefficients[rows])
 
     def rows(self, count: int, blocks: np.ndarray) -> np.ndarray:

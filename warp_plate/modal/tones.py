@@ -52,10 +52,10 @@ class ToneMatrices:
         matrices, block = [], max(1, BLOCK_NUMBERS // (forces.shape[1] * frequency.shape[1]))
         for first in range(0, len(frequency), block):
             rows = slice(first, first + block)
-            matrices.append(self._of_block(frequency[rows], forces[rows] if len(forces) > 1 else forces))
+            matrices.append(self._block_matrices(frequency[rows], forces[rows] if len(forces) > 1 else forces))
         return np.concatenate(matrices)
 
-    def _of_block(self, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    def _block_matrices(self, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
         if (frequency == frequency[:, :1]).all():  # means of one tone serve all actuators, and all plates
             frequency = frequency[:, :1] if (frequency != frequency[0]).any() else frequency[:1, :1]
         window, drive = self.window, rates_apart(self.poles, 2j * math.pi * frequency, self.window.end)

@@ -134,7 +134,7 @@ def _rates(
 ) -> np.ndarray:
     """Return (modes, C, times) real motions under drives (C, M) with gains (poles, M), at rising times [s]."""
     if states is not None:
-        return np.asarray(_of_modes(excitation.poles, (gains[:, None, :] * drives) @ states).real)
+        return np.asarray(_sum_over_poles(excitation.poles, (gains[:, None, :] * drives) @ states).real)
     poles, count = excitation.poles, len(excitation.poles.vectors)
     pairs = poles.modes is not None and np.array_equal(poles.values[count:], poles.values[:count].conj())
     scaled = gains * poles.values[:, None] if velocity else gains
@@ -147,7 +147,7 @@ def _rates(
         if last > first:
             since = times[first:last] - load.start
             turns = drives[:, :, None, None] * np.exp(load.rates[:, :, None] * since)
-            amplitudes = _of_modes(poles, scaled[:, :, None] * forced).reshape(count, -1)
+            amplitudes = _sum_over_poles(poles, scaled[:, :, None] * forced).reshape(count, -1)
             part = (amplitudes @ np.moveaxis(turns, 0, 2).reshape(amplitudes.shape[1], -1)).real
             free = (scaled * (state - forced @ np.ones(forced.shape[2]))) @ drives.T
             if pairs:  # the real part of a motion is that of its conjugate
@@ -156,13 +156,13 @@ def _rates(
                 part += (free[:, :, None] * decays[:, None]).real.reshape(count, -1)
             else:
                 decays = np.exp(poles.values[:, None] * since)
-                part += _of_modes(poles, free[:, :, None] * decays[:, None]).real.reshape(count, -1)
+                part += _sum_over_poles(poles, free[:, :, None] * decays[:, None]).real.reshape(count, -1)
             rates[:, :, first:last] = part.reshape(count, len(drives), -1)
         state, first = next_state(poles, load, state, forced), last
     return rates
 
 
-def _of_modes(poles: Poles, states: np.ndarray) -> np.ndarray:
+def _sum_over_poles(poles: Poles, states: np.ndarray) -> np.ndarray:
     """Return Σ_p ψ_p states (modes, ...) of states (poles, ...)."""
     flat = states.reshape(len(states), -1)
     if poles.modes is None:

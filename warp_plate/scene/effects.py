@@ -47,22 +47,15 @@ class LossFactor(Table):
 
     eta: PerMode  # loss factor η
 
-    def of_modes(self, count: int) -> np.ndarray:
-        """Return (count,) loss factors of the lowest modes."""
-        return _of_modes(self.eta, count)
-
 
 class ModalDamping(Table):
     """Viscous damping of each mode, 2ζω on its velocity, added to all other damping."""
 
     ratio: PerMode  # damping ratio ζ
 
-    def of_modes(self, count: int) -> np.ndarray:
-        """Return (count,) damping ratios of the lowest modes."""
-        return _of_modes(self.ratio, count)
 
-
-def _of_modes(values: float | tuple[float, ...], count: int) -> np.ndarray:
+def per_mode(values: float | tuple[float, ...], count: int) -> np.ndarray:
+    """Return (count,) values of a key of type ``PerMode`` for the lowest modes."""
     listed = np.atleast_1d(values)
     return listed[np.minimum(np.arange(count), len(listed) - 1)]
 
