@@ -14,7 +14,7 @@ from warp_plate.studies.simulate import simulate
 JUDGE, UNSURE = 1e-4, 5e-3
 ASKED = 0.01
 # Degree of the elements of plates with layers and maps.
-INHOMOGENEOUS_DEGREE = 8
+INHOMOGENEOUS_DEGREE = 7
 
 
 def measured(number: int, promise: bool) -> list[dict]:

@@ -14,7 +14,7 @@ from numpy.polynomial import legendre, polynomial
 
 HERMITE = [[0.5, -0.75, 0, 0.25], [0.25, -0.25, -0.25, 0.25], [0.5, 0.75, 0, -0.25], [-0.25, -0.25, 0.25, 0.25]]
 BUBBLE = [1, 0, -2, 0, 1]
-GRADED = 0.1
+GRADED, LONGEST = 0.1, 1
 LEFT_OUT = {"clamped": [0, 1], "supported": [0]}
 
 
@@ -53,7 +53,10 @@ class Side:
     def __init__(self, scene, axis, degree, inner=(0.06, 0.5, 0.94)):
         length, edges = scene.plate.size[axis], scene.edges
         ends = ((edges.left, edges.right), (edges.bottom, edges.top))[axis]
-        self.lines = np.unique(np.round([*length * np.array([0, *inner, 1]), *_lines(scene, axis)], 12))
+        places = [*length * np.array([0, *inner, 1]), *_lines(scene, axis)]
+        if scene.effects.layers or scene.effects.variation:  # elements no longer than the plate is wide
+            places += [*np.linspace(0, length, 1 + int(np.ceil(LONGEST * length / min(scene.plate.size))))]
+        self.lines = np.unique(np.round(places, 12))
         self.degree, nodes = degree, len(self.lines)
         out = [unknown for end, first in zip(ends, (0, 2 * nodes - 2), strict=True) for unknown in
                (first + np.array(LEFT_OUT.get(end, []) if isinstance(end, str) else [], dtype=int))]  # fmt: skip
