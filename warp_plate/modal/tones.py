@@ -56,6 +56,7 @@ class ToneMatrices:
         return np.concatenate(matrices)
 
     def _block_matrices(self, frequency: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        plates = max(len(frequency), len(forces))
         if (frequency == frequency[:, :1]).all():  # means of one tone serve all actuators, and all plates
             frequency = frequency[:, :1] if (frequency != frequency[0]).any() else frequency[:1, :1]
         window, drive = self.window, rates_apart(self.poles, 2j * math.pi * frequency, self.window.end)
@@ -77,7 +78,8 @@ class ToneMatrices:
             mixed = (forced.conj().mT @ moved) * of_tones[1]
             mixed = mixed + crossed[1] + crossed[1].conj().mT + free.conj().mT @ alone[1]
             matrices.append(real_form(plain, mixed))
-        return np.stack(matrices, axis=1)
+        shape = (plates, len(matrices), *matrices[0].shape[1:])
+        return np.broadcast_to(np.stack(matrices, axis=1), shape)
 
     @cached_property
     def _sparse_regions(self) -> list[np.ndarray | scipy.sparse.csr_array]:
