@@ -15,9 +15,10 @@ import numpy as np
 import warp as wp
 
 from warp_plate.kernels import tones as kernels
-from warp_plate.modal.energy import as_sparse, mean_exponential
+from warp_plate.modal.energy import mean_exponential
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import APART
+from warp_plate.modal.steady import as_sparse
 from warp_plate.modal.tones import ToneMatrices
 from warp_plate.scene.model import Window
 

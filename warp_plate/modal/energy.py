@@ -20,14 +20,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from warp_plate.modal.loads import ExponentialLoads, has_exponential_loads
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.motion import Excitation, make_excitation, with_moving_load
 from warp_plate.modal.poles import Poles, make_poles, rates_apart
 from warp_plate.modal.quadrature import by_quadrature
-from warp_plate.modal.steady import multiply_modes
+from warp_plate.modal.steady import as_sparse, multiply_modes
 from warp_plate.modal.transient import forced_states, next_state
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.signals import actuator_delays, actuator_frequencies
@@ -35,8 +34,6 @@ from warp_plate.scene.model import Window
 
 # Free motions that change energies by less than about this part of them are left out.
 NEGLIGIBLE = 1e-6
-# Matrices with fewer nonzero entries than this part are kept as sparse ones.
-SPARSE = 0.05
 # Means of exponentials whose exponent changes by less than SLOW over the window are series: their differences cancel.
 SLOW = 1e-2
 
@@ -222,11 +219,6 @@ def lasting_poles(
     shares = np.moveaxis(shares, -2, 0).reshape(poles.values.size, -1)
     order = np.argsort(shares.max(axis=1))
     return np.sort(order[(np.cumsum(shares[order], axis=0) > NEGLIGIBLE**2).any(axis=1)])
-
-
-def as_sparse(matrix: np.ndarray) -> np.ndarray | scipy.sparse.csr_array:
-    """Return a matrix as a sparse one if few of its entries are not zero, as in that of the whole plate."""
-    return scipy.sparse.csr_array(matrix) if np.count_nonzero(matrix) < SPARSE * matrix.size else matrix
 
 
 def mean_exponential(first: np.ndarray, second: np.ndarray, window: Window) -> np.ndarray:

@@ -22,6 +22,8 @@ import scipy
 REACH, FEWEST, MOST = 1.5, 250, 500
 # Residual of the forces, relative, after at most so many refinements.
 RESIDUAL, REFINEMENTS = 1e-8, 12
+# Matrices with fewer nonzero entries than this part are kept as sparse ones.
+SPARSE = 0.05
 # Rigid motions count as slower than the fastest mode by this factor.
 SLOWEST = 1e-9
 
@@ -110,6 +112,11 @@ def coupled_poles(
     # Motions of poles that coincide, as on a square plate, are not orthogonal in pairs; the inverse is right for them.
     inputs = np.linalg.inv(vectors)[:, count:]
     return values, vectors[:count] / unit[:, None], inputs
+
+
+def as_sparse(matrix: np.ndarray) -> np.ndarray | scipy.sparse.csr_array:
+    """Return a matrix as a sparse one if few of its entries are not zero, as in that of the whole plate."""
+    return scipy.sparse.csr_array(matrix) if np.count_nonzero(matrix) < SPARSE * matrix.size else matrix
 
 
 def multiply_modes(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndarray) -> np.ndarray:

@@ -13,10 +13,10 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from warp_plate.modal.energy import as_sparse, lasting_poles, mean_exponential, real_form
+from warp_plate.modal.energy import lasting_poles, mean_exponential, real_form
 from warp_plate.modal.modes import ModalPlate
 from warp_plate.modal.poles import Poles, make_poles, rates_apart
-from warp_plate.modal.steady import multiply_modes
+from warp_plate.modal.steady import as_sparse, multiply_modes
 from warp_plate.plate.designs import actuator_spaces, per_plate_of
 from warp_plate.plate.signals import actuator_frequencies
 from warp_plate.scene.model import Window

@@ -20,6 +20,7 @@ import numpy as np
 from warp_plate.modal.loads import ExponentialLoads
 from warp_plate.modal.poles import Poles
 from warp_plate.modal.sampled import DEGREE, SampledLoads
+from warp_plate.modal.steady import as_sparse
 
 # Numbers of an array of poles and times, to limit memory.
 BLOCK = 2**18
@@ -43,17 +44,18 @@ def motion_from_rest(
     state = np.zeros(gains.shape, dtype=complex)
     bounds = np.searchsorted(times, [load.end for load in loads], side="right")
     bounds[-1] = times.size
-    block = max(1, BLOCK // poles.values.size)
+    block, outputs = max(1, BLOCK // poles.values.size), as_sparse(shapes)
     for load, first, last in zip(loads, [0, *bounds], bounds, strict=False):
         forced = forced_states(poles, load)
         free = gains * (state - forced.sum(axis=2))
-        amplitudes = np.einsum("op,pk,pkj->okj", shapes, gains, forced, optimize=True)
+        amplitudes = outputs @ (gains[:, :, None] * forced).reshape(len(gains), -1)
+        amplitudes = amplitudes.reshape(len(shapes), *forced.shape[1:])
         for low in range(first, last, block):
             since = times[low : min(low + block, last)] - load.start
             decays = np.exp(poles.values[:, None] * since)
             for actuator, column in enumerate(free.T):
                 turns = np.exp(load.rates[actuator][:, None] * since)
-                moved = (shapes * column) @ decays + amplitudes[:, actuator] @ turns
+                moved = outputs @ (column[:, None] * decays) + amplitudes[:, actuator] @ turns
                 motion[:, actuator, low : low + since.size] = moved
         state = next_state(poles, load, state, forced)
     return motion
