@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import MATERIAL, scene_of
 
 from warp_plate import Scene, SceneError, localize
 from warp_plate.modal.energy import gram_matrices
@@ -50,6 +51,33 @@ def test_batches_have_the_energies_of_plain_gram_matrices(random, effects, varie
     z = real_parts(drives)
     energy = np.einsum("pa,prab,pb->pr", z, gram_matrices(plate, regions, forces, frequency, window), z)
     assert np.allclose(run.energy, energy, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "search",
+    [
+        {},
+        {"frequency": {"range": [2e4, 4e4]}, "magnitude": {"range": [0.0, 1.0]}},
+        {"robust": {"scenarios": 2, "young_modulus": 0.1}},
+    ],
+    ids=["drives", "frequency", "robust"],
+)
+def test_modes_need_no_stable_time_step(random, search):
+    """A stiff plate has the losses of an ordinary grid also where it takes 2e8 steps, or has a step above the limit."""
+    plate = {**MATERIAL, "size": (0.01, 0.01), "thickness": 1.9e-3, "young_modulus": 7e10}
+    stiff = {"plate": plate, "size": (0.01, 0.01), "frequency": 3e4, "window": (0.05, 0.1), "search": search}
+    ordinary, fine, above = (
+        scene_of(**grid, **stiff) for grid in ({"nodes": (9, 9)}, {"nodes": (129, 129)}, {"time_step": 1e-6})
+    )
+    for scene in (fine, above):
+        with pytest.raises(SceneError, match=r"steps of|above the stability limit"):
+            PlateSolver(scene, "cpu")
+    problems = [make_problem(scene, "cpu", evaluator="modal") for scene in (ordinary, fine, above)]
+    positions = problems[0].space.from_unit(random.random((4, problems[0].space.dimension)))
+    losses = [problem.losses(positions) for problem in problems]
+    assert np.isfinite(losses).all()
+    assert np.array_equal(losses[0], losses[1])
+    assert np.array_equal(losses[0], losses[2])
 
 
 def test_modes_are_the_limit_of_fine_grids():

@@ -146,10 +146,10 @@ def check(scene: Scene, device: str = "auto", allow_unstable: bool = False, by_m
     Raises:
         SceneError: see ``discretize``, or there is no such device.
     """
-    discretization = discretize(scene, allow_unstable=allow_unstable)
+    steps = not by_modes and scene.modal_only_key is None
+    discretization = discretize(scene, allow_unstable=allow_unstable, stepped=steps)
     scheme = discretization.scheme
     specialized = Specialized(discretization, find_device(device))
-    steps = not by_modes and scene.modal_only_key is None
     limit, frequency, slowest = scheme.stability, highest_frequency(scene), slowest_frequency(scene)
     return Check(
         nodes=scheme.nodes,

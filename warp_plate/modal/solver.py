@@ -75,7 +75,7 @@ class ModalSolver:
     ) -> None:
         started = time.perf_counter()
         self.device, self.quantity = find_device(device), quantity
-        self.discretization = discretize(scene, per_plate) if isinstance(scene, Scene) else scene
+        self.discretization = discretize(scene, per_plate, stepped=False) if isinstance(scene, Scene) else scene
         self._areas = areas
         self.plate: ModalPlate = solve_modes(self.scene, highest=_highest_frequency(self.scene))
         self.compile_seconds = time.perf_counter() - started
@@ -87,7 +87,7 @@ class ModalSolver:
 
     @property
     def scheme(self) -> Scheme:
-        """Grid and time step of displacements and traces."""
+        """Grid of displacements and time step of traces."""
         return self.discretization.scheme
 
     @property

@@ -25,8 +25,23 @@ class Discretization:
     carriers: int  # Number of carriers that each plate has of its own; 0 if all plates share the scene's
     scheme: Scheme  # Steps, coefficients, stability limit and, in moment form, the fields of the plate
     region_weights: np.ndarray  # (2, ny, nx) weights of the plate and of the target, in cells
-    signals: Signals  # Waves of the drive and how phasors mix them
-    moving: MovingWeights | None  # Factors of the moving load; None without one
+
+    @cached_property
+    def signals(self) -> Signals:
+        """Waves of the drive and how phasors mix them, for time steps alone.
+
+        Raises:
+            SceneError: See ``make_signals``.
+        """
+        scene, scheme = self.scene, self.scheme
+        return make_signals(scene, scheme.time_step, scheme.steps, scene.folder, per_actuator=self.carriers > 1)
+
+    @cached_property
+    def moving(self) -> MovingWeights | None:
+        """Factors of the moving load, for time steps alone; None without one."""
+        if self.scene.effects.moving_load is None:
+            return None
+        return moving_weights(self.scene, self.scheme.time_step, self.scheme.steps)
 
     @cached_property
     def patches(self) -> np.ndarray:
@@ -53,25 +68,25 @@ class Discretization:
         return replace(self, scene=scene)
 
 
-def discretize(scene: Scene, per_plate: PerPlate = NO_PER_PLATE, allow_unstable: bool = False) -> Discretization:
+def discretize(
+    scene: Scene, per_plate: PerPlate = NO_PER_PLATE, allow_unstable: bool = False, stepped: bool = True
+) -> Discretization:
     """Discretize a scene.
 
     Args:
         per_plate: What may differ between the plates of a batch.
         allow_unstable: Accept a time step above the stability limit.
+        stepped: False for a plate by modes, see ``make_scheme``.
 
     Raises:
-        SceneError: ``make_scheme``, ``region_weights`` or ``make_signals`` refuse the scene, or it cannot have what
-            ``per_plate`` asks for.
+        SceneError: ``make_scheme`` or ``region_weights`` refuse the scene, or it cannot have what ``per_plate`` asks
+            for.
     """
     carriers = carriers_of(scene, per_plate)
-    scheme = make_scheme(scene, allow_unstable, moment_form=carriers > 1)
     return Discretization(
         scene=scene,
         per_plate=per_plate,
         carriers=carriers,
-        scheme=scheme,
+        scheme=make_scheme(scene, allow_unstable, carriers > 1, stepped),
         region_weights=region_weights(scene),
-        signals=make_signals(scene, scheme.time_step, scheme.steps, scene.folder, per_actuator=carriers > 1),
-        moving=moving_weights(scene, scheme.time_step, scheme.steps) if scene.effects.moving_load else None,
     )

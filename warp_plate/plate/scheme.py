@@ -90,17 +90,18 @@ class Scheme:
         return min(max(round(time / self.time_step), 0), self.steps)
 
 
-def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = False) -> Scheme:
+def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = False, stepped: bool = True) -> Scheme:
     """Return the scheme of a scene with a grid.
 
     Args:
         allow_unstable: Accept a time step above the stability limit.
         moment_form: Use the moment form also where a plain plate would do.
+        stepped: False for a plate by modes, whose time step is that of its traces alone and need not be stable.
 
     Raises:
-        SceneError: The scene has a damping that has no time steps, or asks for an accuracy instead of a grid; its time
-            step is above the stability limit or too long for the drive's frequency; its window holds no half-step; its
-            run is longer than MOST_STEPS; or grid or run take more memory than there is.
+        SceneError: The scene asks for an accuracy instead of a grid; its time step is above the stability limit or too
+            long for the drive's frequency; its window holds no half-step; its run is longer than MOST_STEPS; or grid or
+            run take more memory than there is.
     """
     plate, grid = scene.plate, scene.grid
     if grid.accuracy is not None:
@@ -111,15 +112,15 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
     check_grid_memory(scene, moment_form or needs_moment_form(scene))
     surface_density = plate.density * plate.thickness
     stability, bending = find_limit(scene, moment_form)
-    time_step = _time_step(scene, stability.time_step, allow_unstable)
+    time_step = _time_step(scene, stability.time_step, allow_unstable, stepped)
     viscous, backward = viscous_damping(scene)
     loss = viscous / surface_density * time_step
-    if loss > MOST_LOSS:
+    if stepped and loss > MOST_LOSS:
         raise SceneError(
             f"effects: {viscous:g} N·s/m³ of viscous damping is more than {MOST_LOSS:g} times what stops the plate "
             f"within a step; at most {MOST_LOSS * surface_density / time_step:.3g} are possible"
         )
-    first, last = _window(scene, time_step)
+    first, last = _window(scene, time_step, stepped)
     taps_x, taps_y = plain_taps(scene)
     return Scheme(
         nodes=grid.nodes,
@@ -143,12 +144,17 @@ def make_scheme(scene: Scene, allow_unstable: bool = False, moment_form: bool = 
     )
 
 
-def _time_step(scene: Scene, limit: float, allow_unstable: bool) -> float:
-    """Return the scene's time step [s], or the longest that suits limit, drive and window; see ``make_scheme``."""
+def _time_step(scene: Scene, limit: float, allow_unstable: bool, stepped: bool) -> float:
+    """Return the scene's time step [s], or the longest that suits limit, drive and window; see ``make_scheme``.
+
+    Where the plate is not stepped, a limit that takes more than MOST_STEPS does not count.
+    """
     end, nodes = scene.window.end, scene.grid.nodes
-    longest = min(SAFETY * limit, 1 / (STEPS_A_PERIOD * highest_frequency(scene)))
+    longest = 1 / (STEPS_A_PERIOD * highest_frequency(scene))
+    if stepped or end <= MOST_STEPS * SAFETY * limit:
+        longest = min(longest, SAFETY * limit)
     time_step = scene.grid.time_step or end / math.ceil(end / longest)
-    if time_step > limit * (1 + 1e-12) and not allow_unstable:
+    if stepped and time_step > limit * (1 + 1e-12) and not allow_unstable:
         raise SceneError(
             f"grid.time_step = {time_step:g}: above the stability limit of {limit:.6g} s for {nodes[0]} x {nodes[1]} "
             f"nodes; write a smaller one, or leave it out for {SAFETY:g} of the limit"
@@ -159,17 +165,18 @@ def _time_step(scene: Scene, limit: float, allow_unstable: bool) -> float:
             f"window.end = {end:g}: takes {end / time_step:.3g} steps of {time_step:g} s; "
             f"at most {MOST_STEPS:.3g} are possible: end earlier or use fewer nodes"
         )
-    check_steps_memory(scene, round(end / time_step))
+    if stepped or scene.record.points:
+        check_steps_memory(scene, round(end / time_step))
     return time_step
 
 
-def _window(scene: Scene, time_step: float) -> tuple[int, int]:
+def _window(scene: Scene, time_step: float, stepped: bool) -> tuple[int, int]:
     """Return first and last + 1 of the steps n with start < (n + ½)Δt < end."""
     window = scene.window
     slack = 1e-9  # steps: a half-step on an end of the window up to rounding is outside
     first = math.floor(window.start / time_step - 0.5 + slack) + 1
     last = math.ceil(window.end / time_step - 0.5 - slack)
-    if last <= first:
+    if stepped and last <= first:
         raise SceneError(
             f"window.end = {window.end:g}: no half-step of {time_step:g} s lies between it and "
             f"window.start = {window.start:g}; widen the window or shorten grid.time_step"

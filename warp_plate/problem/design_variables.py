@@ -77,7 +77,7 @@ def make_design_variables(scene: Scene) -> tuple[DesignVariable, ...]:
     return variables
 
 
-def with_common_step(scene: Scene) -> Scene:
+def with_common_step(scene: Scene, stepped: bool = True) -> Scene:
     """Return the scene with one time step for all the frequencies and delays that its search may choose.
 
     Raises:
@@ -88,7 +88,7 @@ def with_common_step(scene: Scene) -> Scene:
         highest = at_highest_frequency(scene)
         # Plates whose actuators differ in these are stepped in moment form, which has a limit of its own.
         forms = {False, per_plate_of(scene).per_actuator}
-        step = min(make_scheme(highest, moment_form=moment_form).time_step for moment_form in forms)
+        step = min(make_scheme(highest, moment_form=moment_form, stepped=stepped).time_step for moment_form in forms)
         return scene.with_tables(grid={**scene.grid.model_dump(), "time_step": step})
     if step is not None and table is not None:
         carried = 0.5 / step / _harmonic(scene)

@@ -327,7 +327,8 @@ def make_problem(
     if evaluator == MODAL:
         refuse_no_modes(scene)
         path = MODAL
-    parametrization = parametrization_of(with_common_step(scene))
+    stepped = path != MODAL
+    parametrization = parametrization_of(with_common_step(scene, stepped))
     scene, quadratic = parametrization.scene, parametrization.quadratic
     if evaluator == "response" and not quadratic:
         kinds = [variable.kind for variable in parametrization.variables if variable.kind not in ("magnitude", "phase")]
@@ -335,10 +336,10 @@ def make_problem(
         reason = reason if scene.linear else f"{scene.nonlinear_table} is not linear in the drives"
         raise SceneError(f"evaluator = 'response': {reason}; write 'direct'")
     name = evaluator or ("response" if scene.search.robust is not None and quadratic else "direct")
-    grid = discretize(scene)
+    grid = discretize(scene, stepped=stepped)
     objectives = make_objectives(grid)
     evaluator_on = partial(make_evaluator, device=device, path=path, pool=pool, areas=objectives.regions)
-    varied = grid if parametrization.only_drives else discretize(scene, per_plate_of(scene))
+    varied = grid if parametrization.only_drives else discretize(scene, per_plate_of(scene), stepped=stepped)
     designs = evaluator_on(varied)
     # The modes of a plate serve all designs; kernels are compiled for what differs between plates.
     drives = designs if varied is grid or name == MODAL else evaluator_on(grid)
@@ -355,7 +356,7 @@ def make_problem(
     if robust is not None:
         what = f"search.particles = {particles} with search.robust.scenarios = {robust.scenarios}"
         refuse_beyond_memory(24.0 * particles * robust.scenarios, what)
-        drawn, alias = draw_scenarios(scene, robust.scenarios, robust.seed), drives.solver.device.alias
+        drawn, alias = draw_scenarios(scene, robust.scenarios, robust.seed, stepped=stepped), drives.solver.device.alias
         if name != "direct" and quadratic:
             scenarios = scenario_responses(drawn, alias, path)
         else:

@@ -15,7 +15,7 @@ import numpy as np
 
 from warp_plate.cluster.evaluator import Evaluator, make_evaluator
 from warp_plate.cluster.pool import WorkerPool
-from warp_plate.modal.solver import ModalSolver
+from warp_plate.modal.solver import MODAL, ModalSolver
 from warp_plate.optimize.quadratic import quadratic_forms
 from warp_plate.plate.designs import Designs
 from warp_plate.plate.discretization import discretize
@@ -144,7 +144,7 @@ def _scenario_plates(
     scenario: Scenario, device: str, path: str, pool: WorkerPool | None = None, memory_share: float = 1.0
 ) -> ScenarioPlates:
     """Return the plates of one scenario, whose solvers together take a share of the memory for plates."""
-    grid = discretize(scenario.scene, scenario.per_plate)
+    grid = discretize(scenario.scene, scenario.per_plate, stepped=path != MODAL)
     objectives = make_objectives(grid)
     quantities = ("velocity", "displacement") if objectives.needs_displacement else ("velocity",)
     options = {"areas": objectives.regions, "memory_share": memory_share / len(quantities)}

@@ -55,12 +55,13 @@ class Scenario:
         return replace(designs, drives=designs.drives * self.gain, centre=centre)
 
 
-def draw_scenarios(scene: Scene, count: int, seed: int, validation: bool = False) -> tuple[Scenario, ...]:
+def draw_scenarios(
+    scene: Scene, count: int, seed: int, validation: bool = False, stepped: bool = True
+) -> tuple[Scenario, ...]:
     """Draw scenarios of a scene with ``[search.robust]`` and a grid; the nominal scene is none of them.
 
     All have one time step: the scene's own where it is stable for each, else the one that the stiffest would choose;
-    scenes that cannot be stepped keep theirs.
-    ``validation`` draws from another random stream.
+    scenes that are not or cannot be stepped keep theirs. ``validation`` draws from another random stream.
 
     Raises:
         SceneError: a scenario is no plate, or has no stable run; they take more memory than there is.
@@ -72,7 +73,7 @@ def draw_scenarios(scene: Scene, count: int, seed: int, validation: bool = False
     refuse_beyond_memory(count * (SCENE_BYTES + ACTUATOR_BYTES * actuators), what)
     numbers = np.random.default_rng([seed, int(validation)]).random((count, 4 + 3 * actuators))
     scenarios = [_scenario(scene, robust, row) for row in numbers]
-    if scene.modal_only_key is not None:
+    if not stepped or scene.modal_only_key is not None:
         return tuple(scenarios)
     grid = scene.grid.model_copy(update={"time_step": _common_step(scene, scenarios)})
     return tuple(replace(drawn, scene=drawn.scene.model_copy(update={"grid": grid})) for drawn in scenarios)

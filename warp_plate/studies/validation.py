@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from warp_plate.modal.solver import MODAL
 from warp_plate.problem.evaluate_cases import evaluate_cases
 from warp_plate.problem.problem import Problem
 from warp_plate.problem.scenario_losses import simulate_scenarios
@@ -39,7 +40,8 @@ def compare_with_nominal(
     evaluated = evaluate_cases(nominal, start.single_actuator, found.result.xbest)
     designs = problem.parametrization.designs(np.stack([position, found.result.xbest]))
     losses, node_steps = [], evaluated.node_steps
-    for scenario in draw_scenarios(problem.scene, table.fresh, table.seed, validation=True):
+    stepped = problem.path != MODAL
+    for scenario in draw_scenarios(problem.scene, table.fresh, table.seed, validation=True, stepped=stepped):
         panel = simulate_scenarios([scenario], problem.drive_solver.device.alias, problem.path)
         losses.append(panel.losses(designs)[:, 0])
         node_steps += sum(evaluator.node_steps for evaluator in panel.evaluators)
