@@ -9,8 +9,8 @@ import pytest
 
 from warp_plate import Scene, load_result, localize
 from warp_plate.problem.evaluate_cases import evaluate_cases, reference_phasors
+from warp_plate.problem.make_problem import make_problem
 from warp_plate.problem.objectives import keeps_limit
-from warp_plate.problem.problem import make_problem
 from warp_plate.result.checkpoint import load_checkpoint
 from warp_plate.result.model import save_result
 from warp_plate.studies.checkpointing import CheckpointFile

@@ -6,8 +6,8 @@ from conftest import scene_of
 
 from warp_plate import PlateSolver, SceneError
 from warp_plate.plate.weights import localization_factor
+from warp_plate.problem.make_problem import make_problem
 from warp_plate.problem.parametrization import paper_phasors
-from warp_plate.problem.problem import make_problem
 from warp_plate.solve.response import measure_response
 
 SMALL = {"nodes": (9, 9), "window": (0.004, 0.006)}

@@ -11,39 +11,33 @@ their losses can be compared, and a search that goes on from a checkpoint draws 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import Literal
+from functools import cached_property
 
 import numpy as np
 
-from warp_plate.cluster.evaluator import Evaluator, make_evaluator
+from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.cluster.pool import WorkerPool
-from warp_plate.modal.solver import MODAL, ModalSolver, has_modes, refuse_no_modes
+from warp_plate.modal.solver import ModalSolver
 from warp_plate.optimize.gradient import Slopes
 from warp_plate.optimize.quadratic import Quadratic
 from warp_plate.optimize.space import SearchSpace
-from warp_plate.plate.designs import Designs, per_plate_of
-from warp_plate.plate.discretization import discretize
-from warp_plate.plate.memory import refuse_beyond_memory
+from warp_plate.plate.designs import Designs
 from warp_plate.problem.bounds import Bound, bound_loss
 from warp_plate.problem.clearance import Clearance
-from warp_plate.problem.design_variables import has_design_tables, with_common_step
-from warp_plate.problem.objectives import PLATE, TARGET, Objectives, keeps_limit, make_objectives
-from warp_plate.problem.parametrization import Parametrization, parametrization_of
-from warp_plate.problem.projection import best_drives, has_free_drives
-from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure, scenario_responses, simulate_scenarios
+from warp_plate.problem.design_variables import has_design_tables
+from warp_plate.problem.objectives import PLATE, TARGET, Objectives, keeps_limit
+from warp_plate.problem.parametrization import Parametrization
+from warp_plate.problem.projection import best_drives
+from warp_plate.problem.scenario_losses import ScenarioLosses, apply_measure
 from warp_plate.problem.slopes import ModalSlopes
-from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.result.model import BoundKind
-from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.scene.search import Limits, Robust
-from warp_plate.solve.response import Response, in_float64, measure_response
+from warp_plate.solve.response import Response
 from warp_plate.solve.solver import PlateSolver
 
-EvaluatorName = Literal["direct", "response", "modal"]
 # Function from phasors (plates, actuators) to energies (plates, regions) [J].
 Energies = Callable[[np.ndarray], np.ndarray]
 
@@ -300,98 +294,3 @@ class Problem:
         nominal = (self.drive_evaluator, self.design_evaluator, self.displacement_evaluator)
         scenarios = () if self.scenario_losses is None else self.scenario_losses.evaluators
         return {evaluator for evaluator in (*nominal, *scenarios) if evaluator is not None}
-
-
-def make_problem(
-    scene: Scene,
-    device: str = "auto",
-    path: str = "auto",
-    evaluator: str | None = None,
-    matrices: np.ndarray | None = None,
-    pool: WorkerPool | None = None,
-) -> Problem:
-    """Return the problem of a scene with a grid, robust where it has ``[search.robust]``.
-
-    Args:
-        scene: the scene; device and path are those of :class:`PlateSolver`.
-        evaluator: see ``Problem.evaluator_name`` (default: "modal" where places, frequencies or delays of a linear
-            scene are searched; else "direct", in a robust search "response" if it can be).
-        matrices: ``Problem.matrices`` where they are known (default: they are measured).
-        pool: workers that run batches (default: this process does).
-
-    Raises:
-        SceneError: see ``parametrization_of``, ``with_common_step``, ``make_objectives``, ``draw_scenarios`` and
-            :class:`PlateSolver`; "response" for energies that are not quadratic forms of the phasors.
-    """
-    evaluator = evaluator or default_evaluator(scene, path)
-    if evaluator == MODAL:
-        refuse_no_modes(scene)
-        path = MODAL
-    stepped = path != MODAL
-    parametrization = parametrization_of(with_common_step(scene, stepped))
-    scene, quadratic = parametrization.scene, parametrization.quadratic
-    if evaluator == "response" and not quadratic:
-        kinds = [variable.kind for variable in parametrization.variables if variable.kind not in ("magnitude", "phase")]
-        reason = f"no Gram matrix holds where {', '.join(dict.fromkeys(kinds))} is searched"
-        reason = reason if scene.linear else f"{scene.nonlinear_table} is not linear in the drives"
-        raise SceneError(f"evaluator = 'response': {reason}; write 'direct'")
-    name = evaluator or ("response" if scene.search.robust is not None and quadratic else "direct")
-    grid = discretize(scene, stepped=stepped)
-    objectives = make_objectives(grid)
-    evaluator_on = partial(make_evaluator, device=device, path=path, pool=pool, areas=objectives.regions)
-    varied = grid if parametrization.only_drives else discretize(scene, per_plate_of(scene), stepped=stepped)
-    designs = evaluator_on(varied)
-    # The modes of a plate serve all designs; kernels are compiled for what differs between plates.
-    drives = designs if varied is grid or name == MODAL else evaluator_on(grid)
-    displacements = evaluator_on(varied, quantity="displacement") if objectives.needs_displacement else None
-    evaluators = [drives] if displacements is None else [drives, displacements]
-    seconds, node_steps = 0.0, 0
-    if matrices is None and quadratic:
-        matrices, seconds, node_steps = _measure_matrices(evaluators, objectives, path)
-    regions = len(evaluators) * len(drives.solver.regions)
-    if matrices is not None and len(matrices) != regions:
-        raise SceneError(f"matrices: of {len(matrices)} regions; must be {regions}")
-    responses = [None, None] if matrices is None else [*map(Response, np.split(matrices, len(evaluators))), None]
-    scenarios, robust, particles = None, scene.search.robust, scene.search.particles
-    if robust is not None:
-        what = f"search.particles = {particles} with search.robust.scenarios = {robust.scenarios}"
-        refuse_beyond_memory(24.0 * particles * robust.scenarios, what)
-        drawn, alias = draw_scenarios(scene, robust.scenarios, robust.seed, stepped=stepped), drives.solver.device.alias
-        if name != "direct" and quadratic:
-            scenarios = scenario_responses(drawn, alias, path)
-        else:
-            scenarios = simulate_scenarios(drawn, alias, path, pool)
-        seconds, node_steps = seconds + scenarios.setup_cost[0], node_steps + scenarios.setup_cost[1]
-    projected = name == MODAL and robust is None and has_free_drives(parametrization, objectives)
-    return Problem(
-        parametrization, objectives, drives, designs, displacements, responses[0], responses[1], name, path,
-        (seconds, node_steps), pool, scenarios, projected,
-    )  # fmt: skip
-
-
-def default_evaluator(scene: Scene, path: str = "auto") -> EvaluatorName | None:
-    """Return "modal" where time steps cannot, or where each of the places, frequencies or delays that are searched
-    would take plates of its own; None to leave the choice to :func:`make_problem`."""
-    search = scene.search
-    searched = search.frequency is not None or search.position is not None or search.delay is not None
-    by_modes = path == "auto" and searched and search.robust is None and has_modes(scene)
-    return MODAL if scene.modal_only_key is not None or by_modes else None
-
-
-def _measure_matrices(
-    evaluators: Iterable[Evaluator], objectives: Objectives, path: str
-) -> tuple[np.ndarray, float, int]:
-    """Return Gram matrices, measured in double precision, and the compilation and node-steps of further solvers."""
-    matrices, seconds, node_steps = [], 0.0, 0
-    for evaluator in evaluators:
-        solver = evaluator.solver
-        if isinstance(solver, ModalSolver):
-            matrices.append(solver.response.matrices)
-            continue
-        if solver.scene.grid.precision != "float64":
-            grid, quantity = solver.discretization.with_scene(in_float64(solver.scene)), solver.specialized.quantity
-            solver = PlateSolver(grid, solver.device.alias, path, areas=objectives.regions, quantity=quantity)
-        matrices.append(measure_response(solver).matrices)
-        if solver is not evaluator.solver:
-            seconds, node_steps = seconds + solver.compile_seconds, node_steps + solver.node_steps
-    return np.concatenate(matrices), seconds, node_steps

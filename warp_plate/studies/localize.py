@@ -18,8 +18,9 @@ from warp_plate.modal.solver import MODAL, has_modes, make_solver
 from warp_plate.plate.files import digests
 from warp_plate.plate.weights import REGIONS
 from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, evaluate_objectives, reference_phasors
+from warp_plate.problem.make_problem import EvaluatorName, default_evaluator, make_problem
 from warp_plate.problem.methods import with_method
-from warp_plate.problem.problem import EvaluatorName, Problem, default_evaluator, make_problem
+from warp_plate.problem.problem import Problem
 from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.checkpoint import Checkpoint, load_newest
 from warp_plate.result.model import Result, TargetSearch

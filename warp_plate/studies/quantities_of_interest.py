@@ -16,8 +16,9 @@ from warp_plate.optimize.quadratic import best_position
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.weights import localization_factor
 from warp_plate.problem.evaluate_cases import reference_phasors
+from warp_plate.problem.make_problem import make_problem
 from warp_plate.problem.methods import with_method
-from warp_plate.problem.problem import Problem, make_problem
+from warp_plate.problem.problem import Problem
 from warp_plate.result.sweep import SweepOutput
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
