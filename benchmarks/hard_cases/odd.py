@@ -8,7 +8,7 @@ import numpy as np
 
 from hard_cases.case import PATCHES, Case, Measured, Where, both, grouped, largest_difference, scene_of
 from warp_plate import SceneError
-from warp_plate.analysis.check import find_warnings
+from warp_plate.analysis.warnings import find_warnings
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.weights import localization_factor
 from warp_plate.scene.model import Scene

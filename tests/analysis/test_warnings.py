@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from warp_plate import PlateSolver, Scene, SceneError
-from warp_plate.analysis.check import find_warnings, slowest_frequency, warning_texts
 from warp_plate.analysis.influence import toggle
+from warp_plate.analysis.warnings import find_warnings, slowest_frequency, warning_texts
 from warp_plate.scene.dump import dump_scene
 from warp_plate.solve.specialize import effect_names
 

@@ -8,8 +8,8 @@ from conftest import output_of, scene_of
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.analysis import influence
-from warp_plate.analysis.check import find_warnings, warning_texts
 from warp_plate.analysis.influence import DRIVES, bare_scene, is_on, toggle
+from warp_plate.analysis.warnings import find_warnings, warning_texts
 from warp_plate.plate.modes import natural_modes
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.plate.scheme import make_scheme

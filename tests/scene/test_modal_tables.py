@@ -5,7 +5,7 @@ import pytest
 from conftest import PAPER, refusal, scene_of
 
 from warp_plate import PlateSolver, Scene, SceneError
-from warp_plate.analysis.check import find_warnings
+from warp_plate.analysis.warnings import find_warnings
 from warp_plate.plate.modes import natural_modes
 from warp_plate.problem.uncertainty import draw_scenarios
 from warp_plate.scene.dump import dump_scene

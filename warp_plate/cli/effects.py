@@ -23,8 +23,8 @@ def effects(
 ) -> None:
     """Show the cost and influence of every effect, on or off, and effects that the scene calls for but lacks."""
     loaded = output.load_scene(scene, accuracy)
-    from warp_plate.analysis.check import find_warnings
     from warp_plate.analysis.influence import measure_influence
+    from warp_plate.analysis.warnings import find_warnings
     from warp_plate.studies.grid_choice import resolve_grid
 
     with output.scene_errors(scene):

@@ -24,7 +24,7 @@ from warp_plate.scene.errors import SceneError, printable
 LONGEST_ENDING = ".checkpoint.h5.123456789abc.part.h5"
 
 if TYPE_CHECKING:
-    from warp_plate.analysis.check import Finding
+    from warp_plate.analysis.warnings import Finding
     from warp_plate.result.model import Result
     from warp_plate.scene.model import Scene
     from warp_plate.studies.checkpointing import StudyFile
@@ -241,7 +241,7 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
 def warnings_of(result: Result) -> list[str]:
     """Return warnings about effects that the result calls for but its scene lacks, and about search settings that have
     no effect."""
-    from warp_plate.analysis.check import explain_missing_energies, search_warnings, warning_texts
+    from warp_plate.analysis.warnings import explain_missing_energies, search_warnings, warning_texts
     from warp_plate.problem.methods import unread_keys
 
     failed = next((case.status for case in result.cases.values() if case.status != "ok"), None)

@@ -1,0 +1,202 @@
+"""Warnings about effects that a scene lacks, and about what makes its numbers doubtful."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_plate.analysis.influence import film, with_one_frequency
+from warp_plate.modal.continuous_modes import linear_part
+from warp_plate.modal.modes import solve_modes
+from warp_plate.plate.scheme import make_scheme
+from warp_plate.plate.signals import carrier_frequencies, highest_frequency
+from warp_plate.plate.waveforms import read_samples
+from warp_plate.scene.drive import SampledSignal
+from warp_plate.scene.model import Scene
+
+# Displacement over thickness. By Berger's equation for a supported square, stretching raises the frequency of a motion
+# of amplitude a by 0.56 (a/H)² (Berger 1955, Wah 1963): 2 % at 0.2.
+MOST_AMPLITUDE = 0.2
+# Wavelength over thickness. Rotary inertia and shear, which Kirchhoff and Love neglect, lower the squared frequency of
+# a wave of number k by (kH)²/12 · (1 + 2/((1 − ν)κ)), κ = 5/6, to first order (Mindlin 1951): 7 % of the frequency at
+# 10 thicknesses, with ν = 0.3.
+FEWEST_THICKNESSES = 10.0
+# Grid points a wavelength, by order. The frequency of a wave on the grid is too low by (kh)²/12 for second order and
+# (kh)⁴/90 for fourth (Taylor series of the squared second difference): 3 % at 10 points, 1.3 % at 6.
+FEWEST_POINTS = {2: 10.0, 4: 6.0}
+# Mass of layers over that of the plate. By Rayleigh's quotient it lowers frequencies by half of it: 2.5 %, about the
+# half width of a resonance with a loss factor of 5 %.
+MOST_ADDED_MASS = 0.05
+# Fraction of the start-up motion that is left when the window opens. It beats with the steady motion, so that averaged
+# energies are wrong by about 1 %.
+MOST_LEFT = 0.01
+# Highest frequency of a signal's file over drive.frequency, which bounds the time step and the numbers above.
+MOST_BEYOND = 1.2
+# Modes among which the lowest natural frequency is looked for: a free plate has three rigid motions.
+MODES = 6
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A number with its threshold."""
+
+    name: str  # name of the number
+    value: float  # dimensionless value; NaN if it does not apply
+    threshold: float  # dimensionless threshold
+    sentence: str  # explanation
+    exceeded: bool  # True if the threshold is exceeded and the scene lacks the effect
+
+
+def find_warnings(scene: Scene, peak_displacement: float | None, gridded: bool = True) -> list[Finding]:
+    """Return all numbers of a scene with a grid; ``peak_displacement`` [m] is the largest of a run, if known.
+
+    Those of the grid are left out where it does not count, as where modes are used (``gridded`` = False).
+
+    Raises:
+        SceneError: the file of ``[drive.signal]`` cannot be read.
+    """
+    findings = [_thinness(scene), _added_mass(scene), _left_at_start(scene)]
+    if gridded and scene.modal_only_key is None:
+        findings.insert(1, _points(scene))
+    if peak_displacement is not None:
+        findings.insert(0, _amplitude(scene, peak_displacement))
+    return findings if scene.drive.signal is None else [*findings, _signal(scene, scene.drive.signal)]
+
+
+def warning_texts(scene: Scene, peak_displacement: float | None, gridded: bool = True) -> list[str]:
+    """Return the sentences of the numbers that exceed their thresholds, see :func:`find_warnings`."""
+    return [finding.sentence for finding in find_warnings(scene, peak_displacement, gridded) if finding.exceeded]
+
+
+def search_warnings(scene: Scene) -> list[str]:
+    """Return warnings about results of a search that cannot be built."""
+    if len(scene.targets) < 2 or scene.search.position is None:
+        return []
+    return [
+        f"Each of the {len(scene.targets)} targets has different positions of the actuators, which one panel cannot "
+        "have: take the scene of one of them, delete [search.position], and localize again for drives at its positions."
+    ]
+
+
+def wavelengths(scene: Scene) -> tuple[float, float]:
+    """Return the lengths [m] of bending waves along x and y at the highest frequency, in the plate without layers."""
+    isotropic, orthotropic = scene.plate.rigidity, scene.effects.orthotropic
+    rigidities = (orthotropic.Dx, orthotropic.Dy) if orthotropic else (isotropic, isotropic)
+    inertia = scene.plate.density * scene.plate.thickness * (2 * math.pi * highest_frequency(scene)) ** 2
+    x, y = (2 * math.pi * (bending / inertia) ** 0.25 for bending in rigidities)
+    return x, y
+
+
+def slowest_frequency(scene: Scene) -> float:
+    """Return the lowest natural frequency [Hz] above zero of the plate's small motions; 0 if there is none."""
+    frequencies = solve_modes(linear_part(scene), highest=0.0, count=MODES).frequencies
+    return float(min(frequencies[frequencies > 0], default=0.0))
+
+
+def explain_missing_energies(scene: Scene, status: str = "its numbers grew beyond all bounds") -> str:
+    """Return a sentence about a plate whose status is not "ok", with the likely cause.
+
+    A linear plate cannot grow below the stability limit, which does not include the tension of stretching.
+    """
+    scheme = None if scene.modal_only_key is not None else make_scheme(scene, allow_unstable=True)
+    if scheme is not None and not scheme.stable:
+        cause = (
+            f"the time step of {scheme.time_step:.6g} s is above the stability limit of {scheme.limit:.6g} s; write a "
+            "shorter grid.time_step."
+        )
+    elif scheme is None or scene.effects.stretching is None:
+        cause = f"check the drive (magnitudes are in {scene.drive_unit}, precision is {scene.grid.precision})."
+    else:
+        cause = (
+            f"stretching stiffened it more than the time step of {scheme.time_step:.3g} s allows; write a shorter "
+            "grid.time_step, or drive it less."
+        )
+    return f"A plate has no energies, {status}: {cause}"
+
+
+def _finding(name: str, value: float, threshold: float, exceeded: bool, fact: str, bad: str, good: str) -> Finding:
+    return Finding(name, value, threshold, f"{fact}: {bad if exceeded else good}", exceeded)
+
+
+def _amplitude(scene: Scene, peak: float) -> Finding:
+    name, value, included = "displacement / thickness", peak / scene.plate.thickness, bool(scene.effects.stretching)
+    if not math.isfinite(value):
+        return Finding(name, value, MOST_AMPLITUDE, explain_missing_energies(scene), True)
+    exceeded = value > MOST_AMPLITUDE and not included
+    fact = f"The largest displacement over the run is {value:.2g} of the thickness (threshold {MOST_AMPLITUDE:g})"
+    bad = "stretching matters; name [effects.stretching]."
+    good = "stretching is included." if included else "stretching does not matter."
+    return _finding(name, value, MOST_AMPLITUDE, exceeded, fact, bad, good)
+
+
+def _thinness(scene: Scene) -> Finding:
+    name, value, fewest = "wavelength / thickness", min(wavelengths(scene)) / scene.plate.thickness, FEWEST_THICKNESSES
+    fact = f"A bending wave of the drive's highest frequency is {value:.3g} thicknesses long (threshold {fewest:g})"
+    bad, good = "rotary inertia and shear, which this program neglects, matter.", "the plate is thin."
+    return _finding(name, value, fewest, value < fewest, fact, bad, good)
+
+
+def _points(scene: Scene) -> Finding:
+    pairs = zip(wavelengths(scene), scene.plate.size, scene.grid.nodes, strict=True)
+    value, fewest = min(wave * (nodes - 1) / side for wave, side, nodes in pairs), FEWEST_POINTS[scene.grid.order]
+    fact = f"The grid has {value:.3g} points a bending wave of the drive's highest frequency (threshold {fewest:g})"
+    bad, good = "take more nodes, or ask for an accuracy.", "it is fine enough."
+    return _finding("points a wavelength", value, fewest, value < fewest, fact, bad, good)
+
+
+def _added_mass(scene: Scene) -> Finding:
+    plate, named, added = scene.plate, bool(scene.effects.layers), 0.0
+    for layer in scene.effects.layers or film(scene):
+        x0, x1, y0, y1 = layer.area
+        added += (2 if layer.both else 1) * (x1 - x0) * (y1 - y0) * layer.thickness * layer.density
+    value = added / (plate.size[0] * plate.size[1] * plate.thickness * plate.density)
+    subject = "Layers add" if named else "The scene names no layers; a film of 110 µm on each actuator would add"
+    fact = f"{subject} {100 * value:.2g} % to the plate's mass (threshold {100 * MOST_ADDED_MASS:g} %)"
+    bad, good = "name the bodies of the actuators under [[effects.layers]].", "frequencies change little."
+    if named:
+        bad = f"frequencies change by about {50 * value:.2g} %, so the layers' thickness and density must be right."
+    name, exceeded = "added mass / plate's mass", value > MOST_ADDED_MASS
+    return _finding(name, value, MOST_ADDED_MASS, exceeded, fact, bad, good)
+
+
+def _left_at_start(scene: Scene) -> Finding:
+    """Return the finding about start-up motion, which decays at the rate c/2ρH + time·ω²/2 + ζω, without oscillators.
+
+    ω is the lowest frequency of the drive, near which the strongest modes lie. The square of a voltage also has a
+    constant part, whose step at t = 0 excites the lowest modes.
+    """
+    name, key, effects = "start-up motion left", with_one_frequency(scene).nonperiodic_key, scene.effects
+    if scene.steady:
+        sentence = f"The motion is the steady one ({scene.modal_only_key}), without start-up motion."
+        return Finding(name, 0.0, MOST_LEFT, sentence, False)
+    if key is not None:
+        sentence = f"The motion does not become steady ({key}), so its start-up motion is not judged."
+        return Finding(name, math.nan, MOST_LEFT, sentence, False)
+    viscous = effects.damping.viscous if effects.damping else 0.0
+    viscous += effects.foundation.damping if effects.foundation else 0.0
+    rate = viscous / (2 * scene.plate.density * scene.plate.thickness)
+    if effects.material_damping or effects.modal_damping:
+        lowest = min(carrier_frequencies(scene))
+        if scene.drive.electrostatic is not None:
+            lowest = min(lowest, slowest_frequency(scene))
+        rate += effects.material_damping.time * (2 * math.pi * lowest) ** 2 / 2 if effects.material_damping else 0.0
+        rate += float(np.min(effects.modal_damping.ratio)) * 2 * math.pi * lowest if effects.modal_damping else 0.0
+    value = math.exp(-rate * scene.window.start)
+    fact = (
+        f"When the window opens, {100 * value:.2g} % of the start-up motion is left (threshold {100 * MOST_LEFT:g} %)"
+    )
+    bad, good = "the motion is not steady; start the window later.", "the motion is steady."
+    return _finding(name, value, MOST_LEFT, value > MOST_LEFT, fact, bad, good)
+
+
+def _signal(scene: Scene, signal: SampledSignal) -> Finding:
+    highest, stated = read_samples(signal, scene.folder).highest_frequency(), scene.drive.frequency
+    fact = (
+        f"99 % of the energy in {signal.file!r} lies below {highest:.4g} Hz, and drive.frequency is {stated:g} Hz "
+        f"(threshold {MOST_BEYOND:g} times that)"
+    )
+    bad, good = "time step and grid may be too coarse; write drive.frequency higher.", "it covers the file."
+    value = highest / stated
+    return _finding("file's frequency / drive.frequency", value, MOST_BEYOND, value > MOST_BEYOND, fact, bad, good)
