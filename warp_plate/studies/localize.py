@@ -1,30 +1,25 @@
-"""The whole search: reference drives, the bound, a search for each target, and the cases of the result."""
+"""The whole search: the engine and grid, a search for each target, and what the result holds beside their drives."""
 
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from warp_plate.accuracy.more_functions import MoreFunctions
-from warp_plate.cluster.evaluator import Evaluator
 from warp_plate.cluster.pool import WorkerPool
-from warp_plate.modal.solver import MODAL, has_modes, make_solver
+from warp_plate.modal.solver import MODAL, has_modes
 from warp_plate.plate.files import digests
-from warp_plate.plate.weights import REGIONS
-from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_cases, evaluate_objectives, reference_phasors
+from warp_plate.problem.evaluate_cases import EvaluatedCases, evaluate_objectives
 from warp_plate.problem.make_problem import EvaluatorName, default_evaluator, make_problem
 from warp_plate.problem.methods import with_method
 from warp_plate.problem.problem import Problem
 from warp_plate.result.atomic_io import write_atomically
 from warp_plate.result.checkpoint import Checkpoint, load_newest
-from warp_plate.result.model import Result, TargetSearch
-from warp_plate.result.targets import best_drive_scenes, target_cases, target_regions
+from warp_plate.result.model import Result
+from warp_plate.result.targets import best_drive_scenes
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError, printable
 from warp_plate.scene.model import Scene
@@ -32,10 +27,10 @@ from warp_plate.solve.devices import processor_of
 from warp_plate.studies import provenance
 from warp_plate.studies.baselines import baseline_cases, check_baselines
 from warp_plate.studies.checkpointing import CheckpointFile
-from warp_plate.studies.driver import OnProgress, run_search, search_optimizer
+from warp_plate.studies.driver import OnProgress
 from warp_plate.studies.grid_choice import estimate_error, resolve_search_grid
-from warp_plate.studies.polish import finish_search
 from warp_plate.studies.spectrum import make_spectrum
+from warp_plate.studies.target_searches import evaluate_targets, initial_state, search_targets
 from warp_plate.studies.validation import compare_with_nominal
 
 T = TypeVar("T")
@@ -197,7 +192,7 @@ def _new_search(
         evaluator = MODAL if exact and path == "auto" and has_modes(scene) else default_evaluator(scene, path)
     resolved, started = resolve_search_grid(scene, device, evaluator, path), time.perf_counter()
     problem = make_problem(resolved.scene, device, path, resolved.evaluator, pool=pool)
-    initial, compiling = _initial_state(problem, seed), problem.compile_seconds
+    initial, compiling = initial_state(problem, seed), problem.compile_seconds
     start = Checkpoint(
         scene_as_written=written,
         source=source,
@@ -217,18 +212,6 @@ def _new_search(
     return start, problem, resolved.reference
 
 
-def _initial_state(problem: Problem, seed: int) -> dict[str, Any]:
-    """Return the fields of a checkpoint that differ from target to target, before the first iteration."""
-    phasors = reference_phasors(problem.scene, problem.energies_of_phasors)
-    optimizer = search_optimizer(problem, seed)
-    return {
-        "scene": problem.scene,
-        "single_actuator": int(np.argmax(np.abs(phasors["single"]))),
-        "matrices": problem.matrices,
-        "search_state": None if optimizer is None else optimizer.state(),
-    }
-
-
 def _run(
     start: Checkpoint,
     problem: Problem,
@@ -236,10 +219,10 @@ def _run(
     reference: MoreFunctions | None = None,
 ) -> Result:
     """Run a search from a checkpoint, which may be that of iteration 0, and make its result."""
-    end, problem, interrupted = _search_targets(start, problem, options)
+    end, problem, interrupted = search_targets(start, problem, options.on_progress, options.checkpoints)
     first, seconds, before = end.finished_searches[0], dict(end.seconds), problem.node_steps
     started = time.perf_counter()
-    evaluated = _evaluate_targets(problem, end.finished_searches)
+    evaluated = evaluate_targets(problem, end.finished_searches)
     seconds["solve"] += time.perf_counter() - started
     known = reference if evaluated.scene is problem.scene else None  # that of another plate does not help
     parts = _optional_parts(end, problem, evaluated, options, seconds, interrupted, known)
@@ -308,77 +291,3 @@ def _optional_parts(
         "spectrum": spectrum,
         "node_steps": steps + more_steps + last_steps,
     }
-
-
-def _search_targets(start: Checkpoint, problem: Problem, options: _Options) -> tuple[Checkpoint, Problem, bool]:
-    """Search the remaining targets; return the last checkpoint, the first target's problem, and whether Ctrl-C came."""
-    count, first, interrupted = max(len(problem.scene.targets), 1), len(start.finished_searches), False
-    for index in range(first, count):
-        started = time.perf_counter()
-        if index > first:
-            problem = _next_problem(problem, index, start)
-            start = replace(start, **_initial_state(problem, start.seed))
-            start = replace(start, node_steps=start.node_steps + problem.node_steps)
-        first_steps = problem.node_steps
-
-        def on_progress(iterations: int, total: int, best: float, before: int = index) -> None:
-            if options.on_progress is not None:
-                options.on_progress(before * total + iterations, count * total, best)
-
-        optimizer, interrupted = run_search(start, problem, on_progress, options.checkpoints)
-        position, evaluations, history = finish_search(optimizer, problem, interrupted)
-        search = TargetSearch(
-            position=position,
-            single_actuator=start.single_actuator,
-            bound=problem.bound,
-            bound_kind=problem.bound_kind,
-            evaluations=evaluations,
-            history=history,
-            objective_values={} if position is None else problem.objective_values(position),
-        )
-        solve = start.seconds.get("solve", 0.0) + time.perf_counter() - started
-        start = replace(
-            start,
-            finished_searches=(*start.finished_searches, search),
-            node_steps=start.node_steps + problem.node_steps - first_steps,
-            seconds={**start.seconds, "solve": solve},
-            lost_plates=dict(Counter(start.lost_plates) + problem.lost),
-        )
-        if interrupted:
-            break
-    return start, _with_target(problem, 0) if count > 1 else problem, interrupted
-
-
-def _next_problem(problem: Problem, index: int, start: Checkpoint) -> Problem:
-    """Return the problem of another target. All targets are regions of every solver, so that Gram matrices hold for
-    all, unless an objective needs further regions."""
-    scene, matrices = problem.scene.aimed_at(index), None
-    if problem.matrices is not None and not problem.objectives.cells.size:
-        regions = problem.drive_solver.regions
-        matrices = problem.matrices.reshape(-1, len(regions), *problem.matrices.shape[1:]).copy()
-        matrices[:, REGIONS.index("target")] = matrices[:, regions.index(list(target_regions(scene))[index])]
-        matrices = matrices.reshape(problem.matrices.shape)
-    device = problem.drive_solver.device.alias
-    return make_problem(scene, device, start.path, start.evaluator, matrices, problem.pool)
-
-
-def _with_target(problem: Problem, index: int) -> Problem:
-    """Return a problem with another target, for simulating cases only."""
-    scene = problem.scene.aimed_at(index)
-    solver = make_solver(scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(scene))
-    parametrization = replace(problem.parametrization, scene=scene)
-    return replace(problem, parametrization=parametrization, drive_evaluator=Evaluator(solver))
-
-
-def _evaluate_targets(problem: Problem, searches: tuple[TargetSearch, ...]) -> EvaluatedCases:
-    """Simulate the cases of the first target, and the best drive of every other one."""
-    first, *others = searches
-    evaluated = evaluate_cases(problem, first.single_actuator, first.position)
-    cases, node_steps = dict(evaluated.cases), evaluated.node_steps
-    names = list(target_cases(problem.scene).values())[1:]
-    for index, (name, search) in enumerate(zip(names, others, strict=False), 1):  # fewer after Ctrl-C
-        other = _with_target(problem, index)
-        more = evaluate_cases(other, search.single_actuator, search.position)
-        cases[name] = more.cases["best"]
-        node_steps += other.drive_solver.node_steps + more.node_steps
-    return replace(evaluated, cases=cases, node_steps=node_steps)
