@@ -36,7 +36,7 @@ def test_on_any_number_of_threads_in_pieces_of_any_size(name, evaluator, device,
     for threads, node_steps in ((1, 1e9), (2, 1e4), (5, 1e2)):
         monkeypatch.setenv("WARP_PLATE_THREADS", str(threads))
         monkeypatch.setattr(
-            "warp_plate.solve.batching.SEGMENT_NODE_STEPS", {"cpu": node_steps, "cuda": max(1e5, node_steps)}
+            "warp_plate.solve.parts.SEGMENT_NODE_STEPS", {"cpu": node_steps, "cuda": max(1e5, node_steps)}
         )
         result = localize(made, "", device, None, evaluator, path, estimate=False)
         assert np.isfinite(result.history["best"]).all()

@@ -18,7 +18,8 @@ from warp_plate.result.model import Case, case_scene
 from warp_plate.result.motion import Motion
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Record, Scene
-from warp_plate.solve.solver import PlateSolver, Progress
+from warp_plate.solve.run import Progress
+from warp_plate.solve.solver import PlateSolver
 
 # Default frames of a period, and most default frames of a longer span.
 FRAMES_A_PERIOD, MOST_FRAMES = 60, 600

@@ -18,8 +18,8 @@ from warp_plate.plate.weights import REGIONS
 from warp_plate.result.motion import QUADRANTS, DriveResponse, SteadyMotion, quadrants
 from warp_plate.scene.model import Scene
 from warp_plate.solve.response import Response, in_float64, measure_response, unit_drives
-from warp_plate.solve.run import Run
-from warp_plate.solve.solver import PlateSolver, Progress
+from warp_plate.solve.run import Progress, Run
+from warp_plate.solve.solver import PlateSolver
 
 # Displacements that a motion is fitted to, and multiples of the drive's frequency in it: a linear plate moves at that
 # frequency alone, a plate that stretches also at its multiples.

@@ -30,7 +30,7 @@ from warp_plate.problem.parametrization import magnitude_unit
 from warp_plate.result.motion import DriveResponse, SwarmSnapshot
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.solver import Progress
+from warp_plate.solve.run import Progress
 
 CHOICES = ("scene", "equal", "single", "found", "exact", "random")
 # Share of the motion from which start-up motion is mentioned.

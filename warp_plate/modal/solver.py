@@ -28,8 +28,8 @@ from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, Window
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.response import Response
-from warp_plate.solve.run import Run
-from warp_plate.solve.solver import Drives, PlateSolver, Progress
+from warp_plate.solve.run import Progress, Run
+from warp_plate.solve.solver import Drives, PlateSolver
 from warp_plate.solve.specialize import Quantity
 
 # Path of a solver that takes no time steps.

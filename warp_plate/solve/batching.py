@@ -1,4 +1,4 @@
-"""A batch of plates on a device, and the division of a large batch into parts."""
+"""A batch of plates on a device."""
 
 from __future__ import annotations
 
@@ -10,22 +10,11 @@ import warp as wp
 
 from warp_plate.plate.designs import PerPlateValues
 from warp_plate.plate.signals import Signals
-from warp_plate.scene.errors import SceneError
 from warp_plate.solve.engine import Engine
 from warp_plate.solve.specialize import Specialized
-from warp_plate.solve.state import State, bytes_per_plate
-from warp_plate.solve.status import exceeds, find_faults, steps_between_checks
+from warp_plate.solve.state import State
+from warp_plate.solve.status import exceeds, find_faults
 
-# Approximate limit of the work of a launch, so that progress is shown and Ctrl-C is noticed.
-SEGMENT_NODE_STEPS = {"cpu": 1e9, "cuda": 5e10}
-# A part of a large batch on CUDA: eight times the 2112 plates of the paper's scene that an H200 runs side by side.
-# While it is stepped, the host prepares the next one.
-PART_NODE_STEPS = 1.32e10
-# Largest share of a CUDA device's free memory that plates take; bytes that they take on CPU. A batch on CPU is also no
-# larger than one launch can finish, or than FEWEST_PLATES if that is more.
-CUDA_MEMORY_SHARE = 0.6
-CPU_BYTES = 256 * 2**20
-FEWEST_PLATES = 64
 # Sizes of drives [N/m²] whose energies, which go with the square, keep full precision.
 SMALLEST_DRIVE, LARGEST_DRIVE = 1e-130, 1e130
 
@@ -162,41 +151,3 @@ def energy_unit(specialized: Specialized) -> float:
     scheme = specialized.scheme
     (hx, hy), (first, last) = scheme.spacing, scheme.window
     return 0.5 * scheme.surface_density * hx * hy * speed_unit(specialized) ** 2 / (last - first)
-
-
-def segment_steps(specialized: Specialized, plates: int) -> tuple[int, bool]:
-    """Return the largest number of steps to take at once, and whether to check for growth after them."""
-    node_steps = plates * specialized.interior_nodes
-    segment = max(1, int(SEGMENT_NODE_STEPS["cuda" if specialized.device.is_cuda else "cpu"] / node_steps))
-    between = steps_between_checks(specialized, plates)
-    return min(segment, between or segment), between is not None
-
-
-def part_plates(node_steps_per_plate: int) -> int:
-    """Return the number of plates in each part of a large batch on CUDA."""
-    return math.ceil(PART_NODE_STEPS / node_steps_per_plate)
-
-
-def plates_that_fit(specialized: Specialized, traced_nodes: int, held: float, memory_share: float) -> int:
-    """Return how many plates the device has memory for, at least 1.
-
-    Args:
-        traced_nodes: Number of nodes whose displacement is kept.
-        held: Bytes that this solver's states hold now and would give back.
-        memory_share: Share of the memory for plates that this solver may take.
-
-    Raises:
-        SceneError: A CUDA device has no memory for one plate.
-    """
-    device, needed = specialized.device, bytes_per_plate(specialized, traced_nodes)
-    if device.is_cuda:
-        room = memory_share * CUDA_MEMORY_SHARE * device.free_memory + held
-        if needed > room:
-            raise SceneError(
-                f"grid.nodes = {list(specialized.scene.grid.nodes)}: a plate takes {needed / 2**30:.3g} GiB, and "
-                f"{room / 2**30:.3g} GiB of {device.alias} may be taken; use fewer nodes or record.points"
-            )
-        return int(room / needed)
-    work = specialized.interior_nodes * specialized.scheme.steps
-    most = max(FEWEST_PLATES, int(SEGMENT_NODE_STEPS["cpu"] / work))
-    return max(1, min(most, int(memory_share * CPU_BYTES / needed)))

@@ -9,8 +9,7 @@ import numpy as np
 
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.model import Scene
-from warp_plate.solve.run import PlateRunner, Run
-from warp_plate.solve.solver import Progress
+from warp_plate.solve.run import PlateRunner, Progress, Run
 
 # Samples in a period of the highest frequency (between two, a sine rises by 2 % at most), in a run at most and at
 # least, and the bytes that they take at most.

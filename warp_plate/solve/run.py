@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -12,6 +13,8 @@ from warp_plate.scene.model import Scene
 from warp_plate.solve.status import OK
 
 SOUND = (OK, math.nan)
+# Called with (node-steps done, node-steps in all) between launches.
+Progress = Callable[[int, int], None]
 
 
 class PlateRunner(Protocol):

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from itertools import cycle
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import warp as wp
 
-from warp_plate.interrupts import check_interrupt
 from warp_plate.plate.designs import (
     NO_PER_PLATE,
     Designs,
@@ -23,19 +19,18 @@ from warp_plate.plate.designs import (
 )
 from warp_plate.plate.discretization import Discretization, discretize
 from warp_plate.plate.scheme import Scheme
-from warp_plate.plate.weights import NO_AREAS, Region, bilinear
+from warp_plate.plate.weights import NO_AREAS, Region
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.batching import PlateBatch, part_plates, plates_that_fit, segment_steps
+from warp_plate.solve.batching import PlateBatch
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import Engine
+from warp_plate.solve.parts import PartRunner
 from warp_plate.solve.paths import why_streaming
-from warp_plate.solve.run import Run
+from warp_plate.solve.run import Progress, Run
 from warp_plate.solve.specialize import Quantity, Specialized, effect_names
-from warp_plate.solve.state import State, bytes_per_plate
+from warp_plate.solve.state import State
 
-Progress = Callable[[int, int], None]
-Faults = dict[int, tuple[str, float]]
 Drives = np.ndarray | Sequence[Sequence[complex]] | tuple[np.ndarray, np.ndarray] | Designs
 
 
@@ -71,7 +66,7 @@ class PlateSolver:
         device: The Warp device.
         engine: The compiled kernels.
         path: Name of the path.
-        states: Device arrays that runs use, made by the first run.
+        parts: Runner of large batches part by part; holds the device arrays that runs use.
         node_steps: Nodes updated × steps × plates of all runs so far.
         compile_seconds: Time that discretizing and compiling took [s].
 
@@ -105,8 +100,8 @@ class PlateSolver:
             )
         self.engine = Engine(Specialized(discretization, self.device, threads, areas, quantity), path)
         self.path = self.engine.path
-        self._chunk, self._areas, self._memory_share = chunk, areas, memory_share
-        self.states: list[State] = []
+        self.parts = PartRunner(self.engine, chunk, memory_share)
+        self._chunk, self._areas = chunk, areas
         self._batch: PlateBatch | None = None
         self.node_steps = 0
         self.compile_seconds = time.perf_counter() - started
@@ -139,7 +134,7 @@ class PlateSolver:
     @property
     def node_steps_per_plate(self) -> int:
         """Nodes updated × steps."""
-        return self.specialized.interior_nodes * self.specialized.scheme.steps
+        return self.specialized.node_steps_per_plate
 
     def describe_path(self, traced: bool = False) -> str:
         """Return the path and, if it streams for want of a better one, the reason; ``traced``: of runs with points."""
@@ -189,7 +184,7 @@ class PlateSolver:
             faults={},
         )
         try:
-            self._simulate(run, phasors, values, snapshots, points, progress or (lambda done, total: None))
+            self.parts.run(run, phasors, values, snapshots, points, progress or (lambda done, total: None))
         except BaseException:  # an interrupted run leaves no work that uses its states
             wp.synchronize_device(self.device)
             raise
@@ -268,88 +263,3 @@ class PlateSolver:
         for x, y in points:
             if not (0 <= x <= width and 0 <= y <= height):
                 raise SceneError(f"points: {[x, y]} is off the plate of {[width, height]} m")
-
-    def _simulate(
-        self,
-        run: Run,
-        phasors: np.ndarray,
-        values: PerPlateValues,
-        snapshots: list[int],
-        points: Sequence[tuple[float, float]],
-        progress: Progress,
-    ) -> None:
-        """Step plates part by part, and write their energies, displacements, traces and faults into ``run``.
-
-        Parts take turns on the states: while the device steps one, the host prepares the next.
-        """
-        plates, work = len(phasors), self.node_steps_per_plate
-        corners, shares = bilinear(points, self.specialized.scheme.nodes, self.scene.plate.size)
-        states, size = self._states_for(plates, corners.reshape(-1, 2))
-        queued: deque[tuple[slice, Callable[[np.ndarray], Faults]]] = deque()
-
-        def report(before: int, done: int) -> None:
-            progress(before + done, run.node_steps)
-
-        def finish_oldest() -> None:
-            part, finish_energies = queued.popleft()
-            faults = finish_energies(run.energy[part])
-            run.faults.update({part.start + plate: fault for plate, fault in faults.items()})
-            report(part.stop * work, 0)
-
-        for first, state in zip(range(0, plates, size), cycle(states), strict=False):
-            part = slice(first, min(first + size, plates))
-            if len(queued) == len(states):
-                finish_oldest()
-            batch = PlateBatch(self.engine, state, phasors[part], values[part])
-            self._advance(batch, snapshots, run.displacement[part], partial(report, first * work))
-            queued.append((part, batch.queue_energies()))
-            if points:
-                run.trace[part] = batch.trace(shares)
-        while queued:
-            finish_oldest()
-
-    def _states_for(self, plates: int, corners: np.ndarray) -> tuple[list[State], int]:
-        """Return the states that take turns, which trace the nodes ``corners``, and how many plates each takes."""
-        part, size, turns, traced = part_plates(self.node_steps_per_plate), max(1, plates), 1, len(corners)
-        if self._chunk is not None:
-            size = min(self._chunk, size)
-        elif self.device.is_cuda and not traced and plates >= 2 * part:
-            size, turns = part, 2
-        held = [] if traced or any(state.nodes.shape[0] for state in self.states) else self.states
-        # A CUDA driver may take a while to tell its free memory.
-        if self._chunk is None and not (self.device.is_cuda and _have_room(held, turns, size)):
-            in_use = sum(one.capacity * bytes_per_plate(self.specialized, one.nodes.shape[0]) for one in self.states)
-            room = plates_that_fit(self.specialized, traced, in_use, self._memory_share)
-            turns = min(turns, room)
-            size = min(size, room // turns)
-        if not _have_room(held, turns, size):
-            self.states.clear()  # frees the old arrays before new ones are allocated
-            nodes: wp.array = wp.array(corners + np.array([1, 0], np.int32), dtype=int, device=self.device)
-            self.states += [State(self.specialized, size, nodes) for _ in range(turns)]
-        return self.states[:turns], size
-
-    def _advance(
-        self, batch: PlateBatch, snapshots: list[int], displacement: np.ndarray, report: Callable[[int], None]
-    ) -> None:
-        """Take plates to the end of the window, or until all grow without bound; on CUDA the last steps are queued.
-
-        The displacement (plates, times, ny, nx) is written at the steps ``snapshots``.
-        """
-        steps, plates = self.specialized.scheme.steps, len(batch.phasors)
-        segment, may_grow = segment_steps(self.specialized, plates)
-        for stop in sorted({*range(segment, steps, segment), *snapshots, steps}):
-            batch.advance(stop)
-            all_grown = may_grow and batch.check_growth()
-            for index, snapshot in enumerate(snapshots):
-                if snapshot == stop:
-                    displacement[:, index] = batch.displacement
-            if stop < steps:
-                wp.synchronize_device(self.device)
-                report(stop * plates * self.specialized.interior_nodes)
-                check_interrupt()
-            if all_grown:
-                break
-
-
-def _have_room(states: list[State], count: int, plates: int) -> bool:
-    return len(states) >= count and all(state.capacity >= plates for state in states[:count])

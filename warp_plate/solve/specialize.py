@@ -99,6 +99,11 @@ class Specialized:
         nx, ny = self.scheme.nodes
         return (nx - 2) * (ny - 2)
 
+    @property
+    def node_steps_per_plate(self) -> int:
+        """Nodes updated × steps."""
+        return self.interior_nodes * self.scheme.steps
+
     @cached_property
     def masses(self) -> np.ndarray:
         """(regions,) mass of each region [kg]; cached because reading from a device waits until it is idle."""
