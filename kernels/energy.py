@@ -45,3 +45,27 @@ def sum_over_columns(
     for column in range(column_sums.shape[2]):
         total += column_sums[plate, region, column]
     energy[plate, region] = total
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def write_energies(
+    # inputs
+    sums: wp.array2d[wp.float64],  # (plates, regions) weighted sums of rate²
+    scale: wp.array[wp.float64],  # (plates,) pressure that each plate is scaled by [N/m²]
+    unit: wp.float64,  # energy of a sum of one at a scale of one [J]
+    largest_sum: wp.float64,  # of a bounded plate
+    # outputs
+    energy: wp.array2d[wp.float64],  # (plates, regions) [J]
+):
+    """Write the energies of plates, NaN for those with a sum or energy out of range; launch over plates."""
+    plate = wp.tid()
+    sound = bool(True)
+    for region in range(sums.shape[1]):
+        total = sums[plate, region]
+        value = total * unit * (scale[plate] * scale[plate])
+        energy[plate, region] = value
+        if not (total <= largest_sum and wp.isfinite(value)) or (total > wp.float64(0.0) and value == wp.float64(0.0)):
+            sound = False
+    if not sound:
+        for region in range(sums.shape[1]):
+            energy[plate, region] = wp.float64(wp.nan)

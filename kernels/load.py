@@ -12,6 +12,64 @@ import warp as wp
 
 
 @cache
+def make_scale_drives(real, given):
+    """Make the kernel that writes the coefficients of drives that are on the device; launch over plates.
+
+    Each plate's are in units of its largest pressure, and NaN where that is out of range.
+    """
+
+    @wp.func
+    def pressure(
+        drives: wp.array3d[given], factors: wp.array3d[wp.float64], plate: int, term: int, actuator: int
+    ) -> wp.float64:
+        real_part = wp.float64(drives[plate, actuator, 0])
+        imaginary_part = wp.float64(drives[plate, actuator, 1])
+        total = factors[term, 0, actuator] * real_part - factors[term, 1, actuator] * imaginary_part
+        if factors.shape[1] > 2:
+            real_square = real_part * real_part
+            imaginary_square = imaginary_part * imaginary_part
+            total += factors[term, 2, actuator] + factors[term, 3, actuator] * (real_square + imaginary_square)
+            total += factors[term, 4, actuator] * (real_square - imaginary_square)
+            total -= factors[term, 5, actuator] * (wp.float64(2.0) * real_part * imaginary_part)
+        return total
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def scale_drives(
+        # inputs
+        drives: wp.array3d[given],  # (plates, actuators, 2) Re Z, Im Z
+        factors: wp.array3d[wp.float64],  # (terms, features, actuators), see ``plate.signals``
+        least: wp.float64,  # pressure that all plates have beside their drives [N/m²]
+        smallest: wp.float64,  # range of pressures [N/m²]
+        largest: wp.float64,
+        load_scale: wp.float64,  # displacement [m] of a unit of u under a pressure of 1 N/m²
+        # outputs
+        coefficients: wp.array3d[real],  # (plates, terms, actuators)
+        scale: wp.array[wp.float64],  # (plates,) largest pressure [N/m²]
+        units: wp.array[real],  # (plates,) displacement [m] of a unit of u
+        moving: wp.array[real],  # (plates,) ``least`` in units of each plate's pressure
+    ):
+        plate = wp.tid()
+        size = least
+        for term in range(factors.shape[0]):
+            for actuator in range(factors.shape[2]):
+                value = wp.abs(pressure(drives, factors, plate, term, actuator))
+                if value > size or wp.isnan(value):
+                    size = value
+        if size != wp.float64(0.0) and not (size >= smallest and size <= largest):
+            size = wp.float64(wp.nan)
+        scale[plate] = size
+        units[plate] = real(size * load_scale)
+        if size == wp.float64(0.0):
+            size = wp.float64(1.0)
+        moving[plate] = real(least / size)
+        for term in range(factors.shape[0]):
+            for actuator in range(factors.shape[2]):
+                coefficients[plate, term, actuator] = real(pressure(drives, factors, plate, term, actuator) / size)
+
+    return scale_drives
+
+
+@cache
 def make_write_loads(real):
     """Make the kernel that writes the load fields where actuators are; launch over (plates, terms, covered nodes)."""
 

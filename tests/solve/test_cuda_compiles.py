@@ -47,12 +47,15 @@ def cuda_kernels(effects, real):
     """Yield (module.factory, kernel) for every kernel that is launched on CUDA; add new ones here."""
     yield "load.make_write_loads", load.make_write_loads(real)
     yield "load.make_write_placed_loads", load.make_write_placed_loads(real)
+    for given in REALS:
+        yield "load.make_scale_drives", load.make_scale_drives(real, given)
     for option in (False, True):
         yield "load.make_weigh_spans", load.make_weigh_spans(option)
         yield "wave.make_write_tones", wave.make_write_tones(real, option)
     yield "wave.make_accumulate_waves", wave.make_accumulate_waves(real)
     yield "energy.make_sum_over_rows", energy.make_sum_over_rows(real)
     yield "energy.sum_over_columns", energy.sum_over_columns
+    yield "energy.write_energies", energy.write_energies
     yield "limits.make_multiply_adds", limits.make_multiply_adds(real, block=1, depth=64, rounds=100, compiler_flags="")
     yield "streaming.advance_clock", streaming.advance_clock
     for kernel in TONES:

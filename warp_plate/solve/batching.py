@@ -19,22 +19,52 @@ from warp_plate.solve.status import exceeds, find_faults
 SMALLEST_DRIVE, LARGEST_DRIVE = 1e-130, 1e130
 
 
-class PlateBatch:
-    """A batch of plates, stepped from rest at t = 0; results are in SI units.
+class Batch:
+    """A batch of plates, stepped from rest at t = 0.
 
     Attributes:
         engine: The compiled kernels.
-        state: The plates' arrays, of which this batch uses the first ``len(phasors)`` plates.
-        phasors: (plates, actuators) drives.
-        scale: (plates,) pressure that each plate is scaled by [N/m²]; not finite if its drive is not.
+        state: The plates' arrays.
+        plates: Number of plates, the first of the state.
         grown: (plates,) step at which a plate was seen to grow without bound, or −1.
         step: Number of steps taken.
     """
 
-    def __init__(self, engine: Engine, state: State, phasors: np.ndarray, values: PerPlateValues) -> None:
-        self.engine, self.state, self.phasors = engine, state, phasors
-        self.grown = np.full(len(phasors), -1)
+    def __init__(self, engine: Engine, state: State, plates: int) -> None:
+        self.engine, self.state, self.plates = engine, state, plates
+        self.grown = np.full(plates, -1)
         self.step = 0
+
+    def advance(self, stop: int) -> None:
+        """Take the plates to step ``stop``; on CUDA the work is queued."""
+        if stop > self.step:
+            self.engine.advance(self.state, self.plates, self.step, stop)
+            self.step = stop
+
+    def check_growth(self) -> bool:
+        """Look for plates that grow without bound; return whether all do."""
+        rate = self.state.rate.numpy()[: self.plates]
+        self.grown[(self.grown < 0) & exceeds(rate, self.step * self.engine.largest_rate)] = self.step
+        return bool((self.grown >= 0).all())
+
+    @property
+    def largest_sum(self) -> float:
+        """Largest sum of rate² of a bounded plate."""
+        scheme = self.engine.specialized.scheme
+        return float((scheme.window[1] - scheme.window[0]) * (scheme.steps * self.engine.largest_rate) ** 2)
+
+
+class PlateBatch(Batch):
+    """A batch under drives of the host; results are in SI units.
+
+    Attributes:
+        phasors: (plates, actuators) drives.
+        scale: (plates,) pressure that each plate is scaled by [N/m²]; not finite if its drive is not.
+    """
+
+    def __init__(self, engine: Engine, state: State, phasors: np.ndarray, values: PerPlateValues) -> None:
+        super().__init__(engine, state, len(phasors))
+        self.phasors = phasors
         specialized = engine.specialized
         moving = specialized.discretization.moving
         least = moving.largest if moving else 0.0
@@ -51,18 +81,6 @@ class PlateBatch:
             strength[: len(phasors)] = least / np.where(self.scale == 0, 1, self.scale)
             state.moving.assign(strength.astype(specialized.scene.grid.precision))
         state.clear(len(phasors))
-
-    def advance(self, stop: int) -> None:
-        """Take the plates to step ``stop``; on CUDA the work is queued."""
-        if stop > self.step:
-            self.engine.advance(self.state, len(self.phasors), self.step, stop)
-            self.step = stop
-
-    def check_growth(self) -> bool:
-        """Look for plates that grow without bound; return whether all do."""
-        rate = self.state.rate.numpy()[: len(self.phasors)]
-        self.grown[(self.grown < 0) & exceeds(rate, self.step * self.engine.largest_rate)] = self.step
-        return bool((self.grown >= 0).all())
 
     @property
     def displacement(self) -> np.ndarray:
@@ -106,9 +124,8 @@ class PlateBatch:
         sums = self.engine.queue_region_sums(self.state, len(self.phasors))
 
         def finish(energy: np.ndarray) -> dict[int, tuple[str, float]]:
-            largest_sum = (scheme.window[1] - scheme.window[0]) * (scheme.steps * self.engine.largest_rate) ** 2
             unit = energy_unit(specialized)
-            faults = find_faults(self.phasors, self.scale, self.grown, sums(), unit, largest_sum, energy)
+            faults = find_faults(self.phasors, self.scale, self.grown, sums(), unit, self.largest_sum, energy)
             times = np.where(self.grown >= 0, self.grown * scheme.time_step, math.nan)
             return {plate: (fault, float(times[plate])) for plate, fault in faults.items()}
 

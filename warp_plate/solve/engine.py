@@ -55,8 +55,12 @@ class Engine:
             plates: Number of plates to load; the others keep their loads.
             edges: (plates, actuators, 4) x0, x1, y0, y1 [m] of each plate's actuators (default: the scene's).
         """
-        specialized = self.specialized
         wp.copy(state.coefficients, state.host_coefficients, count=plates * state.coefficients[0].size)
+        self.write_loads(state, plates, edges)
+
+    def write_loads(self, state: State, plates: int, edges: np.ndarray | None = None) -> None:
+        """Write the load fields of the first plates from ``state.coefficients``; ``edges`` as in ``load_drives``."""
+        specialized = self.specialized
         kernel, inputs = self._write_loads, [specialized.support, specialized.patches]
         if edges is not None:
             kernel, inputs = self.per_plate.put_places(state, edges)
@@ -68,13 +72,8 @@ class Engine:
             device=specialized.device,
         )
 
-    def queue_region_sums(self, state: State, plates: int) -> Callable[[], np.ndarray]:
-        """Queue the weighted sums of rate² over the window for the first plates, and their copy to the host.
-
-        Returns:
-            Function that waits for the sums and returns them, (plates, regions), as a view that the next run
-            overwrites.
-        """
+    def sum_regions(self, state: State, plates: int) -> None:
+        """Queue the weighted sums of rate² over the window for the first plates, into ``state.energy``."""
         device, weights = self.specialized.device, self.specialized.weights
         regions, _, columns = weights.shape
         inputs, outputs = [state.squares, weights], [state.column_sums]
@@ -82,7 +81,17 @@ class Engine:
         wp.launch(
             sum_over_columns, (plates, regions), inputs=[state.column_sums], outputs=[state.energy], device=device
         )
-        wp.copy(state.host_energy, state.energy, count=plates * regions)
+
+    def queue_region_sums(self, state: State, plates: int) -> Callable[[], np.ndarray]:
+        """Queue the sums of :meth:`sum_regions`, and their copy to the host.
+
+        Returns:
+            Function that waits for the sums and returns them, (plates, regions), as a view that the next run
+            overwrites.
+        """
+        device = self.specialized.device
+        self.sum_regions(state, plates)
+        wp.copy(state.host_energy, state.energy, count=plates * state.energy.shape[1])
         done = wp.get_stream(device).record_event() if device.is_cuda else None
         energy = state.host_energy  # and not the state, which may be released
 

@@ -16,6 +16,7 @@ from warp_plate.plate.designs import PerPlateValues
 from warp_plate.plate.weights import bilinear
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.batching import PlateBatch
+from warp_plate.solve.device_batch import DeviceBatch
 from warp_plate.solve.engine import Engine
 from warp_plate.solve.run import Progress, Run
 from warp_plate.solve.specialize import Specialized
@@ -93,6 +94,24 @@ class PartRunner:
                 run.trace[part] = batch.trace(shares)
         while queued:
             finish_oldest()
+
+    def run_on_device(self, drives: wp.array, energy: wp.array) -> None:
+        """Step plates part by part under drives (plates, actuators, 2), and write their energies (plates, regions).
+
+        On CUDA all is queued; the host waits only for plates that may grow.
+        """
+        steps = self.specialized.scheme.steps
+        states, size = self.states_for(len(drives), np.empty((0, 2), int))
+        for first in range(0, len(drives), size):
+            part = slice(first, min(first + size, len(drives)))
+            batch = DeviceBatch(self.engine, states[0], drives[part])
+            segment, may_grow = segment_steps(self.specialized, batch.plates)
+            for stop in (*range(segment, steps, segment), steps):
+                batch.advance(stop)
+                check_interrupt()
+                if may_grow and batch.check_growth():
+                    break
+            batch.write_energies(energy[part])
 
     def states_for(self, plates: int, corners: np.ndarray) -> tuple[list[State], int]:
         """Return the states that take turns, which trace the nodes ``corners``, and how many plates each takes."""

@@ -23,6 +23,7 @@ from warp_plate.plate.weights import NO_AREAS, Region
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.batching import PlateBatch
+from warp_plate.solve.device_batch import import_drives
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.engine import Engine
 from warp_plate.solve.parts import PartRunner
@@ -190,6 +191,33 @@ class PlateSolver:
             raise
         self.node_steps += run.node_steps
         return run
+
+    def run_on_device(self, drives: object) -> wp.array:
+        """Simulate plates as :meth:`run` does, under drives and with energies in arrays of this device.
+
+        Nothing is copied to the host, and on CUDA the work is only queued, on Warp's current stream of the device.
+        Handing arrays over by DLPack orders that stream after the producer's and before the consumer's. Only where
+        plates may grow (stretching, a step above the limit) does the host wait, to look for growth. Gradients do not
+        flow through.
+
+        Args:
+            drives: (plates, actuators, 2) real and imaginary parts of phasors Z as in :meth:`run`, float32 or float64,
+                an array of Warp, Torch, CuPy, JAX, NumPy or another library with DLPack, in memory of this device. It
+                is read in place: do not write to it before the energies are there.
+
+        Returns:
+            (plates, regions) energies [J] of ``Run.energy``, float64; NaN for faulty plates. It exports itself by
+            DLPack, as to ``torch.from_dlpack``.
+
+        Raises:
+            SceneError: Drives have another shape or type, or are on another device.
+        """
+        pairs = import_drives(drives, len(self.scene.actuators), self.device)
+        energy: wp.array = wp.empty((len(pairs), len(self.regions)), dtype=wp.float64, device=self.device)
+        energy._drives = pairs  # type: ignore[attr-defined]  # keeps the memory alive until the energies are there
+        self.parts.run_on_device(pairs, energy)
+        self.node_steps += len(pairs) * self.node_steps_per_plate
+        return energy
 
     def setup(self, drives: Drives) -> None:
         """Put plates at rest under their loads, given as to :meth:`run`, to be stepped and read by hand."""

@@ -112,6 +112,12 @@ class Specialized:
         masses.flags.writeable = False
         return masses
 
+    @cached_property
+    def drive_factors(self) -> wp.array:
+        """(terms, features, actuators) factors of the features of ``plate.signals`` in the coefficients, float64."""
+        factors = self.discretization.signals.mixing * self.sizes[:, None, None]
+        return wp.array(factors, dtype=wp.float64, device=self.device)
+
     @property
     def shared_bytes(self) -> int:
         """Shared memory that kernels may take for a block of the CUDA device."""
