@@ -6,12 +6,14 @@
     >>> run.energy.shape          # plates, regions
     (2, 2)
 
-The names below are imported when they are first used, so that ``warp-plate --help`` stays quick.
+The names below are imported when they are first used, so that ``warp-plate --help`` stays quick; type checkers
+see them by the imports for ``TYPE_CHECKING``.
 """
 
 import importlib
 import os
 import sys
+from typing import TYPE_CHECKING
 
 __version__ = "0.1.0"
 
@@ -20,27 +22,103 @@ if not os.path.isdir(os.path.join(__path__[0], "kernels")):
     __path__.append(os.path.dirname(__path__[0]))
 
 _HOME = {
-    "Scene": "warp_plate.scene",
-    "SceneError": "warp_plate.scene",
-    "PlateSolver": "warp_plate.solve.solver",
-    "localize": "warp_plate.studies.localize",
-    "resume": "warp_plate.studies.localize",
-    "CheckpointFile": "warp_plate.studies.checkpointing",
-    "load_checkpoint": "warp_plate.result.checkpoint",
-    "Result": "warp_plate.result",
-    "load_result": "warp_plate.result",
-    "save_result": "warp_plate.result",
-    "load_sweep": "warp_plate.result.sweep",
-    "sweep": "warp_plate.studies.sweep",
-    "view": "warp_plate.notebook",
+    "Actuator": "warp_plate.scene.actuator:Actuator",
+    "CheckpointFile": "warp_plate.studies.checkpointing:CheckpointFile",
+    "Drive": "warp_plate.scene.drive:Drive",
+    "Edges": "warp_plate.scene.model:Edges",
+    "Effects": "warp_plate.scene.effects:Effects",
+    "Grid": "warp_plate.scene.grid:Grid",
+    "Plate": "warp_plate.scene.model:Plate",
+    "PlateSolver": "warp_plate.solve.solver:PlateSolver",
+    "Record": "warp_plate.scene.model:Record",
+    "Result": "warp_plate.result.model:Result",
+    "Scene": "warp_plate.scene.model:Scene",
+    "SceneError": "warp_plate.scene.errors:SceneError",
+    "Search": "warp_plate.scene.search:Search",
+    "Target": "warp_plate.scene.target:Target",
+    "Window": "warp_plate.scene.model:Window",
+    "check": "warp_plate.analysis.check:check",
+    "compare": "warp_plate.studies.compare:compare",
+    "frf": "warp_plate.studies.frequency_response:compute_frequency_response",
+    "load_checkpoint": "warp_plate.result.checkpoint:load_checkpoint",
+    "load_result": "warp_plate.result.model:load_result",
+    "load_sweep": "warp_plate.result.sweep:load_sweep",
+    "localize": "warp_plate.studies.localize:localize",
+    "measure_accuracy": "warp_plate.accuracy.report:measure_configurations",
+    "modes": "warp_plate.modal.modes:solve_modes",
+    "resume": "warp_plate.studies.localize:resume",
+    "save_result": "warp_plate.result.model:save_result",
+    "simulate": "warp_plate.studies.simulate:simulate",
+    "sweep": "warp_plate.studies.sweep:sweep",
+    "view": "warp_plate.notebook:view",
 }
-__all__ = ["__version__", *sorted(_HOME)]
+__all__ = [
+    "Actuator",
+    "CheckpointFile",
+    "Drive",
+    "Edges",
+    "Effects",
+    "Grid",
+    "Plate",
+    "PlateSolver",
+    "Record",
+    "Result",
+    "Scene",
+    "SceneError",
+    "Search",
+    "Target",
+    "Window",
+    "__version__",
+    "check",
+    "compare",
+    "frf",
+    "load_checkpoint",
+    "load_result",
+    "load_sweep",
+    "localize",
+    "measure_accuracy",
+    "modes",
+    "resume",
+    "save_result",
+    "simulate",
+    "sweep",
+    "view",
+]
+
+if TYPE_CHECKING:
+    from warp_plate.accuracy.report import measure_configurations as measure_accuracy
+    from warp_plate.analysis.check import check
+    from warp_plate.modal.modes import solve_modes as modes
+    from warp_plate.notebook import view
+    from warp_plate.result.checkpoint import load_checkpoint
+    from warp_plate.result.model import Result, load_result, save_result
+    from warp_plate.result.sweep import load_sweep
+    from warp_plate.scene.actuator import Actuator
+    from warp_plate.scene.drive import Drive
+    from warp_plate.scene.effects import Effects
+    from warp_plate.scene.errors import SceneError
+    from warp_plate.scene.grid import Grid
+    from warp_plate.scene.model import Edges, Plate, Record, Scene, Window
+    from warp_plate.scene.search import Search
+    from warp_plate.scene.target import Target
+    from warp_plate.solve.solver import PlateSolver
+    from warp_plate.studies.checkpointing import CheckpointFile
+    from warp_plate.studies.compare import compare
+    from warp_plate.studies.frequency_response import compute_frequency_response as frf
+    from warp_plate.studies.localize import localize, resume
+    from warp_plate.studies.simulate import simulate
+    from warp_plate.studies.sweep import sweep
+else:
+
+    def __getattr__(name):
+        if name not in _HOME:
+            raise AttributeError(f"module 'warp_plate' has no attribute {name!r}")
+        module, _, attribute = _HOME[name].partition(":")
+        return getattr(importlib.import_module(module), attribute)
 
 
-def __getattr__(name: str) -> object:
-    if name not in _HOME:
-        raise AttributeError(f"module 'warp_plate' has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOME[name]), name)
+def __dir__() -> list[str]:
+    return __all__
 
 
 def load_ipython_extension(shell: object) -> None:

@@ -1,0 +1,47 @@
+"""The names of ``import warp_plate``: all there, imported when first used, and known to type checkers."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import warp_plate
+
+LIBRARIES = ("warp", "numpy", "scipy", "pydantic", "h5py", "pyvista", "matplotlib")
+
+
+def imported_by(code):
+    """Return which of the libraries and modules of the package a fresh interpreter has imported after ``code``."""
+    code += "; import sys; print(*(name for name in sys.modules if name.split('.')[0] in sys.argv[1:]))"
+    command = [sys.executable, "-c", code, *LIBRARIES, "warp_plate"]
+    return set(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
+
+
+@pytest.mark.parametrize("name", warp_plate.__all__)
+def test_every_public_name_exists(name):
+    assert getattr(warp_plate, name) is not None
+
+
+def test_import_loads_nothing_but_the_package():
+    assert imported_by("import warp_plate") == {"warp_plate"}
+
+
+def test_a_scene_needs_no_solver():
+    loaded = {name.split(".")[0] for name in imported_by("import warp_plate; warp_plate.Scene.load('paper')")}
+    assert not loaded & {"warp", "scipy", "h5py", "pyvista", "matplotlib"}
+
+
+def test_type_checkers_see_the_same_names():
+    tree = ast.parse(Path(warp_plate.__file__).read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+    seen = {name.asname or name.name: (node.module, name.name) for node in block.body for name in node.names}
+    assert {"__version__", *seen} == set(dir(warp_plate)) == set(warp_plate.__all__)
+    for name, (module, attribute) in seen.items():
+        assert getattr(sys.modules[module], attribute) is getattr(warp_plate, name)
+
+
+def test_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'localise'"):
+        _ = warp_plate.localise
