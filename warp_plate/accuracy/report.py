@@ -13,7 +13,7 @@ from warp_plate.accuracy.configurations import Configuration, make_configuration
 from warp_plate.accuracy.measure import MODAL_DENSITIES, AccuracyRow, MeasurementContext, measure, measure_modal
 from warp_plate.accuracy.reference_solution import LEAST_ERROR, ReferenceSolution, find_reference_solution
 from warp_plate.scene.grid import Grid
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Scene, SceneSource
 
 # Fraction of the budget that the reference may take.
 REFERENCE_SHARE = 0.15
@@ -88,7 +88,7 @@ class AccuracyReport:
 
 
 def measure_configurations(
-    scene: Scene,
+    scene: SceneSource,
     source: str = "",
     device: str = "auto",
     path: str = "auto",
@@ -109,6 +109,7 @@ def measure_configurations(
         SceneError: see ``PlateSolver``.
         KeyboardInterrupt: no row has been measured yet.
     """
+    scene = Scene.load(scene)
     started = time.perf_counter()
     reference = find_reference_solution(scene, "auto", device, LEAST_ERROR, REFERENCE_SHARE * budget)
     configurations: list[Configuration | None] = [None]

@@ -14,7 +14,7 @@ from warp_plate.plate.discretization import discretize
 from warp_plate.plate.scheme import Scheme
 from warp_plate.plate.signals import highest_frequency
 from warp_plate.plate.stability_limit import StabilityLimit
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import choose_path, describe_plan
 from warp_plate.solve.specialize import Specialized
@@ -104,12 +104,13 @@ class Check:
         }
 
 
-def check(scene: Scene, device: str = "auto", allow_unstable: bool = False, by_modes: bool = False) -> Check:
+def check(scene: SceneSource, device: str = "auto", allow_unstable: bool = False, by_modes: bool = False) -> Check:
     """Check a scene with a grid, without running it; ``by_modes``: it would be run by modes.
 
     Raises:
         SceneError: see ``discretize``, or there is no such device.
     """
+    scene = Scene.load(scene)
     steps = not by_modes and scene.modal_only_key is None
     discretization = discretize(scene, allow_unstable=allow_unstable, stepped=steps)
     scheme = discretization.scheme

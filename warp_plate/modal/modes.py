@@ -27,7 +27,7 @@ from warp_plate.plate.signals import highest_frequency
 from warp_plate.scene.effects import per_mode
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Area
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.target import Target
 
 # Intervals between knots along the longer side: at least so many, and so many for each half-wave at the highest
@@ -222,7 +222,7 @@ class ModalPlate:
         return self.vectors[: self._plate_unknowns]
 
 
-def solve_modes(scene: Scene, highest: float | None = None, count: int = 0, density: float = 1.0) -> ModalPlate:
+def solve_modes(scene: SceneSource, highest: float | None = None, count: int = 0, density: float = 1.0) -> ModalPlate:
     """Return the modes of a linear scene.
 
     Args:
@@ -235,6 +235,7 @@ def solve_modes(scene: Scene, highest: float | None = None, count: int = 0, dens
         SceneError: The scene is not linear, its plate buckles, too many modes are wanted, or a file that it names
             cannot be read.
     """
+    scene = Scene.load(scene)
     if scene.nonlinear_table not in (None, "effects.moving_load"):
         raise SceneError(f"{scene.nonlinear_table}: has no modes, for it is not linear; simulate it in time steps")
     if highest is None:

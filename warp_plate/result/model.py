@@ -227,6 +227,10 @@ class Result:
         """Return the scene with a case's drive too; raise a SceneError if a magnitude is too large."""
         return scene_with(self.case_scene(case), case.magnitude, case.phase)
 
+    def __repr__(self) -> str:
+        factors = (f"{name} {100 * case.localization_factor:.3g} %" for name, case in self.cases.items())
+        return f"<Result {' '.join([self.command, self.source]).strip()}: {', '.join(factors)}>"
+
     @property
     def only_localization(self) -> bool:
         """True if the localization factor is the only objective."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from warp_plate.scene.errors import toml_text
-from warp_plate.scene.model import Scene
+
+if TYPE_CHECKING:
+    from warp_plate.scene.model import Scene
 
 
 def dump_scene(scene: Scene) -> str:

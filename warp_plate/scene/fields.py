@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeInt, TypeAdapter
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeInt, TypeAdapter, ValidationError
 from pydantic_core import PydanticCustomError
+
+from warp_plate.scene.errors import SceneError
+from warp_plate.scene.explain_errors import explain_error
 
 # Far beyond any panel, yet fourth powers and products of such numbers are still finite.
 SMALLEST, LARGEST = 1e-30, 1e30
@@ -19,6 +22,17 @@ class Table(BaseModel):
     """A table of the scene file. It refuses unknown keys and cannot be changed."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    if not TYPE_CHECKING:
+
+        def __init__(self, **values):
+            try:
+                super().__init__(**values)
+            except ValidationError as error:
+                raise SceneError(explain_error(error, type(self))) from None
+
+        # Pydantic then validates the tables of a file without this constructor, and reports their keys in full.
+        __init__.__pydantic_base_init__ = True
 
 
 def _moderate(value: float) -> float:

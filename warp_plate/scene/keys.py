@@ -8,12 +8,14 @@ import operator
 import re
 from collections.abc import Iterator, Mapping
 from functools import reduce
-from typing import Any, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
+
+if TYPE_CHECKING:
+    from warp_plate.scene.model import Scene
 
 # Lists of named tables; a key may have the name in place of the index.
 NAMED = ("actuators", "targets")
@@ -110,8 +112,10 @@ def with_values(scene: Scene, values: Mapping[str, float | str]) -> Scene:
         if key.startswith("actuators") and last in ALTERNATIVES:
             table.pop(ALTERNATIVES[last], None)
     for key, (table, last) in places.items():
-        table[last] = kinds[key](values[key])
-    return Scene.from_tables(tables).in_folder(scene.folder)
+        value = values[key]
+        whole = kinds[key] is int and isinstance(value, float) and value.is_integer()
+        table[last] = int(value) if whole else value
+    return scene.from_tables(tables).in_folder(scene.folder)
 
 
 def unit_of(scene: Scene, key: str) -> str:

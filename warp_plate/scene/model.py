@@ -12,6 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from warp_plate.scene.actuator import Actuator
 from warp_plate.scene.drive import Drive, check_drive
+from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.effects import Effects, check_modal_tables
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.explain_errors import explain_error
@@ -26,6 +27,7 @@ from warp_plate.scene.fields import (
     check_area,
 )
 from warp_plate.scene.grid import DEFAULT_ACCURACY, Grid, grid_by_waves
+from warp_plate.scene.keys import resolved_key, with_values
 from warp_plate.scene.load import parse_toml, read_scene_text
 from warp_plate.scene.search import Search
 from warp_plate.scene.target import NamedTarget, Target
@@ -132,8 +134,13 @@ class Scene(Table):
     _folder: Path | None = PrivateAttr(default=None)
 
     @staticmethod
-    def load(source: str | Path) -> Scene:
-        """Return the scene of a preset's name or of a TOML file, or raise a SceneError that names what is wrong."""
+    def load(source: SceneSource) -> Scene:
+        """Return the scene of a preset's name or of a TOML file, or raise a SceneError that names what is wrong.
+
+        A scene is returned as it is.
+        """
+        if isinstance(source, Scene):
+            return source
         text, folder = read_scene_text(source)
         return Scene.parse(text, str(source)).in_folder(folder)
 
@@ -268,8 +275,31 @@ class Scene(Table):
         """Return the scene with an accuracy in place of its grid, or raise a SceneError if it is out of range."""
         try:
             return self.model_copy(update={"grid": Grid(accuracy=accuracy)})
-        except ValidationError as error:
-            raise SceneError(f"grid.{explain_error(error, Grid)}") from None
+        except SceneError as error:
+            raise SceneError(f"grid.{error}") from None
+
+    def replace(self, key: str, value: float | str) -> Scene:
+        """Return the scene with another value at a key, or raise a SceneError if there is no such key or value.
+
+            >>> Scene.load("paper").replace("drive.frequency", 300).drive.frequency
+            300.0
+
+        Keys are written as for ``--vary``, such as ``plate.thickness`` and ``actuators[0].phase``.
+        """
+        return with_values(self, {resolved_key(self, key): value})
+
+    def to_toml(self) -> str:
+        """Return the scene, defaults included, as TOML text that :meth:`parse` reads back."""
+        return dump_scene(self)
+
+    def __repr__(self) -> str:
+        width, height = self.plate.size
+        millimetres = f"{1e3 * width:g} × {1e3 * height:g} × {1e3 * self.plate.thickness:g} mm"
+        count = len(self.actuators)
+        title = f"{self.title!r}, " if self.title else ""
+        return f"<Scene {title}{millimetres}, {count} actuator{'s'[: count > 1]}, {self.drive.frequency:g} Hz>"
+
+    __str__ = __repr__
 
     @property
     def nonlinear_table(self) -> str | None:
@@ -319,6 +349,9 @@ class Scene(Table):
     def drive_angular_frequency(self) -> float:
         """Angular frequency of the drive, 2πf [rad/s]."""
         return 2 * math.pi * self.drive.frequency
+
+
+SceneSource = Scene | str | Path
 
 
 def _check_names(table: str, rows: Sequence[Actuator | NamedTarget]) -> None:

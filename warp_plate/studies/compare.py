@@ -17,7 +17,7 @@ from warp_plate.problem.methods import make_optimizer, with_method
 from warp_plate.problem.problem import Problem
 from warp_plate.result.comparison import MethodComparison, Trial
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.studies.grid_choice import resolve_search_grid
 from warp_plate.studies.provenance import devices_text, versions
 
@@ -29,7 +29,7 @@ OnTrialProgress = Callable[[int, int, str], object]
 
 
 def compare(
-    scene: Scene,
+    scene: SceneSource,
     source: str = "",
     methods: Sequence[str] | None = None,
     seeds: int = 10,
@@ -56,6 +56,7 @@ def compare(
         SceneError: a named method does not fit the scene, or the scene cannot be searched with so many evaluations.
         KeyboardInterrupt: Ctrl-C came before the first trial was finished.
     """
+    scene = Scene.load(scene)
     problem, prepared = _prepare(scene, device, path, evaluator, evaluations, pool)
     fitting, skipped = _fitting_methods(methods, problem)
     fields = _run_trials(fitting, seeds, problem, on_progress)

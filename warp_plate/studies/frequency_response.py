@@ -19,7 +19,7 @@ from warp_plate.modal.steady import multiply_modes
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Scene, SceneSource
 
 # Modes that the default range reaches at least.
 MODES_SHOWN = 6
@@ -31,7 +31,7 @@ Point = tuple[float, float]
 
 
 def compute_frequency_response(
-    scene: Scene,
+    scene: SceneSource,
     inputs: Sequence[str | Point] = (),
     points: Sequence[Point] = (),
     frequency_range: tuple[float, float] | None = None,
@@ -51,6 +51,7 @@ def compute_frequency_response(
     Raises:
         SceneError: The scene is not linear, an actuator is unknown, a point is off the plate, or the range is not one.
     """
+    scene = Scene.load(scene)
     inputs = inputs or [actuator.name for actuator in scene.actuators]
     points = points or scene.record.points or _target_middles(scene)
     _check(scene, frequency_range)

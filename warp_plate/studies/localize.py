@@ -22,7 +22,7 @@ from warp_plate.result.model import Result
 from warp_plate.result.targets import best_drive_scenes
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError, printable
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.devices import processor_of
 from warp_plate.studies import provenance
 from warp_plate.studies.baselines import baseline_cases, check_baselines
@@ -48,7 +48,7 @@ class _Options:
 
 
 def localize(
-    scene: Scene,
+    scene: SceneSource,
     source: str = "",
     device: str = "auto",
     seed: int | None = None,
@@ -84,6 +84,7 @@ def localize(
     Raises:
         SceneError: see :class:`PlateSolver`; or the scene has no baselines.
     """
+    scene = Scene.load(scene)
     if baselines:
         check_baselines(scene)
     start, problem, reference = _new_search(scene, source, device, seed, evaluator, path, pool)

@@ -18,7 +18,7 @@ from warp_plate.result import load_result
 from warp_plate.result.model import Result
 from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.solve.peak import run_with_peak
 from warp_plate.solve.run import Progress, Run
 from warp_plate.solve.solver import PlateSolver
@@ -27,7 +27,7 @@ from warp_plate.studies.provenance import device_name, run_fields, versions
 
 
 def simulate(
-    scene: Scene,
+    scene: SceneSource,
     source: str = "",
     drive: str = "scene",
     device: str = "auto",
@@ -49,6 +49,7 @@ def simulate(
     Raises:
         SceneError: see :class:`PlateSolver` and :func:`phasors_from_file`.
     """
+    scene = Scene.load(scene)
     resolved, phasors = _resolve(scene, drive, device, path)
     scene, by_modes = resolved.scene, resolved.evaluator == MODAL
     solver: PlateSolver | ModalSolver

@@ -17,7 +17,7 @@ from warp_plate.plate.files import digests, read_beside
 from warp_plate.result.sweep import REFUSED, RUN, Sweep
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.keys import label_of
-from warp_plate.scene.model import Scene
+from warp_plate.scene.model import Scene, SceneSource
 from warp_plate.scene.vary import Plan, counted, make_plan, parse_vary, value_text
 from warp_plate.solve.devices import find_device, processor_of
 from warp_plate.studies.checkpointing import SweepFile
@@ -34,7 +34,7 @@ MOST_NUMBERS = 100_000_000
 
 
 def sweep(
-    scene: Scene,
+    scene: SceneSource,
     vary: Sequence[str] | Plan,
     what: str = "localize",
     samples: int | None = None,
@@ -69,6 +69,7 @@ def sweep(
     Raises:
         SceneError: ``vary`` or ``what`` is invalid, or all points are refused.
     """
+    scene = Scene.load(scene)
     plan = vary if isinstance(vary, Plan) else make_plan([parse_vary(scene, text) for text in vary], samples, seed)
     device = device if pool is None else "auto"
     start = start_sweep(scene, plan, what, device, path, source, count, evaluator, frequencies)
