@@ -14,7 +14,8 @@ from numpy.polynomial import legendre, polynomial
 
 HERMITE = [[0.5, -0.75, 0, 0.25], [0.25, -0.25, -0.25, 0.25], [0.5, 0.75, 0, -0.25], [-0.25, -0.25, 0.25, 0.25]]
 BUBBLE = [1, 0, -2, 0, 1]
-GRADED, LONGEST = 0.1, 1
+Sparse = scipy.sparse.csr_array
+GRADED, LONGEST = (0.15, 0.02), 3
 LEFT_OUT = {"clamped": [0, 1], "supported": [0]}
 
 
@@ -29,16 +30,16 @@ def element_frequencies(scene, count, degree=10):
 def lowest_modes(stiffness, mass, count, shift):
     """Return the lowest ω² [1/s²], rising, and mass-normalised vectors (unknowns, modes)."""
     shifted = stiffness + shift * mass
-    units = 1 / np.sqrt(np.diag(shifted))
-    mass, shifted = (scipy.sparse.csc_array(matrix * np.outer(units, units)) for matrix in (mass, shifted))
+    units = scipy.sparse.diags_array(1 / np.sqrt(shifted.diagonal()))
+    mass, shifted = (scipy.sparse.csc_array(units @ matrix @ units) for matrix in (mass, shifted))
     solve = scipy.sparse.linalg.splu(
         shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     ).solve
     inverse = scipy.sparse.linalg.LinearOperator(shifted.shape, matvec=solve, dtype=float)
-    start = np.random.default_rng(0).normal(size=len(units))
+    start = np.random.default_rng(0).normal(size=mass.shape[0])
     squares, vectors = scipy.sparse.linalg.eigsh(shifted, count, mass, sigma=0, OPinv=inverse, v0=start)
     order = np.argsort(squares)
-    return squares[order] - shift, units[:, None] * vectors[:, order]
+    return squares[order] - shift, units @ vectors[:, order]
 
 
 def shift_of(scene):
@@ -54,7 +55,8 @@ class Side:
         length, edges = scene.plate.size[axis], scene.edges
         ends = ((edges.left, edges.right), (edges.bottom, edges.top))[axis]
         places = [*length * np.array([0, *inner, 1]), *_lines(scene, axis)]
-        if scene.effects.layers or scene.effects.variation:  # elements no longer than the plate is wide
+        if scene.effects.layers or scene.effects.variation:  # short ones, with loads that jump between them
+            places += [place for item in scene.actuators for place in item.area[2 * axis : 2 * axis + 2]]
             places += [*np.linspace(0, length, 1 + int(np.ceil(LONGEST * length / min(scene.plate.size))))]
         self.lines = np.unique(np.round(places, 12))
         self.degree, nodes = degree, len(self.lines)
@@ -63,6 +65,8 @@ class Side:
         self.kept = np.setdiff1d(np.arange(2 * nodes + (degree - 3) * (nodes - 1)), out)
         self.points, self.weights = self.rule()
         self.values = self.values_at(self.points)
+        shared = (self.values[0] != 0).astype(float)
+        self.pairs = np.nonzero(shared @ shared.T)  # functions that are not zero in a common element
         self.ends = [
             np.array([self.kept == first, self.kept == first + 1], dtype=float) for first in (0, 2 * nodes - 2)
         ]
@@ -111,8 +115,8 @@ def _lines(scene, axis):
     edges = [place for layer in scene.effects.layers for place in layer.area[2 * axis : 2 * axis + 2]]
     lines = sorted({0.0, scene.plate.size[axis], *edges})
     for low, high in pairwise(lines):  # short elements at the edges of layers, whose corners are singular
-        short = GRADED * min(high - low, scene.plate.size[axis] / 4)
-        places += [low, *([low + short] if low in edges else []), *([high - short] if high in edges else [])]
+        short = np.multiply(GRADED, min(high - low, scene.plate.size[axis] / 4))
+        places += [low, *(low + short if low in edges else []), *(high - short if high in edges else [])]
     for _, rows in scene.effects.variation or ():
         shape = np.shape(rows) if rows is not None else (1, 1)
         places += [*np.linspace(0, scene.plate.size[axis], max(shape[1 - axis], 2))]
@@ -168,14 +172,17 @@ def density_at(scene, x, y):
 
 
 def _integral(along_x, along_y, field, x=(0, 0), y=(0, 0)):
-    """Return the integrals of field times products of derivatives of functions along x and along y."""
-    pairs = [
-        (side.values[first][:, None] * side.values[second] * side.weights).reshape(-1, side.points.size)
-        for side, (first, second) in ((along_x, x), (along_y, y))
+    """Return the integrals of field times products of derivatives of functions along x and along y, sparse."""
+    (row_x, column_x), (row_y, column_y) = along_x.pairs, along_y.pairs
+    products = [
+        side.values[first][rows] * side.values[second][columns] * side.weights
+        for side, (rows, columns), (first, second) in ((along_x, along_x.pairs, x), (along_y, along_y.pairs, y))
     ]
-    counts = along_x.values.shape[1], along_y.values.shape[1]
-    product = (pairs[1] @ field @ pairs[0].T).reshape(counts[1], counts[1], counts[0], counts[0])
-    return product.transpose(0, 2, 1, 3).reshape(counts[0] * counts[1], -1)
+    count = along_x.kept.size
+    places = row_y[:, None] * count + row_x, column_y[:, None] * count + column_x
+    size = count * along_y.kept.size
+    values = products[1] @ field @ products[0].T
+    return Sparse((values.ravel(), [place.ravel() for place in places]), (size, size))
 
 
 def slopes(along_x, along_y, ratio):
@@ -195,14 +202,14 @@ def matrices(scene, along_x, along_y):
     integral = partial(_integral, along_x, along_y)
     coupled = integral(d1, (2, 0), (0, 2))
     bending = integral(dx, (2, 2)) + integral(dy, y=(2, 2)) + coupled + coupled.T + integral(4 * dxy, (1, 1), (1, 1))
-    support, area = np.zeros_like(bending), integral(one)
+    support, area = 0 * bending, integral(one)
     mass = integral(density_at(scene, along_x.points, along_y.points))
     damping = (effects.damping.viscous if effects.damping else 0.0) * area
     if effects.tension:
-        support += integral(effects.tension.x * one, (1, 1)) + integral(effects.tension.y * one, y=(1, 1))
+        support = support + integral(effects.tension.x * one, (1, 1)) + integral(effects.tension.y * one, y=(1, 1))
     if effects.foundation:
-        support += effects.foundation.stiffness * area
-        damping += effects.foundation.damping * area
+        support = support + effects.foundation.stiffness * area
+        damping = damping + effects.foundation.damping * area
     for name, axis, end in (("left", 0, 0), ("right", 0, 1), ("bottom", 1, 0), ("top", 1, 1)):
         edge = getattr(scene.edges, name)
         if isinstance(edge, str):
@@ -211,20 +218,21 @@ def matrices(scene, along_x, along_y):
         value, slope = side.ends[end]
         across = edge.translation * np.outer(value, value) + edge.rotation * np.outer(slope, slope)
         along = (other.values[0] * other.weights) @ other.values[0].T
-        support += np.kron(along, across) if axis == 0 else np.kron(across, along)
+        support = support + scipy.sparse.kron(*((along, across) if axis == 0 else (across, along)))
     for oscillator in effects.oscillators:
         x0, x1, y0, y1 = oscillator.area
-        pull = np.zeros(len(support))
+        pull = np.zeros(support.shape[0])
         means = np.outer(along_y.integral(y0, y1), along_x.integral(x0, x1)).ravel() / ((y1 - y0) * (x1 - x0))
         pull[: means.size] = means
         if oscillator.mass:
             bending, support, mass, damping = (
-                scipy.linalg.block_diag(matrix, value)
+                scipy.sparse.block_diag([matrix, [[value]]], format="csr")
                 for matrix, value in ((bending, 0.0), (support, 0.0), (mass, oscillator.mass), (damping, 0.0))
             )
             pull = np.append(pull, -1.0)
-        support += oscillator.stiffness * np.outer(pull, pull)
-        damping += oscillator.damping * np.outer(pull, pull)
+        pull = Sparse(pull[:, None])
+        support = support + oscillator.stiffness * (pull @ pull.T)
+        damping = damping + oscillator.damping * (pull @ pull.T)
     return bending, support, mass, damping
 
 

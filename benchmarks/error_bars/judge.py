@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import scipy
 
-from error_bars.elements import Side, bending_of, density_at, lowest_modes, matrices, shift_of
+from error_bars.elements import Side, Sparse, bending_of, density_at, lowest_modes, matrices, shift_of
 from warp_plate import Scene
 
 # Modes that are solved for once more.
@@ -51,9 +51,9 @@ class Modes:
 
     scene: Scene
     sides: list  # functions along x and y
-    stiffness: np.ndarray
-    mass: np.ndarray
-    damping: np.ndarray
+    stiffness: Sparse
+    mass: Sparse
+    damping: Sparse
     bending: np.ndarray  # (modes, modes) bending energies of the modes
     loads: np.ndarray  # (unknowns, actuators) unit pressures
     squares: np.ndarray  # ω² [1/s²]
@@ -63,7 +63,7 @@ class Modes:
     def modal_damping(self):
         """Viscous damping of the modes."""
         material = self.scene.effects.material_damping
-        return self.vectors.T @ self.damping @ self.vectors + (material.time if material else 0) * self.bending
+        return self.vectors.T @ (self.damping @ self.vectors) + (material.time if material else 0) * self.bending
 
     def of_plate(self, shapes):
         """Return shapes (functions along y, functions along x, shapes) without the oscillators' masses."""
@@ -87,7 +87,7 @@ def solve(scene, degree, count):
     bending, support, mass, damping = matrices(scene, *sides)
     stiffness = bending + support
     squares, vectors = lowest_modes(stiffness, mass, count, shift_of(scene))
-    loads = np.zeros((len(mass), len(scene.actuators)))
+    loads = np.zeros((mass.shape[0], len(scene.actuators)))
     for column, actuator in zip(loads.T, scene.actuators, strict=True):
         along_x, along_y = (side.integral(*actuator.area[2 * axis : 2 * axis + 2]) for axis, side in enumerate(sides))
         column[: along_x.size * along_y.size] = np.outer(along_y, along_x).ravel()
@@ -97,7 +97,7 @@ def solve(scene, degree, count):
     bent = bending_of(scene, *sides, found.of_plate(low))
     squares[:LOWEST], turned = scipy.linalg.eigh(bent + low.T @ support @ low)
     vectors[:, :LOWEST] = low @ turned
-    found.bending = vectors.T @ bending @ vectors
+    found.bending = vectors.T @ (bending @ vectors)
     found.bending[:LOWEST, :LOWEST] = turned.T @ bent @ turned
     return found
 
@@ -105,9 +105,10 @@ def solve(scene, degree, count):
 def _residual(found, square):
     """Return what modes that are left out add to the undamped steady displacement (unknowns, loads)."""
     stiffness = found.stiffness - square * found.mass
-    units = 1 / np.sqrt(np.diag(found.stiffness + shift_of(found.scene) * found.mass))
-    scaled = scipy.sparse.csc_array(stiffness * np.outer(units, units))
-    whole = units[:, None] * scipy.sparse.linalg.spsolve(scaled, units[:, None] * found.loads).reshape(len(units), -1)
+    units = scipy.sparse.diags_array(1 / np.sqrt((found.stiffness + shift_of(found.scene) * found.mass).diagonal()))
+    whole = units @ scipy.sparse.linalg.splu(scipy.sparse.csc_array(units @ stiffness @ units)).solve(
+        units @ found.loads
+    )
     return whole - found.vectors @ ((found.vectors.T @ found.loads) / (found.squares - square)[:, None])
 
 

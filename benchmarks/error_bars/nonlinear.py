@@ -44,7 +44,7 @@ def _factor(scene, found, kept, phasors):
     if scene.effects.stretching is not None:
         stiffness, ratio = _membrane(scene)
         plate = found.of_plate(vectors).reshape(-1, count)
-        gradient = plate.T @ slopes(*found.sides, ratio) @ plate
+        gradient = plate.T @ (slopes(*found.sides, ratio) @ plate)
     moving = _moving_forces(scene, found, vectors)
 
     def slope(time, state):
