@@ -1,0 +1,37 @@
+"""docs/python.md and the example script run as written."""
+
+import doctest
+import runpy
+from pathlib import Path
+
+import pytest
+
+from warp_plate import load_result, sweep
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def test_examples_of_the_page_hold():
+    pytest.importorskip("xarray")
+    failed, tried = doctest.testfile(str(DOCS / "python.md"), module_relative=False, encoding="utf-8")
+    assert tried
+    assert not failed
+
+
+def test_script_finds_and_saves_a_drive(tmp_path, monkeypatch):
+    pytest.importorskip("xarray")
+    monkeypatch.chdir(tmp_path)
+    names = runpy.run_path(str(DOCS / "examples" / "glass_panel.py"))
+    best = names["result"].cases["best"].localization_factor
+    assert load_result("glass-panel.h5").cases["best"].localization_factor == best
+    swept = names["found"].to_xarray()["best"]
+    assert swept.sel({"drive.frequency": 300}).item() == pytest.approx(best, rel=0.02)
+
+
+def test_samples_have_one_dimension():
+    pytest.importorskip("xarray")
+    found = sweep("paper", ["drive.frequency=200:300", "plate.density=900:1100"], "modes", samples=3, count=2)
+    data = found.to_xarray()
+    assert data["drive.frequency"].dims == ("sample",)
+    assert dict(data.sizes) == {"sample": 3, "mode": 2}
+    assert data["plate.density"].attrs["units"] == "kg/m³"
