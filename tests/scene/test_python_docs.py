@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from warp_plate import load_result, sweep
+from warp_plate import frf, load_result, sweep
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -35,3 +35,13 @@ def test_samples_have_one_dimension():
     assert data["drive.frequency"].dims == ("sample",)
     assert dict(data.sizes) == {"sample": 3, "mode": 2}
     assert data["plate.density"].attrs["units"] == "kg/m³"
+
+
+def test_frequency_responses_are_by_input_and_point():
+    pytest.importorskip("xarray")
+    response = frf("paper", points=[(0.05, 0.05), (0.12, 0.08), (0.1, 0.1)])
+    data = response.to_xarray()
+    assert dict(data.sizes) == {"input": 4, "point": 3, "frequency": len(response.frequencies)}
+    for row, (name, (x, _)) in zip(response.responses, response.pairs, strict=True):
+        place = data["x"].values.tolist().index(x)
+        assert (data["response"].sel(input=name).isel(point=place).values == row).all()

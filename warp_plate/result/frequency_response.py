@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
+
+if TYPE_CHECKING:
+    import xarray
 
 Quantity = Literal["receptance", "mobility", "accelerance"]
 # Power of iω by which the displacement is multiplied.
@@ -68,3 +71,24 @@ class FrequencyResponse:
     def undamped(self) -> bool:
         """True if a mode in the range has no damping, so that its response has no limit."""
         return bool(np.any(self.loss_factors <= 0))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the responses (input, point, frequency) and the curves over frequency as an ``xarray.Dataset``."""
+        import xarray
+
+        shape = (len(self.inputs), len(self.points), len(self.frequencies))
+        return xarray.Dataset(
+            {
+                "response": (("input", "point", "frequency"), self.responses.reshape(shape), {"units": self.unit}),
+                "mean_square_velocity": (("input", "frequency"), self.mean_square_velocity, {"units": "(m/s)²/N²"}),
+                "localization_factor": ("frequency", self.localization_factor, {"units": "1"}),
+                "bound": ("frequency", self.bound, {"units": "1"}),
+            },
+            {
+                "input": list(self.inputs),
+                "frequency": ("frequency", self.frequencies, {"units": "Hz"}),
+                "x": ("point", self.points[:, 0], {"units": "m"}),
+                "y": ("point", self.points[:, 1], {"units": "m"}),
+            },
+            {"title": self.title, "quantity": self.quantity},
+        )
