@@ -15,7 +15,7 @@ from numpy.polynomial import legendre, polynomial
 HERMITE = [[0.5, -0.75, 0, 0.25], [0.25, -0.25, -0.25, 0.25], [0.5, 0.75, 0, -0.25], [-0.25, -0.25, 0.25, 0.25]]
 BUBBLE = [1, 0, -2, 0, 1]
 Sparse = scipy.sparse.csr_array
-GRADED, LONGEST = (0.15, 0.02), 3
+GRADED, LONGEST, SHORTEST = (0.15, 0.02), 3, 0.005
 LEFT_OUT = {"clamped": [0, 1], "supported": [0]}
 
 
@@ -54,11 +54,15 @@ class Side:
     def __init__(self, scene, axis, degree, inner=(0.06, 0.5, 0.94)):
         length, edges = scene.plate.size[axis], scene.edges
         ends = ((edges.left, edges.right), (edges.bottom, edges.top))[axis]
-        places = [*length * np.array([0, *inner, 1]), *_lines(scene, axis)]
+        wanted = [*length * np.array(inner)]
         if scene.effects.layers or scene.effects.variation:  # short ones, with loads that jump between them
-            places += [place for item in scene.actuators for place in item.area[2 * axis : 2 * axis + 2]]
-            places += [*np.linspace(0, length, 1 + int(np.ceil(LONGEST * length / min(scene.plate.size))))]
-        self.lines = np.unique(np.round(places, 12))
+            wanted += [place for item in scene.actuators for place in item.area[2 * axis : 2 * axis + 2]]
+            wanted += [*np.linspace(0, length, 1 + int(np.ceil(LONGEST * length / min(scene.plate.size))))]
+        lines = [0.0, length, *_lines(scene, axis)]
+        for place in wanted:  # rounding of the matrices of very short elements would hide the plate
+            if np.abs(np.subtract(lines, place)).min() > SHORTEST * length:
+                lines.append(place)
+        self.lines = np.unique(np.round(lines, 12))
         self.degree, nodes = degree, len(self.lines)
         out = [unknown for end, first in zip(ends, (0, 2 * nodes - 2), strict=True) for unknown in
                (first + np.array(LEFT_OUT.get(end, []) if isinstance(end, str) else [], dtype=int))]  # fmt: skip

@@ -118,7 +118,8 @@ def test_memory_is_shared_on_the_cpu(phasors):
         np.testing.assert_array_equal(solver.run_on_device(view).numpy(), solver.run(same).energy)
     energy = solver.run_on_device(given)
     assert np.from_dlpack(energy).ctypes.data == energy.ptr
-    assert solver.run_on_device(wp.array(drives.view(float).reshape(8, 3, 2), dtype=wp.vec2d)).shape == (8, 2)
+    pairs = wp.array(drives.view(float).reshape(8, 3, 2), dtype=wp.vec2d, device="cpu")
+    assert solver.run_on_device(pairs).shape == (8, 2)
 
 
 def test_energies_keep_their_drives_alive(phasors):
