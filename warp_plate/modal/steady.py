@@ -122,7 +122,7 @@ def as_sparse(matrix: np.ndarray) -> np.ndarray | scipy.sparse.csr_array:
 def multiply_modes(matrix: np.ndarray | scipy.sparse.csr_array, columns: np.ndarray) -> np.ndarray:
     """Return a matrix (rows, modes) times complex columns (..., modes, columns), a real one in real arithmetic."""
     first = np.moveaxis(columns, -2, 0)
-    flat = first.reshape(len(first), math.prod(first.shape[1:]))
+    flat = np.ascontiguousarray(first.reshape(len(first), math.prod(first.shape[1:])), dtype=complex)
     real = not np.iscomplexobj(matrix)
-    product = matrix @ flat.real + 1j * (matrix @ flat.imag) if real else matrix @ flat
+    product = (matrix @ flat.view(float)).view(complex) if real else matrix @ flat
     return np.moveaxis(product.reshape(matrix.shape[0], *first.shape[1:]), 0, -2)

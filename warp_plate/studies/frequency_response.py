@@ -14,12 +14,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from warp_plate.modal.adaptive_frequencies import adaptive_frequencies
+from warp_plate.modal.galerkin.integrals import Matrix
+from warp_plate.modal.galerkin.regions import region_matrix
 from warp_plate.modal.modes import ModalPlate, solve_modes
-from warp_plate.modal.steady import multiply_modes
+from warp_plate.modal.steady import as_sparse, multiply_modes
 from warp_plate.plate.scene_overrides import scene_phasors
 from warp_plate.result.frequency_response import DERIVATIVES, FrequencyResponse, Quantity
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, SceneSource
+from warp_plate.scene.target import Target
 
 # Modes that the default range reaches at least.
 MODES_SHOWN = 6
@@ -162,7 +165,8 @@ def _responses(
     loads = np.column_stack([forces, plate.actuator_forces()])
     # Without masses on springs, all of the kinetic energy is the plate's.
     attached = any(oscillator.mass > 0 for oscillator in scene.effects.oscillators)
-    of_plate, of_target = plate.kinetic_matrix("plate") if attached else None, plate.kinetic_matrix(scene.target)
+    of_plate = plate.kinetic_matrix("plate") if attached else None
+    of_target = _moved_by(plate, scene.target)
     drive, mass, blocks = scene_phasors(scene), plate.galerkin.plate_mass, []
     for chosen in np.array_split(frequencies, -(-len(frequencies) * loads.size // BLOCK)):
         amplitudes = plate.respond(chosen, loads)
@@ -176,25 +180,36 @@ def _responses(
     return responses.T, factor, bound, velocity.T
 
 
+def _moved_by(plate: ModalPlate, target: Target) -> tuple[np.ndarray, np.ndarray | Matrix]:
+    """Return (unknowns, modes) rows of Φ that move a target, few for a small one, and their mass matrix [kg]."""
+    matrix = region_matrix(plate.galerkin, target)
+    matrix.eliminate_zeros()
+    moved = np.flatnonzero(np.diff(matrix.indptr))
+    return plate.vectors[moved], as_sparse(matrix[moved][:, moved].toarray())
+
+
 def _localization(
-    driven: np.ndarray, drive: np.ndarray, of_target: np.ndarray, of_plate: np.ndarray | None
+    driven: np.ndarray,
+    drive: np.ndarray,
+    of_target: tuple[np.ndarray, np.ndarray | Matrix],
+    of_plate: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (n,) localization factors of a drive, and (n,) their bounds over all drives.
 
     Args:
         driven: (n, modes, actuators) amplitudes under a unit pressure on each actuator.
         drive: (actuators,) phasors.
-        of_target: (modes, modes) kinetic matrix of the target.
-        of_plate: The same of the plate; None for the identity.
+        of_target: Unknowns that move the target, see :func:`_moved_by`.
+        of_plate: (modes, modes) kinetic matrix of the plate; None for the identity.
     """
-    size = np.linalg.norm(driven, axis=1)
+    size = np.sqrt(np.einsum("fmi,fmi->fi", driven.conj(), driven).real)
     size = np.where(size > 0, size, 1)
     basis, values, drives = np.linalg.svd(driven / size[:, None], full_matrices=False)
     kept = values > RANK_TOLERANCE * values[:, :1]
-    basis = basis * kept[:, None]
-    adjoint = np.moveaxis(basis.conj(), 1, 2)
-    target = adjoint @ multiply_modes(of_target, basis)
-    plate = adjoint @ (basis if of_plate is None else multiply_modes(of_plate, basis))
+    basis *= kept[:, None]
+    moved, mass = multiply_modes(of_target[0], basis), of_target[1]
+    target = moved.conj().mT @ multiply_modes(mass, moved)
+    plate = basis.conj().mT @ (basis if of_plate is None else multiply_modes(of_plate, basis))
     motion = values * (drives @ (size * drive)[:, :, None])[:, :, 0]
     of_drive = (np.einsum("fa,fab,fb->f", motion.conj(), matrix, motion).real for matrix in (target, plate))
     # Directions that cancel out have no energy in the target, and any in the plate.

@@ -14,7 +14,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-import scipy
 from numpy.polynomial import legendre
 
 # Number of splines that each end leaves out.
@@ -48,23 +47,21 @@ class Splines:
         return np.unique(self.knots)
 
     def values(self, x: np.ndarray, derivative: int = 0) -> np.ndarray:
-        """Return (functions, points) values of a derivative at x [m]."""
-        return self._splines(self._curves.derivative(derivative) if derivative else self._curves, x)
+        """Return (functions, points) values of a derivative at x [m], of discontinuous ones those to the right."""
+        return self._kept(_bsplines(self.knots, self.degree, np.asarray(x, dtype=float), derivative))
 
     def integrals(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Return (functions, intervals) integrals from ``low`` to ``high`` [m]."""
-        return self._splines(self._integrals, high) - self._splines(self._integrals, low)
+        return self._from_start(high) - self._from_start(low)
 
     @property
     def integral_pieces(self) -> np.ndarray:
         """(intervals, functions, degree + 2) integrals from the low end in powers of x − break, highest first."""
-        powers = range(self.degree + 1, -1, -1)
-        curves = [self._integrals.derivative(power) if power else self._integrals for power in powers]
-        pieces = [
-            self._splines(curve, self.breaks[:-1]).T / math.factorial(power)
-            for curve, power in zip(curves, powers, strict=True)
-        ]
-        return np.stack(pieces, axis=-1)
+        starts = self.breaks[:-1]
+        slopes = [self.values(starts, power) for power in range(self.degree, -1, -1)]
+        factorials = [math.factorial(power) for power in range(self.degree + 1, -1, -1)]
+        pieces = [*slopes, self._from_start(starts)]
+        return np.stack([piece.T / factor for piece, factor in zip(pieces, factorials, strict=True)], axis=-1)
 
     def products(self, low: float, high: float, first: int = 0, second: int = 0) -> np.ndarray:
         """Return (functions, functions) ∫ of two derivatives, row times column, from ``low`` to ``high`` [m]."""
@@ -72,18 +69,18 @@ class Splines:
         x, weights = gauss(np.concatenate([[low], inside, [high]]), self.degree + 1)
         return np.asarray((self.values(x, first) * weights) @ self.values(x, second).T)
 
-    @cached_property
-    def _curves(self) -> scipy.interpolate.BSpline:
-        return scipy.interpolate.BSpline(self.knots, np.eye(self.knots.size - self.degree - 1), self.degree)
+    def _from_start(self, x: np.ndarray) -> np.ndarray:
+        """Return (functions, points) integrals from the low end to x [m], sums of splines of one degree more."""
+        knots = np.concatenate([self.knots[:1], self.knots, self.knots[-1:]])
+        higher = _bsplines(knots, self.degree + 1, np.asarray(x, dtype=float))
+        sums = np.cumsum(higher[:0:-1], axis=0)[::-1]
+        widths = self.knots[self.degree + 1 :] - self.knots[: -self.degree - 1]
+        return self._kept(widths[:, None] / (self.degree + 1) * sums)
 
-    @cached_property
-    def _integrals(self) -> scipy.interpolate.BSpline:
-        return self._curves.antiderivative()
-
-    def _splines(self, curves: scipy.interpolate.BSpline, x: np.ndarray) -> np.ndarray:
+    def _kept(self, splines: np.ndarray) -> np.ndarray:
+        """Return the rows of the splines that the ends do not leave out."""
         first, last = self.left_out
-        values: np.ndarray = curves(np.asarray(x, dtype=float)).T
-        return values[first : len(values) - last]
+        return splines[first : len(splines) - last]
 
 
 def make_splines(
@@ -117,3 +114,18 @@ def gauss(breaks: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray]:
     s, weights = legendre.leggauss(points)
     half = np.diff(breaks)[:, None] / 2
     return (breaks[:-1, None] + half * (1 + s)).ravel(), (half * weights).ravel()
+
+
+def _bsplines(knots: np.ndarray, degree: int, x: np.ndarray, derivative: int = 0) -> np.ndarray:
+    """Return (splines, points) values of a derivative at x [m] by the recursion of Cox and de Boor."""
+    interval = np.clip(np.searchsorted(knots, x, side="right") - 1, degree, knots.size - degree - 2)
+    values = (np.arange(knots.size - 1)[:, None] == interval).astype(float)
+    for order in range(1, degree + 1):
+        widths = (knots[order:] - knots[:-order])[:, None]
+        scaled = np.divide(1, widths, out=np.zeros_like(widths), where=widths > 0)
+        rising, falling = values[:-1] * scaled[:-1], values[1:] * scaled[1:]
+        if order > degree - derivative:
+            values = order * (rising - falling)
+        else:
+            values = (x - knots[: -order - 1, None]) * rising + (knots[order + 1 :, None] - x) * falling
+    return values
