@@ -52,7 +52,12 @@ def test_all_methods_share_a_budget_and_none_exceeds_the_bound(panel, command):
     assert Path("c.svg").exists()
     assert Path("c.png").read_bytes().startswith(b"\x89PNG")
     out = output_of(command(*words[:6], "--methods", "pso,gradient", "--no-pictures"))
-    for part in ("localization factor", "gradient", "bound (no method can exceed it)", "wrote panel-compare.h5"):
+    for part in (
+        "localization factor",
+        "gradient",
+        "bound of these searches (no drive passes it)",
+        "wrote panel-compare.h5",
+    ):
         assert part in out
     assert max(map(len, out.splitlines())) <= 80
 

@@ -142,7 +142,10 @@ def _print(result: MethodComparison, console: Console) -> None:
         console.print("\nbound: none claimed")
     else:
         value = 1 - result.bound if result.localization else result.bound
-        words = {"attained": "bound (no method can exceed it)", "bound only": "bound only (may not be reached)"}
+        words = {
+            "attained": "bound of these searches (no drive passes it)",
+            "bound only": "bound only (may not be reached)",
+        }
         console.print(f"\n{words[result.bound_kind]}: {value:.6g}, {result.bound_sentence}")
     console.print(LEGEND.format(of="it" if result.localization else "its size"))
     if result.seconds["prepare"] > 0:

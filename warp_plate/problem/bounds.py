@@ -210,6 +210,9 @@ def allowed_drives(parametrization: Parametrization) -> AllowedDrives:
             phase[group] = np.nan
     phase = np.where(fixed < 0, phase + math.pi, phase)
     if only_ratios(scene):  # a drive that is too large is scaled down, and has the same ratios
+        free = (lower == -math.inf) & (upper == math.inf)
+        if free.sum() == len(free) - 1:  # one magnitude alone is held, and gives the drive its size
+            lower, upper = np.full_like(lower, -math.inf), np.full_like(upper, math.inf)
         return AllowedDrives(lower, upper, phase, equal=equal)
     if limits.magnitude is not None:
         lower, upper = np.minimum(lower, limits.magnitude), np.minimum(upper, limits.magnitude)
