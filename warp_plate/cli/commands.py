@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from importlib import import_module
 
@@ -18,9 +19,21 @@ app = cyclopts.App(
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
-COMMANDS = "localize compare sweep simulate check modes frf effects accuracy view explore render export init bench"
+COMMANDS = (
+    "localize compare sweep simulate check modes frf effects accuracy view explore render export init bench doctor"
+)
 for name in COMMANDS.split():
     app.command(getattr(import_module(f"warp_plate.cli.{name}"), name))
+
+
+class _OneLine(logging.Handler):
+    """Prints the program's warnings as the commands print theirs."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        log(record.getMessage())
+
+
+logging.getLogger("warp_plate").addHandler(_OneLine())
 
 
 def run(arguments: list[str] | None = None) -> None:

@@ -52,7 +52,7 @@ def explore(
 
     def on_ready(address: str) -> None:
         print(f"open {address} in a browser; Ctrl-C ends it", flush=True)
-        if not web and _has_desktop():
+        if not web and has_desktop():
             # In a thread, as some browsers return only when they are closed.
             threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
@@ -71,6 +71,6 @@ def explore(
     print("ended", file=sys.stderr)
 
 
-def _has_desktop() -> bool:
+def has_desktop() -> bool:
     """Return whether a browser would open a window rather than take over this terminal."""
     return not sys.platform.startswith("linux") or bool({"DISPLAY", "WAYLAND_DISPLAY", "BROWSER"} & os.environ.keys())

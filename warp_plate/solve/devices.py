@@ -12,28 +12,49 @@ from pathlib import Path
 import warp as wp
 
 from warp_plate.scene.errors import SceneError
+from warp_plate.solve import nvidia
 
 
 def find_device(name: str) -> wp.Device:
-    """Return the Warp device of a name; "auto" is the first CUDA device if there is one, else the CPU.
+    """Return the Warp device of a name; "auto" is the first CUDA device that Warp can use, else the CPU.
+
+    Where "auto" leaves a GPU unused, the logger "warp_plate" gets a warning that says why.
 
     Raises:
-        SceneError: Warp knows no such device here.
+        SceneError: Warp knows no such device here, or cannot compile for it.
     """
     wp.config.log_level = max(wp.config.log_level, wp.LOG_ERROR)  # Warp greets on standard output otherwise
     try:
         with _quiet_standard_error():
             wp.init()
-            return wp.get_device(("cuda:0" if wp.is_cuda_available() else "cpu") if name == "auto" else name)
+            usable = nvidia.usable_devices()
+            device = (usable or [wp.get_device("cpu")])[0] if name == "auto" else wp.get_device(name)
     except (ValueError, RuntimeError):
         known = ", ".join(["auto", *(device.alias for device in wp.get_devices())])
-        raise SceneError(f"device = {name!r}: not on this machine; there are: {known}") from None
+        reason = f" ({nvidia.missing_cuda()})" if name.startswith("cuda") and not wp.is_cuda_available() else ""
+        raise SceneError(f"device = {name!r}: not on this machine; there are: {known}{reason}") from None
+    if device.is_cuda and device not in usable:
+        raise SceneError(f"device = {name!r}: {nvidia.too_old(device)}")
+    if name == "auto" and device.is_cpu:
+        nvidia.warn_of_unused_gpu()
+    return device
 
 
 def device_aliases() -> list[str]:
     """Return Warp's names for the devices of this machine."""
     find_device("cpu")
     return [device.alias for device in wp.get_devices()]
+
+
+def kernel_folder() -> Path:
+    """Return the folder of Warp's cache of compiled kernels."""
+    find_device("cpu")
+    return Path(str(wp.config.kernel_cache_dir))
+
+
+def can_compile_for_cpu() -> bool:
+    """Return whether Warp has a compiler for the CPU."""
+    return bool(wp.is_cpu_available())
 
 
 def processor_of(device: wp.Device) -> str:

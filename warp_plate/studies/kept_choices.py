@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 import warp_plate
 from warp_plate.plate.files import digests
 from warp_plate.result.atomic_io import write_atomically
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.devices import find_device, processor_of
+from warp_plate.solve.devices import find_device, kernel_folder, processor_of
 
 # Tables that no choice depends on: the highest searched frequency is one of the actuators' already.
 UNREAD = {"title", "grid", "search", "record", "targets"}
@@ -32,7 +31,7 @@ def kept(scene: Scene, device: str, phasors: np.ndarray | None, engine: str, cho
     drives = None if phasors is None else np.asarray(phasors, dtype=complex).tobytes().hex()
     question = [scene.model_dump_json(exclude=UNREAD), digests(scene), scene.grid.accuracy, processor, drives, engine]
     key = hashlib.sha256(json.dumps([*question, _program()]).encode()).hexdigest()
-    file = Path(str(wp.config.kernel_cache_dir)) / "warp-plate" / f"{key}.json"
+    file = kernel_folder() / "warp-plate" / f"{key}.json"
     with suppress(OSError, ValueError):
         stored = json.loads(file.read_text())
         if isinstance(stored, dict) and stored.get("key") == key:

@@ -1,0 +1,169 @@
+"""``warp-plate doctor`` and the line about a GPU that is not used, on machines with every fault."""
+
+import json
+import sys
+from importlib import metadata
+from types import SimpleNamespace
+
+import pytest
+import warp as wp
+from conftest import output_of
+
+from warp_plate.solve import capacity, nvidia
+
+TURING = SimpleNamespace(alias="cuda:0", name="RTX 2080", arch=75, is_cuda=True, is_cpu=False)
+PASCAL = SimpleNamespace(alias="cuda:1", name="GTX 1080", arch=61, is_cuda=True, is_cpu=False)
+
+
+@pytest.fixture
+def machine(monkeypatch, tmp_path):
+    """A function that sets what Warp says of CUDA, and what the system's nvidia-smi and PCI bus say."""
+    nvidia.warn_of_unused_gpu.cache_clear()
+
+    def make(toolkit=(13, 0), driver=None, devices=(), listing="", bus=()):
+        monkeypatch.setattr(wp, "get_cuda_toolkit_version", lambda: toolkit)
+        monkeypatch.setattr(wp, "get_cuda_driver_version", lambda: driver)
+        monkeypatch.setattr(wp, "get_cuda_devices", lambda: list(devices))
+        monkeypatch.setattr(wp, "get_cuda_supported_archs", lambda: [75, 90] if toolkit else [])
+        monkeypatch.setattr(wp, "is_cuda_available", lambda: bool(devices))
+        program = tmp_path / "nvidia-smi"
+        program.write_text(f"#!/bin/sh\nprintf '{listing}'\n" if listing else "#!/bin/sh\nexit 9\n")
+        program.chmod(0o755)
+        monkeypatch.setenv("PATH", str(tmp_path))
+        for index, (vendor, kind) in enumerate(bus):
+            place = tmp_path / "bus" / f"0000:0{index}:00.0"
+            place.mkdir(parents=True)
+            (place / "vendor").write_text(f"{vendor}\n")
+            (place / "class").write_text(f"{kind}\n")
+        monkeypatch.setattr(nvidia, "PCI_DEVICES", tmp_path / "bus")
+        monkeypatch.setattr(nvidia, "KERNEL_DRIVER", tmp_path / "version")
+
+    yield make
+    nvidia.warn_of_unused_gpu.cache_clear()
+
+
+def checks(command):
+    """The lines of the report by name."""
+    status, out, _ = command("doctor", "--json")
+    record = json.loads(out)
+    assert record["ok"] == (status == 0)
+    assert status == int(any(check["state"] == "error" for check in record["checks"]))
+    return {check["name"]: check for check in record["checks"]}
+
+
+def test_this_machine(command):
+    found = checks(command)
+    assert found["Python"]["text"].startswith(f"{sys.version_info.major}.{sys.version_info.minor}.")
+    assert found["Warp"]["text"].startswith(metadata.version("warp-lang"))
+    assert {"CPU", "kernels", "results", "pictures", "window", "browser", "packages", "extra uff"} <= found.keys()
+    assert found["packages"]["versions"]["numpy"] == metadata.version("numpy")
+    for device in wp.get_cuda_devices():
+        assert found[device.alias]["plates"] > 1000
+    words = output_of(command("doctor"))
+    assert all(name in words for name in found)
+
+
+@pytest.mark.parametrize(
+    ("state", "reason"),
+    [
+        ({"toolkit": None}, "without CUDA"),
+        ({}, "no NVIDIA driver; install a driver for CUDA 13 (R580 or later)"),
+        ({"driver": (12, 2)}, "the NVIDIA driver is for CUDA 12.2, the installed Warp for 13.0; install a driver"),
+        ({"driver": (13, 1)}, "CUDA_VISIBLE_DEVICES is '-1': unset it"),
+        (
+            {"driver": (13, 0), "devices": [PASCAL]},
+            "GTX 1080 has compute capability 6.1, and the installed Warp needs 7.5",
+        ),
+    ],
+)
+def test_why_cuda_is_not_used(command, machine, monkeypatch, state, reason):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "-1")
+    machine(**state)
+    line = checks(command)["GPU"]
+    assert line["state"] == "missing"
+    assert reason in line["text"]
+
+
+def test_a_driver_whose_library_is_not_here(machine, tmp_path):
+    machine()
+    (tmp_path / "version").write_text("NVRM")
+    assert "--gpus all" in nvidia.missing_cuda()
+
+
+def test_nothing_is_missing_where_a_device_can_be_used(machine):
+    machine(driver=(13, 0), devices=[PASCAL, TURING])
+    assert nvidia.missing_cuda() is None
+    assert nvidia.usable_devices() == [TURING]
+
+
+def test_commands_say_once_that_a_gpu_is_not_used(command, machine):
+    machine(driver=(12, 2), listing="NVIDIA RTX A2000, 535.104.05\\n")
+    status, _, err = command("check", "paper")
+    assert status == 0
+    assert err.startswith(
+        "warp-plate: NVIDIA RTX A2000, driver 535.104.05: not used: the NVIDIA driver is for CUDA 12.2"
+    )
+    assert err.count("\n") == 1
+    assert command("check", "paper", "--device", "cpu")[2] == ""
+
+
+def test_commands_say_nothing_where_there_is_no_gpu(command, machine):
+    machine(bus=[("0x8086", "0x030000"), ("0x10de", "0x040300")])  # another maker's display; sound of an NVIDIA card
+    assert output_of(command("check", "paper"))
+
+
+def test_a_gpu_without_a_driver_is_seen_on_the_bus(machine):
+    machine(bus=[("0x8086", "0x030000"), ("0x10de", "0x030200")])
+    assert nvidia.visible_gpus() == ["NVIDIA GPU at 0000:01:00.0"]
+
+
+def test_a_device_that_warp_cannot_compile_for_is_refused(command, machine, monkeypatch):
+    machine(driver=(13, 0), devices=[PASCAL])
+    monkeypatch.setattr(wp, "get_device", {"cuda:1": PASCAL, "cpu": wp.get_device("cpu")}.get)
+    status, _, err = command("check", "paper", "--device", "cuda:1")
+    assert status == 2
+    assert "device = 'cuda:1': GTX 1080 has compute capability 6.1" in err
+
+
+def test_what_lacks_has_its_remedy(command, monkeypatch, tmp_path):
+    """Folders that cannot be written, and packages that are old or missing; kernels and requirements are needed."""
+    real = metadata.version
+
+    def version(name):
+        if name == "pyuff":
+            raise metadata.PackageNotFoundError(name)
+        return {"cma": "3.9.9", "h5py": "1.0"}.get(name) or real(name)
+
+    monkeypatch.setattr(metadata, "version", version)
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "gone"))
+    found = checks(command)
+    assert "WARP_CACHE_PATH" in found["kernels"]["text"]
+    assert found["packages"]["text"] == "h5py 1.0 is older than 3.8: pip install --upgrade 'warp-plate'"
+    assert found["extra uff"]["text"] == "pyuff is not installed: pip install --upgrade 'warp-plate[uff]'"
+    assert found["extra cma"]["text"].startswith("cma 3.9.9 is older than 4")
+    assert {name for name, line in found.items() if line["state"] == "error"} == {"kernels", "packages"}
+
+
+def test_a_check_that_fails_is_a_finding(command, monkeypatch):
+    monkeypatch.setenv("WARP_PLATE_THREADS", "many")
+    line = checks(command)["Warp"]
+    assert line["state"] == "error"
+    assert "WARP_PLATE_THREADS" in line["text"]
+
+
+def test_what_a_gpu_holds(command, machine, monkeypatch):
+    memory = {"free_memory": 7 * 2**30, "total_memory": 8 * 2**30, "max_shared_memory_per_block": 64 * 1024}
+    machine(driver=(13, 1), devices=[SimpleNamespace(**vars(TURING), **memory), PASCAL])
+    monkeypatch.setattr(capacity, "plates_in_memory", lambda scene, device: 123_456)
+    found = checks(command)
+    assert found["cuda:0"]["resident_sides"] == {"order 2": 98, "order 4": 96, "free edges": 60}
+    for part in ("RTX 2080, sm_75, driver for CUDA 13.1, 7 of 8 GiB free", "98² (order 2)", "in memory 123456"):
+        assert part in found["cuda:0"]["text"]
+    assert found["cuda:1"]["state"] == "missing"
+    assert "GTX 1080 has compute capability 6.1" in found["cuda:1"]["text"]
+
+
+@pytest.mark.parametrize(("kib", "sides"), [(99, (106, 104, 75)), (227, (162, 104, 115))])
+def test_largest_plates_on_a_chip(kib, sides):
+    device = SimpleNamespace(max_shared_memory_per_block=kib * 1024)
+    assert tuple(capacity.largest_resident_sides(device).values()) == sides
