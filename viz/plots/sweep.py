@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_plate.result.sweep import REFUSED, Sweep
+from warp_plate.scene.errors import printable
 from warp_plate.scene.keys import label_of, unit_of
 from warp_plate.scene.vary import counted, value_text
 from warp_plate.viz.plots.frame import add_panels, figure, number_log_axis
@@ -43,7 +44,7 @@ def draw_sweep(sweep: Sweep, path: str | Path) -> None:
     keys, sampled = len(sweep.plan.keys), sweep.plan.sampled
     draw = _draw_points if sampled else {1: _draw_lines, 2: _draw_maps}.get(keys, _draw_small_maps)
     with figure(path, box=keys > 1 and not sampled) as made:
-        notes, title = [draw(made, sweep)], sweep.scene.title or sweep.source
+        notes, title = [draw(made, sweep)], printable(sweep.scene.title or sweep.source)
         if refused := np.count_nonzero(sweep.status == REFUSED):
             notes.append(f"{counted(refused, 'point')} refused ({'ticks' if sampled else 'grey'})")
         made.suptitle(": ".join(filter(None, (title, "; ".join(filter(None, notes))))), fontsize=9, wrap=True)

@@ -11,9 +11,7 @@ from warp_plate.interrupts import remember_lost_interrupts
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command and exit: status 0; 2 after one line about bad input; 130 after Ctrl-C."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a terminal without Greek letters is no error of the scene
-            stream.reconfigure(errors="backslashreplace")
+    _prepare_streams()
     remember_lost_interrupts()
     try:
         from warp_plate.cli.commands import run  # slow to import: Ctrl-C may come here too
@@ -23,12 +21,29 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"warp-plate: interrupted{interrupt}", file=sys.stderr)
         sys.exit(130)
     except BrokenPipeError:
-        sys.stderr.close()
+        _discard_output()
         sys.exit(0)
     except OSError as error:
         from warp_plate.cli.output import log
 
-        # At exit Python would try again to write what standard output still holds.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        _discard_output()
         log(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}")
         sys.exit(2)
+
+
+def _prepare_streams() -> None:
+    """Let commands print whatever the caller has closed and whatever characters a terminal lacks."""
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:  # closed; the next file to be opened would get its number
+            os.open(os.devnull, os.O_RDWR)
+            setattr(sys, name, os.fdopen(descriptor, "w" if descriptor else "r", closefd=False))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    if not os.environ.get("COLUMNS", "").strip("0"):  # some shells say 0 for unknown
+        os.environ.pop("COLUMNS", None)
+
+
+def _discard_output() -> None:
+    """Discard what standard output still holds, which Python would try again to write at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

@@ -8,7 +8,7 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from json import dumps
 from pathlib import Path
@@ -39,6 +39,9 @@ class _PlainConsole(Console):
     def render_str(self, text: str, **options: Any) -> Text:
         return super().render_str(printable(text), **options)
 
+    def on_broken_pipe(self) -> None:
+        raise  # the BrokenPipeError that main expects
+
 
 def console() -> Console:
     """Return a console on standard output, wrapped to the terminal's width and without colours in a file."""
@@ -65,7 +68,8 @@ def how_to_resume(file: StudyFile[Any], command: str) -> str:
 
 def log(line: str) -> None:
     """Print one line on standard error."""
-    print(f"warp-plate: {printable(' '.join(line.split()))}", file=sys.stderr)
+    with suppress(OSError):  # a run does not end because nobody reads its remarks
+        print(f"warp-plate: {printable(' '.join(line.split()))}", file=sys.stderr)
 
 
 def report(

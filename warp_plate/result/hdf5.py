@@ -127,6 +127,8 @@ class Attribute(Layout):
         parent, _, key = name.rpartition("/")
         if get_origin(self.kind) in (Mapping, tuple):
             value = json.dumps(value, default=dict)
+        if isinstance(value, str):  # names of files need not be UTF-8
+            value = value.encode(errors="backslashreplace").decode()
         (group[parent] if parent else group).attrs[key] = int(value) if isinstance(value, bool) else value
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> Any:

@@ -1,0 +1,66 @@
+"""Closed streams, readers that leave early, terminals of no width, and names of files that are not UTF-8."""
+
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import error_of, output_of
+
+from warp_plate import load_result
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="shells of Unix")
+QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate")
+
+
+def in_shell(line, **environment):
+    """Run a line of the shell, in which COMMAND stands for warp-plate; return status, output and error."""
+    words = line.replace("COMMAND", f"{shlex.quote(sys.executable)} -m warp_plate")
+    run = subprocess.run(["sh", "-c", words], capture_output=True, text=True, env={**os.environ, **environment})
+    return run.returncode, run.stdout, run.stderr
+
+
+def test_a_search_whose_streams_are_closed_keeps_its_result(write_scene):
+    write_scene(damping=88.5, precision="float32", search={"particles": 3, "iterations": 2})
+    assert in_shell(f"COMMAND localize panel.toml {' '.join(QUICK)} <&- >&- 2>&-") == (0, "", "")
+    assert load_result("panel-localize.h5").source == "panel.toml"
+
+
+@pytest.mark.parametrize(("scene", "status"), [("paper", 0), ("none", 2)])
+def test_a_closed_standard_error_changes_no_status(scene, status):
+    found, out, _ = in_shell(f"COMMAND check {scene} 2>&-")
+    assert (found, "time step" in out) == (status, status == 0)
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    status, _, err = in_shell("(COMMAND check paper; echo status $? >&2) | true")
+    assert (status, err) == (0, "status 0\n")
+
+
+def test_a_terminal_of_no_width_is_one_of_80_columns(command, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    expected = output_of(command("check", "paper"))
+    monkeypatch.setenv("COLUMNS", "0")
+    assert output_of(command("check", "paper")) == expected != ""
+
+
+def test_names_that_are_not_utf8(write_scene, command):
+    write_scene(damping=88.5, precision="float32", search={"particles": 3, "iterations": 2})
+    name = os.fsdecode(b"caf\xe9")
+    try:
+        os.rename("panel.toml", f"{name}.toml")
+    except OSError:
+        pytest.skip("this file system takes only UTF-8")
+    for study, options in (
+        ("localize", QUICK),
+        ("localize", QUICK[:2]),
+        ("simulate", QUICK),
+        ("modes", ()),
+        ("sweep", ("--vary", "drive.frequency=280,290")),
+    ):
+        output_of(command(study, f"{name}.toml", *options))
+        assert list(Path().glob(f"{name}-{study}.*"))
+    assert load_result(f"{name}-localize.h5").source == r"caf\udce9.toml"
+    error_of(command("simulate", f"{name}x.toml"))
