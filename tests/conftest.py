@@ -38,6 +38,9 @@ from warp_plate.scene.dump import dump_scene
 from warp_plate.solve.devices import find_device
 from warp_plate.solve.paths import paths_of
 
+# Warp's warnings, as of what its next version drops, are errors of the tests like all others.
+wp.config.log_level = wp.LOG_WARNING
+
 # Shared machines are slow at times, so examples have no deadline.
 hypothesis.settings.register_profile("fixed", deadline=None, derandomize=True)
 hypothesis.settings.register_profile("seeded", deadline=None)

@@ -32,6 +32,7 @@ def code_of(kernel, folder):
     return text
 
 
+@pytest.mark.filterwarnings("ignore:compile_aot_module.*-march=native")
 @pytest.mark.parametrize("on", [True, False])
 def test_only_effects_that_are_on_are_in_the_code(on, tmp_path):
     effects = KernelEffects(terms=4, moments=True, **dict.fromkeys(MEMBERS, on))

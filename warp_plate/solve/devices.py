@@ -23,7 +23,8 @@ def find_device(name: str) -> wp.Device:
     Raises:
         SceneError: Warp knows no such device here, or cannot compile for it.
     """
-    wp.config.log_level = max(wp.config.log_level, wp.LOG_ERROR)  # Warp greets on standard output otherwise
+    if wp.config.log_level == wp.LOG_INFO:  # Warp's default, at which it greets on standard output
+        wp.config.log_level = wp.LOG_ERROR
     try:
         with _quiet_standard_error():
             wp.init()
