@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_plate.interrupts import END_SIGNALS
 from warp_plate.result.motion import Motion
 from warp_plate.scene.model import Scene
 from warp_plate.viz.annotations import LEGEND_WIDTH, add_text, look_at_plate, style_text
@@ -259,11 +260,12 @@ def open_window(
         window.exaggerate(heights / window.plates.scale.warp_factor)
     plotter.add_timer_event(max_steps=2**31 - 1, duration=TIMER, callback=lambda _: window.tick())
     # Ctrl-C closes the window as q does; VTK would end the process.
-    before = signal.signal(signal.SIGINT, lambda *_: plotter.iren.terminate_app())
+    before = {number: signal.signal(number, lambda *_: plotter.iren.terminate_app()) for number in END_SIGNALS}
     try:
         plotter.show()
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _check(buttons: dict[str, vtkButtonWidget], chosen: str) -> None:

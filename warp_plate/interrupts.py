@@ -1,4 +1,7 @@
-"""Ctrl-C: a flag that long loops look at between iterations, and an ordinary KeyboardInterrupt everywhere else."""
+"""Ctrl-C: a flag that long loops look at between iterations, and an ordinary KeyboardInterrupt everywhere else.
+
+SIGTERM, which batch systems send before they kill, and SIGHUP of a closed terminal end a command in the same way.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,9 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+# Sent by a terminal to all processes of a command; Windows has no SIGHUP.
+TERMINAL_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGHUP") if hasattr(signal, name))
+END_SIGNALS = (*TERMINAL_SIGNALS, signal.SIGTERM)
 _pending = False
 
 
@@ -22,16 +28,18 @@ def deferred_interrupts() -> Iterator[None]:
     A second Ctrl-C raises ``SecondInterrupt`` at once. Outside the main thread, where Python never raises
     KeyboardInterrupt, this does nothing.
     """
-    previous = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(previous):
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
-    signal.signal(signal.SIGINT, _set_flag)
+    previous = {number: handler for number in END_SIGNALS if callable(handler := signal.getsignal(number))}
+    for number in previous:
+        signal.signal(number, _set_flag)
     try:
         yield
         check_interrupt()
     finally:
-        signal.signal(signal.SIGINT, previous)
+        for number, handler in previous.items():
+            signal.signal(number, handler)
 
 
 def check_interrupt() -> None:
@@ -40,6 +48,13 @@ def check_interrupt() -> None:
     if _pending and threading.current_thread() is threading.main_thread():
         _pending = False
         raise KeyboardInterrupt
+
+
+def interrupt_on_termination() -> None:
+    """Raise KeyboardInterrupt also on SIGTERM and SIGHUP, unless they are ignored as under ``nohup``."""
+    for number in END_SIGNALS:
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
 
 
 def remember_lost_interrupts() -> None:
@@ -58,6 +73,7 @@ def remember_lost_interrupts() -> None:
 
 def _set_flag(signal_number: int, frame: object) -> None:
     global _pending
-    _pending = not _pending
-    if not _pending:
+    second = _pending and signal_number == signal.SIGINT  # other signals often come in pairs
+    _pending = not second
+    if second:
         raise SecondInterrupt

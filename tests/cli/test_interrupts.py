@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import output_of, scene_of
+from conftest import output_of, scene_of, until
 from conftest import start_program as start
 
 from warp_plate import PlateSolver, load_checkpoint, load_result
@@ -41,12 +41,15 @@ def end(process):
     return process.returncode, out, err, time.monotonic() - started
 
 
-def test_a_search_ends_with_its_best_and_a_checkpoint(panel):
+@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_search_ends_with_its_best_and_a_checkpoint(number, panel):
     file = Path("panel-localize.checkpoint.h5")
     process = start("-m", "warp_plate", "localize", "panel.toml", *QUICK, "--json", "--checkpoint-every", 0)
     while not file.exists() and process.poll() is None:
         time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(getattr(signal, number))
+    if number != "SIGINT":  # also twice
+        process.send_signal(signal.SIGTERM)
     status, out, err, seconds = end(process)
     assert (status, len(err.splitlines())) == (0, 1)
     assert seconds < 10  # seconds of slack for a busy machine
@@ -74,6 +77,25 @@ def test_a_long_iteration_ends_within_a_launch(panel, write_scene):
     assert (status, err) == (130, "warp-plate: interrupted\n")
     assert seconds < 10
     assert [path.name for path in Path().iterdir()] == ["panel.toml"]
+
+
+def test_a_closed_terminal_leaves_result_and_checkpoint(panel):
+    """The terminal is gone when SIGHUP comes, so that nothing can be printed."""
+    pty = pytest.importorskip("pty")
+    child, terminal = pty.fork()
+    if child == 0:
+        os.execv(
+            sys.executable,
+            [sys.executable, "-m", "warp_plate", "localize", "panel.toml", *QUICK, "--checkpoint-every", "0"],
+        )
+    try:
+        until(lambda: Path("panel-localize.checkpoint.h5").exists())
+    finally:
+        os.close(terminal)
+    _, status = os.waitpid(child, 0)
+    assert os.WIFEXITED(status)
+    assert load_result("panel-localize.h5").interrupted
+    assert 0 < load_checkpoint("panel-localize.checkpoint.h5").iterations < 2500
 
 
 # Sends Ctrl-C when a module begins to be imported.

@@ -6,12 +6,13 @@ import io
 import os
 import sys
 
-from warp_plate.interrupts import remember_lost_interrupts
+from warp_plate.interrupts import interrupt_on_termination, remember_lost_interrupts
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run a command and exit: status 0; 2 after one line about bad input; 130 after Ctrl-C."""
+    """Run a command and exit: status 0; 2 after one line about bad input; 130 after Ctrl-C or SIGTERM."""
     _prepare_streams()
+    interrupt_on_termination()
     remember_lost_interrupts()
     try:
         from warp_plate.cli.commands import run  # slow to import: Ctrl-C may come here too

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import re
@@ -41,6 +42,23 @@ class _PlainConsole(Console):
 
     def on_broken_pipe(self) -> None:
         raise  # the BrokenPipeError that main expects
+
+
+class _ProgressStream(io.StringIO):
+    """Standard error without the errors of a terminal that was closed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._terminal = sys.stderr  # rich replaces it while a bar is shown
+
+    def isatty(self) -> bool:
+        return True
+
+    def write(self, text: str) -> int:
+        with suppress(OSError):
+            self._terminal.write(text)
+            self._terminal.flush()
+        return len(text)
 
 
 def console() -> Console:
@@ -146,7 +164,7 @@ def progress_bar(label: str, shown: bool, scene: Scene | None = None) -> Iterato
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn(label), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    with Progress(*columns, console=Console(file=_ProgressStream()), transient=True) as progress:
         note = "choosing a grid" if scene is not None and scene.grid.accuracy is not None else ""
         task = progress.add_task(label, total=None, note=note)
         yield lambda done, total, note="": progress.update(task, completed=done, total=total, note=note)

@@ -18,6 +18,7 @@ from typing import Any
 
 from warp_plate.cluster.pool import WorkerPool
 from warp_plate.cluster.tasks import DEVICE_VARIABLE, run_task
+from warp_plate.interrupts import TERMINAL_SIGNALS
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve.devices import find_device
 
@@ -116,11 +117,11 @@ def patched_environment(values: Mapping[str, str]) -> Iterator[None]:
 
 @contextmanager
 def interrupts_blocked() -> Iterator[None]:
-    """Keep Ctrl-C from processes and threads that are started in the block; here it comes after the block."""
+    """Keep Ctrl-C and SIGHUP from processes and threads that are started in the block; here they come after it."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL_SIGNALS)
     try:
         yield
     finally:
@@ -129,7 +130,8 @@ def interrupts_blocked() -> Iterator[None]:
 
 def _start_worker(device: str, lifeline: Connection) -> None:
     """Prepare a worker process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in TERMINAL_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
     os.dup2(2, 1)  # what libraries print must not come between the command's output
     os.environ[DEVICE_VARIABLE] = device
     if device == "cpu":
