@@ -1,13 +1,14 @@
 """``warp-plate doctor`` and the line about a GPU that is not used, on machines with every fault."""
 
 import json
+import os
 import sys
 from importlib import metadata
 from types import SimpleNamespace
 
 import pytest
 import warp as wp
-from conftest import output_of
+from conftest import output_of, start_program
 
 from warp_plate.solve import capacity, nvidia
 
@@ -142,6 +143,15 @@ def test_what_lacks_has_its_remedy(command, monkeypatch, tmp_path):
     assert found["extra uff"]["text"] == "pyuff is not installed: pip install --upgrade 'warp-plate[uff]'"
     assert found["extra cma"]["text"].startswith("cma 3.9.9 is older than 4")
     assert {name for name, line in found.items() if line["state"] == "error"} == {"kernels", "packages"}
+
+
+def test_warp_cannot_make_its_folder(tmp_path):
+    (tmp_path / "file").touch()
+    environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path / "file" / "cache")}
+    out, err = (program := start_program("-m", "warp_plate", "doctor", "--json", env=environment)).communicate()
+    kernels = next(check for check in json.loads(out)["checks"] if check["name"] == "kernels")
+    assert (program.returncode, err, kernels["state"]) == (1, "", "error")
+    assert kernels["text"].endswith("WARP_CACHE_PATH can name another folder")
 
 
 def test_a_check_that_fails_is_a_finding(command, monkeypatch):

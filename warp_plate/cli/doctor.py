@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 # Such as: pyvista>=0.46; extra == "viz". Requirements under other conditions are left to pip.
 REQUIREMENT = re.compile(r"""([\w.-]+)(?:\[(\w+)\])?(?:>=([\d.]+))?(?: ?; ?extra == ["'](\w+)["'])?""")
+OTHER_CACHE = "WARP_CACHE_PATH can name another folder"
 State = Literal["ok", "missing", "error"]
 
 
@@ -73,7 +74,11 @@ def _check_python() -> Iterator[Diagnosis]:
 def _check_devices() -> Iterator[Diagnosis]:
     from warp_plate.solve import devices, nvidia
 
-    cpu = devices.find_device("cpu")
+    try:
+        cpu = devices.find_device("cpu")
+    except OSError as error:  # Warp makes the folder when it starts
+        yield Diagnosis("kernels", "error", f"{error}; {OTHER_CACHE}")
+        return
     version, toolkit = metadata.version("warp-lang"), nvidia.toolkit_version()
     yield Diagnosis("Warp", "ok", f"{version}, {f'for CUDA {toolkit}' if toolkit else 'without CUDA'}")
     if devices.can_compile_for_cpu():
@@ -85,6 +90,7 @@ def _check_devices() -> Iterator[Diagnosis]:
         yield Diagnosis("GPU", "missing", f"{'; '.join(gpus) or 'none visible'}: {reason}", {"gpus": gpus})
     for device in nvidia.cuda_devices():
         yield _diagnose_gpu(device)
+    yield _diagnose_folder("kernels", devices.kernel_folder(), "error", OTHER_CACHE)
 
 
 def _diagnose_gpu(device: wp.Device) -> Diagnosis:
@@ -104,11 +110,8 @@ def _diagnose_gpu(device: wp.Device) -> Diagnosis:
     return Diagnosis(device.alias, "ok", text, {**memory, "resident_sides": sides, "plates": plates})
 
 
-def _check_folders() -> Iterator[Diagnosis]:
-    from warp_plate.solve.devices import kernel_folder
-
-    yield _diagnose_folder("kernels", kernel_folder(), "error", "WARP_CACHE_PATH names another folder")
-    yield _diagnose_folder("results", Path.cwd(), "missing", "--out names a file elsewhere")
+def _check_results() -> Iterator[Diagnosis]:
+    yield _diagnose_folder("results", Path.cwd(), "missing", "--out can name a file elsewhere")
 
 
 def _diagnose_folder(name: str, folder: Path, state: State, remedy: str) -> Diagnosis:
@@ -173,7 +176,7 @@ def _why_unfit(package: str, least: str | None) -> str | None:
 CHECKS: dict[str, Callable[[], Iterator[Diagnosis]]] = {
     "Python": _check_python,
     "Warp": _check_devices,
-    "folders": _check_folders,
+    "results": _check_results,
     "drawing": _check_drawing,
     "packages": _check_packages,
 }
