@@ -1,5 +1,6 @@
 """``warp-plate doctor`` and the line about a GPU that is not used, on machines with every fault."""
 
+import ctypes
 import json
 import os
 import sys
@@ -18,26 +19,27 @@ PASCAL = SimpleNamespace(alias="cuda:1", name="GTX 1080", arch=61, is_cuda=True,
 
 @pytest.fixture
 def machine(monkeypatch, tmp_path):
-    """A function that sets what Warp says of CUDA, and what the system's nvidia-smi and PCI bus say."""
+    """A function that sets what Warp says of CUDA, and what the driver and the PCI bus say."""
     nvidia.warn_of_unused_gpu.cache_clear()
 
-    def make(toolkit=(13, 0), driver=None, devices=(), listing="", bus=()):
+    def make(toolkit=(13, 0), driver=None, devices=(), models=(), bus=()):
         monkeypatch.setattr(wp, "get_cuda_toolkit_version", lambda: toolkit)
-        monkeypatch.setattr(wp, "get_cuda_driver_version", lambda: driver)
+        monkeypatch.setattr(nvidia, "driver_version", lambda: driver)
         monkeypatch.setattr(wp, "get_cuda_devices", lambda: list(devices))
         monkeypatch.setattr(wp, "get_cuda_supported_archs", lambda: [75, 90] if toolkit else [])
         monkeypatch.setattr(wp, "is_cuda_available", lambda: bool(devices))
-        program = tmp_path / "nvidia-smi"
-        program.write_text(f"#!/bin/sh\nprintf '{listing}'\n" if listing else "#!/bin/sh\nexit 9\n")
-        program.chmod(0o755)
-        monkeypatch.setenv("PATH", str(tmp_path))
+        for index, model in enumerate(models):
+            place = tmp_path / "driver" / "gpus" / f"0000:0{index}:00.0"
+            place.mkdir(parents=True)
+            (place / "information").write_text(f"Model: \t\t {model}\nIRQ:   \t\t 34\n")
         for index, (vendor, kind) in enumerate(bus):
             place = tmp_path / "bus" / f"0000:0{index}:00.0"
             place.mkdir(parents=True)
             (place / "vendor").write_text(f"{vendor}\n")
             (place / "class").write_text(f"{kind}\n")
         monkeypatch.setattr(nvidia, "PCI_DEVICES", tmp_path / "bus")
-        monkeypatch.setattr(nvidia, "KERNEL_DRIVER", tmp_path / "version")
+        monkeypatch.setattr(nvidia, "KERNEL_DRIVER", tmp_path / "driver")
+        monkeypatch.setattr(nvidia, "WINDOWS_GPU", tmp_path / "dxg")
 
     yield make
     nvidia.warn_of_unused_gpu.cache_clear()
@@ -60,6 +62,7 @@ def test_this_machine(command):
     assert found["packages"]["versions"]["numpy"] == metadata.version("numpy")
     for device in wp.get_cuda_devices():
         assert found[device.alias]["plates"] > 1000
+        assert nvidia.driver_version() == wp.get_cuda_driver_version()
     words = output_of(command("doctor"))
     assert all(name in words for name in found)
 
@@ -70,6 +73,10 @@ def test_this_machine(command):
         ({"toolkit": None}, "without CUDA"),
         ({}, "no NVIDIA driver; install a driver for CUDA 13 (R580 or later)"),
         ({"driver": (12, 2)}, "the NVIDIA driver is for CUDA 12.2, the installed Warp for 13.0; install a driver"),
+        (
+            {"driver": (11, 4)},
+            "for CUDA 11.4, the installed Warp for 13.0; install a driver for CUDA 13 (R580 or later)",
+        ),
         ({"driver": (13, 1)}, "CUDA_VISIBLE_DEVICES is '-1': unset it"),
         (
             {"driver": (13, 0), "devices": [PASCAL]},
@@ -85,9 +92,19 @@ def test_why_cuda_is_not_used(command, machine, monkeypatch, state, reason):
     assert reason in line["text"]
 
 
-def test_a_driver_whose_library_is_not_here(machine, tmp_path):
-    machine()
-    (tmp_path / "version").write_text("NVRM")
+def test_the_version_of_a_driver_is_read_without_warp(monkeypatch):
+    def write(version):
+        version.contents.value = 12080
+        return 0
+
+    prototype = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.POINTER(ctypes.c_int))
+    driver = SimpleNamespace(cuDriverGetVersion=prototype(write))
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: driver)
+    assert nvidia.driver_version() == (12, 8)
+
+
+def test_a_driver_whose_library_is_not_here(machine):
+    machine(models=["NVIDIA RTX A2000"])
     assert "--gpus all" in nvidia.missing_cuda()
 
 
@@ -98,12 +115,10 @@ def test_nothing_is_missing_where_a_device_can_be_used(machine):
 
 
 def test_commands_say_once_that_a_gpu_is_not_used(command, machine):
-    machine(driver=(12, 2), listing="NVIDIA RTX A2000, 535.104.05\\n")
+    machine(driver=(12, 2), models=["NVIDIA RTX A2000"])
     status, _, err = command("check", "paper")
     assert status == 0
-    assert err.startswith(
-        "warp-plate: NVIDIA RTX A2000, driver 535.104.05: not used: the NVIDIA driver is for CUDA 12.2"
-    )
+    assert err.startswith("warp-plate: NVIDIA RTX A2000: not used: the NVIDIA driver is for CUDA 12.2")
     assert err.count("\n") == 1
     assert command("check", "paper", "--device", "cpu")[2] == ""
 
@@ -116,6 +131,13 @@ def test_commands_say_nothing_where_there_is_no_gpu(command, machine):
 def test_a_gpu_without_a_driver_is_seen_on_the_bus(machine):
     machine(bus=[("0x8086", "0x030000"), ("0x10de", "0x030200")])
     assert nvidia.visible_gpus() == ["NVIDIA GPU at 0000:01:00.0"]
+
+
+def test_a_gpu_of_windows_is_seen_by_its_driver(machine, tmp_path):
+    machine(driver=(12, 2))
+    assert nvidia.visible_gpus() == []
+    (tmp_path / "dxg").touch()
+    assert nvidia.visible_gpus() == ["NVIDIA GPU"]
 
 
 def test_a_device_that_warp_cannot_compile_for_is_refused(command, machine, monkeypatch):

@@ -80,7 +80,7 @@ def _check_devices() -> Iterator[Diagnosis]:
         yield Diagnosis("kernels", "error", f"{error}; {OTHER_CACHE}")
         return
     version, toolkit = metadata.version("warp-lang"), nvidia.toolkit_version()
-    yield Diagnosis("Warp", "ok", f"{version}, {f'for CUDA {toolkit}' if toolkit else 'without CUDA'}")
+    yield Diagnosis("Warp", "ok", f"{version}, {f'for CUDA {nvidia.dotted(toolkit)}' if toolkit else 'without CUDA'}")
     if devices.can_compile_for_cpu():
         yield Diagnosis("CPU", "ok", f"{devices.processor_of(cpu)}, {devices.cpu_threads()} threads")
     else:
@@ -101,8 +101,9 @@ def _diagnose_gpu(device: wp.Device) -> Diagnosis:
         return Diagnosis(device.alias, "missing", nvidia.too_old(device))
     sides, plates = capacity.largest_resident_sides(device), capacity.plates_in_memory(Scene.load("paper"), device)
     on_chip = ", ".join(f"{side}² ({kind})" for kind, side in sides.items())
+    driver = nvidia.driver_version()
     text = (
-        f"{device.name}, sm_{device.arch}, driver for CUDA {nvidia.driver_version()}, "
+        f"{device.name}, sm_{device.arch}, driver for CUDA {nvidia.dotted(driver) if driver else 'unknown'}, "
         f"{device.free_memory / 2**30:.3g} of {device.total_memory / 2**30:.3g} GiB free; on the chip plates of up to "
         f"{on_chip} nodes, in memory {plates} like the paper's"
     )

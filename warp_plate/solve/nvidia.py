@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
-import shutil
-import subprocess
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -14,11 +14,10 @@ import warp as wp
 GUIDE = "https://nvidia.github.io/warp/stable/user_guide/installation.html"
 # First branch of NVIDIA's driver that runs programs of a major version of CUDA.
 DRIVER_BRANCHES = {12: 525, 13: 580}
-# Loaded kernel driver, and devices of the PCI bus (Linux).
-KERNEL_DRIVER, PCI_DEVICES = Path("/proc/driver/nvidia/version"), Path("/sys/bus/pci/devices")
+# What a loaded kernel driver shows, devices of the PCI bus (Linux), and the GPUs of Windows in its Linux.
+KERNEL_DRIVER, PCI_DEVICES = Path("/proc/driver/nvidia"), Path("/sys/bus/pci/devices")
+WINDOWS_GPU = Path("/dev/dxg")
 NVIDIA, DISPLAY_CONTROLLER = "0x10de", "0x03"
-# Longest time to wait for nvidia-smi [s].
-TIMEOUT = 20.0
 
 
 def cuda_devices() -> list[wp.Device]:
@@ -26,14 +25,21 @@ def cuda_devices() -> list[wp.Device]:
     return list(wp.get_cuda_devices())
 
 
-def toolkit_version() -> str | None:
-    """Return the version of CUDA that Warp is built with, such as "13.0"; None without CUDA."""
-    return _dotted(wp.get_cuda_toolkit_version())
+def toolkit_version() -> tuple[int, int] | None:
+    """Return the version of CUDA that Warp is built with; None without CUDA."""
+    version: tuple[int, int] | None = wp.get_cuda_toolkit_version()
+    return version
 
 
-def driver_version() -> str | None:
-    """Return the newest version of CUDA that the driver runs; None without a driver."""
-    return _dotted(wp.get_cuda_driver_version())
+def driver_version() -> tuple[int, int] | None:
+    """Return the newest version of CUDA that the driver runs; None without a driver.
+
+    Warp does not tell that of a driver that is too old, or that shows no GPU.
+    """
+    driver, number = _load_driver(), ctypes.c_int()
+    if driver is None or driver.cuDriverGetVersion(ctypes.byref(number)) != 0:
+        return None
+    return number.value // 1000, number.value % 1000 // 10
 
 
 def usable_devices() -> list[wp.Device]:
@@ -52,7 +58,7 @@ def missing_cuda() -> str | None:
         return None
     if found := wp.get_cuda_devices():
         return too_old(found[0])
-    toolkit, driver = wp.get_cuda_toolkit_version(), wp.get_cuda_driver_version()
+    toolkit, driver = toolkit_version(), driver_version()
     if toolkit is None:
         return f"the installed Warp is built without CUDA; other builds: {GUIDE}"
     branch = DRIVER_BRANCHES.get(toolkit[0])
@@ -62,10 +68,9 @@ def missing_cuda() -> str | None:
     if driver is None:
         return f"there is no NVIDIA driver; install {wanted}"
     if driver[0] < toolkit[0]:
-        return (
-            f"the NVIDIA driver is for CUDA {driver_version()}, the installed Warp for {toolkit_version()}; install "
-            f"{wanted}, or a Warp for CUDA {driver[0]}: {GUIDE}"
-        )
+        other = f", or a Warp for CUDA {driver[0]}: {GUIDE}" if driver[0] in DRIVER_BRANCHES else ""
+        versions = f"for CUDA {dotted(driver)}, the installed Warp for {dotted(toolkit)}"
+        return f"the NVIDIA driver is {versions}; install {wanted}{other}"
     hidden = os.environ.get("CUDA_VISIBLE_DEVICES")
     cause = "see 'nvidia-smi'" if hidden is None else f"CUDA_VISIBLE_DEVICES is {hidden!r}: unset it"
     return f"the NVIDIA driver shows no GPU; {cause}"
@@ -81,8 +86,12 @@ def too_old(device: wp.Device) -> str:
 
 
 def visible_gpus() -> list[str]:
-    """Return the NVIDIA GPUs that the system shows, whether or not Warp can use them, with their driver if known."""
-    return _gpus_of_driver() or [f"NVIDIA GPU at {place.name}" for place in sorted(_gpus_on_bus())]
+    """Return the NVIDIA GPUs that the system shows, whether or not Warp can use them."""
+    listings = sorted((KERNEL_DRIVER / "gpus").glob("*/information"))
+    models = [line.partition(":")[2].strip() for file in listings for line in _content(file).splitlines()[:1]]
+    named = models or [f"NVIDIA GPU at {place.name}" for place in sorted(_gpus_on_bus())]
+    windows = sys.platform == "win32" or WINDOWS_GPU.exists()
+    return named or (["NVIDIA GPU"] if windows and driver_version() else [])
 
 
 @cache
@@ -92,26 +101,25 @@ def warn_of_unused_gpu() -> None:
         logging.getLogger("warp_plate").warning("%s: not used: %s", "; ".join(gpus), reason)
 
 
-def _gpus_of_driver() -> list[str]:
-    program = shutil.which("nvidia-smi")
-    if program is None:
-        return []
-    query = [program, "--query-gpu=name,driver_version", "--format=csv,noheader"]
-    try:
-        answer = subprocess.run(query, capture_output=True, text=True, errors="replace", timeout=TIMEOUT)
-    except (OSError, subprocess.TimeoutExpired):
-        return []
-    lines = answer.stdout.splitlines() if answer.returncode == 0 else []
-    return [line.replace(", ", ", driver ") for line in lines if line]
-
-
 def _gpus_on_bus() -> list[Path]:
-    def content(file: Path) -> str:
-        return file.read_text() if file.exists() else ""
-
-    devices = [place for place in PCI_DEVICES.glob("*") if content(place / "vendor").strip() == NVIDIA]
-    return [place for place in devices if content(place / "class").startswith(DISPLAY_CONTROLLER)]
+    devices = [place for place in PCI_DEVICES.glob("*") if _content(place / "vendor").strip() == NVIDIA]
+    return [place for place in devices if _content(place / "class").startswith(DISPLAY_CONTROLLER)]
 
 
-def _dotted(version: tuple[int, int] | None) -> str | None:
-    return version and ".".join(map(str, version))
+def _content(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+
+
+def _load_driver() -> ctypes.CDLL | None:
+    try:
+        return ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+    except OSError:
+        return None
+
+
+def dotted(version: tuple[int, int]) -> str:
+    """Return a version such as "13.0"."""
+    return ".".join(map(str, version))
