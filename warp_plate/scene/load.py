@@ -15,10 +15,14 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-# A scene is about a page long; a larger file is something else.
-MOST_BYTES = 2**24
-# The TOML parser takes minutes for a dotted key of very many parts, so these are refused first, outside of texts.
-_TEXT = re.compile(r"""\"{3}.*?\"{3}|'{3}.*?'{3}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'|\#[^\n]*""", re.DOTALL)
+# A scene is about a page long; a larger file is something else. Maps belong in files of their own.
+MOST_BYTES = 2**22
+# The TOML parser takes minutes for a dotted key of very many parts, so these are refused first, outside of texts and
+# comments. What is not closed ends with its line or the file: whatever begins matches, which keeps the search linear.
+_TEXT = re.compile(
+    r""""{3}(?:[^\\]|\\.)*?(?:"{3,5}|\\?\Z)|"(?:[^"\\\n]|\\.)*"?""" r"""|'{3}.*?(?:'{3,5}|\Z)|'[^'\n]*'?|\#[^\n]*""",
+    re.DOTALL,
+)
 _DEEP_KEY = re.compile(r"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){9}")
 _PRESETS = resources.files("warp_plate.scene.presets")
 

@@ -1,0 +1,55 @@
+"""Scene files of hostile text are parsed or refused in one line, in a time that grows with their length.
+
+What is quadratic takes hours for these lengths, which the time limit of all tests ends.
+"""
+
+from pathlib import Path
+
+import pytest
+from conftest import PAPER
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from warp_plate import Scene, SceneError
+from warp_plate.scene.load import MOST_BYTES, parse_toml
+
+FRAGMENTS = ['\\"', '"', "'", '"""', "'''", '\\"""\n', "\\", "a.", '"a".', "a ", "[", "{a=", "[[a]]\n", "# ", "=", "1,"]
+FRAGMENTS += ["\n", "\r\n", "\t", "1_", "0x", "a=1\n", 'a="x\n', "\0", "é", "title=", PAPER[:300], PAPER]
+
+
+@given(st.lists(st.sampled_from(FRAGMENTS), max_size=4), st.lists(st.sampled_from(FRAGMENTS), min_size=1, max_size=3))
+@example([], ['\\"'])
+@example([], ['\\"""\n'])
+@example(['title = "'], ['\\"'])
+@settings(max_examples=60)
+def test_repeated_fragments(start, repeated):
+    piece = "".join(repeated)
+    text = "".join(start) + piece * max(1, 2**18 // len(piece)) + "\\"
+    with pytest.raises(SceneError) as caught:
+        Scene.parse(text, "x.toml")
+    assert len(str(caught.value).splitlines()) == 1
+    assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize(
+    "before", ['x="""\\"""', 'x="""a\\"""b"""\n', 'x={a="""a"""",', "x='''a'''''\n", 'x=""\n', "#'''\n"]
+)
+def test_deep_keys_hide_behind_no_text(before):
+    with pytest.raises(SceneError, match="ten parts") as caught:
+        parse_toml(before + '"""\n' * before.endswith('"""') + "a." * 10 + "a=1", "x.toml")
+    assert str(caught.value).startswith("x.toml: ")
+
+
+def test_dots_in_texts_are_no_keys():
+    text = "a." * 20
+    parsed = parse_toml(
+        f'a=\'{text}\' # {text}\nb="""\\"""{text}"""\nc=\'\'\'{text}\'\'\'\'\'\nd="\\"{text}"', "x.toml"
+    )
+    assert parsed == {"a": text, "b": f'"""{text}', "c": f"{text}''", "d": f'"{text}'}
+
+
+def test_a_file_that_is_too_large(tmp_path):
+    path = Path(tmp_path / "a.toml")
+    path.write_bytes(PAPER.encode() + b"#" * MOST_BYTES)
+    with pytest.raises(SceneError, match=f"a scene file has at most {MOST_BYTES}"):
+        Scene.load(path)
