@@ -32,7 +32,7 @@ def over_blocks(task: Callable[[slice], object], rows: int) -> None:
 def _threads() -> int:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     setting = os.environ.get("WARP_PLATE_THREADS", "")
-    return max(1, min(int(setting) if setting.isdecimal() else cores, MOST_THREADS))
+    return max(1, min(int(setting[:4]) if setting.isdecimal() else cores, MOST_THREADS))
 
 
 @cache

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Literal
 
 import warp_plate
 from warp_plate.cli import options, output
+from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
     import warp as wp
@@ -76,8 +77,8 @@ def _check_devices() -> Iterator[Diagnosis]:
 
     try:
         cpu = devices.find_device("cpu")
-    except OSError as error:  # Warp makes the folder when it starts
-        yield Diagnosis("kernels", "error", f"{error}; {OTHER_CACHE}")
+    except SceneError as error:  # Warp makes the folder when it starts
+        yield Diagnosis("kernels", "error", str(error))
         return
     version, toolkit = metadata.version("warp-lang"), nvidia.toolkit_version()
     yield Diagnosis("Warp", "ok", f"{version}, {f'for CUDA {nvidia.dotted(toolkit)}' if toolkit else 'without CUDA'}")

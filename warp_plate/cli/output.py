@@ -221,6 +221,9 @@ def _writing_problem(path: Path) -> str:
     """Return why a file or those beside it (checkpoints, pictures, temporary files) cannot be written, or ""."""
     if os.path.isdir(path):
         return "is a folder"
+    if os.path.exists(path) and not os.path.isfile(path):
+        return "is a pipe or a device; --json prints results"
+    path = Path(os.path.realpath(path)) if os.path.islink(path) else path
     if not os.path.isdir(path.parent):
         return f"no such folder: {path.parent}"
     if not os.access(path.parent, os.W_OK):

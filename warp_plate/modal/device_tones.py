@@ -21,6 +21,7 @@ from warp_plate.modal.poles import APART
 from warp_plate.modal.steady import as_sparse
 from warp_plate.modal.tones import ToneMatrices
 from warp_plate.scene.model import Window
+from warp_plate.solve.kernel_cache import load_kernel
 
 # Numbers of the largest matrix of a block of plates.
 BLOCK_NUMBERS = 2**24
@@ -136,6 +137,7 @@ class DeviceToneMatrices:
         reals = [matrix.view(wp.float64).reshape((matrix.shape[0], -1)) for matrix in (right, product)]
         tiles = _filled(parts * columns, kernels.COLUMNS) // kernels.COLUMNS, left[0].shape[0] // kernels.ROWS
         shared = {"block_dim": kernels.THREADS, "device": self._device}
+        load_kernel(kernels.multiply_dense, self._device, kernels.THREADS)
         wp.launch_tiled(kernels.multiply_dense, dim=tiles, inputs=[*left, reals[0]], outputs=[reals[1]], **shared)
 
     def _put_matrix(self, matrix: np.ndarray) -> list[wp.array]:
@@ -158,6 +160,7 @@ class DeviceToneMatrices:
         return wp.array(np.ascontiguousarray(values), dtype=kind, device=self._device)
 
     def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
+        load_kernel(kernel, self._device)
         wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=self._device)
 
 

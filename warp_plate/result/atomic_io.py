@@ -27,6 +27,8 @@ def atomic_path(path: Path, previous: Path | None = None) -> Iterator[Path]:
     Raises:
         OSError: the folder is missing or cannot be written to, or the disk is full.
     """
+    if previous is None:  # the file that a symbolic link leads to is replaced, not the link
+        path = Path(os.path.realpath(path))
     temporary = path.parent / f".{path.name}.{secrets.token_hex(6)}.part{path.suffix}"
     temporary.touch(exist_ok=False)
     try:

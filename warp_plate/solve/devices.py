@@ -13,6 +13,9 @@ import warp as wp
 
 from warp_plate.scene.errors import SceneError
 from warp_plate.solve import nvidia
+from warp_plate.solve.kernel_cache import cache_errors
+
+MOST_THREADS = 1024  # each takes memory
 
 
 def find_device(name: str) -> wp.Device:
@@ -21,13 +24,14 @@ def find_device(name: str) -> wp.Device:
     Where "auto" leaves a GPU unused, the logger "warp_plate" gets a warning that says why.
 
     Raises:
-        SceneError: Warp knows no such device here, or cannot compile for it.
+        SceneError: Warp knows no such device here, cannot compile for it, or has no folder to do so.
     """
     if wp.config.log_level == wp.LOG_INFO:  # Warp's default, at which it greets on standard output
         wp.config.log_level = wp.LOG_ERROR
+    with _quiet_standard_error(), cache_errors():
+        wp.init()
     try:
         with _quiet_standard_error():
-            wp.init()
             usable = nvidia.usable_devices()
             device = (usable or [wp.get_device("cpu")])[0] if name == "auto" else wp.get_device(name)
     except (ValueError, RuntimeError):
@@ -74,12 +78,12 @@ def cpu_threads() -> int:
     """Return the number of threads to use on CPU: WARP_PLATE_THREADS, else the cores that this process may use.
 
     Raises:
-        SceneError: The environment variable is not a whole number from 1 on.
+        SceneError: The environment variable is not a whole number from 1 to ``MOST_THREADS``.
     """
     setting = os.environ.get("WARP_PLATE_THREADS", "")
     if setting:
-        if not setting.isdecimal() or int(setting) < 1:
-            raise SceneError(f"WARP_PLATE_THREADS = {setting!r}: must be a whole number, at least 1")
+        if not setting.isdecimal() or len(setting) > 4 or not 1 <= int(setting) <= MOST_THREADS:
+            raise SceneError(f"WARP_PLATE_THREADS = {setting!r}: must be a whole number from 1 to {MOST_THREADS}")
         return int(setting)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

@@ -20,6 +20,7 @@ from warp_plate.plate.weights import NO_AREAS, REGIONS, Region, reachable_nodes,
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import cpu_threads
+from warp_plate.solve.kernel_cache import load_kernel
 
 # Rows are padded to whole cache lines, which are also whole vector registers.
 LINE_BYTES = 64
@@ -144,7 +145,7 @@ class Specialized:
     def load(self, *kernels: wp.Kernel, block_dim: int | None = None) -> None:
         """Compile kernels for the device, or load them from Warp's cache."""
         for kernel in kernels:
-            wp.load_module(module=kernel.module, device=self.device, block_dim=block_dim)
+            load_kernel(kernel, self.device, block_dim)
 
     def to_device(self, values: np.ndarray) -> wp.array:
         """Return a copy on the device in the scene's precision.

@@ -1,0 +1,70 @@
+"""Unusual environments: caches that cannot be written or are damaged, too many threads, output by links and pipes."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import error_of, output_of
+
+from warp_plate import load_result
+
+QUICK = ("--device", "cpu", "--no-pictures", "--no-estimate", "--json")
+
+
+def simulate(**environment):
+    """Simulate panel.toml by time steps in a new process; return status, output and error."""
+    line = [sys.executable, "-m", "warp_plate", "simulate", "panel.toml", *QUICK, "--path", "resident"]
+    inherited = {name: value for name, value in os.environ.items() if name not in ("WARP_CACHE_PATH", "XDG_CACHE_HOME")}
+    run = subprocess.run(line, capture_output=True, text=True, env={**inherited, **environment})
+    return run.returncode, run.stdout, run.stderr
+
+
+@pytest.mark.parametrize("variable", ["WARP_CACHE_PATH", "HOME"])
+def test_a_cache_that_cannot_be_made(variable, write_scene):
+    write_scene(damping=88.5)
+    line = error_of(simulate(**{variable: str(Path("panel.toml").resolve() / "inside")}))
+    assert "cannot keep compiled kernels" in line
+    assert "WARP_CACHE_PATH" in line
+    assert str(Path("panel.toml").resolve()) in line
+
+
+def test_damaged_kernels_are_compiled_again(write_scene, tmp_path):
+    write_scene(damping=88.5)
+    cache = {"WARP_CACHE_PATH": str(tmp_path / "cache")}
+    energy = output_of(simulate(**cache)).partition('"energy"')[2]
+    files = sorted(file for ending in ("o", "meta") for file in tmp_path.glob(f"cache/*/*/*.{ending}"))
+    intact = [file.read_bytes() for file in files]
+    for file, content in zip(files, intact, strict=True):
+        file.write_bytes(content[:-9] + bytes([content[-9] ^ 1]) + content[-8:])
+    status, out, err = simulate(**cache)
+    assert (status, out.partition('"energy"')[2]) == (0, energy)
+    assert sorted(err.splitlines()) == [f"warp-plate: {file}: damaged; compiled again" for file in files]
+    assert [file.stat().st_size for file in files] == list(map(len, intact))
+    assert output_of(simulate(**cache)).partition('"energy"')[2] == energy
+
+
+@pytest.mark.parametrize("threads", ["1025", "1000000", "9" * 5000, "-1", "²"])
+def test_too_many_threads(threads, write_scene):
+    write_scene(damping=88.5)
+    assert "WARP_PLATE_THREADS" in error_of(simulate(WARP_PLATE_THREADS=threads))
+
+
+def test_a_link_is_followed_and_stays(write_scene, command):
+    write_scene(damping=88.5)
+    Path("elsewhere").mkdir()
+    Path("link.h5").symlink_to("elsewhere/result.h5")
+    for _ in range(2):
+        output_of(command("simulate", "panel.toml", *QUICK, "--out", "link.h5"))
+        assert Path("link.h5").is_symlink()
+        assert load_result("elsewhere/result.h5").source == "panel.toml"
+    assert sorted(os.listdir("elsewhere")) == ["result.h5"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such pipes")
+def test_a_pipe_is_refused(write_scene, command):
+    write_scene(damping=88.5)
+    os.mkfifo("pipe.h5")
+    assert "is a pipe" in error_of(command("simulate", "panel.toml", *QUICK, "--out", "pipe.h5"))
+    assert Path("pipe.h5").is_fifo()
