@@ -14,7 +14,7 @@ from warp_plate.accuracy import grid_search as searching
 from warp_plate.accuracy.choose import choose
 from warp_plate.accuracy.configurations import Configuration, cost_of_run, percent, scene_with, seconds_text
 from warp_plate.accuracy.estimate import estimate, estimate_modal
-from warp_plate.accuracy.measure import AccuracyRow, MeasurementContext, measure, measure_modal
+from warp_plate.accuracy.measure import START_SECONDS, AccuracyRow, MeasurementContext, measure, measure_modal
 from warp_plate.accuracy.reference_solution import find_reference_solution, grid_lines, solve_response
 from warp_plate.modal.motion import fields
 from warp_plate.modal.solver import ModalSolver
@@ -199,8 +199,9 @@ def test_failures_are_rows(paper_exact):
         phasors *= 1e160
     unstable = measure(MeasurementContext(scene, wild, "cpu"), OVERLAP)
     assert (unstable.status, unstable.error) == ("unstable", None)
-    short = MeasurementContext(scene, paper_exact, "cpu", start_seconds=0.0)
-    row = measure(short, OVERLAP, 0.02)
+    short = MeasurementContext(scene, paper_exact, "cpu")
+    row = measure(short, OVERLAP, START_SECONDS + 0.02)
+    assert START_SECONDS < short.spent < START_SECONDS + 0.02
     assert (row.status, row.bound, row.error_bound) == ("ok", None, None)
     assert row.error == max(row.error_single, row.error_best)
 

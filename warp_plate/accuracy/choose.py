@@ -68,10 +68,10 @@ def choose(
 ) -> Choice:
     """Return the cheapest engine and configuration whose localization factors have at most this relative error.
 
-    Modes are taken, if they may be, wherever more functions show that they keep it. Else grids of each order are tried
-    against a reference solution. Errors are those of equal drive, the best single actuator, the best drive and
-    ``phasors`` (drives, actuators); a chosen grid is checked with the Gram matrices of all drives. The scene's own grid
-    is ignored, and damping is centred in time.
+    Modes are taken, if they may be, wherever more functions show that they keep it for ``phasors`` (drives, actuators),
+    by default equal drive, the best single actuator and the best drive. Else grids of each order are tried against a
+    reference solution, for all of these drives; a chosen grid is checked with the Gram matrices of all drives. The
+    scene's own grid is ignored, and damping is centred in time.
 
     Raises:
         SceneError: no configuration within reach keeps this accuracy, or there is no such device.
@@ -120,9 +120,10 @@ def _by_modes(scene: Scene, accuracy: float, phasors: np.ndarray | None, alone: 
         if alone:
             raise
         return None
-    finer = compared.finer
-    usual = [best_single(finer), finer.best_drive(), np.ones(len(scene.actuators))]
-    error = compared.error(np.array([*usual, *(() if phasors is None else phasors)]))
+    if phasors is None:
+        finer = compared.finer
+        phasors = np.array([best_single(finer), finer.best_drive(), np.ones(len(scene.actuators))])
+    error = compared.error(phasors)
     if error <= accuracy:
         reason = f"modes, for errors of at most {percent(error)}, asked {percent(accuracy)}"
         return Choice(scene.model_copy(update={"grid": Grid()}), error, reason, compared)

@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from statistics import median
 
 import numpy as np
@@ -38,12 +39,12 @@ MODAL, MODAL_DENSITIES = "modal", (0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
 SNAPSHOTS = 6
 # Nodes of the largest grid whose natural frequencies are computed, by a sparse factorisation.
 SPECTRUM_NODES = 25_000
-# Initial estimates: a node-step of second order in float32, and the creation of a solver [s].
-FIRST_SPEED, FIRST_START_SECONDS = {"cpu": 0.6e-9, "cuda": 2e-11}, 1.5
+# Nominal times, by which a budget is counted: a node-step of second order in float32, and the creation of a solver [s].
+NODE_STEP_SECONDS, START_SECONDS = {"cpu": 0.6e-9, "cuda": 2e-11}, 1.5
 # Runs that are timed, and the time after which no further run begins [s].
 RUNS, TIMING_SECONDS = 5, 0.5
-# Plates that are timed on a CUDA device if the whole swarm would take too long.
-FEW_ON_CUDA = 16
+# Plates that are timed if the whole swarm would take too long; on a CPU one for each thread if these are more.
+FEW_PLATES = {"cpu": 2, "cuda": 16}
 
 
 @dataclass(frozen=True)
@@ -100,22 +101,14 @@ class MeasurementContext:
     device: str = "auto"  # device of all runs
     path: str = "auto"  # path of all runs
     speeds: dict[tuple[int, str], float] = field(default_factory=dict)  # latest node-step by (order, precision) [s]
-    start_seconds: float = FIRST_START_SECONDS  # time to create a solver [s]
+    spent: float = 0.0  # nominal time of the rows so far [s]
     # Errors of natural frequencies by order and nodes
     frequency_errors: dict[tuple[int, tuple[int, int]], float] = field(default_factory=dict)
 
-    @property
-    def few_plates(self) -> int:
-        """Fewest plates that show the speed of the device."""
-        return FEW_ON_CUDA if find_device(self.device).is_cuda else max(2, cpu_threads())
-
-    def speed(self, order: int, precision: str) -> float:
-        """Return the time of a node-step [s]: measured, or derived from that of another order or precision."""
-        cost = RELATIVE_COST[order, precision]
-        if (order, precision) in self.speeds:
-            return self.speeds[order, precision]
-        first = FIRST_SPEED["cuda" if find_device(self.device).is_cuda else "cpu"] * cost
-        return max((value * cost / RELATIVE_COST[key] for key, value in self.speeds.items()), default=first)
+    @cached_property
+    def device_kind(self) -> str:
+        """"cuda" or "cpu"."""
+        return "cuda" if find_device(self.device).is_cuda else "cpu"
 
 
 def measure(
@@ -123,8 +116,9 @@ def measure(
 ) -> AccuracyRow:
     """Return the row of a configuration; None stands for the scene as written.
 
-    If the whole measurement would take longer than ``seconds_left``, the bound is left out and few plates are timed; if
-    that takes longer too, the row is skipped.
+    If the whole measurement would take longer than the nominal time ``seconds_left``, the bound is left out and few
+    plates are timed; if that takes longer too, the row is skipped. Nominal times are counted in node-steps, so that the
+    same rows are measured on every machine.
     """
     scene = context.scene if configuration is None else scene_with(context.scene, configuration)
     settings, damping = configuration_of(scene), scene.effects.damping
@@ -138,17 +132,17 @@ def measure(
         discretization = discretize(scene)
         scheme = discretization.scheme
         row = replace(row, time_step=scheme.time_step, steps=scheme.steps)
-        once = math.prod(count - 2 for count in scheme.nodes) * scheme.steps * context.speed(row.order, row.precision)
+        node_steps = math.prod(count - 2 for count in scheme.nodes) * scheme.steps
+        once = node_steps * NODE_STEP_SECONDS[context.device_kind] * RELATIVE_COST[row.order, row.precision]
         plates = len(unit_drives(len(scene.actuators))) + 2 + 2 * scene.search.particles
-        shortest = context.start_seconds + (2 + context.few_plates) * once
+        whole, shortest = (START_SECONDS + count * once for count in (plates, 2 + FEW_PLATES[context.device_kind]))
         if shortest > seconds_left:
             return replace(row, status=f"skipped: would take {seconds_text(shortest)}")
-        started = time.perf_counter()
         solver = PlateSolver(discretization, context.device, context.path)
     except SceneError as error:
         return replace(row, status=f"refused: {error}")
-    complete = context.start_seconds + plates * once <= seconds_left
-    context.start_seconds = (context.start_seconds + time.perf_counter() - started) / 2
+    complete = whole <= seconds_left
+    context.spent += whole if complete else shortest
     return _measured(context, solver, row, complete)
 
 
@@ -221,7 +215,8 @@ def _measured(context: MeasurementContext, solver: PlateSolver, row: AccuracyRow
     matrices = [] if response is None else [response.matrices]
     if not all(np.isfinite(values).all() for values in (run.energy, run.displacement, *matrices)):
         return replace(row, status="unstable")
-    plates = scene.search.particles if complete else context.few_plates
+    few = max(FEW_PLATES[context.device_kind], 0 if context.device_kind == "cuda" else cpu_threads())
+    plates = scene.search.particles if complete else few
     phasors = _random_phasors(plates, len(scene.actuators))
     if complete:
         solver.run(phasors)

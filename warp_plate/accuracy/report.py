@@ -102,7 +102,8 @@ def measure_configurations(
         source: Name of the scene in the report.
         device: Device.
         path: Path of the solver.
-        budget: Time for the report [s]; rows that would take longer are skipped.
+        budget: Nominal time for the report [s], counted in node-steps; beyond the first rows, those that would take
+            longer are skipped.
         on_progress: Called before each row with the number of rows so far, of all rows, and the name of the next.
 
     Raises:
@@ -119,7 +120,7 @@ def measure_configurations(
     if scene.modal_only_key is not None:
         configurations = []
     context = MeasurementContext(scene, reference, device, path)
-    rows, interrupted = _measure_rows(context, configurations, started + budget, on_progress)
+    rows, interrupted = _measure_rows(context, configurations, (1 - REFERENCE_SHARE) * budget, on_progress)
     particles, iterations = scene.search.particles, scene.search.iterations
     return AccuracyReport(
         scene=source,
@@ -141,10 +142,10 @@ def measure_configurations(
 def _measure_rows(
     context: MeasurementContext,
     configurations: Sequence[Configuration | None],
-    deadline: float,
+    seconds: float,
     on_progress: Callable[[int, int, str], object] | None,
 ) -> tuple[list[AccuracyRow], bool]:
-    """Return the rows that are measured before the deadline, or skipped, and whether Ctrl-C ended the measurement."""
+    """Return the rows that are measured within a nominal time [s], or skipped, and whether Ctrl-C ended it."""
     rows: list[AccuracyRow] = []
     reference, densities = context.reference, []
     if reference.plate is not None:  # coarser ones than the reference itself
@@ -159,7 +160,7 @@ def _measure_rows(
             if on_progress is not None:
                 on_progress(len(rows), total, str(configuration or "the scene as written"))
             first = sum(row.measured for row in rows[len(densities) :]) < FIRST_ROWS
-            seconds_left = math.inf if first else ROW_SHARE * (deadline - time.perf_counter())
+            seconds_left = math.inf if first else ROW_SHARE * (seconds - context.spent)
             rows.append(measure(context, configuration, seconds_left))
     except KeyboardInterrupt:
         if not rows:

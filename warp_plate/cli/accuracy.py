@@ -45,7 +45,8 @@ def accuracy(
     Parameters
     ----------
     budget
-        Seconds for all measurements; what would take longer is listed as skipped.
+        Nominal seconds for the measurements, counted in node-steps, so that a busy machine measures the same grids.
+        What would take longer is listed as skipped; modes and the first six grids are always measured.
     out
         The file of measurements (.json; default: SCENE-accuracy.json in this folder).
     """

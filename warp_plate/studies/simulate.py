@@ -90,7 +90,7 @@ def _resolve(scene: Scene, drive: str, device: str, path: str) -> tuple[Resolved
         phasors = np.full(len(scene.actuators), magnitude_unit(scene), dtype=complex)
     elif drive != "single":
         phasors = scene_phasors(scene) if drive == "scene" else phasors_from_file(drive, scene)
-    drives = None if phasors is None or drive == "equal" else phasors[None]
+    drives = None if phasors is None else phasors[None]
     if path == MODAL or (path == "auto" and scene.modal_only_key is not None):
         return replace(resolve_grid(scene, device, drives, "modes"), evaluator=MODAL), phasors
     return resolve_grid(scene, device, drives, "any" if path == "auto" else "steps"), phasors
