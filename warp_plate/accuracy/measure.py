@@ -107,7 +107,7 @@ class MeasurementContext:
 
     @cached_property
     def device_kind(self) -> str:
-        """"cuda" or "cpu"."""
+        """ "cuda" or "cpu"."""
         return "cuda" if find_device(self.device).is_cuda else "cpu"
 
 
