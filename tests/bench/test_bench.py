@@ -103,6 +103,18 @@ def test_operations_are_those_of_the_equation(scene):
     assert limits.operations_a_node_step(Specialized(discretize(everywhere), device)) == pytest.approx(11 + 2 + 1)
 
 
+@pytest.mark.parametrize(
+    ("kind", "operations"), [("plain", 2 * 4), ("order4", 2 * 10), ("free", 21), ("stretching", 21)]
+)
+def test_kinds_of_plates_stay_stable(kind, operations):
+    [row] = measure_all([BenchCase("cpu", "float32", 17, 2, "auto", kind)], HASTE).rows
+    assert (row.kind, row.status, row.share > 0) == (kind, "measured", True)
+    ready = prepare(BenchCase("cpu", "float32", 17, 2, "auto", kind))
+    ready.seconds(1250)
+    assert 0 < np.abs(ready.state.u.numpy()).max() < 1e-3
+    assert limits.operations_a_node_step(ready.specialized) == pytest.approx(operations + 3.5, abs=1.0)
+
+
 @pytest.mark.parametrize("nodes", [5, 27, 161, 8193])
 def test_the_scene_is_the_papers_on_another_grid(nodes):
     made = make_scheme(paper_like(nodes, "float64"))
@@ -128,7 +140,7 @@ def test_slow_and_large_cases_are_skipped(bench, monkeypatch):
     monkeypatch.setattr(measure, "memory_for_plates", lambda device: 1e5)
     status, out, err = bench(*SMALL, "--plates", "2,100000", "--path", "streaming", "--no-pictures")
     assert (status, err, "streaming" in out) == (0, "", True)
-    assert "100000 × 9²: skipped: needs" in " ".join(out.split())
+    assert "100000 × 9², plain: skipped: needs" in " ".join(out.split())
     assert out.splitlines()[-1] == "wrote bench.json"
     rows = json.loads(Path("bench.json").read_text(encoding="utf-8"))["rows"]
     assert [one["status"].partition(":")[0] for one in rows] == ["measured", "skipped"]
@@ -177,6 +189,9 @@ def test_cases_cover_sizes_and_numbers_of_plates(monkeypatch):
         some = [case for case in made if case.precision == precision]
         assert {case.plates for case in some if case.nodes == 27} >= {1, 20, 256, 1024, 8192, 65536}
         assert {case.nodes for case in some} == {17, 27, 53, 105, 161, 257, 513, 1025}
+        assert {case.nodes for case in some if case.plates == 1} >= {513, 1025}
+        kinds = {(case.kind, case.nodes) for case in some if case.kind != "plain"}
+        assert kinds == {(kind, nodes) for kind in ("order4", "free", "stretching") for nodes in (27, 105, 257)}
     assert len(make_cases(["cpu"], ["float32"], quick=True)) < len(made) / 4
     both = make_cases(["cpu"], ["float32"], [1, 2], [9, 11], "streaming")
     assert both == [BenchCase("cpu", "float32", *sizes, "streaming") for sizes in ((9, 1), (9, 2), (11, 1), (11, 2))]

@@ -28,9 +28,11 @@ from warp_plate.solve.specialize import Specialized
 
 # Numbers moved: displacement and rate, read and written.
 NUMBERS_MOVED = 4
-# Operations of the two Laplacians (three additions and a multiply-add each), the update (two multiply-adds and an
-# addition), the load of a node (a multiplication and a multiply-add) and the window's sum (a multiply-add).
-LAPLACIANS, UPDATE, LOAD, SUM = 2 * 4, 3, 2, 1
+# Operations of the bending: two Laplacians by order (three additions and a multiply-add each; of fourth order two
+# additions and three multiply-adds along each axis), or the moment form (second differences and the twist, three
+# moments, their differences); of the update (two multiply-adds and an addition), the load of a node (a multiplication
+# and a multiply-add) and the window's sum (a multiply-add).
+LAPLACIANS, MOMENT_FORM, UPDATE, LOAD, SUM = {2: 2 * 4, 4: 2 * 10}, 21, 3, 2, 1
 # Bytes beyond any cache, and copies in a row where one is too short to be timed.
 COPY_BYTES, COPIES = {"cpu": 2**28, "cuda": 2**30}, {"cpu": 1, "cuda": 8}
 # CPU: passes over a block in the first-level cache. CUDA: a few times as many threads as fit.
@@ -81,7 +83,8 @@ def operations_a_node_step(specialized: Specialized) -> float:
     """Return the floating-point operations of a node-step, averaged over the nodes and steps of a scene."""
     (start, end), steps = specialized.scheme.window, specialized.scheme.steps
     loaded, summed = specialized.support.shape[0] / specialized.interior_nodes, (end - start) / steps
-    return LAPLACIANS + UPDATE + LOAD * loaded + SUM * summed
+    bending = LAPLACIANS[specialized.effects.order] if specialized.effects.plain else MOMENT_FORM
+    return bending + UPDATE + LOAD * loaded + SUM * summed
 
 
 def _copy_bytes_per_second(device: wp.Device, threads: int) -> float:

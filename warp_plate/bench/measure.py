@@ -10,7 +10,7 @@ from statistics import median
 import numpy as np
 import warp as wp
 
-from warp_plate.bench.cases import BenchCase
+from warp_plate.bench.cases import BenchCase, Kind
 from warp_plate.bench.limits import DeviceLimits, measure_limits, seconds_of, share_of_limit
 from warp_plate.bench.machine import Machine, describe_machine, describe_versions
 from warp_plate.plate.discretization import discretize
@@ -28,6 +28,15 @@ PAPER_STEPS = 1250
 FEWEST_STEPS, LONGEST_SECONDS = 32, 1.0
 # Memory of a case: fraction of a CUDA device's free memory; on CPU fraction of the machine's memory, and bytes at most.
 CUDA_MEMORY_SHARE, CPU_MEMORY_SHARE, CPU_MEMORY_BYTES = 0.8, 0.5, 2**32
+# Size of the noise that plates start from [m, and m a step] and of their drives [N/m²], so that stretching is small.
+SIZE = 1e-6
+# What makes a kind of plate of the paper's: tables of its scene, and its time step as a part of the paper's.
+TABLES: dict[Kind, tuple[dict[str, dict[str, object]], float]] = {
+    "plain": ({}, 1.0),
+    "order4": ({"grid": {"order": 4, "load": "moments"}}, 0.5),
+    "free": ({"edges": dict.fromkeys(("left", "right"), "free"), "effects": {"tension": {"x": 1.0, "y": 1.0}}}, 0.5),
+    "stretching": ({"effects": {"stretching": {}}}, 0.5),
+}
 # Most repetitions of short runs.
 MOST_RUNS = 100
 
@@ -62,6 +71,7 @@ class BenchRow:
     limit: str | None = None  # limit that applies, "copy" or "arithmetic"
     share: float | None = None  # share of this limit
     status: str = "measured"  # or "skipped: ..."
+    kind: Kind = "plain"
 
     @property
     def measured(self) -> bool:
@@ -133,7 +143,7 @@ def measure_all(
 
 def measure_case(case: BenchCase, limits: DeviceLimits, pace: TimingBudget) -> BenchRow:
     """Return the timing of a case, or the reason why it was skipped."""
-    row = BenchRow(case.device, case.precision, case.nodes, case.plates)
+    row = BenchRow(case.device, case.precision, case.nodes, case.plates, kind=case.kind)
     try:
         ready = prepare(case)
         steps = choose_steps(ready, pace.seconds)
@@ -190,34 +200,38 @@ def prepare(case: BenchCase) -> PreparedCase:
         SceneError: there is no such device, the path cannot take this grid, or the plates do not fit into memory.
     """
     device = find_device(case.device)
-    specialized = Specialized(discretize(paper_like(case.nodes, case.precision)), device)
+    specialized = Specialized(discretize(paper_like(case.nodes, case.precision, case.kind)), device)
     needed, room = case.plates * bytes_per_plate(specialized, 0), memory_for_plates(device)
     if needed > room:
         raise SceneError(f"needs {needed / 2**30:.1f} GiB of memory, but only {room / 2**30:.1f} GiB may be used")
     engine, state, random = Engine(specialized, case.path), State(specialized, case.plates), np.random.default_rng(0)
-    parts = random.uniform(-1, 1, (2, case.plates, specialized.patches.shape[0]))
+    parts = random.uniform(-SIZE, SIZE, (2, case.plates, specialized.patches.shape[0]))
     state.host_coefficients.numpy()[:] = specialized.discretization.signals.coefficients(parts[0] + 1j * parts[1])
     engine.load_drives(state, case.plates)
+    engine.advance(state, case.plates, 0, 1)  # some paths make arrays of their own at the first step
     for field in (state.u, state.rate):
         plate = np.zeros(field.shape[1:], dtype=case.precision)
-        plate[2 : case.nodes, 1 : case.nodes - 1] = random.uniform(-1, 1, (case.nodes - 2,) * 2)
+        plate[2 : case.nodes, 1 : case.nodes - 1] = random.uniform(-SIZE, SIZE, (case.nodes - 2,) * 2)
         field.assign(np.broadcast_to(plate, field.shape))
     return PreparedCase(specialized, engine.path, engine.advance, state)
 
 
-def paper_like(nodes: int, precision: str) -> Scene:
-    """Return the paper's scene on another grid, with times scaled like the stability limit.
+def paper_like(nodes: int, precision: str, kind: Kind = "plain") -> Scene:
+    """Return the paper's scene on another grid, with times scaled like the stability limit, as a plate of this kind.
 
     It has again 1250 steps, half of them in the window, each the same fraction of the limit and of the drive's period.
     """
     scene = Scene.load("paper").model_dump()
-    scale = ((scene["grid"]["nodes"][0] - 1) / (nodes - 1)) ** 2
+    tables, part = TABLES[kind]
+    scale = part * ((scene["grid"]["nodes"][0] - 1) / (nodes - 1)) ** 2
     scene["grid"] |= {"nodes": (nodes, nodes), "precision": precision, "load": "overlap"}
     scene["grid"]["time_step"] *= scale
     scene["window"] = {end: time * scale for end, time in scene["window"].items()}
     scene["drive"]["frequency"] /= scale
     scene["effects"]["damping"]["scheme"] = "centred"
     scene["record"]["times"] = ()
+    for name, table in tables.items():
+        scene[name] |= table
     return Scene.model_validate(scene)
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from warp_plate.bench.measure import BenchReport, BenchRow
 
-HEADINGS = ("path", "nodes", "plates", "steps", "ns", "10⁹/s", "swarm (s)", "KiB", "of limit")
+HEADINGS = ("plate", "path", "nodes", "plates", "ns", "10⁹/s", "swarm (s)", "KiB", "of limit")
 LEGEND = (
     "ns, 10⁹/s: nanoseconds a node-step, and node-steps a second. swarm: all plates over the paper's 1250 steps. KiB: "
     "device memory a plate. of limit: share of the copy bandwidth at the least number of bytes that one launch a step "
@@ -31,6 +31,7 @@ def bench(
     precision: Literal["float32", "float64"] | None = None,
     device: Annotated[str, Parameter(help="Such as cpu or cpu,cuda:0; all: every device of this machine.")] = "all",
     path: options.Stepping = "auto",
+    kind: Literal["plain", "order4", "free", "stretching"] | None = None,
     quick: options.Flag = False,
     out: Path | None = None,
     pictures: options.Pictures = True,
@@ -46,6 +47,9 @@ def bench(
         Nodes of a side, such as 27,105; without --plates with enough plates to keep the device busy.
     precision
         float32 or float64 (default: both; with --quick, float32).
+    kind
+        Plates: plain, the paper's; order4, of fourth order; free, with two free edges under tension; stretching
+        (default: plain with --plates, --nodes or --quick, else all, and one large plate).
     quick
         Run a few short cases only.
     out
@@ -60,7 +64,7 @@ def bench(
 
     devices = all_devices() if device == "all" else [name.strip() for name in device.split(",")]
     precisions = [precision] if precision else ["float32"] if quick else ["float32", "float64"]
-    cases = make_cases(devices, precisions, counts, sizes, path, quick)
+    cases = make_cases(devices, precisions, counts, sizes, path, quick, kind)
     if warning := busy():
         output.log(warning)
     with output.progress_bar("measuring", shown=not json) as show:
@@ -94,7 +98,7 @@ def _print(report: BenchReport, console: Console) -> None:
         console.print(LEGEND)
     for row in report.rows:
         if not row.measured:
-            console.print(f"{row.device}, {row.precision}, {row.plates} × {row.nodes}²: {row.status}")
+            console.print(f"{row.device}, {row.precision}, {row.plates} × {row.nodes}², {row.kind}: {row.status}")
     if report.interrupted:
         console.print("Interrupted by Ctrl-C; measurements up to then are shown.")
 
@@ -102,6 +106,6 @@ def _print(report: BenchReport, console: Console) -> None:
 def _cells(row: BenchRow) -> list[str]:
     """Return the cells of a measured row."""
     rate = (row.node_steps_per_second or 0) / 1e9
-    head = [str(row.path), str(row.nodes), str(row.plates), str(row.steps)]
+    head = [row.kind, str(row.path), str(row.nodes), str(row.plates)]
     figures = [f"{row.nanoseconds_per_node_step:.3g}", f"{rate:.4g}", f"{row.swarm_seconds:.3g}"]
     return [*head, *figures, f"{(row.bytes_per_plate or 0) / 1024:.0f}", f"{100 * (row.share or 0):.0f} % {row.limit}"]
