@@ -18,6 +18,8 @@ from numpy.typing import ArrayLike
 from warp_plate.optimize.space import SearchSpace
 
 COLUMNS = ("best", "mean", "evaluations")
+# No search goes so far; squares of such numbers are still finite.
+FARTHEST = 1e150
 # A search stalls when so many iterations lower the best loss by no more than this part of its size.
 STALL_TOLERANCE = 1e-6
 
@@ -172,16 +174,32 @@ class Optimizer(ABC):
             raise ValueError(f"search state: {error} is missing or of a wrong kind") from None
 
     def _restore(self, state: Mapping[str, Any]) -> None:
-        self.rows = as_shape(state, "history", (-1, len(COLUMNS))).tolist()
+        history = as_shape(state, "history", (-1, len(COLUMNS)), may_be_nan=True)
+        if np.isnan(history[:, 0]).any() or not (np.diff(history[:, 2], prepend=0, append=math.inf) > 0).all():
+            raise ValueError("search state: history: best losses must be numbers, and numbers of evaluations grow")
+        self.rows = history.tolist()
         self.positions = as_shape(state, "positions", (-1, self.space.dimension))
         self.asked = bool(state["asked"])
         for name in ("best_position", "best_loss", *self.STATE):
             value = getattr(self, name)
             if isinstance(value, np.random.Generator):
                 value.bit_generator.state = state[name]
+            elif isinstance(value, np.ndarray):
+                setattr(self, name, as_shape(state, name, value.shape, may_be_nan=name == "best_position"))
             else:
-                array = isinstance(value, np.ndarray)
-                setattr(self, name, as_shape(state, name, value.shape) if array else type(value)(state[name]))
+                setattr(self, name, self._as_number(name, type(value)(state[name])))
+        best = self.best_position if math.isfinite(self.best_loss) else 0.0
+        for name, positions in {"positions": self.positions, "best_position": best}.items():
+            if not (np.abs(positions) < FARTHEST).all():
+                raise ValueError(f"search state: {name}: must be numbers below {FARTHEST:g}")
+
+    def _as_number(self, name: str, value: float) -> float:
+        """Return a number of a state, or raise a ValueError if it is NaN or an impossible count of iterations."""
+        if math.isnan(value) or (isinstance(value, int) and not 0 <= value <= self.iterations):
+            raise ValueError(
+                f"search state: {name} = {value}: must be a number, and of restarts one of {self.iterations} iterations"
+            )
+        return value
 
     @abstractmethod
     def _propose(self) -> np.ndarray:
@@ -192,11 +210,13 @@ class Optimizer(ABC):
         """Take the losses (n,) of ``positions``, infinite where they were not finite; they are recorded already."""
 
 
-def as_shape(state: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> np.ndarray:
+def as_shape(state: Mapping[str, Any], name: str, shape: tuple[int, ...], may_be_nan: bool = False) -> np.ndarray:
     """Return an array of a state as float64 numbers; raises ValueError unless its shape fits, −1 being any length."""
     values = np.array(state[name], dtype=float)
     if values.ndim != len(shape) or any(want not in (-1, have) for want, have in zip(shape, values.shape, strict=True)):
         raise ValueError(f"search state: {name} of shape {values.shape}: must be {shape}")
+    if not may_be_nan and np.isnan(values).any():
+        raise ValueError(f"search state: {name}: must not be NaN")
     return values
 
 

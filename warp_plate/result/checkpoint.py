@@ -83,7 +83,22 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path, keep_previous: bool = Fa
 def load_checkpoint(path: str | Path) -> Checkpoint:
     """Read a checkpoint, or raise a SceneError if the file is missing, damaged or not a checkpoint."""
     with FORMAT.open(path) as file:
-        return read_fields(Checkpoint, file)
+        checkpoint = read_fields(Checkpoint, file)
+        _check_numbers(checkpoint)
+    return checkpoint
+
+
+def _check_numbers(checkpoint: Checkpoint) -> None:
+    """Raise a SceneError if numbers that a search goes on from are not finite, or no index of an actuator."""
+    finished = checkpoint.finished_searches
+    arrays = {"matrices": checkpoint.matrices, **{f"searches/{i}/position": s.position for i, s in enumerate(finished)}}
+    for name, values in arrays.items():
+        if values is not None and not np.isfinite(values).all():
+            raise SceneError(f"{name} must be finite")
+    count = len(checkpoint.scene.actuators)
+    for single in (checkpoint.single_actuator, *(search.single_actuator for search in finished)):
+        if single >= count:
+            raise SceneError(f"single = {single}: must be the index of one of {count} actuators")
 
 
 def load_newest(path: Path) -> tuple[Checkpoint, str | None]:

@@ -122,6 +122,9 @@ def resume(
     problem = make_problem(checkpoint.scene, device, checkpoint.path, checkpoint.evaluator, matrices, pool)
     if problem.parametrization.quadratic and matrices is None:
         raise SceneError("checkpoint: the matrices of its scene's response are missing")
+    for search in checkpoint.finished_searches:
+        if search.position is not None and len(search.position) != problem.space.dimension:
+            raise SceneError(f"checkpoint: a finished search has {len(search.position)} numbers in its position")
     used = problem.drive_solver.device
     if processor_of(used) != checkpoint.processor:
         earlier += f"{checkpoint.device} ({checkpoint.processor}), then "

@@ -1,0 +1,63 @@
+"""Files of this program with other content, under a right seal."""
+
+import h5py
+import numpy as np
+
+from warp_plate.result.atomic_io import SEAL_BYTES, make_seal
+
+# What attributes and items of JSON may turn into.
+VALUES = [None, True, -1, 0, 99, 2**62, 10**400, 1.5, float("nan"), float("inf"), "", "a", "NaN", "9" * 30, [], [1], {}]
+# What datasets may turn into, by their content.
+ARRAYS = {
+    "nan": lambda values: np.full(values.shape, np.nan),
+    "one nan": lambda values: np.where(np.arange(values.size).reshape(values.shape) == 0, np.nan, values),
+    "inf": lambda values: np.full(values.shape, np.inf),
+    "huge": lambda values: np.full(values.shape, 1e300),
+    "negative": lambda values: -1.0 - np.abs(values),
+    "empty": lambda values: np.zeros((0,) * max(values.ndim, 1)),
+    "longer": lambda values: np.zeros(tuple(length + 1 for length in values.shape) or (2,)),
+    "twice": lambda values: np.concatenate([np.atleast_1d(values)] * 2),
+    "text": lambda values: "abc",
+    "complex": lambda values: np.full(values.shape, 1j),
+}
+
+
+def forge(path, content, change):
+    """Write the content of a sealed file with ``change(file)`` under a new seal."""
+    path.write_bytes(content[:-SEAL_BYTES])
+    with h5py.File(path, "r+") as file:
+        change(file)
+    changed = path.read_bytes()
+    path.write_bytes(changed + make_seal(changed))
+
+
+def places(path):
+    """Return the (object, attribute) of all attributes and the (object, None) of all datasets, but for ``format``."""
+    found = []
+
+    def visit(name, item):
+        found.extend((name, key) for key in item.attrs if key not in ("format", "units", "long_name"))
+        if isinstance(item, h5py.Dataset):
+            found.append((name, None))
+
+    with h5py.File(path, "r") as file:
+        visit("/", file)
+        file.visititems(visit)
+    return sorted(found, key=str)
+
+
+def set_attribute(item, key, value):
+    """Replace an attribute; what HDF5 cannot keep becomes a text."""
+    del item.attrs[key]
+    try:
+        item.attrs[key] = value
+    except (TypeError, OverflowError, ValueError):
+        item.attrs[key] = str(value)
+
+
+def set_dataset(file, name, values):
+    """Replace a dataset, with its attributes."""
+    attributes = dict(file[name].attrs)
+    del file[name]
+    file[name] = values
+    file[name].attrs.update({key: attributes[key] for key in ("units", "long_name") if key in attributes})

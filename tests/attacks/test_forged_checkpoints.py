@@ -1,0 +1,105 @@
+"""Checkpoints that someone has changed and sealed again: refused by name, or a result of finite numbers."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest import scene_of
+from forged import ARRAYS, VALUES, forge, places, set_attribute, set_dataset
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from warp_plate import CheckpointFile, SceneError, load_checkpoint, localize, resume
+
+KEPT = settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+SEARCHES = {
+    "pso": {"particles": 4, "iterations": 3},
+    "gradient": {"method": "gradient", "particles": 4, "iterations": 3},
+    "exact": {"method": "exact"},
+}
+
+
+@pytest.fixture(scope="module", params=SEARCHES)
+def saved(request, tmp_path_factory):
+    """The path and the content of a checkpoint at the end of a search."""
+    path = tmp_path_factory.mktemp("saved") / "a.checkpoint.h5"
+    scene = scene_of((9, 9), damping=88.5, search=SEARCHES[request.param])
+    evaluator = "direct" if request.param == "pso" else "modal"
+    options = {"estimate": False, "spectrum": False, "checkpoints": CheckpointFile(path, 0)}
+    localize(scene, "panel", "cpu", evaluator=evaluator, **options)
+    return path, path.read_bytes()
+
+
+def resume_or_refuse(path):
+    """Resume a search: it is refused, or its result has numbers."""
+    try:
+        result = resume(load_checkpoint(path), estimate=False, spectrum=False)
+    except SceneError:
+        return
+    for case in result.cases.values():
+        if case.status == "ok":
+            assert np.isfinite([*case.magnitude, *case.phase]).all()
+            assert 0 <= case.localization_factor <= 1
+
+
+@KEPT
+@given(place=st.integers(0, 10**6), value=st.sampled_from(VALUES), way=st.sampled_from(list(ARRAYS)))
+def test_any_value_in_any_place(place, value, way, saved):
+    path, content = saved
+    path.write_bytes(content)
+    known = places(path)
+    name, key = known[place % len(known)]
+
+    def change(file):
+        if key is None:
+            set_dataset(file, name, ARRAYS[way](file[name][()]))
+        else:
+            set_attribute(file[name], key, value)
+
+    forge(path, content, change)
+    resume_or_refuse(path)
+
+
+@KEPT
+@given(data=st.data())
+def test_any_value_in_the_numbers_of_a_state(data, saved):
+    path, content = saved
+
+    def change(file):
+        numbers = json.loads(file["swarm"].attrs["numbers"])
+        inner = numbers
+        while isinstance(inner[key := data.draw(st.sampled_from(sorted(inner)))], dict):
+            inner = inner[key]
+        inner[key] = data.draw(st.sampled_from(VALUES))
+        file["swarm"].attrs["numbers"] = json.dumps(numbers)
+
+    forge(path, content, change)
+    resume_or_refuse(path)
+
+
+@pytest.mark.parametrize("way", ["nan", "one nan", "inf", "huge"])
+@pytest.mark.parametrize("name", ["positions", "best_position"])
+def test_positions_that_are_no_numbers(name, way, saved):
+    path, content = saved
+
+    def change(file):
+        set_dataset(file, f"swarm/{name}", ARRAYS[way](file[f"swarm/{name}"][()]))
+
+    forge(path, content, change)
+    with pytest.raises(SceneError, match=rf"^checkpoint: search state: {name}: must"):
+        resume(load_checkpoint(path))
+
+
+def test_an_actuator_that_is_not_there(saved):
+    path, content = saved
+    forge(path, content, lambda file: set_attribute(file, "single", 3))
+    with pytest.raises(SceneError, match="single = 3: must be the index of one of 3 actuators"):
+        load_checkpoint(path)
+
+
+@pytest.mark.parametrize("saved", ["gradient"], indirect=True)
+def test_matrices_that_are_no_numbers(saved):
+    path, content = saved
+    forge(path, content, lambda file: set_dataset(file, "matrices", ARRAYS["one nan"](file["matrices"][()])))
+    with pytest.raises(SceneError, match="matrices must be finite"):
+        load_checkpoint(path)
