@@ -12,9 +12,10 @@ from warp_plate.viz.plots.frame import figure
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# One colour for each device; float32 lines are solid, float64 lines dashed.
+# One colour for each device and one marker for each kind of plate; float32 lines are solid, float64 lines dashed.
 COLOURS = ("#08519c", "#b2182b", "#1b7837", "#762a83", "#b35806", "#4d4d4d")
-STYLES = {"float32": "o-", "float64": "s--"}
+STYLES = {"float32": "-", "float64": "--"}
+MARKERS = {"plain": "o", "order4": "D", "free": "^", "stretching": "v"}
 # Least memory traffic of a node and step with one launch a step: displacement and rate in float32, read and written.
 BYTES_PER_NODE_STEP = 16
 
@@ -22,8 +23,8 @@ BYTES_PER_NODE_STEP = 16
 def draw_bench(record: Mapping[str, Any], path: str | Path) -> None:
     """Plot the object that ``warp-plate bench --json`` prints.
 
-    Left: over the number of plates, for the size with most measurements. Right: over the nodes per side, at the fastest
-    number of plates, with the limit of methods with one launch a step (dotted).
+    Left: over the number of plates, for the size with most measurements and its first kind. Right: over the nodes per
+    side, at the fastest number of plates, with the limit of methods with one launch a step (dotted).
     """
     rows = [row for row in record["rows"] if row["status"] == "measured"]
     if not rows:
@@ -32,7 +33,8 @@ def draw_bench(record: Mapping[str, Any], path: str | Path) -> None:
         left, right = made.subplots(1, 2, sharey=True)
         size = commonest_size(rows)
         devices = sorted({row["device"] for row in rows})
-        _plot(left, [row for row in rows if row["nodes"] == size], "plates", devices)
+        first = next(_kind(row) for row in rows if row["nodes"] == size)
+        _plot(left, [row for row in rows if (row["nodes"], _kind(row)) == (size, first)], "plates", devices)
         left.set(xlabel=f"plates of {size} × {size} nodes", ylabel="ns per node and step")
         _plot(right, fastest_of_each_size(rows), "nodes", devices)
         right.set_xlabel("nodes per side")
@@ -50,21 +52,27 @@ def commonest_size(rows: Sequence[Mapping[str, Any]]) -> int:
 
 
 def fastest_of_each_size(rows: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return the row with the least time of a node-step for each device, precision and size."""
+    """Return the row with the least time of a node-step for each device, precision, kind and size."""
     slow_first = sorted(rows, key=lambda row: -float(row["nanoseconds_per_node_step"]))
-    return list({(row["device"], row["precision"], row["nodes"]): row for row in slow_first}.values())
+    return list({(row["device"], row["precision"], _kind(row), row["nodes"]): row for row in slow_first}.values())
+
+
+def _kind(row: Mapping[str, Any]) -> str:
+    return str(row.get("kind", "plain"))
 
 
 def _plot(axes: Axes, rows: Sequence[Mapping[str, Any]], key: str, devices: Sequence[str]) -> None:
-    """Plot a line over ``key`` ("plates" or "nodes") for each device and precision."""
+    """Plot a line over ``key`` ("plates" or "nodes") for each device, kind and precision."""
     from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
 
-    lines: dict[tuple[str, str], list[tuple[int, float]]] = {}
+    lines: dict[tuple[str, str, str], list[tuple[int, float]]] = {}
     for row in rows:
-        lines.setdefault((row["device"], row["precision"]), []).append((row[key], row["nanoseconds_per_node_step"]))
-    for (device, precision), points in sorted(lines.items()):
+        line = (row["device"], _kind(row), row["precision"])
+        lines.setdefault(line, []).append((row[key], row["nanoseconds_per_node_step"]))
+    for (device, kind, precision), points in sorted(lines.items()):
         look = {"color": COLOURS[devices.index(device) % len(COLOURS)], "markersize": 3.5, "linewidth": 1.3}
-        axes.plot(*zip(*sorted(points), strict=True), STYLES[precision], **look, label=f"{device}, {precision}")
+        label = f"{device}, {precision}" + (f", {kind}" if kind != "plain" else "")
+        axes.plot(*zip(*sorted(points), strict=True), MARKERS[kind] + STYLES[precision], **look, label=label)
     axes.set(xscale="log", yscale="log")
     measured = FixedLocator(sorted({row[key] for row in rows}))
     for axis, locator in ((axes.xaxis, measured), (axes.yaxis, LogLocator(subs=(1, 2, 5)))):
