@@ -7,7 +7,7 @@ import pytest
 
 from warp_plate import PlateSolver, Scene, SceneError
 from warp_plate.analysis.influence import toggle
-from warp_plate.analysis.warnings import find_warnings, slowest_frequency, warning_texts
+from warp_plate.analysis.warnings import find_warnings, slowest_frequency, target_warnings, warning_texts
 from warp_plate.scene.dump import dump_scene
 from warp_plate.solve.specialize import effect_names
 
@@ -77,3 +77,68 @@ def test_effects_are_toggled_and_named_as_in_the_kernel(scene):
         effects = PlateSolver(made, "cpu").specialized.effects
         assert ("several waves" in effect_names(made)) == (effects.terms > 2) == waves
         assert ("bending by moments" in effect_names(made)) == effects.moments == (not effects.plain)
+
+
+def scaled(scene, lengths, thickness):
+    """Return a scene whose lengths in the plane, and its thickness, are multiplied."""
+    made = scene.model_dump(mode="json", exclude={"targets"})
+    made["plate"]["size"] = [lengths * side for side in made["plate"]["size"]]
+    made["plate"]["thickness"] *= thickness
+    for row in (*made["actuators"], made["target"]):
+        row["area"] = [lengths * side for side in row["area"]]
+    return Scene.from_tables(made)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "named"),
+    [
+        ("plate.density", 2.5, ["below 1", "is plate.density = 2.5 kg/m³ meant?"]),
+        ("drive.frequency", 0.3, ["below 1"]),
+        ("actuators[2].phase", 90, ["actuators[2].phase = 90 rad is 14.3 turns", "1.571 rad"]),
+        ("actuators[1].area[2]", 0.035, ['Actuators "lower left" and "upper left" overlap by 58 %']),
+    ],
+)
+def test_values_in_other_units_are_named(key, value, named):
+    paper = Scene.load("paper")
+    first = f"first natural frequency {slowest_frequency(paper.replace(key, value)):.4g} Hz"
+    texts = " ".join(warning_texts(paper.replace(key, value), 0.0))
+    for part in named:
+        part = part.replace("below 1", first).replace("phase = 90 rad is", "phase = 90 rad, is")
+        assert part in texts
+        assert part not in " ".join(warning_texts(paper, 0.0))
+
+
+def test_millimetres_written_as_metres_are_asked_about():
+    paper = Scene.load("paper")
+    texts = " ".join(warning_texts(scaled(paper, 1000, 1000), 0.0))
+    assert "fewer than 2 points" in texts
+    assert "in metres" in texts
+    assert "both in metres?" in " ".join(warning_texts(scaled(paper, 1000, 1), 0.0))
+    assert "in metres" not in " ".join(warning_texts(paper, 0.0))
+
+
+def test_the_first_natural_frequency_of_a_stiffened_plate_is_found(scene):
+    """A bed of stiffness k raises all frequencies: ω² = ω₀² + k/ρH."""
+    made = scene(effects={"foundation": {"stiffness": 1e7}})
+    plate = made.plate
+    bed = math.sqrt(1e7 / (plate.density * plate.thickness)) / (2 * math.pi)
+    number = next(one for one in find_warnings(made, None) if "first natural" in one.name)
+    bare = slowest_frequency(made.with_tables(effects={}))
+    assert number.value == pytest.approx(made.drive.frequency / math.hypot(bare, bed), rel=1e-6)
+    assert number.exceeded
+
+
+def test_the_window_that_is_named_is_late_enough():
+    paper = Scene.load("paper")
+    found = left(paper)
+    start = float(found.sentence.split("window.start = ")[1].split()[0])
+    assert found.exceeded
+    assert not left(paper.replace("window.start", start)).exceeded
+    assert left(paper.replace("window.start", start - 0.0002)).exceeded
+
+
+def test_targets_without_energy_are_reported():
+    paper = Scene.load("paper")
+    assert target_warnings(paper, 0.25) == []
+    assert "next to no energy in the target" in target_warnings(paper, 0.0024)[0]
+    assert "Nothing moves" in target_warnings(paper, math.nan)[0]

@@ -45,7 +45,7 @@ def test_table_and_json(command, write_scene, monkeypatch):
     assert (signal["price"], signal["alternative"]) == (None, "no typical value is known")
     assert all(math.isfinite(row["price"]) for row in (without, softer))
     assert record["bare_step_seconds"] > 0
-    assert len(record["numbers"]) == 5
+    assert len(record["numbers"]) == 9
     assert record["warnings"] == [number["sentence"] for number in record["numbers"] if number["exceeded"]]
     text = " ".join(command("effects", "panel.toml", "--device", "cpu")[1].split())
     for part in ("without damping: left out", *(number["sentence"] for number in record["numbers"][1:])):

@@ -1,4 +1,4 @@
-"""Warnings about effects that a scene lacks, and about what makes its numbers doubtful."""
+"""Warnings about effects that a scene lacks, about what makes its numbers doubtful, and about likely slips of units."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from warp_plate.modal.modes import solve_modes
 from warp_plate.plate.scheme import make_scheme
 from warp_plate.plate.signals import carrier_frequencies, highest_frequency
 from warp_plate.plate.waveforms import read_samples
+from warp_plate.plate.weights import region_weights
 from warp_plate.scene.drive import SampledSignal
+from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 
 # Displacement over thickness. By Berger's equation for a supported square, stretching raises the frequency of a motion
@@ -26,6 +28,8 @@ FEWEST_THICKNESSES = 10.0
 # Grid points a wavelength, by order. The frequency of a wave on the grid is too low by (kh)²/12 for second order and
 # (kh)⁴/90 for fourth (Taylor series of the squared second difference): 3 % at 10 points, 1.3 % at 6.
 FEWEST_POINTS = {2: 10.0, 4: 6.0}
+# Grid points a wavelength below which no grid holds the wave (Nyquist).
+NYQUIST = 2.0
 # Mass of layers over that of the plate. By Rayleigh's quotient it lowers frequencies by half of it: 2.5 %, about the
 # half width of a resonance with a loss factor of 5 %.
 MOST_ADDED_MASS = 0.05
@@ -36,6 +40,15 @@ MOST_LEFT = 0.01
 MOST_BEYOND = 1.2
 # Modes among which the lowest natural frequency is looked for: a free plate has three rigid motions.
 MODES = 6
+# Shorter side over thickness: ten times that of a foil of 50 µm stretched over 100 mm. Millimetres written as metres
+# have a thousand times that of the panel.
+MOST_SLENDER = 20000.0
+# Phase in turns; a phase within one turn may be meant, beyond it degrees are likely. 2π may be rounded.
+MOST_TURNS = 1.001
+# Share of the energy in the target over its share of the area.
+LEAST_SHARE = 0.01
+# Share of an actuator's patch that another covers by rounding.
+ROUNDED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -58,6 +71,7 @@ def find_warnings(scene: Scene, peak_displacement: float | None, gridded: bool =
         SceneError: the file of ``[drive.signal]`` cannot be read.
     """
     findings = [_thinness(scene), _added_mass(scene), _left_at_start(scene)]
+    findings += [_slenderness(scene), _above_first_mode(scene), _turns(scene), _overlap(scene)]
     if gridded and scene.modal_only_key is None:
         findings.insert(1, _points(scene))
     if peak_displacement is not None:
@@ -68,6 +82,19 @@ def find_warnings(scene: Scene, peak_displacement: float | None, gridded: bool =
 def warning_texts(scene: Scene, peak_displacement: float | None, gridded: bool = True) -> list[str]:
     """Return the sentences of the numbers that exceed their thresholds, see :func:`find_warnings`."""
     return [finding.sentence for finding in find_warnings(scene, peak_displacement, gridded) if finding.exceeded]
+
+
+def target_warnings(scene: Scene, localization_factor: float) -> list[str]:
+    """Return a warning if a drive leaves the target, or the whole plate, without energy worth the name."""
+    if math.isnan(localization_factor):
+        return ["Nothing moves under this drive: are the magnitudes of the actuators 0?"]
+    plate, target = region_weights(scene).sum(axis=(1, 2))
+    if localization_factor >= LEAST_SHARE * target / plate:
+        return []
+    return [
+        f"There is next to no energy in the target: {localization_factor:.2g} of the plate's, on {target / plate:.2g} "
+        "of its area. The motion dies out before it gets there; check the units of plate, effects and drive.frequency."
+    ]
 
 
 def search_warnings(scene: Scene) -> list[str]:
@@ -143,6 +170,11 @@ def _points(scene: Scene) -> Finding:
     value, fewest = min(wave * (nodes - 1) / side for wave, side, nodes in pairs), FEWEST_POINTS[scene.grid.order]
     fact = f"The grid has {value:.3g} points a bending wave of the drive's highest frequency (threshold {fewest:g})"
     bad, good = "take more nodes, or ask for an accuracy.", "it is fine enough."
+    if value < NYQUIST:
+        bad = (
+            "no grid holds a wave of fewer than 2 points. plate.size, plate.thickness and areas are in metres, "
+            "plate.density in kg/m³, frequencies in Hz; if they are right, take more nodes, or ask for an accuracy."
+        )
     return _finding("points a wavelength", value, fewest, value < fewest, fact, bad, good)
 
 
@@ -157,6 +189,8 @@ def _added_mass(scene: Scene) -> Finding:
     bad, good = "name the bodies of the actuators under [[effects.layers]].", "frequencies change little."
     if named:
         bad = f"frequencies change by about {50 * value:.2g} %, so the layers' thickness and density must be right."
+    if value > 1:
+        bad = f"the plate itself weighs less; is plate.density = {plate.density:g} kg/m³ meant?"
     name, exceeded = "added mass / plate's mass", value > MOST_ADDED_MASS
     return _finding(name, value, MOST_ADDED_MASS, exceeded, fact, bad, good)
 
@@ -187,8 +221,72 @@ def _left_at_start(scene: Scene) -> Finding:
     fact = (
         f"When the window opens, {100 * value:.2g} % of the start-up motion is left (threshold {100 * MOST_LEFT:g} %)"
     )
-    bad, good = "the motion is not steady; start the window later.", "the motion is steady."
+    bad, good = "it never decays; name [effects.damping].", "the motion is steady."
+    if rate > 0:
+        start = _rounded_up(-math.log(MOST_LEFT) / rate)
+        bad = f"the motion is not steady; start the window later, at window.start = {start:.3g} s."
     return _finding(name, value, MOST_LEFT, value > MOST_LEFT, fact, bad, good)
+
+
+def _rounded_up(value: float) -> float:
+    """Return a positive number with three digits that is no smaller."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return math.ceil(value / unit) * unit
+
+
+def _slenderness(scene: Scene) -> Finding:
+    name, value, most = "side / thickness", min(scene.plate.size) / scene.plate.thickness, MOST_SLENDER
+    fact = f"The plate's shorter side is {value:.3g} times its thickness (threshold {most:g})"
+    bad = f"are plate.size and plate.thickness = {scene.plate.thickness:g} both in metres?"
+    return _finding(name, value, most, value > most, fact, bad, "it is a panel.")
+
+
+def _above_first_mode(scene: Scene) -> Finding:
+    """Return the finding about a drive so slow that the plate only follows it.
+
+    The first mode of a clamped plate has waves no longer than 1.33 times its shorter side (4.73 for a strip), and no
+    other edges shorten them: only stiffness beside that of bending raises its frequency.
+    """
+    name, effects, driven = "drive's frequency / first natural frequency", scene.effects, highest_frequency(scene)
+    if effects.moving_load is not None:
+        sentence = "A moving load has no one frequency, so it is not compared with the first natural frequency."
+        return Finding(name, math.nan, 1.0, sentence, False)
+    stiffened = effects.foundation or effects.tension or effects.layers or effects.variation or effects.oscillators
+    if not stiffened and max(wavelengths(scene)) < min(scene.plate.size):
+        sentence = "The drive's bending waves are shorter than the plate, so it lies above the first natural frequency."
+        return Finding(name, math.nan, 1.0, sentence, False)
+    try:
+        first = slowest_frequency(scene)
+    except SceneError as error:  # a plate that buckles has none, and may be run with stretching
+        return Finding(name, math.nan, 1.0, f"The first natural frequency is not known: {error}", False)
+    value = driven / first if first else math.nan
+    fact = f"The drive's highest frequency is {driven:.4g} Hz, the first natural frequency {first:.4g} Hz"
+    bad = "the plate follows the drive nearly as at rest, and hardly any drive moves one part alone; raise it."
+    return _finding(name, value, 1.0, value < 1, fact, bad, "it lies above.")
+
+
+def _turns(scene: Scene) -> Finding:
+    index = max(range(len(scene.actuators)), key=lambda at: abs(scene.actuators[at].phase))
+    phase = scene.actuators[index].phase
+    value = abs(phase) / (2 * math.pi)
+    fact = f"The largest phase, actuators[{index}].phase = {phase:g} rad, is {value:.3g} turns (threshold 1)"
+    bad = f"phases are in radians; {phase:g}° are {math.radians(phase):.4g} rad."
+    return _finding("phase / turn", value, MOST_TURNS, value > MOST_TURNS, fact, bad, "it is within one turn.")
+
+
+def _overlap(scene: Scene) -> Finding:
+    """Return the finding about the largest share of a patch that another one covers."""
+    x0, x1, y0, y1 = np.array([actuator.area for actuator in scene.actuators]).T
+    sides = (np.minimum.outer(high, high) - np.maximum.outer(low, low) for low, high in ((x0, x1), (y0, y1)))
+    shared = np.prod([np.maximum(side, 0) for side in sides], axis=0)
+    shares = np.triu(shared / np.minimum.outer(areas := (x1 - x0) * (y1 - y0), areas), k=1)
+    value, fact = float(shares.max()), "No two actuators overlap"
+    if value > ROUNDED:
+        first, second = (scene.actuators[at].name for at in np.unravel_index(shares.argmax(), shares.shape))
+        fact = f'Actuators "{first}" and "{second}" overlap by {100 * value:.2g} %'
+    exceeded = value > ROUNDED
+    bad, good = "their pressures add there, which two bodies on one panel cannot do; move one.", "each has its place."
+    return _finding("overlap of actuators", value, ROUNDED, exceeded, fact, bad, good)
 
 
 def _signal(scene: Scene, signal: SampledSignal) -> Finding:

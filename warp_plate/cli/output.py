@@ -266,7 +266,12 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
 def warnings_of(result: Result) -> list[str]:
     """Return warnings about effects that the result calls for but its scene lacks, and about search settings that have
     no effect."""
-    from warp_plate.analysis.warnings import explain_missing_energies, search_warnings, warning_texts
+    from warp_plate.analysis.warnings import (
+        explain_missing_energies,
+        search_warnings,
+        target_warnings,
+        warning_texts,
+    )
     from warp_plate.problem.methods import unread_keys
 
     failed = next((case.status for case in result.cases.values() if case.status != "ok"), None)
@@ -277,6 +282,7 @@ def warnings_of(result: Result) -> list[str]:
         return ["No plate that the search tried has energies; the best single actuator is shown in place of a result."]
     found = [*search_warnings(result.scene), *unread_keys(result.scene.search)] if result.command == "localize" else []
     scene = result.case_scene(result.main_case)
+    found += target_warnings(scene, result.main_case.localization_factor)
     return found + warning_texts(scene, result.peak_displacement, gridded=not result.by_modes)
 
 
