@@ -11,7 +11,8 @@ import pytest
 import warp as wp
 from conftest import output_of, start_program
 
-from warp_plate.solve import capacity, nvidia
+from warp_plate.bench import capacity
+from warp_plate.solve import nvidia
 
 TURING = SimpleNamespace(alias="cuda:0", name="RTX 2080", arch=75, is_cuda=True, is_cpu=False)
 PASCAL = SimpleNamespace(alias="cuda:1", name="GTX 1080", arch=61, is_cuda=True, is_cpu=False)

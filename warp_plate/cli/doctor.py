@@ -95,8 +95,9 @@ def _check_devices() -> Iterator[Diagnosis]:
 
 
 def _diagnose_gpu(device: wp.Device) -> Diagnosis:
+    from warp_plate.bench import capacity
     from warp_plate.scene import Scene
-    from warp_plate.solve import capacity, nvidia
+    from warp_plate.solve import nvidia
 
     if device not in nvidia.usable_devices():
         return Diagnosis(device.alias, "missing", nvidia.too_old(device))
