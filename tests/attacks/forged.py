@@ -22,9 +22,9 @@ ARRAYS = {
 }
 
 
-def forge(path, content, change):
-    """Write the content of a sealed file with ``change(file)`` under a new seal."""
-    path.write_bytes(content[:-SEAL_BYTES])
+def forge(path, change):
+    """Write the file beside ``path`` that ends in .right, after ``change(file)`` and under a new seal, to ``path``."""
+    path.write_bytes(path.with_suffix(".right").read_bytes()[:-SEAL_BYTES])
     with h5py.File(path, "r+") as file:
         change(file)
     changed = path.read_bytes()

@@ -175,7 +175,8 @@ class Optimizer(ABC):
 
     def _restore(self, state: Mapping[str, Any]) -> None:
         history = as_shape(state, "history", (-1, len(COLUMNS)), may_be_nan=True)
-        if np.isnan(history[:, 0]).any() or not (np.diff(history[:, 2], prepend=0, append=math.inf) > 0).all():
+        best, counts = history[:, 0], history[:, 2]
+        if np.isnan(best).any() or not np.isfinite(counts).all() or (np.diff(counts, prepend=0) <= 0).any():
             raise ValueError("search state: history: best losses must be numbers, and numbers of evaluations grow")
         self.rows = history.tolist()
         self.positions = as_shape(state, "positions", (-1, self.space.dimension))
@@ -188,8 +189,8 @@ class Optimizer(ABC):
                 setattr(self, name, as_shape(state, name, value.shape, may_be_nan=name == "best_position"))
             else:
                 setattr(self, name, self._as_number(name, type(value)(state[name])))
-        best = self.best_position if math.isfinite(self.best_loss) else 0.0
-        for name, positions in {"positions": self.positions, "best_position": best}.items():
+        found = self.best_position if math.isfinite(self.best_loss) else 0.0
+        for name, positions in {"positions": self.positions, "best_position": found}.items():
             if not (np.abs(positions) < FARTHEST).all():
                 raise ValueError(f"search state: {name}: must be numbers below {FARTHEST:g}")
 

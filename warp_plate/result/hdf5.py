@@ -13,7 +13,8 @@ Fields with another layout, all arrays among them, or with another name in the f
 ``Annotated[np.ndarray, Dataset("s", "times of the traces", ("steps",)), "trace_times"]``.
 
 Files are written atomically with a checksum, and their content is checked on reading: links, data in other files and
-datasets larger than their file are refused, and a missing or unexpected value raises a SceneError that names it.
+datasets larger than their file are refused, as is a file whose parts take far more memory than itself; a missing or
+unexpected value raises a SceneError that names it.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ import h5py
 import numpy as np
 
 from warp_plate.result.atomic_io import check_seal, make_seal, write_atomically
+from warp_plate.result.reading_limits import reading_limit, spend
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.fields import Count, as_kind
@@ -40,6 +42,8 @@ from warp_plate.scene.model import Scene
 T = TypeVar("T")
 Sizes = dict[str, int]  # lengths of named dimensions, as far as known
 Counts = Mapping[str, Count]
+# Bytes of the longest text of an attribute, and of texts that are read at once.
+MOST_TEXT, MOST_BLOCK = 2**24, 2**28
 
 
 @dataclass(frozen=True)
@@ -66,8 +70,8 @@ class FileFormat:
         path = Path(path)
         try:
             check_seal(path)
-            with h5py.File(path, "r") as file:
-                if file.attrs.get("format") != (wanted := f"warp-plate {self.kind} {self.version}"):
+            with h5py.File(path, "r") as file, reading_limit(file.id.get_filesize()):
+                if read_attribute(file, "format") != (wanted := f"warp-plate {self.kind} {self.version}"):
                     raise SceneError(f"{path}: not a {self.kind} of warp-plate (no attribute format = {wanted!r})")
                 yield file
         except FileNotFoundError:
@@ -133,7 +137,7 @@ class Attribute(Layout):
 
     def read(self, group: h5py.Group, name: str, sizes: Sizes) -> Any:
         parent, _, key = name.rpartition("/")
-        value = (member(group, parent, h5py.Dataset) if parent else group).attrs.get(key)
+        value = read_attribute(member(group, parent, h5py.Dataset) if parent else group, key)
         if value is None:
             raise SceneError(f"{_full_path(group, name)} is missing")
         try:
@@ -281,6 +285,20 @@ def member(group: h5py.Group, name: str, kind: type = h5py.Group) -> Any:
     return found
 
 
+def read_attribute(item: h5py.HLObject, name: str) -> Any:
+    """Return the single value of an attribute, or None if it is missing."""
+    if name not in item.attrs:
+        return None
+    found, path = item.attrs.get_id(name), _full_path(item, name)
+    if found.shape != () or found.dtype.itemsize > MOST_TEXT:
+        raise SceneError(f"attribute {path} is more than a single value")
+    value = item.attrs[name]
+    spend(path, len(value) if isinstance(value, str | bytes) else found.dtype.itemsize)
+    if isinstance(value, str | bytes) and len(value) > MOST_TEXT:
+        raise SceneError(f"attribute {path} is longer than {MOST_TEXT} bytes")
+    return value
+
+
 def read_array(
     group: h5py.Group, name: str, shape: tuple[int | None, ...] | None = None, text: bool = False
 ) -> np.ndarray:
@@ -291,6 +309,8 @@ def read_array(
     found, path = member(group, name, h5py.Dataset), _full_path(group, name)
     if (h5py.check_string_dtype(found.dtype) is None) if text else (found.dtype.kind not in "fiu"):
         raise SceneError(f"{path} is not a dataset of {'text' if text else 'real numbers'}")
+    if found.chunks is not None:
+        raise SceneError(f"{path} is in chunks, which this program does not write")
     if found.is_virtual or found.external:
         raise SceneError(f"{path} is kept in another file, which this program does not read")
     if math.prod(found.shape) * found.dtype.itemsize > found.file.id.get_filesize():
@@ -298,7 +318,22 @@ def read_array(
     wanted = found.shape if shape is None else shape
     if len(wanted) != found.ndim or any(a not in (None, b) for a, b in zip(wanted, found.shape, strict=True)):
         raise SceneError(f"{path} has shape {found.shape} instead of {wanted} (None: any length)")
-    return np.asarray((found.asstr() if text else found)[()])
+    if text:
+        return np.array(_read_texts(found, path), dtype=object).reshape(found.shape)
+    spend(path, found.nbytes)
+    return np.asarray(found[()])
+
+
+def _read_texts(dataset: h5py.Dataset, path: str) -> list[str]:
+    """Return the texts of a dataset, read in blocks that even in a file made for it do not fill the memory."""
+    texts: list[str] = []
+    columns, step = dataset.shape[-1], max(1, MOST_BLOCK // dataset.file.id.get_filesize())
+    for row in np.ndindex(dataset.shape[:-1]):
+        for start in range(0, columns, step):
+            block = dataset.asstr()[row + (slice(start, start + step),)].tolist()
+            spend(path, sum(map(len, block)))
+            texts += block
+    return texts
 
 
 def _full_path(item: h5py.HLObject, name: str) -> str:
