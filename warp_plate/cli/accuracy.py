@@ -30,6 +30,7 @@ def accuracy(
     scene: options.SceneName,
     /,
     *,
+    assignments: options.Assignments = None,
     device: options.Device = "auto",
     budget: float = 120.0,
     path: options.Stepping = "auto",
@@ -53,7 +54,7 @@ def accuracy(
     target = output.output_file(out, f"{Path(scene).stem}-accuracy.json")
     if not 0 < budget < float("inf"):
         raise SceneError(f"--budget {budget:g}: must be a positive number of seconds")
-    loaded = output.load_scene(scene)
+    loaded, scene = output.load_scene(scene, assignments)
     from warp_plate.accuracy.report import measure_configurations
     from warp_plate.bench.machine import describe_machine, describe_versions
     from warp_plate.solve.devices import find_device

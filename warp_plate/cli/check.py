@@ -11,13 +11,14 @@ def check(
     scene: options.SceneName,
     /,
     *,
+    assignments: options.Assignments = None,
     device: options.Device = "auto",
     accuracy: options.Accuracy | None = None,
     allow_unstable: options.AllowUnstable = False,
     json: options.Json = False,
 ) -> None:
     """Show the time step and its limit, points per wavelength, condition, memory and stepping path of a scene."""
-    loaded = output.load_scene(scene, accuracy)
+    loaded, scene = output.load_scene(scene, assignments, accuracy)
     from warp_plate.analysis.check import check as check_scene
     from warp_plate.modal.solver import MODAL
     from warp_plate.studies.grid_choice import resolve_search_grid

@@ -25,6 +25,7 @@ def compare(
     scene: options.SceneName,
     /,
     *,
+    assignments: options.Assignments = None,
     methods: str | None = None,
     seeds: options.Count = 10,
     evaluations: options.Count | None = None,
@@ -57,7 +58,7 @@ def compare(
     """
     target = output.output_file(out, f"{Path(scene).stem}-compare.h5")
     names = None if methods is None else [name.strip() for name in methods.split(",")]
-    loaded = output.load_scene(scene)
+    loaded, scene = output.load_scene(scene, assignments)
     from warp_plate.result.comparison import save_comparison
     from warp_plate.studies.compare import compare as run
     from warp_plate.viz.plots.compare import draw_comparison

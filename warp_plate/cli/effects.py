@@ -17,12 +17,13 @@ def effects(
     scene: options.SceneName,
     /,
     *,
+    assignments: options.Assignments = None,
     device: options.Device = "auto",
     accuracy: options.Accuracy | None = None,
     json: options.Json = False,
 ) -> None:
     """Show the cost and influence of every effect, on or off, and effects that the scene calls for but lacks."""
-    loaded = output.load_scene(scene, accuracy)
+    loaded, scene = output.load_scene(scene, assignments, accuracy)
     from warp_plate.analysis.influence import measure_influence
     from warp_plate.analysis.warnings import find_warnings
     from warp_plate.studies.grid_choice import resolve_grid

@@ -15,6 +15,7 @@ def explore(
     scene: options.SceneName,
     /,
     *,
+    assignments: options.Assignments = None,
     web: options.Flag = False,
     host: str = "127.0.0.1",
     port: int = 8080,
@@ -40,7 +41,7 @@ def explore(
     """
     if not 0 <= port <= 65535:
         raise SceneError(f"--port {port}: must be from 1 to 65535, or 0 for any free one")
-    loaded = output.load_scene(scene, accuracy)
+    loaded, scene = output.load_scene(scene, assignments, accuracy)
     from warp_plate.explore.live_model import LiveModel
     from warp_plate.modal.solver import MODAL, has_modes
     from warp_plate.studies.grid_choice import resolve_grid, resolve_search_grid

@@ -32,6 +32,7 @@ def frf(
     scene: options.SceneName,
     /,
     *,
+    assignments: options.Assignments = None,
     inputs: Annotated[list[str] | None, Parameter(name="--from", negative="", allow_leading_hyphen=True)] = None,
     at: Annotated[list[str] | None, Parameter(negative="", allow_leading_hyphen=True)] = None,
     range: str | None = None,
@@ -74,7 +75,7 @@ def frf(
         raise SceneError(f"--to uff: {problem}")
     points = [_point("--at", text) for text in at or ()]
     limits = None if range is None else _range(range)
-    loaded = output.load_scene(scene)
+    loaded, scene = output.load_scene(scene, assignments)
     from warp_plate.studies.frequency_response import check_on_plate, compute_frequency_response
 
     sources = [_source(loaded, text) for text in inputs or ()]

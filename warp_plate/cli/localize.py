@@ -39,6 +39,7 @@ def localize(
     scene: options.SceneName | None = None,
     /,
     *,
+    assignments: options.Assignments = None,
     workers: options.WorkerOptions = options.DEFAULT_WORKERS,
     seed: options.Integer | None = None,
     evaluator: Literal["direct", "response", "modal"] | None = None,
@@ -98,7 +99,11 @@ def localize(
     if scene is None and resume is None:
         raise SceneError("localize needs a SCENE (a preset's name or a TOML file), or --resume FILE")
     target = output.output_file(out or (resume and _result_beside(resume)), f"{Path(scene or '').stem}-localize.h5")
-    loaded = None if scene is None else output.load_scene(scene, accuracy)
+    loaded = None
+    if scene is not None:
+        loaded, scene = output.load_scene(scene, assignments, accuracy)
+    elif assignments:
+        raise SceneError(f"--set {assignments[0]}: changes a SCENE, but an unfinished search has its own; leave it out")
     from warp_plate.result.checkpoint import ENDING, load_newest
     from warp_plate.studies.checkpointing import CheckpointFile
     from warp_plate.studies.localize import load_to_resume

@@ -27,6 +27,7 @@ def modes(
     scene: options.SceneName,
     /,
     *,
+    assignments: options.Assignments = None,
     count: options.Count = 6,
     grid: bool = False,
     accuracy: options.Accuracy | None = None,
@@ -50,7 +51,7 @@ def modes(
     target = output.output_file(out, f"{Path(scene).stem}-modes.png", ENDINGS)
     if accuracy is not None and not grid:
         raise SceneError("--accuracy: chooses a grid; add --grid")
-    loaded = output.load_scene(scene, accuracy)
+    loaded, scene = output.load_scene(scene, assignments, accuracy)
     from warp_plate.modal.continuous_modes import continuous_modes
 
     errors, left_out = None, _left_out(loaded, grid)

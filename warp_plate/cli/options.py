@@ -37,6 +37,16 @@ Flag = Annotated[bool, Parameter(negative="")]
 
 _PRESETS = "paper, touch-panel, ...; warp-plate init --help lists them"
 SceneName = Annotated[str, Parameter(help=f"A preset ({_PRESETS}) or a TOML file.")]
+Assignments = Annotated[
+    list[str] | None,
+    Parameter(
+        name="--set",
+        negative="",
+        help="KEY=VALUE: a value in place of the scene file's; may be repeated. KEY is any key of a scene, such as "
+        "drive.frequency, plate.size[0], effects.loss_factor.eta or 'actuators.lower left.phase'; VALUE is TOML, or a "
+        "text without quotes.",
+    ),
+]
 ResultFile = Annotated[Path, Parameter(help="An .h5 file written by localize or simulate.")]
 Device = Annotated[str, Parameter(help="cpu, cuda, cuda:1, ...; auto takes a CUDA device if there is one.")]
 Stepping = Annotated[

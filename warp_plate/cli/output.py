@@ -170,12 +170,17 @@ def progress_bar(label: str, shown: bool, scene: Scene | None = None) -> Iterato
         yield lambda done, total, note="": progress.update(task, completed=done, total=total, note=note)
 
 
-def load_scene(source: str, accuracy: str | None = None) -> Scene:
-    """Load a scene, with ``--accuracy`` in place of its grid if that is given."""
+def load_scene(source: str, assignments: Sequence[str] | None = None, accuracy: str | None = None) -> tuple[Scene, str]:
+    """Load a scene with the values of ``--set``, and ``--accuracy`` in place of its grid if that is given.
+
+    Returns:
+        The scene, and its name with the options that changed it: what the command calls it from then on.
+    """
     from warp_plate.scene import Scene
 
-    scene = Scene.load(source)
-    return scene if accuracy is None else with_accuracy_option(scene, accuracy)
+    scene = Scene.load(source, assignments or ())
+    name = " ".join([source, *(f"--set {shlex.quote(assignment)}" for assignment in assignments or ())])
+    return (scene if accuracy is None else with_accuracy_option(scene, accuracy)), name
 
 
 def with_accuracy_option(scene: Scene, accuracy: str) -> Scene:

@@ -18,6 +18,7 @@ def simulate(
     scene: options.SceneName,
     /,
     *,
+    assignments: options.Assignments = None,
     drive: str = "scene",
     device: options.Device = "auto",
     path: options.SteppingOrModes = "auto",
@@ -39,7 +40,7 @@ def simulate(
         The result file (.h5; default: SCENE-simulate.h5 in this folder).
     """
     target = output.output_file(out, f"{Path(scene).stem}-simulate.h5")
-    loaded = output.load_scene(scene, accuracy)
+    loaded, scene = output.load_scene(scene, assignments, accuracy)
     output.prepare_pictures(pictures)
     from warp_plate.studies.simulate import simulate as run
 

@@ -26,6 +26,7 @@ def sweep(
     scene: options.SceneName | None = None,
     /,
     *,
+    assignments: options.Assignments = None,
     vary: Annotated[list[str] | None, Parameter(consume_multiple=True, negative="")] = None,
     what: Literal["localize", "simulate", "frf", "modes", "check"] | None = None,
     evaluator: Literal["modal", "direct"] | None = None,
@@ -87,7 +88,11 @@ def sweep(
         raise SceneError(f"--samples {samples}: are drawn from the ranges of --vary; give those too, or leave it out")
     beside = None if resume is None else resume.parent / resume.name.replace(".checkpoint.h5", ".h5")
     target = output.output_file(out or beside, f"{Path(scene or '').stem}-sweep.h5")
-    loaded = None if scene is None else output.load_scene(scene)
+    loaded = None
+    if scene is not None:
+        loaded, scene = output.load_scene(scene, assignments)
+    elif assignments:
+        raise SceneError(f"--set {assignments[0]}: changes a SCENE, but an unfinished sweep has its own; leave it out")
     from warp_plate.studies.checkpointing import SweepFile
     from warp_plate.studies.sweep import run_sweep
     from warp_plate.studies.sweep_file import SweepRequest, open_sweep, save_finished

@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Discriminator, Field, PrivateAttr, Tag, Va
 from pydantic_core import PydanticCustomError
 
 from warp_plate.scene.actuator import Actuator
+from warp_plate.scene.assignments import assign
 from warp_plate.scene.drive import Drive, check_drive
 from warp_plate.scene.dump import dump_scene
 from warp_plate.scene.effects import Effects, check_modal_tables
@@ -134,20 +135,22 @@ class Scene(Table):
     _folder: Path | None = PrivateAttr(default=None)
 
     @staticmethod
-    def load(source: SceneSource) -> Scene:
+    def load(source: SceneSource, assignments: Sequence[str] = ()) -> Scene:
         """Return the scene of a preset's name or of a TOML file, or raise a SceneError that names what is wrong.
 
-        A scene is returned as it is.
+        A scene is returned as it is. Of ``assignments`` each puts a value into a file's tables: ``KEY=VALUE``, see
+        :func:`warp_plate.scene.assignments.assign`.
         """
         if isinstance(source, Scene):
             return source
         text, folder = read_scene_text(source)
-        return Scene.parse(text, str(source)).in_folder(folder)
+        return Scene.parse(text, str(source), assignments).in_folder(folder)
 
     @staticmethod
-    def parse(text: str, name: str) -> Scene:
-        """Return the scene of a TOML text, or raise a SceneError that begins with ``name``."""
+    def parse(text: str, name: str, assignments: Sequence[str] = ()) -> Scene:
+        """Return the scene of a TOML text, or raise a SceneError that begins with ``name``; see :meth:`load`."""
         tables = parse_toml(text, name)
+        assign(tables, assignments)
         try:
             return Scene.from_tables(tables)
         except SceneError as error:
