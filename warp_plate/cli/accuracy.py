@@ -35,6 +35,7 @@ def accuracy(
     budget: float = 120.0,
     path: options.Stepping = "auto",
     out: Path | None = None,
+    force: options.Force = False,
     pictures: options.Pictures = True,
     json: options.Json = False,
 ) -> None:
@@ -51,7 +52,9 @@ def accuracy(
     out
         The file of measurements (.json; default: SCENE-accuracy.json in this folder).
     """
-    target = output.output_file(out, f"{Path(scene).stem}-accuracy.json")
+    target = output.output_file(
+        out, f"{Path(scene).stem}-accuracy.json", holds="measurements with reference", force=force
+    )
     if not 0 < budget < float("inf"):
         raise SceneError(f"--budget {budget:g}: must be a positive number of seconds")
     loaded, scene = output.load_scene(scene, assignments)

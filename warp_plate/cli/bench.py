@@ -34,6 +34,7 @@ def bench(
     kind: Literal["plain", "order4", "free", "stretching"] | None = None,
     quick: options.Flag = False,
     out: Path | None = None,
+    force: options.Force = False,
     pictures: options.Pictures = True,
     json: options.Json = False,
 ) -> None:
@@ -55,7 +56,7 @@ def bench(
     out
         The file of measurements (.json; default: bench.json in this folder).
     """
-    target = output.output_file(out, "bench.json")
+    target = output.output_file(out, "bench.json", holds="measurements with limits", force=force)
     counts, sizes = _integers("--plates", plates, 1, 10**7), _integers("--nodes", nodes, 5, 8193)
     from warp_plate.bench.cases import all_devices, make_cases
     from warp_plate.bench.machine import busy

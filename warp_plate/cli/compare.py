@@ -32,6 +32,7 @@ def compare(
     evaluator: Literal["direct", "response", "modal"] | None = None,
     workers: options.WorkerOptions = options.DEFAULT_WORKERS,
     out: Path | None = None,
+    force: options.Force = False,
     pictures: options.Pictures = True,
     json: options.Json = False,
 ) -> None:
@@ -56,7 +57,7 @@ def compare(
     out
         The file of results (.h5; default: SCENE-compare.h5 in this folder).
     """
-    target = output.output_file(out, f"{Path(scene).stem}-compare.h5")
+    target = output.output_file(out, f"{Path(scene).stem}-compare.h5", holds="a comparison", force=force)
     names = None if methods is None else [name.strip() for name in methods.split(",")]
     loaded, scene = output.load_scene(scene, assignments)
     from warp_plate.result.comparison import save_comparison

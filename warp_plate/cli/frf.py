@@ -39,6 +39,7 @@ def frf(
     quantity: Quantity = "mobility",
     to: Annotated[list[Format] | None, Parameter(negative="")] = None,
     out: Path | None = None,
+    force: options.Force = False,
     pictures: options.Pictures = True,
     json: options.Json = False,
 ) -> None:
@@ -75,6 +76,8 @@ def frf(
         raise SceneError(f"--to uff: {problem}")
     points = [_point("--at", text) for text in at or ()]
     limits = None if range is None else _range(range)
+    if "hdf5" in formats:
+        output.check_replaceable(target.with_suffix(".h5"), "a frequency response", force)
     loaded, scene = output.load_scene(scene, assignments)
     from warp_plate.studies.frequency_response import check_on_plate, compute_frequency_response
 

@@ -50,6 +50,7 @@ def localize(
     checkpoint_every: options.CheckpointEvery = 30.0,
     resume: Path | None = None,
     out: Path | None = None,
+    force: options.Force = False,
     pictures: options.Pictures = True,
     json: options.Json = False,
 ) -> None:
@@ -98,7 +99,11 @@ def localize(
     """
     if scene is None and resume is None:
         raise SceneError("localize needs a SCENE (a preset's name or a TOML file), or --resume FILE")
-    target = output.output_file(out or (resume and _result_beside(resume)), f"{Path(scene or '').stem}-localize.h5")
+    default = f"{Path(scene or '').stem}-localize.h5"
+    target = output.output_file(
+        out or (resume and _result_beside(resume)), default, holds="a result of localize", force=force
+    )
+    output.check_replaceable(target.with_suffix(".best.toml"), "# Found by: warp-plate localize", force)
     loaded = None
     if scene is not None:
         loaded, scene = output.load_scene(scene, assignments, accuracy)
@@ -120,6 +125,7 @@ def localize(
         given = {"seed": seed, "evaluator": evaluator, "path": workers.path}
         with output.scene_errors(scene or "--accuracy"):
             checkpoint = load_to_resume(resume, loaded, local, output.log, **given)
+    output.check_replaceable(target.with_suffix(ENDING), "a checkpoint", force or resume is not None)
     file = CheckpointFile(target.with_suffix(ENDING), checkpoint_every, resume is not None, output.log)
     if checkpoint is None and file.path.exists():
         output.log(f"{file.path} holds an unfinished search; a checkpoint of this one will replace it")

@@ -82,6 +82,9 @@ CheckpointEvery = Annotated[
         "point, inf only after Ctrl-C."
     ),
 ]
+Force = Annotated[
+    bool, Parameter(negative="", help="Overwrite files that another command, or another program, has written.")
+]
 Pictures = Annotated[bool, Parameter(help="Draw pictures beside the file that is written (needs the extra viz).")]
 Json = Annotated[bool, Parameter(negative="", help="Print one JSON object instead of text and tables.")]
 

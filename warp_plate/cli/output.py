@@ -206,11 +206,15 @@ def scene_errors(source: str | None) -> Iterator[None]:
         raise SceneError(f"{source}: {error}") from None
 
 
-def output_file(out: Path | None, default: str, endings: Sequence[str] = ()) -> Path:
+def output_file(
+    out: Path | None, default: str, endings: Sequence[str] = (), holds: str = "", force: bool = True
+) -> Path:
     """Return the path to write to, ``--out`` or ``default``, or raise a SceneError if that cannot be done.
 
     Args:
         endings: the endings that are allowed (default: that of ``default``).
+        holds: what the file will hold, see :func:`check_replaceable`.
+        force: whether it may replace anything.
     """
     path = Path(default) if out is None else out
     endings = endings or (Path(default).suffix,)
@@ -219,7 +223,30 @@ def output_file(out: Path | None, default: str, endings: Sequence[str] = ()) -> 
         problem = f"must end in {' or '.join(', '.join(endings).rsplit(', ', 1))}"
     if problem:
         raise SceneError(f"--out {path}: {problem}")
+    check_replaceable(path, holds, force)
     return path
+
+
+def check_replaceable(path: Path, holds: str, force: bool) -> None:
+    """Raise a SceneError if a file is there that another command or program has written, unless ``--force``.
+
+    Args:
+        holds: what may be replaced: of HDF5 files their kind, such as "a sweep"; of JSON files "measurements with KEY",
+            KEY being one that they have; of others how they begin.
+    """
+    if force or not path.exists():
+        return
+    if path.suffix.lower() == ".h5":
+        from warp_plate.result.hdf5 import describe_file
+
+        found = describe_file(path)
+    else:
+        text = path.read_text(encoding="utf-8", errors="replace")
+        key = holds.removeprefix("measurements with ")
+        found = holds if (f'\n "{key}":' in text if key != holds else text.startswith(holds)) else ""
+    if found != holds:
+        what = f"is {found}" if found else "was written by another command or program"
+        raise SceneError(f"{path}: {what} and would be overwritten; name another file by --out, or give --force")
 
 
 def _writing_problem(path: Path) -> str:

@@ -26,6 +26,7 @@ def simulate(
     estimate: options.Estimate = True,
     allow_unstable: options.AllowUnstable = False,
     out: Path | None = None,
+    force: options.Force = False,
     pictures: options.Pictures = True,
     json: options.Json = False,
 ) -> None:
@@ -39,7 +40,7 @@ def simulate(
     out
         The result file (.h5; default: SCENE-simulate.h5 in this folder).
     """
-    target = output.output_file(out, f"{Path(scene).stem}-simulate.h5")
+    target = output.output_file(out, f"{Path(scene).stem}-simulate.h5", holds="a result of simulate", force=force)
     loaded, scene = output.load_scene(scene, assignments, accuracy)
     output.prepare_pictures(pictures)
     from warp_plate.studies.simulate import simulate as run

@@ -38,6 +38,7 @@ def sweep(
     checkpoint_every: options.CheckpointEvery = 30.0,
     resume: Path | None = None,
     out: Path | None = None,
+    force: options.Force = False,
     pictures: options.Pictures = True,
     json: options.Json = False,
 ) -> None:
@@ -103,7 +104,7 @@ def sweep(
     request = SweepRequest(loaded, scene or "", vary, *options_given)
     on_workers = workers.devices is not None or workers.cluster is not None
     with output.scene_errors(scene):
-        start = open_sweep(request, target, resume, workers.device, on_workers, output.log)
+        start = open_sweep(request, target, resume, workers.device, on_workers, output.log, force)
     unfinished = target.with_suffix(".checkpoint.h5")
     file = SweepFile(unfinished, checkpoint_every, unfinished.exists(), output.log)
     # Devices that are named are used, also where another kind began.
@@ -114,7 +115,7 @@ def sweep(
             note = "{} of {}: {}".format
             result = run_sweep(start, lambda *done: show(*done[:2], note(*done)), file, pool, on_device_change)
         draw = partial(save_plots, draw_sweep, result)
-        written = output.write_files(target, lambda path: save_finished(result, path, file), draw, pictures)
+        written = output.write_files(target, lambda path: save_finished(result, path, file, force), draw, pictures)
     output.report(json, partial(_as_json, result), partial(_print, result), written)
 
 

@@ -72,7 +72,9 @@ class FileFormat:
             check_seal(path)
             with h5py.File(path, "r") as file, reading_limit(file.id.get_filesize()):
                 if read_attribute(file, "format") != (wanted := f"warp-plate {self.kind} {self.version}"):
-                    raise SceneError(f"{path}: not a {self.kind} of warp-plate (no attribute format = {wanted!r})")
+                    found = f"this is {described}, " if (described := _description(file)) else ""
+                    asked = f"not a {self.kind} of warp-plate (no attribute format = {wanted!r})"
+                    raise SceneError(f"{path}: {found}{asked}")
                 yield file
         except FileNotFoundError:
             raise SceneError(f"{path}: no such file") from None
@@ -81,6 +83,25 @@ class FileFormat:
             raise SceneError(line if line.startswith(str(path)) else f"{path}: damaged: {line}") from None
         except (OSError, LookupError, ValueError, RuntimeError, TypeError, ArithmeticError) as error:
             raise SceneError(f"{path}: damaged or not an HDF5 file of this program: {error}") from None
+
+
+def describe_file(path: Path) -> str:
+    """Return what a file of this program holds, such as "a result of simulate" or "a sweep"; "" for any other file."""
+    try:
+        check_seal(path)
+        with h5py.File(path, "r") as file:
+            return _description(file).rpartition(" (")[0]
+    except (OSError, LookupError, ValueError, RuntimeError):
+        return ""
+
+
+def _description(file: h5py.File) -> str:
+    program, _, kind = str(read_attribute(file, "format")).partition(" ")
+    name, _, version = kind.rpartition(" ")
+    if program != "warp-plate" or not name:
+        return ""
+    command = f" of {read_attribute(file, 'command')}" if name == "result" else ""
+    return f"a {name}{command} (format {version})"
 
 
 def write_fields(group: h5py.Group, value: Any) -> None:

@@ -53,6 +53,7 @@ def open_sweep(
     device: str | None = None,
     on_workers: bool = False,
     log: Callable[[str], object] = lambda line: None,
+    force: bool = False,
 ) -> Sweep:
     """Return the sweep to run for a request: the unfinished one of the same request, or a new one.
 
@@ -63,6 +64,7 @@ def open_sweep(
         device: device of the points, or None for the default.
         on_workers: whether workers of a pool run the points, which then report their devices.
         log: called with one line for each thing to know about a sweep that is continued.
+        force: whether the result may replace any file.
     """
     unfinished = target.with_suffix(ENDING)
     file = unfinished if unfinished.exists() else None
@@ -83,7 +85,8 @@ def open_sweep(
         raise SceneError(f"--count {request.count}: --what {sweep.what} has no modes to count; leave it out")
     if request.frequencies is not None and "frequency" not in axes:
         raise SceneError(f"--frequencies {request.frequencies}: are those of --what frf; leave it out")
-    check_replaceable(target, sweep)
+    if not force:
+        check_replaceable(target, sweep)
     if file is None:
         return sweep
     log(f"{file}: {sweep.progress} done; {'nothing is left' if sweep.finished else 'continuing'}")
@@ -107,10 +110,11 @@ def resume_sweep(sweep: Sweep, device: str | None = None, on_workers: bool = Fal
     return sweep.moved_to(found.alias, processor_of(found))
 
 
-def save_finished(sweep: Sweep, path: Path, file: SweepFile) -> None:
+def save_finished(sweep: Sweep, path: Path, file: SweepFile, force: bool = False) -> None:
     """Save a finished sweep as its result and remove the unfinished file; on failure all points are in that file."""
     try:
-        check_replaceable(path, sweep)
+        if not force:
+            check_replaceable(path, sweep)
         save_sweep(sweep, path)
     except SceneError:
         file.save(sweep)
@@ -122,7 +126,7 @@ def check_replaceable(path: Path, sweep: Sweep) -> None:
     """Check that a result would replace no file other than an earlier result of the same sweep."""
     if not path.exists():
         return
-    advice = f"name another file by --out, or delete {path}"
+    advice = "name another file by --out, or give --force"
     try:
         existing = load_sweep(path)
     except SceneError as error:
