@@ -189,6 +189,8 @@ def _as_json(result: Result, checkpoint: Path | None) -> dict[str, object]:
         "scene": result.source,
         **output.attributes(result, *names, "evaluator", "accuracy", "interrupted"),
         "localization_factor": {**factors, "bound": result.bound},
+        "single_actuator": tables.single_actuator(result.cases["single"], result.scene),
+        "motion": {name: tables.motion_json(case) for name, case in result.cases.items()},
         "drive": tables.drive_json(result.cases["best"], result.scene),
         "history": [dict(zip(result.history, row, strict=True)) for row in zip(*result.history.values(), strict=True)],
         "objectives": result.objective_values or None,
@@ -207,6 +209,10 @@ def _print(result: Result, console: Console) -> None:
 
     console.print(result.scene.title or result.source)
     _print_factors(result, console)
+    moved = tables.motion_table({name.replace("_", " "): case for name, case in result.cases.items()})
+    if moved is not None:
+        output.print_uncropped(console, moved)
+        console.print()
     tables.print_objectives(result, console)
     tables.print_robust(result, console)
     for target, case in (target_cases(result.scene) or {"": "best"}).items():
@@ -222,6 +228,13 @@ def _print(result: Result, console: Console) -> None:
     output.print_cost(result, console, f"{counted(result.evaluations, unit)} in the search{way}")
 
 
+def _labels(result: Result) -> dict[str, str]:
+    """Return the labels of the result's cases, with the name of the best single actuator."""
+    labels = {name: label for name, label in CASE_LABELS.items() if name in result.cases}
+    name = tables.single_actuator(result.cases["single"], result.scene)
+    return {**labels, "single": f"{labels['single']}{f', {name}' if name else ''}"}
+
+
 def _print_factors(result: Result, console: Console) -> None:
     """Print the localization factors, with the published ones of the paper's scene."""
     from warp_plate.result.model import BOUND_DESCRIPTIONS
@@ -229,10 +242,9 @@ def _print_factors(result: Result, console: Console) -> None:
     published = PUBLISHED if result.source == "paper" else {}
     target = f", target {result.scene.targets[0].name}" if result.target_searches else ""
     made = output.table(f"localization factor{target}", "this run", *(["published"] if published else []))
-    for name, label in CASE_LABELS.items():
-        if name in result.cases:
-            factor = output.number_text(result.cases[name].localization_factor, ".4f")
-            made.add_row(label, factor, *([f"{published[name]:.4f}"] if name in published else []))
+    for name, label in _labels(result).items():
+        factor = output.number_text(result.cases[name].localization_factor, ".4f")
+        made.add_row(label, factor, *([f"{published[name]:.4f}"] if name in published else []))
     bound = "none claimed" if result.bound is None else output.number_text(result.bound, ".4f")
     made.add_row(BOUND_DESCRIPTIONS["" if result.bound is None else result.bound_kind], bound)
     console.print(made, "")

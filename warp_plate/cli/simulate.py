@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from warp_plate.cli import options, output
+from warp_plate.cli import options, output, tables
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -62,6 +62,7 @@ def _as_json(result: Result) -> dict[str, object]:
         "scene": result.source,
         **output.attributes(result, *names),
         **output.attributes(case, "status", "localization_factor", "energy"),
+        "motion": tables.motion_json(case),
         "warnings": output.warnings_of(result),
     }
 
@@ -72,10 +73,15 @@ def _print(result: Result, console: Console) -> None:
     made = output.table("quantity", "value")
     if case.status != "ok":
         made.add_row("status", case.status)
+    if name := tables.single_actuator(case, result.scene):
+        made.add_row("only actuator driven", name)
     made.add_row("localization factor", output.number_text(case.localization_factor, ".4f"))
     for region, energy in case.energy.items():
         label = f"kinetic energy of the {region}, averaged over the window"
         made.add_row(label, output.number_text(energy, ".4g", " J"))
     made.add_row("largest displacement during the run", output.number_text(result.peak_displacement, ".4g", " m"))
     console.print(made)
+    if (moved := tables.motion_table(result.cases)) is not None:
+        console.print()
+        output.print_uncropped(console, moved)
     output.print_cost(result, console)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from rich.table import Table
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from warp_plate.result.robust import RobustComparison
     from warp_plate.scene.model import Scene
 
+# Standard acceleration of gravity [m/s²].
+GRAVITY = 9.80665
 COMPARED_CASES = ("equal", "single", "time_reversal", "inverse_filter")
 ROBUST_ROWS = {
     "mean": "mean",
@@ -26,6 +29,43 @@ ROBUST_ROWS = {
     "nominal_plate": "nominal plate",
     "searched": "scenarios of the search",
 }
+
+
+def motion_table(cases: Mapping[str, Case]) -> Table | None:
+    """Return the table of how cases, by their labels, move the target and the rest; None if that is not known."""
+    moving = {label: (case, case.motion) for label, case in cases.items() if case.motion is not None}
+    tones = any(motion.acceleration is not None for _, motion in moving.values())
+    headings = ["share", "contrast dB", "velocity mm/s rms", "displacement µm peak", *["acceleration g rms"] * tones]
+    made = output.table("drive", *headings, title="Motion in the target / outside")
+    for label, (case, motion) in moving.items():
+        cells = [_pair(motion.velocity, 1e3), _pair(motion.displacement, 1e6)]
+        if tones:
+            cells.append("none" if motion.acceleration is None else _pair(motion.acceleration, 1 / GRAVITY))
+        share, contrast = case.localization_factor, motion.contrast
+        made.add_row(label, output.number_text(share, ".4f"), output.number_text(contrast, ".1f"), *cells)
+    return made if moving else None
+
+
+def _pair(values: tuple[float, float], factor: float) -> str:
+    return " / ".join(output.number_text(factor * value, ".3g") for value in values)
+
+
+def motion_json(case: Case) -> dict[str, object] | None:
+    """Return how a case moves the target and the rest, in SI units; None if that is not known."""
+    motion = case.motion
+    if motion is None:
+        return None
+    pairs = {"velocity_rms": motion.velocity, "displacement_peak": motion.displacement}
+    if motion.acceleration is not None:
+        pairs["acceleration_rms"] = motion.acceleration
+    named = {name: dict(zip(("target", "outside"), pair, strict=True)) for name, pair in pairs.items()}
+    return {"contrast_db": motion.contrast, **named}
+
+
+def single_actuator(case: Case, scene: Scene) -> str:
+    """Return the name of the only actuator that a case drives; "" if it drives another number of them."""
+    driven = [actuator.name for actuator, part in zip(scene.actuators, case.magnitude, strict=True) if part > 0]
+    return driven[0] if len(driven) == 1 else ""
 
 
 def drive_table(case: Case, scene: Scene, target: str = "") -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -9,14 +10,16 @@ import numpy as np
 
 from warp_plate.modal.solver import make_solver
 from warp_plate.plate.scene_overrides import scene_phasors
-from warp_plate.plate.weights import localization_factor
+from warp_plate.plate.signals import actuator_frequencies
+from warp_plate.plate.weights import localization_factor, region_weights
+from warp_plate.problem.objectives import LEAST_REST, PLATE, TARGET, decibels
 from warp_plate.problem.parametrization import magnitude_unit
 from warp_plate.problem.problem import Energies, Problem
-from warp_plate.result.model import Case
+from warp_plate.result.model import Case, RegionMotion
 from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.peak import run_with_peak
+from warp_plate.solve.peak import run_with_peaks
 from warp_plate.solve.run import Run
 
 
@@ -53,19 +56,19 @@ def evaluate_cases(problem: Problem, single: int, position: np.ndarray | None) -
         phasors["best"] = phasors["single"]
     elif parametrization.only_drives:
         phasors["best"] = parametrization.designs(position[None]).drives[0]
-    run, peak = run_with_peak(problem.drive_solver, np.array(list(phasors.values())))
-    cases = cases_from_run(phasors, run)
+    run, peaks = run_with_peaks(problem.drive_solver, np.array(list(phasors.values())))
+    cases = cases_from_run(phasors, run, scene, peaks)
     if position is None or parametrization.only_drives:
-        return EvaluatedCases(cases, scene, phasors, run, peak, 0)
+        return EvaluatedCases(cases, scene, phasors, run, float(peaks[-1].max()), 0)
     # The best scene runs as ``simulate`` runs it, so that what is written is what was evaluated.
     best_scene, designs = parametrization.scene_of(position), parametrization.designs(position[None])
     solver = make_solver(best_scene, problem.drive_solver.device.alias, problem.path, areas=target_regions(best_scene))
     best = {"best": scene_phasors(best_scene)}
-    best_run, peak = run_with_peak(solver, best["best"][None])
+    best_run, peaks = run_with_peaks(solver, best["best"][None])
     names = ("frequency", "centre", "delay")
     varied = {name: values[0] for name in names if (values := getattr(designs, name)) is not None}
-    cases["best"] = replace(cases_from_run(best, best_run)["best"], **varied)
-    return EvaluatedCases(cases, best_scene, best, best_run, peak, solver.node_steps)
+    cases["best"] = replace(cases_from_run(best, best_run, best_scene, peaks)["best"], **varied)
+    return EvaluatedCases(cases, best_scene, best, best_run, float(peaks[-1].max()), solver.node_steps)
 
 
 def reference_phasors(scene: Scene, energies: Energies) -> dict[str, np.ndarray]:
@@ -75,8 +78,9 @@ def reference_phasors(scene: Scene, energies: Energies) -> dict[str, np.ndarray]
     return {"equal": singles.sum(axis=0), "single": singles[best]}
 
 
-def cases_from_run(phasors: dict[str, np.ndarray], run: Run) -> dict[str, Case]:
-    """Return the plates of a run as cases, by the names of their phasors."""
+def cases_from_run(phasors: dict[str, np.ndarray], run: Run, scene: Scene, peaks: np.ndarray) -> dict[str, Case]:
+    """Return the plates of a run as cases, by the names of their phasors; ``peaks``: see ``run_with_peaks``."""
+    motions = region_motions(scene, run, peaks)
     with np.errstate(over="ignore"):  # beyond float32's range a displacement becomes infinite
         displacement, trace = run.displacement.astype(np.float32), run.trace.astype(np.float32)
     return {
@@ -86,9 +90,33 @@ def cases_from_run(phasors: dict[str, np.ndarray], run: Run) -> dict[str, Case]:
             displacement=displacement[index],
             trace=trace[index],
             status=run.fault(index),
+            motion=motions[index],
         )
         for index, (name, values) in enumerate(phasors.items())
     }
+
+
+def region_motions(scene: Scene, run: Run, peaks: np.ndarray) -> list[RegionMotion]:
+    """Return the motion of target and rest of each plate of a run."""
+    areas, masses, energy = (
+        np.stack([values[..., TARGET], values[..., PLATE] - values[..., TARGET]], axis=-1)
+        for values in (region_weights(scene).sum(axis=(1, 2)), run.masses, run.energy)
+    )
+    exists = areas > LEAST_REST * areas.sum()
+    tone = scene.linear and scene.nonharmonic_key is None
+    omega = 2 * math.pi * actuator_frequencies(scene)[0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        velocity = np.where(exists, np.sqrt(2 * np.maximum(energy, 0) / masses), np.nan)
+    contrast = decibels(np.where(exists, energy / areas, np.nan))
+    return [
+        RegionMotion(
+            velocity=(float(v[0]), float(v[1])),
+            displacement=(float(u[0]), float(u[1])),
+            acceleration=(float(omega * v[0]), float(omega * v[1])) if tone else None,
+            contrast=float(level),
+        )
+        for v, u, level in zip(velocity, np.where(exists, peaks, np.nan), contrast, strict=True)
+    ]
 
 
 def evaluate_objectives(problem: Problem, cases: Mapping[str, Case]) -> tuple[dict[str, dict[str, float]], int]:

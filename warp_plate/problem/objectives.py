@@ -99,7 +99,7 @@ class Objectives:
             if term.kind == "localization":
                 values[term.kind] = localization_factor(energy)
             elif term.kind == "contrast":
-                values[term.kind] = _decibels(_target_and_rest(energy) / self.areas)
+                values[term.kind] = decibels(_target_and_rest(energy) / self.areas)
             elif term.kind == "uniformity":
                 values[term.kind] = _uniformity(energy[:, len(REGIONS) : len(REGIONS) + self.cells.size], self.cells)
             else:
@@ -179,7 +179,7 @@ def _target_and_rest(energy: np.ndarray) -> np.ndarray:
     return np.stack([energy[:, TARGET], energy[:, PLATE] - energy[:, TARGET]], axis=1)
 
 
-def _decibels(densities: np.ndarray) -> np.ndarray:
+def decibels(densities: np.ndarray) -> np.ndarray:
     """Return the level (plates,) of the first of (plates, 2) over the second; negative ones, by rounding, are zero."""
     target, rest = np.maximum(densities, 0).T
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -98,6 +98,23 @@ OBJECTIVES = hdf5.Datasets(_objective)
 
 
 @dataclass(frozen=True)
+class RegionMotion:
+    """Motion of the (target, rest) of the plate; NaN for a rest that is empty.
+
+    Attributes:
+        velocity: Root of the mean square over the region's mass and the window [m/s].
+        displacement: Largest magnitude over the whole run [m].
+        acceleration: As the velocity [m/s²]; None for other motions than those of one tone in a linear plate.
+        contrast: Energy per area in the target over that in the rest [dB].
+    """
+
+    velocity: tuple[float, float]
+    displacement: tuple[float, float]
+    acceleration: tuple[float, float] | None
+    contrast: float
+
+
+@dataclass(frozen=True)
 class Case:
     """A drive and the motion of the plate under it.
 
@@ -105,6 +122,7 @@ class Case:
         phasors: (actuators,) complex amplitudes Z [``Scene.drive_unit``] of the load Re(Z exp(iωt)).
         energy: Kinetic energy averaged over the window [J], by region: "plate", "target" and further ones.
         status: "ok", or the reason why the energies are NaN.
+        motion: Motion of target and rest; None for cases that were read from a file, which does not hold it.
 
     Frequencies, centres and burst starts are None if they are the scene's.
     """
@@ -117,6 +135,8 @@ class Case:
     frequency: Annotated[np.ndarray | None, hdf5.Dataset("Hz", "frequency of each actuator", ("actuators",))] = None
     centre: Annotated[np.ndarray | None, hdf5.Dataset("m", "x, y of each actuator's middle", ("actuators", 2))] = None
     delay: Annotated[np.ndarray | None, hdf5.Dataset("s", "start of each actuator's burst", ("actuators",))] = None
+
+    motion: Annotated[RegionMotion | None, hdf5.ELSEWHERE] = None
 
     @property
     def localization_factor(self) -> float:

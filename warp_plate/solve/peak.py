@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from warp_plate.plate.signals import highest_frequency
+from warp_plate.plate.weights import region_weights
+from warp_plate.scene.fields import SMALLEST
 from warp_plate.scene.model import Scene
 from warp_plate.solve.run import PlateRunner, Progress, Run
 
@@ -19,17 +21,28 @@ SAMPLES_A_PERIOD, MOST_SAMPLES, FEWEST_SAMPLES, SAMPLES_BYTES = 16, 320, 2, 2**2
 GOLDEN = (math.sqrt(5) - 1) / 2
 
 
-def run_with_peak(solver: PlateRunner, phasors: np.ndarray, progress: Progress | None = None) -> tuple[Run, float]:
+def run_with_peaks(
+    solver: PlateRunner, phasors: np.ndarray, progress: Progress | None = None
+) -> tuple[Run, np.ndarray]:
     """Run phasors (plates, actuators) with the scene's records.
 
     Returns:
-        The run, and the largest displacement [m] of its last plate.
+        The run, and the largest displacements (plates, 2) [m] in the target and in the rest; 0 for an empty region.
     """
     scene = solver.scene
     recorded = record_times(scene)
     run = solver.run(phasors, (*recorded, *sample_times(scene, len(phasors))), scene.record.points, progress)
-    kept, peak = len(recorded), peak_of(run.displacement[-1])
-    return replace(run, displacement=run.displacement[:, :kept], times=run.times[:kept]), peak
+    kept, target = len(recorded), _target_nodes(scene)
+    largest = np.maximum(run.displacement.max(axis=1), -run.displacement.min(axis=1))
+    peaks = np.stack([largest[:, nodes].max(axis=1, initial=0.0) for nodes in (target, ~target)], axis=1)
+    return replace(run, displacement=run.displacement[:, :kept], times=run.times[:kept]), peaks
+
+
+def _target_nodes(scene: Scene) -> np.ndarray:
+    """Return (ny, nx) true for nodes with half of their cell in the target, or if there are none, with any of it."""
+    plate, target = region_weights(scene)
+    nodes = np.asarray(2 * target >= np.maximum(plate, SMALLEST))
+    return nodes if nodes.any() else np.asarray(target > 0)
 
 
 def record_times(scene: Scene) -> tuple[float, ...]:

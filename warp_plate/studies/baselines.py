@@ -26,7 +26,7 @@ from warp_plate.problem.problem import Problem
 from warp_plate.result.model import Case
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
-from warp_plate.solve.peak import record_times
+from warp_plate.solve.peak import run_with_peaks
 from warp_plate.solve.solver import PlateSolver
 
 # √λ relative to the largest singular value of √W H: combinations of actuators that move the plate less than this part
@@ -42,11 +42,11 @@ def baseline_phasors(solver: PlateSolver) -> dict[str, np.ndarray]:
 
 def baseline_cases(problem: Problem) -> tuple[dict[str, Case], int]:
     """Simulate the baselines of a problem's scene; return their cases by name, and the node-steps."""
-    scene, plates, regions = problem.scene, problem.drive_solver, problem.objectives.regions
+    plates, regions = problem.drive_solver, problem.objectives.regions
     solver = PlateSolver(plates.discretization, plates.device.alias, problem.path, areas=regions)
     phasors = baseline_phasors(solver)
-    run = solver.run(np.array(list(phasors.values())), record_times(scene), scene.record.points)
-    return cases_from_run(phasors, run), solver.node_steps
+    run, peaks = run_with_peaks(solver, np.array(list(phasors.values())))
+    return cases_from_run(phasors, run, problem.scene, peaks), solver.node_steps
 
 
 def check_baselines(scene: Scene) -> None:

@@ -19,7 +19,7 @@ from warp_plate.result.model import Result
 from warp_plate.result.targets import target_regions
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene, SceneSource
-from warp_plate.solve.peak import run_with_peak
+from warp_plate.solve.peak import run_with_peaks
 from warp_plate.solve.run import Progress, Run
 from warp_plate.solve.solver import PlateSolver
 from warp_plate.studies.grid_choice import ResolvedGrid, estimate_error, resolve_grid
@@ -60,7 +60,7 @@ def simulate(
     started = time.perf_counter()
     if phasors is None:
         phasors = reference_phasors(scene, lambda phasors: solver.run(phasors).energy)["single"]
-    run, peak = run_with_peak(solver, phasors[None], progress)
+    run, peaks = run_with_peaks(solver, phasors[None], progress)
     solved = time.perf_counter() - started
     seconds = {**resolved.seconds, "compile": solver.compile_seconds, "solve": solved}
     estimate = estimate and bool(run.finite.all())
@@ -71,12 +71,12 @@ def simulate(
         scene=scene,
         device=device_name(solver.device),
         seed=scene.search.seed,
-        cases=cases_from_run({"drive": phasors}, run),
+        cases=cases_from_run({"drive": phasors}, run, scene, peaks),
         seconds=seconds,
         node_steps=solver.node_steps,
         versions=versions(),
         accuracy={**resolved.accuracy, **estimated},
-        peak_displacement=peak,
+        peak_displacement=float(peaks[0].max()),
         evaluator=MODAL if by_modes else "direct",
         **run_fields(solver, run),
     )
