@@ -14,7 +14,18 @@ DOCS = Path(__file__).parents[2] / "docs"
 TEXT = "\n".join(page.read_text(encoding="utf-8") for page in sorted(DOCS.glob("*.md")))
 UNITLESS = {
     *("poisson_ratio", "nodes", "order", "accuracy", "gain", "weight", "quantile", "without_oscillators"),
-    *("particles", "iterations", "restarts", "inertia", "decay", "cognitive", "social", "velocity_limit", "stall"),
+    *(
+        "modal_density",
+        "particles",
+        "iterations",
+        "restarts",
+        "inertia",
+        "decay",
+        "cognitive",
+        "social",
+        "velocity_limit",
+        "stall",
+    ),
     *("seed", "scenarios", "fresh", "eta", "ratio"),
 }
 

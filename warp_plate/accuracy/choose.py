@@ -28,18 +28,22 @@ from warp_plate.accuracy.reference_solution import (
     ReferenceSolution,
     best_single,
     find_reference_solution,
+    seconds_of_modes,
 )
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.grid import Grid
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device
-from warp_plate.solve.response import measure_response
+from warp_plate.solve.response import Response, measure_response
 from warp_plate.solve.solver import PlateSolver
 
 # Tolerance of the search relative to the accuracy asked for; the rest allows for rounding, which differs between paths.
 SEARCH_SHARE = 0.9
 # Uncertainty of the reference relative to the accuracy asked for, and the time that it may take [s].
 REFERENCE_SHARE, REFERENCE_SECONDS = 0.15, 30.0
+# Functions of modes along each side that are tried, relative to the default, and the nominal time of a solution after
+# which no higher density is [s].
+MODAL_DENSITIES, DENSER_SECONDS = (1.0, 1.5, 2.2), 4.0
 # Plates that are timed on a CUDA device, the most timed runs, and the time after which no further run begins [s].
 CUDA_PLATES, TIMED_RUNS, TIMING_SECONDS = 256, 3, 0.2
 
@@ -113,23 +117,33 @@ def _by_modes(scene: Scene, accuracy: float, phasors: np.ndarray | None, alone: 
     """Return the choice of modes; where they do not keep the accuracy None, or a SceneError if they are to."""
     if not scene.linear:
         return None
-    try:
-        refuse_many_modes(scene)
-        compared = compare_with_more_functions(scene)
-    except SceneError:
-        if alone:
-            raise
-        return None
-    if phasors is None:
-        finer = compared.finer
-        phasors = np.array([best_single(finer), finer.best_drive(), np.ones(len(scene.actuators))])
-    error = compared.error(phasors)
-    if error <= accuracy:
-        reason = f"modes, for errors of at most {percent(error)}, asked {percent(accuracy)}"
-        return Choice(scene.model_copy(update={"grid": Grid()}), error, reason, compared)
+    least = math.inf
+    for density in MODAL_DENSITIES:
+        tried = scene.model_copy(update={"grid": Grid(modal_density=density)})
+        try:
+            refuse_many_modes(tried)
+            compared = compare_with_more_functions(tried)
+        except SceneError:  # of a higher density: too many functions
+            if alone and density == MODAL_DENSITIES[0]:
+                raise
+            break
+        error = compared.error(_usual_drives(compared.finer) if phasors is None else phasors)
+        if error <= accuracy:
+            reason = f"modes, for errors of at most {percent(error)}, asked {percent(accuracy)}"
+            more = "" if density == 1 else f", with {density:g} times as many functions along each side"
+            return Choice(tried, error, reason + more, compared)
+        least = min(least, error)
+        if seconds_of_modes(compared.plate) > DENSER_SECONDS:
+            break
     if alone:
-        raise SceneError(f"accuracy = {accuracy:g}: modes have errors of up to {error:.2g}; {_advice(error)}")
+        raise SceneError(f"accuracy = {accuracy:g}: modes have errors of up to {least:.2g}; {_advice(least)}")
     return None
+
+
+def _usual_drives(response: Response) -> np.ndarray:
+    """Return the best single actuator, the best drive and equal drive (3, actuators)."""
+    best = response.best_drive()
+    return np.array([best_single(response), best, np.ones(best.size)])
 
 
 def _reference(scene: Scene, accuracy: float, device: str, phasors: np.ndarray | None) -> ReferenceSolution:

@@ -190,7 +190,6 @@ def solve_response(scene: Scene, density: float, higher: float = 1.0) -> tuple[M
     Raises:
         SceneError: An undamped plate is driven at resonance, or the plate has no modes.
     """
-    # More functions follow shorter waves, and higher modes are kept of a plate that has too many for all.
     plate = solve_modes(scene, highest=density * higher * highest_frequency(scene), density=density)
     frequencies, loss = actuator_frequencies(scene), np.diag(plate.damping)[:, None] / 2
     apart = np.hypot(2 * math.pi * (plate.frequencies[:, None] - frequencies), loss).min()
@@ -199,6 +198,11 @@ def solve_response(scene: Scene, density: float, higher: float = 1.0) -> tuple[M
     regions = [plate.kinetic_matrix(), plate.kinetic_matrix(scene.target)]
     window = None if scene.steady else scene.window
     return plate, Response(gram_matrices(plate, regions, plate.actuator_forces()[None], frequencies[None], window)[0])
+
+
+def seconds_of_modes(plate: ModalPlate) -> float:
+    """Return the nominal time of a solution with so many modes [s]."""
+    return MODAL_SECONDS * len(plate.vectors) * len(plate.frequencies) ** 2
 
 
 def largest_change(phasors: np.ndarray, only: bool, response: Response, others: Sequence[Response]) -> float:
@@ -247,7 +251,7 @@ def _by_modes(scene: Scene, change: Change) -> Iterator[ReferenceSolution]:
             last, before = change(response, responses[-1:]), change(responses[-1], responses[-2:-1])
             uncertainty = max(MODAL_FACTOR * last, BEFORE_FACTOR * before, LEAST_ERROR)
         responses.append(response)
-        seconds = MODAL_SECONDS * len(plate.vectors) * len(plate.frequencies) ** 2
+        seconds = seconds_of_modes(plate)
         next_seconds = seconds * (following / density) ** 6  # unknowns and modes grow as the square
         yield ReferenceSolution(
             "modal", response, uncertainty, seconds, next_seconds, [scene], plate=plate, density=density

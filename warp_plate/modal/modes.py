@@ -229,7 +229,8 @@ def solve_modes(scene: SceneSource, highest: float | None = None, count: int = 0
         scene: Scene; its grid, time steps and drive play no part.
         highest: Frequency up to which responses are accurate [Hz] (default: the highest of the scene's drive).
         count: Number of modes, from the lowest, that must be accurate.
-        density: Factor of the number of functions along each side (default: 1, whose errors docs/modal.md lists).
+        density: Factor of the number of functions along each side, besides ``grid.modal_density`` (default: 1, whose
+            errors docs/modal.md lists).
 
     Raises:
         SceneError: The scene is not linear, its plate buckles, too many modes are wanted, or a file that it names
@@ -238,8 +239,9 @@ def solve_modes(scene: SceneSource, highest: float | None = None, count: int = 0
     scene = Scene.load(scene)
     if scene.nonlinear_table not in (None, "effects.moving_load"):
         raise SceneError(f"{scene.nonlinear_table}: has no modes, for it is not linear; simulate it in time steps")
-    if highest is None:
-        highest = highest_frequency(scene)
+    # More functions follow shorter waves, and higher modes are kept of a plate that has too many for all.
+    finer = scene.grid.modal_density
+    highest, density = finer * (highest_frequency(scene) if highest is None else highest), finer * density
     wave, area = _wave_frequency(scene), math.prod(scene.plate.size)
     counted = wave * (math.sqrt(4 / math.pi * count) + 2) ** 2 / area if count else 0.0
     intervals = _intervals(scene, max(highest, counted), wave, density)

@@ -132,9 +132,10 @@ def resolve_for_sweep(scene: Scene, plan: Plan, device: str, evaluator: str) -> 
     with suppress(SceneError, ValueError):  # refused, or without corners
         hardest = max(corners, key=lambda corner: math.sqrt(math.prod(corner.plate.size)) / bending_wavelength(corner))
         chosen = resolve_grid(hardest, device, engine="modes" if evaluator == MODAL else "steps").scene
-        grid = configuration_of(chosen)
-        if evaluator != MODAL:  # stable at all corners
-            grid = replace(grid, time_step=min(longest_time_step(each, grid.order, grid.nodes) for each in corners))
+        if evaluator == MODAL:
+            return scene.model_copy(update={"grid": chosen.grid})
+        grid = configuration_of(chosen)  # stable at all corners
+        grid = replace(grid, time_step=min(longest_time_step(each, grid.order, grid.nodes) for each in corners))
         return scene_with(scene, grid)
     return scene
 
