@@ -17,7 +17,7 @@ UNDAMPED = Scene.from_tables(
             "thickness": 7e-4,
             "young_modulus": 7e10,
             "poisson_ratio": 0.22,
-            "density": 2500,
+            "density": 2500.0,
         },
         "drive": {"frequency": 90.0},
         "window": {"start": 0.2, "end": 0.22},

@@ -15,7 +15,6 @@ TEXT = "\n".join(page.read_text(encoding="utf-8") for page in sorted(DOCS.glob("
 UNITLESS = {
     *("poisson_ratio", "nodes", "order", "accuracy", "gain", "weight", "quantile", "without_oscillators"),
     *(
-        "modal_density",
         "particles",
         "iterations",
         "restarts",
@@ -26,7 +25,7 @@ UNITLESS = {
         "velocity_limit",
         "stall",
     ),
-    *("seed", "scenarios", "fresh", "eta", "ratio"),
+    *("modal_density", "seed", "scenarios", "fresh", "eta", "ratio"),
 }
 
 
