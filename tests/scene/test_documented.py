@@ -14,17 +14,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 TEXT = "\n".join(page.read_text(encoding="utf-8") for page in sorted(DOCS.glob("*.md")))
 UNITLESS = {
     *("poisson_ratio", "nodes", "order", "accuracy", "gain", "weight", "quantile", "without_oscillators"),
-    *(
-        "particles",
-        "iterations",
-        "restarts",
-        "inertia",
-        "decay",
-        "cognitive",
-        "social",
-        "velocity_limit",
-        "stall",
-    ),
+    *("particles", "iterations", "restarts", "inertia", "decay", "cognitive", "social", "velocity_limit", "stall"),
     *("modal_density", "seed", "scenarios", "fresh", "eta", "ratio"),
 }
 
