@@ -2,7 +2,7 @@
 
 All that the page loads comes from this server. It listens at one address of this machine and asks for no password, so
 anyone who can reach that address may use it. Pages of other sites open in the same browser cannot connect, as they do
-not know the secret of this run.
+not know the secret of this run (`page_guard.py`).
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from warp_plate.viz.captions import percent
 from warp_plate.viz.explorer_view import ROW_WEIGHTS, ExplorerView, share_texts
+from warp_plate.viz.page_guard import guard
 from warp_plate.viz.pictures import make_plotter
 
 if TYPE_CHECKING:
@@ -41,9 +42,8 @@ SIZE, FONT_SIZE = (900, 800), 16
 FRAMES_PER_SECOND, AHEAD, REPEAT = 30.0, 2, 1.0
 # Without an answer for this long, nobody is looking or a message was lost [s].
 ANSWER_TIMEOUT, JPEG_QUALITY = 1.0, 85
-# Loggers that report a browser that disconnects while a picture is on its way.
-LOGGERS = ("asyncio", "aiohttp.server", "wslink.protocol")
-LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]", "::1")
+# Loggers that print what browsers send.
+SILENT = ("aiohttp.server", "wslink")
 BESIDE = "display: grid; grid-template-columns: 1fr 1fr; column-gap: 18px"
 NUMBERS = """
 <div style="font-weight: 600; margin-bottom: 6px">{{ title }}</div>
@@ -77,8 +77,9 @@ def serve_page(model: LiveModel, host: str, port: int, on_ready: Callable[[str],
     set_up_renderer()
     # JPEG cannot be compressed further; trying takes longer than drawing. Read when the server starts.
     os.environ.setdefault("WSLINK_WS_COMPRESS", "0")
-    for name in LOGGERS:
-        logging.getLogger(name).addFilter(_is_not_disconnection)
+    logging.getLogger("asyncio").addFilter(_is_not_disconnection)
+    for name in SILENT:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with suppress(KeyboardInterrupt):
         asyncio.run(ExplorerPage(model).serve(host, port, on_ready))
 
@@ -100,9 +101,9 @@ class ExplorerPage:
 
     async def serve(self, host: str, port: int, on_ready: Callable[[str], object]) -> None:
         """Answer browsers; for the arguments see :func:`serve_page`."""
-        secret = secrets.token_urlsafe()
-        self.server.controller.on_server_bind.add(lambda server: _answer_session(server, host, secret))
-        # trame reads the command line; the secret is in one word with its option, as it may begin with "-".
+        secret = secrets.token_hex()  # the page sends it in lower case
+        self.server.controller.on_server_bind.add(lambda server: guard(server, host, secret))
+        # trame reads the command line.
         before, sys.argv = sys.argv, [sys.argv[0], f"--authKey={secret}", "--nosignalhandlers"]
         quiet = {"open_browser": False, "show_connection_info": False, "disable_logging": True}
         task = self.server.start(port=port, host=host, exec_mode="task", timeout=0, **quiet)
@@ -168,7 +169,7 @@ class ExplorerPage:
         state.shares = share_texts(reading)
         state.engine = "by modes, without time steps" if self.model.by_modes else "in time steps"
         state.status = self.model.status()
-        self.view.playing = state.playing
+        self.view.playing = bool(state.playing)
 
     def _build(self) -> None:
         from trame.ui.vuetify3 import VAppLayout
@@ -215,11 +216,14 @@ class ExplorerPage:
         self.model.set_actuator(index, **{key: value})
 
     def _choose(self, choice: str) -> None:
+        if choice not in CHOICES:
+            return
         self.server.state.choice = choice
         self.model.choose(choice, ITERATION_SECONDS)
 
     def _take(self, picture: int) -> None:
-        self._taken = max(self._taken, int(picture))
+        if isinstance(picture, int):
+            self._taken = max(self._taken, min(picture, self._sent))
         self._answered.set()
 
 
@@ -232,21 +236,14 @@ def _add_slider(label: str, key: str, ends: tuple[float, float], on_change: Call
             html.Span(label)
             html.Span(f"{{{{ Number({key}).toPrecision(4) }}}}", id=f"value-{key}")
         look = {"hide_details": True, "density": "compact", "color": "primary", "raw_attrs": [f'aria-label="{label}"']}
-        change = (on_change, "[$event]")
+        change = (partial(_within, on_change, ends), "[$event]")
         vuetify3.VSlider(v_model=(key,), min=ends[0], max=ends[1], step=0, update_modelValue=change, **look)
 
 
-def _answer_session(server: Any, host: str, secret: str) -> None:
-    """Answer the page's first request with the address of its connection and the secret of this run."""
-    from aiohttp import web
-
-    async def answer(request: web.Request) -> web.Response:
-        name = request.host.rsplit(":", 1)[0]
-        if host in LOCAL_HOSTS and name not in LOCAL_HOSTS:  # the name of another site that resolves to this machine
-            raise web.HTTPForbidden
-        return web.json_response({"sessionURL": f"ws://{request.host}/ws", "secret": secret})
-
-    server.app.router.add_post("/paraview/", answer)
+def _within(on_change: Callable[[float], object], ends: tuple[float, float], value: object) -> None:
+    """Take a value from a browser, if it is a number, within the ends of its slider."""
+    if isinstance(value, int | float) and math.isfinite(value):
+        on_change(min(max(float(value), ends[0]), ends[1]))
 
 
 def _is_not_disconnection(record: logging.LogRecord) -> bool:

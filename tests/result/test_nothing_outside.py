@@ -21,7 +21,8 @@ FORBIDDEN_MODULES = {
 }  # fmt: skip
 # The explorer serves a page on 127.0.0.1 and opens it; others start fixed commands without a shell.
 ALLOWED = {
-    "viz/explorer_page.py": {"asyncio", "socket"}, "warp_plate/cli/explore.py": {"webbrowser"},
+    "viz/explorer_page.py": {"asyncio", "socket"}, "viz/page_guard.py": {"socket"},
+    "warp_plate/cli/explore.py": {"webbrowser"},
     "viz/availability.py": {"subprocess"}, "viz/pictures.py": {"subprocess"},
 }  # fmt: skip
 

@@ -41,6 +41,8 @@ def explore(
     """
     if not 0 <= port <= 65535:
         raise SceneError(f"--port {port}: must be from 1 to 65535, or 0 for any free one")
+    if not host.strip():
+        raise SceneError("--host '': must be an address of this machine, such as 127.0.0.1, or 0.0.0.0 for all")
     loaded, scene = output.load_scene(scene, assignments, accuracy)
     from warp_plate.explore.live_model import LiveModel
     from warp_plate.modal.solver import MODAL, has_modes

@@ -164,6 +164,8 @@ class LiveModel:
         self._worker.join()
 
     def _request(self, **changes: Any) -> None:
+        if not all(np.isfinite(values).all() for values in changes.values()):
+            raise ValueError(f"{changes}: must be finite")
         with self._changed:
             self.settings = replace(self.settings, **changes)
             self._changed.notify()

@@ -1,0 +1,156 @@
+"""Clients of the explorer's page that are no page of it, or that send what no page sends."""
+
+import asyncio
+import json
+import re
+import signal
+import socket
+import sys
+import urllib.error
+import urllib.request
+
+import pytest
+from conftest import error_of, start_program
+
+from warp_plate import viz
+from warp_plate.viz.explorer_page import missing_page
+
+aiohttp = pytest.importorskip("aiohttp")
+msgpack = pytest.importorskip("msgpack")
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT to send to one process")
+PATIENCE = 60.0
+ESCAPES = "\x1b[2J\x1b]0;title\x07"
+HEADER = 12  # bytes before each message of wslink: its number, the place of this part, the length of all
+
+
+@pytest.fixture
+def served(write_scene):
+    """The host and port of ``explore --web``; Ctrl-C ends it quietly whatever its clients have sent."""
+    if (problem := missing_page() or viz.missing_renderer()) is not None:
+        pytest.skip(problem)
+    write_scene(damping=120.0, window=(0.08, 0.1))
+    process = start_program("-m", "warp_plate", "explore", "panel.toml", "--web", "--port", 0, "--device", "cpu")
+    line = process.stdout.readline()
+    try:
+        yield re.search(r"http://(127\.0\.0\.1:\d+)/", line)[1]
+    finally:
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, out, err) == (0, "", "ended\n")
+
+
+def session(served):
+    """The address of the socket and the secret, as the page asks for them."""
+    with urllib.request.urlopen(
+        urllib.request.Request(f"http://{served}/paraview/", b"{}"), timeout=PATIENCE
+    ) as answer:
+        found = json.load(answer)
+    return found["sessionURL"].replace("ws://", "http://"), found["secret"]
+
+
+def call(method, *arguments, rpc="x:1"):
+    """A message of wslink."""
+    content = msgpack.packb({"wslink": "1.0", "id": rpc, "method": method, "args": list(arguments), "kwargs": {}})
+    return bytes(8) + len(content).to_bytes(4, "little") + content
+
+
+async def answers_to(socket, message):
+    """Send a message, and return the answer to it."""
+    await socket.send_bytes(message)
+    while True:
+        answer = msgpack.unpackb((await socket.receive_bytes(timeout=PATIENCE))[HEADER:])
+        if not answer["id"].startswith("publish:"):
+            return answer
+
+
+async def flood(socket):
+    """Send messages whose answers are as long, and read none of them."""
+    while True:
+        await socket.send_bytes(call("a" * 60000))
+
+
+def test_an_empty_host_does_not_listen_everywhere(command):
+    assert "must be an address of this machine" in error_of(command("explore", "paper", "--web", "--host", ""))
+
+
+def test_only_the_page_may_open_a_socket(served):
+    address, secret = session(served)
+    plain = address.partition("?")[0]
+    host = {"Origin": f"http://{served}"}
+
+    async def statuses():
+        found = []
+        async with aiohttp.ClientSession() as client:
+            guesses = ("", "?secret=", "?secret=é", f"?secret={secret[:-1]}")
+            elsewhere = ({"Origin": "http://elsewhere.example"}, {"Origin": "null"}, {"Host": "elsewhere.example"})
+            attempts = [(plain + guess, host) for guess in guesses] + [(address, headers) for headers in elsewhere]
+            for url, headers in attempts:
+                with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+                    await client.ws_connect(url, headers=headers)
+                found.append(refused.value.status)
+            async with client.ws_connect(address, headers=host) as opened:
+                answer = await answers_to(opened, call("wslink.hello", {"secret": secret}, rpc="system:1"))
+                assert "clientID" in answer["result"]
+        return found
+
+    assert set(asyncio.run(statuses())) <= {400, 403}
+    for url in (plain, address):  # without an upgrade
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(f"http://{url.removeprefix('http://')}", timeout=PATIENCE)
+
+
+def test_what_clients_send_is_neither_printed_nor_obeyed(served):
+    address, secret = session(served)
+
+    async def talk():
+        async with aiohttp.ClientSession() as client:
+            for message in (b"", b"\xff" * 40, call("a" + ESCAPES), call("trigger", ESCAPES, [], {}), ESCAPES):
+                async with client.ws_connect(address) as opened:
+                    await answers_to(opened, call("wslink.hello", {"secret": secret}, rpc="system:1"))
+                    await (opened.send_str if isinstance(message, str) else opened.send_bytes)(message)
+                    await asyncio.sleep(0.2)
+
+    asyncio.run(talk())
+    with socket.create_connection(served.split(":"), PATIENCE) as raw:
+        raw.sendall(f"GET /{ESCAPES} HTTP/9\r\n{ESCAPES}\r\n\r\n".encode())
+    session(served)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="Linux only")
+def test_a_client_that_does_not_read_is_dropped(served):
+    address, secret = session(served)
+
+    async def talk():
+        async with aiohttp.ClientSession() as client, client.ws_connect(address) as idle:
+            await answers_to(idle, call("wslink.hello", {"secret": secret}, rpc="system:1"))
+            async with client.ws_connect(address) as other:
+                await answers_to(other, call("wslink.hello", {"secret": secret}, rpc="system:1"))
+                with pytest.raises(ConnectionError):
+                    await flood(idle)
+                assert "error" in await answers_to(other, call("b"))
+
+    asyncio.run(asyncio.wait_for(talk(), PATIENCE))
+
+
+def test_sliders_take_only_numbers_within_their_ends(served):
+    """Values that are no numbers leave the plate as it is; others end at the ends."""
+    address, secret = session(served)
+
+    async def talk():
+        async with aiohttp.ClientSession() as client, client.ws_connect(address) as opened:
+            await answers_to(opened, call("wslink.hello", {"secret": secret}, rpc="system:1"))
+
+            async def state():
+                return (await answers_to(opened, call("trame.state.get")))["result"]["state"]
+
+            page = (await state())["trame__template_main"]
+            trigger = re.search(r"""<VSlider[^>]*magnitude_1[^>]*trigger\(\W*(trigger__\d+)""", page)[1]
+            for value, expected in ((0.5, 0.5), (1e300, 2.0), (-1, 0.0)):
+                for sent in (float("nan"), float("inf"), "a", None, [], value):
+                    await answers_to(opened, call("trame.trigger", trigger, [sent], {}))
+                while (found := await state())["magnitude_1"] != expected:
+                    await asyncio.sleep(0.1)
+                assert found["status"] == ""
+
+    asyncio.run(asyncio.wait_for(talk(), PATIENCE))

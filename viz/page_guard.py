@@ -1,0 +1,59 @@
+"""Who may talk to the explorer's page: requests by a name of this machine, and sockets with the secret of this run.
+
+Other pages in the same browser cannot learn the secret, as they may not read what the page's first request is answered.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import secrets
+import socket
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from aiohttp import web
+
+# A browser that takes no data for so long is dropped, as others wait for it [ms].
+PATIENCE = 5000
+
+
+def guard(server: Any, host: str, secret: str) -> None:
+    """Let a trame server answer the page's first request with the secret, and refuse what comes from elsewhere."""
+    from aiohttp import web
+
+    names = {name.lower() for name in ("localhost", host, socket.gethostname(), socket.getfqdn())}
+
+    async def answer(request: web.Request) -> web.Response:
+        return web.json_response({"sessionURL": f"ws://{request.host}/ws?secret={secret}", "secret": secret})
+
+    @web.middleware
+    async def check(request: web.Request, handler: Any) -> web.StreamResponse:
+        name, origin = request.url.host or "", request.headers.get("Origin")
+        if not (name.lower() in names or _is_address(name)) or origin not in (None, f"http://{request.host}"):
+            raise web.HTTPForbidden
+        if request.path == "/ws":
+            known = secrets.compare_digest(request.query.get("secret", "").encode(), secret.encode())
+            if not known or not web.WebSocketResponse().can_prepare(request).ok:
+                raise web.HTTPForbidden
+            _drop_if_idle(request)
+        response: web.StreamResponse = await handler(request)
+        return response
+
+    server.app.middlewares.append(check)
+    server.app.router.add_post("/paraview/", answer)
+
+
+def _is_address(name: str) -> bool:
+    """Return whether a host is a number, to which no other site can lead a browser by a name of its own."""
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _drop_if_idle(request: web.Request) -> None:
+    """End a connection through which nothing can be sent any more; others would wait for it (Linux only)."""
+    connection = request.get_extra_info("socket")
+    if connection is not None and hasattr(socket, "TCP_USER_TIMEOUT"):
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, PATIENCE)
