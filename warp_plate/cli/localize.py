@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from warp_plate.cli import options, output, tables
+from warp_plate.cli import clock, options, output, tables
 from warp_plate.scene.errors import SceneError
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def localize(
     output.prepare_pictures(pictures)
     with (
         workers.open_pool() as pool,
-        output.progress_bar("searching", not json, loaded) as show,
+        output.progress_bar("searching", not json, loaded, "running the drives found") as show,
         output.scene_errors(scene),
         output.resumable(file, "localize"),
     ):
@@ -153,7 +153,7 @@ def localize(
             result = run_localize(loaded, scene or "", on, seed, evaluator, path, *common)
     written = _write(result, target, pictures, file)
     record = partial(_as_json, result, file.path if result.interrupted and file.saved else None)
-    output.report(json, record, partial(_print, result), written)
+    output.report(json, record, partial(_print, result, resume is not None), written)
 
 
 def _result_beside(checkpoint: Path) -> Path:
@@ -203,7 +203,7 @@ def _as_json(result: Result, checkpoint: Path | None) -> dict[str, object]:
     }
 
 
-def _print(result: Result, console: Console) -> None:
+def _print(result: Result, resumed: bool, console: Console) -> None:
     from warp_plate.result.targets import target_cases
     from warp_plate.scene.vary import counted
 
@@ -225,7 +225,8 @@ def _print(result: Result, console: Console) -> None:
         console.print(NOT_REPRODUCED)
     in_all = {"direct": ", in all ", "response": " on Gram matrices, in all ", "modal": ", "}
     unit, way = "plate" if result.evaluator == "direct" else "drive", in_all[result.evaluator]
-    output.print_cost(result, console, f"{counted(result.evaluations, unit)} in the search{way}")
+    searched = f"{counted(result.evaluations, unit)} in the search{way}"
+    output.print_cost(result, console, searched, None if resumed else clock.elapsed())
 
 
 def _labels(result: Result) -> dict[str, str]:

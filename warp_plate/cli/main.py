@@ -6,11 +6,13 @@ import io
 import os
 import sys
 
+from warp_plate.cli import clock
 from warp_plate.interrupts import interrupt_on_termination, remember_lost_interrupts
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command and exit: status 0; 2 after one line about bad input; 130 after Ctrl-C or SIGTERM."""
+    clock.restart()
     _prepare_streams()
     interrupt_on_termination()
     remember_lost_interrupts()

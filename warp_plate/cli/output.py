@@ -23,6 +23,16 @@ from warp_plate.scene.errors import SceneError, printable
 
 # The longest ending of the files that are written beside a result.
 LONGEST_ENDING = ".checkpoint.h5.123456789abc.part.h5"
+# The stages of ``Result.seconds``.
+STAGES = {
+    "choose": "choosing the engine or grid",
+    "compile": "compiling or loading",
+    "solve": "solving",
+    "robust": "validating",
+    "baselines": "of baselines",
+    "spectrum": "of the spectrum",
+    "estimate": "estimating the error",
+}
 
 if TYPE_CHECKING:
     from warp_plate.analysis.warnings import Finding
@@ -153,21 +163,29 @@ def number_text(value: float | None, digits: str, unit: str = "") -> str:
 
 
 @contextmanager
-def progress_bar(label: str, shown: bool, scene: Scene | None = None) -> Iterator[Callable[..., None]]:
+def progress_bar(label: str, shown: bool, scene: Scene | None = None, last: str = "") -> Iterator[Callable[..., None]]:
     """Show a progress bar if standard error is a terminal; yield a function of (done, total, note) that updates it.
 
-    It begins with the choice of a grid if the scene asks for an accuracy.
+    Before the first update it says that kernels are compiled, or that a grid is chosen if the scene asks for an
+    accuracy; when all is done, ``last`` (default: ``label``).
     """
     if not shown or not sys.stderr.isatty():
         yield lambda done, total, note="": None
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn(label), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
     with Progress(*columns, console=Console(file=_ProgressStream()), transient=True) as progress:
-        note = "choosing a grid" if scene is not None and scene.grid.accuracy is not None else ""
-        task = progress.add_task(label, total=None, note=note)
-        yield lambda done, total, note="": progress.update(task, completed=done, total=total, note=note)
+        first = label if scene is None else "compiling or loading kernels"
+        if scene is not None and scene.grid.accuracy is not None:
+            first = "choosing a grid"
+        task = progress.add_task(first, total=None, note="")
+
+        def show(done: int, total: int, note: str = "") -> None:
+            stage = last or label if done == total else label
+            progress.update(task, description=stage, completed=done, total=total, note=note)
+
+        yield show
 
 
 def load_scene(source: str, assignments: Sequence[str] | None = None, accuracy: str | None = None) -> tuple[Scene, str]:
@@ -270,8 +288,12 @@ def _writing_problem(path: Path) -> str:
     return ""
 
 
-def print_cost(result: Result, console: Console, start: str = "") -> None:
-    """Print where a result was computed, its cost and accuracy, the effects in the compiled kernels, and warnings."""
+def print_cost(result: Result, console: Console, start: str = "", elapsed: float | None = None) -> None:
+    """Print where a result was computed, its cost and accuracy, the effects in the compiled kernels, and warnings.
+
+    Args:
+        elapsed: seconds of the whole command; None if the result has seconds of earlier ones too.
+    """
     by_steps = f"{result.node_steps:.3g} node-steps on {result.device}, "
     work, before, included = ("", "finding the modes", "included") if result.by_modes else (
         by_steps, "compiling or loading kernels", "compiled in"
@@ -283,10 +305,19 @@ def print_cost(result: Result, console: Console, start: str = "") -> None:
     if "reason" in result.accuracy:
         took = f", chosen in {result.seconds['choose']:.2f} s" if "choose" in result.seconds else ""
         console.print(f"engine: {result.accuracy['reason']}{took}")
+    if elapsed is not None:
+        console.print(_seconds_text(result.seconds, elapsed))
     if "estimate" in result.accuracy:
         console.print(result.accuracy["estimate"]["line"])
     for sentence in warnings_of(result):
         console.print(f"! {sentence}")
+
+
+def _seconds_text(seconds: Mapping[str, float], elapsed: float) -> str:
+    """Return the seconds of the stages, which add up to those of the command."""
+    spent = {text: seconds[stage] for stage, text in STAGES.items() if stage in seconds}
+    spent["loading, files and pictures"] = elapsed - sum(spent.values())
+    return f"{elapsed:.2f} s in all: {', '.join(f'{value:.2f} s {text}' for text, value in spent.items())}."
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from warp_plate.cli import options, output, tables
+from warp_plate.cli import clock, options, output, tables
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -45,7 +45,8 @@ def simulate(
     output.prepare_pictures(pictures)
     from warp_plate.studies.simulate import simulate as run
 
-    with output.scene_errors(scene), output.progress_bar("simulating", not json, loaded) as show:
+    last = "estimating the error" if estimate else ""
+    with output.scene_errors(scene), output.progress_bar("simulating", not json, loaded, last) as show:
 
         def on_progress(done: int, total: int) -> None:
             show(done, total, f"{done:.2g} node-steps")
@@ -84,4 +85,4 @@ def _print(result: Result, console: Console) -> None:
     if (moved := tables.motion_table(result.cases)) is not None:
         console.print()
         output.print_uncropped(console, moved)
-    output.print_cost(result, console)
+    output.print_cost(result, console, elapsed=clock.elapsed())
