@@ -30,6 +30,7 @@ def test_a_cache_that_cannot_be_made(variable, write_scene):
     assert str(Path("panel.toml").resolve()) in line
 
 
+@pytest.mark.slow
 def test_damaged_kernels_are_compiled_again(write_scene, tmp_path):
     write_scene(damping=88.5)
     cache = {"WARP_CACHE_PATH": str(tmp_path / "cache")}

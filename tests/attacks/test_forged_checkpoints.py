@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from warp_plate import CheckpointFile, SceneError, load_checkpoint, localize, resume
 
-KEPT = settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+KEPT = settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
 SEARCHES = {
     "pso": {"particles": 4, "iterations": 3},
     "gradient": {"method": "gradient", "particles": 4, "iterations": 3},
