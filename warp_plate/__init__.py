@@ -46,6 +46,7 @@ _HOME = {
     "localize": "warp_plate.studies.localize:localize",
     "measure_accuracy": "warp_plate.accuracy.report:measure_configurations",
     "modes": "warp_plate.modal.modes:solve_modes",
+    "plot": "warp_plate.notebook:plot",
     "resume": "warp_plate.studies.localize:resume",
     "save_result": "warp_plate.result.model:save_result",
     "simulate": "warp_plate.studies.simulate:simulate",
@@ -78,6 +79,7 @@ __all__ = [
     "localize",
     "measure_accuracy",
     "modes",
+    "plot",
     "resume",
     "save_result",
     "simulate",
@@ -89,7 +91,7 @@ if TYPE_CHECKING:
     from warp_plate.accuracy.report import measure_configurations as measure_accuracy
     from warp_plate.analysis.check import check
     from warp_plate.modal.modes import solve_modes as modes
-    from warp_plate.notebook import view
+    from warp_plate.notebook import plot, view
     from warp_plate.result.checkpoint import load_checkpoint
     from warp_plate.result.model import Result, load_result, save_result
     from warp_plate.result.sweep import load_sweep

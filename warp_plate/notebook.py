@@ -1,4 +1,4 @@
-"""Scenes, results and moving plates in IPython and Jupyter notebooks.
+"""Pictures of what the functions return, and scenes, results and moving plates in IPython and Jupyter notebooks.
 
 ``import warp_plate`` in a running notebook (or ``%load_ext warp_plate``) shows every :class:`Scene` and :class:`Result`
 as a table with a picture, and :func:`view` plays a result:
@@ -12,6 +12,7 @@ The player holds its whole page, so it needs neither a server nor a network, and
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,7 +20,10 @@ from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import Element, tostring
 
 if TYPE_CHECKING:
+    from warp_plate.result.comparison import MethodComparison
+    from warp_plate.result.frequency_response import FrequencyResponse
     from warp_plate.result.model import Result
+    from warp_plate.result.sweep import Sweep
     from warp_plate.scene.model import Scene
 
 
@@ -53,6 +57,48 @@ class NotebookPlayer:
         style = {"sandbox": "allow-scripts", "width": "100%", "height": str(self.height), "style": "border: none"}
         frame = Element("iframe", {"srcdoc": self.html, **style})
         return tostring(frame, encoding="unicode", short_empty_elements=False)
+
+
+def plot(shown: Result | Sweep | FrequencyResponse | MethodComparison, stem: str | Path) -> list[Path]:
+    """Draw what a function has returned, as its command does, and return the files.
+
+    Args:
+        shown: result of ``localize`` or ``simulate``, of ``sweep``, of ``frf``, or of ``compare``.
+        stem: path of the pictures without an ending: a result makes STEM-history.png, STEM-surfaces.png and so on, all
+            others STEM.png.
+
+    Raises:
+        DrawingUnavailable: a library that a picture needs is not installed.
+        TypeError: there are no pictures of such an object.
+    """
+    from warp_plate.result.comparison import MethodComparison
+    from warp_plate.result.frequency_response import FrequencyResponse
+    from warp_plate.result.model import Result
+    from warp_plate.result.sweep import Sweep
+    from warp_plate.viz.availability import DrawingUnavailable, missing_plots
+    from warp_plate.viz.figures import draw_all
+    from warp_plate.viz.plots.compare import draw_comparison
+    from warp_plate.viz.plots.frequency_response import draw_frequency_response
+    from warp_plate.viz.plots.sweep import draw_sweep
+
+    if isinstance(shown, Result):
+        files, problem = draw_all(shown, stem)
+        if problem is not None:
+            raise DrawingUnavailable(problem)
+        return files
+    drawings: dict[type, Callable[[Any, Path], None]] = {
+        Sweep: draw_sweep,
+        FrequencyResponse: draw_frequency_response,
+        MethodComparison: draw_comparison,
+    }
+    if type(shown) not in drawings:
+        names = ", ".join(each.__name__ for each in (Result, *drawings))
+        raise TypeError(f"{type(shown).__name__}: there are pictures of {names}")
+    if (problem := missing_plots()) is not None:
+        raise DrawingUnavailable(problem)
+    file = Path(f"{stem}.png")
+    drawings[type(shown)](shown, file)
+    return [file]
 
 
 def view(

@@ -1,7 +1,6 @@
 """A glass panel with six actuators: find the drive that moves only a disc of 30 mm, and vary its frequency."""
 
 import warp_plate as wpl
-from warp_plate.viz.figures import draw_all
 
 plate = wpl.Plate(size=(0.2, 0.12), thickness=0.7e-3, young_modulus=72e9, poisson_ratio=0.22, density=2480)
 places = [(x, y) for y in (0.01, 0.1) for x in (0.03, 0.095, 0.16)]  # lower left corners [m]
@@ -14,8 +13,9 @@ scene = wpl.Scene(
 )
 result = wpl.localize(scene)
 print(result)
-draw_all(result, "glass-panel")
+wpl.plot(result, "glass-panel")
 wpl.save_result(result, "glass-panel.h5")
 
 found = wpl.sweep(scene, ["drive.frequency=200:400:5"])
 print(found.to_xarray()["best"])
+wpl.plot(found, "glass-panel-sweep")

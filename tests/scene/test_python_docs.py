@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from warp_plate import frf, load_result, sweep
+from warp_plate import Scene, compare, frf, load_result, plot, sweep
+from warp_plate.viz.availability import missing_renderer
 
+PICTURES = ("history", "surfaces", "sweep")
 DOCS = Path(__file__).parents[2] / "docs"
 
 
@@ -20,12 +22,26 @@ def test_examples_of_the_page_hold():
 
 def test_script_finds_and_saves_a_drive(tmp_path, monkeypatch):
     pytest.importorskip("xarray")
+    if (problem := missing_renderer()) is not None:
+        pytest.skip(problem)
     monkeypatch.chdir(tmp_path)
     names = runpy.run_path(str(DOCS / "examples" / "glass_panel.py"))
     best = names["result"].cases["best"].localization_factor
     assert load_result("glass-panel.h5").cases["best"].localization_factor == best
+    assert {file.stem for file in tmp_path.glob("*.png")} == {f"glass-panel-{of}" for of in PICTURES}
     swept = names["found"].to_xarray()["best"]
     assert swept.sel({"drive.frequency": 300}).item() == pytest.approx(best, rel=0.02)
+
+
+def test_plots_are_those_of_the_commands(tmp_path):
+    pytest.importorskip("matplotlib")
+    responses, compared = frf("paper", frequency_range=(200, 300)), compare("paper", ["exact"], seeds=1, device="cpu")
+    for shown in (responses, compared):
+        assert plot(shown, tmp_path / "drawn.1") == [tmp_path / "drawn.1.png"]
+        assert (tmp_path / "drawn.1.png").read_bytes().startswith(b"\x89PNG")
+        (tmp_path / "drawn.1.png").unlink()
+    with pytest.raises(TypeError, match="Scene: there are pictures of Result, Sweep"):
+        plot(Scene.load("paper"), tmp_path / "drawn")
 
 
 def test_samples_have_one_dimension():
