@@ -42,7 +42,7 @@ def test_the_judged_truth_lies_within_bar_and_interval(number):
 
 def check(number):
     """Return the rows of a scene, the truth of which must lie within their bars."""
-    rows = measured(number, promise=False)
+    rows = measured(number)
     assert {row["engine"] for row in rows} == {"steps", "modes"}
     assert all(row["bar"] > 0 and not missed(row) for row in rows)
     return rows
