@@ -2,10 +2,13 @@
 
 import os
 import signal
+import socket
+import ssl
 import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -22,6 +25,7 @@ from warp_plate.cluster.scheduler import Task, run_tasks
 
 pytest.importorskip("distributed")
 psutil = pytest.importorskip("psutil")  # which Dask needs as well
+needs_listeners = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells who listens where")
 
 
 LINES = []  # logged as the pool was opened
@@ -58,18 +62,42 @@ def test_a_search_is_the_same_on_dask(pool, scene):
     assert LINES[0].startswith("dashboard of the workers: http://127.0.0.1:")
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells who listens where")
-def test_nothing_listens_but_to_this_machine(pool):
-    """Scheduler, workers, nannies and dashboards."""
+def listening(pool):
+    """The addresses at which this process and the workers' listen."""
     processes = [psutil.Process(number) for number in (os.getpid(), *worker_processes(pool))]
-    listening = [
-        connection.laddr.ip
+    return [
+        connection.laddr
         for process in processes
         for connection in getattr(process, "net_connections", process.connections)("inet")
         if connection.status == psutil.CONN_LISTEN
     ]
-    assert len(listening) >= 4
-    assert set(listening) == {"127.0.0.1"}
+
+
+@needs_listeners
+def test_nothing_listens_but_to_this_machine(pool):
+    """Scheduler, workers, nannies and dashboards."""
+    found = listening(pool)
+    assert len(found) >= 4
+    assert {address.ip for address in found} == {"127.0.0.1"}
+
+
+@needs_listeners
+def test_who_lacks_the_certificate_is_refused(pool):
+    """The dashboards, which run nothing, speak HTTP."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    refused = []
+    for address in listening(pool):
+        with socket.create_connection(address, 60) as plain:
+            plain.sendall(b"GET / HTTP/1.0\r\n\r\n")
+            with suppress(ConnectionError):
+                if plain.recv(4) == b"HTTP":
+                    continue
+        opened = context.wrap_socket(socket.create_connection(address, 60))
+        with opened, pytest.raises(ssl.SSLError, match="CERTIFICATE_REQUIRED"):
+            opened.recv(1)
+        refused.append(address)
+    assert len(refused) >= 3  # scheduler and workers
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")

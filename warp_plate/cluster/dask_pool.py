@@ -97,11 +97,12 @@ def connect(address: str, device: str, log: Callable[[str], object]) -> DaskPool
     try:
         import distributed
         from dask import config
-    except ImportError:
-        raise SceneError(f"--cluster {address}: Dask is not installed: pip install 'warp-plate[cluster]'") from None
+
+        config.set(SETTINGS)
+        cluster = _start_workers(address) if address.startswith("local:") else None
+    except ImportError as error:
+        raise SceneError(f"--cluster {address}: {error}: pip install 'warp-plate[cluster]'") from None
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # errors are reported here in one line
-    config.set(SETTINGS)
-    cluster = _start_workers(address) if address.startswith("local:") else None
     scheduler = address if cluster or "://" in address else _address_in(address)
     try:
         client = distributed.Client(cluster or scheduler, timeout=ANSWER_SECONDS)
@@ -125,7 +126,7 @@ def _address_in(path: str) -> str:
 
 
 def _start_workers(address: str) -> LocalCluster:
-    """Start the workers of "local:4", which have one thread each and listen to this machine alone."""
+    """Start the workers of "local:4": one thread each; who connects needs this run's certificate."""
     from distributed import LocalCluster
 
     count = address.partition(":")[2]
@@ -136,6 +137,7 @@ def _start_workers(address: str) -> LocalCluster:
             n_workers=int(count),
             threads_per_worker=1,
             host="127.0.0.1",
+            security=True,
             dashboard_address="127.0.0.1:0",
             worker_dashboard_address="127.0.0.1:0",
             memory_limit=0,  # only the machine's own limit counts
