@@ -1,8 +1,7 @@
 """The explorer as a web page: pictures are drawn here and sent, sliders and buttons run in the browser.
 
-All that the page loads comes from this server. It listens at one address of this machine and asks for no password, so
-anyone who can reach that address may use it. Pages of other sites open in the same browser cannot connect, as they do
-not know the secret of this run (`page_guard.py`).
+All that the page loads comes from this server. It listens at one address of this machine, and answers those who know
+the secret of this run, which is in the address of the page (`page_guard.py`).
 """
 
 from __future__ import annotations
@@ -112,7 +111,7 @@ class ExplorerPage:
             if task.done():
                 task.result()
             await asyncio.sleep(0.01)
-        on_ready(f"http://{f'[{host}]' if ':' in host else host}:{self.server.port}/")
+        on_ready(f"http://{f'[{host}]' if ':' in host else host}:{self.server.port}/?key={secret}")
         try:
             await self._send_pictures()
         finally:

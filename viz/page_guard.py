@@ -1,6 +1,7 @@
 """Who may talk to the explorer's page: requests by a name of this machine, and sockets with the secret of this run.
 
-Other pages in the same browser cannot learn the secret, as they may not read what the page's first request is answered.
+The secret is in the printed address. The browser sends that address as the referrer of the page's first request, which
+asks where the socket is, so that no cookie is needed, which other servers at this address would be sent.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import ipaddress
 import secrets
 import socket
 from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qs, urlsplit
 
 if TYPE_CHECKING:
     from aiohttp import web
@@ -18,12 +20,17 @@ PATIENCE = 5000
 
 
 def guard(server: Any, host: str, secret: str) -> None:
-    """Let a trame server answer the page's first request with the secret, and refuse what comes from elsewhere."""
+    """Let a trame server answer those who have the secret, and refuse what comes from elsewhere."""
     from aiohttp import web
+
+    def is_known(found: str) -> bool:
+        return secrets.compare_digest(found.encode(errors="replace"), secret.encode())
 
     names = {name.lower() for name in ("localhost", host, socket.gethostname(), socket.getfqdn())}
 
     async def answer(request: web.Request) -> web.Response:
+        if not is_known(_key_in(request.headers.get("Referer", ""))):
+            raise web.HTTPForbidden
         return web.json_response({"sessionURL": f"ws://{request.host}/ws?secret={secret}", "secret": secret})
 
     @web.middleware
@@ -32,8 +39,7 @@ def guard(server: Any, host: str, secret: str) -> None:
         if not (name.lower() in names or _is_address(name)) or origin not in (None, f"http://{request.host}"):
             raise web.HTTPForbidden
         if request.path == "/ws":
-            known = secrets.compare_digest(request.query.get("secret", "").encode(), secret.encode())
-            if not known or not web.WebSocketResponse().can_prepare(request).ok:
+            if not is_known(request.query.get("secret", "")) or not web.WebSocketResponse().can_prepare(request).ok:
                 raise web.HTTPForbidden
             _drop_if_idle(request)
         response: web.StreamResponse = await handler(request)
@@ -41,6 +47,14 @@ def guard(server: Any, host: str, secret: str) -> None:
 
     server.app.middlewares.append(check)
     server.app.router.add_post("/paraview/", answer)
+
+
+def _key_in(address: str) -> str:
+    """Return the secret that a page's address holds, or nothing."""
+    try:
+        return parse_qs(urlsplit(address).query).get("key", [""])[0]
+    except ValueError:
+        return ""
 
 
 def _is_address(name: str) -> bool:

@@ -25,27 +25,40 @@ HEADER = 12  # bytes before each message of wslink: its number, the place of thi
 
 @pytest.fixture
 def served(write_scene):
-    """The host and port of ``explore --web``; Ctrl-C ends it quietly whatever its clients have sent."""
+    """Host and port, and query, of ``explore --web``; Ctrl-C ends it quietly whatever its clients have sent."""
     if (problem := missing_page() or viz.missing_renderer()) is not None:
         pytest.skip(problem)
     write_scene(damping=120.0, window=(0.08, 0.1))
     process = start_program("-m", "warp_plate", "explore", "panel.toml", "--web", "--port", 0, "--device", "cpu")
     line = process.stdout.readline()
     try:
-        yield re.search(r"http://(127\.0\.0\.1:\d+)/", line)[1]
+        yield re.search(r"http://(127\.0\.0\.1:\d+)/(\?key=\w+) ", line).groups()
     finally:
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, out, err) == (0, "", "ended\n")
 
 
+def ask(served, **headers):
+    """Return the answer to the page's first request."""
+    request = urllib.request.Request(f"http://{served[0]}/paraview/", b"{}", headers)
+    with urllib.request.urlopen(request, timeout=PATIENCE) as answer:
+        return json.load(answer)
+
+
 def session(served):
     """The address of the socket and the secret, as the page asks for them."""
-    with urllib.request.urlopen(
-        urllib.request.Request(f"http://{served}/paraview/", b"{}"), timeout=PATIENCE
-    ) as answer:
-        found = json.load(answer)
+    found = ask(served, Referer=f"http://{served[0]}/{served[1]}")
     return found["sessionURL"].replace("ws://", "http://"), found["secret"]
+
+
+def test_the_secret_is_given_to_those_who_have_it(served):
+    """Not to other users of this machine, who can reach the address."""
+    page = f"http://{served[0]}/"
+    for referer in ("", page, f"{page}?key=", f"{page}{served[1]}x", f"{page}?key=%ff", "http://[?key=1"):
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            ask(served, Referer=referer)
+    assert session(served)[1] in served[1]
 
 
 def call(method, *arguments, rpc="x:1"):
@@ -76,7 +89,7 @@ def test_an_empty_host_does_not_listen_everywhere(command):
 def test_only_the_page_may_open_a_socket(served):
     address, secret = session(served)
     plain = address.partition("?")[0]
-    host = {"Origin": f"http://{served}"}
+    host = {"Origin": f"http://{served[0]}"}
 
     async def statuses():
         found = []
@@ -111,7 +124,7 @@ def test_what_clients_send_is_neither_printed_nor_obeyed(served):
                     await asyncio.sleep(0.2)
 
     asyncio.run(talk())
-    with socket.create_connection(served.split(":"), PATIENCE) as raw:
+    with socket.create_connection(served[0].split(":"), PATIENCE) as raw:
         raw.sendall(f"GET /{ESCAPES} HTTP/9\r\n{ESCAPES}\r\n\r\n".encode())
     session(served)
 

@@ -35,7 +35,7 @@ def served(tmp_path, write_scene, monkeypatch):
     monkeypatch.setenv("BROWSER", str(opener))
     process = start_program("-m", "warp_plate", "explore", "panel.toml", "--port", "0", "--device", "cpu")
     line = process.stdout.readline()
-    address = re.search(r"http://127\.0\.0\.1:\d+/", line)
+    address = re.search(r"http://127\.0\.0\.1:\d+/\?key=\w+", line)
     try:
         assert address, line
         yield address.group()
@@ -149,7 +149,8 @@ def test_connections(browser, served, tmp_path):
     browser.contexts[0].pages[0].close()
     time.sleep(0.3)
 
-    port = served.rstrip("/").rpartition(":")[2]
+    page = served.partition("?")[0]
+    port = page.rstrip("/").rpartition(":")[2]
     second = start_program("-m", "warp_plate", "explore", "panel.toml", "--web", "--port", port, "--device", "cpu")
     out, err = second.communicate(timeout=PATIENCE)
     assert (second.returncode, out, err.count("\n")) == (2, "", 1)
@@ -157,8 +158,8 @@ def test_connections(browser, served, tmp_path):
     with pytest.raises(OSError, match=r"refused|assign"):  # systems other than Linux lack that address
         socket.create_connection(("127.0.0.2", int(port)), PATIENCE)
 
-    request = partial(urllib.request.Request, served + "paraview/", b"{}")
-    with urllib.request.urlopen(request({"Host": served.split("/")[2]}), timeout=PATIENCE) as answer:
+    request = partial(urllib.request.Request, page + "paraview/", b"{}")
+    with urllib.request.urlopen(request({"Host": served.split("/")[2], "Referer": served}), timeout=PATIENCE) as answer:
         assert (answer.status, "Access-Control-Allow-Origin" in answer.headers) == (200, False)
     with pytest.raises(urllib.error.HTTPError, match="403"):
-        urllib.request.urlopen(request({"Host": "elsewhere.example:80"}), timeout=PATIENCE)
+        urllib.request.urlopen(request({"Host": "elsewhere.example:80", "Referer": served}), timeout=PATIENCE)

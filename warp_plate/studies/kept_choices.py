@@ -13,7 +13,7 @@ import numpy as np
 
 import warp_plate
 from warp_plate.plate.files import digests
-from warp_plate.result.atomic_io import write_atomically
+from warp_plate.result.atomic_io import SEAL_BYTES, is_intact, make_seal, write_atomically
 from warp_plate.scene.errors import SceneError
 from warp_plate.scene.model import Scene
 from warp_plate.solve.devices import find_device, kernel_folder, processor_of
@@ -32,14 +32,13 @@ def kept(scene: Scene, device: str, phasors: np.ndarray | None, engine: str, cho
     question = [scene.model_dump_json(exclude=UNREAD), digests(scene), scene.grid.accuracy, processor, drives, engine]
     key = hashlib.sha256(json.dumps([*question, _program()]).encode()).hexdigest()
     file = kernel_folder() / "warp-plate" / f"{key}.json"
-    with suppress(OSError, ValueError):
-        stored = json.loads(file.read_text())
-        if isinstance(stored, dict) and stored.get("key") == key:
-            return stored["choice"]
+    if is_intact(file):
+        return json.loads(file.read_bytes()[:-SEAL_BYTES])
     choice = choose()
     with suppress(OSError, SceneError):
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(json.dumps({"key": key, "choice": choice}).encode(), file)
+        content = json.dumps(choice).encode()
+        write_atomically(content + make_seal(content), file)
     return choice
 
 
