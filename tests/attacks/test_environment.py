@@ -49,6 +49,7 @@ def test_damaged_kernels_are_compiled_again(write_scene, tmp_path):
 
 
 def test_a_damaged_choice_is_made_again(scene, tmp_path, monkeypatch):
+    wp.init()  # sets the folder
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
     made = []
 
